@@ -1,0 +1,15 @@
+//! What contributors bring: cameras, poses, photographs, and who took what.
+//!
+//! This is the only crate that reads photographs and camera files. Everything
+//! after it works on [`Camera`]s and [`Picture`]s in memory, so a new camera
+//! format is added here and nowhere else.
+//!
+//! Convention everywhere in Cairn: a [`Pose`] is camera-to-world, in OpenCV axes
+//! (x right, y down, z forward); lengths are in the capture's own unit; pixel
+//! (0, 0)'s centre lies at (0.5, 0.5).
+
+mod camera;
+mod picture;
+
+pub use camera::{Camera, Distortion, Intrinsics, Pose, PoseError};
+pub use picture::{Picture, PictureError};

@@ -1,0 +1,208 @@
+//! Photographs and renders in memory: one plain type, so that every later stage
+//! shares a layout and none of them needs to know an image file format.
+
+use thiserror::Error;
+
+/// An RGB image, `height x width x 3`, row-major, interleaved, display-referred
+/// (sRGB-encoded) values with 0 black and 1 white. Renders may leave [0, 1].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    width: usize,
+    height: usize,
+    rgb: Vec<f32>,
+}
+
+/// Why an array is not a picture.
+#[derive(Debug, Error, PartialEq)]
+pub enum PictureError {
+    /// The array's length does not fit the size.
+    #[error("a {width} x {height} picture has {expected} numbers, got {got}")]
+    Length {
+        /// Pixels across.
+        width: usize,
+        /// Pixels down.
+        height: usize,
+        /// `width * height * 3`.
+        expected: usize,
+        /// Numbers given.
+        got: usize,
+    },
+    /// A side is zero.
+    #[error("a picture of {width} x {height} pixels has none; give both sides at least one pixel")]
+    Empty {
+        /// Pixels across.
+        width: usize,
+        /// Pixels down.
+        height: usize,
+    },
+}
+
+impl Picture {
+    /// Wraps `rgb`, `height * width * 3` numbers, row-major and interleaved.
+    ///
+    /// # Errors
+    /// [`PictureError`] when a side is zero or the length does not fit.
+    pub fn new(width: usize, height: usize, rgb: Vec<f32>) -> Result<Self, PictureError> {
+        if width == 0 || height == 0 {
+            return Err(PictureError::Empty { width, height });
+        }
+        let expected = width * height * 3;
+        if rgb.len() != expected {
+            return Err(PictureError::Length { width, height, expected, got: rgb.len() });
+        }
+        Ok(Self { width, height, rgb })
+    }
+
+    /// A picture of one colour (`rgb` in [0, 1]).
+    ///
+    /// # Panics
+    /// When a side is zero.
+    pub fn constant(width: usize, height: usize, rgb: [f32; 3]) -> Self {
+        assert!(width > 0 && height > 0, "a constant picture needs at least one pixel");
+        let rgb = rgb.iter().copied().cycle().take(width * height * 3).collect();
+        Self { width, height, rgb }
+    }
+
+    /// Pixels across.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Pixels down.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The numbers, `height x width x 3`.
+    pub fn rgb(&self) -> &[f32] {
+        &self.rgb
+    }
+
+    /// The numbers, `height x width x 3`, to change in place.
+    pub fn rgb_mut(&mut self) -> &mut [f32] {
+        &mut self.rgb
+    }
+
+    /// The numbers, `height x width x 3`, taking the picture apart.
+    pub fn into_rgb(self) -> Vec<f32> {
+        self.rgb
+    }
+
+    /// The pixel in column `x` and row `y`, both from 0.
+    ///
+    /// # Panics
+    /// When the pixel lies outside.
+    pub fn pixel(&self, x: usize, y: usize) -> [f32; 3] {
+        assert!(x < self.width, "column {x} of {}", self.width);
+        let at = (y * self.width + x) * 3;
+        [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
+    }
+
+    /// The same picture with every number brought into [0, 1]. NaN stays NaN.
+    #[must_use]
+    pub fn clamped(mut self) -> Self {
+        for v in &mut self.rgb {
+            *v = v.clamp(0.0, 1.0);
+        }
+        self
+    }
+
+    /// 8-bit RGB, `height x width x 3` bytes, rounded to nearest and clamped.
+    pub fn to_rgb8(&self) -> Vec<u8> {
+        self.rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect()
+    }
+
+    /// From 8-bit RGB, `height x width x 3` bytes.
+    ///
+    /// # Errors
+    /// As [`Picture::new`].
+    pub fn from_rgb8(width: usize, height: usize, rgb: &[u8]) -> Result<Self, PictureError> {
+        Self::new(width, height, rgb.iter().map(|&b| f32::from(b) / 255.0).collect())
+    }
+
+    /// This picture at `width x height`, each new pixel the mean of the area it
+    /// covers (exact box filter; bilinear in the limit of enlarging by area).
+    ///
+    /// # Panics
+    /// When a new side is zero.
+    #[must_use]
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        assert!(width > 0 && height > 0, "cannot resize to no pixels");
+        if (width, height) == (self.width, self.height) {
+            return self.clone();
+        }
+        let columns = area_weights(self.width, width);
+        let rows = area_weights(self.height, height);
+        let mut across = vec![0.0f32; self.height * width * 3];
+        for y in 0..self.height {
+            for (x, taps) in columns.iter().enumerate() {
+                for &(from, weight) in taps {
+                    for c in 0..3 {
+                        across[(y * width + x) * 3 + c] += weight * self.rgb[(y * self.width + from) * 3 + c];
+                    }
+                }
+            }
+        }
+        let mut rgb = vec![0.0f32; height * width * 3];
+        for (y, taps) in rows.iter().enumerate() {
+            for &(from, weight) in taps {
+                let source = &across[from * width * 3..(from + 1) * width * 3];
+                for (out, v) in rgb[y * width * 3..(y + 1) * width * 3].iter_mut().zip(source) {
+                    *out += weight * v;
+                }
+            }
+        }
+        Self { width, height, rgb }
+    }
+}
+
+/// For each of `to` new samples the old samples (of `from`) it covers and their
+/// shares, which sum to one.
+fn area_weights(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+    let scale = from as f64 / to as f64;
+    (0..to)
+        .map(|i| {
+            let (start, end) = (i as f64 * scale, (i + 1) as f64 * scale);
+            let (first, last) = (start as usize, (end.ceil() as usize).min(from));
+            (first..last)
+                .filter_map(|j| {
+                    let overlap = end.min((j + 1) as f64) - start.max(j as f64);
+                    (overlap > 0.0).then_some((j, (overlap / scale) as f32))
+                })
+                .collect()
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrong_length_is_named() {
+        let error = Picture::new(2, 2, vec![0.0; 11]).unwrap_err();
+        assert_eq!(error.to_string(), "a 2 x 2 picture has 12 numbers, got 11");
+    }
+
+    #[test]
+    fn halving_averages_two_by_two() {
+        let rgb = (0..4).flat_map(|v| [v as f32; 3]).collect();
+        let small = Picture::new(2, 2, rgb).unwrap().resized(1, 1);
+        assert_eq!(small.pixel(0, 0), [1.5; 3]);
+    }
+
+    #[test]
+    fn resizing_by_an_odd_ratio_keeps_the_mean() {
+        let rgb: Vec<f32> = (0..7 * 5 * 3).map(|v| (v % 11) as f32 / 11.0).collect();
+        let mean = |p: &Picture| p.rgb().iter().sum::<f32>() / p.rgb().len() as f32;
+        let large = Picture::new(7, 5, rgb).unwrap();
+        assert!((mean(&large) - mean(&large.resized(3, 2))).abs() < 1e-6);
+        assert!((mean(&large) - mean(&large.resized(14, 10))).abs() < 1e-6);
+    }
+
+    #[test]
+    fn eight_bits_round_trip() {
+        let bytes: Vec<u8> = (0..=251).collect();
+        assert_eq!(Picture::from_rgb8(12, 7, &bytes).unwrap().to_rgb8(), bytes);
+    }
+}

@@ -1,0 +1,3 @@
+//! The one binary: parse, build, run.
+
+fn main() {}
