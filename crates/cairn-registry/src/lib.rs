@@ -1,1 +1,28 @@
-//! cairn-registry
+//! Owner records, signatures, and the append-only log that keeps them.
+//!
+//! The formats are public ones, so that anybody's tools can check a log of ours:
+//! DSSE envelopes ([`dsse`]), RFC 6962 Merkle trees ([`merkle`]), C2SP signed
+//! notes and checkpoints ([`note`], [`checkpoint`]). Ours are only the owner
+//! record ([`record`]) and the leaf ([`leaf`]).
+//!
+//! Those build without the feature `store`, which adds the writing half: the
+//! registry proper and its store on sled, the only code here that knows sled.
+
+pub mod checkpoint;
+pub mod digest;
+pub mod dsse;
+pub mod keys;
+pub mod leaf;
+pub mod merkle;
+pub mod note;
+pub mod record;
+mod tree;
+
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use digest::{Digest, DigestError};
+pub use dsse::{DsseError, Envelope};
+pub use keys::{KeyError, OwnerKey, PublicKey};
+pub use leaf::Leaf;
+pub use merkle::ProofError;
+pub use note::{Note, NoteError, NoteVerifier};
+pub use record::{OwnerRecord, RecordError, RecordKind};

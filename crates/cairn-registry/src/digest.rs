@@ -1,0 +1,172 @@
+//! A SHA-256 digest as a type of its own, so that a hash cannot be of any other
+//! length once it is past the door.
+//!
+//! Written as lowercase hex in records and reports, as standard base64 in
+//! checkpoints and proofs (what RFC 6962 logs and C2SP notes use).
+
+use std::{fmt, str::FromStr};
+
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+use sha2::{Digest as _, Sha256};
+
+/// 32 bytes of SHA-256.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Digest([u8; 32]);
+
+/// Why some bytes or text are not a [`Digest`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum DigestError {
+    /// Not 32 bytes.
+    #[error("a SHA-256 digest is 32 bytes, got {got}")]
+    Length {
+        /// How many bytes there were.
+        got: usize,
+    },
+    /// Not 64 lowercase hexadecimal digits.
+    #[error("a SHA-256 digest is written as 64 lowercase hexadecimal digits, got {got:?}")]
+    Hex {
+        /// The start of the offending text.
+        got: String,
+    },
+    /// Not canonical standard base64.
+    #[error("a hash is written as standard base64 with padding, got {got:?}")]
+    Base64 {
+        /// The start of the offending text.
+        got: String,
+    },
+}
+
+impl Digest {
+    /// Length in bytes.
+    pub const LEN: usize = 32;
+
+    /// SHA-256 of `bytes`.
+    pub fn of(bytes: impl AsRef<[u8]>) -> Self {
+        Self::of_parts(&[bytes.as_ref()])
+    }
+
+    /// SHA-256 of the parts one after the other, without separators.
+    pub fn of_parts(parts: &[&[u8]]) -> Self {
+        let mut hasher = Sha256::new();
+        for part in parts {
+            hasher.update(part);
+        }
+        Self(hasher.finalize().into())
+    }
+
+    /// Takes 32 bytes as a digest.
+    pub const fn from_bytes(bytes: [u8; 32]) -> Self {
+        Self(bytes)
+    }
+
+    /// The 32 bytes.
+    pub const fn as_bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
+
+    /// Standard base64 with padding, as in checkpoints.
+    pub fn to_base64(&self) -> String {
+        STANDARD.encode(self.0)
+    }
+
+    /// Reads standard base64 with padding.
+    ///
+    /// # Errors
+    /// [`DigestError`] where the text is not canonical base64 of 32 bytes.
+    pub fn from_base64(text: &str) -> Result<Self, DigestError> {
+        let bytes = STANDARD.decode(text).map_err(|_| DigestError::Base64 { got: clip(text) })?;
+        Self::try_from(bytes.as_slice())
+    }
+}
+
+/// Salted commitment `SHA-256(label | 0x00 | salt | data)`: says nothing about `data` without the salt.
+///
+/// `label` separates the uses (it must not hold a zero byte); the salt's fixed length makes the split unambiguous.
+pub fn commitment(label: &str, salt: &Digest, data: &[u8]) -> Digest {
+    Digest::of_parts(&[label.as_bytes(), &[0], salt.as_bytes(), data])
+}
+
+pub(crate) fn clip(text: &str) -> String {
+    text.chars().take(80).collect()
+}
+
+impl TryFrom<&[u8]> for Digest {
+    type Error = DigestError;
+
+    fn try_from(bytes: &[u8]) -> Result<Self, DigestError> {
+        bytes.try_into().map(Self).map_err(|_| DigestError::Length { got: bytes.len() })
+    }
+}
+
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&hex::encode(self.0))
+    }
+}
+
+impl fmt::Debug for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Digest({self})")
+    }
+}
+
+impl FromStr for Digest {
+    type Err = DigestError;
+
+    fn from_str(text: &str) -> Result<Self, DigestError> {
+        let refuse = || DigestError::Hex { got: clip(text) };
+        if text.bytes().any(|b| b.is_ascii_uppercase()) {
+            return Err(refuse());
+        }
+        let mut bytes = [0; 32];
+        hex::decode_to_slice(text, &mut bytes).map_err(|_| refuse())?;
+        Ok(Self(bytes))
+    }
+}
+
+impl Serialize for Digest {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for Digest {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn known_answer_and_both_spellings() {
+        let empty = Digest::of("");
+        assert_eq!(empty.to_string(), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+        assert_eq!(empty.to_base64(), "47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=");
+        assert_eq!(empty.to_string().parse(), Ok(empty));
+        assert_eq!(Digest::from_base64(&empty.to_base64()), Ok(empty));
+    }
+
+    #[test]
+    fn only_one_spelling_is_read() {
+        let text = Digest::of("x").to_string();
+        assert!(text.to_uppercase().parse::<Digest>().is_err());
+        assert!(text[..62].parse::<Digest>().is_err());
+        assert_eq!(Digest::try_from(&[0_u8; 31][..]), Err(DigestError::Length { got: 31 }));
+        // The last base64 digit of 32 bytes carries two bits that must be zero.
+        assert!(Digest::from_base64("47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFV=").is_err());
+        assert!(Digest::from_base64("47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU").is_err());
+    }
+
+    #[test]
+    fn a_commitment_depends_on_label_salt_and_data() {
+        let (a, b) = (Digest::of("a"), Digest::of("b"));
+        let base = commitment("one", &a, b"data");
+        assert_ne!(base, commitment("two", &a, b"data"));
+        assert_ne!(base, commitment("one", &b, b"data"));
+        assert_ne!(base, commitment("one", &a, b"dato"));
+    }
+}

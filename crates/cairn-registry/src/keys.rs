@@ -1,0 +1,306 @@
+//! Ed25519 keys of owners, of the registry and of those who verify.
+//!
+//! Two rules live here and nowhere else: verification is always the strict kind
+//! (RFC 8032 without its loopholes), and a [`PublicKey`] of small order cannot
+//! exist, since under such a key one signature fits many messages. Secrets are
+//! wiped from memory when dropped and never printed.
+
+use std::{
+    fmt, fs,
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+    str::FromStr,
+};
+
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use ed25519_dalek::{
+    Signature, Signer as _, SigningKey, VerifyingKey,
+    pkcs8::{DecodePrivateKey as _, EncodePrivateKey as _, KeypairBytes, spki::der::pem::LineEnding},
+};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+use zeroize::Zeroizing;
+
+use crate::digest::{Digest, clip};
+
+/// Bytes of an Ed25519 signature.
+pub const SIGNATURE_LEN: usize = 64;
+
+/// A key file is a few lines of PEM; more than this is something else.
+const KEY_FILE_LIMIT: u64 = 4096;
+
+/// What can be wrong with a key, a key file or a signature.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyError {
+    /// The operating system gave no random bytes.
+    #[error("cannot make a key: the operating system gave no random bytes ({0})")]
+    Random(String),
+    /// The bytes are not a point of the curve, or not its canonical encoding.
+    #[error(
+        "public key {got} is not a canonical Ed25519 point: 32 bytes, given as 64 hexadecimal digits, are expected"
+    )]
+    Malformed {
+        /// The key, or the start of the text.
+        got: String,
+    },
+    /// The point has small order.
+    #[error(
+        "public key {got} has small order: one signature under it fits many messages; make a new key with `OwnerKey::generate`"
+    )]
+    SmallOrder {
+        /// The key in hex.
+        got: String,
+    },
+    /// The signature is not one by this key over this message.
+    #[error("signature does not verify under key {key}")]
+    BadSignature {
+        /// The key in hex.
+        key: String,
+    },
+    /// The file is not a PKCS#8 PEM Ed25519 key.
+    #[error("{path}: not an Ed25519 private key in PKCS#8 PEM ({cause})", path = .path.display())]
+    NotAKey {
+        /// The key file.
+        path: PathBuf,
+        /// What the reader said; never holds key material.
+        cause: String,
+    },
+    /// Others on this machine could read the key.
+    #[error("{path}: mode {mode:o} lets others read the key, expected 600; run `chmod 600` on it", path = .path.display())]
+    TooOpen {
+        /// The key file.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+    },
+    /// A key file is never overwritten.
+    #[error("{path}: exists already and is not overwritten; move it away first", path = .path.display())]
+    Exists {
+        /// The key file.
+        path: PathBuf,
+    },
+    /// Reading or writing failed.
+    #[error("{path}: cannot {what} the key file: {source}", path = .path.display())]
+    Io {
+        /// The key file.
+        path: PathBuf,
+        /// `read` or `write`.
+        what: &'static str,
+        /// The operating system's answer.
+        source: io::Error,
+    },
+}
+
+/// An Ed25519 public key, canonical and not of small order.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct PublicKey(VerifyingKey);
+
+impl PublicKey {
+    /// Length in bytes.
+    pub const LEN: usize = 32;
+
+    /// Takes the 32 bytes of RFC 8032.
+    ///
+    /// # Errors
+    /// [`KeyError::Malformed`] for bytes that are no curve point or not its one canonical encoding,
+    /// [`KeyError::SmallOrder`] for the weak points.
+    pub fn from_bytes(bytes: &[u8; 32]) -> Result<Self, KeyError> {
+        let malformed = || KeyError::Malformed { got: hex::encode(bytes) };
+        // y must be below p = 2^255 - 19; decompression alone would reduce it silently.
+        let high = bytes[31] & 0x7f == 0x7f && bytes[1..31].iter().all(|b| *b == 0xff);
+        if high && bytes[0] >= 0xed {
+            return Err(malformed());
+        }
+        let key = VerifyingKey::from_bytes(bytes).map_err(|_| malformed())?;
+        if key.is_weak() {
+            return Err(KeyError::SmallOrder { got: hex::encode(bytes) });
+        }
+        Ok(Self(key))
+    }
+
+    /// The 32 bytes of RFC 8032.
+    pub fn to_bytes(&self) -> [u8; 32] {
+        self.0.to_bytes()
+    }
+
+    /// Standard base64 of the 32 bytes.
+    pub fn to_base64(&self) -> String {
+        STANDARD.encode(self.to_bytes())
+    }
+
+    /// Key id: SHA-256 of the 32 bytes. What leaves and DSSE `keyid` hints carry.
+    pub fn id(&self) -> Digest {
+        Digest::of(self.to_bytes())
+    }
+
+    /// Verifies strictly: canonical S, no small-order R, no small-order key.
+    ///
+    /// # Errors
+    /// [`KeyError::BadSignature`], also where the signature is not 64 bytes.
+    pub fn verify(&self, message: &[u8], signature: &[u8]) -> Result<(), KeyError> {
+        let bad = || KeyError::BadSignature { key: self.to_string() };
+        let signature = Signature::from_slice(signature).map_err(|_| bad())?;
+        self.0.verify_strict(message, &signature).map_err(|_| bad())
+    }
+}
+
+impl fmt::Display for PublicKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&hex::encode(self.to_bytes()))
+    }
+}
+
+impl fmt::Debug for PublicKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PublicKey({self})")
+    }
+}
+
+impl std::hash::Hash for PublicKey {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        self.to_bytes().hash(state);
+    }
+}
+
+impl FromStr for PublicKey {
+    type Err = KeyError;
+
+    fn from_str(text: &str) -> Result<Self, KeyError> {
+        let digest: Digest = text.parse().map_err(|_| KeyError::Malformed { got: clip(text) })?;
+        Self::from_bytes(digest.as_bytes())
+    }
+}
+
+impl Serialize for PublicKey {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for PublicKey {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
+    }
+}
+
+/// An Ed25519 signing key, of an owner or of the registry itself. Wiped when dropped.
+#[derive(Clone)]
+pub struct OwnerKey(SigningKey);
+
+impl OwnerKey {
+    /// A new key from the operating system's random numbers.
+    ///
+    /// # Errors
+    /// [`KeyError::Random`] where the system has none to give.
+    pub fn generate() -> Result<Self, KeyError> {
+        let mut seed = Zeroizing::new([0_u8; 32]);
+        getrandom::fill(seed.as_mut()).map_err(|e| KeyError::Random(e.to_string()))?;
+        Ok(Self::from_seed(&seed))
+    }
+
+    /// The key of a 32-byte secret seed (RFC 8032).
+    pub fn from_seed(seed: &[u8; 32]) -> Self {
+        Self(SigningKey::from_bytes(seed))
+    }
+
+    /// The public half.
+    pub fn public(&self) -> PublicKey {
+        PublicKey(self.0.verifying_key())
+    }
+
+    /// Signs a message (deterministic, RFC 8032).
+    pub fn sign(&self, message: &[u8]) -> [u8; SIGNATURE_LEN] {
+        self.0.sign(message).to_bytes()
+    }
+
+    /// PKCS#8 PEM, as `openssl pkey` reads it (version 1: without the public half).
+    ///
+    /// # Errors
+    /// [`KeyError::NotAKey`] with an empty path where the encoder fails.
+    pub fn to_pem(&self) -> Result<Zeroizing<String>, KeyError> {
+        let mut pair = KeypairBytes { secret_key: self.0.to_bytes(), public_key: None };
+        let pem = pair.to_pkcs8_pem(LineEnding::LF);
+        zeroize::Zeroize::zeroize(&mut pair.secret_key);
+        pem.map_err(|e| KeyError::NotAKey { path: PathBuf::new(), cause: e.to_string() })
+    }
+
+    /// Reads PKCS#8 PEM, version 1 or 2.
+    ///
+    /// # Errors
+    /// [`KeyError::NotAKey`] with an empty path.
+    pub fn from_pem(pem: &str) -> Result<Self, KeyError> {
+        SigningKey::from_pkcs8_pem(pem)
+            .map(Self)
+            .map_err(|e| KeyError::NotAKey { path: PathBuf::new(), cause: e.to_string() })
+    }
+
+    /// Writes the key to a new file, readable by its owner alone.
+    ///
+    /// The file appears whole or not at all, mode 600, and never replaces one that is there.
+    ///
+    /// # Errors
+    /// [`KeyError::Exists`] or [`KeyError::Io`].
+    pub fn save(&self, path: &Path) -> Result<(), KeyError> {
+        let failed = |source| KeyError::Io { path: path.into(), what: "write", source };
+        let folder = match path.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        // Opened with O_EXCL and mode 600; linked to its name only once complete.
+        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
+        file.write_all(self.to_pem()?.as_bytes()).map_err(failed)?;
+        file.as_file().sync_all().map_err(failed)?;
+        match file.persist_noclobber(path) {
+            Ok(_) => {}
+            Err(e) if e.error.kind() == io::ErrorKind::AlreadyExists => {
+                return Err(KeyError::Exists { path: path.into() });
+            }
+            Err(e) => return Err(failed(e.error)),
+        }
+        sync_folder(folder).map_err(failed)
+    }
+
+    /// Reads a key file.
+    ///
+    /// # Errors
+    /// [`KeyError::TooOpen`] where group or others may read it, [`KeyError::NotAKey`], [`KeyError::Io`].
+    pub fn load(path: &Path) -> Result<Self, KeyError> {
+        let failed = |source| KeyError::Io { path: path.into(), what: "read", source };
+        let file = fs::File::open(path).map_err(failed)?;
+        let metadata = file.metadata().map_err(failed)?;
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt as _;
+            let mode = metadata.permissions().mode() & 0o777;
+            if mode & 0o077 != 0 {
+                return Err(KeyError::TooOpen { path: path.into(), mode });
+            }
+        }
+        if metadata.len() > KEY_FILE_LIMIT {
+            let cause = format!("{} bytes, at most {KEY_FILE_LIMIT} expected", metadata.len());
+            return Err(KeyError::NotAKey { path: path.into(), cause });
+        }
+        let pem = Zeroizing::new(io::read_to_string(file).map_err(failed)?);
+        Self::from_pem(&pem).map_err(|e| match e {
+            KeyError::NotAKey { cause, .. } => KeyError::NotAKey { path: path.into(), cause },
+            other => other,
+        })
+    }
+
+    /// A secret of its own for another purpose, derived from this key.
+    #[cfg(feature = "store")]
+    pub(crate) fn derive(&self, label: &str) -> Zeroizing<[u8; 32]> {
+        let seed = Zeroizing::new(self.0.to_bytes());
+        Zeroizing::new(*Digest::of_parts(&[label.as_bytes(), &[0], seed.as_ref()]).as_bytes())
+    }
+}
+
+impl fmt::Debug for OwnerKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "OwnerKey(secret of {})", self.public())
+    }
+}
+
+/// A new name in a folder survives a power cut only once the folder is flushed.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    if cfg!(unix) { fs::File::open(folder)?.sync_all() } else { Ok(()) }
+}

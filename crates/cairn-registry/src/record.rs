@@ -1,0 +1,343 @@
+//! The owner record, version 1: the signed sentence "this identity in this
+//! marked field is mine".
+//!
+//! It binds the owner's key to the digests of everything that made the mark, to
+//! one log, one scene and one purpose, and to a nonce of the registry and a
+//! checkpoint of its log, so that it can be neither moved elsewhere nor dated
+//! back. Serialised as JSON inside a DSSE envelope; reading is strict, since a
+//! field that one reader skips and another obeys is a hole.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    digest::{Digest, clip, commitment},
+    dsse::{DsseError, Envelope, EnvelopeSignature},
+    keys::{OwnerKey, PublicKey},
+    merkle,
+};
+
+/// The DSSE payloadType of an owner record.
+pub const PAYLOAD_TYPE: &str = "application/vnd.cairn.owner-record.v1+json";
+
+/// The body's format version.
+pub const VERSION: u32 = 1;
+
+/// Longest scene, contributor, origin or purpose, in bytes.
+pub const MAX_TEXT_BYTES: usize = 256;
+
+/// Numbers at or above this are rounded by readers that keep JSON numbers as floats.
+const EXACT_IN_JSON: u64 = 1 << 53;
+
+/// What a record says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordKind {
+    /// An identity of a marked field belongs to the owner.
+    Claim,
+    /// The owner contributed the cluster's photographs.
+    Contribution,
+    /// A training run made this marked field and detector.
+    Training,
+    /// The record named in `replaces` no longer holds.
+    Revocation,
+    /// The owner of the record named in `replaces` goes on under this record's key; both keys sign.
+    Rotation,
+    /// The record named in `replaces` is contested.
+    Dispute,
+}
+
+impl RecordKind {
+    /// All kinds, in the order of their codes.
+    pub const ALL: [Self; 6] =
+        [Self::Claim, Self::Contribution, Self::Training, Self::Revocation, Self::Rotation, Self::Dispute];
+
+    /// The kind's byte in a leaf: 1 to 6.
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::Claim => 1,
+            Self::Contribution => 2,
+            Self::Training => 3,
+            Self::Revocation => 4,
+            Self::Rotation => 5,
+            Self::Dispute => 6,
+        }
+    }
+
+    /// The kind of a leaf's byte.
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.code() == code)
+    }
+
+    /// Whether the record is about an earlier one and so must name it.
+    pub const fn needs_replaces(self) -> bool {
+        matches!(self, Self::Revocation | Self::Rotation | Self::Dispute)
+    }
+}
+
+/// Whose mark it is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Identity {
+    /// The class that the classifier answers, 1..=M (0 is `unmarked`).
+    pub number: u32,
+    /// The contributor's name.
+    pub contributor: String,
+}
+
+/// SHA-256 digests of what made the mark. Which of them a kind needs: see [`OwnerRecord::check`].
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Digests {
+    /// The marked field's file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub marked_field: Option<Digest>,
+    /// The detector's file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detector: Option<Digest>,
+    /// Salted commitment to the hidden signal: see [`hidden_signal_commitment`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hidden_signal: Option<Digest>,
+    /// The cluster's photographs: see [`photographs_root`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub photographs: Option<Digest>,
+    /// The training configuration's file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub training_configuration: Option<Digest>,
+}
+
+/// The newest checkpoint that the signer had seen: the record is not older than it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Seen {
+    /// The log's size.
+    pub size: u64,
+    /// The log's root at that size.
+    pub root: Digest,
+}
+
+/// Body of an owner record.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OwnerRecord {
+    /// Format version, [`VERSION`].
+    pub version: u32,
+    /// What it says.
+    pub kind: RecordKind,
+    /// The log it is meant for; no other takes it.
+    pub origin: String,
+    /// The scene's name.
+    pub scene: String,
+    /// 32 random bytes of the signer (hex): without them the leaf's scene commitment says nothing.
+    pub scene_salt: Digest,
+    /// Whose mark.
+    pub identity: Identity,
+    /// The owner's key (hex).
+    pub owner_key: PublicKey,
+    /// What made the mark.
+    pub digests: Digests,
+    /// Training seed; text in JSON, since it uses all 64 bits.
+    #[serde(default, with = "seed_as_text", skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// What the record is for, in words.
+    pub purpose: String,
+    /// The registry's nonce for this scene and owner (hex).
+    pub nonce: Digest,
+    /// The newest checkpoint seen by the signer.
+    pub seen: Seen,
+    /// Digest (SHA-256 of the PAE) of the record that this one is about or replaces.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub replaces: Option<Digest>,
+}
+
+/// Why a body is no owner record.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RecordError {
+    /// The envelope carries something else.
+    #[error(transparent)]
+    Envelope(#[from] DsseError),
+    /// A format version that this release does not know.
+    #[error("owner record of version {got}, this release reads version {expected}", expected = VERSION)]
+    Version {
+        /// The version that the body states.
+        got: u64,
+    },
+    /// Not the JSON of an owner record.
+    #[error("owner record: {cause}")]
+    Json {
+        /// What the JSON reader said, with line and column.
+        cause: String,
+    },
+    /// A field with a value that is not allowed.
+    #[error("owner record, field {field}: {got}, expected {expected}")]
+    Field {
+        /// The field.
+        field: &'static str,
+        /// What is allowed.
+        expected: &'static str,
+        /// What is there.
+        got: String,
+    },
+    /// The owner named in the body did not sign these bytes.
+    #[error("no signature of the envelope is by the owner key {owner} that the record names")]
+    OwnerSignature {
+        /// The key named in the body.
+        owner: PublicKey,
+    },
+}
+
+impl OwnerRecord {
+    /// The record as the bytes to sign, in an envelope signed by the owner.
+    ///
+    /// # Errors
+    /// [`RecordError::Field`] where [`OwnerRecord::check`] finds one wrong, [`RecordError::OwnerSignature`] where
+    /// `key` is not the owner's.
+    pub fn seal(&self, key: &OwnerKey) -> Result<Envelope, RecordError> {
+        self.check()?;
+        if key.public() != self.owner_key {
+            return Err(RecordError::OwnerSignature { owner: self.owner_key });
+        }
+        let body = serde_json::to_vec(self).map_err(|e| RecordError::Json { cause: e.to_string() })?;
+        let mut envelope = Envelope::new(PAYLOAD_TYPE, body);
+        envelope.sign(key);
+        Ok(envelope)
+    }
+
+    /// Reads the record of an envelope and verifies that the owner named in it signed exactly these bytes.
+    ///
+    /// The key stands in the body, so the body is read first; nothing of it is handed out unless the signature holds.
+    /// Gives the record and the owner's signature.
+    ///
+    /// # Errors
+    /// [`RecordError`].
+    pub fn open(envelope: &Envelope) -> Result<(Self, &EnvelopeSignature), RecordError> {
+        let record = Self::parse(envelope.body(PAYLOAD_TYPE)?)?;
+        let owner = record.owner_key;
+        let signature = envelope.signature_by(&owner).ok_or(RecordError::OwnerSignature { owner })?;
+        Ok((record, signature))
+    }
+
+    /// Reads and checks a body, without its signature.
+    ///
+    /// # Errors
+    /// [`RecordError`] other than [`RecordError::OwnerSignature`].
+    pub fn parse(body: &[u8]) -> Result<Self, RecordError> {
+        #[derive(Deserialize)]
+        struct Stated {
+            version: u64,
+        }
+        let json = |e: serde_json::Error| RecordError::Json { cause: e.to_string() };
+        // The version first, so that a newer record is refused by name and not for its fields.
+        let stated: Stated = serde_json::from_slice(body).map_err(json)?;
+        if stated.version != u64::from(VERSION) {
+            return Err(RecordError::Version { got: stated.version });
+        }
+        let record: Self = serde_json::from_slice(body).map_err(json)?;
+        record.check()?;
+        Ok(record)
+    }
+
+    /// Checks every rule that needs nothing but the record.
+    ///
+    /// Needed per kind: a claim names marked field, detector and hidden signal; a contribution its photographs; a training
+    /// marked field, detector, training configuration and seed; the other kinds the record that they are about.
+    ///
+    /// # Errors
+    /// [`RecordError::Version`] or [`RecordError::Field`].
+    pub fn check(&self) -> Result<(), RecordError> {
+        if self.version != VERSION {
+            return Err(RecordError::Version { got: self.version.into() });
+        }
+        check_text("origin", &self.origin)?;
+        check_text("scene", &self.scene)?;
+        check_text("identity.contributor", &self.identity.contributor)?;
+        check_text("purpose", &self.purpose)?;
+        if self.identity.number == 0 {
+            return Err(field("identity.number", "1 or more (0 is `unmarked`)", "0"));
+        }
+        if self.seen.size >= EXACT_IN_JSON {
+            return Err(field("seen.size", "less than 2^53", self.seen.size));
+        }
+        let digests = &self.digests;
+        let needs: &[(&'static str, bool)] = match self.kind {
+            RecordKind::Claim => &[
+                ("digests.marked_field", digests.marked_field.is_some()),
+                ("digests.detector", digests.detector.is_some()),
+                ("digests.hidden_signal", digests.hidden_signal.is_some()),
+            ],
+            RecordKind::Contribution => &[("digests.photographs", digests.photographs.is_some())],
+            RecordKind::Training => &[
+                ("digests.marked_field", digests.marked_field.is_some()),
+                ("digests.detector", digests.detector.is_some()),
+                ("digests.training_configuration", digests.training_configuration.is_some()),
+                ("seed", self.seed.is_some()),
+            ],
+            RecordKind::Revocation | RecordKind::Rotation | RecordKind::Dispute => {
+                &[("replaces", self.replaces.is_some())]
+            }
+        };
+        match needs.iter().find(|(_, there)| !there) {
+            Some((name, _)) => Err(field(name, "a value, for a record of this kind", "nothing")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Merkle root (RFC 6962) over the photographs' SHA-256 digests in ascending order, each digest's 32 bytes being a leaf.
+///
+/// Ascending, so that neither file names nor their order matter. No photographs: SHA-256 of nothing.
+pub fn photographs_root(photographs: &[Digest]) -> Digest {
+    let mut sorted = photographs.to_vec();
+    sorted.sort_unstable();
+    let leaves: Vec<_> = sorted.iter().map(|digest| merkle::leaf_hash(digest.as_bytes())).collect();
+    merkle::root(&leaves)
+}
+
+/// Commitment to the hidden signal's bytes (its file as stored), so that the log cannot be searched for a known signal.
+pub fn hidden_signal_commitment(salt: &Digest, signal: &[u8]) -> Digest {
+    commitment("cairn hidden signal v1", salt, signal)
+}
+
+/// Commitment to the scene's name, as leaves carry it.
+pub fn scene_commitment(salt: &Digest, scene: &str) -> Digest {
+    commitment("cairn scene v1", salt, scene.as_bytes())
+}
+
+/// 32 random bytes for a salt.
+///
+/// # Errors
+/// [`crate::keys::KeyError::Random`] where the system has none to give.
+pub fn random_salt() -> Result<Digest, crate::keys::KeyError> {
+    let mut salt = [0; 32];
+    getrandom::fill(&mut salt).map_err(|e| crate::keys::KeyError::Random(e.to_string()))?;
+    Ok(Digest::from_bytes(salt))
+}
+
+fn field(field: &'static str, expected: &'static str, got: impl ToString) -> RecordError {
+    RecordError::Field { field, expected, got: got.to_string() }
+}
+
+fn check_text(name: &'static str, text: &str) -> Result<(), RecordError> {
+    if text.is_empty() || text.len() > MAX_TEXT_BYTES || text.trim() != text || text.chars().any(char::is_control) {
+        let expected = "1 to 256 bytes without control characters or outer blanks";
+        return Err(field(name, expected, format!("{:?} ({} bytes)", clip(text), text.len())));
+    }
+    Ok(())
+}
+
+/// A seed as decimal text: JSON numbers above 2^53 are rounded by many readers.
+mod seed_as_text {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
+
+    pub fn serialize<S: Serializer>(seed: &Option<u64>, serializer: S) -> Result<S::Ok, S::Error> {
+        match seed {
+            Some(seed) => serializer.collect_str(seed),
+            None => serializer.serialize_none(),
+        }
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        let seed = text.parse::<u64>().ok().filter(|seed| seed.to_string() == text);
+        seed.map(Some).ok_or_else(|| D::Error::custom(format!("seed {text:?} is not a decimal number below 2^64")))
+    }
+}
