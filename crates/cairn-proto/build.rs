@@ -1,0 +1,23 @@
+//! Turns `proto/` into Rust with protox, a compiler in Rust, so that building
+//! Cairn needs no `protoc` on the machine.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+use prost::Message;
+
+/// One file a service, and what they share.
+const FILES: [&str; 7] = ["common", "scene", "training", "render", "query", "detection", "owner"];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../proto");
+    let files: Vec<PathBuf> = FILES.iter().map(|name| root.join(format!("cairn/v1/{name}.proto"))).collect();
+    for file in &files {
+        println!("cargo:rerun-if-changed={}", file.display());
+    }
+    let descriptors = protox::compile(&files, [&root])?;
+    let out = PathBuf::from(std::env::var("OUT_DIR")?);
+    std::fs::write(out.join("cairn_descriptors.bin"), descriptors.encode_to_vec())?;
+    tonic_prost_build::configure().bytes(".").compile_fds(descriptors)?;
+    Ok(())
+}
