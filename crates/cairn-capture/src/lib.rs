@@ -8,8 +8,23 @@
 //! (x right, y down, z forward); lengths are in the capture's own unit; pixel
 //! (0, 0)'s centre lies at (0.5, 0.5).
 
+mod assemble;
 mod camera;
+mod capture;
+mod colmap;
+mod contributors;
+mod error;
+mod llff;
+mod npy;
+mod photograph;
 mod picture;
+mod scene;
+mod scene_file;
+mod transforms;
 
 pub use camera::{Camera, Distortion, Intrinsics, Pose, PoseError};
+pub use capture::{Capture, ReadOptions, SceneKind, UNKNOWN_CONTRIBUTOR, View};
+pub use error::CaptureError;
+pub use photograph::{Limits, decode_picture, encode_png, save_png};
 pub use picture::{Picture, PictureError};
+pub use scene::{Mismatch, SceneFolder};

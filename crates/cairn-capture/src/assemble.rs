@@ -1,0 +1,213 @@
+//! From what a camera file states to a checked [`Capture`]: the part that every
+//! format shares, so that no format can forget a check.
+
+use std::path::{Component, Path, PathBuf};
+
+use glam::DVec3;
+
+use crate::camera::{Camera, Intrinsics, Pose};
+use crate::capture::{Capture, ReadOptions, SceneKind, UNKNOWN_CONTRIBUTOR, View};
+use crate::contributors;
+use crate::error::CaptureError;
+use crate::photograph::{self, Header, WHITE};
+
+/// Cameras wider than this are a broken file, not a camera, px.
+pub(crate) const MAX_CAMERA_SIDE_PX: usize = 1 << 20;
+
+/// What a format alone says about the kind of scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Guess {
+    ForwardFacing,
+    Bounded,
+    BoundedIfTransparent,
+    Unbounded,
+}
+
+/// One view as its camera file states it, the pose already checked.
+#[derive(Clone, Debug)]
+pub(crate) struct Entry {
+    pub name: String,
+    /// How errors name it, for example `image 12 (a.jpg)`.
+    pub label: String,
+    pub intrinsics: Intrinsics,
+    pub pose: Pose,
+    /// Relative to the capture's folder.
+    pub photograph: PathBuf,
+    pub bounds: Option<(f64, f64)>,
+    /// Where the format brings a split.
+    pub held_out: Option<bool>,
+}
+
+/// A camera file's whole content.
+#[derive(Clone, Debug)]
+pub(crate) struct Model {
+    /// The file that errors about entries name.
+    pub file: PathBuf,
+    pub kind: Guess,
+    pub entries: Vec<Entry>,
+    pub points: Vec<DVec3>,
+}
+
+/// Checks `model` against its photographs and makes the capture of it.
+///
+/// # Errors
+/// For no or too many views, a name used twice, an impossible camera, a
+/// photograph that is missing or of another shape, and a wrong contributor table.
+pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> Result<Capture, CaptureError> {
+    check_entries(&mut model, options)?;
+    let headers = headers(root, &model, options)?;
+    let contributors = match &options.contributors {
+        None => vec![UNKNOWN_CONTRIBUTOR.to_owned(); model.entries.len()],
+        Some(table) => {
+            let names: Vec<&str> = model.entries.iter().map(|e| e.name.as_str()).collect();
+            contributors::read(table, &names, &options.limits)?
+        }
+    };
+    let held_out = held_out(&model, options)?;
+    let mut views = Vec::with_capacity(model.entries.len());
+    for (((entry, header), contributor), held_out) in model.entries.iter().zip(&headers).zip(contributors).zip(held_out)
+    {
+        let (width, height) = fit(&entry.intrinsics, header).ok_or_else(|| CaptureError::SizeMismatch {
+            photograph: root.join(&entry.photograph),
+            expected: (entry.intrinsics.width, entry.intrinsics.height),
+            got: header.oriented,
+        })?;
+        views.push(View {
+            name: entry.name.clone(),
+            camera: Camera { intrinsics: entry.intrinsics.resized(width, height), pose: entry.pose },
+            contributor,
+            photograph: entry.photograph.clone(),
+            held_out,
+            bounds: entry.bounds,
+        });
+    }
+    let kind = options.kind.unwrap_or(match model.kind {
+        Guess::ForwardFacing => SceneKind::ForwardFacing,
+        Guess::Bounded => SceneKind::Bounded,
+        Guess::BoundedIfTransparent if headers.iter().all(|h| h.alpha) => SceneKind::Bounded,
+        Guess::BoundedIfTransparent | Guess::Unbounded => SceneKind::Unbounded,
+    });
+    let background = headers.iter().any(|h| h.alpha).then_some(WHITE);
+    Ok(Capture { root: root.to_path_buf(), kind, background, views, points: model.points })
+}
+
+/// Sorts by name and refuses what no format may say.
+fn check_entries(model: &mut Model, options: &ReadOptions) -> Result<(), CaptureError> {
+    check_count(&model.file, model.entries.len() as u64, options.limits.max_views)?;
+    model.entries.sort_by(|a, b| a.name.cmp(&b.name));
+    for pair in model.entries.windows(2) {
+        if pair[0].name == pair[1].name {
+            let got = format!("{} of the same name", pair[0].label);
+            let remedy = "remove one of the two entries";
+            return Err(CaptureError::malformed(
+                &model.file,
+                pair[1].label.clone(),
+                "a name used only once",
+                got,
+                remedy,
+            ));
+        }
+    }
+    model.entries.iter().try_for_each(|e| check_intrinsics(&model.file, &e.label, &e.intrinsics))
+}
+
+/// Refuses a file that states no views, or more than are allowed.
+pub(crate) fn check_count(file: &Path, views: u64, max_views: usize) -> Result<(), CaptureError> {
+    if views == 0 {
+        let remedy = "bring a file that lists the photographs";
+        return Err(CaptureError::malformed(file, "the list of views", "at least one view", "none", remedy));
+    }
+    if views > max_views as u64 {
+        let (file, what) = (file.display().to_string(), "number of views");
+        return Err(CaptureError::TooLarge { file, what, limit: max_views as u64, got: views });
+    }
+    Ok(())
+}
+
+/// Refuses a camera without pixels or with a focal length that is none.
+pub(crate) fn check_intrinsics(file: &Path, label: &str, i: &Intrinsics) -> Result<(), CaptureError> {
+    let wrong = |expected: &str, got: String| {
+        Err(CaptureError::malformed(file, label, expected, got, "re-export the cameras or drop this view"))
+    };
+    let side = 1..=MAX_CAMERA_SIDE_PX;
+    if !side.contains(&i.width) || !side.contains(&i.height) {
+        return wrong("a camera of 1 to 1048576 pixels a side", format!("{} x {}", i.width, i.height));
+    }
+    if !(i.fx.is_finite() && i.fy.is_finite() && i.fx > 0.0 && i.fy > 0.0) {
+        return wrong("a focal length above 0", format!("{}, {}", i.fx, i.fy));
+    }
+    if !(i.cx.is_finite() && i.cy.is_finite()) {
+        return wrong("a finite principal point", format!("{}, {}", i.cx, i.cy));
+    }
+    let d = &i.distortion;
+    if ![d.k1, d.k2, d.k3, d.p1, d.p2].iter().all(|v| v.is_finite()) {
+        return wrong("finite distortion", format!("{d:?}"));
+    }
+    Ok(())
+}
+
+fn headers(root: &Path, model: &Model, options: &ReadOptions) -> Result<Vec<Header>, CaptureError> {
+    let of = |entry: &Entry| {
+        let path = root.join(&entry.photograph);
+        if !path.is_file() {
+            let (file, entry) = (model.file.clone(), entry.label.clone());
+            return Err(CaptureError::PhotographMissing { file, entry, photograph: path });
+        }
+        photograph::header(&path, &options.limits)
+    };
+    model.entries.iter().map(of).collect()
+}
+
+fn held_out(model: &Model, options: &ReadOptions) -> Result<Vec<bool>, CaptureError> {
+    let every = |i: usize| options.hold_every > 0 && i.is_multiple_of(options.hold_every);
+    let held: Vec<bool> =
+        model.entries.iter().enumerate().map(|(i, e)| e.held_out.unwrap_or_else(|| every(i))).collect();
+    if held.iter().all(|&h| h) {
+        let got = format!("all {} held out (hold_every is {})", held.len(), options.hold_every);
+        let remedy = "set hold_every to 0, or to 2 or more with several views";
+        return Err(CaptureError::malformed(&model.file, "the split", "at least one view to train on", got, remedy));
+    }
+    Ok(held)
+}
+
+/// The size that the photograph and the camera agree on: the same shape to
+/// within a pixel of the smaller of the two.
+fn fit(camera: &Intrinsics, header: &Header) -> Option<(usize, usize)> {
+    let same_shape = |(w, h): (usize, usize)| {
+        let (w, h, cw, ch) = (w as f64, h as f64, camera.width as f64, camera.height as f64);
+        let scale = w / cw;
+        (ch * scale - h).abs() <= scale.max(1.0) || (cw * h / ch - w).abs() <= (h / ch).max(1.0)
+    };
+    [header.oriented, header.stored].into_iter().find(|&size| same_shape(size))
+}
+
+/// `path` as a relative path that stays where it starts; `None` for one that is
+/// absolute, climbs out, or is empty. `./` goes.
+pub(crate) fn inside(path: &str) -> Option<PathBuf> {
+    let mut clean = PathBuf::new();
+    for part in Path::new(path).components() {
+        match part {
+            Component::CurDir => {}
+            Component::Normal(part) => clean.push(part),
+            Component::ParentDir | Component::RootDir | Component::Prefix(_) => return None,
+        }
+    }
+    (!clean.as_os_str().is_empty()).then_some(clean)
+}
+
+/// The folder of photographs relative to `root`: the one asked for, or the first
+/// of `usual` that exists.
+pub(crate) fn image_folder(root: &Path, options: &ReadOptions, usual: &[&str]) -> Option<PathBuf> {
+    if let Some(asked) = &options.images {
+        return Some(asked.strip_prefix(root).unwrap_or(asked).to_path_buf());
+    }
+    usual.iter().map(PathBuf::from).find(|folder| root.join(folder).is_dir())
+}
+
+/// Whether all `poses` look less than 60 degrees away from their mean direction,
+/// as normalised device coordinates need.
+pub(crate) fn face_one_way<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> bool {
+    let sum: DVec3 = poses.clone().map(Pose::forward).sum();
+    let Some(mean) = sum.try_normalize() else { return false };
+    poses.clone().all(|p| p.forward().dot(mean) > 0.5)
+}

@@ -1,0 +1,130 @@
+//! COLMAP's text files: one entry a line (images: two), `#` starts a comment.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Lines};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use glam::DVec3;
+
+use super::{Cameras, Image, REMEDY, check_point, insert, intrinsics, model_number};
+use crate::assemble::check_count;
+use crate::error::CaptureError;
+
+/// Lines of a file with their numbers.
+struct Reader {
+    file: PathBuf,
+    lines: Lines<BufReader<File>>,
+    number: usize,
+}
+
+impl Reader {
+    fn open(path: &Path) -> Result<Self, CaptureError> {
+        let file = File::open(path).map_err(CaptureError::io("open", path))?;
+        Ok(Self { file: path.to_path_buf(), lines: BufReader::new(file).lines(), number: 0 })
+    }
+
+    /// The next line, whatever it holds; `None` at the end.
+    fn any(&mut self) -> Result<Option<String>, CaptureError> {
+        self.number += 1;
+        self.lines.next().transpose().map_err(CaptureError::io("read", &self.file))
+    }
+
+    /// The next line that is neither empty nor a comment; `None` at the end.
+    fn entry(&mut self) -> Result<Option<String>, CaptureError> {
+        while let Some(line) = self.any()? {
+            if !line.trim().is_empty() && !line.starts_with('#') {
+                return Ok(Some(line));
+            }
+        }
+        Ok(None)
+    }
+
+    fn wrong(&self, expected: &str, got: String) -> CaptureError {
+        CaptureError::malformed(&self.file, format!("line {}", self.number), expected, got, REMEDY)
+    }
+
+    /// The next field as a number; `what` names it.
+    fn field<'a, T: FromStr>(
+        &self,
+        fields: &mut impl Iterator<Item = &'a str>,
+        what: &'static str,
+    ) -> Result<T, CaptureError> {
+        let text = fields.next().ok_or_else(|| self.wrong(what, "the end of the line".to_owned()))?;
+        text.parse().map_err(|_| self.wrong(what, format!("{text:?}")))
+    }
+
+    fn vector<'a>(
+        &self,
+        fields: &mut impl Iterator<Item = &'a str>,
+        what: &'static str,
+    ) -> Result<DVec3, CaptureError> {
+        Ok(DVec3::new(self.field(fields, what)?, self.field(fields, what)?, self.field(fields, what)?))
+    }
+}
+
+/// `cameras.txt`: CAMERA_ID MODEL WIDTH HEIGHT PARAMS...
+pub(super) fn cameras(path: &Path) -> Result<Cameras, CaptureError> {
+    let mut reader = Reader::open(path)?;
+    let mut cameras = Cameras::new();
+    while let Some(line) = reader.entry()? {
+        let mut fields = line.split_ascii_whitespace();
+        let id = reader.field(&mut fields, "a camera number")?;
+        let model = fields.next().ok_or_else(|| reader.wrong("a camera model", "the end of the line".to_owned()))?;
+        let model = model_number(path, id, model)?;
+        let size = (reader.field(&mut fields, "a width in pixels")?, reader.field(&mut fields, "a height in pixels")?);
+        let parameters = fields
+            .map(|text| reader.field(&mut [text].into_iter(), "a camera parameter"))
+            .collect::<Result<Vec<f64>, _>>()?;
+        insert(path, &mut cameras, id, intrinsics(path, id, model, size, &parameters)?)?;
+    }
+    Ok(cameras)
+}
+
+/// `images.txt`: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of
+/// observations, which may be empty.
+pub(super) fn images(path: &Path, max_views: usize) -> Result<Vec<Image>, CaptureError> {
+    let mut reader = Reader::open(path)?;
+    let mut images = Vec::new();
+    while let Some(line) = reader.entry()? {
+        let mut fields = line.split_ascii_whitespace();
+        let id = reader.field(&mut fields, "an image number")?;
+        let mut rotation = [0.0; 4];
+        for v in &mut rotation {
+            *v = reader.field(&mut fields, "a quaternion's number")?;
+        }
+        let translation = reader.vector(&mut fields, "a translation's number")?;
+        let camera = reader.field(&mut fields, "a camera number")?;
+        // A name may hold spaces, and is the last field.
+        let name = after_fields(&line, 9).to_owned();
+        if name.is_empty() {
+            return Err(reader.wrong("an image name", "the end of the line".to_owned()));
+        }
+        check_count(path, images.len() as u64 + 1, max_views)?;
+        images.push(Image { id, rotation, translation, camera, name });
+        reader.any()?;
+    }
+    Ok(images)
+}
+
+/// What follows the first `count` fields of `line`, trimmed.
+fn after_fields(line: &str, count: usize) -> &str {
+    let mut rest = line.trim();
+    for _ in 0..count {
+        rest = rest.find(|c: char| c.is_ascii_whitespace()).map_or("", |end| rest[end..].trim_start());
+    }
+    rest
+}
+
+/// `points3D.txt`: POINT3D_ID X Y Z R G B ERROR TRACK...
+pub(super) fn points(path: &Path) -> Result<Vec<DVec3>, CaptureError> {
+    let mut reader = Reader::open(path)?;
+    let mut points = Vec::new();
+    while let Some(line) = reader.entry()? {
+        let mut fields = line.split_ascii_whitespace();
+        let id = reader.field(&mut fields, "a point number")?;
+        let point = reader.vector(&mut fields, "a coordinate")?;
+        points.push(check_point(path, id, point)?);
+    }
+    Ok(points)
+}

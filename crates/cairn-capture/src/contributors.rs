@@ -1,0 +1,76 @@
+//! Who took what: a CSV table with one row a photograph. Credit is the point of
+//! the whole program, so a table that is almost right is refused, not patched.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::error::CaptureError;
+use crate::photograph::{Limits, read_limited};
+
+#[derive(Deserialize)]
+struct Row {
+    image: String,
+    contributor: String,
+}
+
+/// The contributor of each of `names`, in order, from the table at `table`.
+///
+/// The table has a heading with at least `image` and `contributor`. An image is
+/// named as the camera file names it, or by its file name where only one
+/// photograph has that.
+///
+/// # Errors
+/// For a row that names no photograph, a photograph without a row, one with two
+/// rows, or an empty contributor.
+pub(crate) fn read(table: &Path, names: &[&str], limits: &Limits) -> Result<Vec<String>, CaptureError> {
+    let wrong = |entry: String, problem: String, remedy: &'static str| CaptureError::Contributors {
+        table: table.to_path_buf(),
+        entry,
+        problem,
+        remedy,
+    };
+    let index = index_of(names);
+    let bytes = read_limited(table, limits.max_file_bytes)?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
+    let mut found: Vec<Option<(String, usize)>> = vec![None; names.len()];
+    for (number, row) in reader.deserialize::<Row>().enumerate() {
+        // The heading is line 1; a quoted line break would shift this, and no file name has one.
+        let line = number + 2;
+        let row = row.map_err(|e| {
+            wrong(format!("line {line}"), e.to_string(), "write a heading `image,contributor` and one row a photograph")
+        })?;
+        let entry = format!("line {line} ({})", row.image);
+        let Some(&view) = index.get(row.image.as_str()) else {
+            let problem = "the capture has no photograph of that name, or several".to_owned();
+            return Err(wrong(entry, problem, "name it as the camera file does, or remove the row"));
+        };
+        if row.contributor.is_empty() || row.contributor.chars().any(char::is_control) {
+            let problem = format!("the contributor {:?} is empty or has control characters", row.contributor);
+            return Err(wrong(entry, problem, "write who took it"));
+        }
+        if let Some((_, first)) = &found[view] {
+            let problem = format!("the photograph already has a row, line {first}");
+            return Err(wrong(entry, problem, "keep one of the rows"));
+        }
+        found[view] = Some((row.contributor, line));
+    }
+    let of = |(found, name): (Option<(String, usize)>, &&str)| match found {
+        Some((contributor, _)) => Ok(contributor),
+        None => Err(wrong(format!("photograph {name}"), "it has no row".to_owned(), "add a row that says who took it")),
+    };
+    found.into_iter().zip(names).map(of).collect()
+}
+
+/// Every name, and every file name that only one view has.
+fn index_of<'a>(names: &[&'a str]) -> HashMap<&'a str, usize> {
+    let mut short: HashMap<&str, Option<usize>> = HashMap::new();
+    for (i, name) in names.iter().enumerate() {
+        let file = name.rsplit('/').next().unwrap_or(name);
+        short.entry(file).and_modify(|at| *at = None).or_insert(Some(i));
+    }
+    let mut index: HashMap<&str, usize> = short.into_iter().filter_map(|(name, at)| Some((name, at?))).collect();
+    index.extend(names.iter().enumerate().map(|(i, name)| (*name, i)));
+    index
+}

@@ -1,0 +1,211 @@
+//! One error type for everything that can be wrong with what people bring: each
+//! variant names the file, the entry in it, what was expected, what was found,
+//! and what to do about it.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use crate::camera::PoseError;
+
+/// Why a capture, a photograph or a stored scene was refused.
+#[derive(Debug, Error)]
+pub enum CaptureError {
+    /// The file system said no.
+    #[error("cannot {operation} {}: {source}; check that the path exists and may be accessed", path.display())]
+    Io {
+        /// What was tried, as a verb.
+        operation: &'static str,
+        /// On what.
+        path: PathBuf,
+        /// What the system answered.
+        source: io::Error,
+    },
+    /// No camera file of a known format is there.
+    #[error(
+        "{} holds no capture; expected a COLMAP model (cameras, images .bin or .txt in sparse/0, sparse or the folder itself), poses_bounds.npy (LLFF), transforms.json or transforms_train.json",
+        folder.display()
+    )]
+    NotACapture {
+        /// Where it was looked for.
+        folder: PathBuf,
+    },
+    /// A camera file, table or scene file says something that cannot be.
+    #[error("{}, {entry}: expected {expected}, got {got}; {remedy}", file.display())]
+    Malformed {
+        /// The file.
+        file: PathBuf,
+        /// The entry in it.
+        entry: String,
+        /// What a good file has there.
+        expected: String,
+        /// What this one has.
+        got: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// A camera model that is not a pinhole with Brown-Conrady distortion.
+    #[error(
+        "{}, {entry}: the camera model {model} is not supported; expected SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV; undistort the photographs with `colmap image_undistorter`, or convert the cameras with `colmap model_converter` and a supported model",
+        file.display()
+    )]
+    UnsupportedCamera {
+        /// The camera file.
+        file: PathBuf,
+        /// Which camera.
+        entry: String,
+        /// Its model.
+        model: String,
+    },
+    /// A pose that is not one.
+    #[error("{}, {entry}: {source}", file.display())]
+    Pose {
+        /// The camera file.
+        file: PathBuf,
+        /// Which view.
+        entry: String,
+        /// What is wrong with it.
+        source: PoseError,
+    },
+    /// A camera file names a photograph that is not there.
+    #[error(
+        "{}, {entry}: the photograph {} is missing; put it there, remove the entry, or name the folder of photographs",
+        file.display(), photograph.display()
+    )]
+    PhotographMissing {
+        /// The file that names it.
+        file: PathBuf,
+        /// The entry that names it.
+        entry: String,
+        /// Where it was looked for.
+        photograph: PathBuf,
+    },
+    /// A file that is no PNG or JPEG, or a broken one.
+    #[error("{photograph} cannot be decoded as PNG or JPEG: {reason}; save it again as one of them, or leave it out")]
+    NotAPicture {
+        /// The file, or `picture` for bytes without one.
+        photograph: String,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// Larger than the limits allow.
+    #[error("{file}: {what} is {got}, the limit is {limit}; bring a smaller one or raise the limit")]
+    TooLarge {
+        /// The file, or `picture` for bytes without one.
+        file: String,
+        /// What is too large, with its unit.
+        what: &'static str,
+        /// The most that is allowed.
+        limit: u64,
+        /// What was found.
+        got: u64,
+    },
+    /// A photograph and its camera disagree about the size in pixels.
+    #[error(
+        "{}: the camera is {} x {} pixels, the photograph {} x {} (another shape, not only another size); bring the photograph that the camera was computed for",
+        photograph.display(), expected.0, expected.1, got.0, got.1
+    )]
+    SizeMismatch {
+        /// The photograph.
+        photograph: PathBuf,
+        /// The camera's width and height, px.
+        expected: (usize, usize),
+        /// The photograph's, EXIF orientation applied, px.
+        got: (usize, usize),
+    },
+    /// The table of contributors does not fit the photographs.
+    #[error("{}, {entry}: {problem}; {remedy}", table.display())]
+    Contributors {
+        /// The table.
+        table: PathBuf,
+        /// The row or the photograph.
+        entry: String,
+        /// What is wrong.
+        problem: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// A name that cannot be a folder's name everywhere.
+    #[error(
+        "the scene name {name:?} is not allowed; use 1 to 64 letters, digits, '-', '_' or '.', not starting with '.' or '-'"
+    )]
+    SceneName {
+        /// The name.
+        name: String,
+    },
+    /// A scene of that name is already there; it was left as it was.
+    #[error("the scene {} already exists and was left as it was; choose another name or remove it first", path.display())]
+    SceneExists {
+        /// Its folder.
+        path: PathBuf,
+    },
+    /// A stored scene of a format that this version does not read.
+    #[error("{}: the scene format version is {got}, this program reads version {expected}; use the version of Cairn that wrote it, or import the capture again", file.display())]
+    UnknownVersion {
+        /// The scene file.
+        file: PathBuf,
+        /// What this program reads.
+        expected: u32,
+        /// What the file says.
+        got: u64,
+    },
+    /// A stored file is no longer what was imported.
+    #[error(
+        "{} was altered since the import: expected SHA-256 {expected}, got {got}; restore the file or import the capture again",
+        file.display()
+    )]
+    Altered {
+        /// The file.
+        file: PathBuf,
+        /// The digest at import, hexadecimal.
+        expected: String,
+        /// The digest now.
+        got: String,
+    },
+    /// A view that the capture does not have.
+    #[error("there is no view {view}; the capture has views 0 to {} ({views} of them)", views.saturating_sub(1))]
+    NoSuchView {
+        /// Index asked for.
+        view: usize,
+        /// Views there are.
+        views: usize,
+    },
+    /// A picture that cannot be saved because a number in it is not finite.
+    #[error("{}: the picture holds {got} at column {x}, row {y}, which is not a colour; find the step that made it", path.display())]
+    NotFinite {
+        /// Where it was to be saved.
+        path: PathBuf,
+        /// Column, from 0.
+        x: usize,
+        /// Row, from 0.
+        y: usize,
+        /// The value.
+        got: f32,
+    },
+}
+
+impl CaptureError {
+    /// Wraps what the file system said.
+    pub(crate) fn io(operation: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_path_buf();
+        move |source| Self::Io { operation, path, source }
+    }
+
+    /// A file that says something impossible; `remedy` is for the person who brought it.
+    pub(crate) fn malformed(
+        file: &Path,
+        entry: impl Into<String>,
+        expected: impl Into<String>,
+        got: impl Into<String>,
+        remedy: &'static str,
+    ) -> Self {
+        Self::Malformed {
+            file: file.to_path_buf(),
+            entry: entry.into(),
+            expected: expected.into(),
+            got: got.into(),
+            remedy,
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! `scene.json`, the table of a stored scene: what it holds and how strictly it
+//! is read back. The version is looked at before anything else, so that a file
+//! of tomorrow is refused by its version and not by a field.
+
+use std::collections::HashSet;
+use std::path::{Component, Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::assemble::check_intrinsics;
+use crate::camera::{Camera, Pose};
+use crate::capture::{SceneKind, View};
+use crate::error::CaptureError;
+
+/// What `format` says in every scene file.
+pub(crate) const FORMAT: &str = "cairn-scene";
+/// The version that this program writes and reads.
+pub(crate) const VERSION: u32 = 1;
+/// Folder of the photographs within a scene.
+pub(crate) const PHOTOGRAPHS: &str = "photographs";
+
+const REMEDY: &str = "restore the scene from a copy, or import the capture again";
+
+#[derive(Deserialize)]
+struct Head {
+    format: String,
+    version: u64,
+}
+
+/// The whole file.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SceneFile {
+    pub format: String,
+    pub version: u32,
+    pub kind: SceneKind,
+    pub background: Option<[f32; 3]>,
+    /// Sparse points, kept in `points.bin`.
+    pub points: PointsRow,
+    pub views: Vec<ViewRow>,
+}
+
+/// The file of sparse points: little-endian f64, x y z for each.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PointsRow {
+    pub count: u64,
+    /// Hexadecimal SHA-256 of `points.bin`.
+    pub sha256: String,
+}
+
+/// One view.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ViewRow {
+    pub name: String,
+    pub contributor: String,
+    pub held_out: bool,
+    pub bounds: Option<(f64, f64)>,
+    pub camera: Camera,
+    /// File name within `photographs/`.
+    pub photograph: String,
+    /// Hexadecimal SHA-256 of the photograph's bytes.
+    pub sha256: String,
+}
+
+impl SceneFile {
+    /// Parses and checks the bytes of the scene file at `file`.
+    ///
+    /// # Errors
+    /// For another format or version, and for anything a scene cannot hold.
+    pub(crate) fn parse(file: &Path, bytes: &[u8]) -> Result<Self, CaptureError> {
+        let wrong = |expected: &str, got: String| CaptureError::malformed(file, "the JSON", expected, got, REMEDY);
+        let head: Head = serde_json::from_slice(bytes).map_err(|e| wrong("a scene's table", e.to_string()))?;
+        if head.format != FORMAT {
+            return Err(wrong("format \"cairn-scene\"", format!("{:?}", head.format)));
+        }
+        if head.version != u64::from(VERSION) {
+            return Err(CaptureError::UnknownVersion {
+                file: file.to_path_buf(),
+                expected: VERSION,
+                got: head.version,
+            });
+        }
+        let scene: Self = serde_json::from_slice(bytes).map_err(|e| wrong("a scene's table", e.to_string()))?;
+        scene.check(file)?;
+        Ok(scene)
+    }
+
+    fn check(&self, file: &Path) -> Result<(), CaptureError> {
+        let wrong = |entry: String, expected: &str, got: String| {
+            Err(CaptureError::malformed(file, entry, expected, got, REMEDY))
+        };
+        if self.background.is_some_and(|rgb| !rgb.iter().all(|v| (0.0..=1.0).contains(v))) {
+            return wrong("background".to_owned(), "three numbers in [0, 1]", format!("{:?}", self.background));
+        }
+        if self.views.is_empty() {
+            return wrong("views".to_owned(), "at least one view", "none".to_owned());
+        }
+        let mut files = HashSet::new();
+        for (i, view) in self.views.iter().enumerate() {
+            let entry = format!("view {i} ({})", view.name);
+            if i > 0 && self.views[i - 1].name >= view.name {
+                return wrong(entry, "views sorted by name, each once", format!("after {}", self.views[i - 1].name));
+            }
+            if view.name.is_empty() || view.contributor.is_empty() {
+                return wrong(entry, "a name and a contributor", "an empty one".to_owned());
+            }
+            if view.bounds.is_some_and(|(near, far)| !(near > 0.0 && far > near && far.is_finite())) {
+                return wrong(entry, "bounds with 0 < near < far", format!("{:?}", view.bounds));
+            }
+            if !is_file_name(&view.photograph) || !files.insert(view.photograph.as_str()) {
+                return wrong(entry, "a photograph's file name, each once", format!("{:?}", view.photograph));
+            }
+            check_intrinsics(file, &entry, &view.camera.intrinsics)?;
+            Pose::new(view.camera.pose.rotation, view.camera.pose.position).map_err(|source| CaptureError::Pose {
+                file: file.to_path_buf(),
+                entry,
+                source,
+            })?;
+        }
+        Ok(())
+    }
+}
+
+impl ViewRow {
+    /// The row as a view of the capture stored around it.
+    pub(crate) fn into_view(self) -> View {
+        View {
+            name: self.name,
+            camera: self.camera,
+            contributor: self.contributor,
+            photograph: PathBuf::from(PHOTOGRAPHS).join(self.photograph),
+            held_out: self.held_out,
+            bounds: self.bounds,
+        }
+    }
+}
+
+fn is_file_name(name: &str) -> bool {
+    let mut parts = Path::new(name).components();
+    matches!((parts.next(), parts.next()), (Some(Component::Normal(part)), None) if part == name)
+}
+
+/// Bytes as lower-case hexadecimal.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// A SHA-256 from 64 hexadecimal digits.
+///
+/// # Errors
+/// For anything else, naming `entry` of `file`.
+pub(crate) fn digest_from_hex(file: &Path, entry: &str, text: &str) -> Result<[u8; 32], CaptureError> {
+    let mut digest = [0; 32];
+    let well_formed = text.len() == 64 && text.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b));
+    let parsed = well_formed.then(|| {
+        digest.iter_mut().zip(text.as_bytes().as_chunks::<2>().0).try_for_each(|(byte, pair)| {
+            *byte = std::str::from_utf8(pair).ok().and_then(|p| u8::from_str_radix(p, 16).ok())?;
+            Some(())
+        })
+    });
+    match parsed.flatten() {
+        Some(()) => Ok(digest),
+        None => Err(CaptureError::malformed(
+            file,
+            entry,
+            "a SHA-256 of 64 lower-case hexadecimal digits",
+            format!("{text:?}"),
+            REMEDY,
+        )),
+    }
+}

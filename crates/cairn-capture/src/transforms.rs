@@ -1,0 +1,256 @@
+//! `transforms.json` in its three dialects: NeRF-Synthetic (one file a split,
+//! `camera_angle_x`, no file ending), instant-ngp and nerfstudio (`fl_x`, `k1`,
+//! intrinsics for all frames or for each).
+//!
+//! All three state camera-to-world matrices in OpenGL axes (y up, looking along
+//! -z); Cairn's are OpenCV's, so the second and third column change their sign.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+
+use crate::assemble::{self, Entry, Guess, Model, check_count};
+use crate::camera::{Distortion, Intrinsics, Pose};
+use crate::capture::ReadOptions;
+use crate::error::CaptureError;
+use crate::photograph::{Limits, header, read_limited};
+
+const REMEDY: &str = "correct the file, or export it again";
+
+/// Camera models that are a pinhole with Brown-Conrady distortion.
+const MODELS: [&str; 6] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"];
+
+/// A camera as JSON states it, for all frames or for one.
+#[derive(Clone, Debug, Default, Deserialize)]
+struct Lens {
+    camera_model: Option<String>,
+    is_fisheye: Option<bool>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    file_path: String,
+    transform_matrix: Vec<Vec<f64>>,
+    #[serde(flatten)]
+    lens: Lens,
+}
+
+#[derive(Deserialize)]
+struct Document {
+    #[serde(flatten)]
+    lens: Lens,
+    aabb_scale: Option<f64>,
+    frames: Vec<Frame>,
+    /// nerfstudio's own split, where it brings one.
+    test_filenames: Option<Vec<String>>,
+}
+
+/// Reads the transforms of `folder`; `None` where there are none.
+///
+/// # Errors
+/// For JSON that is garbled, a frame that is no camera, a path that leaves the
+/// folder, or a photograph that is missing.
+pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>, CaptureError> {
+    let train = folder.join("transforms_train.json");
+    if train.is_file() {
+        let mut entries = read_file(folder, &train, options, Some(false))?.1;
+        let held = ["transforms_test.json", "transforms_val.json"].map(|name| folder.join(name));
+        if let Some(held) = held.iter().find(|file| file.is_file()) {
+            entries.extend(read_file(folder, held, options, Some(true))?.1);
+        } else {
+            entries.iter_mut().for_each(|e| e.held_out = None);
+        }
+        return Ok(Some(Model { file: train, kind: Guess::Bounded, entries, points: Vec::new() }));
+    }
+    let file = folder.join("transforms.json");
+    if !file.is_file() {
+        return Ok(None);
+    }
+    let (document, mut entries) = read_file(folder, &file, options, None)?;
+    if let Some(test) = &document.test_filenames {
+        let test: Vec<PathBuf> = test.iter().filter_map(|path| assemble::inside(path)).collect();
+        for entry in &mut entries {
+            entry.held_out = Some(test.contains(&entry.photograph));
+        }
+    }
+    let bounded = document.aabb_scale.is_none_or(|scale| scale <= 1.0);
+    let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
+    Ok(Some(Model { file, kind, entries, points: Vec::new() }))
+}
+
+fn read_file(
+    folder: &Path,
+    file: &Path,
+    options: &ReadOptions,
+    held_out: Option<bool>,
+) -> Result<(Document, Vec<Entry>), CaptureError> {
+    let bytes = read_limited(file, options.limits.max_file_bytes)?;
+    let document: Document = serde_json::from_slice(&bytes).map_err(|e| {
+        CaptureError::malformed(file, "the JSON", "transforms with frames and finite numbers", e.to_string(), REMEDY)
+    })?;
+    check_count(file, document.frames.len() as u64, options.limits.max_views)?;
+    let entries = document
+        .frames
+        .iter()
+        .enumerate()
+        .map(|(index, frame)| {
+            let source = Source { folder, file, label: format!("frame {index} ({})", frame.file_path) };
+            let photograph = source.photograph(&frame.file_path, options)?;
+            let pose = source.pose(&frame.transform_matrix)?;
+            let lens = frame.lens.clone().or(&document.lens);
+            let intrinsics = source.intrinsics(&lens, &photograph, &options.limits)?;
+            let name = photograph.to_string_lossy().replace('\\', "/");
+            Ok(Entry { name, label: source.label, intrinsics, pose, photograph, bounds: None, held_out })
+        })
+        .collect::<Result<Vec<_>, CaptureError>>()?;
+    Ok((document, entries))
+}
+
+impl Lens {
+    /// This lens with what it does not state taken from `all`.
+    fn or(self, all: &Self) -> Self {
+        // A frame that states its focal length must not inherit another's angle,
+        // nor the other way round: the nearer statement wins as a whole.
+        let own_focal = self.fl_x.is_some() || self.camera_angle_x.is_some();
+        let focal = |own: Option<f64>, all: Option<f64>| if own_focal { own } else { own.or(all) };
+        Self {
+            camera_model: self.camera_model.or_else(|| all.camera_model.clone()),
+            is_fisheye: self.is_fisheye.or(all.is_fisheye),
+            camera_angle_x: focal(self.camera_angle_x, all.camera_angle_x),
+            camera_angle_y: focal(self.camera_angle_y, all.camera_angle_y),
+            fl_x: focal(self.fl_x, all.fl_x),
+            fl_y: focal(self.fl_y, all.fl_y),
+            cx: self.cx.or(all.cx),
+            cy: self.cy.or(all.cy),
+            w: self.w.or(all.w),
+            h: self.h.or(all.h),
+            k1: self.k1.or(all.k1),
+            k2: self.k2.or(all.k2),
+            k3: self.k3.or(all.k3),
+            k4: self.k4.or(all.k4),
+            p1: self.p1.or(all.p1),
+            p2: self.p2.or(all.p2),
+        }
+    }
+
+    /// The model's name where it is not one that Cairn reads.
+    fn unsupported(&self) -> Option<String> {
+        if let Some(model) = &self.camera_model
+            && !MODELS.contains(&model.to_ascii_uppercase().as_str())
+        {
+            return Some(model.clone());
+        }
+        if self.is_fisheye == Some(true) {
+            return Some("with is_fisheye".to_owned());
+        }
+        self.k4.filter(|&k4| k4 != 0.0).map(|k4| format!("with k4 = {k4}"))
+    }
+}
+
+/// One frame, for its errors.
+struct Source<'a> {
+    folder: &'a Path,
+    file: &'a Path,
+    label: String,
+}
+
+impl Source<'_> {
+    fn wrong(&self, expected: &str, got: String) -> CaptureError {
+        CaptureError::malformed(self.file, self.label.clone(), expected, got, REMEDY)
+    }
+
+    /// The frame's photograph, relative to the folder: as it is named, or with
+    /// one of the usual endings.
+    fn photograph(&self, path: &str, options: &ReadOptions) -> Result<PathBuf, CaptureError> {
+        let mut stem = assemble::inside(path)
+            .ok_or_else(|| self.wrong("a file_path inside the capture's folder", format!("{path:?}")))?;
+        if let Some(images) = assemble::image_folder(self.folder, options, &[]) {
+            stem = images.join(stem.file_name().unwrap_or_default());
+        }
+        let endings = ["", ".png", ".jpg", ".jpeg"].into_iter();
+        let mut candidates = endings.map(|ending| {
+            let mut name = stem.clone().into_os_string();
+            name.push(ending);
+            PathBuf::from(name)
+        });
+        candidates.find(|candidate| self.folder.join(candidate).is_file()).ok_or_else(|| {
+            let (file, entry) = (self.file.to_path_buf(), self.label.clone());
+            CaptureError::PhotographMissing { file, entry, photograph: self.folder.join(&stem) }
+        })
+    }
+
+    /// From a 4 x 4 (or 3 x 4) camera-to-world matrix in OpenGL axes.
+    fn pose(&self, matrix: &[Vec<f64>]) -> Result<Pose, CaptureError> {
+        let sides = matches!(matrix.len(), 3 | 4) && matrix.iter().all(|row| row.len() == 4);
+        if !sides || matrix.get(3).is_some_and(|last| last != &[0.0, 0.0, 0.0, 1.0]) {
+            let got = matrix.get(3).map_or_else(|| format!("{} rows", matrix.len()), |last| format!("{last:?}"));
+            return Err(self.wrong("a 4 x 4 transform_matrix whose last row is 0 0 0 1", got));
+        }
+        let column = |c: usize| DVec3::new(matrix[0][c], matrix[1][c], matrix[2][c]);
+        Pose::new(DMat3::from_cols(column(0), -column(1), -column(2)), column(3)).map_err(|source| CaptureError::Pose {
+            file: self.file.to_path_buf(),
+            entry: self.label.clone(),
+            source,
+        })
+    }
+
+    /// The frame's camera; what the file does not state follows from the
+    /// photograph's size: centred principal point, square pixels.
+    fn intrinsics(&self, lens: &Lens, photograph: &Path, limits: &Limits) -> Result<Intrinsics, CaptureError> {
+        if let Some(model) = lens.unsupported() {
+            let (file, entry) = (self.file.to_path_buf(), self.label.clone());
+            return Err(CaptureError::UnsupportedCamera { file, entry, model });
+        }
+        let (width, height) = match (lens.w, lens.h) {
+            (Some(w), Some(h)) => {
+                let whole = |v: f64| (v.fract() == 0.0 && (1.0..=1e6).contains(&v)).then_some(v as usize);
+                whole(w).zip(whole(h)).ok_or_else(|| self.wrong("w and h in whole pixels", format!("{w} and {h}")))?
+            }
+            (None, None) => header(&self.folder.join(photograph), limits)?.oriented,
+            (w, h) => return Err(self.wrong("both w and h, or neither", format!("{w:?} and {h:?}"))),
+        };
+        let (fx, fy) = self.focal(lens, width as f64, height as f64)?;
+        let number = |v: Option<f64>| v.unwrap_or(0.0);
+        let distortion = Distortion {
+            k1: number(lens.k1),
+            k2: number(lens.k2),
+            k3: number(lens.k3),
+            p1: number(lens.p1),
+            p2: number(lens.p2),
+        };
+        let (cx, cy) = (lens.cx.unwrap_or(width as f64 / 2.0), lens.cy.unwrap_or(height as f64 / 2.0));
+        Ok(Intrinsics { width, height, fx, fy, cx, cy, distortion })
+    }
+
+    /// Focal lengths across and down, px: stated, from the field of view
+    /// (`f = w / (2 tan(angle / 2))`), or one from the other.
+    fn focal(&self, lens: &Lens, width: f64, height: f64) -> Result<(f64, f64), CaptureError> {
+        let angle = |side: f64, angle: Option<f64>| match angle {
+            Some(a) if !(a > 0.0 && a < std::f64::consts::PI) => {
+                Err(self.wrong("a camera_angle between 0 and pi (radians)", a.to_string()))
+            }
+            angle => Ok(angle.map(|a| 0.5 * side / (0.5 * a).tan())),
+        };
+        let x = lens.fl_x.map_or_else(|| angle(width, lens.camera_angle_x), |f| Ok(Some(f)))?;
+        let y = lens.fl_y.map_or_else(|| angle(height, lens.camera_angle_y), |f| Ok(Some(f)))?;
+        match (x, y) {
+            (None, None) => Err(self.wrong("a focal length: fl_x or camera_angle_x", "neither".to_owned())),
+            (x, y) => Ok((x.or(y).unwrap_or(0.0), y.or(x).unwrap_or(0.0))),
+        }
+    }
+}
