@@ -1,0 +1,102 @@
+//! The classifier: which identity's mark does a picture carry, if any.
+//!
+//! The paper's is a VGG16 at 512 x 512, seconds an iteration on a CPU. What is
+//! to be told apart is a texture of a few grey levels, present everywhere: a
+//! short stack of strided convolutions and statistics over the whole picture do.
+
+use candle_core::Tensor;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{NnError, Result};
+use crate::front::{front_channels, front_end};
+use crate::layers::{ConvBlock, Linear, check_image};
+use crate::params::{Init, Scope};
+use crate::resample::pool_moments;
+
+/// How a [`Classifier`] is built.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClassifierConfig {
+    /// Channels of the input pictures.
+    pub inputs: usize,
+    /// Output channels of each strided convolution.
+    pub channels: Vec<usize>,
+    /// Groups of the normalisation, 0 for none.
+    pub groups: usize,
+    /// Amplification of the high-pass channels, 0 for none (see [`front_end`]).
+    pub high_pass_gain: f32,
+}
+
+impl Default for ClassifierConfig {
+    fn default() -> Self {
+        Self { inputs: 3, channels: vec![16, 32, 64, 64], groups: 4, high_pass_gain: 10.0 }
+    }
+}
+
+/// Pictures to logits: strided convolutions, means and mean squares over the
+/// picture, one linear layer.
+#[derive(Debug, Clone)]
+pub struct Classifier {
+    config: ClassifierConfig,
+    classes: usize,
+    blocks: Vec<ConvBlock>,
+    head: Linear,
+}
+
+impl Classifier {
+    /// A classifier of `classes` = M + 1 classes, class 0 unmarked, with its
+    /// parameters in `scope`.
+    ///
+    /// # Errors
+    /// [`NnError::Setting`] for sizes of 0; when parameters of these names exist
+    /// with other shapes.
+    pub fn new(config: &ClassifierConfig, classes: usize, mut scope: Scope<'_>) -> Result<Self> {
+        check_sizes(config.inputs, &config.channels, classes, config.high_pass_gain)?;
+        let mut inputs = front_channels(config.inputs, config.high_pass_gain, 0);
+        let mut blocks = Vec::with_capacity(config.channels.len());
+        for (i, &outputs) in config.channels.iter().enumerate() {
+            blocks.push(ConvBlock::new(&mut scope.sub(&format!("block{i}")), inputs, outputs, 2, config.groups)?);
+            inputs = outputs;
+        }
+        // A small start: equal probabilities, so that no class is favoured before training.
+        let head = Linear::new(&mut scope.sub("head"), 2 * inputs, classes, Init::Uniform(0.02))?;
+        Ok(Self { config: config.clone(), classes, blocks, head })
+    }
+
+    /// M + 1.
+    pub fn classes(&self) -> usize {
+        self.classes
+    }
+
+    /// Logits, N x (M + 1), of `images`, N x C x H x W in [0, 1], with H and W
+    /// multiples of two to the power of the number of blocks.
+    ///
+    /// # Errors
+    /// [`NnError::Input`] for another shape.
+    pub fn forward(&self, images: &Tensor) -> Result<Tensor> {
+        check_image("the classifier", images, self.config.inputs, 1 << self.blocks.len())?;
+        let mut x = front_end(images, self.config.high_pass_gain, None)?;
+        for block in &self.blocks {
+            x = block.forward(&x)?;
+        }
+        self.head.forward(&pool_moments(&x)?)
+    }
+}
+
+/// Checks what both networks have in common.
+pub(crate) fn check_sizes(inputs: usize, channels: &[usize], classes: usize, gain: f32) -> Result<()> {
+    let setting = |key, got: String, allowed| Err(NnError::Setting { key, got, allowed });
+    if inputs == 0 {
+        return setting("inputs", inputs.to_string(), "at least 1");
+    }
+    if channels.is_empty() || channels.len() > 8 || channels.contains(&0) {
+        return setting("channels", format!("{channels:?}"), "1 to 8 numbers of at least 1");
+    }
+    if classes == 0 {
+        return setting("classes", classes.to_string(), "at least 1");
+    }
+    if !gain.is_finite() || gain < 0.0 {
+        return setting("high_pass_gain", gain.to_string(), "0 (none) or a positive number");
+    }
+    Ok(())
+}

@@ -1,0 +1,176 @@
+//! The networks' fixed first step: make faint marks large.
+//!
+//! A hidden mark has an amplitude of about one 255th, under picture content a
+//! hundred times larger. Beside the picture the networks therefore see its
+//! amplified difference from a blur of itself, and the detector sees the class
+//! probabilities as flat channels.
+
+use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use crate::raw::{floats, tensor, with_floats};
+use crate::sum::sum;
+
+/// The binomial kernel of five taps.
+const BLUR: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
+const REACH: usize = BLUR.len() / 2;
+
+/// `[x, gain (x - blur x), classes]` along the channels: from `x`, N x C x H x W,
+/// and `classes`, N x K, N x (2C + K) x H x W. The blur is binomial, 5 x 5, with
+/// the border repeated. Without gain (0) the second part is left out.
+///
+/// # Errors
+/// When shapes do not fit or a tensor is not f32 on the CPU.
+pub fn front_end(x: &Tensor, gain: f32, classes: Option<&Tensor>) -> Result<Tensor> {
+    let op = FrontEnd { gain };
+    match classes {
+        None => x.contiguous()?.apply_op1(op),
+        Some(classes) => x.contiguous()?.apply_op2(&classes.contiguous()?, op),
+    }
+}
+
+/// Channels that [`front_end`] makes of `channels` and `classes`.
+pub(crate) fn front_channels(channels: usize, gain: f32, classes: usize) -> usize {
+    channels * if gain == 0.0 { 1 } else { 2 } + classes
+}
+
+struct FrontEnd {
+    gain: f32,
+}
+
+const NAME: &str = "cairn-front-end";
+
+impl FrontEnd {
+    fn forward(&self, x: &[f32], shape: &Shape, classes: Option<(&[f32], &Shape)>) -> Result<(CpuStorage, Shape)> {
+        let (n, c, h, w) = shape.dims4()?;
+        let k = match classes {
+            None => 0,
+            Some((_, s)) if s.dims().len() == 2 && s.dims()[0] == n => s.dims()[1],
+            Some((_, s)) => candle_core::bail!("{NAME}: {n} images need N x K classes, got {s:?}"),
+        };
+        if x.is_empty() {
+            candle_core::bail!("{NAME}: the input {shape:?} is empty");
+        }
+        let channels = front_channels(c, self.gain, k);
+        let pixels = h * w;
+        let mut out = vec![0.0; n * channels * pixels];
+        out.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
+            let (image, channel) = (i / channels, i % channels);
+            let source = |c0: usize| &x[(image * c + c0) * pixels..][..pixels];
+            if channel < c {
+                plane.copy_from_slice(source(channel));
+            } else if channel < channels - k {
+                high_pass(source(channel - c), w, self.gain, plane);
+            } else if let Some((classes, _)) = classes {
+                plane.fill(classes[image * k + channel - (channels - k)]);
+            }
+        });
+        Ok((CpuStorage::F32(out), (n, channels, h, w).into()))
+    }
+
+    fn backward(&self, x: &Tensor, grad: &[f32], channels: usize) -> Result<Tensor> {
+        let (n, c, h, w) = x.dims4()?;
+        let pixels = h * w;
+        let mut dx = vec![0.0; n * c * pixels];
+        dx.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
+            let at = |channel: usize| &grad[(i / c * channels + channel) * pixels..][..pixels];
+            plane.copy_from_slice(at(i % c));
+            if self.gain != 0.0 {
+                high_pass_adjoint(at(c + i % c), w, self.gain, plane);
+            }
+        });
+        tensor(dx, x.shape())
+    }
+}
+
+/// `gain (x - blur x)` into `out`.
+fn high_pass(x: &[f32], w: usize, gain: f32, out: &mut [f32]) {
+    let h = x.len() / w;
+    let mut line = vec![0.0; w + 2 * REACH];
+    for (y, out) in out.chunks_exact_mut(w).enumerate() {
+        line.fill(0.0);
+        for (t, weight) in BLUR.iter().enumerate() {
+            let from = (y + t).saturating_sub(REACH).min(h - 1);
+            for (l, v) in line[REACH..REACH + w].iter_mut().zip(&x[from * w..(from + 1) * w]) {
+                *l += weight * v;
+            }
+        }
+        let (left, right) = (line[REACH], line[REACH + w - 1]);
+        line[..REACH].fill(left);
+        line[REACH + w..].fill(right);
+        for (i, (o, v)) in out.iter_mut().zip(&x[y * w..(y + 1) * w]).enumerate() {
+            let blur: f32 = line[i..i + 2 * REACH + 1].iter().zip(BLUR).map(|(l, b)| l * b).sum();
+            *o = gain * (v - blur);
+        }
+    }
+}
+
+/// Adds the gradient of [`high_pass`]'s input, given its output's, to `dx`.
+fn high_pass_adjoint(grad: &[f32], w: usize, gain: f32, dx: &mut [f32]) {
+    let h = grad.len() / w;
+    let mut line = vec![0.0; w + 2 * REACH];
+    for (y, g) in grad.chunks_exact(w).enumerate() {
+        line.fill(0.0);
+        for (t, weight) in BLUR.iter().enumerate() {
+            for (l, v) in line[t..t + w].iter_mut().zip(g) {
+                *l += weight * v;
+            }
+        }
+        for edge in 0..REACH {
+            line[REACH] += line[edge];
+            line[REACH + w - 1] += line[REACH + w + edge];
+        }
+        for (d, v) in dx[y * w..(y + 1) * w].iter_mut().zip(g) {
+            *d += gain * v;
+        }
+        for (t, weight) in BLUR.iter().enumerate() {
+            let to = (y + t).saturating_sub(REACH).min(h - 1);
+            for (d, l) in dx[to * w..(to + 1) * w].iter_mut().zip(&line[REACH..REACH + w]) {
+                *d -= gain * weight * l;
+            }
+        }
+    }
+}
+
+impl CustomOp1 for FrontEnd {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        self.forward(floats(NAME, s, l)?, l.shape(), None)
+    }
+
+    fn bwd(&self, x: &Tensor, res: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let channels = res.dim(1)?;
+        with_floats(NAME, &grad.contiguous()?, |g| self.backward(x, g, channels))?.map(Some)
+    }
+}
+
+impl CustomOp2 for FrontEnd {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
+        self.forward(floats(NAME, s1, l1)?, l1.shape(), Some((floats(NAME, s2, l2)?, l2.shape())))
+    }
+
+    fn bwd(
+        &self,
+        x: &Tensor,
+        classes: &Tensor,
+        res: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let (n, channels, h, w) = res.dims4()?;
+        let (k, pixels) = (classes.dim(1)?, h * w);
+        let grad = grad.contiguous()?;
+        let dx = if x.track_op() { Some(with_floats(NAME, &grad, |g| self.backward(x, g, channels))??) } else { None };
+        let flat = with_floats(NAME, &grad, |g| {
+            let plane = |i: usize, j: usize| &g[(i * channels + channels - k + j) * pixels..][..pixels];
+            (0..n * k).map(|at| sum(plane(at / k, at % k))).collect()
+        })?;
+        Ok((dx, Some(tensor(flat, classes.shape())?)))
+    }
+}

@@ -1,0 +1,262 @@
+//! Seeded, ordered parameters.
+//!
+//! candle's `VarMap` iterates in random order and its CPU generator cannot be
+//! seeded. Here every tensor draws from a stream of its own, derived from the
+//! seed and the tensor's name: adding a layer changes no other layer's start,
+//! and iteration is by name.
+
+use std::collections::{BTreeMap, HashMap};
+
+use candle_core::{Device, Tensor, Var};
+use rand_chacha::ChaCha12Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::error::{NnError, Result};
+use crate::raw::with_floats;
+
+const FORMAT: &str = "cairn-nn parameters";
+const VERSION: u32 = 1;
+/// The one metadata key: with a single key the header's bytes cannot depend on
+/// a hash map's order.
+pub(crate) const METADATA_KEY: &str = "cairn";
+
+/// How a new parameter starts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Init {
+    /// Every number the same.
+    Constant(f32),
+    /// He et al. 2015 (arXiv 1502.01852), uniform: in +-sqrt(6 / fan_in), which
+    /// keeps the variance through a rectifier.
+    He {
+        /// Inputs that each output sums over.
+        fan_in: usize,
+    },
+    /// Uniform in +-bound.
+    Uniform(f32),
+}
+
+/// Named parameters in name order.
+#[derive(Debug)]
+pub struct Params {
+    seed: u64,
+    vars: BTreeMap<String, Var>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    version: u32,
+    seed: u64,
+}
+
+impl Params {
+    /// No parameters yet; those made later start from `seed` and their names.
+    pub fn new(seed: u64) -> Self {
+        Self { seed, vars: BTreeMap::new() }
+    }
+
+    /// A place to make or find parameters whose names start with `prefix.`.
+    pub fn scope(&mut self, prefix: &str) -> Scope<'_> {
+        Scope { params: self, prefix: prefix.to_owned() }
+    }
+
+    /// The seed.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// The parameter called `name`.
+    pub fn get(&self, name: &str) -> Option<&Var> {
+        self.vars.get(name)
+    }
+
+    /// All parameters in name order.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Var)> {
+        self.vars.iter().map(|(name, var)| (name.as_str(), var))
+    }
+
+    /// Tensors.
+    pub fn len(&self) -> usize {
+        self.vars.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.vars.is_empty()
+    }
+
+    /// Numbers in all tensors together.
+    pub fn numbers(&self) -> usize {
+        self.vars.values().map(|v| v.elem_count()).sum()
+    }
+
+    /// All parameters as safetensors (f32), with format, version and seed in
+    /// the header. The same parameters give the same bytes.
+    ///
+    /// # Errors
+    /// [`NnError::Tensor`] if a tensor cannot be read.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        let header = Header { format: FORMAT.into(), version: VERSION, seed: self.seed };
+        let tensors = self
+            .vars
+            .iter()
+            .map(|(name, var)| Ok((name.clone(), (var.dims().to_vec(), values(var)?))))
+            .collect::<Result<BTreeMap<_, _>>>()?;
+        pack("parameters", &header, &tensors)
+    }
+
+    /// Parameters from [`Self::to_bytes`]; networks built on them find theirs by name.
+    ///
+    /// # Errors
+    /// [`NnError::Container`] or [`NnError::Format`] when the bytes are not such a file.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let (header, tensors): (Header, _) = unpack("parameters", bytes)?;
+        check_format("parameters", (&header.format, header.version), (FORMAT, VERSION))?;
+        let vars = tensors
+            .into_iter()
+            .map(|(name, (shape, data))| Ok((name, Var::from_vec(data, shape, &Device::Cpu)?)))
+            .collect::<Result<_>>()?;
+        Ok(Self { seed: header.seed, vars })
+    }
+
+    /// Overwrites the present parameters, which networks go on using, with
+    /// those of [`Self::to_bytes`]. All or nothing.
+    ///
+    /// # Errors
+    /// As [`Self::from_bytes`], and when names or shapes differ.
+    pub fn load(&mut self, bytes: &[u8]) -> Result<()> {
+        let other = Self::from_bytes(bytes)?;
+        for (name, var) in &self.vars {
+            let what = "missing in what is loaded";
+            let from = other.vars.get(name).ok_or(NnError::ParameterName { name: name.clone(), what })?;
+            check_shape(name, var.dims(), from)?;
+        }
+        if let Some(name) = other.vars.keys().find(|name| !self.vars.contains_key(*name)) {
+            let what = "in what is loaded but not used here";
+            return Err(NnError::ParameterName { name: name.clone(), what });
+        }
+        for (name, var) in &self.vars {
+            var.set(&other.vars[name])?;
+        }
+        self.seed = other.seed;
+        Ok(())
+    }
+
+    fn make(&mut self, name: String, shape: &[usize], init: Init) -> Result<Tensor> {
+        if let Some(var) = self.vars.get(&name) {
+            check_shape(&name, shape, var)?;
+            return Ok(var.as_tensor().clone());
+        }
+        let count = shape.iter().product();
+        let data = match init {
+            Init::Constant(v) => vec![v; count],
+            Init::He { fan_in } => uniform(self.seed, &name, (6.0 / fan_in.max(1) as f32).sqrt(), count),
+            Init::Uniform(bound) => uniform(self.seed, &name, bound, count),
+        };
+        let var = Var::from_vec(data, shape, &Device::Cpu)?;
+        let tensor = var.as_tensor().clone();
+        self.vars.insert(name, var);
+        Ok(tensor)
+    }
+}
+
+/// A part of [`Params`] under a common name.
+#[derive(Debug)]
+pub struct Scope<'a> {
+    params: &'a mut Params,
+    prefix: String,
+}
+
+impl Scope<'_> {
+    /// The scope `prefix.name`.
+    pub fn sub(&mut self, name: &str) -> Scope<'_> {
+        Scope { prefix: format!("{}.{name}", self.prefix), params: self.params }
+    }
+
+    /// The parameter `prefix.name`: the present one, or a new one of `shape`
+    /// started by `init`. The tensor is the variable itself: gradients are found
+    /// by it, and updates show in it.
+    ///
+    /// # Errors
+    /// [`NnError::ParameterShape`] when it exists with another shape.
+    pub fn get(&mut self, name: &str, shape: &[usize], init: Init) -> Result<Tensor> {
+        self.params.make(format!("{}.{name}", self.prefix), shape, init)
+    }
+}
+
+/// `count` numbers in +-bound from the stream that belongs to `name`.
+fn uniform(seed: u64, name: &str, bound: f32, count: usize) -> Vec<f32> {
+    let key = Sha256::new().chain_update(b"cairn-nn parameter\0").chain_update(seed.to_le_bytes()).chain_update(name);
+    let mut rng = ChaCha12Rng::from_seed(key.finalize().into());
+    // 24 bits, so that every draw is exact in f32 and the bytes are the same everywhere.
+    let unit = |bits: u32| (bits >> 8) as f32 * (1.0 / 8_388_608.0) - 1.0;
+    (0..count).map(|_| unit(rng.next_u32()) * bound).collect()
+}
+
+fn check_shape(name: &str, expected: &[usize], got: &Tensor) -> Result<()> {
+    if got.dims() != expected {
+        let (expected, got) = (expected.to_vec(), got.dims().to_vec());
+        return Err(NnError::ParameterShape { name: name.to_owned(), expected, got });
+    }
+    Ok(())
+}
+
+/// The numbers of `t`.
+pub(crate) fn values(t: &Tensor) -> Result<Vec<f32>> {
+    Ok(with_floats("parameters", &t.contiguous()?, <[f32]>::to_vec)?)
+}
+
+/// Named tensors as read from a file: shape and numbers.
+pub(crate) type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
+
+/// `header` and `tensors` as one safetensors file.
+pub(crate) fn pack(what: &'static str, header: &impl Serialize, tensors: &Tensors) -> Result<Vec<u8>> {
+    let container = |source| NnError::Container { what, source };
+    let bytes: BTreeMap<&String, (&Vec<usize>, Vec<u8>)> = tensors
+        .iter()
+        .map(|(name, (shape, data))| (name, (shape, data.iter().flat_map(|v| v.to_le_bytes()).collect())))
+        .collect();
+    let views = bytes
+        .iter()
+        .map(|(name, (shape, data))| Ok((name.as_str(), TensorView::new(Dtype::F32, shape.to_vec(), data)?)))
+        .collect::<std::result::Result<Vec<_>, _>>()
+        .map_err(container)?;
+    let header = serde_json::to_string(header).map_err(|e| NnError::Format {
+        what,
+        expected: "a header".into(),
+        got: e.to_string(),
+    })?;
+    serialize(views, Some(HashMap::from([(METADATA_KEY.to_owned(), header)]))).map_err(container)
+}
+
+/// Header and tensors of [`pack`].
+pub(crate) fn unpack<H: for<'a> Deserialize<'a>>(what: &'static str, bytes: &[u8]) -> Result<(H, Tensors)> {
+    let container = |source| NnError::Container { what, source };
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
+    let expected = || format!("safetensors with a `{METADATA_KEY}` header");
+    let header = metadata.metadata().as_ref().and_then(|m| m.get(METADATA_KEY));
+    let header = header.ok_or_else(|| NnError::Format { what, expected: expected(), got: "none".into() })?;
+    let header =
+        serde_json::from_str(header).map_err(|e| NnError::Format { what, expected: expected(), got: e.to_string() })?;
+    let mut tensors = Tensors::new();
+    for (name, view) in SafeTensors::deserialize(bytes).map_err(container)?.iter() {
+        if view.dtype() != Dtype::F32 {
+            let got = format!("{:?} in `{name}`", view.dtype());
+            return Err(NnError::Format { what, expected: "f32 tensors".into(), got });
+        }
+        let data = view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        tensors.insert(name.to_owned(), (view.shape().to_vec(), data));
+    }
+    Ok((header, tensors))
+}
+
+pub(crate) fn check_format(what: &'static str, got: (&str, u32), expected: (&str, u32)) -> Result<()> {
+    if got != expected {
+        let say = |(format, version): (&str, u32)| format!("`{format}` version {version}");
+        return Err(NnError::Format { what, expected: say(expected), got: say(got) });
+    }
+    Ok(())
+}

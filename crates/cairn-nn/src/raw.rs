@@ -1,0 +1,25 @@
+//! Plain slices out of candle's tensors and back.
+
+use candle_core::{CpuStorage, Device, Layout, Result, Shape, Storage, Tensor};
+
+/// The f32 numbers of a contiguous CPU storage.
+pub(crate) fn floats<'a>(op: &str, storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+    let Some((start, end)) = layout.contiguous_offsets() else {
+        candle_core::bail!("{op}: the operand of shape {:?} must be contiguous", layout.shape());
+    };
+    Ok(&storage.as_slice::<f32>()?[start..end])
+}
+
+/// Calls `f` with the f32 numbers of a contiguous CPU tensor.
+pub(crate) fn with_floats<R>(op: &str, t: &Tensor, f: impl FnOnce(&[f32]) -> R) -> Result<R> {
+    let (storage, layout) = t.storage_and_layout();
+    let Storage::Cpu(storage) = &*storage else {
+        candle_core::bail!("{op}: the operand of shape {:?} must lie on the CPU", t.shape());
+    };
+    Ok(f(floats(op, storage, layout)?))
+}
+
+/// A CPU tensor of `data`.
+pub(crate) fn tensor(data: Vec<f32>, shape: &Shape) -> Result<Tensor> {
+    Tensor::from_vec(data, shape, &Device::Cpu)
+}

@@ -1,0 +1,195 @@
+//! The detector: a U-Net that draws the hidden picture.
+//!
+//! The class prediction enters twice (classifier-guided recovery): as flat
+//! input channels, and as scale and shift of the coarsest features (FiLM, Perez
+//! et al. 2018). Skip connections are added, not concatenated: at full
+//! resolution that halves the costliest convolution.
+
+use candle_core::{D, Tensor};
+use serde::{Deserialize, Serialize};
+
+use crate::classifier::check_sizes;
+use crate::conv::{Window, conv2d};
+use crate::error::{NnError, Result};
+use crate::front::{front_channels, front_end};
+use crate::layers::{ConvBlock, Linear, check_image};
+use crate::params::{Init, Scope};
+use crate::resample::upsample_add;
+
+/// How a [`UNet`] is built.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct UNetConfig {
+    /// Channels of the input pictures.
+    pub inputs: usize,
+    /// Channels of the hidden pictures.
+    pub outputs: usize,
+    /// Rows and columns of the pictures; the learned positional features are
+    /// made for this size. Multiples of two to the power of levels - 1.
+    pub size: [usize; 2],
+    /// Channels of each level, finest first.
+    pub channels: Vec<usize>,
+    /// Groups of the normalisation, 0 for none.
+    pub groups: usize,
+    /// Amplification of the high-pass channels, 0 for none (see [`front_end`]).
+    pub high_pass_gain: f32,
+    /// Learned positional features at the coarsest level. They let the network
+    /// know the hidden picture by heart; without them more of it must come from
+    /// the carrier.
+    pub positional: bool,
+    /// Multiplies the output by 1 - p(unmarked), so that unmarked means empty.
+    pub gated: bool,
+}
+
+impl Default for UNetConfig {
+    fn default() -> Self {
+        Self {
+            inputs: 3,
+            outputs: 3,
+            size: [128, 128],
+            channels: vec![16, 32, 64, 64],
+            groups: 4,
+            high_pass_gain: 10.0,
+            positional: true,
+            gated: true,
+        }
+    }
+}
+
+/// Pictures and class probabilities to hidden pictures.
+#[derive(Debug, Clone)]
+pub struct UNet {
+    config: UNetConfig,
+    classes: usize,
+    /// Finest first: what enters a level, and what works in it.
+    down: Vec<Vec<ConvBlock>>,
+    film: Linear,
+    positional: Option<Tensor>,
+    /// Coarsest first: to the next finer level's channels, and after the skip.
+    up: Vec<[ConvBlock; 2]>,
+    out: (Tensor, Tensor),
+}
+
+impl UNet {
+    /// A detector told of `classes` = M + 1 classes, class 0 unmarked, with its
+    /// parameters in `scope`.
+    ///
+    /// # Errors
+    /// [`NnError::Setting`] for sizes out of range; when parameters of these
+    /// names exist with other shapes.
+    pub fn new(config: &UNetConfig, classes: usize, mut scope: Scope<'_>) -> Result<Self> {
+        check_sizes(config.inputs.min(config.outputs), &config.channels, classes, config.high_pass_gain)?;
+        let factor = 1 << (config.channels.len() - 1);
+        if config.size.iter().any(|s| *s == 0 || !s.is_multiple_of(factor)) {
+            let allowed = "multiples of two to the power of levels - 1";
+            return Err(NnError::Setting { key: "size", got: format!("{:?}", config.size), allowed });
+        }
+        let down = down_blocks(config, classes, &mut scope)?;
+        let (&finest, &coarsest) = (&config.channels[0], &config.channels[config.channels.len() - 1]);
+        let film = Linear::new(&mut scope.sub("film"), classes, 2 * coarsest, Init::Uniform(0.1))?;
+        let positional = if config.positional {
+            let [h, w] = config.size;
+            Some(scope.get("positional", &[1, coarsest, h / factor, w / factor], Init::Uniform(0.1))?)
+        } else {
+            None
+        };
+        let up = up_blocks(config, &mut scope)?;
+        let weight = scope.get("out.weight", &[config.outputs, finest, 3, 3], Init::He { fan_in: finest * 9 * 4 })?;
+        let out = (weight, scope.get("out.bias", &[config.outputs], Init::Constant(0.0))?);
+        Ok(Self { config: config.clone(), classes, down, film, positional, up, out })
+    }
+
+    /// M + 1.
+    pub fn classes(&self) -> usize {
+        self.classes
+    }
+
+    /// Hidden pictures, N x outputs x H x W, neither squashed nor clamped, from
+    /// `images`, N x inputs x H x W in [0, 1], and `probabilities`,
+    /// N x (M + 1): softmax of the classifier's logits, or one-hot.
+    ///
+    /// # Errors
+    /// [`NnError::Input`] for other shapes.
+    pub fn forward(&self, images: &Tensor, probabilities: &Tensor) -> Result<Tensor> {
+        self.check_inputs(images, probabilities)?;
+        let mut x = front_end(images, self.config.high_pass_gain, Some(probabilities))?;
+        let mut skips = Vec::with_capacity(self.down.len());
+        for (level, blocks) in self.down.iter().enumerate() {
+            for (i, block) in blocks.iter().enumerate() {
+                x = block.forward(&x)?;
+                if level + 1 == self.down.len() && i == 0 {
+                    x = self.guide(&x, probabilities)?;
+                }
+            }
+            skips.push(x.clone());
+        }
+        skips.pop();
+        for [narrow, merge] in &self.up {
+            x = narrow.forward(&x)?;
+            if let Some(skip) = skips.pop() {
+                x = upsample_add(&x, &skip)?;
+            }
+            x = merge.forward(&x)?;
+        }
+        let raw = conv2d(&x, &self.out.0, Some(&self.out.1), Window::square(1, 1))?;
+        if !self.config.gated {
+            return Ok(raw);
+        }
+        let gate = probabilities.narrow(D::Minus1, 0, 1)?.affine(-1.0, 1.0)?;
+        Ok(raw.broadcast_mul(&gate.reshape((images.dim(0)?, 1, 1, 1))?)?)
+    }
+
+    /// Scales, shifts and places the coarsest features.
+    fn guide(&self, x: &Tensor, probabilities: &Tensor) -> Result<Tensor> {
+        let (n, c, _, _) = x.dims4()?;
+        let film = self.film.forward(probabilities)?.reshape((n, 2 * c, 1, 1))?;
+        let scale = film.narrow(1, 0, c)?.affine(1.0, 1.0)?;
+        let x = x.broadcast_mul(&scale)?.broadcast_add(&film.narrow(1, c, c)?)?;
+        Ok(match &self.positional {
+            Some(place) => x.broadcast_add(place)?,
+            None => x,
+        })
+    }
+
+    fn check_inputs(&self, images: &Tensor, probabilities: &Tensor) -> Result<()> {
+        let network = "the detector";
+        check_image(network, images, self.config.inputs, 1 << (self.down.len() - 1))?;
+        if self.positional.is_some() && images.dims()[2..] != self.config.size {
+            let expected = format!("pictures of {:?} pixels, the size of its positional features", self.config.size);
+            return Err(NnError::Input { network, expected, got: images.dims().to_vec() });
+        }
+        if probabilities.dims() != [images.dims()[0], self.classes] {
+            let expected = format!("{} x {} class probabilities", images.dims()[0], self.classes);
+            return Err(NnError::Input { network, expected, got: probabilities.dims().to_vec() });
+        }
+        Ok(())
+    }
+}
+
+/// One block at the finest level; below, one that halves the resolution and one more.
+fn down_blocks(config: &UNetConfig, classes: usize, scope: &mut Scope<'_>) -> Result<Vec<Vec<ConvBlock>>> {
+    let mut inputs = front_channels(config.inputs, config.high_pass_gain, classes);
+    let mut levels = Vec::with_capacity(config.channels.len());
+    for (level, &c) in config.channels.iter().enumerate() {
+        let (count, stride) = if level == 0 { (1, 1) } else { (2, 2) };
+        let mut blocks = Vec::with_capacity(count);
+        for i in 0..count {
+            let mut scope = scope.sub(&format!("down{level}.{i}"));
+            blocks.push(ConvBlock::new(&mut scope, inputs, c, if i == 0 { stride } else { 1 }, config.groups)?);
+            inputs = c;
+        }
+        levels.push(blocks);
+    }
+    Ok(levels)
+}
+
+fn up_blocks(config: &UNetConfig, scope: &mut Scope<'_>) -> Result<Vec<[ConvBlock; 2]>> {
+    let mut levels = Vec::with_capacity(config.channels.len() - 1);
+    for level in (1..config.channels.len()).rev() {
+        let (from, to) = (config.channels[level], config.channels[level - 1]);
+        let narrow = ConvBlock::new(&mut scope.sub(&format!("up{level}.narrow")), from, to, 1, config.groups)?;
+        let merge = ConvBlock::new(&mut scope.sub(&format!("up{level}.merge")), to, to, 1, config.groups)?;
+        levels.push([narrow, merge]);
+    }
+    Ok(levels)
+}
