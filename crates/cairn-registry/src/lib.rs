@@ -16,6 +16,10 @@ pub mod leaf;
 pub mod merkle;
 pub mod note;
 pub mod record;
+#[cfg(feature = "store")]
+pub mod registry;
+#[cfg(feature = "store")]
+pub mod store;
 mod tree;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
@@ -26,3 +30,5 @@ pub use leaf::Leaf;
 pub use merkle::ProofError;
 pub use note::{Note, NoteError, NoteVerifier};
 pub use record::{OwnerRecord, RecordError, RecordKind};
+#[cfg(feature = "store")]
+pub use registry::{Receipt, Registry, RegistryError, StoredRecord};

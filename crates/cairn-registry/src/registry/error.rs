@@ -1,0 +1,139 @@
+//! Everything that the registry can refuse or fail at, one variant a case, so
+//! that an edge can map each to its own status without a catch-all.
+
+use std::path::PathBuf;
+
+use crate::{
+    digest::Digest,
+    keys::{KeyError, PublicKey},
+    merkle::ProofError,
+    note::NoteError,
+    record::RecordError,
+    store::StoreError,
+};
+
+/// What the registry can refuse or fail at.
+#[derive(Debug, thiserror::Error)]
+pub enum RegistryError {
+    /// The envelope or the record in it is malformed, of an unknown type or version, or not signed by its owner.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The record is meant for another log.
+    #[error("the record is for log {got:?}, this is {expected:?}; sign it again for this log")]
+    WrongOrigin {
+        /// This log.
+        expected: String,
+        /// The log that the record names.
+        got: String,
+    },
+    /// The nonce was not issued by this registry for this scene and owner.
+    #[error("nonce {nonce} was not issued here for scene {scene:?} and this owner; ask for a nonce and sign again")]
+    NonceForeign {
+        /// The record's nonce.
+        nonce: Digest,
+        /// The record's scene.
+        scene: String,
+    },
+    /// The nonce was used by another record.
+    #[error("nonce {nonce} was used by record {index}; ask for a new nonce and sign again")]
+    NonceUsed {
+        /// The record's nonce.
+        nonce: Digest,
+        /// The record that used it; where it stands in the same batch, the index that it gets.
+        index: u64,
+    },
+    /// The nonce is too old.
+    #[error("nonce issued at log size {issued} is no longer good at size {size}; ask for a new nonce and sign again")]
+    NonceExpired {
+        /// Log size when it was issued.
+        issued: u64,
+        /// Log size now.
+        size: u64,
+    },
+    /// The checkpoint that the signer saw is none of this log's.
+    #[error(
+        "the record's checkpoint (size {size}, root {root}) is none of this log; fetch the checkpoint and sign again"
+    )]
+    SeenForeign {
+        /// Its size.
+        size: u64,
+        /// Its root.
+        root: Digest,
+    },
+    /// The record named in `replaces` is not in the log.
+    #[error("the record {replaces} named in `replaces` is not in this log")]
+    ReplacesUnknown {
+        /// Its digest.
+        replaces: Digest,
+    },
+    /// The record named in `replaces` is another owner's, and that owner did not sign.
+    #[error("the record {replaces} named in `replaces` belongs to {owner}, who did not sign this one")]
+    ReplacesForeign {
+        /// Its digest.
+        replaces: Digest,
+        /// Its owner.
+        owner: PublicKey,
+    },
+    /// No such record.
+    #[error("no record {index}, the log holds {size}")]
+    NoSuchRecord {
+        /// The index asked for.
+        index: u64,
+        /// The log's size.
+        size: u64,
+    },
+    /// No such proof.
+    #[error("cannot prove that: {0}")]
+    Proof(#[from] ProofError),
+    /// Another process or handle writes to this store.
+    #[error("{path}: the store is in use by process {pid}; stop it, or use another folder", path = .path.display())]
+    Locked {
+        /// The lock file.
+        path: PathBuf,
+        /// Who holds it.
+        pid: String,
+    },
+    /// The store belongs to another log, key or format version.
+    #[error("store: {what} is {got:?}, expected {expected:?}; open it with the settings that it was made with")]
+    WrongStore {
+        /// `format`, `origin` or `registry key`.
+        what: &'static str,
+        /// What was asked for.
+        expected: String,
+        /// What the store says.
+        got: String,
+    },
+    /// The store contradicts what was signed, or itself.
+    #[error("store, {place}: {what}; restore a backup that holds at least the last signed checkpoint")]
+    Inconsistent {
+        /// The entry.
+        place: String,
+        /// What is wrong, with expected and got.
+        what: String,
+    },
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// An earlier failure leaves open what is on disk, so nothing more is written.
+    #[error("the registry stopped writing after a failure ({cause}); repair its cause and start again")]
+    Halted {
+        /// The failure.
+        cause: String,
+    },
+    /// The registry's key, or no random numbers.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    /// The origin is no key name.
+    #[error("origin: {0}")]
+    Origin(#[from] NoteError),
+}
+
+impl RegistryError {
+    /// The failure of a shared write, for one more of those who waited for it.
+    pub(super) fn again(&self) -> Self {
+        match self {
+            Self::Store(e) => Self::Store(e.clone()),
+            other => Self::Halted { cause: other.to_string() },
+        }
+    }
+}
