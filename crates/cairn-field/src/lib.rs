@@ -1,1 +1,38 @@
-//! cairn-field
+//! The radiance field: a sparse voxel grid with spherical harmonics, rendered and
+//! differentiated by ray marching on the CPU, with per-view appearance.
+//!
+//! Follow a picture through the files: [`SceneFrame`] bends a camera's rays into
+//! the unit cube, `march` finds the samples, `composite` turns them into light
+//! and walks back, `scatter` and `optimise` move the grid, [`Appearance`] tints
+//! the result as a view's day and camera had it. [`BaseTrainer`] drives them
+//! (stage 1), [`Field`] is the outcome. What stage 2 needs is in [`operator`].
+//!
+//! The renderer is generic over [`Real`]: the same source is checked in f64
+//! against finite differences and shipped in f32.
+
+pub mod appearance;
+mod batch;
+mod checkpoint;
+pub mod composite;
+mod config;
+mod error;
+mod field;
+mod frame;
+pub mod grid;
+pub mod march;
+pub mod operator;
+mod optimise;
+mod rays;
+mod real;
+pub mod scatter;
+pub mod sh;
+mod trainer;
+
+pub use appearance::Appearance;
+pub use composite::Thresholds;
+pub use config::{AppearanceMode, FieldConfig};
+pub use error::FieldError;
+pub use field::{FIELD_FORMAT, Field, Rendering};
+pub use frame::{RayPath, SceneFrame, contract};
+pub use real::Real;
+pub use trainer::{BaseTrainer, StepStats, TrainingView};

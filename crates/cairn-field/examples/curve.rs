@@ -1,0 +1,75 @@
+//! Trains a capture and prints seconds against held-out PSNR: the quickest way
+//! to see what a setting does.
+//!
+//! `cargo run --release -p cairn-field --example curve -- FOLDER SCALE [settings as JSON]`
+
+use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
+use cairn_field::{BaseTrainer, FieldConfig, SceneFrame, TrainingView};
+use std::sync::Arc;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().collect();
+    let [_, folder, scale, rest @ ..] = arguments.as_slice() else {
+        return Err("usage: curve FOLDER SCALE [settings as JSON]".into());
+    };
+    let scale: f64 = scale.parse()?;
+    let config: FieldConfig = serde_json::from_str(rest.first().map_or("{}", String::as_str))?;
+    let capture = Capture::read(folder.as_ref(), &ReadOptions::default())?;
+    let view = |i: usize| -> Result<TrainingView, Box<dyn std::error::Error>> {
+        let view = &capture.views[i];
+        let size = |v: usize| ((v as f64 * scale).round() as usize).max(1);
+        let (w, h) = (size(view.camera.intrinsics.width), size(view.camera.intrinsics.height));
+        let picture = Arc::new(capture.photograph(i)?.resized(w, h));
+        Ok(TrainingView { name: view.name.clone(), camera: view.camera.resized(w, h), picture })
+    };
+    let train = capture.training().map(view).collect::<Result<Vec<_>, _>>()?;
+    let test = capture.held_out().take(12).map(view).collect::<Result<Vec<_>, _>>()?;
+    let frame = SceneFrame::from_capture(&capture)?;
+    println!("{} training and {} held-out views, {frame:?}", train.len(), test.len());
+    let mut trainer = BaseTrainer::new(train, frame, capture.background, config, 1)?;
+    let started = Instant::now();
+    let every = trainer.steps_total().div_ceil(10);
+    while trainer.steps_done() < trainer.steps_total() {
+        let stats = trainer.step()?;
+        if stats.step % every == 0 {
+            let seconds = started.elapsed().as_secs_f64();
+            println!("{:6} {seconds:7.1} s  {:5.2} dB  {:?}", stats.step, stats.psnr_db, trainer.size());
+        }
+    }
+    let seconds = started.elapsed().as_secs_f64();
+    let wild = trainer.has_appearance();
+    let field = trainer.finish();
+    let (mut sum, started) = (0.0, Instant::now());
+    for (n, view) in test.iter().enumerate() {
+        let w = view.picture.width();
+        let appearance = if wild {
+            field.fit_appearance_left_half(&view.camera, &view.picture)?
+        } else {
+            field.canonical_appearance().clone()
+        };
+        let render = field.render(&view.camera, &appearance).clamped();
+        let first = if wild { w / 2 } else { 0 };
+        let (mut error, mut count) = (0.0f64, 0.0f64);
+        for y in 0..render.height() {
+            for x in first..w {
+                for c in 0..3 {
+                    error += f64::from(render.pixel(x, y)[c] - view.picture.pixel(x, y)[c]).powi(2);
+                    count += 1.0;
+                }
+            }
+        }
+        sum += -10.0 * (error / count).log10();
+        let mut both = view.picture.rgb().to_vec();
+        both.extend_from_slice(render.rgb());
+        let sheet = Picture::new(w, 2 * render.height(), both)?;
+        std::fs::write(std::env::temp_dir().join(format!("curve-{n}.png")), encode_png(&sheet)?)?;
+    }
+    let each = started.elapsed().as_secs_f64() / test.len() as f64;
+    println!(
+        "{seconds:.1} s, held out {:.2} dB, {each:.2} s a picture, {} rows",
+        sum / test.len() as f64,
+        field.grid().rows()
+    );
+    Ok(())
+}

@@ -1,0 +1,146 @@
+//! Stage 1 interrupted and taken up again: everything the next step depends on,
+//! in one versioned safetensors file, so that a resumed run ends in the same
+//! bytes as one that was never stopped.
+
+use crate::appearance::Appearance;
+use crate::config::FieldConfig;
+use crate::error::FieldError;
+use crate::field::{read_f32, read_header, read_u32, stored};
+use crate::frame::SceneFrame;
+use crate::grid::{Grid, ROW};
+use crate::optimise::Adam;
+use crate::scatter::Gradient;
+use crate::trainer::{BaseTrainer, TrainingView};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+/// Format of a stage-1 checkpoint; another number is refused by name.
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/1";
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    config: FieldConfig,
+    frame: SceneFrame,
+    seed: u64,
+    step: u64,
+    level: usize,
+    dims: [usize; 3],
+    adam_steps: u64,
+    appearance_steps: u64,
+    neutral: Appearance,
+    views: Vec<String>,
+    appearances: usize,
+}
+
+impl BaseTrainer {
+    /// The whole state. Equal states give equal bytes.
+    ///
+    /// # Errors
+    /// [`FieldError::Stored`] when it cannot be written out.
+    pub fn checkpoint(&self) -> Result<Vec<u8>, FieldError> {
+        let header = Header {
+            format: CHECKPOINT_FORMAT.into(),
+            config: self.config.clone(),
+            frame: self.frame.clone(),
+            seed: self.seed,
+            step: self.step,
+            level: self.level,
+            dims: self.grid.dims,
+            adam_steps: self.adam.steps,
+            appearance_steps: self.appearance_adam.steps,
+            neutral: self.neutral.clone(),
+            views: self.views.iter().map(|v| v.name.clone()).collect(),
+            appearances: self.appearances.len(),
+        };
+        let codes: Vec<f32> = self.appearances.iter().flat_map(|a| a.code().to_vec()).collect();
+        let vertex: Vec<u8> = self.grid.vertex[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let occupancy: Vec<u8> = self.grid.occupancy().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let float: [(&str, &[f32]); 8] = [
+            ("raw", &self.grid.raw),
+            ("colour", &self.grid.colour),
+            ("first", &self.adam.first),
+            ("second", &self.adam.second),
+            ("seen", &self.gradient.seen),
+            ("codes", &codes),
+            ("codes_first", &self.appearance_adam.first),
+            ("codes_second", &self.appearance_adam.second),
+        ];
+        let bad = |e: safetensors::SafeTensorError| stored("checkpoint", e.to_string());
+        let bytes: Vec<(&str, Vec<u8>)> =
+            float.iter().map(|(name, values)| (*name, values.iter().flat_map(|v| v.to_le_bytes()).collect())).collect();
+        let mut tensors = Vec::new();
+        for (name, data) in &bytes {
+            tensors.push((*name, TensorView::new(Dtype::F32, vec![data.len() / 4], data).map_err(bad)?));
+        }
+        tensors.push(("vertex", TensorView::new(Dtype::U32, vec![vertex.len() / 4], &vertex).map_err(bad)?));
+        tensors.push(("occupancy", TensorView::new(Dtype::U64, vec![occupancy.len() / 8], &occupancy).map_err(bad)?));
+        let json = serde_json::to_string(&header).map_err(|e| stored("checkpoint", e.to_string()))?;
+        let metadata = std::collections::HashMap::from([("cairn".to_owned(), json)]);
+        safetensors::serialize(tensors, Some(metadata)).map_err(bad)
+    }
+
+    /// Takes training up where `bytes` left it. The views must be those the
+    /// checkpoint was made with (their names are compared).
+    ///
+    /// # Errors
+    /// [`FieldError::Stored`] for an unknown format or a damaged file;
+    /// [`FieldError::Views`] for other views.
+    pub fn resume(bytes: &[u8], views: Vec<TrainingView>) -> Result<Self, FieldError> {
+        let header: Header = read_header(bytes, "checkpoint")?;
+        let refuse = |why: String| Err(stored("checkpoint", why));
+        if header.format != CHECKPOINT_FORMAT {
+            return refuse(format!("format `{}`, this program reads `{CHECKPOINT_FORMAT}`", header.format));
+        }
+        if !views.iter().map(|v| &v.name).eq(&header.views) {
+            return Err(FieldError::Views(
+                "they are not the views this checkpoint was made with; start the training anew".into(),
+            ));
+        }
+        let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
+        let mut trainer = Self::new(views, header.frame, None, header.config, header.seed)?;
+        let vertex = read_u32(&file, "vertex")?;
+        let vertices: usize = header.dims.iter().product();
+        if vertex.iter().any(|v| *v as usize >= vertices) {
+            return refuse("a vertex lies outside its grid".into());
+        }
+        let mut grid = Grid::with_vertices(header.dims, vertex);
+        let rows = grid.rows();
+        let read = |name: &'static str, len: usize| -> Result<Vec<f32>, FieldError> {
+            let values = read_f32(&file, name)?;
+            if values.len() == len {
+                Ok(values)
+            } else {
+                Err(stored("checkpoint", format!("`{name}` has {} numbers, expected {len}", values.len())))
+            }
+        };
+        grid.raw = read("raw", rows)?;
+        grid.colour = read("colour", rows * ROW)?;
+        let occupancy = file.tensor("occupancy").map_err(|e| stored("checkpoint", e.to_string()))?;
+        let words = occupancy.data().chunks_exact(8).map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes")));
+        if !grid.restore_occupancy(words.collect()) {
+            return refuse("its occupancy does not fit its grid".into());
+        }
+        trainer.adam =
+            Adam { first: read("first", rows * ROW)?, second: read("second", rows * ROW)?, steps: header.adam_steps };
+        trainer.gradient = Gradient::zero(rows);
+        trainer.gradient.seen = read("seen", rows)?;
+        trainer.grid = grid;
+        let n = header.neutral.code().len();
+        let codes = read("codes", header.appearances * n)?;
+        trainer.appearances = codes
+            .chunks_exact(n)
+            .map(|c| Appearance::from_code(c.to_vec()))
+            .collect::<Option<_>>()
+            .ok_or_else(|| stored("checkpoint", "an appearance is not finite".into()))?;
+        trainer.appearance_adam = Adam {
+            first: read("codes_first", header.appearances * n)?,
+            second: read("codes_second", header.appearances * n)?,
+            steps: header.appearance_steps,
+        };
+        trainer.neutral = header.neutral;
+        trainer.step = header.step;
+        trainer.level = header.level;
+        Ok(trainer)
+    }
+}

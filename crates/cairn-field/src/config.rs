@@ -1,0 +1,137 @@
+//! Settings of stage 1, checked before anything starts.
+
+use crate::error::FieldError;
+use serde::{Deserialize, Serialize};
+
+/// Whether views get an appearance of their own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AppearanceMode {
+    /// On for unbounded scenes, where days and cameras differ; off elsewhere.
+    #[default]
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
+
+/// Settings of stage 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FieldConfig {
+    /// Optimiser steps in all, 1 to 1,000,000.
+    pub steps: u64,
+    /// Rays a step, 64 to 1,048,576.
+    pub rays_per_step: usize,
+    /// Vertices of the last grid before pruning, 4,096 to 500,000,000.
+    pub voxels: usize,
+    /// Coarse-to-fine levels, 1 to 5; each has eight times the voxels of the last.
+    pub levels: usize,
+    /// Learning rate of the raw density (Adam), > 0.
+    pub learning_rate_density: f64,
+    /// Learning rate of the constant colour coefficients, > 0.
+    pub learning_rate_colour: f64,
+    /// The direction-dependent coefficients' rate as a share of the constant ones', 0 to 1.
+    pub view_dependence: f64,
+    /// Learning rate of the appearance codes, > 0.
+    pub learning_rate_appearance: f64,
+    /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
+    pub final_rate: f64,
+    /// Weight of the distortion loss (mip-NeRF 360 eq. 15), >= 0.
+    pub distortion: f64,
+    /// Weight of density's total variation, >= 0.
+    pub smooth_density: f64,
+    /// Weight of colour's total variation, >= 0.
+    pub smooth_colour: f64,
+    /// Residuals above this count linearly (Huber), so that passers-by pull
+    /// less; 0 = plain squares. In colour units.
+    pub huber: f64,
+    /// A vertex is dropped when its largest weight in any picture stayed below
+    /// this; 0 to 1.
+    pub prune_weight: f64,
+    /// Light the fresh grid stops on the way across, 0 to 1: low, so that clouds
+    /// before the cameras do not form.
+    pub initial_opacity: f64,
+    /// Per-view appearance.
+    pub appearance: AppearanceMode,
+}
+
+impl Default for FieldConfig {
+    fn default() -> Self {
+        Self {
+            steps: 1500,
+            rays_per_step: 8192,
+            voxels: 4_000_000,
+            levels: 3,
+            learning_rate_density: 0.2,
+            learning_rate_colour: 0.05,
+            view_dependence: 0.2,
+            learning_rate_appearance: 0.01,
+            final_rate: 0.1,
+            distortion: 0.003,
+            smooth_density: 1e-5,
+            smooth_colour: 1e-4,
+            huber: 0.0,
+            prune_weight: 0.003,
+            initial_opacity: 0.1,
+            appearance: AppearanceMode::Auto,
+        }
+    }
+}
+
+impl FieldConfig {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// [`FieldError::Setting`] naming the first key that is out of range.
+    pub fn validate(&self) -> Result<(), FieldError> {
+        let check = |ok: bool, key, value: String, allowed| {
+            if ok { Ok(()) } else { Err(FieldError::Setting { key, value, allowed }) }
+        };
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        let weight = |v: f64| v.is_finite() && v >= 0.0;
+        let share = |v: f64| (0.0..=1.0).contains(&v);
+        let number = |v: f64| v.to_string();
+        check((1..=1_000_000).contains(&self.steps), "field.steps", self.steps.to_string(), "1 to 1000000")?;
+        check(
+            (64..=1 << 20).contains(&self.rays_per_step),
+            "field.rays_per_step",
+            self.rays_per_step.to_string(),
+            "64 to 1048576",
+        )?;
+        check(
+            (4096..=500_000_000).contains(&self.voxels),
+            "field.voxels",
+            self.voxels.to_string(),
+            "4096 to 500000000",
+        )?;
+        check((1..=5).contains(&self.levels), "field.levels", self.levels.to_string(), "1 to 5")?;
+        for (key, value) in [
+            ("field.learning_rate_density", self.learning_rate_density),
+            ("field.learning_rate_colour", self.learning_rate_colour),
+            ("field.learning_rate_appearance", self.learning_rate_appearance),
+            ("field.final_rate", self.final_rate),
+            ("field.initial_opacity", self.initial_opacity),
+        ] {
+            check(positive(value), key, number(value), "a finite number above 0")?;
+        }
+        for (key, value) in [
+            ("field.distortion", self.distortion),
+            ("field.smooth_density", self.smooth_density),
+            ("field.smooth_colour", self.smooth_colour),
+            ("field.huber", self.huber),
+        ] {
+            check(weight(value), key, number(value), "a finite number from 0 up")?;
+        }
+        for (key, value) in [
+            ("field.view_dependence", self.view_dependence),
+            ("field.prune_weight", self.prune_weight),
+            ("field.final_rate", self.final_rate),
+            ("field.initial_opacity", self.initial_opacity),
+        ] {
+            check(share(value), key, number(value), "0 to 1")?;
+        }
+        check(self.initial_opacity < 1.0, "field.initial_opacity", number(self.initial_opacity), "above 0, below 1")
+    }
+}

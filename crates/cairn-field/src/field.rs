@@ -1,0 +1,252 @@
+//! A trained base field: what it renders, and how it is stored.
+
+use crate::appearance::{Appearance, FEATURES, features};
+use crate::composite::{Gathered, Kept, Thresholds, gather};
+use crate::error::FieldError;
+use crate::frame::SceneFrame;
+use crate::grid::{Grid, ROW};
+use crate::rays::Lens;
+use crate::sh::SH;
+use cairn_capture::{Camera, Picture};
+use half::f16;
+use rayon::prelude::*;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+/// Format of a stored field; another number is refused by name.
+pub const FIELD_FORMAT: &str = "cairn.field/1";
+/// Density (per unit-cube length) below which a cell counts as empty: over the
+/// whole cube it would stop 1 % of the light.
+pub(crate) const EMPTY_DENSITY: f64 = 0.01;
+
+/// A radiance field after stage 1 (theta_0). Immutable.
+#[derive(Clone, Debug)]
+pub struct Field {
+    pub(crate) frame: SceneFrame,
+    pub(crate) grid: Grid<f32>,
+    pub(crate) canonical: Appearance,
+    pub(crate) appearances: Vec<(String, Appearance)>,
+}
+
+/// A render with what lies behind the colours.
+#[derive(Clone, Debug)]
+pub struct Rendering {
+    /// Colours, not clamped.
+    pub picture: Picture,
+    /// Share of light stopped by the field, a pixel each, [0, 1].
+    pub accumulation: Vec<f32>,
+    /// Mean distance travelled in unit-cube lengths, a pixel each.
+    pub depth: Vec<f32>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    frame: SceneFrame,
+    dims: [usize; 3],
+    canonical: Appearance,
+    appearances: Vec<(String, Appearance)>,
+}
+
+impl Field {
+    /// Takes a trained grid; colours are rounded to half precision here so that
+    /// the field in memory and the one read back from a file are the same.
+    pub(crate) fn new(
+        frame: SceneFrame,
+        mut grid: Grid<f32>,
+        canonical: Appearance,
+        appearances: Vec<(String, Appearance)>,
+    ) -> Self {
+        grid.colour.par_iter_mut().for_each(|v| *v = f16::from_f32(*v).to_f32());
+        for row in grid.colour.chunks_exact_mut(ROW) {
+            row[ROW - 1] = 0.0;
+        }
+        grid.refresh_occupancy(EMPTY_DENSITY);
+        Self { frame, grid, canonical, appearances }
+    }
+
+    /// The frame of the scene.
+    pub fn frame(&self) -> &SceneFrame {
+        &self.frame
+    }
+
+    /// The grid, for those who go through it themselves.
+    pub fn grid(&self) -> &Grid<f32> {
+        &self.grid
+    }
+
+    /// The appearance used where none is asked for: the mean of the views'.
+    pub fn canonical_appearance(&self) -> &Appearance {
+        &self.canonical
+    }
+
+    /// The appearance of training view `name`; the canonical one where the
+    /// scene has none of its own.
+    pub fn appearance_of(&self, name: &str) -> &Appearance {
+        self.appearances.iter().find(|(n, _)| n == name).map_or(&self.canonical, |(_, a)| a)
+    }
+
+    /// Names and appearances of the training views; empty where the scene needs none.
+    pub fn appearances(&self) -> &[(String, Appearance)] {
+        &self.appearances
+    }
+
+    /// What every pixel of `camera` gathers, row-major, with its colour basis.
+    pub fn gather_view(&self, camera: &Camera, limits: Thresholds) -> Vec<(Gathered<f32>, [f32; SH])> {
+        let lens = Lens::new(camera);
+        (0..lens.pixels())
+            .into_par_iter()
+            .with_min_len(64)
+            .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
+                let (path, basis) = lens.ray(camera, &self.frame, at);
+                (gather(&self.grid, &path, &basis, 0.5, limits, tape), basis)
+            })
+            .collect()
+    }
+
+    /// Renders `camera` as `appearance` has it; colours are not clamped.
+    pub fn render(&self, camera: &Camera, appearance: &Appearance) -> Picture {
+        self.render_maps(camera, appearance).picture
+    }
+
+    /// As [`Field::render`], with accumulation and depth.
+    pub fn render_maps(&self, camera: &Camera, appearance: &Appearance) -> Rendering {
+        let gathered = self.gather_view(camera, Thresholds::SHOWN);
+        let rgb = gathered.iter().flat_map(|(g, basis)| appearance.shade(&features(g, basis))).collect();
+        let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+        Rendering {
+            picture: Picture::new(w, h, rgb).expect("one colour a pixel"),
+            accumulation: gathered.iter().map(|(g, _)| 1.0 - g.end).collect(),
+            depth: gathered.iter().map(|(g, _)| g.along / (1.0 - g.end).max(1e-6)).collect(),
+        }
+    }
+
+    /// Fits an appearance to the left half of `photograph` (the NeRF-W
+    /// protocol: the right half is then fair to score). The field is not changed.
+    ///
+    /// # Errors
+    /// [`FieldError::Views`] when the photograph's size is not the camera's.
+    pub fn fit_appearance_left_half(&self, camera: &Camera, photograph: &Picture) -> Result<Appearance, FieldError> {
+        let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+        if (w, h) != (photograph.width(), photograph.height()) {
+            return Err(FieldError::Views(format!(
+                "a photograph of {} x {} px for a camera of {w} x {h}; resize one to the other",
+                photograph.width(),
+                photograph.height()
+            )));
+        }
+        let gathered = self.gather_view(camera, Thresholds::SHOWN);
+        let (mut f, mut pixels): (Vec<[f32; FEATURES]>, Vec<[f32; 3]>) = (Vec::new(), Vec::new());
+        for y in 0..h {
+            for x in 0..w / 2 {
+                let (g, basis) = &gathered[y * w + x];
+                f.push(features(g, basis));
+                pixels.push(photograph.pixel(x, y));
+            }
+        }
+        let ridge = 1e-3 * pixels.len() as f64;
+        Ok(Appearance::fit(&f, &pixels, &self.canonical, ridge))
+    }
+
+    /// The field as safetensors with a versioned header. Equal fields give equal bytes.
+    ///
+    /// # Errors
+    /// [`FieldError::Stored`] when it cannot be written out.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, FieldError> {
+        let header = Header {
+            format: FIELD_FORMAT.into(),
+            frame: self.frame.clone(),
+            dims: self.grid.dims,
+            canonical: self.canonical.clone(),
+            appearances: self.appearances.clone(),
+        };
+        let rows = self.grid.rows() - 1;
+        let vertex: Vec<u8> = self.grid.vertex[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let raw: Vec<u8> = self.grid.raw[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let colour: Vec<u8> = self.grid.colour[ROW..]
+            .chunks_exact(ROW)
+            .flat_map(|row| row[..3 * SH].iter().flat_map(|v| f16::from_f32(*v).to_le_bytes()))
+            .collect();
+        let bad = |e: safetensors::SafeTensorError| stored("field", e.to_string());
+        let tensors = [
+            ("colour", TensorView::new(Dtype::F16, vec![rows, 3, SH], &colour).map_err(bad)?),
+            ("density", TensorView::new(Dtype::F32, vec![rows], &raw).map_err(bad)?),
+            ("vertex", TensorView::new(Dtype::U32, vec![rows], &vertex).map_err(bad)?),
+        ];
+        let json = serde_json::to_string(&header).map_err(|e| stored("field", e.to_string()))?;
+        // One metadata entry only: a map of several would be written in random order.
+        let metadata = std::collections::HashMap::from([("cairn".to_owned(), json)]);
+        safetensors::serialize(tensors, Some(metadata)).map_err(bad)
+    }
+
+    /// Reads what [`Field::to_bytes`] wrote.
+    ///
+    /// # Errors
+    /// [`FieldError::Stored`] for an unknown format, a damaged file or numbers that are not finite.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, FieldError> {
+        let header: Header = read_header(bytes, "field")?;
+        if header.format != FIELD_FORMAT {
+            return Err(stored("field", format!("format `{}`, this program reads `{FIELD_FORMAT}`", header.format)));
+        }
+        let file = SafeTensors::deserialize(bytes).map_err(|e| stored("field", e.to_string()))?;
+        let vertex = read_u32(&file, "vertex")?;
+        let raw = read_f32(&file, "density")?;
+        let colour = file.tensor("colour").map_err(|e| stored("field", e.to_string()))?;
+        let vertices =
+            header.dims.iter().try_fold(1usize, |a, d| a.checked_mul(*d)).filter(|v| *v <= u32::MAX as usize);
+        let ordered = vertex.windows(2).all(|w| w[0] < w[1]);
+        let last = vertex.last().is_none_or(|v| (*v as usize) < vertices.unwrap_or(0));
+        if vertices.is_none() || header.dims.iter().any(|d| *d < 2) || !ordered || !last {
+            return Err(stored("field", "its grid and its vertices do not fit together".into()));
+        }
+        if raw.len() != vertex.len() || colour.data().len() != vertex.len() * 3 * SH * 2 || colour.dtype() != Dtype::F16
+        {
+            return Err(stored("field", "its tensors are of different lengths".into()));
+        }
+        let mut grid = Grid::with_vertices(header.dims, vertex);
+        grid.raw[1..].copy_from_slice(&raw);
+        for (row, bytes) in grid.colour[ROW..].chunks_exact_mut(ROW).zip(colour.data().chunks_exact(3 * SH * 2)) {
+            for (v, b) in row.iter_mut().zip(bytes.chunks_exact(2)) {
+                *v = f16::from_le_bytes([b[0], b[1]]).to_f32();
+            }
+        }
+        if !(grid.raw.iter().all(|v| v.is_finite()) && grid.colour.iter().all(|v| v.is_finite())) {
+            return Err(stored("field", "it holds numbers that are not finite".into()));
+        }
+        Ok(Self::new(header.frame, grid, header.canonical, header.appearances))
+    }
+}
+
+/// A [`FieldError::Stored`].
+pub(crate) fn stored(what: &'static str, why: String) -> FieldError {
+    FieldError::Stored { what, why }
+}
+
+/// Our JSON header in a safetensors file's metadata.
+pub(crate) fn read_header<H: serde::de::DeserializeOwned>(bytes: &[u8], what: &'static str) -> Result<H, FieldError> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| stored(what, e.to_string()))?;
+    let json = metadata
+        .metadata()
+        .as_ref()
+        .and_then(|m| m.get("cairn"))
+        .ok_or_else(|| stored(what, "it has no Cairn header".into()))?;
+    serde_json::from_str(json).map_err(|e| stored(what, format!("its header: {e}")))
+}
+
+/// A tensor of f32, whatever its shape.
+pub(crate) fn read_f32(file: &SafeTensors<'_>, name: &'static str) -> Result<Vec<f32>, FieldError> {
+    let t = file.tensor(name).map_err(|e| stored(name, e.to_string()))?;
+    if t.dtype() != Dtype::F32 {
+        return Err(stored(name, format!("expected F32, got {:?}", t.dtype())));
+    }
+    Ok(t.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+}
+
+/// A tensor of u32, whatever its shape.
+pub(crate) fn read_u32(file: &SafeTensors<'_>, name: &'static str) -> Result<Vec<u32>, FieldError> {
+    let t = file.tensor(name).map_err(|e| stored(name, e.to_string()))?;
+    if t.dtype() != Dtype::U32 {
+        return Err(stored(name, format!("expected U32, got {:?}", t.dtype())));
+    }
+    Ok(t.data().chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+}

@@ -1,0 +1,188 @@
+//! Where along a ray the field is sampled: points half a voxel apart in grid
+//! coordinates, empty blocks and cells passed over. Skipping never moves a
+//! sample: the points are a lattice fixed by the ray alone.
+
+use crate::frame::RayPath;
+use crate::grid::Grid;
+use crate::real::Real;
+
+/// Distance between samples, in voxels.
+pub const STEP_VOXELS: f64 = 0.5;
+
+/// A place where the field is looked up.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<T> {
+    /// Linear index of the cell's first vertex.
+    pub cell: u32,
+    /// Place within the cell, each in [0, 1].
+    pub frac: [T; 3],
+    /// Length of ray it stands for, unit-cube lengths.
+    pub length: T,
+    /// How far along the ray it is, in unit-cube lengths travelled.
+    pub along: T,
+    /// Beyond the inner box of an unbounded scene.
+    pub far: bool,
+}
+
+/// Visits the samples of `path` in occupied cells, near to far, until `visit`
+/// returns false. `offset` in [0, 1) shifts the lattice by that share of a step
+/// (0.5 for a render; random in training).
+#[inline(always)]
+pub fn march<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, visit: impl FnMut(&Sample<T>) -> bool) {
+    match path {
+        RayPath::Miss => {}
+        RayPath::Straight { origin, direction, start, end } => {
+            straight(grid, *origin, *direction, *start, *end, offset, visit);
+        }
+        RayPath::Contracted { origin, direction } => contracted(grid, *origin, *direction, offset, visit),
+    }
+}
+
+/// Unit-cube length of one step.
+fn step_length<T: Real>(grid: &Grid<T>) -> f64 {
+    let largest = *grid.dims.iter().max().expect("three sides");
+    STEP_VOXELS / (largest - 1) as f64
+}
+
+#[inline(always)]
+fn cell_of<T: Real>(grid: &Grid<T>, p: [T; 3]) -> ([usize; 3], [T; 3]) {
+    let mut cell = [0usize; 3];
+    let mut frac = [T::zero(); 3];
+    for k in 0..3 {
+        // Rounding may leave the cube by an ulp; the clamp keeps it inside.
+        let v = p[k].max(T::zero());
+        cell[k] = v.to_usize().unwrap_or(0).min(grid.dims[k] - 2);
+        frac[k] = (v - T::from(cell[k]).unwrap_or_else(T::zero)).min(T::one());
+    }
+    (cell, frac)
+}
+
+#[inline(always)]
+fn linear<T>(grid: &Grid<T>, cell: [usize; 3]) -> usize {
+    (cell[2] * grid.dims[1] + cell[1]) * grid.dims[0] + cell[0]
+}
+
+/// Steps that fit before a point moving at `velocity` (voxels a step) leaves its block.
+#[inline(always)]
+fn steps_in_block<T: Real>(p: [T; 3], velocity: [T; 3], cell: [usize; 3]) -> usize {
+    let side = Grid::<T>::block_side();
+    let mut least = T::of(1e6);
+    for k in 0..3 {
+        let low = T::from(cell[k] / side * side).unwrap_or_else(T::zero);
+        let high = low + T::of(side as f64);
+        let v = velocity[k];
+        if v > T::of(1e-6) {
+            least = least.min((high - p[k]) / v);
+        } else if v < T::of(-1e-6) {
+            least = least.min((low - p[k]) / v);
+        }
+    }
+    least.ceil().to_usize().unwrap_or(1).max(1)
+}
+
+#[inline(always)]
+fn straight<T: Real>(
+    grid: &Grid<T>,
+    origin: [f64; 3],
+    direction: [f64; 3],
+    start: f64,
+    end: f64,
+    offset: f64,
+    mut visit: impl FnMut(&Sample<T>) -> bool,
+) {
+    let scale: [f64; 3] = std::array::from_fn(|k| (grid.dims[k] - 1) as f64);
+    let speed = (0..3).map(|k| (direction[k] * scale[k]).powi(2)).sum::<f64>().sqrt();
+    let dt = STEP_VOXELS / speed;
+    let count = ((end - start) / dt).floor() as usize;
+    let first: [T; 3] = std::array::from_fn(|k| T::of((origin[k] + direction[k] * (start + offset * dt)) * scale[k]));
+    let velocity: [T; 3] = std::array::from_fn(|k| T::of(direction[k] * dt * scale[k]));
+    let length = T::of(step_length(grid));
+    let mut i = 0;
+    while i < count {
+        let n = T::from(i).unwrap_or_else(T::zero);
+        let p: [T; 3] = std::array::from_fn(|k| first[k] + velocity[k] * n);
+        let (cell, frac) = cell_of(grid, p);
+        if !grid.block_occupied(cell[0], cell[1], cell[2]) {
+            i += steps_in_block(p, velocity, cell);
+            continue;
+        }
+        i += 1;
+        let at = linear(grid, cell);
+        if grid.cell_occupied(at) && !visit(&Sample { cell: at as u32, frac, length, along: n * length, far: false }) {
+            return;
+        }
+    }
+}
+
+#[inline(always)]
+fn contracted<T: Real>(
+    grid: &Grid<T>,
+    origin: [f64; 3],
+    direction: [f64; 3],
+    offset: f64,
+    mut visit: impl FnMut(&Sample<T>) -> bool,
+) {
+    let quarter: [T; 3] = std::array::from_fn(|k| T::of((grid.dims[k] - 1) as f64 * 0.25));
+    let (o, d) = (origin.map(T::of), direction.map(T::of));
+    let (one, two) = (T::one(), T::of(2.0));
+    let step = T::of(STEP_VOXELS);
+    let length = T::of(step_length(grid));
+    let offset = T::of(offset);
+    let limit = T::of(2.0 * *grid.dims.iter().max().expect("three sides") as f64);
+    let norm = |v: [T; 3]| (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+    let inner_velocity: [T; 3] = std::array::from_fn(|k| d[k] * quarter[k]);
+    let inner_dt = step / norm(inner_velocity);
+    let inner_velocity = inner_velocity.map(|v| v * inner_dt);
+    let (mut t, mut n_steps) = (T::zero(), 0usize);
+    loop {
+        let x: [T; 3] = std::array::from_fn(|k| o[k] + d[k] * t);
+        let (mut n, mut axis) = (x[0].abs(), 0);
+        for k in 1..3 {
+            if x[k].abs() > n {
+                (n, axis) = (x[k].abs(), k);
+            }
+        }
+        let outward = x[axis] * d[axis] > T::zero();
+        if n > limit && outward {
+            return;
+        }
+        let inside = n <= one;
+        let dt = if inside {
+            inner_dt
+        } else {
+            // d/dt of x (2/n - 1/n^2): the speed in voxels.
+            let (s, dn) = ((two - one / n) / n, if outward { d[axis].abs() } else { -d[axis].abs() });
+            let ds = dn * (two / n - two) / (n * n);
+            step / norm(std::array::from_fn(|k| (d[k] * s + x[k] * ds) * quarter[k]))
+        };
+        let x: [T; 3] = std::array::from_fn(|k| x[k] + d[k] * dt * offset);
+        let n = x[0].abs().max(x[1].abs()).max(x[2].abs());
+        let s = if n > one { (two - one / n) / n } else { one };
+        let p: [T; 3] = std::array::from_fn(|k| (x[k] * s + two) * quarter[k]);
+        let (cell, frac) = cell_of(grid, p);
+        let skip = inside && !grid.block_occupied(cell[0], cell[1], cell[2]);
+        if skip {
+            // Space is straight here: jump to the block's end or the inner box's.
+            let mut steps = steps_in_block(p, inner_velocity, cell);
+            for k in 0..3 {
+                let room = (if d[k] > T::zero() { one - x[k] } else { -one - x[k] }) / (d[k] * inner_dt);
+                if d[k] != T::zero() {
+                    steps = steps.min(room.to_usize().unwrap_or(0));
+                }
+            }
+            let steps = steps.max(1);
+            t += inner_dt * T::from(steps).unwrap_or(one);
+            n_steps += steps;
+            continue;
+        }
+        let at = linear(grid, cell);
+        if grid.cell_occupied(at) {
+            let along = T::from(n_steps).unwrap_or_else(T::zero) * length;
+            if !visit(&Sample { cell: at as u32, frac, length, along, far: n > one }) {
+                return;
+            }
+        }
+        t += dt;
+        n_steps += 1;
+    }
+}

@@ -1,0 +1,236 @@
+//! What stage 2 needs of a field: each view as a fixed linear map from colour
+//! changes to picture changes.
+//!
+//! With density frozen, sample positions, ray weights and interpolation weights
+//! of a view never change, so a pixel is `sum_v w_v c_v` with constant `w`. The
+//! weights are worked out once a view and kept as one sparse matrix; applying it
+//! and its transpose is all the rendering that stage 2 does.
+
+use crate::appearance::{Appearance, FEATURES, features};
+use crate::composite::{Kept, Thresholds, gather};
+use crate::field::Field;
+use crate::grid::trilinear;
+use crate::rays::Lens;
+use crate::sh::{SH, SH_DC};
+use cairn_capture::Camera;
+use rayon::prelude::*;
+
+/// Marks entries in contracted space, which another appearance matrix tints.
+const FAR: u32 = 1 << 31;
+
+/// What a carrier's coefficients multiply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CarrierBasis {
+    /// One coefficient a channel, the same from everywhere.
+    Constant,
+    /// Nine a channel: the field's own spherical harmonics.
+    Harmonics,
+}
+
+impl CarrierBasis {
+    /// Coefficients a row: 3 or 27 (channel-major).
+    pub fn width(self) -> usize {
+        match self {
+            Self::Constant => 3,
+            Self::Harmonics => 3 * SH,
+        }
+    }
+}
+
+/// A field that stage 2 can mark: colours may move, geometry may not.
+pub trait MarkableField: Sync {
+    /// Rows of colour coefficients, the unused row 0 included.
+    fn rows(&self) -> usize;
+    /// Mean magnitude of each row's colour, `rows` long, for the gradient mask.
+    fn row_magnitudes(&self) -> Vec<f32>;
+    /// The magnitudes of single coefficients, `rows x 3 x 9`, channel-major.
+    fn coefficient_magnitudes(&self) -> Vec<f32>;
+    /// The linear map of `camera`; entries weighing less than `cutoff` of a pixel are left out.
+    fn view(&self, camera: &Camera, cutoff: f32) -> LinearView;
+}
+
+/// One view as a linear map; see the module's text.
+#[derive(Clone, Debug)]
+pub struct LinearView {
+    width: usize,
+    height: usize,
+    /// First entry of each pixel, one more than pixels.
+    starts: Vec<u32>,
+    /// (row | FAR, weight).
+    entries: Vec<(u32, f32)>,
+    bases: Vec<[f32; SH]>,
+    /// The base field's features a pixel, for shading it by any appearance.
+    features: Vec<[f32; FEATURES]>,
+}
+
+impl MarkableField for Field {
+    fn rows(&self) -> usize {
+        self.grid.rows()
+    }
+
+    fn row_magnitudes(&self) -> Vec<f32> {
+        self.grid
+            .colour
+            .par_chunks_exact(crate::grid::ROW)
+            .map(|row| (row[0].abs() + row[SH].abs() + row[2 * SH].abs()) / 3.0 * SH_DC as f32)
+            .collect()
+    }
+
+    fn coefficient_magnitudes(&self) -> Vec<f32> {
+        self.grid.colour.chunks_exact(crate::grid::ROW).flat_map(|row| row[..3 * SH].iter().map(|v| v.abs())).collect()
+    }
+
+    fn view(&self, camera: &Camera, cutoff: f32) -> LinearView {
+        let lens = Lens::new(camera);
+        let corners = self.grid.corners();
+        type Scratch = (Vec<Kept<f32>>, Vec<(u32, f32)>);
+        type Pixel = ([f32; FEATURES], [f32; SH], Vec<(u32, f32)>);
+        let pixels: Vec<Pixel> = (0..lens.pixels())
+            .into_par_iter()
+            .with_min_len(64)
+            .map_init(Scratch::default, |(tape, all), at| {
+                let (path, basis) = lens.ray(camera, &self.frame, at);
+                let gathered = gather(&self.grid, &path, &basis, 0.5, Thresholds::SHOWN, tape);
+                all.clear();
+                for kept in tape.iter().filter(|k| k.weight >= cutoff * 0.25) {
+                    let flag = if kept.far { FAR } else { 0 };
+                    for (corner, share) in corners.iter().zip(trilinear(kept.frac)) {
+                        let row = self.grid.index[kept.cell as usize + corner];
+                        if row != 0 {
+                            all.push((row | flag, share * kept.weight));
+                        }
+                    }
+                }
+                (features(&gathered, &basis), basis, merged(all, cutoff))
+            })
+            .collect();
+        let mut starts = vec![0u32];
+        let mut entries = Vec::with_capacity(pixels.iter().map(|p| p.2.len()).sum());
+        let (mut bases, mut all) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
+        for (f, basis, list) in pixels {
+            entries.extend(list);
+            starts.push(entries.len() as u32);
+            bases.push(basis);
+            all.push(f);
+        }
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        LinearView { width, height, starts, entries, bases, features: all }
+    }
+}
+
+/// Adds up entries of the same row and drops the small ones.
+fn merged(all: &mut [(u32, f32)], cutoff: f32) -> Vec<(u32, f32)> {
+    all.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let mut out: Vec<(u32, f32)> = Vec::with_capacity(48);
+    for &(row, weight) in all.iter() {
+        match out.last_mut() {
+            Some(last) if last.0 == row => last.1 += weight,
+            _ => out.push((row, weight)),
+        }
+    }
+    out.retain(|e| e.1 >= cutoff);
+    out.shrink_to_fit();
+    out
+}
+
+impl LinearView {
+    /// Pixels across.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Pixels down.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Mean entries a pixel.
+    pub fn density(&self) -> f64 {
+        self.entries.len() as f64 / (self.width * self.height) as f64
+    }
+
+    /// The base field's picture of this view, `height x width x 3`, not clamped.
+    pub fn base(&self, appearance: &Appearance) -> Vec<f32> {
+        self.features.par_iter().with_min_len(1024).flat_map_iter(|f| appearance.shade(f)).collect()
+    }
+
+    /// Adds to `picture` (`height x width x 3`) what `carrier` (`rows x width`
+    /// of `basis`) changes, seen with `appearance`.
+    ///
+    /// # Panics
+    /// When `picture` is of another size.
+    pub fn apply(&self, carrier: &[f32], basis: CarrierBasis, appearance: &Appearance, picture: &mut [f32]) {
+        assert_eq!(picture.len(), self.width * self.height * 3, "a picture of this view's size");
+        let (near_matrix, far_matrix) = (appearance.near_matrix(), appearance.far_matrix());
+        picture.par_chunks_exact_mut(3).with_min_len(512).enumerate().for_each(|(pixel, out)| {
+            let mut sums = [[0.0f32; 3]; 2];
+            for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
+                let sum = &mut sums[usize::from(row & FAR != 0)];
+                let at = (row & !FAR) as usize;
+                match basis {
+                    CarrierBasis::Constant => {
+                        let c = &carrier[at * 3..at * 3 + 3];
+                        for k in 0..3 {
+                            sum[k] += weight * c[k];
+                        }
+                    }
+                    CarrierBasis::Harmonics => {
+                        let c = &carrier[at * 3 * SH..(at + 1) * 3 * SH];
+                        for k in 0..3 {
+                            let dot: f32 =
+                                c[k * SH..(k + 1) * SH].iter().zip(&self.bases[pixel]).map(|(a, b)| a * b).sum();
+                            sum[k] += weight * dot;
+                        }
+                    }
+                }
+            }
+            for (c, v) in out.iter_mut().enumerate() {
+                for k in 0..3 {
+                    *v += near_matrix[c][k] * sums[0][k] + far_matrix[c][k] * sums[1][k];
+                }
+            }
+        });
+    }
+
+    /// The transpose of [`LinearView::apply`]: adds to `gradient` (as `carrier`)
+    /// what d(loss)/d(picture) owes the coefficients. One thread, in pixel
+    /// order, so that sums come out the same every time; `touched` hears each row.
+    ///
+    /// # Panics
+    /// When `slope` is of another size.
+    pub fn push_back(
+        &self,
+        slope: &[f32],
+        basis: CarrierBasis,
+        appearance: &Appearance,
+        gradient: &mut [f32],
+        touched: &mut [bool],
+    ) {
+        assert_eq!(slope.len(), self.width * self.height * 3, "a picture of this view's size");
+        let matrices = [appearance.near_matrix(), appearance.far_matrix()];
+        for (pixel, g) in slope.chunks_exact(3).enumerate() {
+            let pulled: [[f32; 3]; 2] =
+                std::array::from_fn(|part| std::array::from_fn(|k| (0..3).map(|c| matrices[part][c][k] * g[c]).sum()));
+            for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
+                let p = &pulled[usize::from(row & FAR != 0)];
+                let at = (row & !FAR) as usize;
+                touched[at] = true;
+                match basis {
+                    CarrierBasis::Constant => {
+                        for k in 0..3 {
+                            gradient[at * 3 + k] += weight * p[k];
+                        }
+                    }
+                    CarrierBasis::Harmonics => {
+                        for k in 0..3 {
+                            let out = &mut gradient[at * 3 * SH + k * SH..][..SH];
+                            for (o, b) in out.iter_mut().zip(&self.bases[pixel]) {
+                                *o += weight * p[k] * b;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! The number type of the renderer: `f32` to work, `f64` to prove it. One
+//! generic source keeps the checked arithmetic and the shipped one the same.
+
+/// A floating-point type the renderer can run in.
+pub trait Real: num_traits::Float + num_traits::NumAssign + Default + Send + Sync + std::fmt::Debug + 'static {
+    /// The nearest value of this type.
+    fn of(value: f64) -> Self;
+    /// As `f64`.
+    fn wide(self) -> f64;
+}
+
+impl Real for f32 {
+    #[inline(always)]
+    fn of(value: f64) -> Self {
+        value as f32
+    }
+    #[inline(always)]
+    fn wide(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn of(value: f64) -> Self {
+        value
+    }
+    #[inline(always)]
+    fn wide(self) -> f64 {
+        self
+    }
+}
+
+/// `ln(1 + e^x)`, without overflow for large `x` and without underflow to a
+/// wrong sign for small.
+#[inline(always)]
+pub(crate) fn softplus<T: Real>(x: T) -> T {
+    if x > T::of(20.0) { x } else { x.exp().ln_1p() }
+}
+
+/// Derivative of [`softplus`]: the logistic function.
+#[inline(always)]
+pub(crate) fn softplus_slope<T: Real>(x: T) -> T {
+    T::one() / (T::one() + (-x).exp())
+}

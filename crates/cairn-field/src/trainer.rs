@@ -1,0 +1,327 @@
+//! Stage 1: training the base field. A step draws rays, renders, walks back and
+//! moves the touched rows; it reads no clock and no file and draws only from
+//! its seed, so that the same seed gives the same bytes.
+
+use crate::appearance::{Appearance, FEATURES};
+use crate::batch::{Batch, BatchSettings};
+use crate::config::{AppearanceMode, FieldConfig};
+use crate::error::FieldError;
+use crate::field::{EMPTY_DENSITY, Field};
+use crate::frame::SceneFrame;
+use crate::grid::{DENSITY_SCALE, Grid, ROW};
+use crate::optimise::{Adam, Rates};
+use crate::rays::Lens;
+use crate::scatter::Gradient;
+use cairn_capture::{Camera, Picture};
+use std::sync::Arc;
+
+/// One photograph to learn from.
+#[derive(Clone, Debug)]
+pub struct TrainingView {
+    /// The view's name, unique in the scene.
+    pub name: String,
+    /// Its camera, at the photograph's resolution.
+    pub camera: Camera,
+    /// The photograph.
+    pub picture: Arc<Picture>,
+}
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepStats {
+    /// Steps done, this one included.
+    pub step: u64,
+    /// Steps in all.
+    pub total: u64,
+    /// Mean squared error of the batch, a channel.
+    pub loss: f64,
+    /// The same as PSNR, dB (of training rays: not a result).
+    pub psnr_db: f64,
+}
+
+/// A view as training uses it: 8-bit pixels (what photographs have) and its lens.
+pub(crate) struct Prepared {
+    pub(crate) name: String,
+    pub(crate) camera: Camera,
+    pub(crate) lens: Arc<Lens>,
+    pub(crate) pixels: Vec<u8>,
+}
+
+/// Trains a base field; see the module's text.
+pub struct BaseTrainer {
+    pub(crate) config: FieldConfig,
+    pub(crate) frame: SceneFrame,
+    pub(crate) seed: u64,
+    pub(crate) step: u64,
+    pub(crate) level: usize,
+    pub(crate) views: Vec<Prepared>,
+    pub(crate) grid: Grid<f32>,
+    pub(crate) adam: Adam,
+    pub(crate) gradient: Gradient,
+    pub(crate) neutral: Appearance,
+    /// One a view; empty where the scene needs none.
+    pub(crate) appearances: Vec<Appearance>,
+    pub(crate) appearance_adam: Adam,
+}
+
+impl BaseTrainer {
+    /// Prepares training of `views` in `frame`. `background` is the colour
+    /// behind everything in scenes that have one; `None` takes the photographs' mean.
+    ///
+    /// # Errors
+    /// [`FieldError`] for settings out of range, no views, or a picture whose
+    /// size is not its camera's.
+    pub fn new(
+        views: Vec<TrainingView>,
+        frame: SceneFrame,
+        background: Option<[f32; 3]>,
+        config: FieldConfig,
+        seed: u64,
+    ) -> Result<Self, FieldError> {
+        config.validate()?;
+        let views = prepare(views)?;
+        let background = background.unwrap_or_else(|| mean_colour(&views));
+        let with_appearance = match config.appearance {
+            AppearanceMode::On => true,
+            AppearanceMode::Off => false,
+            AppearanceMode::Auto => frame.is_unbounded() && views.len() > 1,
+        };
+        let neutral = Appearance::neutral(background);
+        let appearances = if with_appearance { vec![neutral.clone(); views.len()] } else { Vec::new() };
+        let dims = dims_of_level(&config, &frame, 0);
+        let density = -(1.0 - config.initial_opacity).ln() / DENSITY_SCALE;
+        let raw = density.exp_m1().ln();
+        let level = mean_colour(&views).iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0;
+        let grid = Grid::full(dims, raw, level);
+        let rows = grid.rows();
+        Ok(Self {
+            appearance_adam: Adam::zero(appearances.len() * 3 * FEATURES),
+            config,
+            frame,
+            seed,
+            step: 0,
+            level: 0,
+            views,
+            grid,
+            adam: Adam::zero(rows * ROW),
+            gradient: Gradient::zero(rows),
+            neutral,
+            appearances,
+        })
+    }
+
+    /// Steps done so far.
+    pub fn steps_done(&self) -> u64 {
+        self.step
+    }
+
+    /// Steps in all.
+    pub fn steps_total(&self) -> u64 {
+        self.config.steps
+    }
+
+    /// Whether views have appearances of their own in this scene.
+    pub fn has_appearance(&self) -> bool {
+        !self.appearances.is_empty()
+    }
+
+    /// Rows of the grid in use and vertices of its lattice.
+    pub fn size(&self) -> (usize, [usize; 3]) {
+        (self.grid.rows() - 1, self.grid.dims)
+    }
+
+    /// Takes one step. After the last one, does nothing but report.
+    ///
+    /// # Errors
+    /// [`FieldError::NotFinite`] when a number went wrong; the state is then as before.
+    pub fn step(&mut self) -> Result<StepStats, FieldError> {
+        if self.step >= self.config.steps {
+            return Ok(self.stats(0.0));
+        }
+        self.change_level();
+        let progress = self.step as f64 / self.config.steps as f64;
+        let batch = Batch::draw(&BatchSettings {
+            views: &self.views,
+            frame: &self.frame,
+            grid: &self.grid,
+            neutral: &self.neutral,
+            appearances: &self.appearances,
+            rays: self.config.rays_per_step,
+            huber: self.config.huber as f32,
+            distortion: self.config.distortion as f32,
+            stream: (self.seed, self.step),
+        });
+        if !batch.loss.is_finite() {
+            return Err(self.not_finite("the loss"));
+        }
+        self.gradient.add(&self.grid, &batch.owed, &batch.bases);
+        let decay = self.config.final_rate.powf(progress) as f32;
+        let rates = Rates {
+            density: self.config.learning_rate_density as f32 * decay,
+            colour: self.config.learning_rate_colour as f32 * decay,
+            view_dependence: self.config.view_dependence as f32,
+            smooth_density: self.config.smooth_density as f32,
+            smooth_colour: self.config.smooth_colour as f32,
+        };
+        if !self.adam.step_grid(&mut self.grid, &mut self.gradient, &rates) {
+            return Err(self.not_finite("a gradient of the grid"));
+        }
+        if !self.appearances.is_empty() {
+            let rate = self.config.learning_rate_appearance as f32 * decay;
+            if !self.adam_appearances(&batch, rate) {
+                return Err(self.not_finite("a gradient of an appearance"));
+            }
+        }
+        self.step += 1;
+        Ok(self.stats(batch.loss))
+    }
+
+    /// The trained field.
+    pub fn finish(self) -> Field {
+        let names = self.views.into_iter().map(|v| v.name);
+        let mut grid = self.grid;
+        if self.step > 0 {
+            let keep: Vec<bool> = self.gradient.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
+            grid = grid.resampled(grid.dims, &keep);
+        }
+        let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
+        Field::new(self.frame, grid, canonical, names.zip(self.appearances).collect())
+    }
+
+    fn stats(&self, loss: f64) -> StepStats {
+        StepStats { step: self.step, total: self.config.steps, loss, psnr_db: -10.0 * loss.max(1e-20).log10() }
+    }
+
+    fn not_finite(&mut self, place: &str) -> FieldError {
+        self.gradient.clear();
+        FieldError::NotFinite { step: self.step, place: place.into() }
+    }
+
+    /// Moves to the next level when its time has come, and keeps occupancy and
+    /// the record of what was seen fresh within one.
+    fn change_level(&mut self) {
+        let end = |level: usize| level_end(&self.config, level);
+        if self.level + 1 < self.config.levels && self.step >= end(self.level) {
+            let keep: Vec<bool> = self.gradient.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
+            self.level += 1;
+            let dims = dims_of_level(&self.config, &self.frame, self.level);
+            self.grid = self.grid.resampled(dims, &keep);
+            self.grid.refresh_occupancy(EMPTY_DENSITY);
+            self.adam = Adam::zero(self.grid.rows() * ROW);
+            self.gradient = Gradient::zero(self.grid.rows());
+            return;
+        }
+        let start = if self.level == 0 { 0 } else { end(self.level - 1) };
+        if self.step == start + (end(self.level) - start) / 2 {
+            self.gradient.seen.fill(0.0);
+        }
+        if self.step % 64 == 63 {
+            self.grid.refresh_occupancy(EMPTY_DENSITY);
+        }
+    }
+
+    /// Moves the appearances of the views in the batch; false when a gradient is
+    /// not finite (nothing is moved then).
+    fn adam_appearances(&mut self, batch: &Batch, rate: f32) -> bool {
+        const N: usize = 3 * FEATURES;
+        let mut gradient = vec![0.0f32; self.appearances.len() * N];
+        let mut touched = vec![0usize; self.appearances.len()];
+        for ray in &batch.shaded {
+            touched[ray.view as usize] += 1;
+            let out = &mut gradient[ray.view as usize * N..][..N];
+            for c in 0..3 {
+                for k in 0..FEATURES {
+                    out[c * FEATURES + k] += ray.slope[c] * ray.features[k];
+                }
+            }
+        }
+        if !gradient.iter().all(|v| v.is_finite()) {
+            return false;
+        }
+        self.appearance_adam.tick();
+        for (view, appearance) in self.appearances.iter_mut().enumerate() {
+            if touched[view] == 0 {
+                continue;
+            }
+            // A weak pull to neutral fixes what the photographs leave open.
+            let pull = 1e-3 * touched[view] as f32;
+            let gradient = &mut gradient[view * N..][..N];
+            for ((g, a), n) in gradient.iter_mut().zip(appearance.code()).zip(self.neutral.code()) {
+                *g += pull * (a - n);
+            }
+            self.appearance_adam.update(view * N, gradient, appearance.code_mut(), rate);
+        }
+        true
+    }
+}
+
+/// Step at which `level` ends: the last level gets three fifths of all steps.
+fn level_end(config: &FieldConfig, level: usize) -> u64 {
+    if level + 1 >= config.levels {
+        return config.steps;
+    }
+    let share = 0.4 * ((level + 1) as f64 / (config.levels - 1) as f64).powf(1.6);
+    (config.steps as f64 * share) as u64
+}
+
+/// Vertices along each side at `level`, in the frame's proportions.
+pub(crate) fn dims_of_level(config: &FieldConfig, frame: &SceneFrame, level: usize) -> [usize; 3] {
+    let p = frame.proportions();
+    let voxels = config.voxels as f64 / 8f64.powi((config.levels - 1 - level) as i32);
+    let unit = (voxels / (p[0] * p[1] * p[2])).cbrt();
+    p.map(|side| ((side * unit).round() as usize).clamp(4, 4096))
+}
+
+fn prepare(views: Vec<TrainingView>) -> Result<Vec<Prepared>, FieldError> {
+    if views.is_empty() {
+        return Err(FieldError::Views("none to train on; hold fewer out or import more photographs".into()));
+    }
+    let lenses = Lens::shared(views.iter().map(|v| v.camera));
+    views
+        .into_iter()
+        .zip(lenses)
+        .map(|(view, lens)| {
+            let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+            if (w, h) != (view.picture.width(), view.picture.height()) {
+                return Err(FieldError::Views(format!(
+                    "`{}`: the camera is {w} x {h} px and the photograph {} x {}; resize one to the other",
+                    view.name,
+                    view.picture.width(),
+                    view.picture.height()
+                )));
+            }
+            if let Some(at) = view.picture.rgb().iter().position(|v| !v.is_finite()) {
+                return Err(FieldError::Views(format!(
+                    "`{}`: pixel ({}, {}) is not finite; import the photograph again",
+                    view.name,
+                    at / 3 % w,
+                    at / 3 / w
+                )));
+            }
+            Ok(Prepared { name: view.name, camera: view.camera, lens, pixels: view.picture.to_rgb8() })
+        })
+        .collect()
+}
+
+fn mean_colour(views: &[Prepared]) -> [f32; 3] {
+    let mut sum = [0u64; 3];
+    let mut count = 0u64;
+    for view in views {
+        for pixel in view.pixels.chunks_exact(3) {
+            for c in 0..3 {
+                sum[c] += u64::from(pixel[c]);
+            }
+        }
+        count += view.pixels.len() as u64 / 3;
+    }
+    sum.map(|s| (s as f64 / count.max(1) as f64 / 255.0) as f32)
+}
+
+fn mean_appearance(all: &[Appearance]) -> Option<Appearance> {
+    let n = all.len() as f32;
+    let mut mean = vec![0.0; all.first()?.code().len()];
+    for a in all {
+        mean.iter_mut().zip(a.code()).for_each(|(m, v)| *m += v / n);
+    }
+    Appearance::from_code(mean)
+}
