@@ -91,8 +91,10 @@ pub enum KeyError {
 }
 
 /// An Ed25519 public key, canonical and not of small order.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub struct PublicKey(VerifyingKey);
+///
+/// Kept as its 32 bytes: the decompressed point is six times as large, and errors carry keys.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct PublicKey([u8; 32]);
 
 impl PublicKey {
     /// Length in bytes.
@@ -114,12 +116,12 @@ impl PublicKey {
         if key.is_weak() {
             return Err(KeyError::SmallOrder { got: hex::encode(bytes) });
         }
-        Ok(Self(key))
+        Ok(Self(*bytes))
     }
 
     /// The 32 bytes of RFC 8032.
-    pub fn to_bytes(&self) -> [u8; 32] {
-        self.0.to_bytes()
+    pub const fn to_bytes(&self) -> [u8; 32] {
+        self.0
     }
 
     /// Standard base64 of the 32 bytes.
@@ -139,7 +141,8 @@ impl PublicKey {
     pub fn verify(&self, message: &[u8], signature: &[u8]) -> Result<(), KeyError> {
         let bad = || KeyError::BadSignature { key: self.to_string() };
         let signature = Signature::from_slice(signature).map_err(|_| bad())?;
-        self.0.verify_strict(message, &signature).map_err(|_| bad())
+        let key = VerifyingKey::from_bytes(&self.0).map_err(|_| bad())?;
+        key.verify_strict(message, &signature).map_err(|_| bad())
     }
 }
 
@@ -152,12 +155,6 @@ impl fmt::Display for PublicKey {
 impl fmt::Debug for PublicKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "PublicKey({self})")
-    }
-}
-
-impl std::hash::Hash for PublicKey {
-    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
-        self.to_bytes().hash(state);
     }
 }
 
@@ -204,7 +201,7 @@ impl OwnerKey {
 
     /// The public half.
     pub fn public(&self) -> PublicKey {
-        PublicKey(self.0.verifying_key())
+        PublicKey(self.0.verifying_key().to_bytes())
     }
 
     /// Signs a message (deterministic, RFC 8032).

@@ -218,3 +218,115 @@ impl Batch {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{
+        Barrier,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    };
+
+    use super::*;
+    use crate::{
+        keys::OwnerKey,
+        record::{Digests, Identity, OwnerRecord, RecordKind, Seen, VERSION},
+        store::{FaultyStore, Store, StoreError},
+    };
+
+    /// Holds the first flush after arming until it is let go; counts flushes.
+    #[derive(Clone, Default)]
+    struct Gated {
+        inner: FaultyStore,
+        armed: Arc<AtomicBool>,
+        entered: Arc<Gate>,
+        flushes: Arc<AtomicU64>,
+    }
+
+    struct Gate(Barrier, Barrier);
+
+    impl Default for Gate {
+        fn default() -> Self {
+            Self(Barrier::new(2), Barrier::new(2))
+        }
+    }
+
+    impl Store for Gated {
+        fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
+            self.inner.get(key)
+        }
+
+        fn put(&self, batch: Vec<Entry>) -> Result<(), StoreError> {
+            self.inner.put(batch)
+        }
+
+        fn flush(&self) -> Result<(), StoreError> {
+            if self.armed.swap(false, Ordering::SeqCst) {
+                self.entered.0.wait();
+                self.entered.1.wait();
+            }
+            self.flushes.fetch_add(1, Ordering::SeqCst);
+            self.inner.flush()
+        }
+
+        fn scan(&self, prefix: &[u8], from: &[u8], limit: usize) -> Result<Vec<Entry>, StoreError> {
+            self.inner.scan(prefix, from, limit)
+        }
+    }
+
+    fn sealed(registry: &Registry, number: u8) -> Envelope {
+        let owner = OwnerKey::from_seed(&[number; 32]);
+        let head = registry.head().unwrap();
+        let record = OwnerRecord {
+            version: VERSION,
+            kind: RecordKind::Contribution,
+            origin: registry.origin().into(),
+            scene: "fern".into(),
+            scene_salt: Digest::of("salt"),
+            identity: Identity { number: 1, contributor: "Ada".into() },
+            owner_key: owner.public(),
+            digests: Digests { photographs: Some(Digest::of("photographs")), ..Digests::default() },
+            seed: None,
+            purpose: "credit".into(),
+            nonce: registry.nonce("fern", &owner.public()).unwrap(),
+            seen: Seen { size: head.size, root: head.root },
+            replaces: None,
+        };
+        record.seal(&owner).unwrap()
+    }
+
+    #[test]
+    fn those_who_wait_during_a_flush_share_the_next() {
+        let store = Gated::default();
+        let registry =
+            Registry::open_store(Box::new(store.clone()), OwnerKey::from_seed(&[200; 32]), "cairn.example/log")
+                .unwrap();
+        let before = store.flushes.load(Ordering::SeqCst);
+        store.armed.store(true, Ordering::SeqCst);
+        std::thread::scope(|scope| {
+            let first = scope.spawn(|| registry.submit(&sealed(&registry, 1)).unwrap());
+            store.entered.0.wait();
+            let same = sealed(&registry, 9);
+            let mut envelopes: Vec<_> = (2..=8).map(|number| sealed(&registry, number)).collect();
+            envelopes.extend([same.clone(), same]);
+            let others: Vec<_> = (envelopes.into_iter())
+                .map(|envelope| {
+                    let registry = &registry;
+                    scope.spawn(move || registry.submit(&envelope).unwrap())
+                })
+                .collect();
+            while lock(&registry.queue).waiting.len() < 9 {
+                std::thread::yield_now();
+            }
+            // Not published while its flush has not returned.
+            assert_eq!(registry.size(), 0);
+            store.entered.1.wait();
+            assert_eq!(first.join().unwrap().size, 1);
+            let mut indices: Vec<_> =
+                others.into_iter().map(|t| t.join().unwrap()).map(|r| (r.index, r.size)).collect();
+            indices.sort_unstable();
+            indices.dedup();
+            assert_eq!(indices, (1..=8).map(|index| (index, 9)).collect::<Vec<_>>());
+        });
+        assert_eq!(store.flushes.load(Ordering::SeqCst) - before, 2);
+    }
+}

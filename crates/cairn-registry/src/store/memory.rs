@@ -44,6 +44,11 @@ impl FaultyStore {
         inner.fail = Some((inner.operations + nth, fault));
     }
 
+    /// Takes back a fault that has not come due.
+    pub fn heal(&self) {
+        self.inner().fail = None;
+    }
+
     /// Operations so far.
     pub fn operations(&self) -> u64 {
         self.inner().operations

@@ -1,0 +1,132 @@
+//! The process is killed (SIGKILL) at seeded moments while it takes records in; what it acknowledged must be
+//! there afterwards, and no size may ever have two roots.
+#![cfg(all(feature = "store", unix))]
+
+mod common;
+
+use std::{
+    collections::HashMap,
+    env,
+    io::{BufRead as _, BufReader, Write as _},
+    path::Path,
+    process::{Command, Stdio},
+    sync::atomic::{AtomicU64, Ordering},
+    time::{Duration, Instant},
+};
+
+use cairn_registry::{Checkpoint, Digest, Registry, merkle};
+use common::*;
+use rand::{RngExt as _, SeedableRng as _};
+
+const CHILD: &str = "CAIRN_CRASH_CHILD";
+const ROUNDS: u64 = 10;
+
+/// One acknowledged record, as the child printed it.
+struct Acknowledged {
+    index: u64,
+    record: Digest,
+    size: u64,
+    root: Digest,
+}
+
+/// Submits until it is killed; one line an acknowledgement.
+fn child(folder: &Path) {
+    let registry = Registry::open(folder, registry_key(), ORIGIN).unwrap();
+    let log = registry.verifier().unwrap();
+    let count = AtomicU64::new(0);
+    std::thread::scope(|scope| {
+        for number in 1..=3_u8 {
+            let (registry, log, count) = (&registry, &log, &count);
+            scope.spawn(move || {
+                loop {
+                    let what = format!("{}/{}", std::process::id(), count.fetch_add(1, Ordering::Relaxed));
+                    let receipt = submit(registry, &owner(number), "liberty", &what).unwrap();
+                    let checkpoint = Checkpoint::verify(&receipt.checkpoint, log).unwrap();
+                    let record = receipt.envelope.digest();
+                    let line = format!("ack {} {record} {} {}\n", receipt.index, checkpoint.size, checkpoint.root);
+                    // The reader gone means that the parent died: stop with it.
+                    if std::io::stdout().lock().write_all(line.as_bytes()).is_err() {
+                        std::process::exit(1);
+                    }
+                }
+            });
+        }
+    });
+}
+
+fn parse(line: &str) -> Option<Acknowledged> {
+    // The test harness may have begun the line with words of its own.
+    let line = &line[line.find("ack ")?..];
+    let mut words = line.strip_suffix('\n')?.split(' ').skip(1);
+    let index = words.next()?.parse().ok()?;
+    let record = words.next()?.parse().ok()?;
+    let size = words.next()?.parse().ok()?;
+    Some(Acknowledged { index, record, size, root: words.next()?.parse().ok()? })
+}
+
+/// Lets a child run until `wanted` acknowledgements and `further` time; kills it; gives all that it acknowledged.
+fn run_and_kill(folder: &Path, wanted: usize, further: Duration) -> Vec<Acknowledged> {
+    let test = "what_was_acknowledged_survives_a_kill_at_any_moment";
+    let mut child = Command::new(env::current_exe().unwrap())
+        .args(["--exact", test, "--nocapture"])
+        .env(CHILD, folder)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap());
+    let mut acknowledged = Vec::new();
+    let mut line = String::new();
+    while acknowledged.len() < wanted {
+        line.clear();
+        assert_ne!(lines.read_line(&mut line).unwrap(), 0, "the child ended by itself");
+        acknowledged.extend(parse(&line));
+    }
+    let moment = Instant::now() + further;
+    while Instant::now() < moment {
+        std::hint::spin_loop();
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    loop {
+        line.clear();
+        if lines.read_line(&mut line).unwrap() == 0 {
+            return acknowledged;
+        }
+        acknowledged.extend(parse(&line));
+    }
+}
+
+#[test]
+fn what_was_acknowledged_survives_a_kill_at_any_moment() {
+    if let Some(folder) = env::var_os(CHILD) {
+        return child(Path::new(&folder));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(20_261_121);
+    let mut records: HashMap<u64, Digest> = HashMap::new();
+    let mut roots: HashMap<u64, Digest> = HashMap::new();
+    for round in 0..ROUNDS {
+        let (wanted, micros) = (random.random_range(1..25), random.random_range(0..8000));
+        for acknowledged in run_and_kill(folder.path(), wanted, Duration::from_micros(micros)) {
+            let old = records.insert(acknowledged.index, acknowledged.record);
+            assert_eq!(old, None, "round {round}: index {} was given twice", acknowledged.index);
+            let root = roots.entry(acknowledged.size).or_insert(acknowledged.root);
+            assert_eq!(*root, acknowledged.root, "round {round}: two roots of size {}", acknowledged.size);
+        }
+        let registry = Registry::open(folder.path(), registry_key(), ORIGIN).unwrap();
+        let head = Checkpoint::verify(&registry.checkpoint(), &registry.verifier().unwrap()).unwrap();
+        let faults = registry.check().unwrap();
+        assert!(faults.is_empty(), "round {round}: {faults:?}");
+        for (index, record) in &records {
+            assert_eq!(registry.find(record).unwrap(), Some(*index), "round {round}");
+            let proof = registry.prove_inclusion(*index, head.size).unwrap();
+            let leaf_hash = registry.record(*index).unwrap().leaf.hash();
+            merkle::verify_inclusion(&leaf_hash, *index, head.size, &proof, &head.root).unwrap();
+        }
+        for (size, root) in &roots {
+            let proof = registry.prove_consistency(*size, head.size).unwrap();
+            merkle::verify_consistency(*size, head.size, &proof, root, &head.root).unwrap();
+        }
+    }
+    assert!(records.len() as u64 >= ROUNDS);
+}

@@ -1,0 +1,187 @@
+//! Every store operation of a submission and of a start is made to fail in turn, before and after taking
+//! effect; then the machine "loses power" or only the process dies. What was acknowledged must be there,
+//! what was signed must be honoured, and the submitter's retry must end with one record.
+#![cfg(feature = "store")]
+
+mod common;
+
+use cairn_registry::{
+    Checkpoint, Envelope, Registry, RegistryError, merkle,
+    store::{Fault, FaultyStore},
+};
+use common::*;
+
+const FAULTS: [Fault; 2] = [Fault::Before, Fault::After];
+
+fn open(store: &FaultyStore) -> Result<Registry, RegistryError> {
+    Registry::open_store(Box::new(store.clone()), registry_key(), ORIGIN)
+}
+
+/// A log of three records.
+fn begun() -> (FaultyStore, Registry) {
+    let store = FaultyStore::new();
+    let registry = open(&store).unwrap();
+    for what in ["a", "b", "c"] {
+        submit(&registry, &owner(1), "fern", what).unwrap();
+    }
+    (store, registry)
+}
+
+/// Everything that must hold in a log found again, given what had been signed and acknowledged before.
+fn must_honour(registry: &Registry, signed: &[String], acknowledged: &[Envelope]) {
+    let log = registry.verifier().unwrap();
+    let head = Checkpoint::verify(&registry.checkpoint(), &log).unwrap();
+    for note in signed {
+        let old = Checkpoint::verify(note, &log).unwrap();
+        let proof = registry.prove_consistency(old.size, head.size).unwrap();
+        merkle::verify_consistency(old.size, head.size, &proof, &old.root, &head.root).unwrap();
+    }
+    for envelope in acknowledged {
+        assert!(registry.find(&envelope.digest()).unwrap().is_some());
+    }
+    let faults = registry.check().unwrap();
+    assert!(faults.is_empty(), "{faults:?}");
+}
+
+fn try_one(nth: u64, fault: Fault, power_lost: bool) -> bool {
+    let (store, registry) = begun();
+    let envelope = sealed(&registry, &owner(2), "trex", "the one");
+    let mut signed = vec![registry.checkpoint()];
+    let mut acknowledged = Vec::new();
+    store.fail_at(nth, fault);
+    let outcome = registry.submit(&envelope);
+    store.heal();
+    if let Ok(receipt) = &outcome {
+        verify_receipt(&registry, receipt);
+        signed.push(receipt.checkpoint.clone());
+        acknowledged.push(envelope.clone());
+    }
+    // Whatever happened, what is published goes on being provable.
+    must_honour(&registry, &signed, &acknowledged);
+    match submit(&registry, &owner(3), "fern", "next") {
+        Ok(receipt) => {
+            signed.push(receipt.checkpoint.clone());
+            acknowledged.push(receipt.envelope.clone());
+        }
+        Err(RegistryError::Halted { cause }) => {
+            assert!(outcome.is_err());
+            assert!(cause.contains("injected"), "{cause}");
+        }
+        Err(other) => panic!("operation {nth}, {fault:?}: {other}"),
+    }
+    signed.push(registry.checkpoint());
+    drop(registry);
+    let found = if power_lost { store.crash() } else { store };
+    let registry = open(&found).unwrap();
+    must_honour(&registry, &signed, &acknowledged);
+    let receipt = registry.submit(&envelope).unwrap();
+    verify_receipt(&registry, &receipt);
+    let copies = registry.records(Some("trex")).unwrap().len();
+    assert_eq!(copies, 1, "operation {nth}, {fault:?}: the retry must not make a second record");
+    outcome.is_err()
+}
+
+#[test]
+fn every_operation_of_a_submission_may_fail() {
+    let (store, registry) = begun();
+    let envelope = sealed(&registry, &owner(2), "trex", "the one");
+    let before = store.operations();
+    registry.submit(&envelope).unwrap();
+    let operations = store.operations() - before;
+    assert!(operations >= 4, "at least a look-up, a put, a flush and a reading back, counted {operations}");
+    for power_lost in [false, true] {
+        for fault in FAULTS {
+            for nth in 0..operations {
+                assert!(try_one(nth, fault, power_lost), "operation {nth} failed and nobody was told");
+            }
+            assert!(!try_one(operations, fault, power_lost), "the one behind the last is none of the submission's");
+        }
+    }
+}
+
+#[test]
+fn every_operation_of_a_start_may_fail() {
+    for records in [0, 3] {
+        for fault in FAULTS {
+            let mut nth = 0;
+            loop {
+                let (store, signed) = if records == 0 {
+                    (FaultyStore::new(), vec![])
+                } else {
+                    let (store, registry) = begun();
+                    (store, vec![registry.checkpoint()])
+                };
+                store.fail_at(nth, fault);
+                let opened = open(&store).is_ok();
+                store.heal();
+                for found in [store.crash(), store.clone()] {
+                    let registry = open(&found).unwrap_or_else(|e| panic!("operation {nth}, {fault:?}: {e}"));
+                    assert_eq!(registry.size(), records);
+                    must_honour(&registry, &signed, &[]);
+                }
+                if opened {
+                    break;
+                }
+                nth += 1;
+            }
+            assert!(nth > 3, "a start reads format, leaves and the signed checkpoint");
+        }
+    }
+}
+
+#[test]
+fn a_store_that_contradicts_what_was_signed_is_refused() {
+    let leaf = |index: u64| [b"leaf/", &index.to_be_bytes()[..]].concat();
+    let inconsistent = |store: &FaultyStore, part: &str| match open(&store.crash()) {
+        Err(e @ RegistryError::Inconsistent { .. }) => assert!(e.to_string().contains(part), "{e}"),
+        Err(other) => panic!("{other}"),
+        Ok(_) => panic!("opened; expected a word about {part}"),
+    };
+    let (store, _) = begun();
+    assert!(store.remove(&leaf(2)));
+    inconsistent(&store, "2 leaves, a checkpoint over 3 was signed");
+    let (store, _) = begun();
+    assert!(store.remove(&leaf(1)));
+    inconsistent(&store, "leaf 1: missing");
+    for byte in [0, 1, 50, 161] {
+        let (store, _) = begun();
+        assert!(store.tamper(&leaf(0), |value| value[byte] ^= 1));
+        inconsistent(&store, "was signed");
+    }
+    let (store, _) = begun();
+    assert!(store.tamper(&leaf(0), |value| value.truncate(161)));
+    inconsistent(&store, "161 bytes, expected 162");
+    let (store, _) = begun();
+    assert!(store.remove(b"meta/signed"));
+    inconsistent(&store, "last signed checkpoint");
+    let (store, _) = begun();
+    assert!(store.remove(b"meta/format"));
+    inconsistent(&store, "no format version");
+}
+
+#[test]
+fn a_store_of_another_log_key_or_format_is_refused_by_name() {
+    let (store, _) = begun();
+    let wrong = |result: Result<Registry, RegistryError>, part: &str| match result {
+        Err(RegistryError::WrongStore { what, .. }) => assert_eq!(what, part),
+        Err(other) => panic!("{other}"),
+        Ok(_) => panic!("opened with the wrong {part}"),
+    };
+    wrong(Registry::open_store(Box::new(store.clone()), registry_key(), "other.example/log"), "origin");
+    wrong(Registry::open_store(Box::new(store.clone()), owner(5), ORIGIN), "registry key");
+    store.tamper(b"meta/format", |value| *value = b"cairn-registry-store/2".to_vec());
+    wrong(open(&store), "format");
+}
+
+#[test]
+fn a_rotten_envelope_is_named_and_the_rest_stays_readable() {
+    let (store, registry) = begun();
+    let digest = registry.record(1).unwrap().leaf.record;
+    let key = [b"envelope/", &digest.as_bytes()[..]].concat();
+    assert!(store.tamper(&key, |value| value[30] ^= 1));
+    let faults = registry.check().unwrap();
+    assert_eq!(faults.len(), 1);
+    assert!(faults[0].to_string().contains("record 1"), "{}", faults[0]);
+    assert!(registry.record(1).is_err());
+    assert!(registry.record(2).is_ok());
+}
