@@ -1,5 +1,5 @@
 //! COLMAP sparse models, binary and text: cameras, images, points3D.
-//! Format: https://colmap.github.io/format.html.
+//! Format: <https://colmap.github.io/format.html>.
 //!
 //! An image's pose is world-to-camera: a quaternion (w, x, y, z) and a
 //! translation, `x_camera = R x_world + t`, in OpenCV axes. COLMAP puts the top

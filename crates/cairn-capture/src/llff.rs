@@ -1,7 +1,7 @@
 //! LLFF's `poses_bounds.npy`: 17 numbers a view, a 3 x 5 matrix in row-major
 //! order whose columns are down, right and backwards (world directions of the
 //! camera's axes), position, and (height, width, focal), then near and far.
-//! Format: https://github.com/Fyusion/LLFF, "Using your own poses".
+//! Format: <https://github.com/Fyusion/LLFF>, "Using your own poses".
 //!
 //! The rows carry no names: they belong to the photographs in order of name.
 

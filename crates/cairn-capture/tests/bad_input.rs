@@ -145,7 +145,7 @@ fn truncated_and_mutated_binaries_never_panic() {
             fs::write(&path, &good[..length]).unwrap();
             refuses(read(folder.path()), &[file]);
         }
-        for _ in 0..1500 {
+        for _ in 0..500 {
             let mut bytes = good.clone();
             for _ in 0..1 + rng.next_u32() % 4 {
                 let at = rng.next_u32() as usize % bytes.len();
@@ -171,7 +171,7 @@ fn truncated_and_mutated_binaries_never_panic() {
         fs::write(&path, good).unwrap();
     }
     // Both must occur, or the mutations test nothing.
-    assert!(refused > 500 && accepted > 500, "{refused} refused, {accepted} accepted");
+    assert!(refused > 200 && accepted > 200, "{refused} refused, {accepted} accepted");
 }
 
 #[test]
@@ -206,7 +206,6 @@ fn llff_rows_and_files() {
     }
     // Down, right, backwards, position, (height, width, focal); near, far.
     let row = [0.0, 1.0, 0.0, 0.0, 480.0, 1.0, 0.0, 0.0, 0.0, 640.0, 0.0, 0.0, -1.0, 0.0, 550.0, 1.0, 9.0];
-    // -backwards is forward: x right, y down, z forward is right-handed.
     let write = |rows: &[[f64; 17]], shape: &str| {
         let data: Vec<u8> = rows.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
         fs::write(folder.path().join("poses_bounds.npy"), npy("<f8", shape, &data)).unwrap();

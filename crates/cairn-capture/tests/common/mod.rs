@@ -20,11 +20,13 @@ pub struct Image {
     pub name: String,
 }
 
+/// A camera: number, model number, model name, size, parameters.
+pub type ColmapCamera = (u32, i32, &'static str, [u64; 2], Vec<f64>);
+
 /// A COLMAP model, to be written as binary or text.
 #[derive(Clone)]
 pub struct Colmap {
-    /// Number, model number, model name, size, parameters.
-    pub cameras: Vec<(u32, i32, &'static str, [u64; 2], Vec<f64>)>,
+    pub cameras: Vec<ColmapCamera>,
     pub images: Vec<Image>,
     pub points: Vec<[f64; 3]>,
     /// Observations for each image and track elements for each point.

@@ -1,0 +1,112 @@
+//! Which camera file is read where there are several, what kind of scene is
+//! guessed, and whose split counts.
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+
+use cairn_capture::{Capture, ReadOptions, SceneKind};
+use common::{Colmap, npy, photograph, read};
+use image::{ImageFormat, Rgba, RgbaImage};
+use serde_json::{Value, json};
+
+/// LLFF rows of three cameras at the origin, each turned about its vertical axis.
+fn write_llff(folder: &Path, turns_deg: [f64; 3]) {
+    let mut data: Vec<u8> = Vec::new();
+    for turn in turns_deg.map(f64::to_radians) {
+        // Right, down and forward of a camera turned about the world's y (down).
+        let (right, down, forward) = ([turn.cos(), 0.0, -turn.sin()], [0.0, 1.0, 0.0], [turn.sin(), 0.0, turn.cos()]);
+        for (axis, size) in [48.0, 64.0, 55.0].into_iter().enumerate() {
+            let row = [down[axis], right[axis], -forward[axis], 0.0, size];
+            data.extend(row.iter().flat_map(|v| v.to_le_bytes()));
+        }
+        data.extend([1.0f64, 9.0].iter().flat_map(|v| v.to_le_bytes()));
+    }
+    fs::write(folder.join("poses_bounds.npy"), npy("<f8", "(3, 17)", &data)).unwrap();
+}
+
+#[test]
+fn llff_wins_only_where_it_faces_one_way() {
+    let folder = Colmap::small().folder();
+    write_llff(folder.path(), [-20.0, 0.0, 20.0]);
+    let forward = read(folder.path()).unwrap();
+    assert_eq!((forward.kind, forward.views[0].bounds), (SceneKind::ForwardFacing, Some((1.0, 9.0))));
+    write_llff(folder.path(), [-120.0, 0.0, 120.0]);
+    let around = read(folder.path()).unwrap();
+    assert_eq!((around.kind, around.views[0].bounds), (SceneKind::Unbounded, None));
+    assert_eq!(around.points.len(), 2, "the COLMAP model's");
+    fs::remove_dir_all(folder.path().join("sparse")).unwrap();
+    let around = read(folder.path()).unwrap();
+    assert_eq!((around.kind, around.views[0].bounds), (SceneKind::Unbounded, Some((1.0, 9.0))));
+}
+
+#[test]
+fn the_usual_folders_are_tried_in_order() {
+    let folder = Colmap::small().folder();
+    let small = folder.path().join("images_4");
+    fs::create_dir(&small).unwrap();
+    for i in 1..4 {
+        fs::write(small.join(format!("{i}.png")), photograph()).unwrap();
+    }
+    let first = |folder: &Path| read(folder).unwrap().views[0].photograph.clone();
+    assert_eq!(first(folder.path()), Path::new("images/1.png"));
+    write_llff(folder.path(), [0.0; 3]);
+    assert_eq!(first(folder.path()), Path::new("images_4/1.png"), "LLFF takes the smallest");
+    fs::remove_file(folder.path().join("poses_bounds.npy")).unwrap();
+    fs::remove_dir_all(folder.path().join("images")).unwrap();
+    assert_eq!(first(folder.path()), Path::new("images_4/1.png"));
+    // A model whose photographs lie right beside it.
+    let flat = tempfile::tempdir().unwrap();
+    let model = Colmap::small();
+    fs::write(flat.path().join("cameras.bin"), model.cameras_bin()).unwrap();
+    fs::write(flat.path().join("images.bin"), model.images_bin()).unwrap();
+    for i in 1..4 {
+        fs::write(flat.path().join(format!("{i}.png")), photograph()).unwrap();
+    }
+    assert_eq!(first(flat.path()), Path::new("1.png"));
+    assert!(read(flat.path()).unwrap().points.is_empty(), "a model without points is one too");
+}
+
+fn transforms(folder: &Path, transparent: [bool; 2], change: impl FnOnce(&mut Value)) -> Capture {
+    let matrix = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]);
+    let frame = |name: &str| json!({"file_path": name, "transform_matrix": matrix});
+    let mut document = json!({"camera_angle_x": 0.7, "frames": [frame("a.png"), frame("./b.png")]});
+    change(&mut document);
+    fs::write(folder.join("transforms.json"), document.to_string()).unwrap();
+    for (name, transparent) in ["a.png", "b.png"].into_iter().zip(transparent) {
+        let glass = RgbaImage::from_pixel(64, 48, Rgba([0, 0, 0, 0]));
+        if transparent {
+            glass.save_with_format(folder.join(name), ImageFormat::Png).unwrap();
+        } else {
+            fs::write(folder.join(name), photograph()).unwrap();
+        }
+    }
+    read(folder).unwrap()
+}
+
+#[test]
+fn the_kind_of_scene_is_guessed_and_can_be_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let guess = |transparent, aabb: f64| {
+        let capture = transforms(folder.path(), transparent, |d| d["aabb_scale"] = json!(aabb));
+        (capture.kind, capture.background)
+    };
+    assert_eq!(guess([true, true], 1.0), (SceneKind::Bounded, Some([1.0; 3])));
+    assert_eq!(guess([true, true], 16.0), (SceneKind::Unbounded, Some([1.0; 3])));
+    assert_eq!(guess([true, false], 1.0), (SceneKind::Unbounded, Some([1.0; 3])));
+    assert_eq!(guess([false, false], 1.0), (SceneKind::Unbounded, None));
+    let said = ReadOptions { kind: Some(SceneKind::Bounded), ..Default::default() };
+    assert_eq!(Capture::read(folder.path(), &said).unwrap().kind, SceneKind::Bounded);
+    assert_eq!(serde_json::to_value(SceneKind::ForwardFacing).unwrap(), "forward_facing");
+}
+
+#[test]
+fn a_capture_that_brings_its_own_split_keeps_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let held = |capture: &Capture| capture.held_out().collect::<Vec<_>>();
+    assert_eq!(held(&transforms(folder.path(), [false; 2], |_| {})), [0]);
+    let capture = transforms(folder.path(), [false; 2], |d| d["test_filenames"] = json!(["./b.png"]));
+    assert_eq!(held(&capture), [1]);
+    assert_eq!(capture.training().collect::<Vec<_>>(), [0]);
+}
