@@ -73,14 +73,15 @@ fn correlate_tile<const C: usize>(planes: Planes<'_>, taps: &[usize], weights: &
             unsafe {
                 let base = planes.data.as_ptr().add(channel * planes.plane_len + p);
                 for &tap in taps {
-                    let pixels: [Lanes; TILE_VECTORS] = std::array::from_fn(|v| Lanes::load(base.add(tap + v * LANES)));
+                    let pixels: [Lanes; TILE_VECTORS] =
+                        std::array::from_fn(|v| Lanes::load(base.wrapping_add(tap + v * LANES)));
                     for (c, sum) in sums.iter_mut().enumerate() {
-                        let w = Lanes::splat(*weight.add(c));
+                        let w = Lanes::splat(*weight.wrapping_add(c));
                         for (s, x) in sum.iter_mut().zip(pixels) {
                             *s = x.mul_add(w, *s);
                         }
                     }
-                    weight = weight.add(C);
+                    weight = weight.wrapping_add(C);
                 }
             }
         }
@@ -155,9 +156,10 @@ fn weights_block<const T: usize, const C: usize>(
         // SAFETY: the caller checked that every tap has `len` positions inside its channel and
         // that `grads` holds `C * len` numbers; `p + LANES <= len` as both are multiples of it.
         unsafe {
-            let pixels: [Lanes; T] = std::array::from_fn(|t| Lanes::load(planes.data.as_ptr().add(offsets[t] + p)));
+            let pixels: [Lanes; T] =
+                std::array::from_fn(|t| Lanes::load(planes.data.as_ptr().wrapping_add(offsets[t] + p)));
             for (c, sum) in sums.iter_mut().enumerate() {
-                let grad = Lanes::load(grads.as_ptr().add(c * len + p));
+                let grad = Lanes::load(grads.as_ptr().wrapping_add(c * len + p));
                 for (s, x) in sum.iter_mut().zip(pixels) {
                     *s = grad.mul_add(x, *s);
                 }
