@@ -66,10 +66,10 @@ fn detector_gradient_is_right_through_everything() -> Result<()> {
     // In f64, so that the mean's rounding does not drown the differences.
     let target = wave(&[2, 3, 16, 16], 0.9).to_dtype(DType::F64)?;
     let f = || mean_squared(&net.forward(&x, &p)?.to_dtype(DType::F64)?, &target);
-    check_gradient(&x, 5e-4, &f)?;
-    check_gradient(&p, 5e-4, &f)?;
+    check_gradient(&x, 1e-4, &f)?;
+    check_gradient(&p, 1e-4, &f)?;
     for (_, var) in params.iter() {
-        check_gradient(var, 5e-4, &f)?;
+        check_gradient(var, 1e-4, &f)?;
     }
     Ok(())
 }

@@ -1,0 +1,66 @@
+"""Writes conv.json: convolutions, group normalisation and resampling with gradients, computed by PyTorch in f64.
+
+python3 make_conv.py > conv.json
+Inputs are sines that the test makes too; only results are stored. A result's gradients are those of its sum
+weighted by another sine.
+"""
+
+import json
+import math
+
+import torch
+import torch.nn.functional as F
+
+
+def wave(shape, phase):
+    count = math.prod(shape)
+    data = [math.sin(i * 0.7391 + phase) for i in range(count)]
+    return torch.tensor(data, dtype=torch.float32).double().reshape(shape).requires_grad_()
+
+
+def entry(kind, settings, shapes, f):
+    inputs = [wave(shape, 1.3 * i) for i, shape in enumerate(shapes)]
+    out = f(*inputs)
+    weight = wave(list(out.shape), 9.0).detach()
+    grads = torch.autograd.grad((out * weight).sum(), inputs)
+
+    def numbers(t):
+        return [round(v, 7) for v in t.flatten().tolist()]
+
+    return {"kind": kind, "settings": settings, "shapes": shapes, "shape": list(out.shape), "out": numbers(out),
+            "grads": [numbers(g) for g in grads]}
+
+
+def main():
+    cases = []
+    # batch, inputs, outputs, rows, columns, kernel, stride, padding
+    for n, ci, co, h, w, k, s, p in [(2, 3, 5, 6, 7, 3, 1, 1), (1, 2, 3, 7, 6, 3, 2, 1), (2, 3, 2, 5, 4, 1, 1, 0),
+                                     (1, 2, 2, 9, 8, 5, 2, 2), (1, 2, 1, 7, 10, 3, 3, 0), (1, 1, 2, 6, 5, 2, 2, 1)]:
+        shapes = [[n, ci, h, w], [co, ci, k, k], [co]]
+        cases.append(entry("conv2d", [s, p], shapes, lambda x, w, b, s=s, p=p: F.conv2d(x, w, b, s, p)))
+    for k, s, p in [(9, 4, 4), (3, 1, 1)]:
+        shapes = [[2, 2, 23], [3, 2, k], [3]]
+        cases.append(entry("conv1d", [s, p], shapes, lambda x, w, b, s=s, p=p: F.conv1d(x, w, b, s, p)))
+    cases.append(entry("group_norm_leaky", [2], [[2, 4, 3, 5], [4], [4]],
+                       lambda x, g, b: F.leaky_relu(F.group_norm(x, 2, g, b), 0.1)))
+    cases.append(entry("leaky_relu", [], [[2, 3, 4]], lambda x: F.leaky_relu(x, 0.1)))
+    cases.append(entry("upsample", [3, 2], [[1, 2, 2, 3]], lambda x: F.interpolate(x, scale_factor=(3, 2))))
+    cases.append(entry("upsample_add", [], [[1, 2, 2, 3], [1, 2, 4, 6]],
+                       lambda x, y: F.interpolate(x, scale_factor=2) + y))
+    cases.append(entry("avg_pool", [2, 3], [[1, 2, 4, 6]], lambda x: F.avg_pool2d(x, (2, 3))))
+    cases.append(entry("pool_moments", [], [[2, 3, 4, 5]],
+                       lambda x: torch.cat([x.mean((2, 3)), (x * x).mean((2, 3))], 1)))
+    line = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0], dtype=torch.float64) / 16
+
+    def front(x, classes):
+        n, c, h, w = x.shape
+        blur = F.conv2d(F.pad(x, (2, 2, 2, 2), mode="replicate").reshape(n * c, 1, h + 4, w + 4),
+                        torch.outer(line, line)[None, None]).reshape(x.shape)
+        return torch.cat([x, 10 * (x - blur), classes[:, :, None, None].expand(-1, -1, h, w)], 1)
+
+    cases.append(entry("front_end", [10], [[2, 2, 5, 4], [2, 3]], front))
+    print("[" + ",\n".join(json.dumps(case) for case in cases) + "]")
+
+
+if __name__ == "__main__":
+    main()
