@@ -1,1 +1,23 @@
-//! cairn-landmark
+//! A made-up landmark and its photographers, for machines without a capture.
+//!
+//! A stone beacon is rendered from its exact shape (not by a radiance field),
+//! photographed by several contributors who each came on a day of their own,
+//! with a camera of their own, and with passers-by in the way. What comes out is
+//! an ordinary capture in an ordinary format, plus what no real capture has: the
+//! true cameras, and every photograph without its passers-by.
+//!
+//! Entry points: [`Landmark::generate`], [`LandmarkCapture::write`], and
+//! [`signals::emblem`] for contributors who bring nothing of their own to hide.
+
+mod capture;
+mod config;
+pub mod font;
+mod light;
+mod monument;
+mod noise;
+mod people;
+mod render;
+pub mod signals;
+
+pub use capture::{Landmark, LandmarkCapture, LandmarkError, LandmarkView};
+pub use config::{ConfigError, LandmarkConfig};
