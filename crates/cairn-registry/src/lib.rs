@@ -2,7 +2,7 @@
 //!
 //! The formats are public ones, so that anybody's tools can check a log of ours:
 //! DSSE envelopes ([`dsse`]), RFC 6962 Merkle trees ([`merkle`]), C2SP signed
-//! notes and checkpoints ([`note`], [`checkpoint`]). Ours are only the owner
+//! notes, checkpoints and proofs ([`note`], [`checkpoint`], [`proof`]). Ours are only the owner
 //! record ([`record`]) and the leaf ([`leaf`]).
 //!
 //! Those build without the feature `store`, which adds the writing half: the
@@ -15,6 +15,7 @@ pub mod keys;
 pub mod leaf;
 pub mod merkle;
 pub mod note;
+pub mod proof;
 pub mod record;
 #[cfg(feature = "store")]
 pub mod registry;
@@ -29,6 +30,7 @@ pub use keys::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
 pub use merkle::ProofError;
 pub use note::{Note, NoteError, NoteVerifier};
+pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
 #[cfg(feature = "store")]
 pub use registry::{Receipt, Registry, RegistryError, StoredRecord};

@@ -17,8 +17,8 @@ use crate::{
 /// Type byte of a plain Ed25519 signature.
 pub const ED25519: u8 = 0x01;
 
-/// Largest note that is read, in bytes.
-pub const MAX_NOTE_BYTES: usize = 64 * 1024;
+/// Largest note that is read, in bytes, as in Go's reader.
+pub const MAX_NOTE_BYTES: usize = 1_000_000;
 
 /// Most signature lines on one note, as in Go's reader.
 pub const MAX_NOTE_SIGNATURES: usize = 100;

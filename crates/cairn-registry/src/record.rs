@@ -38,9 +38,11 @@ pub enum RecordKind {
     Contribution,
     /// A training run made this marked field and detector.
     Training,
-    /// The record named in `replaces` no longer holds.
+    /// The owner's key is good no longer: records behind this one do not count, those before it stay good, except
+    /// the one named in `replaces`, if any, which its owner takes back.
     Revocation,
-    /// The owner of the record named in `replaces` goes on under this record's key; both keys sign.
+    /// The owner of the record named in `replaces` goes on under this record's key; both keys sign, and the old one is
+    /// good no longer, as after a revocation.
     Rotation,
     /// The record named in `replaces` is contested.
     Dispute,
@@ -68,9 +70,9 @@ impl RecordKind {
         Self::ALL.into_iter().find(|kind| kind.code() == code)
     }
 
-    /// Whether the record is about an earlier one and so must name it.
+    /// Whether the record is about one earlier record and so must name it.
     pub const fn needs_replaces(self) -> bool {
-        matches!(self, Self::Revocation | Self::Rotation | Self::Dispute)
+        matches!(self, Self::Rotation | Self::Dispute)
     }
 }
 
@@ -239,7 +241,7 @@ impl OwnerRecord {
     /// Checks every rule that needs nothing but the record.
     ///
     /// Needed per kind: a claim names marked field, detector and hidden signal; a contribution its photographs; a training
-    /// marked field, detector, training configuration and seed; the other kinds the record that they are about.
+    /// marked field, detector, training configuration and seed; a rotation or dispute the record that it is about.
     ///
     /// # Errors
     /// [`RecordError::Version`] or [`RecordError::Field`].
@@ -271,9 +273,8 @@ impl OwnerRecord {
                 ("digests.training_configuration", digests.training_configuration.is_some()),
                 ("seed", self.seed.is_some()),
             ],
-            RecordKind::Revocation | RecordKind::Rotation | RecordKind::Dispute => {
-                &[("replaces", self.replaces.is_some())]
-            }
+            RecordKind::Revocation => &[],
+            RecordKind::Rotation | RecordKind::Dispute => &[("replaces", self.replaces.is_some())],
         };
         match needs.iter().find(|(_, there)| !there) {
             Some((name, _)) => Err(field(name, "a value, for a record of this kind", "nothing")),

@@ -103,7 +103,7 @@ fn each_rule_refuses_by_name_and_leaves_no_trace() {
         ("seen size", |r| r.seen.size = 2, |e| matches!(e, RegistryError::SeenForeign { size: 2, .. })),
         ("seen root", |r| r.seen.root = Digest::of("x"), |e| matches!(e, RegistryError::SeenForeign { .. })),
         ("replaces", |r| r.replaces = Some(Digest::of("x")), |e| matches!(e, RegistryError::ReplacesUnknown { .. })),
-        ("kind", |r| r.kind = RecordKind::Revocation, |e| is_field(e, "replaces")),
+        ("kind", |r| r.kind = RecordKind::Dispute, |e| is_field(e, "replaces")),
         ("digest", |r| r.digests.detector = None, |e| is_field(e, "digests.detector")),
         ("seed", |r| r.seed = None, |e| is_field(e, "seed")),
         ("identity", |r| r.identity.number = 0, |e| is_field(e, "identity.number")),
@@ -165,14 +165,36 @@ fn who_may_write_about_an_earlier_record() {
         let refused = registry.submit(&about(kind, 2)).unwrap_err();
         assert!(matches!(refused, RegistryError::ReplacesForeign { .. }), "{kind:?}: {refused}");
     }
-    // Anybody may dispute; the owner may revoke; a new key takes over where the old one signs too.
+    // Anybody may dispute; a new key takes over where the old one signs too; then the old one is good for nothing.
     registry.submit(&about(RecordKind::Dispute, 2)).unwrap();
-    registry.submit(&about(RecordKind::Revocation, 1)).unwrap();
     let mut rotation = about(RecordKind::Rotation, 3);
     rotation.sign(&owner(1));
+    let before = sealed(&registry, &owner(1), "fern", "before");
+    assert!(is_field(&registry.submit(&about(RecordKind::Rotation, 1)).unwrap_err(), "owner_key"));
     let receipt = registry.submit(&rotation).unwrap();
     assert_eq!(receipt.envelope.signatures.len(), 3, "new owner, old owner, registry");
+    let mut again = about(RecordKind::Rotation, 4);
+    again.sign(&owner(1));
+    for envelope in [before, again, about(RecordKind::Revocation, 1)] {
+        let refused = registry.submit(&envelope).unwrap_err();
+        assert!(matches!(refused, RegistryError::OwnerRetired { index: 2, .. }), "{refused}");
+    }
+    assert!(registry.submit(&rotation).unwrap().resubmitted);
     assert!(registry.check().unwrap().is_empty());
+}
+
+#[test]
+fn a_revoked_key_signs_no_more_also_after_a_restart() {
+    let (store, registry) = in_memory();
+    submit(&registry, &owner(1), "fern", "a").unwrap();
+    let mut revocation = record(&registry, &owner(1), "fern", "end");
+    revocation.kind = RecordKind::Revocation;
+    registry.submit(&revocation.seal(&owner(1)).unwrap()).unwrap();
+    let registry = Registry::open_store(Box::new(store.crash()), registry_key(), ORIGIN).unwrap();
+    let refused = submit(&registry, &owner(1), "trex", "b").unwrap_err();
+    assert!(matches!(refused, RegistryError::OwnerRetired { index: 1, .. }), "{refused}");
+    submit(&registry, &owner(2), "trex", "b").unwrap();
+    assert_eq!(registry.size(), 3);
 }
 
 #[test]

@@ -89,7 +89,6 @@ fn each_kind_asks_for_what_it_is_about() {
     for (kind, missing) in [
         (RecordKind::Claim, "digests.marked_field"),
         (RecordKind::Training, "digests.marked_field"),
-        (RecordKind::Revocation, "replaces"),
         (RecordKind::Rotation, "replaces"),
         (RecordKind::Dispute, "replaces"),
     ] {

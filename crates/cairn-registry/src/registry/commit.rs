@@ -12,7 +12,7 @@ use std::{
 use super::{
     Receipt, Registry, RegistryError, layout,
     reload::{inconsistent, index_of, stored},
-    submit::{Candidate, Planned},
+    submit::{Admitted, Candidate, Planned},
 };
 use crate::{checkpoint::Checkpoint, digest::Digest, dsse::Envelope, store::Entry};
 
@@ -131,10 +131,10 @@ impl Registry {
             let envelope = stored(self.store.as_ref(), index)?.envelope;
             return Ok(Placed { index, resubmitted: true, envelope });
         }
-        let envelope = self.admit(candidate, &self.read().tree, size, &batch.planned)?;
+        let admitted = self.admit(candidate, &self.read().tree, size, &batch.planned)?;
         let index = size + batch.leaves.len() as u64;
-        batch.add(index, candidate, &envelope);
-        Ok(Placed { index, resubmitted: false, envelope })
+        batch.add(index, candidate, &admitted);
+        Ok(Placed { index, resubmitted: false, envelope: admitted.envelope })
     }
 
     /// Writes, flushes, and only then signs.
@@ -197,21 +197,25 @@ impl Registry {
 }
 
 impl Batch {
-    fn add(&mut self, index: u64, candidate: &Candidate, envelope: &Envelope) {
+    fn add(&mut self, index: u64, candidate: &Candidate, admitted: &Admitted) {
         let (record, leaf) = (&candidate.record, candidate.leaf.encode().to_vec());
         let digest = candidate.leaf.record;
         let place = index.to_be_bytes().to_vec();
         self.entries.extend([
             (layout::leaf(index), leaf.clone()),
-            (layout::envelope(&digest), envelope.to_json().into_bytes()),
+            (layout::envelope(&digest), admitted.envelope.to_json().into_bytes()),
             (layout::index_of(&digest), place.clone()),
             (layout::nonce(&record.nonce), place.clone()),
-            ([layout::scene(&record.scene), place].concat(), Vec::new()),
+            ([layout::scene(&record.scene), place.clone()].concat(), Vec::new()),
         ]);
         self.leaves.push((index, leaf));
         self.planned.records.insert(digest, (index, record.owner_key));
         self.planned.nonces.insert(record.nonce, index);
-        self.kept.push(envelope.clone());
+        if let Some(ended) = admitted.retires.map(|owner| owner.id()) {
+            self.entries.push((layout::retired(&ended), place));
+            self.planned.retired.insert(ended, index);
+        }
+        self.kept.push(admitted.envelope.clone());
     }
 }
 

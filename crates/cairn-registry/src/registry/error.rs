@@ -74,6 +74,14 @@ pub enum RegistryError {
         /// Its owner.
         owner: PublicKey,
     },
+    /// The owner's key was revoked, or rotated away.
+    #[error("key {owner} was ended by record {index}; sign with the key that follows it, or a new one")]
+    OwnerRetired {
+        /// The key.
+        owner: PublicKey,
+        /// The revocation or rotation; where it stands in the same batch, the index that it gets.
+        index: u64,
+    },
     /// No such record.
     #[error("no record {index}, the log holds {size}")]
     NoSuchRecord {

@@ -36,6 +36,11 @@ pub(super) fn nonce(nonce: &Digest) -> Vec<u8> {
     [b"nonce/", &nonce.as_bytes()[..]].concat()
 }
 
+/// Key id -> index of the revocation or rotation that ended it.
+pub(super) fn retired(owner: &Digest) -> Vec<u8> {
+    [b"retired/", &owner.as_bytes()[..]].concat()
+}
+
 /// Prefix of a scene's entries.
 pub(super) fn scene(scene: &str) -> Vec<u8> {
     [SCENES, Digest::of(scene).as_bytes()].concat()

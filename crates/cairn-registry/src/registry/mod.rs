@@ -30,6 +30,7 @@ use crate::{
     leaf::Leaf,
     merkle::Tree,
     note::NoteVerifier,
+    proof::TlogProof,
     record::OwnerRecord,
     store::{DiskStore, Store, StoreError, StoreLock},
 };
@@ -56,6 +57,18 @@ pub struct Receipt {
     pub inclusion: Vec<Digest>,
     /// The envelope with the registry's signature.
     pub envelope: Envelope,
+}
+
+impl Receipt {
+    /// The evidence that the record is in the log, to be kept beside its envelope.
+    pub fn tlog_proof(&self) -> TlogProof {
+        TlogProof {
+            extra: None,
+            index: self.index,
+            hashes: self.inclusion.clone(),
+            checkpoint: self.checkpoint.clone(),
+        }
+    }
 }
 
 /// A record as the log keeps it.
@@ -206,6 +219,16 @@ impl Registry {
         let state = self.read();
         published(size, state.size)?;
         Ok(state.tree.prove_inclusion(index, size)?)
+    }
+
+    /// The evidence that record `index` is in the log, under the newest checkpoint.
+    ///
+    /// # Errors
+    /// [`RegistryError::Proof`] for an index that is not published.
+    pub fn tlog_proof(&self, index: u64) -> Result<TlogProof, RegistryError> {
+        let state = self.read();
+        let hashes = state.tree.prove_inclusion(index, state.size)?;
+        Ok(TlogProof { extra: None, index, hashes, checkpoint: state.checkpoint.clone() })
     }
 
     /// Proof that the tree of `to` records begins with the tree of `from` records.
