@@ -4,7 +4,7 @@ use candle_core::{Device, Result, Tensor, Var};
 
 #[test]
 fn convolution_agrees_with_candle() -> Result<()> {
-    for (i, &(n, ci, co, h, w, k, s, p)) in CASES.iter().enumerate() {
+    for (i, &[n, ci, co, h, w, k, s, p]) in CASES.iter().enumerate() {
         let x = Var::from_tensor(&wave((n, ci, h, w), i as f64)?)?;
         let k = Var::from_tensor(&wave((co, ci, k, k), 0.5 + i as f64)?)?;
         let ours = conv2d(&x, &k, None, Window::square(s, p))?;
@@ -20,18 +20,19 @@ fn convolution_agrees_with_candle() -> Result<()> {
     Ok(())
 }
 
-const CASES: &[(usize, usize, usize, usize, usize, usize, usize, usize)] = &[
-    (2, 3, 5, 9, 7, 3, 1, 1),
-    (1, 8, 4, 16, 16, 3, 1, 1),
-    (3, 5, 9, 12, 10, 3, 2, 1),
-    (2, 4, 3, 11, 13, 1, 1, 0),
-    (2, 4, 6, 11, 13, 1, 2, 0),
-    (1, 2, 7, 10, 8, 5, 1, 2),
-    (2, 2, 2, 14, 14, 5, 2, 2),
-    (1, 3, 4, 8, 8, 3, 1, 0),
-    (1, 3, 4, 9, 9, 3, 3, 1),
-    (1, 1, 1, 3, 3, 3, 1, 1),
-    (1, 6, 2, 40, 40, 3, 1, 1),
+/// Batch, input and output channels, rows, columns, kernel, stride, padding.
+const CASES: &[[usize; 8]] = &[
+    [2, 3, 5, 9, 7, 3, 1, 1],
+    [1, 8, 4, 16, 16, 3, 1, 1],
+    [3, 5, 9, 12, 10, 3, 2, 1],
+    [2, 4, 3, 11, 13, 1, 1, 0],
+    [2, 4, 6, 11, 13, 1, 2, 0],
+    [1, 2, 7, 10, 8, 5, 1, 2],
+    [2, 2, 2, 14, 14, 5, 2, 2],
+    [1, 3, 4, 8, 8, 3, 1, 0],
+    [1, 3, 4, 9, 9, 3, 3, 1],
+    [1, 1, 1, 3, 3, 3, 1, 1],
+    [1, 6, 2, 40, 40, 3, 1, 1],
 ];
 
 fn wave(shape: impl Into<candle_core::Shape>, phase: f64) -> Result<Tensor> {

@@ -151,20 +151,23 @@ fn weights_block<const T: usize, const C: usize>(
     out: &mut [[f32; TILE_TAPS]; TILE_CHANNELS],
 ) {
     let mut sums = [[Lanes::splat(0.0); T]; C];
-    let offsets: [usize; T] = std::array::from_fn(|t| channel * planes.plane_len + taps[t]);
-    for p in (start..start + count).step_by(LANES) {
+    let data = planes.data.as_ptr().wrapping_add(channel * planes.plane_len);
+    let pixel_rows: [*const f32; T] = std::array::from_fn(|t| data.wrapping_add(taps[t]));
+    let grad_rows: [*const f32; C] = std::array::from_fn(|c| grads.as_ptr().wrapping_add(c * len));
+    let mut p = start;
+    while p < start + count {
         // SAFETY: the caller checked that every tap has `len` positions inside its channel and
         // that `grads` holds `C * len` numbers; `p + LANES <= len` as both are multiples of it.
         unsafe {
-            let pixels: [Lanes; T] =
-                std::array::from_fn(|t| Lanes::load(planes.data.as_ptr().wrapping_add(offsets[t] + p)));
+            let pixels: [Lanes; T] = std::array::from_fn(|t| Lanes::load(pixel_rows[t].wrapping_add(p)));
             for (c, sum) in sums.iter_mut().enumerate() {
-                let grad = Lanes::load(grads.as_ptr().wrapping_add(c * len + p));
+                let grad = Lanes::load(grad_rows[c].wrapping_add(p));
                 for (s, x) in sum.iter_mut().zip(pixels) {
                     *s = grad.mul_add(x, *s);
                 }
             }
         }
+        p += LANES;
     }
     for (row, sum) in out.iter_mut().zip(&sums) {
         for (o, s) in row.iter_mut().zip(sum) {
