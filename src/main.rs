@@ -1,3 +1,7 @@
 //! The one binary: parse, build, run.
 
+mod config;
+mod daemon;
+mod engine;
+
 fn main() {}

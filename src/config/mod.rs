@@ -1,0 +1,224 @@
+//! Settings in two steps: raw (what a file says, typed by serde) and checked
+//! (what the program may rely on). Nothing else reads a settings file.
+//!
+//! The commented default file is compiled in and is the list of all keys: a file
+//! is laid over it, so a key that it does not have is unknown, and is refused
+//! with its name, its value and what is allowed there.
+
+mod overlay;
+mod raw;
+#[cfg(test)]
+mod tests;
+
+use std::net::SocketAddr;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+pub use overlay::{TrainingSettings, training_settings};
+use raw::Raw;
+pub use raw::{Limits, LogFormat};
+
+/// The commented default file.
+pub const DEFAULT_TOML: &str = include_str!("../../configs/default.toml");
+/// What `--quick` lays over the training settings.
+pub const QUICK_TOML: &str = include_str!("../../configs/quick.toml");
+/// The version of settings files that this release reads.
+const FORMAT_VERSION: u32 = 1;
+/// Largest settings or token file, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// Settings that were checked.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Where to listen.
+    pub bind: SocketAddr,
+    /// Seconds for requests under way at the end.
+    pub shutdown_grace_s: u64,
+    /// What callers that change something must bring; `None` asks for nothing.
+    pub token: Option<Token>,
+    /// What is accepted at most.
+    pub limits: Limits,
+    /// Seconds between a training's checkpoints.
+    pub checkpoint_every_s: u64,
+    /// The log's origin line.
+    pub origin: String,
+    /// `tracing` filter.
+    pub log_filter: String,
+    /// How log lines look.
+    pub log_format: LogFormat,
+    /// The settings of training, before a request's own go over them.
+    pub training: TrainingSettings,
+}
+
+/// A bearer token; never printed.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl Token {
+    /// The secret itself, to be compared or sent and not to be shown.
+    pub fn secret(&self) -> &str {
+        &self.0
+    }
+
+    /// Reads the token in `path`: one line of 16 to 512 printable ASCII characters.
+    ///
+    /// # Errors
+    /// [`ConfigError`] when it cannot be read or is no such line.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = read(path)?;
+        let token = text.trim();
+        if !(16..=512).contains(&token.len()) || !token.bytes().all(|b| b.is_ascii_graphic()) {
+            // The value is a secret: its length must do.
+            let value = format!("a token of {} bytes in {}", token.len(), path.display());
+            return Err(out_of_range("access.token_file", value, "16 to 512 printable ASCII characters on one line"));
+        }
+        Ok(Self(token.to_owned()))
+    }
+}
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Token(secret)")
+    }
+}
+
+/// Why settings are refused.
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read the settings in {}: {source}; check the path and its permissions", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is no TOML, or a value has the wrong type.
+    #[error("{place}: {cause}")]
+    Toml {
+        /// File or message.
+        place: String,
+        /// What the reader said, with line and column.
+        cause: String,
+    },
+    /// A key that does not exist.
+    #[error("{place}: unknown key `{key}` = {value}; allowed there: {allowed}")]
+    UnknownKey {
+        /// File or message.
+        place: String,
+        /// The whole key.
+        key: String,
+        /// Its value.
+        value: String,
+        /// The keys of that table.
+        allowed: String,
+    },
+    /// A value that is not allowed.
+    #[error("key `{key}` = {value}: allowed is {allowed}")]
+    OutOfRange {
+        /// The whole key.
+        key: String,
+        /// Its value.
+        value: String,
+        /// What would do.
+        allowed: String,
+    },
+}
+
+impl Config {
+    /// The defaults with the file at `path` over them, checked.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for an unreadable file, and an unknown or out-of-range key.
+    pub fn load(path: Option<&Path>) -> Result<Self, ConfigError> {
+        match path {
+            None => Self::from_toml("", "the defaults"),
+            Some(path) => Self::from_toml(&read(path)?, &path.display().to_string()),
+        }
+    }
+
+    /// The defaults with `text` over them, checked; `place` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn from_toml(text: &str, place: &str) -> Result<Self, ConfigError> {
+        let table = overlay::laid_over(overlay::parse(DEFAULT_TOML, "configs/default.toml")?, text, place)?;
+        let raw: Raw = table.try_into().map_err(|e| overlay::toml_error(place, &e))?;
+        checked(raw)
+    }
+}
+
+fn read(path: &Path) -> Result<String, ConfigError> {
+    let io = |source| ConfigError::Io { path: path.to_path_buf(), source };
+    let length = std::fs::metadata(path).map_err(io)?.len();
+    if length > MAX_FILE_BYTES {
+        let cause = format!("{length} bytes; a settings or token file has at most {MAX_FILE_BYTES}");
+        return Err(ConfigError::Toml { place: path.display().to_string(), cause });
+    }
+    std::fs::read_to_string(path).map_err(io)
+}
+
+fn out_of_range(key: &str, value: impl ToString, allowed: impl ToString) -> ConfigError {
+    ConfigError::OutOfRange { key: key.into(), value: value.to_string(), allowed: allowed.to_string() }
+}
+
+fn within(key: &str, value: u64, allowed: RangeInclusive<u64>) -> Result<(), ConfigError> {
+    if allowed.contains(&value) {
+        return Ok(());
+    }
+    Err(out_of_range(key, value, format!("{} to {}", allowed.start(), allowed.end())))
+}
+
+/// Second step: every range, and every file that a setting names.
+fn checked(raw: Raw) -> Result<Config, ConfigError> {
+    within("format_version", raw.format_version.into(), FORMAT_VERSION.into()..=FORMAT_VERSION.into())?;
+    let bind: SocketAddr = (raw.server.bind.parse())
+        .map_err(|_| out_of_range("server.bind", &raw.server.bind, "an IP address and a port, as 127.0.0.1:7341"))?;
+    within("server.shutdown_grace_s", raw.server.shutdown_grace_s, 0..=600)?;
+    check_limits(&raw.limits)?;
+    within("training.checkpoint_every_s", raw.training.checkpoint_every_s, 0..=86_400)?;
+    let origin = &raw.registry.origin;
+    if origin.is_empty()
+        || origin.len() > 256
+        || origin.chars().any(|c| c.is_whitespace() || c.is_control() || c == '+')
+    {
+        return Err(out_of_range("registry.origin", origin, "1 to 256 bytes without spaces or plus signs"));
+    }
+    if let Err(e) = tracing_subscriber::EnvFilter::try_new(&raw.log.filter) {
+        return Err(out_of_range("log.filter", &raw.log.filter, format!("a tracing filter ({e})")));
+    }
+    let token = match raw.access.token_file.as_str() {
+        "" => None,
+        path => Some(Token::load(Path::new(path))?),
+    };
+    if token.is_none() && !bind.ip().is_loopback() {
+        return Err(out_of_range("server.bind", bind, "a loopback address while access.token_file is empty"));
+    }
+    let training = TrainingSettings { field: raw.field };
+    training.check()?;
+    Ok(Config {
+        bind,
+        shutdown_grace_s: raw.server.shutdown_grace_s,
+        token,
+        limits: raw.limits,
+        checkpoint_every_s: raw.training.checkpoint_every_s,
+        origin: raw.registry.origin,
+        log_filter: raw.log.filter,
+        log_format: raw.log.format,
+        training,
+    })
+}
+
+fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
+    within("limits.max_message_bytes", limits.max_message_bytes as u64, 1 << 16..=1 << 30)?;
+    within("limits.concurrent_requests", limits.concurrent_requests as u64, 1..=10_000)?;
+    within("limits.concurrent_renders", limits.concurrent_renders as u64, 1..=256)?;
+    within("limits.queue_length", limits.queue_length as u64, 1..=10_000)?;
+    within("limits.max_photograph_bytes", limits.max_photograph_bytes, 1024..=1 << 30)?;
+    within("limits.max_side_px", limits.max_side_px as u64, 16..=65_536)?;
+    within("limits.max_pixels", limits.max_pixels, 256..=1_000_000_000)?;
+    within("limits.max_views", limits.max_views as u64, 2..=1_000_000)?;
+    within("limits.max_scene_bytes", limits.max_scene_bytes, 1024..=1 << 40)
+}

@@ -1,0 +1,116 @@
+//! What a settings file says, before anybody believed it. Defaults stand here a
+//! second time, in code; a test holds them and the default file to each other.
+
+use cairn_field::FieldConfig;
+use serde::{Deserialize, Serialize};
+
+/// A whole settings file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Raw {
+    pub format_version: u32,
+    pub server: Server,
+    pub access: Access,
+    pub limits: Limits,
+    pub training: Training,
+    pub registry: Registry,
+    pub log: Log,
+    pub field: FieldConfig,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Server {
+    pub bind: String,
+    pub shutdown_grace_s: u64,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Access {
+    pub token_file: String,
+}
+
+/// What is accepted at most.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limits {
+    /// Largest gRPC message, bytes.
+    pub max_message_bytes: usize,
+    /// Requests at the same time on one connection.
+    pub concurrent_requests: usize,
+    /// Renders, detections and evaluations at the same time.
+    pub concurrent_renders: usize,
+    /// Trainings accepted and not yet begun.
+    pub queue_length: usize,
+    /// Largest photograph, bytes.
+    pub max_photograph_bytes: u64,
+    /// Longest side of a photograph or a render, px.
+    pub max_side_px: usize,
+    /// Most pixels in a photograph or a render.
+    pub max_pixels: u64,
+    /// Most views in a scene.
+    pub max_views: usize,
+    /// Largest scene, bytes of all its photographs.
+    pub max_scene_bytes: u64,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Training {
+    pub checkpoint_every_s: u64,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Registry {
+    pub origin: String,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Log {
+    pub filter: String,
+    pub format: LogFormat,
+}
+
+/// How log lines look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// For collectors: one JSON object a line.
+    Json,
+}
+
+impl Default for Raw {
+    fn default() -> Self {
+        Self {
+            format_version: 1,
+            server: Server { bind: "127.0.0.1:7341".into(), shutdown_grace_s: 10 },
+            access: Access { token_file: String::new() },
+            limits: Limits::default(),
+            training: Training { checkpoint_every_s: 30 },
+            registry: Registry { origin: "cairn.localhost/owners".into() },
+            log: Log { filter: "info".into(), format: LogFormat::Text },
+            field: FieldConfig::default(),
+        }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_message_bytes: 32 << 20,
+            concurrent_requests: 64,
+            concurrent_renders: 2,
+            queue_length: 16,
+            max_photograph_bytes: 64 << 20,
+            max_side_px: 16_384,
+            max_pixels: 100_000_000,
+            max_views: 10_000,
+            max_scene_bytes: 16 << 30,
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! The default file against the defaults in code, and what is refused.
+
+use super::raw::Raw;
+use super::*;
+
+#[test]
+fn the_default_file_is_the_defaults_and_has_every_key() {
+    let file: toml::Table = DEFAULT_TOML.parse().unwrap();
+    let parsed: Raw = file.clone().try_into().unwrap();
+    assert_eq!(parsed, Raw::default());
+    let code = toml::Table::try_from(Raw::default()).unwrap();
+    let keys = |t: &toml::Table| -> Vec<String> {
+        let mut keys: Vec<String> = Vec::new();
+        for (k, v) in t {
+            match v {
+                toml::Value::Table(inner) => keys.extend(inner.keys().map(|i| format!("{k}.{i}"))),
+                _ => keys.push(k.clone()),
+            }
+        }
+        keys.sort();
+        keys
+    };
+    assert_eq!(keys(&file), keys(&code));
+}
+
+#[test]
+fn every_key_of_the_default_file_has_a_comment() {
+    let mut before = "";
+    for (number, line) in DEFAULT_TOML.lines().enumerate() {
+        if line.contains(" = ") && !line.starts_with('#') {
+            assert!(before.starts_with('#'), "line {}: {line} has no comment above it", number + 1);
+        }
+        before = line;
+    }
+}
+
+#[test]
+fn shipped_overlays_are_accepted() {
+    let base = Config::from_toml("", "test").unwrap().training;
+    for (name, text) in [
+        ("llff", include_str!("../../configs/llff.toml")),
+        ("synthetic", include_str!("../../configs/synthetic.toml")),
+        ("wild", include_str!("../../configs/wild.toml")),
+        ("quick", QUICK_TOML),
+    ] {
+        let settings = training_settings(&base, &[(name, text)]).unwrap();
+        assert_ne!(settings, base, "{name}.toml changes nothing");
+    }
+}
+
+#[test]
+fn refusals_name_key_value_and_what_is_allowed() {
+    for (text, wanted) in [
+        ("[limits]\nqueue_lenght = 3", ["`limits.queue_lenght` = 3", "queue_length"]),
+        ("[limits]\nqueue_length = 0", ["`limits.queue_length` = 0", "1 to 10000"]),
+        ("[limits]\nqueue_length = \"many\"", ["`limits.queue_length` = \"many\"", "integer"]),
+        ("[field]\nsteps = 0", ["`field.steps` = 0", "1 to 1000000"]),
+        ("[field]\nstepz = 1", ["`field.stepz` = 1", "steps"]),
+        ("format_version = 2", ["`format_version` = 2", "1 to 1"]),
+        ("[server]\nbind = \"0.0.0.0:1\"", ["`server.bind` = 0.0.0.0:1", "loopback"]),
+        ("[server]\nbind = \"home\"", ["`server.bind` = home", "an IP address"]),
+        ("[registry]\norigin = \"a b\"", ["`registry.origin` = a b", "without spaces"]),
+        ("[log]\nformat = \"xml\"", ["xml", "text"]),
+        ("colour = true", ["`colour` = true", "limits"]),
+    ] {
+        let error = Config::from_toml(text, "test.toml").unwrap_err().to_string();
+        for part in wanted {
+            assert!(error.contains(part), "{text:?} gave: {error}");
+        }
+    }
+}
+
+#[test]
+fn a_whole_number_is_a_fraction_but_not_the_other_way_round() {
+    let config = Config::from_toml("[field]\nhuber = 1", "test").unwrap();
+    assert_eq!(config.training.field.huber, 1.0);
+    assert!(Config::from_toml("[field]\nsteps = 1.5", "test").is_err());
+}
+
+#[test]
+fn a_token_is_read_from_its_file_and_never_printed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("token");
+    std::fs::write(&path, "short\n").unwrap();
+    assert!(Token::load(&path).unwrap_err().to_string().contains("5 bytes"));
+    std::fs::write(&path, "0123456789abcdef\n").unwrap();
+    let text = format!("[server]\nbind = \"0.0.0.0:7341\"\n[access]\ntoken_file = {:?}", path.display().to_string());
+    let config = Config::from_toml(&text, "test").unwrap();
+    assert_eq!(config.token.as_ref().unwrap().secret(), "0123456789abcdef");
+    assert!(!format!("{config:?}").contains("0123456789abcdef"));
+}

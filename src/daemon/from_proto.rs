@@ -1,0 +1,253 @@
+//! From messages to the engine's own types: the only place where a message's
+//! fields are believed, and only after they were checked.
+
+use cairn_capture::{Camera, Distortion, Intrinsics, Pose, SceneKind};
+use cairn_cluster::{ClusterConfig, Grouping};
+use cairn_proto::v1;
+use glam::{DMat3, DVec3};
+
+use crate::engine::TrainingRequest;
+use crate::engine::error::EngineError;
+use crate::engine::query::{FieldKind, Light, Viewpoint};
+use crate::engine::scenes::{ImportPlan, PlannedView};
+
+/// Longest text field, bytes.
+const MAX_TEXT_BYTES: usize = 256;
+/// Longest settings overlay, bytes.
+const MAX_SETTINGS_BYTES: usize = 64 << 10;
+/// Cameras wider than this are a broken message, px.
+const MAX_CAMERA_SIDE_PX: u32 = 1 << 20;
+
+/// Refuses a message of another version, by number.
+pub fn version(got: u32) -> Result<(), EngineError> {
+    if got == v1::FORMAT_VERSION {
+        return Ok(());
+    }
+    Err(EngineError::invalid("format_version", got, v1::FORMAT_VERSION.to_string()))
+}
+
+fn missing(what: &str) -> EngineError {
+    EngineError::invalid(what, "not set", "a value")
+}
+
+fn finite(what: &str, value: f64) -> Result<f64, EngineError> {
+    if value.is_finite() { Ok(value) } else { Err(EngineError::invalid(what, value, "a finite number")) }
+}
+
+fn text(what: &str, value: String) -> Result<String, EngineError> {
+    if value.is_empty() || value.len() > MAX_TEXT_BYTES || value.chars().any(char::is_control) {
+        let shown: String = value.chars().take(80).collect();
+        return Err(EngineError::invalid(what, format!("{shown:?}"), "1 to 256 bytes without control characters"));
+    }
+    Ok(value)
+}
+
+/// 32 bytes.
+pub fn bytes32(what: &str, bytes: &[u8]) -> Result<[u8; 32], EngineError> {
+    bytes.try_into().map_err(|_| EngineError::invalid(what, format!("{} bytes", bytes.len()), "32 bytes"))
+}
+
+fn intrinsics(what: &str, i: &v1::Intrinsics) -> Result<Intrinsics, EngineError> {
+    for (name, side) in [("width", i.width), ("height", i.height)] {
+        if side == 0 || side > MAX_CAMERA_SIDE_PX {
+            return Err(EngineError::invalid(format!("{what}: {name}"), side, format!("1 to {MAX_CAMERA_SIDE_PX} px")));
+        }
+    }
+    for (name, focal) in [("fx", i.fx), ("fy", i.fy)] {
+        if !(focal.is_finite() && focal > 0.0) {
+            return Err(EngineError::invalid(format!("{what}: {name}"), focal, "a finite number of px above 0"));
+        }
+    }
+    for (name, value) in
+        [("cx", i.cx), ("cy", i.cy), ("k1", i.k1), ("k2", i.k2), ("k3", i.k3), ("p1", i.p1), ("p2", i.p2)]
+    {
+        finite(&format!("{what}: {name}"), value)?;
+    }
+    Ok(Intrinsics {
+        width: i.width as usize,
+        height: i.height as usize,
+        fx: i.fx,
+        fy: i.fy,
+        cx: i.cx,
+        cy: i.cy,
+        distortion: Distortion { k1: i.k1, k2: i.k2, k3: i.k3, p1: i.p1, p2: i.p2 },
+    })
+}
+
+fn pose(what: &str, p: &v1::Pose) -> Result<Pose, EngineError> {
+    let rotation: [f64; 9] = (p.rotation.as_slice().try_into())
+        .map_err(|_| EngineError::invalid(format!("{what}: rotation"), format!("{} numbers", p.rotation.len()), "9"))?;
+    let position: [f64; 3] = (p.position.as_slice().try_into())
+        .map_err(|_| EngineError::invalid(format!("{what}: position"), format!("{} numbers", p.position.len()), "3"))?;
+    let rotation = DMat3::from_cols_array(&rotation).transpose();
+    Pose::new(rotation, DVec3::from_array(position))
+        .map_err(|e| EngineError::invalid(format!("{what}: pose"), e, "a finite position and a rotation"))
+}
+
+/// A camera; `what` names it in errors.
+pub fn camera(what: &str, camera: Option<&v1::Camera>) -> Result<Camera, EngineError> {
+    let camera = camera.ok_or_else(|| missing(what))?;
+    let i = camera.intrinsics.as_ref().ok_or_else(|| missing(&format!("{what}: intrinsics")))?;
+    let p = camera.pose.as_ref().ok_or_else(|| missing(&format!("{what}: pose")))?;
+    Ok(Camera { intrinsics: intrinsics(what, i)?, pose: pose(what, p)? })
+}
+
+/// A viewpoint.
+pub fn viewpoint(viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoint, EngineError> {
+    match viewpoint.and_then(|v| v.from).ok_or_else(|| missing("the viewpoint"))? {
+        v1::viewpoint::From::ViewName(name) => Ok(Viewpoint::View(name)),
+        v1::viewpoint::From::Camera(c) => Ok(Viewpoint::Camera(camera("the viewpoint's camera", Some(&c))?)),
+    }
+}
+
+/// A scene kind.
+pub fn scene_kind(kind: i32) -> Result<SceneKind, EngineError> {
+    match v1::SceneKind::try_from(kind) {
+        Ok(v1::SceneKind::ForwardFacing) => Ok(SceneKind::ForwardFacing),
+        Ok(v1::SceneKind::Bounded) => Ok(SceneKind::Bounded),
+        Ok(v1::SceneKind::Unbounded) => Ok(SceneKind::Unbounded),
+        Ok(v1::SceneKind::Unspecified) | Err(_) => {
+            Err(EngineError::invalid("the scene's kind", kind, "forward facing (1), bounded (2) or unbounded (3)"))
+        }
+    }
+}
+
+/// An import's header.
+pub fn import_plan(header: v1::ImportHeader) -> Result<ImportPlan, EngineError> {
+    let background = match header.background.as_slice() {
+        [] => None,
+        [r, g, b] if [r, g, b].iter().all(|v| (0.0..=1.0).contains(*v)) => Some([*r, *g, *b]),
+        other => {
+            return Err(EngineError::invalid("the background", format!("{other:?}"), "none, or 3 numbers, 0 to 1"));
+        }
+    };
+    let views = header.views.into_iter().map(planned_view).collect::<Result<_, _>>()?;
+    let mut points = Vec::with_capacity(header.points.len());
+    for (i, p) in header.points.iter().enumerate() {
+        let point = DVec3::new(p.x, p.y, p.z);
+        if !point.is_finite() {
+            return Err(EngineError::invalid(format!("point {i}"), point, "finite coordinates"));
+        }
+        points.push(point);
+    }
+    Ok(ImportPlan { scene: header.scene, kind: scene_kind(header.kind)?, background, views, points })
+}
+
+fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
+    let name = text("a view's name", view.name)?;
+    let (near, far) = (view.near, view.far);
+    let bounds = match (near, far) {
+        (0.0, 0.0) => None,
+        _ if near.is_finite() && far.is_finite() && near > 0.0 && far > near => Some((near, far)),
+        _ => {
+            let got = format!("{near} to {far}");
+            return Err(EngineError::invalid(format!("view {name}: near and far"), got, "0 and 0, or 0 < near < far"));
+        }
+    };
+    Ok(PlannedView {
+        camera: camera(&format!("view {name}: camera"), view.camera.as_ref())?,
+        contributor: text(&format!("view {name}: contributor"), view.contributor)?,
+        held_out: view.held_out,
+        bounds,
+        photograph_bytes: view.photograph_bytes,
+        photograph_sha256: bytes32(&format!("view {name}: photograph_sha256"), &view.photograph_sha256)?,
+        name,
+    })
+}
+
+/// What to train.
+pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, EngineError> {
+    use v1::start_training_request::Clusters;
+    let weight = ClusterConfig::default().direction_weight;
+    let grouping = match request.clusters.ok_or_else(|| missing("clusters"))? {
+        Clusters::ByAnchors(a) => {
+            if !(1..=64).contains(&a.anchors) {
+                return Err(EngineError::invalid("anchors", a.anchors, "1 to 64"));
+            }
+            if !(1..=1000).contains(&a.neighbours) {
+                return Err(EngineError::invalid("neighbours", a.neighbours, "1 to 1000"));
+            }
+            let (anchors, neighbours) = (a.anchors as usize, a.neighbours as usize);
+            Grouping::Anchors(ClusterConfig { anchors, neighbours, direction_weight: weight })
+        }
+        Clusters::ByContributor(c) => {
+            Grouping::ByContributor { min_views: c.least_views as usize, direction_weight: weight }
+        }
+    };
+    if request.settings_toml.len() > MAX_SETTINGS_BYTES {
+        let got = format!("{} bytes", request.settings_toml.len());
+        return Err(EngineError::invalid("settings_toml", got, format!("at most {MAX_SETTINGS_BYTES} bytes")));
+    }
+    Ok(TrainingRequest {
+        scene: request.scene,
+        grouping,
+        seed: request.seed,
+        settings_toml: request.settings_toml,
+        signals: request.signals.into_iter().map(|s| s.picture.to_vec()).collect(),
+        quick: request.quick,
+        base_only: request.base_only,
+    })
+}
+
+/// Which field.
+pub fn field_kind(kind: i32) -> Result<FieldKind, EngineError> {
+    match v1::FieldKind::try_from(kind) {
+        Ok(v1::FieldKind::Base) => Ok(FieldKind::Base),
+        Ok(v1::FieldKind::Marked | v1::FieldKind::Unspecified) => Ok(FieldKind::Marked),
+        Err(_) => Err(EngineError::invalid("field", kind, "marked (1) or base (2)")),
+    }
+}
+
+/// In whose light.
+pub fn light(appearance: Option<v1::Appearance>) -> Light {
+    use v1::appearance::Choice;
+    match appearance.and_then(|a| a.choice) {
+        None | Some(Choice::Neutral(_)) => Light::Neutral,
+        Some(Choice::ViewName(name)) => Light::View(name),
+        Some(Choice::Blend(b)) => Light::Blend(b.from_view, b.to_view, b.share as f32),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::to_proto;
+
+    fn good() -> v1::Camera {
+        let pose = Pose::look_at(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Y).unwrap();
+        let distortion = Distortion { k1: 0.1, k2: 0.2, k3: 0.3, p1: 0.4, p2: 0.5 };
+        let intrinsics = Intrinsics { width: 8, height: 6, fx: 7.0, fy: 5.0, cx: 4.0, cy: 3.0, distortion };
+        to_proto::camera(&Camera { intrinsics, pose })
+    }
+
+    #[test]
+    fn a_camera_comes_back_as_it_went() {
+        let read = camera("c", Some(&good())).unwrap();
+        let again = camera("c", Some(&to_proto::camera(&read))).unwrap();
+        assert!((read.pose.position - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
+        assert_eq!(read.intrinsics, again.intrinsics);
+        let difference = read.pose.rotation - again.pose.rotation;
+        assert!(difference.to_cols_array().iter().all(|v| v.abs() < 1e-12));
+        assert_eq!(read.intrinsics.distortion.p2, 0.5);
+    }
+
+    #[test]
+    fn bad_cameras_are_refused_by_name() {
+        let change = |f: fn(&mut v1::Camera)| {
+            let mut c = good();
+            f(&mut c);
+            camera("view a: camera", Some(&c)).unwrap_err().to_string()
+        };
+        assert!(change(|c| c.intrinsics.as_mut().unwrap().width = 0).contains("width is 0"));
+        assert!(change(|c| c.intrinsics.as_mut().unwrap().fx = f64::NAN).contains("fx is NaN"));
+        assert!(change(|c| c.pose.as_mut().unwrap().rotation[0] = 5.0).contains("pose"));
+        assert!(change(|c| c.pose.as_mut().unwrap().rotation.truncate(8)).contains("8 numbers"));
+        assert!(change(|c| c.pose = None).contains("not set"));
+    }
+
+    #[test]
+    fn another_version_is_refused_by_number() {
+        assert!(version(1).is_ok());
+        assert_eq!(version(7).unwrap_err().to_string(), "format_version is 7; allowed is 1");
+    }
+}

@@ -1,0 +1,101 @@
+//! `OwnerService`.
+
+use cairn_proto::v1::{self, owner_service_server::OwnerService};
+use cairn_registry::{OwnerRecord, RegistryError};
+use tonic::{Request, Response, Status};
+
+use super::status::status;
+use super::{Shared, from_proto, to_proto};
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl OwnerService for Shared {
+    async fn nonce(&self, request: Request<v1::NonceRequest>) -> Answer<v1::NonceResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        self.authorise(request.metadata())?;
+        let v1::NonceRequest { scene, owner_key, .. } = request.into_inner();
+        let owner = from_proto::bytes32("owner_key", &owner_key).map_err(status)?;
+        let answer = self
+            .run(move |engine| {
+                Ok(v1::NonceResponse {
+                    format_version: to_proto::VERSION,
+                    nonce: engine.nonce(&scene, &owner)?,
+                    origin: engine.registry().origin().to_owned(),
+                    checkpoint: engine.registry().checkpoint(),
+                    good_for_records: cairn_registry::registry::NONCE_LIFETIME,
+                })
+            })
+            .await?;
+        Ok(Response::new(answer))
+    }
+
+    async fn material(&self, request: Request<v1::MaterialRequest>) -> Answer<v1::MaterialResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        self.authorise(request.metadata())?;
+        let v1::MaterialRequest { scene, identity, .. } = request.into_inner();
+        let found = self.run(move |engine| engine.material(&scene, identity)).await?;
+        let model = to_proto::model(&found.info);
+        Ok(Response::new(v1::MaterialResponse {
+            format_version: to_proto::VERSION,
+            label: found.identity.label,
+            marked_field_sha256: model.marked_field_sha256,
+            detector_sha256: model.detector_sha256,
+            settings_sha256: model.settings_sha256,
+            seed: model.seed,
+            signal: found.signal.into(),
+            photograph_sha256: found.identity.photographs.iter().map(|d| d.as_bytes().to_vec().into()).collect(),
+        }))
+    }
+
+    async fn submit(&self, request: Request<v1::SubmitRecordRequest>) -> Answer<v1::SubmitRecordResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        self.authorise(request.metadata())?;
+        let envelope = request.into_inner().envelope;
+        let answer = self
+            .run(move |engine| {
+                let receipt = engine.submit_record(&envelope)?;
+                let (record, _) = OwnerRecord::open(&receipt.envelope).map_err(RegistryError::from)?;
+                Ok(v1::SubmitRecordResponse {
+                    format_version: to_proto::VERSION,
+                    record: Some(to_proto::record(receipt.index, &receipt.leaf_hash, &receipt.envelope, &record)),
+                    checkpoint: receipt.checkpoint,
+                })
+            })
+            .await?;
+        Ok(Response::new(answer))
+    }
+
+    async fn list(&self, request: Request<v1::ListRecordsRequest>) -> Answer<v1::ListRecordsResponse> {
+        let v1::ListRecordsRequest { format_version, scene } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        let records = self
+            .run(move |engine| {
+                let scene = (!scene.is_empty()).then_some(scene.as_str());
+                Ok(engine.registry().records(scene)?.iter().map(to_proto::stored_record).collect())
+            })
+            .await?;
+        Ok(Response::new(v1::ListRecordsResponse { format_version: to_proto::VERSION, records }))
+    }
+
+    async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
+        let v1::GetRecordRequest { format_version, index } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        let record = self.run(move |engine| Ok(to_proto::stored_record(&engine.registry().record(index)?))).await?;
+        Ok(Response::new(v1::GetRecordResponse { format_version: to_proto::VERSION, record: Some(record) }))
+    }
+
+    async fn checkpoint(&self, request: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        let vkey = self.run(|engine| Ok(engine.registry().verifier()?.to_string())).await?;
+        let checkpoint = self.engine()?.registry().checkpoint();
+        Ok(Response::new(v1::CheckpointResponse { format_version: to_proto::VERSION, checkpoint, vkey }))
+    }
+
+    async fn proof(&self, request: Request<v1::ProofRequest>) -> Answer<v1::ProofResponse> {
+        let v1::ProofRequest { format_version, index } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        let tlog_proof = self.run(move |engine| engine.tlog_proof(index)).await?;
+        Ok(Response::new(v1::ProofResponse { format_version: to_proto::VERSION, tlog_proof }))
+    }
+}

@@ -1,0 +1,88 @@
+//! `RenderService`, `QueryService` and `DetectionService`.
+
+use cairn_capture::encode_png;
+use cairn_proto::v1::{
+    self, detection_service_server::DetectionService, query_service_server::QueryService,
+    render_service_server::RenderService,
+};
+use tonic::{Request, Response, Status};
+
+use super::status::status;
+use super::{Shared, from_proto, to_proto};
+use crate::engine::query::FieldKind;
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl RenderService for Shared {
+    async fn render(&self, request: Request<v1::RenderRequest>) -> Answer<v1::RenderResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
+        if field == FieldKind::Base {
+            self.authorise(request.metadata())?;
+        }
+        let v1::RenderRequest { scene, viewpoint, appearance, .. } = request.into_inner();
+        let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
+        let light = from_proto::light(appearance);
+        let answer = self
+            .compute(move |engine| {
+                let picture = engine.render(&scene, &viewpoint, field, &light)?;
+                let (width, height) = (picture.width() as u32, picture.height() as u32);
+                let png = encode_png(&picture).into();
+                Ok(v1::RenderResponse { format_version: to_proto::VERSION, png, width, height })
+            })
+            .await?;
+        Ok(Response::new(answer))
+    }
+}
+
+#[tonic::async_trait]
+impl QueryService for Shared {
+    async fn who_by_pose(&self, request: Request<v1::WhoByPoseRequest>) -> Answer<v1::WhoResponse> {
+        let v1::WhoByPoseRequest { format_version, scene, viewpoint } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
+        let who = self.run(move |engine| engine.who_by_pose(&scene, &viewpoint)).await?;
+        Ok(Response::new(to_proto::who(who)))
+    }
+
+    async fn who_by_picture(&self, request: Request<v1::WhoByPictureRequest>) -> Answer<v1::WhoResponse> {
+        let v1::WhoByPictureRequest { format_version, scene, picture } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        let who = self.compute(move |engine| engine.who_by_picture(&scene, &picture)).await?;
+        Ok(Response::new(to_proto::who(who)))
+    }
+
+    async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        self.authorise(request.metadata())?;
+        let v1::EvaluateRequest { scene, contact_sheet, .. } = request.into_inner();
+        let answer = self
+            .compute(move |engine| {
+                let (report, sheet) = engine.evaluate(&scene, contact_sheet)?;
+                Ok(v1::EvaluateResponse {
+                    format_version: to_proto::VERSION,
+                    report_json: report.to_json()?,
+                    contact_sheet_png: sheet.map(|s| encode_png(&s)).unwrap_or_default().into(),
+                })
+            })
+            .await?;
+        Ok(Response::new(answer))
+    }
+}
+
+#[tonic::async_trait]
+impl DetectionService for Shared {
+    async fn detect(&self, request: Request<v1::DetectRequest>) -> Answer<v1::DetectResponse> {
+        let v1::DetectRequest { format_version, scene, picture } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        let (detection, label) = self.compute(move |engine| engine.detect(&scene, &picture)).await?;
+        Ok(Response::new(v1::DetectResponse {
+            format_version: to_proto::VERSION,
+            recovered_png: encode_png(&detection.recovered.clamped()).into(),
+            probabilities: detection.probabilities,
+            identity: detection.identity.unwrap_or(0),
+            label: label.unwrap_or_default(),
+        }))
+    }
+}

@@ -1,0 +1,181 @@
+//! Starting and stopping: listening, health, reflection, limits, signals.
+//!
+//! Contract. The health service answers from the first moment, NOT_SERVING until
+//! the data folder is loaded and again from the first signal on. On SIGINT or SIGTERM
+//! the running training MUST reach its checkpoint before the process ends; requests
+//! under way get the configured grace.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use cairn_proto::v1;
+use cairn_proto::v1::detection_service_server::DetectionServiceServer;
+use cairn_proto::v1::owner_service_server::OwnerServiceServer;
+use cairn_proto::v1::query_service_server::QueryServiceServer;
+use cairn_proto::v1::render_service_server::RenderServiceServer;
+use cairn_proto::v1::scene_service_server::SceneServiceServer;
+use cairn_proto::v1::training_service_server::TrainingServiceServer;
+use tokio::io::DuplexStream;
+use tokio::sync::oneshot;
+use tokio_stream::wrappers::{TcpListenerStream, UnboundedReceiverStream};
+use tonic::server::NamedService;
+use tonic::service::Routes;
+use tonic::transport::Server;
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
+
+use super::Shared;
+use crate::config::{Config, Limits};
+use crate::engine::Engine;
+
+/// The six services with the configured message limits.
+fn routes(shared: &Shared, limits: &Limits) -> Routes {
+    let most = limits.max_message_bytes;
+    let mut routes = Routes::default();
+    macro_rules! add {
+        ($($server:ident),*) => {
+            $(routes = routes.add_service(
+                $server::new(shared.clone()).max_decoding_message_size(most).max_encoding_message_size(most),
+            );)*
+        };
+    }
+    add!(
+        SceneServiceServer,
+        TrainingServiceServer,
+        RenderServiceServer,
+        QueryServiceServer,
+        DetectionServiceServer,
+        OwnerServiceServer
+    );
+    routes
+}
+
+/// Tells health's askers about the daemon as a whole (the empty name) and about every service.
+async fn tell(health: &HealthReporter, status: ServingStatus) {
+    let services = [
+        "",
+        SceneServiceServer::<Shared>::NAME,
+        TrainingServiceServer::<Shared>::NAME,
+        RenderServiceServer::<Shared>::NAME,
+        QueryServiceServer::<Shared>::NAME,
+        DetectionServiceServer::<Shared>::NAME,
+        OwnerServiceServer::<Shared>::NAME,
+    ];
+    for service in services {
+        health.set_service_status(service, status).await;
+    }
+}
+
+/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` on
+/// standard output once it serves.
+///
+/// # Errors
+/// When the address or the data folder is taken, or what lies in the folder cannot be read.
+pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
+    let listener = tokio::net::TcpListener::bind(config.bind)
+        .await
+        .with_context(|| format!("cannot listen at {} (server.bind)", config.bind))?;
+    let address = listener.local_addr()?;
+    let shared = Shared::new(&config);
+    let (reporter, health) = tonic_health::server::health_reporter();
+    tell(&reporter, ServingStatus::NotServing).await;
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(v1::FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()?;
+    let (stop, stopped) = oneshot::channel::<()>();
+    let server = Server::builder()
+        .concurrency_limit_per_connection(config.limits.concurrent_requests)
+        .add_routes(routes(&shared, &config.limits))
+        .add_service(health)
+        .add_service(reflection)
+        .serve_with_incoming_shutdown(TcpListenerStream::new(listener), async {
+            // An error means that the sender is gone: stop as well.
+            let _ = stopped.await;
+        });
+    let mut server = tokio::spawn(server);
+
+    let engine = load(&config, data).await?;
+    shared.loaded(engine.clone());
+    tell(&reporter, ServingStatus::Serving).await;
+    announce(address);
+    tokio::select! {
+        ended = &mut server => return Ok(ended??),
+        signal = signal() => tracing::info!(signal = signal?, "shutting down"),
+    }
+    tell(&reporter, ServingStatus::NotServing).await;
+    let of_jobs = engine.clone();
+    tokio::task::spawn_blocking(move || of_jobs.shut_down()).await?;
+    // Watchers of a training that was put down would wait for ever: hence the grace.
+    let _ = stop.send(());
+    let grace = Duration::from_secs(config.shutdown_grace_s);
+    if let Ok(ended) = tokio::time::timeout(grace, &mut server).await {
+        ended??;
+    } else {
+        server.abort();
+    }
+    tracing::info!("stopped");
+    Ok(())
+}
+
+async fn load(config: &Config, data: &Path) -> anyhow::Result<Arc<Engine>> {
+    let (config, data) = (config.clone(), data.to_path_buf());
+    Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config)).await??))
+}
+
+fn announce(address: SocketAddr) {
+    use std::io::Write;
+    // For people and for programs that started us on port 0. A closed output is no reason to stop.
+    let mut out = std::io::stdout().lock();
+    let _ = writeln!(out, "cairn listens at http://{address}").and_then(|()| out.flush());
+    tracing::info!(%address, "serving");
+}
+
+async fn signal() -> std::io::Result<&'static str> {
+    #[cfg(unix)]
+    {
+        let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
+        tokio::select! {
+            interrupt = tokio::signal::ctrl_c() => interrupt.map(|()| "SIGINT"),
+            _ = terminate.recv() => Ok("SIGTERM"),
+        }
+    }
+    #[cfg(not(unix))]
+    tokio::signal::ctrl_c().await.map(|()| "interrupt")
+}
+
+/// The same services in this process, for clients without a daemon. Dropping the
+/// engine's last holder lets the data folder go.
+pub struct InProcess {
+    engine: Arc<Engine>,
+    /// Where a client puts its ends of new connections.
+    pub connections: tokio::sync::mpsc::UnboundedSender<std::io::Result<DuplexStream>>,
+}
+
+impl InProcess {
+    /// Opens `data` and serves it to this process alone.
+    ///
+    /// # Errors
+    /// As [`serve`], but for the address.
+    pub async fn start(config: &Config, data: &Path) -> anyhow::Result<Self> {
+        let engine = load(config, data).await?;
+        // Nobody else can call: a token would only lock the owner out.
+        let shared = Shared::new(&Config { token: None, ..config.clone() });
+        shared.loaded(engine.clone());
+        let (connections, incoming) = tokio::sync::mpsc::unbounded_channel();
+        let server = Server::builder()
+            .add_routes(routes(&shared, &config.limits))
+            .serve_with_incoming(UnboundedReceiverStream::new(incoming));
+        tokio::spawn(server);
+        Ok(Self { engine, connections })
+    }
+
+    /// Stops a running training after its checkpoint. Call before the process ends.
+    pub async fn shut_down(self) {
+        // A panic in there was reported on its own thread.
+        let _ = tokio::task::spawn_blocking(move || self.engine.shut_down()).await;
+    }
+}

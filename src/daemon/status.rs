@@ -1,0 +1,113 @@
+//! One place where errors become gRPC codes. The matches are exhaustive without
+//! `_`, so that a new error cannot slip through with a code that nobody chose.
+
+use cairn_capture::CaptureError;
+use cairn_cluster::ClusterError;
+use cairn_field::FieldError;
+use cairn_registry::RegistryError;
+use tonic::{Code, Status};
+
+use crate::engine::error::EngineError;
+
+/// The status that a client sees. What went wrong inside is logged, not sent:
+/// it may hold paths of the daemon's machine.
+pub fn status(error: EngineError) -> Status {
+    let code = code(&error);
+    if matches!(code, Code::Internal | Code::DataLoss) {
+        tracing::error!(%error, ?code, "a request failed inside");
+    }
+    Status::new(code, error.to_string())
+}
+
+fn code(error: &EngineError) -> Code {
+    match error {
+        EngineError::Invalid { .. } | EngineError::OverLimit { .. } | EngineError::Config(_) => Code::InvalidArgument,
+        EngineError::NotFound { .. } => Code::NotFound,
+        EngineError::NotTrained { .. } | EngineError::WrongState { .. } => Code::FailedPrecondition,
+        EngineError::QueueFull { .. } => Code::ResourceExhausted,
+        EngineError::ShuttingDown | EngineError::Locked { .. } => Code::Unavailable,
+        EngineError::Stored { .. } => Code::DataLoss,
+        EngineError::Io { .. } | EngineError::Internal(_) | EngineError::Metric(_) => Code::Internal,
+        EngineError::Capture(error) => capture(error),
+        EngineError::Cluster(error) => cluster(error),
+        EngineError::Field(error) => field(error),
+        EngineError::Registry(error) => registry(error),
+    }
+}
+
+fn capture(error: &CaptureError) -> Code {
+    match error {
+        CaptureError::Io { .. } | CaptureError::NotFinite { .. } => Code::Internal,
+        CaptureError::NotACapture { .. }
+        | CaptureError::Malformed { .. }
+        | CaptureError::UnsupportedCamera { .. }
+        | CaptureError::Pose { .. }
+        | CaptureError::PhotographMissing { .. }
+        | CaptureError::NotAPicture { .. }
+        | CaptureError::TooLarge { .. }
+        | CaptureError::SizeMismatch { .. }
+        | CaptureError::Contributors { .. }
+        | CaptureError::SceneName { .. } => Code::InvalidArgument,
+        CaptureError::SceneExists { .. } => Code::AlreadyExists,
+        CaptureError::UnknownVersion { .. } | CaptureError::Altered { .. } => Code::DataLoss,
+        CaptureError::NoSuchView { .. } => Code::NotFound,
+    }
+}
+
+fn cluster(error: &ClusterError) -> Code {
+    match error {
+        ClusterError::Setting { .. } => Code::InvalidArgument,
+        ClusterError::TooFewViews { .. } | ClusterError::TooFewPoses { .. } | ClusterError::NoContributor { .. } => {
+            Code::FailedPrecondition
+        }
+        ClusterError::ContributorCount { .. } => Code::Internal,
+        ClusterError::NotFinite { .. } | ClusterError::Damaged { .. } => Code::DataLoss,
+    }
+}
+
+fn field(error: &FieldError) -> Code {
+    match error {
+        FieldError::Setting { .. } => Code::InvalidArgument,
+        FieldError::Frame(_) | FieldError::Views(_) => Code::FailedPrecondition,
+        FieldError::NotFinite { .. } => Code::Internal,
+        FieldError::Stored { .. } => Code::DataLoss,
+    }
+}
+
+fn registry(error: &RegistryError) -> Code {
+    match error {
+        RegistryError::Record(_) | RegistryError::WrongOrigin { .. } | RegistryError::Key(_) => Code::InvalidArgument,
+        RegistryError::NonceForeign { .. }
+        | RegistryError::NonceUsed { .. }
+        | RegistryError::NonceExpired { .. }
+        | RegistryError::SeenForeign { .. }
+        | RegistryError::OwnerRetired { .. }
+        | RegistryError::ReplacesUnknown { .. } => Code::FailedPrecondition,
+        RegistryError::ReplacesForeign { .. } => Code::PermissionDenied,
+        RegistryError::NoSuchRecord { .. } => Code::NotFound,
+        RegistryError::Proof(_) => Code::InvalidArgument,
+        RegistryError::Locked { .. } | RegistryError::Halted { .. } => Code::Unavailable,
+        RegistryError::WrongStore { .. } | RegistryError::Origin(_) => Code::FailedPrecondition,
+        RegistryError::Inconsistent { .. } => Code::DataLoss,
+        RegistryError::Store(_) => Code::Internal,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_say_whose_turn_it_is() {
+        let not_found = EngineError::not_found("scene", "x", ["a", "b"].into_iter());
+        let answer = status(not_found);
+        assert_eq!(answer.code(), Code::NotFound);
+        assert_eq!(answer.message(), "there is no scene \"x\"; there is: a, b");
+        assert_eq!(status(EngineError::QueueFull { limit: 3 }).code(), Code::ResourceExhausted);
+        assert_eq!(status(EngineError::ShuttingDown).code(), Code::Unavailable);
+        let taken = CaptureError::SceneExists { path: "x".into() };
+        assert_eq!(status(taken.into()).code(), Code::AlreadyExists);
+        let record = RegistryError::NoSuchRecord { index: 1, size: 0 };
+        assert_eq!(status(record.into()).code(), Code::NotFound);
+    }
+}

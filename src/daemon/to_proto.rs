@@ -1,0 +1,161 @@
+//! From the engine's own types to messages. Nothing here can fail.
+
+use cairn_capture::{Camera, SceneFolder, SceneKind};
+use cairn_proto::v1;
+use cairn_registry::{Envelope, OwnerRecord, StoredRecord};
+
+use crate::engine::job::{Job, JobState};
+use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
+use crate::engine::query::Who;
+
+/// The number that every answer carries.
+pub const VERSION: u32 = v1::FORMAT_VERSION;
+
+/// A camera.
+pub fn camera(camera: &Camera) -> v1::Camera {
+    let (i, d) = (&camera.intrinsics, &camera.intrinsics.distortion);
+    v1::Camera {
+        intrinsics: Some(v1::Intrinsics {
+            width: i.width as u32,
+            height: i.height as u32,
+            fx: i.fx,
+            fy: i.fy,
+            cx: i.cx,
+            cy: i.cy,
+            k1: d.k1,
+            k2: d.k2,
+            k3: d.k3,
+            p1: d.p1,
+            p2: d.p2,
+        }),
+        pose: Some(v1::Pose {
+            rotation: camera.pose.rotation.transpose().to_cols_array().to_vec(),
+            position: camera.pose.position.to_array().to_vec(),
+        }),
+    }
+}
+
+/// A scene kind.
+pub fn scene_kind(kind: SceneKind) -> v1::SceneKind {
+    match kind {
+        SceneKind::ForwardFacing => v1::SceneKind::ForwardFacing,
+        SceneKind::Bounded => v1::SceneKind::Bounded,
+        SceneKind::Unbounded => v1::SceneKind::Unbounded,
+    }
+}
+
+/// A scene in one line.
+pub fn scene_summary(name: &str, scene: &SceneFolder, trained: bool) -> v1::SceneSummary {
+    let capture = scene.capture();
+    let mut contributors: Vec<&str> = capture.views.iter().map(|v| v.contributor.as_str()).collect();
+    contributors.sort_unstable();
+    contributors.dedup();
+    let size = |v: &cairn_capture::View| capture.root.join(&v.photograph).metadata().map_or(0, |m| m.len());
+    v1::SceneSummary {
+        name: name.to_owned(),
+        views: capture.views.len() as u32,
+        held_out_views: capture.held_out().count() as u32,
+        contributors: contributors.len() as u32,
+        photograph_bytes: capture.views.iter().map(size).sum(),
+        trained,
+        kind: scene_kind(capture.kind).into(),
+    }
+}
+
+/// A scene's views.
+pub fn scene_views(scene: &SceneFolder) -> Vec<v1::SceneView> {
+    let of = |(index, view): (usize, &cairn_capture::View)| v1::SceneView {
+        name: view.name.clone(),
+        camera: Some(camera(&view.camera)),
+        contributor: view.contributor.clone(),
+        photograph_sha256: scene.photograph_digest(index).to_vec().into(),
+        held_out: view.held_out,
+    };
+    scene.capture().views.iter().enumerate().map(of).collect()
+}
+
+/// A model.
+pub fn model(info: &ModelInfo) -> v1::Model {
+    let digest = |d: &cairn_registry::Digest| d.as_bytes().to_vec().into();
+    let of_mark =
+        |f: fn(&MarkInfo) -> &cairn_registry::Digest| info.mark.as_ref().map(|m| digest(f(m))).unwrap_or_default();
+    let identity = |i: &IdentityInfo| v1::Identity {
+        number: i.number,
+        label: i.label.clone(),
+        view_names: i.views.clone(),
+        signal_sha256: (info.mark.as_ref())
+            .and_then(|m| m.signals.get((i.number as usize).checked_sub(1)?))
+            .map(digest)
+            .unwrap_or_default(),
+        photograph_sha256: i.photographs.iter().map(digest).collect(),
+    };
+    v1::Model {
+        job_id: info.job.clone(),
+        // Written by this program from a u64; 0 could only be read from a file altered by hand.
+        seed: info.seed.parse().unwrap_or(0),
+        identities: info.identities.iter().map(identity).collect(),
+        base_field_sha256: digest(&info.base_field),
+        marked_field_sha256: of_mark(|m| &m.marked_field),
+        detector_sha256: of_mark(|m| &m.detector),
+        settings_sha256: digest(&info.settings),
+    }
+}
+
+/// A job.
+pub fn job(job: &Job) -> v1::Job {
+    let p = &job.progress;
+    v1::Job {
+        id: job.id.clone(),
+        scene: job.spec.scene.clone(),
+        state: match job.state {
+            JobState::Accepted => v1::JobState::Accepted,
+            JobState::Running => v1::JobState::Running,
+            JobState::Done => v1::JobState::Done,
+            JobState::Failed => v1::JobState::Failed,
+            JobState::Cancelled => v1::JobState::Cancelled,
+        }
+        .into(),
+        progress: Some(v1::Progress {
+            stage: p.stage.clone(),
+            step: p.step,
+            total: p.total,
+            loss: p.loss,
+            psnr_db: p.psnr_db,
+            seconds_left: p.seconds_left,
+        }),
+        error: job.error.clone(),
+        accepted_unix_s: job.accepted_unix_s,
+        ended_unix_s: job.ended_unix_s,
+        seed: job.spec.seed,
+        stages: (job.stages.iter()).map(|s| v1::StageSeconds { stage: s.stage.clone(), seconds: s.seconds }).collect(),
+    }
+}
+
+/// Who it is.
+pub fn who(who: Who) -> v1::WhoResponse {
+    use v1::who_response::Answer;
+    let answer = match who.identity {
+        Some((number, label)) => Answer::Identity(v1::WhoIdentity { number, label, record_indices: who.records }),
+        None => Answer::Unmarked(v1::WhoUnmarked {}),
+    };
+    v1::WhoResponse { format_version: VERSION, answer: Some(answer), confidence: who.confidence }
+}
+
+/// A record of the log.
+pub fn record(index: u64, leaf_hash: &cairn_registry::Digest, envelope: &Envelope, record: &OwnerRecord) -> v1::Record {
+    let kind = serde_json::to_value(record.kind).ok().and_then(|v| v.as_str().map(str::to_owned));
+    v1::Record {
+        index,
+        envelope: envelope.to_json().into_bytes().into(),
+        leaf_hash: leaf_hash.as_bytes().to_vec().into(),
+        scene: record.scene.clone(),
+        identity: record.identity.number,
+        owner_key_sha256: record.owner_key.id().as_bytes().to_vec().into(),
+        kind: kind.unwrap_or_default(),
+    }
+}
+
+/// A record as the log keeps it.
+pub fn stored_record(stored: &StoredRecord) -> v1::Record {
+    record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)
+}

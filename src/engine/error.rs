@@ -1,0 +1,154 @@
+//! Everything that can go wrong in the engine, each with what was asked, what is
+//! expected, and what to do. The edge turns these into gRPC codes.
+
+use std::path::{Path, PathBuf};
+
+use cairn_capture::CaptureError;
+use cairn_cluster::ClusterError;
+use cairn_field::FieldError;
+use cairn_metrics::MetricError;
+use cairn_registry::RegistryError;
+use thiserror::Error;
+
+use crate::config::ConfigError;
+
+/// Why the engine did not do it.
+#[derive(Debug, Error)]
+pub enum EngineError {
+    /// An argument that is not allowed.
+    #[error("{what} is {got}; allowed is {expected}")]
+    Invalid {
+        /// The argument.
+        what: String,
+        /// What was given.
+        got: String,
+        /// What would do.
+        expected: String,
+    },
+    /// Over one of the settings' limits.
+    #[error("{what} is {got}, the limit `{key}` is {limit}; bring less, or have the limit raised")]
+    OverLimit {
+        /// What is too large.
+        what: String,
+        /// The setting.
+        key: &'static str,
+        /// Its value.
+        limit: u64,
+        /// What was brought.
+        got: u64,
+    },
+    /// It does not exist.
+    #[error("there is no {kind} {name:?}; there is: {there}")]
+    NotFound {
+        /// Scene, view, job, identity.
+        kind: &'static str,
+        /// What was asked for.
+        name: String,
+        /// What there is, shortened.
+        there: String,
+    },
+    /// The scene was not trained yet.
+    #[error("scene {scene:?} has no model yet; train it first (cairn train {scene})")]
+    NotTrained {
+        /// The scene.
+        scene: String,
+    },
+    /// The state does not allow it now.
+    #[error("{what} cannot be {operation}: {why}")]
+    WrongState {
+        /// The thing.
+        what: String,
+        /// What was to be done with it.
+        operation: &'static str,
+        /// Why not.
+        why: String,
+    },
+    /// The queue is full.
+    #[error("the queue holds {limit} trainings, its limit `limits.queue_length`; try again when one has begun")]
+    QueueFull {
+        /// The limit.
+        limit: usize,
+    },
+    /// The daemon is going down.
+    #[error("the daemon is shutting down; try again when it is back")]
+    ShuttingDown,
+    /// Another process has the data folder.
+    #[error(
+        "the data folder {} is in use by process {pid}; stop that daemon, talk to it with --connect, or use another folder",
+        path.display()
+    )]
+    Locked {
+        /// The folder.
+        path: PathBuf,
+        /// Who has it; `unknown` where its lock file does not say.
+        pid: String,
+    },
+    /// The file system said no.
+    #[error("cannot {operation} {}: {source}", path.display())]
+    Io {
+        /// What was to be done.
+        operation: &'static str,
+        /// With what.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A stored file is damaged or of an unknown version.
+    #[error("{}: {problem}; restore it from a backup or delete what it belongs to", path.display())]
+    Stored {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A thread of the engine died; its message.
+    #[error("internal failure: {0}; please report it")]
+    Internal(String),
+    /// Reading captures and photographs.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// Grouping views.
+    #[error(transparent)]
+    Cluster(#[from] ClusterError),
+    /// Stage 1 and rendering.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    /// Scoring.
+    #[error(transparent)]
+    Metric(#[from] MetricError),
+    /// Settings.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The log of owner records. Boxed: it is much larger than the others.
+    #[error(transparent)]
+    Registry(Box<RegistryError>),
+}
+
+impl From<RegistryError> for EngineError {
+    fn from(error: RegistryError) -> Self {
+        Self::Registry(Box::new(error))
+    }
+}
+
+impl EngineError {
+    /// Wraps what the file system said.
+    pub fn io(operation: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_path_buf();
+        move |source| Self::Io { operation, path, source }
+    }
+
+    /// An argument that is not allowed.
+    pub fn invalid(what: impl Into<String>, got: impl ToString, expected: impl Into<String>) -> Self {
+        Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into() }
+    }
+
+    /// A thing that is not there, and some of those that are.
+    pub fn not_found<'a>(kind: &'static str, name: &str, there: impl Iterator<Item = &'a str>) -> Self {
+        let mut there: Vec<&str> = there.take(9).collect();
+        if there.len() == 9 {
+            there[8] = "...";
+        }
+        let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+        Self::NotFound { kind, name: name.to_owned(), there }
+    }
+}

@@ -1,0 +1,345 @@
+//! Training jobs: a bounded queue, one worker thread, states on the disk.
+//!
+//! Contract. `submit` returns only after the job is durable. One job runs at a
+//! time, off the async runtime. `cancel` and `shut_down` MUST return only after
+//! the worker has let go of the job. A job that was accepted or running when the
+//! process died is queued again by `open`, oldest first. A panic in a job fails
+//! that job and nothing else.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use tokio::sync::watch;
+
+use super::error::EngineError;
+use super::folder::{read_json, remove, write_json};
+use super::job::{Job, JobSpec, JobState, Progress, StageSeconds};
+
+/// What runs a job. Called on the worker thread, one job at a time.
+pub trait Work: Send + 'static {
+    /// Runs `job` to its end, or until `control` asks to stop; then everything
+    /// needed to go on MUST be on the disk when this returns.
+    fn run(&mut self, job: &Job, control: &Control<'_>) -> Result<Outcome, EngineError>;
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// The job's result is in its place.
+    Finished,
+    /// It stopped because it was asked to.
+    Stopped,
+}
+
+const GO_ON: u8 = 0;
+const CANCEL: u8 = 1;
+const SHUT_DOWN: u8 = 2;
+
+/// The line between a running job and those who watch or stop it.
+pub struct Control<'a> {
+    stop: &'a AtomicU8,
+    sender: &'a watch::Sender<Job>,
+    path: PathBuf,
+}
+
+impl Control<'_> {
+    /// Whether the job has to stop at its next step.
+    pub fn stop_requested(&self) -> bool {
+        self.stop.load(Ordering::Acquire) != GO_ON
+    }
+
+    /// Tells the watchers.
+    pub fn progress(&self, progress: Progress) {
+        self.sender.send_modify(|job| job.progress = progress);
+    }
+
+    /// Adds seconds of computing to a stage and writes the job down: called with
+    /// every checkpoint.
+    pub fn spent(&self, stage: &str, seconds: f64) -> Result<(), EngineError> {
+        self.sender.send_modify(|job| match job.stages.iter_mut().find(|s| s.stage == stage) {
+            Some(known) => known.seconds += seconds,
+            None => job.stages.push(StageSeconds { stage: stage.to_owned(), seconds }),
+        });
+        let job = self.sender.borrow().clone();
+        write_json(&self.path, &job)
+    }
+}
+
+struct Entry {
+    sender: watch::Sender<Job>,
+    stop: Arc<AtomicU8>,
+}
+
+#[derive(Default)]
+struct Inner {
+    jobs: BTreeMap<String, Entry>,
+    queue: VecDeque<String>,
+    running: Option<String>,
+    closed: bool,
+}
+
+struct Shared {
+    folder: PathBuf,
+    inner: Mutex<Inner>,
+    wake: Condvar,
+}
+
+/// The queue and its worker.
+pub struct Jobs {
+    shared: Arc<Shared>,
+    capacity: usize,
+    worker: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Jobs {
+    /// Reads the jobs in `folder`, queues those that were cut off, and starts the worker.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] for a job file that is damaged, and the file system's.
+    pub fn open(folder: PathBuf, capacity: usize, work: impl Work) -> Result<Self, EngineError> {
+        let mut inner = Inner::default();
+        let io = |e| EngineError::io("list", &folder)(e);
+        for entry in std::fs::read_dir(&folder).map_err(io)? {
+            let path = entry.map_err(io)?.path();
+            let file = path.join("job.json");
+            if !file.exists() {
+                // Cut off before it was durable: nobody was told of it.
+                remove(&path)?;
+                continue;
+            }
+            let mut job: Job = read_json(&file)?;
+            if !job.state.has_ended() {
+                job.state = JobState::Accepted;
+            }
+            let entry = Entry { sender: watch::Sender::new(job.clone()), stop: Arc::default() };
+            inner.jobs.insert(job.id, entry);
+        }
+        let waiting = |(id, e): (&String, &Entry)| (!e.sender.borrow().state.has_ended()).then(|| id.clone());
+        inner.queue = inner.jobs.iter().filter_map(waiting).collect();
+        let shared = Arc::new(Shared { folder, inner: Mutex::new(inner), wake: Condvar::new() });
+        let of_worker = shared.clone();
+        let worker = std::thread::Builder::new()
+            .name("cairn-training".into())
+            .spawn(move || of_worker.work(work))
+            .map_err(|e| EngineError::Internal(format!("no thread for training: {e}")))?;
+        Ok(Self { shared, capacity, worker: Mutex::new(Some(worker)) })
+    }
+
+    /// Queues a job. `prepare` puts what the job needs into its folder before
+    /// the job counts.
+    ///
+    /// # Errors
+    /// [`EngineError::QueueFull`], [`EngineError::ShuttingDown`], and the file system's.
+    pub fn submit(
+        &self,
+        spec: JobSpec,
+        prepare: impl FnOnce(&std::path::Path) -> Result<(), EngineError>,
+    ) -> Result<Job, EngineError> {
+        let mut inner = self.shared.lock();
+        self.check_room(&inner)?;
+        let last = inner.jobs.keys().next_back().and_then(|id| id.strip_prefix("job-")?.parse::<u64>().ok());
+        let id = format!("job-{:06}", last.unwrap_or(0) + 1);
+        let folder = self.shared.folder.join(&id);
+        let job = Job::accepted(id.clone(), spec, unix_s());
+        let write = || {
+            std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
+            prepare(&folder)?;
+            write_json(&folder.join("job.json"), &job)?;
+            super::folder::sync_folder(&self.shared.folder)
+        };
+        if let Err(error) = write() {
+            // What is left would only be in the way; the first error is the one to tell.
+            let _ = remove(&folder);
+            return Err(error);
+        }
+        inner.jobs.insert(id.clone(), Entry { sender: watch::Sender::new(job.clone()), stop: Arc::default() });
+        inner.queue.push_back(id);
+        self.shared.wake.notify_all();
+        Ok(job)
+    }
+
+    /// Queues a cancelled or failed job again.
+    ///
+    /// # Errors
+    /// As [`Jobs::submit`]; [`EngineError::WrongState`] for a job in another state.
+    pub fn resume(&self, id: &str) -> Result<Job, EngineError> {
+        let mut inner = self.shared.lock();
+        self.check_room(&inner)?;
+        let entry = inner.jobs.get(id).ok_or_else(|| self.unknown(&inner, id))?;
+        let mut job = entry.sender.borrow().clone();
+        if !matches!(job.state, JobState::Cancelled | JobState::Failed) {
+            let why = format!("it is {}; only a cancelled or failed one can", job.state.name());
+            return Err(EngineError::WrongState { what: format!("job {id}"), operation: "resumed", why });
+        }
+        job.state = JobState::Accepted;
+        job.error.clear();
+        job.ended_unix_s = 0;
+        write_json(&self.shared.file(id), &job)?;
+        entry.stop.store(GO_ON, Ordering::Release);
+        entry.sender.send_replace(job.clone());
+        inner.queue.push_back(id.to_owned());
+        self.shared.wake.notify_all();
+        Ok(job)
+    }
+
+    /// Asks a job to stop. Where it waits it is cancelled at once; where it runs,
+    /// [`Jobs::watch`] tells when it has.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`], and the file system's.
+    pub fn cancel(&self, id: &str) -> Result<(), EngineError> {
+        let mut inner = self.shared.lock();
+        let entry = inner.jobs.get(id).ok_or_else(|| self.unknown(&inner, id))?;
+        if entry.sender.borrow().state.has_ended() {
+            return Ok(());
+        }
+        entry.stop.store(CANCEL, Ordering::Release);
+        if inner.running.as_deref() != Some(id) {
+            self.shared.end(entry, id, JobState::Cancelled, String::new())?;
+            inner.queue.retain(|waiting| waiting != id);
+        }
+        Ok(())
+    }
+
+    /// A job as it is now and as it changes.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`].
+    pub fn watch(&self, id: &str) -> Result<watch::Receiver<Job>, EngineError> {
+        let inner = self.shared.lock();
+        let entry = inner.jobs.get(id).ok_or_else(|| self.unknown(&inner, id))?;
+        Ok(entry.sender.subscribe())
+    }
+
+    /// One job.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`].
+    pub fn get(&self, id: &str) -> Result<Job, EngineError> {
+        Ok(self.watch(id)?.borrow().clone())
+    }
+
+    /// All jobs, newest first.
+    pub fn list(&self) -> Vec<Job> {
+        self.shared.lock().jobs.values().rev().map(|e| e.sender.borrow().clone()).collect()
+    }
+
+    /// Stops the running job after its checkpoint, keeps it and the waiting ones
+    /// for the next start, and ends the worker. Blocks.
+    pub fn shut_down(&self) {
+        {
+            let mut inner = self.shared.lock();
+            inner.closed = true;
+            for entry in inner.jobs.values() {
+                // A cancellation under way stays one.
+                let _ = entry.stop.compare_exchange(GO_ON, SHUT_DOWN, Ordering::AcqRel, Ordering::Acquire);
+            }
+            self.shared.wake.notify_all();
+        }
+        let worker = self.worker.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(worker) = worker {
+            // A panic of the worker itself was already reported on its own thread.
+            let _ = worker.join();
+        }
+    }
+
+    fn check_room(&self, inner: &Inner) -> Result<(), EngineError> {
+        if inner.closed {
+            return Err(EngineError::ShuttingDown);
+        }
+        if inner.queue.len() >= self.capacity {
+            return Err(EngineError::QueueFull { limit: self.capacity });
+        }
+        Ok(())
+    }
+
+    fn unknown(&self, inner: &Inner, id: &str) -> EngineError {
+        EngineError::not_found("job", id, inner.jobs.keys().rev().map(String::as_str))
+    }
+}
+
+impl Drop for Jobs {
+    fn drop(&mut self) {
+        self.shut_down();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn file(&self, id: &str) -> PathBuf {
+        self.folder.join(id).join("job.json")
+    }
+
+    /// Writes an end state down and tells the watchers, in this order.
+    fn end(&self, entry: &Entry, id: &str, state: JobState, error: String) -> Result<(), EngineError> {
+        let mut job = entry.sender.borrow().clone();
+        (job.state, job.error, job.ended_unix_s) = (state, error, unix_s());
+        let written = write_json(&self.file(id), &job);
+        entry.sender.send_replace(job);
+        written
+    }
+
+    fn work(&self, mut work: impl Work) {
+        while let Some((id, sender, stop)) = self.next() {
+            let control = Control { stop: &stop, sender: &sender, path: self.file(&id) };
+            let job = sender.borrow().clone();
+            let run = || {
+                write_json(&control.path, &job)?;
+                work.run(&job, &control)
+            };
+            let outcome = catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|panic| {
+                let said = panic.downcast_ref::<String>().map(String::as_str);
+                let said = said.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
+                Err(EngineError::Internal(format!("the training panicked: {said}")))
+            });
+            let mut inner = self.lock();
+            inner.running = None;
+            let Some(entry) = inner.jobs.get(&id) else { continue };
+            let (state, error) = match outcome {
+                Ok(Outcome::Finished) => (JobState::Done, String::new()),
+                // Left as it is on the disk: the next start finds it and goes on.
+                Ok(Outcome::Stopped) if stop.load(Ordering::Acquire) == SHUT_DOWN => continue,
+                Ok(Outcome::Stopped) => (JobState::Cancelled, String::new()),
+                Err(error) => (JobState::Failed, error.to_string()),
+            };
+            tracing::info!(job = id, state = state.name(), error, "training ended");
+            if let Err(error) = self.end(entry, &id, state, error) {
+                tracing::error!(job = id, %error, "the job's end could not be written; the next start runs it again");
+            }
+        }
+    }
+
+    /// Waits for a job and marks it running.
+    fn next(&self) -> Option<(String, watch::Sender<Job>, Arc<AtomicU8>)> {
+        let mut inner = self.lock();
+        loop {
+            if inner.closed {
+                return None;
+            }
+            if let Some(id) = inner.queue.pop_front() {
+                inner.running = Some(id.clone());
+                let Some(entry) = inner.jobs.get(&id) else { continue };
+                entry.sender.send_modify(|job| job.state = JobState::Running);
+                let taken = (id, entry.sender.clone(), entry.stop.clone());
+                return Some(taken);
+            }
+            inner = self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+fn unix_s() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
+}
+
+#[cfg(test)]
+#[path = "jobs_tests.rs"]
+mod tests;

@@ -1,0 +1,256 @@
+//! The engine: everything the daemon does, knowing no gRPC. It owns one data
+//! folder: scenes, training jobs, models, and the log of owner records.
+//!
+//! All calls block, some for long; the edge puts them on threads of their own.
+
+pub mod error;
+pub mod evaluate;
+pub mod folder;
+pub mod job;
+pub mod jobs;
+pub mod model;
+pub mod owners;
+pub mod query;
+pub mod scenes;
+pub mod stages;
+pub mod training;
+
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use cairn_capture::{Capture, SceneFolder};
+use cairn_cluster::Grouping;
+use cairn_registry::{OwnerKey, Registry};
+
+use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, training_settings};
+use error::EngineError;
+use folder::DataFolder;
+use job::{Job, JobSpec};
+use jobs::Jobs;
+use model::{Model, ModelInfo};
+
+/// One data folder at work.
+pub struct Engine {
+    folder: DataFolder,
+    jobs: Jobs,
+    registry: Registry,
+    limits: Limits,
+    training: TrainingSettings,
+    /// The model used last: loading one takes seconds, and queries come in rows.
+    cache: Mutex<Option<Arc<Model>>>,
+}
+
+/// What to train, as it is asked for.
+#[derive(Clone, Debug)]
+pub struct TrainingRequest {
+    /// The scene's name.
+    pub scene: String,
+    /// How views become identities.
+    pub grouping: Grouping,
+    /// The seed.
+    pub seed: u64,
+    /// TOML that goes over the settings.
+    pub settings_toml: String,
+    /// Encoded pictures to hide, identity 1 first; empty to draw them.
+    pub signals: Vec<Vec<u8>>,
+    /// Whether to lay the quick settings over the daemon's.
+    pub quick: bool,
+    /// Whether to stop after stage 1.
+    pub base_only: bool,
+}
+
+impl Engine {
+    /// Opens the data folder, re-reads the log of owner records, and goes on with
+    /// the trainings that were cut off.
+    ///
+    /// # Errors
+    /// [`EngineError::Locked`] while another process has the folder; what the
+    /// stored files say.
+    pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
+        let folder = DataFolder::open(data)?;
+        let key = folder.registry_key();
+        if !key.exists() {
+            OwnerKey::generate().and_then(|new| new.save(&key)).map_err(cairn_registry::RegistryError::from)?;
+        }
+        let key = OwnerKey::load(&key).map_err(cairn_registry::RegistryError::from)?;
+        let registry = Registry::open(&folder.registry(), key, &config.origin)?;
+        let work = training::Training {
+            scenes: folder.scenes(),
+            models: folder.models(),
+            jobs: folder.jobs(),
+            checkpoint_every: Duration::from_secs(config.checkpoint_every_s),
+        };
+        let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, work)?;
+        Ok(Self {
+            folder,
+            jobs,
+            registry,
+            limits: config.limits.clone(),
+            training: config.training.clone(),
+            cache: Mutex::new(None),
+        })
+    }
+
+    /// What is accepted at most.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// The training jobs.
+    pub fn jobs(&self) -> &Jobs {
+        &self.jobs
+    }
+
+    /// The log of owner records.
+    pub fn registry(&self) -> &Registry {
+        &self.registry
+    }
+
+    /// Begins an import.
+    ///
+    /// # Errors
+    /// As [`scenes::Import::begin`].
+    pub fn begin_import(&self, plan: scenes::ImportPlan) -> Result<scenes::Import, EngineError> {
+        scenes::Import::begin(plan, &self.limits, &self.folder.scenes(), &self.folder.staging())
+    }
+
+    /// Ends an import; the scene is durable on return.
+    ///
+    /// # Errors
+    /// As [`scenes::Import::finish`].
+    pub fn finish_import(&self, import: scenes::Import) -> Result<SceneFolder, EngineError> {
+        import.finish(&self.folder.scenes())
+    }
+
+    /// Names of all scenes, sorted.
+    ///
+    /// # Errors
+    /// The file system's.
+    pub fn scene_names(&self) -> Result<Vec<String>, EngineError> {
+        scenes::list(&self.folder.scenes())
+    }
+
+    /// One scene.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`], and cairn-capture's.
+    pub fn scene(&self, name: &str) -> Result<SceneFolder, EngineError> {
+        scenes::open(&self.folder.scenes(), name)
+    }
+
+    /// What the scene's newest model says of itself; `None` before the first.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`].
+    pub fn newest_model(&self, scene: &str) -> Result<Option<ModelInfo>, EngineError> {
+        scenes::check_scene_name(scene)?;
+        model::newest(&self.folder.models(), scene)
+    }
+
+    /// Deletes a scene with its models.
+    ///
+    /// # Errors
+    /// [`EngineError::WrongState`] while a job trains on it.
+    pub fn delete_scene(&self, name: &str) -> Result<(), EngineError> {
+        scenes::check_scene_name(name)?;
+        let path = self.folder.scenes().join(name);
+        if !path.is_dir() {
+            self.scene(name)?;
+        }
+        if let Some(job) = self.jobs.list().iter().find(|j| j.spec.scene == name && !j.state.has_ended()) {
+            let why = format!("{} is {} on it; cancel that first", job.id, job.state.name());
+            return Err(EngineError::WrongState { what: format!("scene {name:?}"), operation: "deleted", why });
+        }
+        // Out of the way at once, so that no half of it can be read.
+        let gone = self.folder.staging().join(format!("deleted-{name}"));
+        folder::remove(&gone)?;
+        std::fs::rename(&path, &gone).map_err(EngineError::io("delete", &path))?;
+        folder::sync_folder(&self.folder.scenes())?;
+        folder::remove(&self.folder.models().join(name))?;
+        *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        folder::remove(&gone)
+    }
+
+    /// Queues a training; durable on return.
+    ///
+    /// # Errors
+    /// For settings that are not allowed, clusters that the scene has not the
+    /// views for, signals that do not decode, and [`Jobs::submit`]'s.
+    pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
+        let scene = self.scene(&request.scene)?;
+        let quick = if request.quick { QUICK_TOML } else { "" };
+        let overlays = [("configs/quick.toml", quick), ("the request's settings", request.settings_toml.as_str())];
+        let settings = training_settings(&self.training, &overlays)?;
+        // Found now rather than after an hour of stage 1.
+        let clusters = training::clusters(&scene, &request.grouping, request.seed)?;
+        let identities = clusters.clusters.len();
+        if !request.signals.is_empty() && request.signals.len() < identities {
+            let expected = format!("none, or one for each of the {identities} identities");
+            return Err(EngineError::invalid("the number of signals", request.signals.len(), expected));
+        }
+        let mut signals = Vec::with_capacity(identities);
+        for bytes in request.signals.iter().take(identities) {
+            signals.push(query::decode(bytes, &self.limits)?);
+        }
+        let spec = JobSpec {
+            scene: request.scene,
+            grouping: request.grouping,
+            seed: request.seed,
+            settings,
+            signals: signals.len(),
+            base_only: request.base_only,
+        };
+        self.jobs.submit(spec, |folder| {
+            for (i, signal) in signals.iter().enumerate() {
+                cairn_capture::save_png(&folder.join(format!("signal-{}.png", i + 1)), signal)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// The scene's newest model, loaded.
+    ///
+    /// # Errors
+    /// [`EngineError::NotTrained`]; [`EngineError::Stored`] for a file that was altered.
+    pub fn model(&self, scene: &str) -> Result<Arc<Model>, EngineError> {
+        let Some(info) = self.newest_model(scene)? else {
+            self.scene(scene)?;
+            return Err(EngineError::NotTrained { scene: scene.to_owned() });
+        };
+        let mut cache = self.cache.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(model) = cache.as_ref().filter(|m| m.info == info) {
+            return Ok(model.clone());
+        }
+        // The old one goes first: two large fields may not fit at once.
+        *cache = None;
+        let model = Arc::new(Model::load(&self.folder.models(), info)?);
+        *cache = Some(model.clone());
+        Ok(model)
+    }
+
+    /// The file of an identity's hidden signal, PNG.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`], [`EngineError::Stored`].
+    pub fn signal(&self, info: &ModelInfo, identity: u32) -> Result<Vec<u8>, EngineError> {
+        info.signal(&self.folder.models(), identity)
+    }
+
+    /// Checkpoints and stops training, and lets the folder go when dropped. Blocks.
+    pub fn shut_down(&self) {
+        self.jobs.shut_down();
+    }
+}
+
+/// Index of view `name`.
+///
+/// # Errors
+/// [`EngineError::NotFound`] listing some that there are.
+pub fn view_index(capture: &Capture, name: &str) -> Result<usize, EngineError> {
+    capture
+        .views
+        .iter()
+        .position(|v| v.name == name)
+        .ok_or_else(|| EngineError::not_found("view", name, capture.views.iter().map(|v| v.name.as_str())))
+}

@@ -1,0 +1,238 @@
+//! What a training leaves behind: fields, detector, and `model.json`, which says
+//! what belongs together and under which digests. A model appears whole: its
+//! folder is filled under another name, flushed, renamed, and only then named in
+//! `current.json`.
+
+use std::path::Path;
+
+use cairn_capture::Picture;
+use cairn_cluster::Clusters;
+use cairn_registry::Digest;
+use serde::{Deserialize, Serialize};
+
+use super::error::EngineError;
+use super::folder::{read_json, read_limited, remove, sync_folder, write_atomic, write_json};
+use super::stages::{Detector, Field, MarkedField};
+
+/// Largest field or detector file that is read, bytes.
+const MAX_FIELD_BYTES: u64 = 64 << 30;
+/// Largest file of a hidden signal, bytes.
+const MAX_SIGNAL_BYTES: u64 = 1 << 20;
+
+/// `model.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelInfo {
+    /// 1.
+    pub format_version: u32,
+    /// The scene.
+    pub scene: String,
+    /// The job that made it.
+    pub job: String,
+    /// The seed, decimal.
+    pub seed: String,
+    /// Identities 1..=M, in order.
+    pub identities: Vec<IdentityInfo>,
+    /// Where each cluster lies; its indices count the scene's training views.
+    pub clusters: Clusters,
+    /// SHA-256 of `base.field`.
+    pub base_field: Digest,
+    /// SHA-256 of `settings.toml`.
+    pub settings: Digest,
+    /// Stage 2's half; none where only the base field was trained.
+    pub mark: Option<MarkInfo>,
+}
+
+/// What stage 2 made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MarkInfo {
+    /// SHA-256 of `marked.field`.
+    pub marked_field: Digest,
+    /// SHA-256 of `detector`.
+    pub detector: Digest,
+    /// SHA-256 of each identity's `signal-<number>.png`, identity 1 first.
+    pub signals: Vec<Digest>,
+}
+
+/// One identity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IdentityInfo {
+    /// 1 and up.
+    pub number: u32,
+    /// Who it stands for.
+    pub label: String,
+    /// Names of its cluster's views.
+    pub views: Vec<String>,
+    /// SHA-256 of its views' photographs, in their order.
+    pub photographs: Vec<Digest>,
+}
+
+/// A model's files before they are in their place.
+pub struct ModelFiles<'a> {
+    /// The base field's bytes.
+    pub base: &'a [u8],
+    /// The settings.
+    pub settings: &'a str,
+    /// Stage 2's.
+    pub mark: Option<&'a MarkFiles>,
+}
+
+/// Stage 2's files before they are in their place.
+pub struct MarkFiles {
+    /// The marked field's bytes.
+    pub field: Vec<u8>,
+    /// The detector's bytes.
+    pub detector: Vec<u8>,
+    /// PNG of each identity's hidden signal, identity 1 first.
+    pub signals: Vec<Vec<u8>>,
+}
+
+impl MarkFiles {
+    /// Their digests.
+    pub fn info(&self) -> MarkInfo {
+        MarkInfo {
+            marked_field: Digest::of(&self.field),
+            detector: Digest::of(&self.detector),
+            signals: self.signals.iter().map(Digest::of).collect(),
+        }
+    }
+}
+
+/// A model, loaded.
+pub struct Model {
+    /// What it says of itself.
+    pub info: ModelInfo,
+    /// After stage 1.
+    pub base: Field,
+    /// After stage 2, where there was one.
+    pub mark: Option<Mark>,
+}
+
+/// The marked field and what reads its marks.
+pub struct Mark {
+    /// After stage 2.
+    pub field: MarkedField,
+    /// Recovers and classifies.
+    pub detector: Detector,
+    /// Each identity's hidden signal, identity 1 first.
+    pub signals: Vec<Picture>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Current {
+    format_version: u32,
+    job: String,
+}
+
+/// Puts a model in its place and makes it the scene's newest. Durable on return.
+pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Result<(), EngineError> {
+    let of_scene = models.join(&info.scene);
+    let (filling, folder) = (of_scene.join(format!(".{}", info.job)), of_scene.join(&info.job));
+    remove(&filling)?;
+    // A run that was cut off between the rename and the end of the job left it: the same bytes come again.
+    remove(&folder)?;
+    std::fs::create_dir_all(&filling).map_err(EngineError::io("create", &filling))?;
+    write_atomic(&filling.join("base.field"), files.base)?;
+    write_atomic(&filling.join("settings.toml"), files.settings.as_bytes())?;
+    if let Some(mark) = files.mark {
+        write_atomic(&filling.join("marked.field"), &mark.field)?;
+        write_atomic(&filling.join("detector"), &mark.detector)?;
+        for (i, signal) in mark.signals.iter().enumerate() {
+            write_atomic(&filling.join(signal_name(i + 1)), signal)?;
+        }
+    }
+    write_json(&filling.join("model.json"), info)?;
+    std::fs::rename(&filling, &folder).map_err(EngineError::io("create", &folder))?;
+    sync_folder(&of_scene)?;
+    sync_folder(models)?;
+    write_json(&of_scene.join("current.json"), &Current { format_version: 1, job: info.job.clone() })
+}
+
+/// What the newest model of `scene` says of itself; `None` before the first.
+pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineError> {
+    let current = models.join(scene).join("current.json");
+    if !current.exists() {
+        return Ok(None);
+    }
+    let Current { job, .. } = read_json(&current)?;
+    read_json(&models.join(scene).join(job).join("model.json")).map(Some)
+}
+
+impl Model {
+    /// Loads the model that `info` describes; every file is held to its digest.
+    pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
+        let folder = models.join(&info.scene).join(&info.job);
+        let base = Field::from_bytes(&read_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?)?;
+        let mark = match &info.mark {
+            None => None,
+            Some(mark) => Some(load_mark(&folder, mark)?),
+        };
+        Ok(Self { info, base, mark })
+    }
+
+    /// Stage 2's half.
+    ///
+    /// # Errors
+    /// [`EngineError::WrongState`] where only the base field was trained.
+    pub fn mark(&self) -> Result<&Mark, EngineError> {
+        self.mark.as_ref().ok_or_else(|| EngineError::WrongState {
+            what: format!("scene {:?}", self.info.scene),
+            operation: "asked for marks",
+            why: "its newest model is a base field alone; train it with marks".into(),
+        })
+    }
+}
+
+fn load_mark(folder: &Path, info: &MarkInfo) -> Result<Mark, EngineError> {
+    let field = read_checked(&folder.join("marked.field"), &info.marked_field, MAX_FIELD_BYTES)?;
+    let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
+    let mut signals = Vec::with_capacity(info.signals.len());
+    for (i, digest) in info.signals.iter().enumerate() {
+        let bytes = read_checked(&folder.join(signal_name(i + 1)), digest, MAX_SIGNAL_BYTES)?;
+        signals.push(cairn_capture::decode_picture(&bytes, &cairn_capture::Limits::default(), None)?);
+    }
+    Ok(Mark { field: MarkedField::from_bytes(&field)?, detector: Detector::from_bytes(&detector)?, signals })
+}
+
+fn signal_name(number: usize) -> String {
+    format!("signal-{number}.png")
+}
+
+impl ModelInfo {
+    /// Identity `number`.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`].
+    pub fn identity(&self, number: u32) -> Result<&IdentityInfo, EngineError> {
+        self.identities.iter().find(|i| i.number == number).ok_or_else(|| {
+            let there: Vec<String> = self.identities.iter().map(|i| format!("{} ({})", i.number, i.label)).collect();
+            EngineError::not_found("identity", &number.to_string(), there.iter().map(String::as_str))
+        })
+    }
+
+    /// The file of identity `number`'s hidden signal, PNG.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] where there is none, [`EngineError::Stored`].
+    pub fn signal(&self, models: &Path, number: u32) -> Result<Vec<u8>, EngineError> {
+        let digests = self.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
+        let Some(digest) = (number as usize).checked_sub(1).and_then(|at| digests.get(at)) else {
+            return Err(EngineError::not_found("hidden signal", &number.to_string(), std::iter::empty()));
+        };
+        let folder = models.join(&self.scene).join(&self.job);
+        read_checked(&folder.join(signal_name(number as usize)), digest, MAX_SIGNAL_BYTES)
+    }
+}
+
+fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, EngineError> {
+    let bytes = read_limited(path, limit)?;
+    let got = Digest::of(&bytes);
+    if got != *expected {
+        let problem = format!("its SHA-256 is {got}, model.json says {expected}: it was altered");
+        return Err(EngineError::Stored { path: path.to_path_buf(), problem });
+    }
+    Ok(bytes)
+}

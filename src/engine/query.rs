@@ -1,0 +1,184 @@
+//! Rendering, asking who contributed, and detecting.
+
+use cairn_capture::{Camera, Picture};
+
+use super::error::EngineError;
+use super::model::Model;
+use super::scenes::check_size;
+use super::stages::{Appearance, Detection};
+use super::{Engine, view_index};
+use crate::config::Limits;
+
+/// From where to look.
+#[derive(Clone, Debug)]
+pub enum Viewpoint {
+    /// A view of the scene, by name.
+    View(String),
+    /// Any camera.
+    Camera(Camera),
+}
+
+/// Which field to render.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FieldKind {
+    /// After stage 1.
+    Base,
+    /// After stage 2.
+    Marked,
+}
+
+/// In whose light.
+#[derive(Clone, Debug)]
+pub enum Light {
+    /// The mean of the training views'.
+    Neutral,
+    /// A training view's.
+    View(String),
+    /// Between two views': share 0 is the first, 1 the second.
+    Blend(String, String, f32),
+}
+
+/// Who it is, and how sure that is, 0 to 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Who {
+    /// Number and label; `None` for nobody.
+    pub identity: Option<(u32, String)>,
+    /// By picture the class's probability; by pose 1 in a cluster's middle, 0 on its border.
+    pub confidence: f64,
+    /// Log indices of the owner records for the scene and identity.
+    pub records: Vec<u64>,
+}
+
+/// Decodes a PNG or JPEG under the limits.
+///
+/// # Errors
+/// [`EngineError::OverLimit`] before decoding, and cairn-capture's.
+pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Picture, EngineError> {
+    let got = bytes.len() as u64;
+    if got > limits.max_photograph_bytes {
+        let (what, key) = ("the picture in bytes".to_owned(), "limits.max_photograph_bytes");
+        return Err(EngineError::OverLimit { what, key, limit: limits.max_photograph_bytes, got });
+    }
+    let limits = cairn_capture::Limits {
+        max_file_bytes: limits.max_photograph_bytes,
+        max_side_px: limits.max_side_px,
+        max_pixels: limits.max_pixels,
+        max_views: limits.max_views,
+    };
+    Ok(cairn_capture::decode_picture(bytes, &limits, None)?)
+}
+
+impl Engine {
+    /// The camera of a viewpoint.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] for a view that is not there, [`EngineError::OverLimit`].
+    pub fn camera(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Camera, EngineError> {
+        let camera = match viewpoint {
+            Viewpoint::Camera(camera) => *camera,
+            Viewpoint::View(name) => {
+                let scene = self.scene(scene)?;
+                let capture = scene.capture();
+                capture.views[view_index(capture, name)?].camera
+            }
+        };
+        check_size("the render", camera.intrinsics.width, camera.intrinsics.height, &self.limits)?;
+        Ok(camera)
+    }
+
+    /// Renders a view, clamped to [0, 1].
+    ///
+    /// # Errors
+    /// [`EngineError::NotTrained`], [`EngineError::NotFound`], [`EngineError::Invalid`].
+    pub fn render(
+        &self,
+        scene: &str,
+        viewpoint: &Viewpoint,
+        field: FieldKind,
+        light: &Light,
+    ) -> Result<Picture, EngineError> {
+        let model = self.model(scene)?;
+        let camera = self.camera(scene, viewpoint)?;
+        let appearance = appearance(&model, light)?;
+        let picture = match field {
+            FieldKind::Base => model.base.render(&camera, &appearance),
+            FieldKind::Marked => model.mark()?.field.render(&camera, &appearance),
+        };
+        Ok(picture.clamped())
+    }
+
+    /// Whose cluster a viewpoint belongs to.
+    ///
+    /// # Errors
+    /// As [`Engine::camera`]; [`EngineError::NotTrained`].
+    pub fn who_by_pose(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Who, EngineError> {
+        let camera = self.camera(scene, viewpoint)?;
+        let Some(info) = self.newest_model(scene)? else {
+            self.scene(scene)?;
+            return Err(EngineError::NotTrained { scene: scene.to_owned() });
+        };
+        let found = info.clusters.identity_of(&camera.pose);
+        // How far from the border, in units of the way from the middle to the border.
+        let reach = found.distance + found.margin.abs();
+        let confidence = if reach > 0.0 && reach.is_finite() { (found.margin.abs() / reach).min(1.0) } else { 1.0 };
+        self.who(&info, found.identity, confidence)
+    }
+
+    /// Whom the classifier reads from a picture.
+    ///
+    /// # Errors
+    /// For a picture that does not decode, and [`Model::mark`]'s.
+    pub fn who_by_picture(&self, scene: &str, bytes: &[u8]) -> Result<Who, EngineError> {
+        let picture = decode(bytes, &self.limits)?;
+        let model = self.model(scene)?;
+        let detection = model.mark()?.detector.detect(&picture)?;
+        let class = detection.identity.unwrap_or(0) as usize;
+        let confidence = detection.probabilities.get(class).copied().unwrap_or(0.0);
+        self.who(&model.info, detection.identity, confidence.into())
+    }
+
+    /// What a picture hides, and who that stands for.
+    ///
+    /// # Errors
+    /// As [`Engine::who_by_picture`].
+    pub fn detect(&self, scene: &str, bytes: &[u8]) -> Result<(Detection, Option<String>), EngineError> {
+        let picture = decode(bytes, &self.limits)?;
+        let model = self.model(scene)?;
+        let detection = model.mark()?.detector.detect(&picture)?;
+        let label = match detection.identity {
+            Some(number) => Some(model.info.identity(number)?.label.clone()),
+            None => None,
+        };
+        Ok((detection, label))
+    }
+
+    fn who(&self, info: &super::ModelInfo, identity: Option<u32>, confidence: f64) -> Result<Who, EngineError> {
+        let Some(number) = identity else { return Ok(Who { identity: None, confidence, records: Vec::new() }) };
+        let label = info.identity(number)?.label.clone();
+        let records = self.records_of(&info.scene, number)?;
+        Ok(Who { identity: Some((number, label)), confidence, records })
+    }
+}
+
+/// The appearance that `light` asks for.
+fn appearance(model: &Model, light: &Light) -> Result<Appearance, EngineError> {
+    let of = |name: &str| {
+        let known = model.base.appearances();
+        match known.iter().find(|(n, _)| n == name) {
+            Some((_, appearance)) => Ok(appearance.clone()),
+            // In scenes of one light every view has the same.
+            None if known.is_empty() => Ok(model.base.canonical_appearance().clone()),
+            None => Err(EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str()))),
+        }
+    };
+    match light {
+        Light::Neutral => Ok(model.base.canonical_appearance().clone()),
+        Light::View(name) => of(name),
+        Light::Blend(from, to, share) => {
+            if !(0.0..=1.0).contains(share) {
+                return Err(EngineError::invalid("the appearance's share", share, "0 to 1"));
+            }
+            Ok(of(from)?.mixed(&of(to)?, *share))
+        }
+    }
+}

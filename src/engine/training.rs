@@ -1,0 +1,169 @@
+//! One training job from its photographs to its published model: the caller that
+//! the trainers are promised, which owns the clock, the files and the progress.
+//!
+//! What is done is on the disk, so that a job can be taken up anywhere: the last
+//! checkpoint within a stage, the base field between the stages. The same job
+//! ends in the same bytes however often it was cut off.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use cairn_capture::SceneFolder;
+use cairn_cluster::{Clusters, Grouping};
+use cairn_registry::Digest;
+
+use super::error::EngineError;
+use super::folder::{read_limited, remove, write_atomic};
+use super::job::{Job, Progress};
+use super::jobs::{Control, Outcome, Work};
+use super::model::{IdentityInfo, ModelFiles, ModelInfo, publish};
+use super::scenes;
+use super::stages::{self, Field, Stage};
+
+/// Largest checkpoint that is read, bytes.
+const MAX_CHECKPOINT_BYTES: u64 = 64 << 30;
+/// Progress goes out at most this often.
+const PROGRESS_EVERY: Duration = Duration::from_millis(100);
+
+/// Runs training jobs.
+pub struct Training {
+    /// Where captures lie.
+    pub scenes: PathBuf,
+    /// Where models go.
+    pub models: PathBuf,
+    /// Where jobs keep their checkpoints.
+    pub jobs: PathBuf,
+    /// Time between checkpoints.
+    pub checkpoint_every: Duration,
+}
+
+impl Work for Training {
+    fn run(&mut self, job: &Job, control: &Control<'_>) -> Result<Outcome, EngineError> {
+        let spec = &job.spec;
+        let scene = scenes::open(&self.scenes, &spec.scene)?;
+        let folder = self.jobs.join(&job.id);
+        let Some(base) = self.base_field(job, &scene, &folder, control)? else { return Ok(Outcome::Stopped) };
+        let clusters = clusters(&scene, &spec.grouping, spec.seed)?;
+        let settings = spec.settings.to_toml()?;
+        let info = ModelInfo {
+            format_version: 1,
+            scene: spec.scene.clone(),
+            job: job.id.clone(),
+            seed: spec.seed.to_string(),
+            identities: identities(&scene, &clusters),
+            clusters,
+            base_field: Digest::of(&base),
+            settings: Digest::of(&settings),
+            mark: None,
+        };
+        publish(&self.models, &info, &ModelFiles { base: &base, settings: &settings, mark: None })?;
+        remove(&folder.join("base.field"))?;
+        control.progress(Progress { stage: "finished".into(), seconds_left: 0.0, ..Progress::default() });
+        Ok(Outcome::Finished)
+    }
+}
+
+impl Training {
+    /// Stage 1: the base field's bytes, or `None` when it was asked to stop.
+    fn base_field(
+        &self,
+        job: &Job,
+        scene: &SceneFolder,
+        folder: &Path,
+        control: &Control<'_>,
+    ) -> Result<Option<Vec<u8>>, EngineError> {
+        let done = folder.join("base.field");
+        if done.exists() {
+            return read_limited(&done, MAX_CHECKPOINT_BYTES).map(Some);
+        }
+        let file = folder.join("base.checkpoint");
+        let checkpoint = read_checkpoint(&file)?;
+        let mut trainer = stages::base_trainer(scene, &job.spec.settings, job.spec.seed, checkpoint.as_deref())?;
+        drop(checkpoint);
+        if !self.drive(stages::BASE, &mut trainer, &file, control)? {
+            return Ok(None);
+        }
+        let bytes = Field::to_bytes(&trainer.finish())?;
+        write_atomic(&done, &bytes)?;
+        remove(&file)?;
+        Ok(Some(bytes))
+    }
+
+    /// Steps a stage to its end; false when it was asked to stop. Either way its
+    /// state is on the disk on return.
+    fn drive(
+        &self,
+        name: &str,
+        stage: &mut impl Stage,
+        file: &Path,
+        control: &Control<'_>,
+    ) -> Result<bool, EngineError> {
+        let (begun, first) = (Instant::now(), stage.steps().0);
+        let (mut saved, mut told): (Instant, Option<Instant>) = (begun, None);
+        loop {
+            let (step, total) = stage.steps();
+            let finished = step >= total;
+            let stop = control.stop_requested();
+            // At the end too: the stage's result comes next, and may fail to be written.
+            if finished || stop || saved.elapsed() >= self.checkpoint_every {
+                write_atomic(file, &stage.checkpoint()?)?;
+                control.spent(name, saved.elapsed().as_secs_f64())?;
+                saved = Instant::now();
+            }
+            if finished || stop {
+                return Ok(finished);
+            }
+            let stats = stage.step()?;
+            let step = step + 1;
+            if step == total || told.is_none_or(|t| t.elapsed() >= PROGRESS_EVERY) {
+                told = Some(Instant::now());
+                let a_step = begun.elapsed().as_secs_f64() / (step - first).max(1) as f64;
+                control.progress(Progress {
+                    stage: name.to_owned(),
+                    step,
+                    total,
+                    loss: stats.loss,
+                    psnr_db: stats.psnr_db,
+                    seconds_left: a_step * total.saturating_sub(step) as f64,
+                });
+            }
+        }
+    }
+}
+
+fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    read_limited(path, MAX_CHECKPOINT_BYTES).map(Some)
+}
+
+/// Clusters over the scene's training views, in their order.
+pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<Clusters, EngineError> {
+    let capture = scene.capture();
+    let (mut poses, mut contributors) = (Vec::new(), Vec::new());
+    for index in capture.training() {
+        poses.push(capture.views[index].camera.pose);
+        contributors.push(capture.views[index].contributor.clone());
+    }
+    Ok(Clusters::build(&poses, grouping, &contributors, seed)?)
+}
+
+fn identities(scene: &SceneFolder, clusters: &Clusters) -> Vec<IdentityInfo> {
+    let capture = scene.capture();
+    let training: Vec<usize> = capture.training().collect();
+    let describe = |cluster: &cairn_cluster::Cluster| {
+        let anchor = &capture.views[training[cluster.anchor]];
+        let members: Vec<usize> = cluster.members.iter().map(|m| training[*m]).collect();
+        IdentityInfo {
+            number: cluster.identity,
+            label: match clusters.grouping() {
+                Grouping::Anchors(_) => format!("anchor-{}", anchor.name),
+                Grouping::ByContributor { .. } => anchor.contributor.clone(),
+            },
+            views: members.iter().map(|m| capture.views[*m].name.clone()).collect(),
+            photographs: members.iter().map(|m| Digest::from_bytes(scene.photograph_digest(*m))).collect(),
+        }
+    };
+    clusters.clusters.iter().map(describe).collect()
+}
