@@ -64,7 +64,7 @@ pub struct LandmarkView {
     /// order of name over the capture.
     pub name: String,
     /// Exactly the camera that took it. The scene's z axis points up, the
-    /// ground is z = 0, and the landmark stands on the origin, 2.3 units tall.
+    /// ground is z = 0, and the landmark stands on the origin, 2.37 units tall.
     pub camera: Camera,
     /// Who took it.
     pub contributor: String,

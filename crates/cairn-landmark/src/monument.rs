@@ -14,7 +14,7 @@ use crate::noise::{cell, fractal, smoothstep, value};
 /// The landmark stands inside this upright cylinder around the z axis.
 pub(crate) const RADIUS: f32 = 1.25;
 /// Highest point, in the scene's unit.
-pub(crate) const HEIGHT: f32 = 2.3;
+pub(crate) const HEIGHT: f32 = 2.37;
 
 /// Bottom of the shaft and bottom of the gallery.
 const SHAFT: (f32, f32) = (0.66, 1.5);
@@ -103,8 +103,8 @@ fn head(x: f32, y: f32, r: f32, z: f32) -> f32 {
     let slope = Vec2::new(r / (0.31 * 0.31), (z - 1.86) / (0.3 * 0.3)).length().max(1e-3);
     let dome = (scaled.length_squared() - 1.0).min(4.0) * 0.5 / slope;
     d = d.min((dome * 0.9).max(1.86 - z));
-    let ball = Vec2::new(r, z - 2.2).length() - 0.055;
-    let spike = corner(r - 0.012, z - 2.3);
+    let ball = Vec2::new(r, z - 2.26).length() - 0.06;
+    let spike = corner(r - 0.012, z - 2.37);
     d.min(ball).min(spike.max(1.9 - z))
 }
 
@@ -133,7 +133,7 @@ pub(crate) fn normal(p: Vec3) -> Vec3 {
 pub(crate) fn surface(p: Vec3, n: Vec3) -> Surface {
     let r = Vec2::new(p.x, p.y).length();
     let bollard = p.z < 0.6 && p.x.abs().min(p.y.abs()) > 0.6;
-    if bollard && p.z > 0.34 || r < 0.075 && p.z > 2.1 {
+    if bollard && p.z > 0.34 || r < 0.075 && p.z > 2.17 {
         return Surface::metal(Vec3::new(1.0, 0.6, 0.13), 0.22);
     }
     if p.z > 1.872 {
@@ -292,10 +292,10 @@ mod tests {
 
     #[test]
     fn known_points_are_inside_and_outside() {
-        for inside in [Vec3::new(0.0, 0.0, 1.0), Vec3::new(1.0, 0.1, 0.03), Vec3::new(0.0, 0.0, 2.29)] {
+        for inside in [Vec3::new(0.0, 0.0, 1.0), Vec3::new(1.0, 0.1, 0.03), Vec3::new(0.0, 0.0, 2.36)] {
             assert!(distance(inside) < 0.0, "{inside} lies in the landmark");
         }
-        for outside in [Vec3::new(1.0, 1.0, 0.1), Vec3::new(0.0, 0.0, 2.4), Vec3::new(0.48, 0.0, 0.4)] {
+        for outside in [Vec3::new(1.0, 1.0, 0.1), Vec3::new(0.0, 0.0, 2.45), Vec3::new(0.48, 0.0, 0.4)] {
             assert!(distance(outside) > 0.0, "{outside} lies in the air");
         }
     }

@@ -218,3 +218,42 @@ fn shade(light: &Light, way: Vec3, hit: &Hit, sun: f32) -> Vec3 {
 fn haze(light: &Light, distance: f32, colour: Vec3) -> Vec3 {
     colour.lerp(light.horizon * 0.7, 1.0 - (-0.012 * distance).exp())
 }
+
+#[cfg(test)]
+mod tests {
+    use cairn_capture::{Distortion, Intrinsics, Pose};
+    use glam::DVec3;
+    use rand::SeedableRng as _;
+
+    use super::*;
+
+    /// Rays through the pixels that known points project to must end on those
+    /// points: camera, march and scene agree on where things are.
+    #[test]
+    fn known_points_are_seen_where_they_project_to() {
+        let light = Light::of(1, 0.0, 0.0, &mut rand_chacha::ChaCha8Rng::seed_from_u64(0));
+        let pose = Pose::look_at(DVec3::new(2.6, 1.3, 0.7), DVec3::new(0.0, 0.0, 1.0), DVec3::Z).unwrap();
+        let intrinsics = Intrinsics {
+            width: 96,
+            height: 128,
+            fx: 137.0,
+            fy: 137.0,
+            cx: 48.0,
+            cy: 64.0,
+            distortion: Distortion::default(),
+        };
+        let camera = Camera { intrinsics, pose };
+        // Ground, corner of the upper stair's face, plinth's cornice, dome's ball and a bollard's.
+        let flat = [(2.0, 0.4, 0.0, 1e-3), (0.85, 0.0, 0.2, 2e-3), (0.55, 0.1, 0.63, 2e-3)];
+        let balls = [(0.0, 0.0, 2.26, 0.061), (0.7, 0.7, 0.42, 0.076)];
+        for (x, y, z, within) in flat.into_iter().chain(balls) {
+            let point = DVec3::new(x, y, z);
+            let at = camera.project(point).unwrap();
+            let (origin, way) = camera.ray(at.x, at.y);
+            let hit = trace(&light, origin.as_vec3(), way.as_vec3()).expect("there is something");
+            let off = (hit.point - point.as_vec3()).length();
+            assert!(off <= within && off >= 0.9 * within * f32::from(within > 0.01), "{point}: seen {off} away");
+            assert!(hit.normal.dot(way.as_vec3()) < 0.0, "{point}: its surface faces away");
+        }
+    }
+}
