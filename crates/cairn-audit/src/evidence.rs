@@ -1,0 +1,134 @@
+//! What an audit is given: an envelope, and whatever else is in hand.
+
+use std::{
+    fs::File,
+    io::{self, Read as _},
+    path::Path,
+};
+
+use cairn_registry::{
+    Digest, NoteVerifier,
+    record::{hidden_signal_commitment, photographs_root},
+};
+use sha2::{Digest as _, Sha256};
+
+/// A file that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: cannot be read for its digest: {source}")]
+pub struct EvidenceError {
+    /// The file.
+    pub path: String,
+    /// The operating system's answer.
+    pub source: io::Error,
+}
+
+/// A file to compare with the record, by its digest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FileInHand {
+    /// Its name in the report.
+    pub place: String,
+    /// SHA-256 of its bytes.
+    pub digest: Digest,
+}
+
+/// The hidden signal, with the salt that its commitment was made with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HiddenSignalInHand {
+    /// Its name in the report.
+    pub place: String,
+    /// The commitment that follows from it.
+    pub commitment: Digest,
+}
+
+/// The cluster's photographs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PhotographsInHand {
+    /// Their name in the report.
+    pub place: String,
+    /// How many.
+    pub count: usize,
+    /// The Merkle root over their digests.
+    pub root: Digest,
+}
+
+/// A later record of the log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RecordInHand {
+    /// Its index in the log.
+    pub index: u64,
+    /// Its envelope's JSON.
+    pub envelope: Vec<u8>,
+}
+
+/// What is known of the log: all its revocations, rotations and disputes below a size. That these are all is the word
+/// of whoever made the view.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct LogView {
+    /// Records below this size were looked at.
+    pub size: u64,
+    /// Those that may concern others; further kinds do no harm.
+    pub records: Vec<RecordInHand>,
+}
+
+/// Everything in hand. Only the envelope is needed; what is absent is reported as unchecked, never as passed.
+#[derive(Debug, Clone, Default)]
+pub struct Evidence<'a> {
+    /// The envelope's JSON.
+    pub envelope: &'a [u8],
+    /// The log's verifier key (vkey), obtained from elsewhere. Without it nothing is trusted.
+    pub pinned: Option<&'a NoteVerifier>,
+    /// The text of the record's `.tlog-proof`: index, inclusion proof and checkpoint.
+    pub proof: Option<&'a str>,
+    /// The marked field's file.
+    pub marked_field: Option<FileInHand>,
+    /// The detector's file.
+    pub detector: Option<FileInHand>,
+    /// The hidden signal and its salt.
+    pub hidden_signal: Option<HiddenSignalInHand>,
+    /// The cluster's photographs.
+    pub photographs: Option<PhotographsInHand>,
+    /// The training configuration's file.
+    pub training_configuration: Option<FileInHand>,
+    /// What came later.
+    pub log: Option<&'a LogView>,
+}
+
+impl FileInHand {
+    /// A file whose bytes are in memory.
+    pub fn of(place: impl Into<String>, bytes: &[u8]) -> Self {
+        Self { place: place.into(), digest: Digest::of(bytes) }
+    }
+
+    /// A file on disk, read in pieces.
+    ///
+    /// # Errors
+    /// [`EvidenceError`] names the file.
+    pub fn read(path: &Path) -> Result<Self, EvidenceError> {
+        let place = path.display().to_string();
+        let failed = |source| EvidenceError { path: place.clone(), source };
+        let mut file = File::open(path).map_err(failed)?;
+        let mut hasher = Sha256::new();
+        let mut piece = vec![0; 1 << 16];
+        loop {
+            let count = file.read(&mut piece).map_err(failed)?;
+            if count == 0 {
+                return Ok(Self { digest: Digest::from_bytes(hasher.finalize().into()), place });
+            }
+            hasher.update(&piece[..count]);
+        }
+    }
+}
+
+impl HiddenSignalInHand {
+    /// A signal (its file's bytes) and its salt.
+    pub fn of(place: impl Into<String>, salt: &Digest, signal: &[u8]) -> Self {
+        Self { place: place.into(), commitment: hidden_signal_commitment(salt, signal) }
+    }
+}
+
+impl PhotographsInHand {
+    /// Photographs by their digests, in any order.
+    pub fn of(place: impl Into<String>, digests: &[Digest]) -> Self {
+        Self { place: place.into(), count: digests.len(), root: photographs_root(digests) }
+    }
+}

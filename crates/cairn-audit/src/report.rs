@@ -1,0 +1,171 @@
+//! What an audit answers: findings, and the outcome that follows from them.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::code::Code;
+
+/// How much a finding weighs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// A check that held.
+    Passed,
+    /// Something that could not be checked, or is worth knowing.
+    Info,
+    /// Something that limits what the report says.
+    Warning,
+    /// A check that failed: the outcome is [`Outcome::Invalid`].
+    Error,
+}
+
+/// The answer in one word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Outcome {
+    /// Something does not hold.
+    Invalid,
+    /// Everything that was checked holds, but nothing ties it to a registry that you chose to trust.
+    Valid,
+    /// Moreover the pinned registry signed the record and proved that it is in its log.
+    Trusted,
+}
+
+/// What is known about later records (revocations, disputes). "Cannot tell" is an answer of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Freshness {
+    /// No view of the log was handed in.
+    CannotTell,
+    /// Known up to this log size.
+    AsOf(u64),
+}
+
+/// One thing that was checked.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// What it is about.
+    pub code: Code,
+    /// How much it weighs.
+    pub severity: Severity,
+    /// Where: the file, the field, the record.
+    pub place: String,
+    /// What was expected; empty where that says nothing.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub expected: String,
+    /// What was found.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub got: String,
+    /// What to do.
+    #[serde(skip_serializing_if = "str::is_empty")]
+    pub remedy: &'static str,
+}
+
+/// The result of an audit.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Report {
+    /// Format version of the report's JSON.
+    pub version: u32,
+    /// The answer in one word.
+    pub outcome: Outcome,
+    /// What is known about later records.
+    pub freshness: Freshness,
+    /// SHA-256 of the record's PAE, where the envelope could be read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub record: Option<String>,
+    /// All findings, in the order of the checks.
+    pub findings: Vec<Finding>,
+}
+
+impl Report {
+    /// The version of the JSON form.
+    pub const VERSION: u32 = 1;
+
+    /// Whether a finding with this code is there.
+    pub fn has(&self, code: Code) -> bool {
+        self.findings.iter().any(|f| f.code == code)
+    }
+
+    /// The report as indented JSON.
+    pub fn to_json(&self) -> String {
+        // Strings and numbers only: there is nothing that could fail to serialise.
+        serde_json::to_string_pretty(self).unwrap_or_default()
+    }
+}
+
+/// Collects findings.
+#[derive(Debug, Default)]
+pub(crate) struct Findings(pub(crate) Vec<Finding>);
+
+impl Findings {
+    pub(crate) fn add(&mut self, code: Code, place: impl Into<String>, expected: impl ToString, got: impl ToString) {
+        self.0.push(Finding {
+            code,
+            severity: code.severity(),
+            place: place.into(),
+            expected: expected.to_string(),
+            got: got.to_string(),
+            remedy: code.remedy(),
+        });
+    }
+
+    pub(crate) fn has(&self, code: Code) -> bool {
+        self.0.iter().any(|f| f.code == code)
+    }
+
+    pub(crate) fn failed(&self) -> bool {
+        self.0.iter().any(|f| f.severity == Severity::Error)
+    }
+}
+
+impl fmt::Display for Severity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Passed => "passed",
+            Self::Info => "info",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        })
+    }
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Invalid => "invalid",
+            Self::Valid => "valid",
+            Self::Trusted => "trusted",
+        })
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:8} {}  {}", self.severity, self.code.as_str(), self.place)?;
+        if !self.expected.is_empty() {
+            write!(f, "\n           expected {}", self.expected)?;
+        }
+        if !self.got.is_empty() {
+            write!(f, "\n           got      {}", self.got)?;
+        }
+        if !self.remedy.is_empty() {
+            write!(f, "\n           remedy   {}", self.remedy)?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{}", self.outcome)?;
+        match self.freshness {
+            Freshness::CannotTell => writeln!(f, "later revocations or disputes: cannot tell")?,
+            Freshness::AsOf(size) => writeln!(f, "later revocations or disputes: known up to log size {size}")?,
+        }
+        for finding in &self.findings {
+            writeln!(f, "{finding}")?;
+        }
+        Ok(())
+    }
+}
