@@ -1,8 +1,8 @@
 //! Group normalisation and leaky rectifier in one operation.
 //!
 //! Written with candle's elementwise operations a layer's normalisation takes
-//! a dozen passes over memory and as many allocations, more than its
-//! convolution; here it is two passes forward and three backward.
+//! a dozen passes over memory and as many allocations; here it is a few passes
+//! and one allocation each way.
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;

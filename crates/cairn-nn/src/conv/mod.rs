@@ -1,8 +1,8 @@
 //! Convolution that is fast both ways.
 //!
 //! candle's own backward pass runs a transposed convolution and a convolution
-//! over the batch axis, ten times slower than the forward pass; stage 2 spends
-//! most of its time there. These operations give candle's graph the same
+//! over the batch axis, several times slower than the forward pass; stage 2
+//! would spend most of its time there. These operations give candle's graph the same
 //! numbers from direct kernels (see `kernel`), to rounding.
 
 mod geometry;
