@@ -14,12 +14,62 @@ use sha2::{Digest as _, Sha256};
 
 /// A file that cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[error("{path}: cannot be read for its digest: {source}")]
+#[error("{path}: cannot be read: {source}")]
 pub struct EvidenceError {
     /// The file.
     pub path: String,
     /// The operating system's answer.
     pub source: io::Error,
+}
+
+/// Largest envelope or proof file that is read, in bytes; both are a few kilobytes.
+const MAX_BUNDLE_FILE: u64 = 1 << 20;
+
+/// An offline bundle: two files side by side, `<name>.dsse.json` and `<name>.tlog-proof`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Bundle {
+    /// The envelope's JSON.
+    pub envelope: Vec<u8>,
+    /// The proof's text; not UTF-8 becomes U+FFFD, which no check lets pass.
+    pub proof: String,
+}
+
+impl Bundle {
+    /// Ending of the envelope's file.
+    pub const ENVELOPE: &str = "dsse.json";
+    /// Ending of the proof's file.
+    pub const PROOF: &str = "tlog-proof";
+
+    /// Reads the two files; `path` may name either, or both by what comes before the ending.
+    ///
+    /// # Errors
+    /// [`EvidenceError`] names the file that is missing or too large.
+    pub fn read(path: &Path) -> Result<Self, EvidenceError> {
+        let text = path.to_string_lossy();
+        let stem = [Self::ENVELOPE, Self::PROOF]
+            .iter()
+            .find_map(|ending| text.strip_suffix(ending)?.strip_suffix('.'))
+            .unwrap_or(&text);
+        let envelope = read_small(&format!("{stem}.{}", Self::ENVELOPE))?;
+        let proof = String::from_utf8_lossy(&read_small(&format!("{stem}.{}", Self::PROOF))?).into_owned();
+        Ok(Self { envelope, proof })
+    }
+
+    /// The evidence that the bundle is, to which files and a pinned key may be added.
+    pub fn evidence(&self) -> Evidence<'_> {
+        Evidence { envelope: &self.envelope, proof: Some(&self.proof), ..Evidence::default() }
+    }
+}
+
+fn read_small(path: &str) -> Result<Vec<u8>, EvidenceError> {
+    let failed = |source| EvidenceError { path: path.to_owned(), source };
+    let mut bytes = Vec::new();
+    File::open(path).and_then(|f| f.take(MAX_BUNDLE_FILE + 1).read_to_end(&mut bytes)).map_err(failed)?;
+    if bytes.len() as u64 > MAX_BUNDLE_FILE {
+        let cause = format!("larger than {MAX_BUNDLE_FILE} bytes, which no bundle's file is");
+        return Err(failed(io::Error::new(io::ErrorKind::FileTooLarge, cause)));
+    }
+    Ok(bytes)
 }
 
 /// A file to compare with the record, by its digest.

@@ -15,5 +15,7 @@ mod report;
 
 pub use check::audit;
 pub use code::Code;
-pub use evidence::{Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand};
+pub use evidence::{
+    Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
+};
 pub use report::{Finding, Freshness, Outcome, Report, Severity};

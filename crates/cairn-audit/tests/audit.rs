@@ -1,8 +1,8 @@
 //! Audits of evidence made with the formats alone: no registry runs here.
 
 use cairn_audit::{
-    Code, Evidence, FileInHand, Freshness, HiddenSignalInHand, LogView, Outcome, PhotographsInHand, RecordInHand,
-    Report, Severity, audit,
+    Bundle, Code, Evidence, FileInHand, Freshness, HiddenSignalInHand, LogView, Outcome, PhotographsInHand,
+    RecordInHand, Report, Severity, audit,
 };
 use cairn_registry::{
     Checkpoint, Digest, Envelope, Leaf, NoteVerifier, OwnerKey, OwnerRecord, RecordKind, TlogProof,
@@ -452,4 +452,24 @@ fn files_on_disk_are_read_in_pieces() {
     assert_eq!(FileInHand::read(&path).unwrap().digest, Digest::of(&bytes));
     let absent = FileInHand::read(&folder.path().join("absent.bin")).unwrap_err();
     assert!(absent.to_string().contains("absent.bin"));
+}
+
+#[test]
+fn a_bundle_is_two_small_files_side_by_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = whole();
+    let at = |ending: &str| folder.path().join(format!("record{ending}"));
+    std::fs::write(at(".dsse.json"), &whole.envelope).unwrap();
+    assert!(Bundle::read(&at("")).unwrap_err().to_string().contains("record.tlog-proof"));
+    std::fs::write(at(".tlog-proof"), &whole.proof).unwrap();
+    for name in ["", ".dsse.json", ".tlog-proof"] {
+        let bundle = Bundle::read(&at(name)).unwrap();
+        let report = audit(&Evidence { pinned: Some(&whole.pinned), ..bundle.evidence() });
+        assert_eq!(report.outcome, Outcome::Trusted, "{report}");
+    }
+    assert!(whole.proof.len() < 2048, "a proof is small: {} bytes", whole.proof.len());
+    std::fs::write(at(".tlog-proof"), [0xff; 8]).unwrap();
+    assert_eq!(errors(&audit(&Bundle::read(&at("")).unwrap().evidence())), ["proof.malformed"]);
+    std::fs::write(at(".tlog-proof"), vec![b'a'; 2 << 20]).unwrap();
+    assert!(Bundle::read(&at("")).unwrap_err().to_string().contains("larger than"));
 }

@@ -2,7 +2,7 @@
 //!
 //! The formats are public ones, so that anybody's tools can check a log of ours:
 //! DSSE envelopes ([`dsse`]), RFC 6962 Merkle trees ([`merkle`]), C2SP signed
-//! notes, checkpoints and proofs ([`note`], [`checkpoint`], [`proof`]). Ours are only the owner
+//! notes, checkpoints, proofs and tiles ([`note`], [`checkpoint`], [`proof`], [`tile`]). Ours are only the owner
 //! record ([`record`]) and the leaf ([`leaf`]).
 //!
 //! Those build without the feature `store`, which adds the writing half: the
@@ -21,6 +21,7 @@ pub mod record;
 pub mod registry;
 #[cfg(feature = "store")]
 pub mod store;
+pub mod tile;
 mod tree;
 
 pub use checkpoint::{Checkpoint, CheckpointError};

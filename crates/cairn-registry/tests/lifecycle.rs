@@ -5,7 +5,7 @@ mod common;
 
 use cairn_registry::{
     Checkpoint, Digest, Envelope, OwnerRecord, RecordError, RecordKind, Registry, RegistryError, merkle,
-    store::FaultyStore,
+    store::FaultyStore, tile::decode_entries,
 };
 use common::*;
 
@@ -220,4 +220,22 @@ fn submissions_at_once_share_flushes_and_each_gets_its_own_place() {
     receipts.iter().for_each(|receipt| verify_receipt(&registry, receipt));
     assert!(store.flushes() - flushes_before <= 160);
     assert!(registry.check().unwrap().is_empty());
+}
+
+#[test]
+fn a_monitor_rebuilds_the_log_from_its_tiles() {
+    let (_, registry) = in_memory();
+    for i in 0..5 {
+        submit(&registry, &owner(1), "fern", &i.to_string()).unwrap();
+    }
+    let head = registry.head().unwrap();
+    let fetch = |path: &str| registry.tile(&path.parse().unwrap()).unwrap();
+    let entries = fetch("tile/entries/000.p/5").unwrap();
+    let leaves: Vec<_> = decode_entries(&entries).unwrap().into_iter().map(merkle::leaf_hash).collect();
+    assert_eq!(merkle::root(&leaves), head.root);
+    let hashes: Vec<u8> = leaves.iter().flat_map(|hash| *hash.as_bytes()).collect();
+    assert_eq!(fetch("tile/0/000.p/5"), Some(hashes));
+    for absent in ["tile/entries/000", "tile/entries/000.p/6", "tile/entries/001.p/1", "tile/1/000.p/1"] {
+        assert_eq!(fetch(absent), None, "{absent}");
+    }
 }

@@ -33,6 +33,7 @@ use crate::{
     proof::TlogProof,
     record::OwnerRecord,
     store::{DiskStore, Store, StoreError, StoreLock},
+    tile::{TileKind, TilePath, encode_entries},
 };
 
 pub use error::RegistryError;
@@ -274,6 +275,26 @@ impl Registry {
         let entries = self.store.scan(&prefix, &from.to_be_bytes(), limit)?;
         let indices = entries.iter().filter_map(|(key, _)| layout::number(key.strip_prefix(prefix.as_slice())?));
         indices.take_while(|index| *index < size).map(|index| self.record(index)).collect()
+    }
+
+    /// The bytes of a tile or of a bundle of entries (leaves), as monitors fetch them; none where the published log does not
+    /// hold all of it.
+    ///
+    /// # Errors
+    /// [`RegistryError::Store`]; [`RegistryError::Inconsistent`] where a leaf is missing.
+    pub fn tile(&self, path: &TilePath) -> Result<Option<Vec<u8>>, RegistryError> {
+        let (size, hashes) = {
+            let state = self.read();
+            (state.size, path.cut(&state.tree, state.size))
+        };
+        if path.kind != TileKind::Entries {
+            return Ok(hashes);
+        }
+        let held = TilePath::in_tree(path.kind, path.index, size).filter(|held| path.width <= held.width);
+        let Some(first) = held.and_then(|held| held.first()) else { return Ok(None) };
+        let leaves = reload::leaves(self.store.as_ref(), first, path.width.into())?;
+        let bundle = encode_entries(leaves.iter().map(Vec::as_slice));
+        bundle.map(Some).map_err(|e| reload::inconsistent(&path.to_string(), e.to_string()))
     }
 
     /// Index of the record with this digest (SHA-256 of its PAE), if it is published.

@@ -88,6 +88,17 @@ fn read_leaves(store: &dyn Store) -> Result<Tree, RegistryError> {
     }
 }
 
+/// `count` leaves from `first` on, which must be there.
+pub(super) fn leaves(store: &dyn Store, first: u64, count: usize) -> Result<Vec<Vec<u8>>, RegistryError> {
+    let entries = store.scan(layout::LEAVES, &first.to_be_bytes(), count)?;
+    let leaves: Vec<_> =
+        (first..).zip(entries).map_while(|(index, (key, leaf))| (key == layout::leaf(index)).then_some(leaf)).collect();
+    if leaves.len() != count {
+        return Err(inconsistent(&format!("leaf {}", first + leaves.len() as u64), "missing".into()));
+    }
+    Ok(leaves)
+}
+
 /// Record `index` with everything that one record can tell about itself verified.
 pub(super) fn stored(store: &dyn Store, index: u64) -> Result<StoredRecord, RegistryError> {
     let place = format!("record {index}");
