@@ -63,7 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut both = view.picture.rgb().to_vec();
         both.extend_from_slice(render.rgb());
         let sheet = Picture::new(w, 2 * render.height(), both)?;
-        std::fs::write(std::env::temp_dir().join(format!("curve-{n}.png")), encode_png(&sheet)?)?;
+        std::fs::write(std::env::temp_dir().join(format!("curve-{n}.png")), encode_png(&sheet))?;
     }
     let each = started.elapsed().as_secs_f64() / test.len() as f64;
     println!(

@@ -2,7 +2,7 @@
 //! grid and the appearances.
 
 use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Kept, Owed, Thresholds, gather, push_back};
+use crate::composite::{Kept, Owed, Regularise, Thresholds, gather, push_back};
 use crate::frame::SceneFrame;
 use crate::grid::Grid;
 use crate::sh::SH;
@@ -23,7 +23,7 @@ pub(crate) struct BatchSettings<'a> {
     pub(crate) appearances: &'a [Appearance],
     pub(crate) rays: usize,
     pub(crate) huber: f32,
-    pub(crate) distortion: f32,
+    pub(crate) regularise: Regularise<f32>,
     /// Seed and step: the only source of chance.
     pub(crate) stream: (u64, u64),
 }
@@ -114,7 +114,7 @@ fn one_ray(
         out.loss += f64::from(residual * residual);
         2.0 * if s.huber > 0.0 { residual.clamp(-s.huber, s.huber) } else { residual }
     });
-    push_back(tape, gathered.end, &appearance.pull(slope, &basis), s.distortion, ray, &mut out.owed);
+    push_back(tape, gathered.end, &appearance.pull(slope, &basis), &s.regularise, ray, &mut out.owed);
     out.bases.push(basis);
     if !s.appearances.is_empty() {
         out.shaded.push(Shaded { view: view as u32, slope, features: f });

@@ -139,14 +139,22 @@ pub struct Owed<T> {
     pub weight: T,
 }
 
+/// Losses on a ray's weights themselves.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Regularise<T> {
+    /// Weight of mip-NeRF 360's distortion loss (eq. 15): draws a ray's weight together.
+    pub distortion: T,
+    /// Weight of the ray's optical depth: clears the haze that explains nothing.
+    pub sparsity: T,
+}
+
 /// Walks the tape back. `slope` holds d(loss)/d(each field of [`Gathered`])
-/// (its `along` is ignored); `distortion` weighs mip-NeRF 360's distortion loss
-/// (eq. 15), which draws a ray's weight together. Appends to `owed`.
+/// (its `along` is ignored). Appends to `owed`.
 pub fn push_back<T: Real>(
     tape: &[Kept<T>],
     end: T,
     slope: &Gathered<T>,
-    distortion: T,
+    regularise: &Regularise<T>,
     ray: u32,
     owed: &mut Vec<Owed<T>>,
 ) {
@@ -163,11 +171,11 @@ pub fn push_back<T: Real>(
     for kept in tape.iter().rev() {
         let (g, g_weight) = if kept.far { (slope.far, slope.far_weight) } else { (slope.near, slope.near_weight) };
         let mut e = g[0] * kept.colour[0] + g[1] * kept.colour[1] + g[2] * kept.colour[2] + g_weight;
-        if distortion != T::zero() {
+        if regularise.distortion != T::zero() {
             let weight_before = weight_all - weight_behind - kept.weight;
             let moment_before = moment_all - moment_behind - kept.weight * kept.along;
             let spread = kept.along * weight_before - moment_before + moment_behind - kept.along * weight_behind;
-            e += distortion * (two * spread + two / T::of(3.0) * kept.weight * kept.length);
+            e += regularise.distortion * (two * spread + two / T::of(3.0) * kept.weight * kept.length);
             weight_behind += kept.weight;
             moment_behind += kept.weight * kept.along;
         }
@@ -175,7 +183,7 @@ pub fn push_back<T: Real>(
             cell: kept.cell,
             ray,
             frac: kept.frac,
-            raw: kept.slope * (kept.behind * e - later),
+            raw: kept.slope * (kept.behind * e - later + regularise.sparsity),
             colour: [kept.weight * g[0], kept.weight * g[1], kept.weight * g[2]],
             weight: kept.weight,
         });

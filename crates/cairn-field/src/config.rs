@@ -40,6 +40,8 @@ pub struct FieldConfig {
     pub final_rate: f64,
     /// Weight of the distortion loss (mip-NeRF 360 eq. 15), >= 0.
     pub distortion: f64,
+    /// Weight of rays' optical depth, >= 0: clears haze.
+    pub sparsity: f64,
     /// Weight of density's total variation, >= 0.
     pub smooth_density: f64,
     /// Weight of colour's total variation, >= 0.
@@ -70,6 +72,7 @@ impl Default for FieldConfig {
             learning_rate_appearance: 0.01,
             final_rate: 0.1,
             distortion: 0.003,
+            sparsity: 2e-3,
             smooth_density: 1e-5,
             smooth_colour: 1e-4,
             huber: 0.0,
@@ -118,6 +121,7 @@ impl FieldConfig {
         }
         for (key, value) in [
             ("field.distortion", self.distortion),
+            ("field.sparsity", self.sparsity),
             ("field.smooth_density", self.smooth_density),
             ("field.smooth_colour", self.smooth_colour),
             ("field.huber", self.huber),

@@ -15,9 +15,12 @@ use serde::{Deserialize, Serialize};
 
 /// Format of a stored field; another number is refused by name.
 pub const FIELD_FORMAT: &str = "cairn.field/1";
-/// Density (per unit-cube length) below which a cell counts as empty: over the
-/// whole cube it would stop 1 % of the light.
-pub(crate) const EMPTY_DENSITY: f64 = 0.01;
+/// Density (per unit-cube length) below which a cell counts as empty: a step
+/// through it stops less than a ten-thousandth of the light.
+pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
+    let largest = dims.iter().copied().max().unwrap_or(2);
+    1e-4 * (largest - 1) as f64 / crate::march::STEP_VOXELS
+}
 
 /// A radiance field after stage 1 (theta_0). Immutable.
 #[derive(Clone, Debug)]
@@ -61,7 +64,7 @@ impl Field {
         for row in grid.colour.chunks_exact_mut(ROW) {
             row[ROW - 1] = 0.0;
         }
-        grid.refresh_occupancy(EMPTY_DENSITY);
+        grid.refresh_occupancy(empty_density(grid.dims));
         Self { frame, grid, canonical, appearances }
     }
 

@@ -21,6 +21,10 @@ pub struct Gradient {
 /// Cells of z in a slab; two slabs' vertices overlap by one plane only.
 const SLAB: usize = 2;
 
+/// Cells of y in a lane. Lanes only order the samples within a slab, so that
+/// neighbours in memory follow one another.
+const LANE: usize = 4;
+
 /// A pointer that several threads may use on disjoint rows.
 struct Shared<T>(*mut T);
 // SAFETY: used only by `Gradient::add`, which gives each row to one thread.
@@ -40,26 +44,32 @@ impl Gradient {
 
     /// Adds `owed` (chunks in batch order) into the gradient; `bases` by ray.
     pub fn add(&mut self, grid: &Grid<f32>, owed: &[Vec<Owed<f32>>], bases: &[[f32; SH]]) {
-        let plane = grid.dims[0] * grid.dims[1];
+        let (nx, plane) = (grid.dims[0], grid.dims[0] * grid.dims[1]);
         let slabs = (grid.dims[2] - 1).div_ceil(SLAB);
-        let slab_of = |o: &Owed<f32>| o.cell as usize / plane / SLAB;
-        // Counting sort: how many of each chunk go to each slab, then where.
-        let counts: Vec<Vec<u32>> = owed
+        let lanes = (grid.dims[1] - 1).div_ceil(LANE);
+        let buckets = slabs * lanes;
+        let bucket_of = |o: &Owed<f32>| {
+            let cell = o.cell as usize;
+            cell / plane / SLAB * lanes + cell % plane / nx / LANE
+        };
+        // Counting sort: how many of each chunk go to each bucket, then where.
+        let mut offsets: Vec<Vec<u32>> = owed
             .par_iter()
             .map(|chunk| {
-                let mut count = vec![0u32; slabs];
-                chunk.iter().for_each(|o| count[slab_of(o)] += 1);
+                let mut count = vec![0u32; buckets];
+                chunk.iter().for_each(|o| count[bucket_of(o)] += 1);
                 count
             })
             .collect();
-        let mut offsets: Vec<Vec<u32>> = vec![vec![0; slabs]; owed.len()];
         let mut bounds = vec![0u32; slabs + 1];
         let mut next = 0;
-        for slab in 0..slabs {
-            bounds[slab] = next;
-            for (offset, count) in offsets.iter_mut().zip(&counts) {
-                offset[slab] = next;
-                next += count[slab];
+        for bucket in 0..buckets {
+            if bucket % lanes == 0 {
+                bounds[bucket / lanes] = next;
+            }
+            for offset in &mut offsets {
+                let count = std::mem::replace(&mut offset[bucket], next);
+                next += count;
             }
         }
         bounds[slabs] = next;
@@ -68,7 +78,7 @@ impl Gradient {
         owed.par_iter().zip(offsets).enumerate().for_each(|(c, (chunk, mut offset))| {
             let slots = &slots;
             for (i, o) in chunk.iter().enumerate() {
-                let slot = &mut offset[slab_of(o)];
+                let slot = &mut offset[bucket_of(o)];
                 // SAFETY: the offsets give every (chunk, sample) a slot of its own below `next`.
                 unsafe { *slots.0.add(*slot as usize) = (c as u32, i as u32) };
                 *slot += 1;

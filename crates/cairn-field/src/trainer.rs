@@ -4,9 +4,10 @@
 
 use crate::appearance::{Appearance, FEATURES};
 use crate::batch::{Batch, BatchSettings};
+use crate::composite::Regularise;
 use crate::config::{AppearanceMode, FieldConfig};
 use crate::error::FieldError;
-use crate::field::{EMPTY_DENSITY, Field};
+use crate::field::{Field, empty_density};
 use crate::frame::SceneFrame;
 use crate::grid::{DENSITY_SCALE, Grid, ROW};
 use crate::optimise::{Adam, Rates};
@@ -148,7 +149,7 @@ impl BaseTrainer {
             appearances: &self.appearances,
             rays: self.config.rays_per_step,
             huber: self.config.huber as f32,
-            distortion: self.config.distortion as f32,
+            regularise: Regularise { distortion: self.config.distortion as f32, sparsity: self.config.sparsity as f32 },
             stream: (self.seed, self.step),
         });
         if !batch.loss.is_finite() {
@@ -206,7 +207,7 @@ impl BaseTrainer {
             self.level += 1;
             let dims = dims_of_level(&self.config, &self.frame, self.level);
             self.grid = self.grid.resampled(dims, &keep);
-            self.grid.refresh_occupancy(EMPTY_DENSITY);
+            self.grid.refresh_occupancy(empty_density(self.grid.dims));
             self.adam = Adam::zero(self.grid.rows() * ROW);
             self.gradient = Gradient::zero(self.grid.rows());
             return;
@@ -216,7 +217,7 @@ impl BaseTrainer {
             self.gradient.seen.fill(0.0);
         }
         if self.step % 64 == 63 {
-            self.grid.refresh_occupancy(EMPTY_DENSITY);
+            self.grid.refresh_occupancy(empty_density(self.grid.dims));
         }
     }
 
