@@ -1,7 +1,21 @@
 //! The one binary: parse, build, run.
 
+mod cli;
 mod config;
 mod daemon;
 mod engine;
 
-fn main() {}
+use std::process::ExitCode;
+
+use clap::Parser;
+
+fn main() -> ExitCode {
+    match cli::Cli::parse().run() {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            // 1 is the answer `invalid` of a verification; 2 is everything that went wrong.
+            ExitCode::from(2)
+        }
+    }
+}

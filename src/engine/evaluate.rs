@@ -49,6 +49,17 @@ impl Report {
     }
 }
 
+impl std::fmt::Display for Report {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "{} held-out views of {} ({})", self.held_out_views, self.scene, self.job)?;
+        writeln!(f, "  base field    {:6.2} dB  SSIM {:.4}", self.base.psnr_db, self.base.ssim)?;
+        if let Some(marked) = &self.marked {
+            writeln!(f, "  marked field  {:6.2} dB  SSIM {:.4}", marked.psnr_db, marked.ssim)?;
+        }
+        Ok(())
+    }
+}
+
 /// A held-out view with everything that is compared.
 struct Scored {
     photograph: Picture,

@@ -1,0 +1,268 @@
+//! `cairn render`, `who`, `detect`, `evaluate`: looking at a trained scene.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use cairn_proto::v1;
+use serde::Deserialize;
+
+use super::connect::{Connection, refused};
+use super::{VERSION, read, write};
+
+/// From where to look.
+#[derive(Clone, Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+pub struct FromWhere {
+    /// The name of one of the scene's views
+    #[arg(long, value_name = "VIEW")]
+    pub view: Option<String>,
+    /// A camera: JSON with width, height, fx, fy, cx, cy (px), camera_to_world (3 or 4 rows of 4 numbers, OpenCV axes),
+    /// and k1, k2, k3, p1, p2 where the lens distorts
+    #[arg(long, value_name = "FILE")]
+    pub pose: Option<PathBuf>,
+}
+
+/// `cairn render`.
+#[derive(Debug, clap::Args)]
+pub struct RenderArgs {
+    /// The scene
+    name: String,
+    #[command(flatten)]
+    from: FromWhere,
+    /// Where the PNG goes
+    #[arg(long, value_name = "PNG")]
+    out: PathBuf,
+    /// The field before it was marked
+    #[arg(long)]
+    base: bool,
+    /// In the light of this training view
+    #[arg(long, value_name = "VIEW")]
+    light: Option<String>,
+}
+
+/// `cairn who`.
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = false, args = ["view", "pose", "picture"])]
+pub struct WhoArgs {
+    /// The scene
+    name: String,
+    /// The name of one of the scene's views
+    #[arg(long, value_name = "VIEW")]
+    view: Option<String>,
+    /// A camera, as for `cairn render`
+    #[arg(long, value_name = "FILE")]
+    pose: Option<PathBuf>,
+    /// A picture, which the classifier reads
+    #[arg(long, value_name = "PNG")]
+    picture: Option<PathBuf>,
+}
+
+/// `cairn detect`.
+#[derive(Debug, clap::Args)]
+pub struct DetectArgs {
+    /// The scene whose detector reads
+    name: String,
+    /// The picture, PNG or JPEG
+    picture: PathBuf,
+    /// Where the recovered signal goes
+    #[arg(long, value_name = "PNG")]
+    out: PathBuf,
+}
+
+/// `cairn evaluate`.
+#[derive(Debug, clap::Args)]
+pub struct EvaluateArgs {
+    /// The scene
+    name: String,
+    /// Also write the report as JSON
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Also draw the contact sheet
+    #[arg(long, value_name = "PNG")]
+    sheet: Option<PathBuf>,
+}
+
+/// A camera as people write it down.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseFile {
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    #[serde(default)]
+    k1: f64,
+    #[serde(default)]
+    k2: f64,
+    #[serde(default)]
+    k3: f64,
+    #[serde(default)]
+    p1: f64,
+    #[serde(default)]
+    p2: f64,
+    camera_to_world: Vec<[f64; 4]>,
+}
+
+fn camera(path: &Path) -> anyhow::Result<v1::Camera> {
+    let f: PoseFile =
+        serde_json::from_slice(&read(path)?).with_context(|| format!("{} is no camera", path.display()))?;
+    let rows = &f.camera_to_world;
+    let last_is_right = rows.get(3).is_none_or(|row| *row == [0.0, 0.0, 0.0, 1.0]);
+    anyhow::ensure!(
+        (rows.len() == 3 || rows.len() == 4) && last_is_right,
+        "{}: camera_to_world needs 3 rows of 4 numbers, or 4 with the last one 0, 0, 0, 1",
+        path.display()
+    );
+    let rotation = rows[..3].iter().flat_map(|row| row[..3].iter().copied()).collect();
+    let position = rows[..3].iter().map(|row| row[3]).collect();
+    let (fx, fy, cx, cy) = (f.fx, f.fy, f.cx, f.cy);
+    let (k1, k2, k3, p1, p2) = (f.k1, f.k2, f.k3, f.p1, f.p2);
+    let intrinsics = v1::Intrinsics { width: f.width, height: f.height, fx, fy, cx, cy, k1, k2, k3, p1, p2 };
+    Ok(v1::Camera { intrinsics: Some(intrinsics), pose: Some(v1::Pose { rotation, position }) })
+}
+
+fn viewpoint(view: Option<String>, pose: Option<&Path>) -> anyhow::Result<v1::Viewpoint> {
+    use v1::viewpoint::From;
+    let from = match (view, pose) {
+        (Some(name), _) => From::ViewName(name),
+        (None, Some(path)) => From::Camera(camera(path)?),
+        (None, None) => anyhow::bail!("say from where: --view or --pose"),
+    };
+    Ok(v1::Viewpoint { from: Some(from) })
+}
+
+/// Answers `cairn render`.
+pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
+    let choice = args.light.map(v1::appearance::Choice::ViewName);
+    let field = if args.base { v1::FieldKind::Base } else { v1::FieldKind::Marked };
+    let request = v1::RenderRequest {
+        format_version: VERSION,
+        scene: args.name,
+        viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),
+        field: field.into(),
+        appearance: Some(v1::Appearance { choice }),
+    };
+    let answer = line.render().render(request).await.map_err(refused)?.into_inner();
+    write(&args.out, &answer.png)?;
+    println!("{} x {} px in {}", answer.width, answer.height, args.out.display());
+    Ok(())
+}
+
+/// Answers `cairn who`.
+pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
+    let answer = match args.picture {
+        Some(path) => {
+            let picture = read(&path)?.into();
+            let request = v1::WhoByPictureRequest { format_version: VERSION, scene: args.name, picture };
+            line.query().who_by_picture(request).await
+        }
+        None => {
+            let viewpoint = Some(viewpoint(args.view, args.pose.as_deref())?);
+            let request = v1::WhoByPoseRequest { format_version: VERSION, scene: args.name, viewpoint };
+            line.query().who_by_pose(request).await
+        }
+    };
+    let answer = answer.map_err(refused)?.into_inner();
+    match answer.answer {
+        Some(v1::who_response::Answer::Identity(who)) => {
+            println!("identity {}: {} (confidence {:.2})", who.number, who.label, answer.confidence);
+            let indices: Vec<String> = who.record_indices.iter().map(u64::to_string).collect();
+            let records = if indices.is_empty() { "none".to_owned() } else { indices.join(", ") };
+            println!("owner records: {records}");
+        }
+        _ => println!("unmarked (confidence {:.2})", answer.confidence),
+    }
+    Ok(())
+}
+
+/// Answers `cairn detect`.
+pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
+    let picture = read(&args.picture)?.into();
+    let request = v1::DetectRequest { format_version: VERSION, scene: args.name, picture };
+    let answer = line.detection().detect(request).await.map_err(refused)?.into_inner();
+    write(&args.out, &answer.recovered_png)?;
+    match answer.identity {
+        0 => println!("unmarked"),
+        number => println!("identity {number}: {}", answer.label),
+    }
+    for (class, probability) in answer.probabilities.iter().enumerate() {
+        println!("  class {class}: {probability:.4}");
+    }
+    println!("recovered signal in {}", args.out.display());
+    Ok(())
+}
+
+/// Answers `cairn evaluate`.
+pub async fn evaluate(line: &Connection, args: EvaluateArgs) -> anyhow::Result<()> {
+    let report = report(line, &args.name, args.json.as_ref(), args.sheet.as_ref()).await?;
+    print!("{report}");
+    Ok(())
+}
+
+/// Scores a scene; writes the report and the contact sheet where asked.
+pub async fn report(
+    line: &Connection,
+    scene: &str,
+    json: Option<&PathBuf>,
+    sheet: Option<&PathBuf>,
+) -> anyhow::Result<crate::engine::evaluate::Report> {
+    let contact_sheet = sheet.is_some();
+    let request = v1::EvaluateRequest { format_version: VERSION, scene: scene.to_owned(), contact_sheet };
+    let answer = line.query().evaluate(request).await.map_err(refused)?.into_inner();
+    if let Some(path) = json {
+        write(path, answer.report_json.as_bytes())?;
+    }
+    if let Some(path) = sheet {
+        write(path, &answer.contact_sheet_png)?;
+    }
+    serde_json::from_str(&answer.report_json).context("the daemon's report is of another version")
+}
+
+/// Looking from a camera of one's own: the pose file of a [`cairn_capture::Camera`].
+#[cfg(test)]
+fn pose_file(camera: &cairn_capture::Camera) -> serde_json::Value {
+    let (i, p) = (&camera.intrinsics, &camera.pose);
+    let row = |r: usize| {
+        let rotation = p.rotation.row(r);
+        [rotation.x, rotation.y, rotation.z, p.position[r]]
+    };
+    serde_json::json!({
+        "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy,
+        "camera_to_world": [row(0), row(1), row(2)],
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_capture::{Camera, Distortion, Intrinsics, Pose};
+    use glam::{DMat3, DVec3};
+
+    #[test]
+    fn a_pose_file_is_the_camera_it_describes() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("pose.json");
+        let pose = Pose::look_at(DVec3::new(1.0, -2.0, 3.0), DVec3::ZERO, DVec3::Z).unwrap();
+        let distortion = Distortion::default();
+        let intrinsics = Intrinsics { width: 8, height: 6, fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0, distortion };
+        let wanted = Camera { intrinsics, pose };
+        std::fs::write(&path, pose_file(&wanted).to_string()).unwrap();
+        let read = crate::daemon::from_proto::camera("c", Some(&camera(&path).unwrap())).unwrap();
+        assert!((read.pose.position - wanted.pose.position).length() < 1e-12);
+        let difference: DMat3 = read.pose.rotation - wanted.pose.rotation;
+        assert!(difference.to_cols_array().iter().all(|v| v.abs() < 1e-9), "{difference}");
+        assert!((wanted.ray(1.0, 2.0).1 - read.ray(1.0, 2.0).1).length() < 1e-9);
+    }
+
+    #[test]
+    fn a_wrong_last_row_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("pose.json");
+        let text = r#"{"width":1,"height":1,"fx":1,"fy":1,"cx":0,"cy":0,
+            "camera_to_world":[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,1,1]]}"#;
+        std::fs::write(&path, text).unwrap();
+        assert!(camera(&path).unwrap_err().to_string().contains("0, 0, 0, 1"));
+    }
+}

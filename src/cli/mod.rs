@@ -1,0 +1,130 @@
+//! The command line: what can be asked for, and which file answers it.
+
+mod bench;
+mod connect;
+mod demo;
+mod keys;
+mod look;
+mod owners;
+mod scene;
+mod train;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::config::{Config, LogFormat};
+use connect::{Connection, Where};
+
+/// The version that every request carries.
+const VERSION: u32 = cairn_proto::v1::FORMAT_VERSION;
+
+/// Credits the photographers of a landmark: radiance fields with hidden, recoverable owner marks.
+#[derive(Debug, Parser)]
+#[command(name = "cairn", version, max_term_width = 100)]
+pub struct Cli {
+    #[command(flatten)]
+    place: Where,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the daemon on --data with --config, until SIGINT or SIGTERM
+    Serve,
+    /// Import, list, show and delete scenes
+    #[command(subcommand)]
+    Scene(scene::Command),
+    /// Train a scene: base field, then marked field and detector
+    Train(train::Args),
+    /// List the training jobs, newest first
+    Jobs,
+    /// Render a trained scene to a PNG
+    Render(look::RenderArgs),
+    /// Ask who contributed what is seen: by view, pose or picture
+    Who(look::WhoArgs),
+    /// Recover what a picture hides
+    Detect(look::DetectArgs),
+    /// Score a trained scene on the views it never saw
+    Evaluate(look::EvaluateArgs),
+    /// Make and show owners' keys (they stay on this machine)
+    #[command(subcommand)]
+    Keys(keys::Command),
+    /// Sign, list and verify owner records
+    #[command(subcommand)]
+    Owners(owners::Command),
+    /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
+    Demo(demo::Args),
+    /// Measure run time and quality, into a ledger
+    Bench(bench::Args),
+}
+
+impl Cli {
+    /// Runs the command. The exit code is 1 where a verification says `invalid`.
+    ///
+    /// # Errors
+    /// Whatever went wrong, for people to read.
+    pub fn run(self) -> anyhow::Result<ExitCode> {
+        let config = Config::load(self.place.config.as_deref())?;
+        start_log(&config);
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+        runtime.block_on(self.answer(config))
+    }
+
+    async fn answer(self, config: Config) -> anyhow::Result<ExitCode> {
+        let place = self.place;
+        match self.command {
+            Command::Serve => crate::daemon::serve::serve(config, &place.data).await?,
+            Command::Keys(command) => keys::run(&command)?,
+            Command::Demo(args) => demo::run(&place, args).await?,
+            Command::Bench(args) => bench::run(&place, args).await?,
+            Command::Owners(owners::Command::Verify(args)) => return owners::verify(&args),
+            command => {
+                let line = Connection::open(&place).await?;
+                let answer = over(&line, command).await;
+                line.close().await;
+                answer?;
+            }
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The commands that talk to the services.
+async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Scene(command) => scene::run(line, command).await,
+        Command::Train(args) => train::run(line, args).await,
+        Command::Jobs => train::jobs(line).await,
+        Command::Render(args) => look::render(line, args).await,
+        Command::Who(args) => look::who(line, args).await,
+        Command::Detect(args) => look::detect(line, args).await,
+        Command::Evaluate(args) => look::evaluate(line, args).await,
+        Command::Owners(command) => owners::run(line, command).await,
+        Command::Serve | Command::Keys(_) | Command::Demo(_) | Command::Bench(_) => Ok(()),
+    }
+}
+
+/// Logs go to standard error: standard output belongs to answers.
+fn start_log(config: &Config) {
+    let filter = tracing_subscriber::EnvFilter::new(&config.log_filter);
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match config.log_format {
+        LogFormat::Text => log.init(),
+        LogFormat::Json => log.json().init(),
+    }
+}
+
+/// Reads a file, naming it when that fails.
+fn read(path: &std::path::Path) -> anyhow::Result<Vec<u8>> {
+    use anyhow::Context as _;
+    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Writes a file, naming it when that fails.
+fn write(path: &PathBuf, bytes: &[u8]) -> anyhow::Result<()> {
+    use anyhow::Context as _;
+    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}

@@ -1,0 +1,270 @@
+//! `cairn scene`: import, list, show, delete.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::Context as _;
+use cairn_capture::{Capture, ReadOptions, SceneKind, encode_png};
+use cairn_proto::v1::{self, import_scene_request::Part};
+use sha2::{Digest, Sha256};
+
+use super::VERSION;
+use super::connect::{Connection, refused};
+use crate::daemon::to_proto;
+
+/// Bytes of photograph a message.
+const CHUNK_BYTES: usize = 256 << 10;
+
+/// What to do with scenes.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// Bring a capture in: COLMAP, LLFF, NeRF-Synthetic or transforms.json
+    Import(ImportArgs),
+    /// All scenes
+    List,
+    /// One scene, its views and its model
+    Show {
+        /// The scene
+        name: String,
+    },
+    /// Delete a scene and its models (owner records stay in the log)
+    Delete {
+        /// The scene
+        name: String,
+    },
+}
+
+/// `cairn scene import`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ImportArgs {
+    /// The new scene's name: letters, digits, '-', '_', '.'
+    pub name: String,
+    /// The capture's folder
+    #[arg(long, value_name = "DIR")]
+    pub from: PathBuf,
+    /// Who took what: a CSV table with the columns image,contributor
+    #[arg(long, value_name = "CSV")]
+    pub contributors: Option<PathBuf>,
+    /// How the scene lies around its cameras (guessed where not given)
+    #[arg(long, value_enum)]
+    pub kind: Option<Kind>,
+    /// Hold out every n-th view, to score on; 0 holds out none
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    pub hold_every: usize,
+    /// Resample the photographs to this width (with --height); the scene then keeps and signs the copies
+    #[arg(long, value_name = "PX", requires = "height")]
+    pub width: Option<usize>,
+    /// Resample the photographs to this height
+    #[arg(long, value_name = "PX", requires = "width")]
+    pub height: Option<usize>,
+    /// Resample the photographs by this factor, above 0, to 1
+    #[arg(long, value_name = "FACTOR", conflicts_with = "width")]
+    pub scale: Option<f64>,
+}
+
+/// The kinds of scenes.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Kind {
+    /// All cameras look the same way from about the same place (LLFF)
+    ForwardFacing,
+    /// An object within a box, nothing behind it (NeRF-Synthetic)
+    Bounded,
+    /// Something in the open
+    Unbounded,
+}
+
+/// Answers `cairn scene`.
+pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Import(args) => {
+            let summary = import(line, &args).await?;
+            println!("imported {}", one_line(&summary));
+            Ok(())
+        }
+        Command::List => {
+            let request = v1::ListScenesRequest { format_version: VERSION };
+            let scenes = line.scenes().list(request).await.map_err(refused)?.into_inner().scenes;
+            scenes.iter().for_each(|s| println!("{}", one_line(s)));
+            Ok(())
+        }
+        Command::Show { name } => show(line, name).await,
+        Command::Delete { name } => {
+            let request = v1::DeleteSceneRequest { format_version: VERSION, scene: name.clone() };
+            line.scenes().delete(request).await.map_err(refused)?;
+            println!("deleted {name}");
+            Ok(())
+        }
+    }
+}
+
+fn one_line(s: &v1::SceneSummary) -> String {
+    let trained = if s.trained { "trained" } else { "not trained" };
+    let megabytes = s.photograph_bytes as f64 / 1e6;
+    format!(
+        "{}: {} views ({} held out) by {} contributors, {megabytes:.1} MB, {trained}",
+        s.name, s.views, s.held_out_views, s.contributors
+    )
+}
+
+async fn show(line: &Connection, name: String) -> anyhow::Result<()> {
+    let scene = get(line, &name).await?;
+    if let Some(summary) = &scene.summary {
+        println!("{}", one_line(summary));
+    }
+    for view in &scene.views {
+        let held_out = if view.held_out { "  held out" } else { "" };
+        println!("  {}  by {}{held_out}", view.name, view.contributor);
+    }
+    if let Some(model) = &scene.model {
+        println!("model of {}, seed {}", model.job_id, model.seed);
+        for identity in &model.identities {
+            println!("  identity {}: {}, {} views", identity.number, identity.label, identity.view_names.len());
+        }
+    }
+    Ok(())
+}
+
+/// One scene.
+pub async fn get(line: &Connection, name: &str) -> anyhow::Result<v1::GetSceneResponse> {
+    let request = v1::GetSceneRequest { format_version: VERSION, scene: name.to_owned() };
+    Ok(line.scenes().get(request).await.map_err(refused)?.into_inner())
+}
+
+/// A photograph's file, or its resampled copy.
+enum Photograph {
+    File(PathBuf),
+    Copy(Vec<u8>),
+}
+
+/// Reads a capture and streams it to the services.
+pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::SceneSummary> {
+    let kind = args.kind.map(|k| match k {
+        Kind::ForwardFacing => SceneKind::ForwardFacing,
+        Kind::Bounded => SceneKind::Bounded,
+        Kind::Unbounded => SceneKind::Unbounded,
+    });
+    let contributors = args.contributors.clone();
+    let options = ReadOptions { contributors, kind, hold_every: args.hold_every, ..ReadOptions::default() };
+    let capture = Capture::read(&args.from, &options)?;
+    let (views, photographs) = prepare(&capture, args)?;
+    let points = capture.points.iter().map(|p| v1::Point { x: p.x, y: p.y, z: p.z }).collect();
+    let header = v1::ImportHeader {
+        scene: args.name.clone(),
+        views,
+        points,
+        kind: to_proto::scene_kind(capture.kind).into(),
+        background: capture.background.map(Vec::from).unwrap_or_default(),
+    };
+    let first = v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Header(header)) };
+    let trouble = Arc::new(Mutex::new(None));
+    let chunks = chunks(photographs, trouble.clone());
+    let answer = line.scenes().import(tokio_stream::iter(std::iter::once(first).chain(chunks))).await;
+    // A file that could not be read ended the stream early; that is the error to tell.
+    if let Some(error) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        return Err(error);
+    }
+    answer.map_err(refused)?.into_inner().scene.context("the daemon's answer names no scene")
+}
+
+fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::ImportView>, Vec<Photograph>)> {
+    let (mut views, mut photographs) = (Vec::new(), Vec::new());
+    for (index, view) in capture.views.iter().enumerate() {
+        let mut camera = view.camera;
+        let path = capture.root.join(&view.photograph);
+        let (photograph, bytes, sha256): (_, u64, [u8; 32]) = match new_size(args, &camera)? {
+            None => {
+                let mut hash = Sha256::new();
+                let mut file = File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
+                let bytes = std::io::copy(&mut file, &mut HashWriter(&mut hash))?;
+                (Photograph::File(path), bytes, hash.finalize().into())
+            }
+            Some((width, height)) => {
+                camera = camera.resized(width, height);
+                let copy = encode_png(&capture.photograph(index)?.resized(width, height));
+                let (bytes, sha256) = (copy.len() as u64, Sha256::digest(&copy).into());
+                (Photograph::Copy(copy), bytes, sha256)
+            }
+        };
+        let (near, far) = view.bounds.unwrap_or((0.0, 0.0));
+        views.push(v1::ImportView {
+            name: view.name.clone(),
+            camera: Some(to_proto::camera(&camera)),
+            contributor: view.contributor.clone(),
+            photograph_bytes: bytes,
+            photograph_sha256: sha256.to_vec().into(),
+            near,
+            far,
+            held_out: view.held_out,
+        });
+        photographs.push(photograph);
+    }
+    Ok((views, photographs))
+}
+
+fn new_size(args: &ImportArgs, camera: &cairn_capture::Camera) -> anyhow::Result<Option<(usize, usize)>> {
+    if let (Some(width), Some(height)) = (args.width, args.height) {
+        anyhow::ensure!(width > 0 && height > 0, "--width {width} --height {height}: both must be 1 or more");
+        return Ok(Some((width, height)));
+    }
+    let Some(scale) = args.scale else { return Ok(None) };
+    anyhow::ensure!(scale > 0.0 && scale <= 1.0, "--scale {scale}: allowed is above 0, to 1");
+    let side = |px: usize| ((px as f64 * scale).round() as usize).max(1);
+    Ok(Some((side(camera.intrinsics.width), side(camera.intrinsics.height))))
+}
+
+struct HashWriter<'a>(&'a mut Sha256);
+
+impl std::io::Write for HashWriter<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// The photographs' bytes, read as they are sent. Ends early where a file cannot
+/// be read, and says so in `trouble`.
+fn chunks(
+    photographs: Vec<Photograph>,
+    trouble: Arc<Mutex<Option<anyhow::Error>>>,
+) -> impl Iterator<Item = v1::ImportSceneRequest> + Send + 'static {
+    let mut open: Option<(u32, Box<dyn Read + Send>)> = None;
+    let mut rest = photographs.into_iter().enumerate();
+    std::iter::from_fn(move || {
+        loop {
+            if open.is_none() {
+                let (index, photograph) = rest.next()?;
+                let reader: Box<dyn Read + Send> = match photograph {
+                    Photograph::Copy(bytes) => Box::new(std::io::Cursor::new(bytes)),
+                    Photograph::File(path) => match File::open(&path) {
+                        Ok(file) => Box::new(file),
+                        Err(e) => {
+                            let error = anyhow::Error::from(e).context(format!("cannot read {}", path.display()));
+                            *trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                            return None;
+                        }
+                    },
+                };
+                open = Some((index as u32, reader));
+            }
+            let (view_index, reader) = open.as_mut()?;
+            let mut data = Vec::with_capacity(CHUNK_BYTES);
+            match reader.take(CHUNK_BYTES as u64).read_to_end(&mut data) {
+                Ok(0) => open = None,
+                Ok(_) => {
+                    let chunk = v1::PhotographChunk { view_index: *view_index, data: data.into() };
+                    return Some(v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Chunk(chunk)) });
+                }
+                Err(e) => {
+                    *trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(e.into());
+                    return None;
+                }
+            }
+        }
+    })
+}

@@ -1,0 +1,206 @@
+//! `cairn train` and `cairn jobs`: start or take up a training and watch it.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use cairn_proto::v1::{self, JobState, start_training_request::Clusters};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::connect::{Connection, refused};
+use super::{VERSION, read};
+
+/// `cairn train`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Args {
+    /// The scene
+    pub name: String,
+    /// M, the number of clusters around anchors
+    #[arg(long, value_name = "M", default_value_t = 3, conflicts_with = "by_contributor")]
+    pub anchors: u32,
+    /// K, the views of a cluster
+    #[arg(long, value_name = "K", default_value_t = 20, conflicts_with = "by_contributor")]
+    pub neighbours: u32,
+    /// One cluster for each contributor instead
+    #[arg(long)]
+    pub by_contributor: bool,
+    /// Views that a contributor needs to be an identity, with --by-contributor
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    pub least_views: u32,
+    /// The same seed gives the same bytes
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Pictures to hide, in order of file name, identity 1 first (drawn where not given)
+    #[arg(long, value_name = "DIR")]
+    pub signals: Option<PathBuf>,
+    /// Training settings that go over the daemon's (see configs/)
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Fewer steps and smaller sizes, for trying things out
+    #[arg(long)]
+    pub quick: bool,
+    /// Stop after the base field: no marks
+    #[arg(long)]
+    pub base_only: bool,
+    /// Take up a cancelled or failed job of this scene instead
+    #[arg(long, value_name = "JOB")]
+    pub resume: Option<String>,
+    /// Do not wait for the end (with --connect)
+    #[arg(long)]
+    pub detach: bool,
+}
+
+/// Answers `cairn train`.
+pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
+    let job = match &args.resume {
+        Some(id) => {
+            let request = v1::ResumeTrainingRequest { format_version: VERSION, job_id: id.clone() };
+            line.training().resume(request).await.map_err(refused)?.into_inner().job
+        }
+        None => line.training().start(request(&args)?).await.map_err(refused)?.into_inner().job,
+    };
+    let job = job.context("the daemon's answer names no job")?;
+    println!("{} accepted for {}", job.id, job.scene);
+    if args.detach {
+        return Ok(());
+    }
+    let job = watch(line, &job.id, true).await?;
+    report(&job)
+}
+
+fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
+    let clusters = if args.by_contributor {
+        Clusters::ByContributor(v1::ByContributor { least_views: args.least_views })
+    } else {
+        Clusters::ByAnchors(v1::ByAnchors { anchors: args.anchors, neighbours: args.neighbours })
+    };
+    let settings_toml = match &args.settings {
+        Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?,
+        None => String::new(),
+    };
+    let signals = match &args.signals {
+        Some(folder) => signals(folder)?,
+        None => Vec::new(),
+    };
+    Ok(v1::StartTrainingRequest {
+        format_version: VERSION,
+        scene: args.name.clone(),
+        clusters: Some(clusters),
+        seed: args.seed,
+        settings_toml,
+        signals,
+        quick: args.quick,
+        base_only: args.base_only,
+    })
+}
+
+fn signals(folder: &Path) -> anyhow::Result<Vec<v1::Signal>> {
+    let list = std::fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))?;
+    let mut paths = Vec::new();
+    for entry in list {
+        let path = entry?.path();
+        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        if matches!(ending.as_deref(), Some("png" | "jpg" | "jpeg")) {
+            paths.push(path);
+        }
+    }
+    anyhow::ensure!(!paths.is_empty(), "{} holds no PNG or JPEG to hide", folder.display());
+    paths.sort();
+    paths.iter().map(|path| Ok(v1::Signal { picture: read(path)?.into() })).collect()
+}
+
+/// Watches a job to its end, with a bar. The first Ctrl-C cancels it.
+pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1::Job> {
+    let request = v1::WatchTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
+    let mut stream = line.training().watch(request).await.map_err(refused)?.into_inner();
+    let bar = if bar { progress_bar() } else { ProgressBar::hidden() };
+    let mut last: Option<v1::Job> = None;
+    loop {
+        tokio::select! {
+            message = stream.message() => match message.map_err(refused)? {
+                Some(message) => {
+                    if let Some(job) = message.job {
+                        draw(&bar, &job);
+                        last = Some(job);
+                    }
+                }
+                None => break,
+            },
+            interrupt = tokio::signal::ctrl_c() => {
+                interrupt?;
+                bar.set_message("cancelling after this step");
+                let request = v1::CancelTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
+                line.training().cancel(request).await.map_err(refused)?;
+            }
+        }
+    }
+    bar.finish_and_clear();
+    last.context("the daemon closed the line before it said anything of the job")
+}
+
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    // The template is a constant that parses; the plain style is there for the day it does not.
+    if let Ok(style) = ProgressStyle::with_template("{prefix:12} [{bar:32}] {pos}/{len} {msg}") {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.enable_steady_tick(Duration::from_millis(250));
+    bar
+}
+
+fn draw(bar: &ProgressBar, job: &v1::Job) {
+    let Some(p) = &job.progress else { return };
+    bar.set_prefix(p.stage.clone());
+    bar.set_length(p.total);
+    bar.set_position(p.step);
+    let left = if p.seconds_left >= 0.0 { clock(p.seconds_left) } else { "?".into() };
+    let quality = if p.psnr_db > 0.0 { format!("{:.1} dB", p.psnr_db) } else { format!("loss {:.4}", p.loss) };
+    bar.set_message(format!("{quality}, {left} left"));
+}
+
+/// Seconds as m:ss.
+fn clock(seconds: f64) -> String {
+    let seconds = seconds.round() as u64;
+    format!("{}:{:02}", seconds / 60, seconds % 60)
+}
+
+fn report(job: &v1::Job) -> anyhow::Result<()> {
+    let resume = format!("go on with `cairn train {} --resume {}`", job.scene, job.id);
+    match job.state() {
+        JobState::Done => {
+            let stages: Vec<String> = job.stages.iter().map(|s| format!("{} {:.0} s", s.stage, s.seconds)).collect();
+            println!("{} done ({})", job.id, stages.join(", "));
+            Ok(())
+        }
+        JobState::Cancelled => {
+            println!("{} cancelled; its checkpoint is kept: {resume}", job.id);
+            Ok(())
+        }
+        JobState::Failed => anyhow::bail!("{} failed: {}; when that is mended, {resume}", job.id, job.error),
+        state => anyhow::bail!("the daemon closed the line while {} was {}", job.id, state_name(state)),
+    }
+}
+
+/// A state in a word.
+pub fn state_name(state: JobState) -> &'static str {
+    match state {
+        JobState::Unspecified => "in an unknown state",
+        JobState::Accepted => "accepted",
+        JobState::Running => "running",
+        JobState::Done => "done",
+        JobState::Failed => "failed",
+        JobState::Cancelled => "cancelled",
+    }
+}
+
+/// Answers `cairn jobs`.
+pub async fn jobs(line: &Connection) -> anyhow::Result<()> {
+    let request = v1::ListTrainingRequest { format_version: VERSION, scene: String::new() };
+    for job in line.training().list(request).await.map_err(refused)?.into_inner().jobs {
+        let p = job.progress.clone().unwrap_or_default();
+        let place = if p.total > 0 { format!(", {} {}/{}", p.stage, p.step, p.total) } else { String::new() };
+        let error = if job.error.is_empty() { String::new() } else { format!(": {}", job.error) };
+        println!("{}  {}  {}{place}{error}", job.id, job.scene, state_name(job.state()));
+    }
+    Ok(())
+}
