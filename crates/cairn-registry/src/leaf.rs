@@ -65,6 +65,11 @@ impl Leaf {
     /// [`RecordError`] as from [`OwnerRecord::open`].
     pub fn of(envelope: &Envelope) -> Result<Self, RecordError> {
         let (record, signature) = OwnerRecord::open(envelope)?;
+        Self::of_opened(envelope, &record, &signature.sig)
+    }
+
+    /// The leaf of an envelope, by what [`OwnerRecord::open`] gave for it.
+    pub(crate) fn of_opened(envelope: &Envelope, record: &OwnerRecord, signature: &[u8]) -> Result<Self, RecordError> {
         // Verified, so 64 bytes; anything else would have been refused.
         let refuse = |_| RecordError::OwnerSignature { owner: record.owner_key };
         Ok(Self {
@@ -72,7 +77,7 @@ impl Leaf {
             record: envelope.digest(),
             owner: record.owner_key.id(),
             scene: scene_commitment(&record.scene_salt, &record.scene),
-            signature: signature.sig.as_slice().try_into().map_err(refuse)?,
+            signature: signature.try_into().map_err(refuse)?,
         })
     }
 

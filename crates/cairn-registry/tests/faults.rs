@@ -185,3 +185,25 @@ fn a_rotten_envelope_is_named_and_the_rest_stays_readable() {
     assert!(registry.record(1).is_err());
     assert!(registry.record(2).is_ok());
 }
+
+#[test]
+fn a_store_restored_from_an_old_backup_is_noticed_and_writes_no_second_history() {
+    let (store, registry) = begun();
+    let backup = store.crash();
+    let log = registry.verifier().unwrap();
+    let receipt = submit(&registry, &owner(2), "trex", "behind the backup").unwrap();
+    let known = Checkpoint::verify(&receipt.checkpoint, &log).unwrap();
+    registry.must_extend(&known).unwrap();
+    let restored = open(&backup).unwrap();
+    let refused = restored.must_extend(&known).unwrap_err();
+    assert!(refused.to_string().contains("3 leaves, known is a checkpoint over 4"), "{refused}");
+    let refused = submit(&restored, &owner(3), "fern", "a fork").unwrap_err();
+    assert!(matches!(refused, RegistryError::Halted { .. }), "{refused}");
+    // A log that has gone on differently.
+    let forked = open(&backup).unwrap();
+    submit(&forked, &owner(3), "fern", "a fork").unwrap();
+    let refused = forked.must_extend(&known).unwrap_err();
+    assert!(refused.to_string().contains("root at size 4"), "{refused}");
+    let foreign = Checkpoint { origin: "other.example/log".into(), ..known };
+    assert!(matches!(registry.must_extend(&foreign), Err(RegistryError::WrongOrigin { .. })));
+}

@@ -57,6 +57,9 @@ fn records_survive_a_restart_and_every_size_stays_provable() {
     assert!(matches!(registry.prove_consistency(1, 6), Err(RegistryError::Proof(_))));
 }
 
+const fn shared_between_threads<T: Send + Sync>() {}
+const _: () = shared_between_threads::<Registry>();
+
 #[test]
 fn a_second_writer_is_refused_and_told_who_holds_the_store() {
     let folder = tempfile::tempdir().unwrap();

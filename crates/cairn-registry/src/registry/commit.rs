@@ -244,6 +244,7 @@ mod tests {
         armed: Arc<AtomicBool>,
         entered: Arc<Gate>,
         flushes: Arc<AtomicU64>,
+        panics: Arc<AtomicBool>,
     }
 
     struct Gate(Barrier, Barrier);
@@ -260,6 +261,7 @@ mod tests {
         }
 
         fn put(&self, batch: Vec<Entry>) -> Result<(), StoreError> {
+            assert!(!self.panics.load(Ordering::SeqCst), "a store that panics");
             self.inner.put(batch)
         }
 
@@ -296,6 +298,33 @@ mod tests {
             replaces: None,
         };
         record.seal(&owner).unwrap()
+    }
+
+    #[test]
+    fn a_writer_that_panics_leaves_nobody_waiting() {
+        let store = Gated::default();
+        let key = OwnerKey::from_seed(&[200; 32]);
+        let registry = Registry::open_store(Box::new(store.clone()), key.clone(), "cairn.example/log").unwrap();
+        registry.submit(&sealed(&registry, 1)).unwrap();
+        store.panics.store(true, Ordering::SeqCst);
+        std::thread::scope(|scope| {
+            let writers = [2, 3, 4].map(|number| {
+                let registry = &registry;
+                scope.spawn(move || registry.submit(&sealed(registry, number)))
+            });
+            let ends = writers.map(|writer| writer.join());
+            assert!(ends.iter().any(Result::is_err), "one of them was the writer");
+            for end in ends.into_iter().flatten() {
+                assert!(matches!(end, Err(RegistryError::Halted { .. })), "{end:?}");
+            }
+        });
+        store.panics.store(false, Ordering::SeqCst);
+        let refused = registry.submit(&sealed(&registry, 5)).unwrap_err();
+        assert!(matches!(refused, RegistryError::Halted { .. }), "{refused}");
+        assert_eq!(registry.size(), 1);
+        drop(registry);
+        let registry = Registry::open_store(Box::new(store.inner.crash()), key, "cairn.example/log").unwrap();
+        assert_eq!(registry.submit(&sealed(&registry, 5)).unwrap().index, 1);
     }
 
     #[test]

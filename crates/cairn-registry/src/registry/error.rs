@@ -18,12 +18,12 @@ pub enum RegistryError {
     /// The envelope or the record in it is malformed, of an unknown type or version, or not signed by its owner.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// The record is meant for another log.
-    #[error("the record is for log {got:?}, this is {expected:?}; sign it again for this log")]
+    /// The record, or a checkpoint, is another log's.
+    #[error("meant for log {got:?}, this is {expected:?}; sign it again for this log")]
     WrongOrigin {
         /// This log.
         expected: String,
-        /// The log that the record names.
+        /// The log that it names.
         got: String,
     },
     /// The nonce was not issued by this registry for this scene and owner.

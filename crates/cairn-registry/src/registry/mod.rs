@@ -97,7 +97,9 @@ struct State {
     halted: Option<String>,
 }
 
-/// The registry over one store. Shared between threads by reference.
+/// The registry over one store, `Send` and `Sync`: shared between threads by reference.
+///
+/// Its calls block on the disk; an asynchronous caller gives them a thread.
 pub struct Registry {
     origin: String,
     key: OwnerKey,
@@ -210,6 +212,27 @@ impl Registry {
     /// Why the registry writes no more, if it halted.
     pub fn halted(&self) -> Option<String> {
         self.read().halted.clone()
+    }
+
+    /// Checks that this log goes on from a checkpoint of it that is known from elsewhere: published, cosigned, written
+    /// down. To be asked before serving, since a store restored from an old backup agrees with itself and would sign a
+    /// second history. Where it does not go on from it, the registry halts.
+    ///
+    /// # Errors
+    /// [`RegistryError::Inconsistent`], [`RegistryError::WrongOrigin`].
+    pub fn must_extend(&self, known: &Checkpoint) -> Result<(), RegistryError> {
+        if known.origin != self.origin {
+            return Err(RegistryError::WrongOrigin { expected: self.origin.clone(), got: known.origin.clone() });
+        }
+        let mut state = self.write();
+        let root = (known.size <= state.size).then(|| state.tree.root_at(known.size)).transpose()?;
+        let what = match root {
+            Some(root) if root == known.root => return Ok(()),
+            Some(root) => format!("root at size {} is {root}, known is {}", known.size, known.root),
+            None => format!("{} leaves, known is a checkpoint over {}", state.size, known.size),
+        };
+        state.halted.get_or_insert_with(|| what.clone());
+        Err(reload::inconsistent("leaves", what))
     }
 
     /// Proof that record `index` lies in the tree of `size` records.

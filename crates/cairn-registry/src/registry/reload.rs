@@ -107,8 +107,11 @@ pub(super) fn stored(store: &dyn Store, index: u64) -> Result<StoredRecord, Regi
     let json = store.get(&layout::envelope(&leaf.record))?;
     let json = json.ok_or_else(|| inconsistent(&place, "its envelope is missing".into()))?;
     let envelope = Envelope::parse(&json).map_err(|e| inconsistent(&place, e.to_string()))?;
-    let (record, _) = OwnerRecord::open(&envelope).map_err(|e| inconsistent(&place, e.to_string()))?;
-    let again = Leaf::of(&envelope).map_err(|e| inconsistent(&place, e.to_string()))?;
+    let opened = OwnerRecord::open(&envelope).and_then(|(record, signature)| {
+        let again = Leaf::of_opened(&envelope, &record, &signature.sig)?;
+        Ok((record, again))
+    });
+    let (record, again) = opened.map_err(|e| inconsistent(&place, e.to_string()))?;
     if again != leaf {
         return Err(inconsistent(&place, "the leaf is not this envelope's".into()));
     }

@@ -22,11 +22,11 @@ pub(super) struct Candidate {
 impl Candidate {
     /// Everything that can be said without the log.
     pub(super) fn check(envelope: &Envelope, origin: &str) -> Result<Self, RegistryError> {
-        let (record, _) = OwnerRecord::open(envelope)?;
+        let (record, signature) = OwnerRecord::open(envelope)?;
         if record.origin != origin {
             return Err(RegistryError::WrongOrigin { expected: origin.to_owned(), got: record.origin });
         }
-        let leaf = Leaf::of(envelope)?;
+        let leaf = Leaf::of_opened(envelope, &record, &signature.sig)?;
         Ok(Self { envelope: envelope.clone(), record, leaf })
     }
 }
