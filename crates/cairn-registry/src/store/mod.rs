@@ -11,7 +11,7 @@ mod lock;
 mod memory;
 
 pub use disk::DiskStore;
-pub use lock::StoreLock;
+pub use lock::{Holder, StoreLock};
 pub use memory::{Fault, FaultyStore};
 
 /// A key and its value.

@@ -1,0 +1,98 @@
+//! The contract of a store, over sled and over the failing double alike, so that what the double shows is true of the disk.
+#![cfg(feature = "store")]
+
+use cairn_registry::store::{DiskStore, Fault, FaultyStore, Store, StoreLock};
+
+fn entry(key: &str, value: &str) -> (Vec<u8>, Vec<u8>) {
+    (key.into(), value.into())
+}
+
+fn keys(store: &dyn Store, prefix: &str, from: &str, limit: usize) -> Vec<String> {
+    let found = store.scan(prefix.as_bytes(), from.as_bytes(), limit).unwrap();
+    found.into_iter().map(|(key, _)| String::from_utf8(key).unwrap()).collect()
+}
+
+fn contract(store: &dyn Store) {
+    assert_eq!(store.get(b"a").unwrap(), None);
+    assert_eq!(keys(store, "", "", 9), [""; 0]);
+    store.put(vec![entry("b/2", "two"), entry("b/1", "one"), entry("a", ""), entry("c", "three")]).unwrap();
+    store.flush().unwrap();
+    assert_eq!(store.get(b"a").unwrap(), Some(vec![]));
+    assert_eq!(store.get(b"b/2").unwrap(), Some(b"two".to_vec()));
+    store.put(vec![entry("b/2", "new"), entry("b/10", "ten")]).unwrap();
+    store.flush().unwrap();
+    assert_eq!(store.get(b"b/2").unwrap(), Some(b"new".to_vec()));
+    assert_eq!(keys(store, "", "", 9), ["a", "b/1", "b/10", "b/2", "c"]);
+    assert_eq!(keys(store, "b/", "", 9), ["b/1", "b/10", "b/2"]);
+    assert_eq!(keys(store, "b/", "10", 9), ["b/10", "b/2"]);
+    assert_eq!(keys(store, "b/", "", 2), ["b/1", "b/10"]);
+    assert_eq!(keys(store, "b/", "", 0), [""; 0]);
+    assert_eq!(keys(store, "d", "", 9), [""; 0]);
+}
+
+#[test]
+fn both_stores_keep_the_contract() {
+    contract(&FaultyStore::new());
+    let folder = tempfile::tempdir().unwrap();
+    contract(&DiskStore::open(folder.path()).unwrap());
+    let again = DiskStore::open(folder.path()).unwrap();
+    assert_eq!(keys(&again, "b/", "", 9), ["b/1", "b/10", "b/2"]);
+}
+
+#[test]
+fn large_values_which_sled_keeps_in_files_of_their_own_come_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let values: Vec<Vec<u8>> = (0..3).map(|i| vec![i; 1 << 20]).collect();
+    {
+        let store = DiskStore::open(folder.path()).unwrap();
+        for (i, value) in (0_u8..).zip(&values) {
+            store.put(vec![(vec![i], value.clone())]).unwrap();
+            store.flush().unwrap();
+        }
+        assert_ne!(std::fs::read_dir(folder.path().join("blobs")).unwrap().count(), 0, "sled made blobs of them");
+    }
+    let store = DiskStore::open(folder.path()).unwrap();
+    for (i, value) in (0_u8..).zip(values) {
+        assert_eq!(store.get(&[i]).unwrap(), Some(value));
+    }
+}
+
+#[test]
+fn the_double_tells_written_from_durable_and_fails_where_it_is_told() {
+    let store = FaultyStore::new();
+    store.put(vec![entry("a", "1")]).unwrap();
+    assert_eq!(store.crash().get(b"a").unwrap(), None);
+    store.flush().unwrap();
+    assert_eq!(store.crash().get(b"a").unwrap(), Some(b"1".to_vec()));
+    for (fault, there) in [(Fault::Before, false), (Fault::After, true)] {
+        let store = FaultyStore::new();
+        store.fail_at(1, fault);
+        store.get(b"x").unwrap();
+        let failed = store.put(vec![entry("a", "1")]).unwrap_err();
+        assert_eq!((failed.operation, failed.cause.as_str()), ("put", "injected"));
+        assert_eq!(store.get(b"a").unwrap().is_some(), there, "{fault:?}");
+    }
+}
+
+#[test]
+fn a_lock_names_its_holder_and_goes_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let held = StoreLock::take(folder.path()).unwrap().unwrap();
+    let holder = StoreLock::take(folder.path()).unwrap().unwrap_err();
+    assert_eq!(holder.pid, std::process::id().to_string());
+    assert!(holder.path.ends_with("LOCK"));
+    drop(held);
+    StoreLock::take(folder.path()).unwrap().unwrap();
+    assert_eq!(StoreLock::take(&folder.path().join("absent")).unwrap_err().operation, "lock");
+}
+
+#[test]
+fn what_cannot_be_opened_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("file");
+    std::fs::write(&path, "in the way").unwrap();
+    let refused = DiskStore::open(&path).unwrap_err();
+    assert!(refused.to_string().contains(&path.display().to_string()), "{refused}");
+    let refused = cairn_registry::Registry::open(&path, cairn_registry::OwnerKey::from_seed(&[1; 32]), "log");
+    assert!(refused.is_err());
+}
