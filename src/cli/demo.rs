@@ -1,17 +1,212 @@
-//! `cairn demo`.
-use std::path::PathBuf;
+//! `cairn demo`: the whole way once, on a made-up landmark and without anybody's
+//! photographs. Everything goes through the same services as any other client's
+//! calls; what it prints is measured then and there.
 
-use super::connect::Where;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use cairn_audit::Outcome;
+use cairn_landmark::{Landmark, LandmarkConfig};
+use cairn_proto::v1;
+use serde::Serialize;
+
+use super::connect::{Connection, Where, refused};
+use super::{VERSION, look, owners, scene, train, write};
+use crate::engine::report::{Report, Right};
+
+/// The demo's scene.
+const SCENE: &str = "demo";
 
 /// `cairn demo`.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Args {
-    /// JSON
+    /// Also write the results as JSON
     #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    pub json: Option<PathBuf>,
+    /// Where everything goes: capture, data, bundles, contact sheet. A new folder
+    #[arg(long, value_name = "DIR", default_value = "demo-out")]
+    pub out: PathBuf,
+    /// Every random number of landmark and training comes from it
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Photographers, each with a light and an emblem of their own
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    pub contributors: usize,
+    /// Photographs each of them takes
+    #[arg(long, value_name = "N", default_value_t = 14)]
+    pub photographs: usize,
+    /// Training settings that go over the quick ones
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Stop after the base field: no marks
+    #[arg(long)]
+    pub base_only: bool,
+}
+
+/// What the demo found.
+#[derive(Clone, Debug, Serialize)]
+pub struct Results {
+    /// 1.
+    pub format_version: u32,
+    /// The seed.
+    pub seed: u64,
+    /// Scores on the views that no training saw.
+    pub evaluation: Report,
+    /// Owner records that came out trusted, of those that were signed.
+    pub records_trusted: Right,
+    /// Who-contributed answers by pose that named the identity's record.
+    pub records_found: Right,
+    /// Seconds, step by step.
+    pub seconds: Vec<(String, f64)>,
 }
 
 /// Answers `cairn demo`.
-pub async fn run(_place: &Where, _args: Args) -> anyhow::Result<()> {
+pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
+    let results = measure(place, &args).await?;
+    print!("{}", results.evaluation);
+    println!("  owner records trusted      {}", results.records_trusted);
+    println!("  records found by pose      {}", results.records_found);
+    for (step, seconds) in &results.seconds {
+        println!("  {step:26} {seconds:6.1} s");
+    }
+    println!("contact sheet in {}", args.out.join("contact-sheet.png").display());
+    if let Some(path) = &args.json {
+        write(path, &serde_json::to_vec_pretty(&results)?)?;
+    }
     Ok(())
+}
+
+/// Runs the demo in its folder.
+pub async fn measure(place: &Where, args: &Args) -> anyhow::Result<Results> {
+    std::fs::create_dir(&args.out).with_context(|| {
+        format!("cannot make the folder {}; the demo wants a new one (--out DIR)", args.out.display())
+    })?;
+    let mut clock = Clock::default();
+    let config =
+        LandmarkConfig { contributors: args.contributors, photographs: args.photographs, ..LandmarkConfig::default() };
+    let capture = args.out.join("capture");
+    Landmark::generate(&config, args.seed)?.write(&capture)?;
+    clock.lap("photographing");
+
+    let data = args.out.join("data");
+    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }).await?;
+    let results = through(&line, args, &capture, &data, &mut clock).await;
+    line.close().await;
+    results
+}
+
+#[derive(Default)]
+struct Clock {
+    laps: Vec<(String, f64)>,
+    since: Option<Instant>,
+}
+
+impl Clock {
+    fn start(&mut self) {
+        self.since = Some(Instant::now());
+    }
+
+    /// Ends a lap; the next one begins.
+    fn lap(&mut self, name: &str) {
+        if let Some(since) = self.since {
+            self.laps.push((name.to_owned(), since.elapsed().as_secs_f64()));
+        }
+        self.start();
+    }
+}
+
+async fn through(
+    line: &Connection,
+    args: &Args,
+    capture: &Path,
+    data: &Path,
+    clock: &mut Clock,
+) -> anyhow::Result<Results> {
+    clock.start();
+    import(line, capture).await?;
+    clock.lap("importing");
+    let job = training(line, args).await?;
+    clock.laps.extend(job.stages.iter().map(|s| (s.stage.clone(), s.seconds)));
+    clock.start();
+    let records_trusted = records(line, args, data).await?;
+    clock.lap("signing and verifying");
+    let records_found = found(line).await?;
+    let evaluation = look::report(line, SCENE, None, Some(&args.out.join("contact-sheet.png"))).await?;
+    clock.lap("scoring");
+    let seconds = std::mem::take(&mut clock.laps);
+    Ok(Results { format_version: 1, seed: args.seed, evaluation, records_trusted, records_found, seconds })
+}
+
+async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
+    let import = scene::ImportArgs {
+        name: SCENE.to_owned(),
+        from: capture.to_path_buf(),
+        contributors: Some(capture.join("contributors.csv")),
+        kind: None,
+        hold_every: 8,
+        width: None,
+        height: None,
+        scale: None,
+    };
+    scene::import(line, &import).await.map(drop)
+}
+
+async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
+    let train = train::Args {
+        name: SCENE.to_owned(),
+        anchors: 0,
+        neighbours: 0,
+        by_contributor: true,
+        least_views: 2,
+        seed: args.seed,
+        signals: None,
+        settings: args.settings.clone(),
+        quick: true,
+        base_only: args.base_only,
+        resume: None,
+        detach: false,
+    };
+    train::run_to_end(line, &train).await
+}
+
+/// A key and a record for every identity, each verified from its files.
+async fn records(line: &Connection, args: &Args, data: &Path) -> anyhow::Result<Right> {
+    let model = scene::get(line, SCENE).await?.model.context("the training left no model")?;
+    let (keys, bundles) = (args.out.join("keys"), args.out.join("bundles"));
+    for folder in [&keys, &bundles] {
+        std::fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    let kind = if args.base_only { owners::Kind::Contribution } else { owners::Kind::Claim };
+    let mut trusted = Right::default();
+    for identity in &model.identities {
+        let key = keys.join(format!("{}.key", identity.number));
+        cairn_registry::OwnerKey::generate()?.save(&key)?;
+        let out = bundles.join(identity.number.to_string());
+        let purpose = "credit for the photographs".to_owned();
+        let sign = owners::SignArgs { name: SCENE.into(), identity: identity.number, key, kind, purpose, out };
+        owners::sign(line, &sign).await?;
+        let vkey = Some(sign.out.join("log.vkey"));
+        let verify = owners::VerifyArgs { bundle: sign.out, vkey, against: Some(data.into()), log: None, json: false };
+        trusted.count(owners::audit(&verify)?.outcome == Outcome::Trusted);
+    }
+    Ok(trusted)
+}
+
+/// Asks for every training view of a cluster whether the answer leads to a record.
+async fn found(line: &Connection) -> anyhow::Result<Right> {
+    let model = scene::get(line, SCENE).await?.model.context("the training left no model")?;
+    let mut found = Right::default();
+    for identity in &model.identities {
+        for name in &identity.view_names {
+            let from = Some(v1::viewpoint::From::ViewName(name.clone()));
+            let viewpoint = Some(v1::Viewpoint { from });
+            let request = v1::WhoByPoseRequest { format_version: VERSION, scene: SCENE.into(), viewpoint };
+            let answer = line.query().who_by_pose(request).await.map_err(refused)?.into_inner().answer;
+            let right = matches!(answer, Some(v1::who_response::Answer::Identity(who))
+                if who.number == identity.number && !who.record_indices.is_empty());
+            found.count(right);
+        }
+    }
+    Ok(found)
 }

@@ -42,10 +42,17 @@ pub struct RenderArgs {
 
 /// `cairn who`.
 #[derive(Debug, clap::Args)]
-#[group(required = true, multiple = false, args = ["view", "pose", "picture"])]
 pub struct WhoArgs {
     /// The scene
     name: String,
+    #[command(flatten)]
+    about: AboutWhat,
+}
+
+/// What to ask about.
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+struct AboutWhat {
     /// The name of one of the scene's views
     #[arg(long, value_name = "VIEW")]
     view: Option<String>,
@@ -152,14 +159,14 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
 
 /// Answers `cairn who`.
 pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
-    let answer = match args.picture {
+    let answer = match args.about.picture {
         Some(path) => {
             let picture = read(&path)?.into();
             let request = v1::WhoByPictureRequest { format_version: VERSION, scene: args.name, picture };
             line.query().who_by_picture(request).await
         }
         None => {
-            let viewpoint = Some(viewpoint(args.view, args.pose.as_deref())?);
+            let viewpoint = Some(viewpoint(args.about.view, args.about.pose.as_deref())?);
             let request = v1::WhoByPoseRequest { format_version: VERSION, scene: args.name, viewpoint };
             line.query().who_by_pose(request).await
         }
@@ -207,7 +214,7 @@ pub async fn report(
     scene: &str,
     json: Option<&PathBuf>,
     sheet: Option<&PathBuf>,
-) -> anyhow::Result<crate::engine::evaluate::Report> {
+) -> anyhow::Result<crate::engine::report::Report> {
     let contact_sheet = sheet.is_some();
     let request = v1::EvaluateRequest { format_version: VERSION, scene: scene.to_owned(), contact_sheet };
     let answer = line.query().evaluate(request).await.map_err(refused)?.into_inner();

@@ -68,7 +68,16 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     report(&job)
 }
 
-fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
+/// Starts a training and watches it to its good end.
+pub async fn run_to_end(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
+    let answer = line.training().start(request(args)?).await.map_err(refused)?.into_inner();
+    let job = watch(line, &answer.job.context("the services' answer names no job")?.id, true).await?;
+    anyhow::ensure!(job.state() == JobState::Done, "{} {} {}", job.id, state_name(job.state()), job.error);
+    Ok(job)
+}
+
+/// The request that the arguments stand for.
+pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
     let clusters = if args.by_contributor {
         Clusters::ByContributor(v1::ByContributor { least_views: args.least_views })
     } else {

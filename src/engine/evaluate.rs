@@ -2,68 +2,40 @@
 //! pictures survive the mark, whether the classifier is right, and whether what is
 //! recovered came out of the picture or out of the detector's memory.
 //!
-//! Without marks only the base field's pictures are scored.
+//! Renders are read as their users have them: rounded to 8 bits.
 
-use cairn_capture::Picture;
+use cairn_bench::sheet::{Tile, contact_sheet};
+use cairn_capture::{Camera, Capture, Picture, SceneFolder};
+use cairn_cluster::Grouping;
 use cairn_metrics::{psnr_db, ssim};
-use serde::{Deserialize, Serialize};
 
 use super::Engine;
 use super::error::EngineError;
-use super::model::Model;
+use super::model::{Mark, Model};
+use super::report::{MarkReport, PictureScore, Recovery, Report, Right};
 use super::stages::Appearance;
 
-/// What came out. JSON numbers; a PSNR of identical pictures is absent rather than infinite.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Report {
-    /// 1.
-    pub format_version: u32,
-    /// The scene.
-    pub scene: String,
-    /// The job whose model was scored.
-    pub job: String,
-    /// Views scored, none of them ever trained on.
-    pub held_out_views: usize,
-    /// The base field's renders against the photographs.
-    pub base: PictureScore,
-    /// The marked field's, likewise.
-    pub marked: Option<PictureScore>,
-}
-
-/// Means over the held-out views.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PictureScore {
-    /// PSNR, dB.
-    pub psnr_db: f64,
-    /// SSIM, -1 to 1.
-    pub ssim: f64,
-}
-
-impl Report {
-    /// As JSON, indented.
-    ///
-    /// # Errors
-    /// [`EngineError::Internal`].
-    pub fn to_json(&self) -> Result<String, EngineError> {
-        serde_json::to_string_pretty(self).map_err(|e| EngineError::Internal(format!("the report as JSON: {e}")))
-    }
-}
-
-impl std::fmt::Display for Report {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        writeln!(f, "{} held-out views of {} ({})", self.held_out_views, self.scene, self.job)?;
-        writeln!(f, "  base field    {:6.2} dB  SSIM {:.4}", self.base.psnr_db, self.base.ssim)?;
-        if let Some(marked) = &self.marked {
-            writeln!(f, "  marked field  {:6.2} dB  SSIM {:.4}", marked.psnr_db, marked.ssim)?;
-        }
-        Ok(())
-    }
-}
+/// Most rows of a contact sheet.
+const SHEET_ROWS: usize = 8;
+/// What 8 bits cannot tell from perfect, dB.
+const PERFECT_DB: f64 = 100.0;
 
 /// A held-out view with everything that is compared.
 struct Scored {
     photograph: Picture,
     base: Picture,
+    /// Marked render and what the detector says of it.
+    marked: Option<Read>,
+    /// The identity of the pose's cluster; 0 for none.
+    truth: u32,
+    /// The identity of whoever took it, where clusters are contributors'; 0 for none.
+    taken_by: Option<u32>,
+}
+
+struct Read {
+    picture: Picture,
+    class: u32,
+    recovered: Picture,
 }
 
 impl Engine {
@@ -72,44 +44,157 @@ impl Engine {
     /// # Errors
     /// [`EngineError::NotTrained`], [`EngineError::WrongState`] for a scene that
     /// holds no view out.
-    pub fn evaluate(&self, scene: &str, contact_sheet: bool) -> Result<(Report, Option<Picture>), EngineError> {
+    pub fn evaluate(&self, scene: &str, sheet: bool) -> Result<(Report, Option<Picture>), EngineError> {
         let model = self.model(scene)?;
         let folder = self.scene(scene)?;
-        let capture = folder.capture();
-        let mut scored = Vec::new();
-        for index in capture.held_out() {
-            let camera = capture.views[index].camera;
-            let photograph = folder.photograph(index)?;
-            let appearance = fitted(&model, &camera, &photograph)?;
-            let base = model.base.render(&camera, &appearance).clamped();
-            scored.push(Scored { photograph, base });
-        }
+        let scored = look(&model, &folder)?;
         if scored.is_empty() {
             let (what, why) = (format!("scene {scene:?}"), "it holds no view out of training".to_owned());
             return Err(EngineError::WrongState { what, operation: "scored", why });
         }
-        let unbounded = !model.base.appearances().is_empty();
-        let base = score(scored.iter().map(|s| (&s.photograph, &s.base)), unbounded)?;
+        let right_half = !model.base.appearances().is_empty();
         let report = Report {
             format_version: 1,
             scene: scene.to_owned(),
             job: model.info.job.clone(),
             held_out_views: scored.len(),
-            base,
-            marked: None,
+            base: score(scored.iter().map(|s| (&s.photograph, &s.base)), right_half)?,
+            who_by_pose: by_pose(&scored),
+            mark: model.mark.as_ref().map(|mark| mark_report(&model, mark, &scored, right_half)).transpose()?,
         };
-        let _ = contact_sheet;
-        Ok((report, None))
+        let sheet = sheet.then(|| draw(&model, &scored));
+        Ok((report, sheet))
     }
+}
+
+fn look(model: &Model, folder: &SceneFolder) -> Result<Vec<Scored>, EngineError> {
+    let capture = folder.capture();
+    let mut scored = Vec::new();
+    for index in capture.held_out() {
+        let camera = capture.views[index].camera;
+        let photograph = folder.photograph(index)?;
+        let appearance = fitted(model, &camera, &photograph)?;
+        let marked = match &model.mark {
+            None => None,
+            Some(mark) => {
+                let picture = eight_bits(&mark.field.render(&camera, &appearance))?;
+                let found = mark.detector.detect(&picture)?;
+                Some(Read { picture, class: found.identity.unwrap_or(0), recovered: found.recovered.clamped() })
+            }
+        };
+        scored.push(Scored {
+            base: eight_bits(&model.base.render(&camera, &appearance))?,
+            photograph,
+            marked,
+            truth: model.info.clusters.identity_of(&camera.pose).identity.unwrap_or(0),
+            taken_by: taken_by(model, capture, index),
+        });
+    }
+    Ok(scored)
 }
 
 /// The appearance of a view that training never saw: fitted to the left half of
 /// its photograph where views have appearances (the right half is scored), else the scene's.
-fn fitted(model: &Model, camera: &cairn_capture::Camera, photograph: &Picture) -> Result<Appearance, EngineError> {
+fn fitted(model: &Model, camera: &Camera, photograph: &Picture) -> Result<Appearance, EngineError> {
     if model.base.appearances().is_empty() {
         return Ok(model.base.canonical_appearance().clone());
     }
     Ok(model.base.fit_appearance_left_half(camera, photograph)?)
+}
+
+fn taken_by(model: &Model, capture: &Capture, index: usize) -> Option<u32> {
+    if !matches!(model.info.clusters.grouping(), Grouping::ByContributor { .. }) {
+        return None;
+    }
+    let contributor = &capture.views[index].contributor;
+    Some(model.info.identities.iter().find(|i| i.label == *contributor).map_or(0, |i| i.number))
+}
+
+fn by_pose(scored: &[Scored]) -> Option<Right> {
+    let mut answers = Right::default();
+    for view in scored {
+        answers.count(view.truth == view.taken_by?);
+    }
+    Some(answers)
+}
+
+fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) -> Result<MarkReport, EngineError> {
+    let (mut classes, mut who, mut photographs) = (Right::default(), Right::default(), Right::default());
+    let (mut against_base, mut pairs) = (0.0, Vec::new());
+    for view in scored {
+        let Some(read) = &view.marked else { continue };
+        pairs.push((&view.photograph, &read.picture));
+        against_base += psnr_db(&view.base, &read.picture)?.min(PERFECT_DB);
+        who.count(read.class == view.truth);
+        classes.count(read.class == view.truth);
+        classes.count(mark.detector.detect(&view.base)?.identity.is_none());
+        photographs.count(mark.detector.detect(&view.photograph)?.identity.is_none());
+    }
+    let against_base_psnr_db = against_base / pairs.len().max(1) as f64;
+    let identities = model.info.identities.iter().zip(&mark.signals);
+    Ok(MarkReport {
+        pictures: score(pairs.into_iter(), right_half)?,
+        against_base_psnr_db,
+        classes,
+        who_by_picture: who,
+        photographs_unmarked: photographs,
+        identities: identities
+            .map(|(identity, signal)| recovery(mark, identity.number, &identity.label, signal, scored))
+            .collect::<Result<_, _>>()?,
+    })
+}
+
+fn recovery(
+    mark: &Mark,
+    number: u32,
+    label: &str,
+    signal: &Picture,
+    scored: &[Scored],
+) -> Result<Recovery, EngineError> {
+    let (mut hidden, mut forced) = (Vec::new(), Vec::new());
+    for view in scored.iter().filter(|v| v.truth == number) {
+        if let Some(read) = &view.marked {
+            hidden.push(likeness(signal, &read.recovered)?);
+            forced.push(likeness(signal, &mark.detector.recover_as(&view.base, number)?)?);
+        }
+    }
+    let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
+    let (w, h) = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
+    let grey = Picture::constant(w, h, [0.5; 3]);
+    Ok(Recovery {
+        number,
+        label: label.to_owned(),
+        views: hidden.len(),
+        hidden_ssim: mean(&hidden),
+        forced_base_ssim: mean(&forced),
+        forced_grey_ssim: likeness(signal, &mark.detector.recover_as(&grey, number)?)?,
+        forced_noise_ssim: likeness(signal, &mark.detector.recover_as(&noise(w, h), number)?)?,
+    })
+}
+
+/// SSIM of a signal and what was recovered, at the signal's size.
+fn likeness(signal: &Picture, recovered: &Picture) -> Result<f64, EngineError> {
+    let recovered = recovered.resized(signal.width(), signal.height()).clamped();
+    Ok(ssim(signal, &recovered)?)
+}
+
+/// Uniform noise, the same in every evaluation (SplitMix64).
+fn noise(width: usize, height: usize) -> Picture {
+    let mut state = 0x9E37_79B9_7F4A_7C15u64;
+    let mut picture = Picture::constant(width, height, [0.0; 3]);
+    for v in picture.rgb_mut() {
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        *v = ((z ^ (z >> 31)) >> 40) as f32 / (1u32 << 24) as f32;
+    }
+    picture
+}
+
+fn eight_bits(picture: &Picture) -> Result<Picture, EngineError> {
+    Picture::from_rgb8(picture.width(), picture.height(), &picture.to_rgb8())
+        .map_err(|e| EngineError::Internal(format!("a render at 8 bits: {e}")))
 }
 
 fn score<'a>(
@@ -119,8 +204,7 @@ fn score<'a>(
     let (mut psnr, mut similarity, mut count) = (0.0, 0.0, 0.0);
     for (photograph, render) in pairs {
         let (a, b) = if right_half { (half(photograph)?, half(render)?) } else { (photograph.clone(), render.clone()) };
-        // Identical pictures have no finite PSNR; 100 dB is beyond what 8 bits can tell.
-        psnr += psnr_db(&a, &b)?.min(100.0);
+        psnr += psnr_db(&a, &b)?.min(PERFECT_DB);
         similarity += ssim(&a, &b)?;
         count += 1.0;
     }
@@ -133,4 +217,51 @@ fn half(picture: &Picture) -> Result<Picture, EngineError> {
     let from = w / 2;
     let rgb = (0..h).flat_map(|y| picture.rgb()[(y * w + from) * 3..(y + 1) * w * 3].iter().copied()).collect();
     Picture::new(w - from, h, rgb).map_err(|e| EngineError::Internal(format!("half a picture: {e}")))
+}
+
+/// Photograph, base, marked, their difference x 20, recovered, true signal.
+fn draw(model: &Model, scored: &[Scored]) -> Picture {
+    let tile = |picture: &Picture, caption: &str| Tile { picture: picture.clone(), label: caption.to_owned() };
+    let (w, h) = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
+    let mut rows = Vec::new();
+    for view in scored.iter().take(SHEET_ROWS) {
+        let mut row = vec![tile(&view.photograph, "PHOTOGRAPH"), tile(&view.base, "BASE")];
+        if let Some(read) = &view.marked {
+            let mut difference = read.picture.clone();
+            for (d, b) in difference.rgb_mut().iter_mut().zip(view.base.rgb()) {
+                *d = (0.5 + 20.0 * (*d - b)).clamp(0.0, 1.0);
+            }
+            row.push(tile(&read.picture, "MARKED"));
+            row.push(tile(&difference, "DIFFERENCE X 20"));
+            row.push(tile(&read.recovered, &format!("READ: {}", read.class)));
+            let nothing = Picture::constant(w, h, [0.0; 3]);
+            let signals = model.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
+            let truth = (view.truth as usize).checked_sub(1).and_then(|at| signals.get(at).copied());
+            row.push(tile(truth.unwrap_or(&nothing), &format!("TRUE: {}", view.truth)));
+        }
+        rows.push(row);
+    }
+    contact_sheet(&rows, w.clamp(96, 256), h.clamp(96, 256))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halves_and_noise_are_what_they_say() {
+        let wide = Picture::new(3, 1, (0..9).map(|v| v as f32).collect()).unwrap();
+        assert_eq!(half(&wide).unwrap().rgb(), [3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+        let n = noise(32, 32);
+        let mean = n.rgb().iter().sum::<f32>() / n.rgb().len() as f32;
+        assert!((mean - 0.5).abs() < 0.02 && n.rgb().iter().all(|v| (0.0..1.0).contains(v)), "{mean}");
+        assert_eq!(n, noise(32, 32));
+    }
+
+    #[test]
+    fn a_perfect_render_scores_the_cap() {
+        let picture = noise(16, 16);
+        let perfect = score([(&picture, &picture)].into_iter(), false).unwrap();
+        assert_eq!((perfect.psnr_db, perfect.ssim), (PERFECT_DB, 1.0));
+    }
 }

@@ -8,9 +8,11 @@ pub mod evaluate;
 pub mod folder;
 pub mod job;
 pub mod jobs;
+pub mod marks;
 pub mod model;
 pub mod owners;
 pub mod query;
+pub mod report;
 pub mod scenes;
 pub mod stages;
 pub mod training;
@@ -90,11 +92,6 @@ impl Engine {
             training: config.training.clone(),
             cache: Mutex::new(None),
         })
-    }
-
-    /// What is accepted at most.
-    pub fn limits(&self) -> &Limits {
-        &self.limits
     }
 
     /// The training jobs.

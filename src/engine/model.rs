@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use super::error::EngineError;
 use super::folder::{read_json, read_limited, remove, sync_folder, write_atomic, write_json};
-use super::stages::{Detector, Field, MarkedField};
+use super::marks::{Detector, MarkedField};
+use super::stages::Field;
 
 /// Largest field or detector file that is read, bytes.
 const MAX_FIELD_BYTES: u64 = 64 << 30;

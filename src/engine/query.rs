@@ -3,9 +3,10 @@
 use cairn_capture::{Camera, Picture};
 
 use super::error::EngineError;
+use super::marks::Detection;
 use super::model::Model;
 use super::scenes::check_size;
-use super::stages::{Appearance, Detection};
+use super::stages::Appearance;
 use super::{Engine, view_index};
 use crate::config::Limits;
 

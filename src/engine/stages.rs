@@ -4,7 +4,8 @@
 
 use std::sync::Arc;
 
-use cairn_capture::{Picture, SceneFolder};
+use cairn_capture::{Camera, Picture, SceneFolder};
+use cairn_cluster::Clusters;
 use cairn_field::{BaseTrainer, SceneFrame, TrainingView};
 
 pub use cairn_field::{Appearance, Field};
@@ -16,34 +17,8 @@ use crate::config::TrainingSettings;
 pub const BASE: &str = "base field";
 /// Name of stage 2.
 pub const MARK: &str = "marked field";
-
-/// The field after stage 2.
-pub type MarkedField = Field;
-
-/// Reads marks out of pictures.
-pub enum Detector {}
-
-/// What a detector says of a picture.
-pub struct Detection {
-    /// The identity; `None` for unmarked.
-    pub identity: Option<u32>,
-    /// Probability of each class; class 0 is `unmarked`.
-    pub probabilities: Vec<f32>,
-    /// The recovered hidden signal.
-    pub recovered: Picture,
-}
-
-impl Detector {
-    /// Reads what training wrote.
-    pub fn from_bytes(_bytes: &[u8]) -> Result<Self, EngineError> {
-        Err(EngineError::Internal("this build has no detector".into()))
-    }
-
-    /// Recovers and classifies.
-    pub fn detect(&self, _picture: &Picture) -> Result<Detection, EngineError> {
-        match *self {}
-    }
-}
+/// Side of a hidden picture, px.
+pub const SIGNAL_SIDE_PX: usize = 128;
 
 /// A training that goes on by steps and can be put down and taken up between them.
 pub trait Stage {
@@ -103,4 +78,20 @@ pub fn base_trainer(
             BaseTrainer::new(views, frame, capture.background, settings.field.clone(), seed)?
         }
     })
+}
+
+/// Everything that stage 2 starts from. Training views only.
+pub struct MarkPlan<'a> {
+    /// The base field.
+    pub base: Arc<Field>,
+    /// The identities; indices count `views`.
+    pub clusters: &'a Clusters,
+    /// Name and camera of each training view.
+    pub views: Vec<(String, Camera)>,
+    /// What each identity hides, identity 1 first, [`SIGNAL_SIDE_PX`] square.
+    pub signals: Vec<Picture>,
+    /// The settings.
+    pub settings: &'a TrainingSettings,
+    /// The seed.
+    pub seed: u64,
 }

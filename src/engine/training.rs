@@ -6,9 +6,10 @@
 //! ends in the same bytes however often it was cut off.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use cairn_capture::SceneFolder;
+use cairn_capture::{Picture, SceneFolder, encode_png};
 use cairn_cluster::{Clusters, Grouping};
 use cairn_registry::Digest;
 
@@ -16,9 +17,10 @@ use super::error::EngineError;
 use super::folder::{read_limited, remove, write_atomic};
 use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
-use super::model::{IdentityInfo, ModelFiles, ModelInfo, publish};
+use super::marks::MarkTrainer;
+use super::model::{IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
 use super::scenes;
-use super::stages::{self, Field, Stage};
+use super::stages::{self, Field, MarkPlan, Stage};
 
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT_BYTES: u64 = 64 << 30;
@@ -45,6 +47,13 @@ impl Work for Training {
         let Some(base) = self.base_field(job, &scene, &folder, control)? else { return Ok(Outcome::Stopped) };
         let clusters = clusters(&scene, &spec.grouping, spec.seed)?;
         let settings = spec.settings.to_toml()?;
+        let mark = match spec.base_only {
+            true => None,
+            false => match self.mark(job, &scene, &folder, &base, &clusters, control)? {
+                Some(files) => Some(files),
+                None => return Ok(Outcome::Stopped),
+            },
+        };
         let info = ModelInfo {
             format_version: 1,
             scene: spec.scene.clone(),
@@ -54,10 +63,11 @@ impl Work for Training {
             clusters,
             base_field: Digest::of(&base),
             settings: Digest::of(&settings),
-            mark: None,
+            mark: mark.as_ref().map(MarkFiles::info),
         };
-        publish(&self.models, &info, &ModelFiles { base: &base, settings: &settings, mark: None })?;
+        publish(&self.models, &info, &ModelFiles { base: &base, settings: &settings, mark: mark.as_ref() })?;
         remove(&folder.join("base.field"))?;
+        remove(&folder.join("mark.checkpoint"))?;
         control.progress(Progress { stage: "finished".into(), seconds_left: 0.0, ..Progress::default() });
         Ok(Outcome::Finished)
     }
@@ -87,6 +97,35 @@ impl Training {
         write_atomic(&done, &bytes)?;
         remove(&file)?;
         Ok(Some(bytes))
+    }
+
+    /// Stage 2's files, or `None` when it was asked to stop.
+    fn mark(
+        &self,
+        job: &Job,
+        scene: &SceneFolder,
+        folder: &Path,
+        base: &[u8],
+        clusters: &Clusters,
+        control: &Control<'_>,
+    ) -> Result<Option<MarkFiles>, EngineError> {
+        let capture = scene.capture();
+        let signals = signals(job, folder, clusters.clusters.len())?;
+        let plan = MarkPlan {
+            base: Arc::new(Field::from_bytes(base)?),
+            clusters,
+            views: capture.training().map(|i| (capture.views[i].name.clone(), capture.views[i].camera)).collect(),
+            signals: signals.clone(),
+            settings: &job.spec.settings,
+            seed: job.spec.seed,
+        };
+        let file = folder.join("mark.checkpoint");
+        let mut trainer = MarkTrainer::start(plan, read_checkpoint(&file)?.as_deref())?;
+        if !self.drive(stages::MARK, &mut trainer, &file, control)? {
+            return Ok(None);
+        }
+        let (field, detector) = trainer.finish()?;
+        Ok(Some(MarkFiles { field, detector, signals: signals.iter().map(encode_png).collect() }))
     }
 
     /// Steps a stage to its end; false when it was asked to stop. Either way its
@@ -129,6 +168,20 @@ impl Training {
             }
         }
     }
+}
+
+/// What each identity hides: what the job brought, else its own emblem.
+fn signals(job: &Job, folder: &Path, identities: usize) -> Result<Vec<Picture>, EngineError> {
+    let side = stages::SIGNAL_SIDE_PX;
+    let signal = |number: usize| {
+        if job.spec.signals == 0 {
+            return Ok(cairn_landmark::signals::emblem(number - 1, side, job.spec.seed));
+        }
+        let path = folder.join(format!("signal-{number}.png"));
+        let bytes = read_limited(&path, MAX_CHECKPOINT_BYTES)?;
+        Ok(cairn_capture::decode_picture(&bytes, &cairn_capture::Limits::default(), None)?.resized(side, side))
+    };
+    (1..=identities).map(signal).collect()
 }
 
 fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineError> {

@@ -1,0 +1,125 @@
+//! The real binary at work: starts daemons on a free port, runs commands, and
+//! makes tiny captures of a made-up landmark.
+#![allow(dead_code)] // Every test file uses its own part of this.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use cairn_landmark::{Landmark, LandmarkConfig};
+use cairn_proto::v1;
+use tempfile::TempDir;
+
+/// Training settings so small that a whole training takes a moment.
+pub const TINY: &str = "[field]\nsteps = 40\nrays_per_step = 256\nvoxels = 4096\nlevels = 1\n";
+
+/// A folder that goes with the test, with a capture in it.
+pub struct Place {
+    pub dir: TempDir,
+}
+
+impl Place {
+    /// Two contributors' photographs of the landmark, 12 views of 32 x 32 px.
+    pub fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let config =
+            LandmarkConfig { contributors: 2, photographs: 6, width: 32, height: 32, ..LandmarkConfig::default() };
+        Landmark::generate(&config, 3).unwrap().write(&dir.path().join("capture")).unwrap();
+        std::fs::write(dir.path().join("tiny.toml"), TINY).unwrap();
+        Self { dir }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    pub fn text(&self, name: &str) -> String {
+        self.path(name).display().to_string()
+    }
+
+    /// Runs `cairn` with `arguments`, in this folder.
+    pub fn cairn(&self, arguments: &[&str]) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_cairn")).args(arguments).current_dir(self.dir.path()).output().unwrap()
+    }
+
+    /// As [`Place::cairn`]; it must succeed. What it printed.
+    pub fn cairn_ok(&self, arguments: &[&str]) -> String {
+        let output = self.cairn(arguments);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "cairn {arguments:?}: {said}{}", String::from_utf8_lossy(&output.stderr));
+        said
+    }
+
+    /// Imports the capture as `scene` wherever `place` (--connect or --data) says.
+    pub fn import(&self, scene: &str, place: [&str; 2]) -> String {
+        let capture = self.text("capture");
+        let contributors = self.text("capture/contributors.csv");
+        let arguments =
+            ["scene", "import", scene, "--from", &capture, "--contributors", &contributors, place[0], place[1]];
+        self.cairn_ok(&arguments)
+    }
+}
+
+/// A daemon of our own.
+pub struct Daemon {
+    child: Child,
+    pub url: String,
+}
+
+impl Daemon {
+    /// Starts `cairn serve` on a free port; `settings` is TOML over the defaults.
+    pub fn start(data: &Path, settings: &str) -> Self {
+        let config = data.with_extension("toml");
+        let settings = format!("{settings}\n[server]\nbind = \"127.0.0.1:0\"\nshutdown_grace_s = 1\n");
+        std::fs::write(&config, settings).unwrap();
+        let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+            .args(["serve", "--data", data.to_str().unwrap(), "--config", config.to_str().unwrap()])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let url = line.trim().rsplit(' ').next().unwrap().to_owned();
+        assert!(url.starts_with("http://127.0.0.1:"), "the daemon said {line:?}");
+        Self { child, url }
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// SIGKILL: no chance to clean up.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// SIGTERM, and the exit status.
+    pub fn terminate(mut self) -> std::process::ExitStatus {
+        let sent = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        self.child.wait().unwrap()
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        // Already gone where the test ended it itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A training of `scene` by contributor that stops after stage 1.
+pub fn base_only(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainingRequest {
+    let by_contributor = v1::ByContributor { least_views: 2 };
+    v1::StartTrainingRequest {
+        format_version: 1,
+        scene: scene.into(),
+        clusters: Some(v1::start_training_request::Clusters::ByContributor(by_contributor)),
+        seed,
+        settings_toml: settings_toml.into(),
+        base_only: true,
+        ..v1::StartTrainingRequest::default()
+    }
+}

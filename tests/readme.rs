@@ -1,0 +1,49 @@
+//! The README's commands, run as they stand: documentation that cannot rot.
+//!
+//! Every line of a `console` block that starts with `$ cairn ` is run, in one
+//! fresh folder, in order, and must succeed. Commands that serve until they are stopped are
+//! only parsed.
+
+use std::path::Path;
+use std::process::Command;
+
+#[test]
+fn every_cairn_command_of_the_readme_works() {
+    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
+    let Ok(text) = std::fs::read_to_string(&readme) else {
+        eprintln!("SKIPPED every_cairn_command_of_the_readme_works: no {}", readme.display());
+        return;
+    };
+    let commands = commands(&text);
+    assert!(!commands.is_empty(), "the README shows no `$ cairn ...` in a `console` block");
+    let folder = tempfile::tempdir().unwrap();
+    for command in commands {
+        let mut arguments: Vec<&str> = command.split_whitespace().skip(1).collect();
+        if arguments.first() == Some(&"serve") || command.contains("--connect") || command.contains("PATH/TO") {
+            arguments.push("--help");
+        }
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_cairn")).args(&arguments).current_dir(folder.path()).output().unwrap();
+        assert!(output.status.success(), "$ {command}\n{}", String::from_utf8_lossy(&output.stderr));
+    }
+}
+
+/// Lines `$ cairn ...` of the text's `console` blocks, without comments.
+fn commands(text: &str) -> Vec<String> {
+    let mut inside = false;
+    let mut found = Vec::new();
+    for line in text.lines() {
+        if line.starts_with("```") {
+            inside = line == "```console";
+        } else if inside && let Some(command) = line.strip_prefix("$ ").filter(|c| c.starts_with("cairn ")) {
+            found.push(command.split(" #").next().unwrap_or(command).to_owned());
+        }
+    }
+    found
+}
+
+#[test]
+fn commands_are_found_where_they_are_shown() {
+    let text = "```console\n$ cairn jobs # all\noutput\n```\n```text\n$ cairn no\n```\n";
+    assert_eq!(commands(text), ["cairn jobs"]);
+}

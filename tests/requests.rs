@@ -1,0 +1,244 @@
+//! Scenes, renders, queries and refusals through the real daemon.
+
+mod common;
+
+use cairn_proto::v1::detection_service_client::DetectionServiceClient;
+use cairn_proto::v1::query_service_client::QueryServiceClient;
+use cairn_proto::v1::render_service_client::RenderServiceClient;
+use cairn_proto::v1::scene_service_client::SceneServiceClient;
+use cairn_proto::v1::training_service_client::TrainingServiceClient;
+use cairn_proto::v1::{self, import_scene_request::Part};
+use common::{Daemon, Place, TINY, base_only};
+use tonic::{Code, Request};
+
+fn view(name: &str) -> Option<v1::Viewpoint> {
+    Some(v1::Viewpoint { from: Some(v1::viewpoint::From::ViewName(name.into())) })
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_scene_is_imported_trained_rendered_and_asked() {
+    let place = Place::new();
+    let data = place.text("data");
+    // In this process and over the network: the same commands on the same folder, in turn.
+    assert!(place.import("town", ["--data", &data]).contains("12 views (2 held out) by 2 contributors"));
+    let tiny = place.text("tiny.toml");
+    let train = ["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data];
+    assert!(place.cairn_ok(&train).contains("done"));
+
+    let daemon = Daemon::start(&place.path("data"), "");
+    let connect = ["--connect", daemon.url.as_str()];
+    let listed = place.cairn_ok(&["scene", "list", connect[0], connect[1]]);
+    assert!(listed.contains("town: 12 views") && listed.contains(", trained"), "{listed}");
+    let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let request = v1::GetSceneRequest { format_version: 1, scene: "town".into() };
+    let scene = scenes.get(request).await.unwrap().into_inner();
+    let model = scene.model.unwrap();
+    assert_eq!(model.identities.len(), 2);
+
+    // Every member of a cluster is told its identity; nobody's record is there yet.
+    let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
+    for identity in &model.identities {
+        for name in &identity.view_names {
+            let request = v1::WhoByPoseRequest { format_version: 1, scene: "town".into(), viewpoint: view(name) };
+            let who = query.who_by_pose(request).await.unwrap().into_inner();
+            let Some(v1::who_response::Answer::Identity(found)) = who.answer else { panic!("{name}: {who:?}") };
+            assert_eq!((found.number, found.record_indices.len()), (identity.number, 0), "{name}");
+            assert!((0.0..=1.0).contains(&who.confidence), "{}", who.confidence);
+        }
+    }
+
+    let name = scene.views[1].name.clone();
+    let png = place.text("view.png");
+    place.cairn_ok(&["render", "town", "--view", &name, "--out", &png, "--base", connect[0], connect[1]]);
+    let bytes = std::fs::read(&png).unwrap();
+    let picture = cairn_capture::decode_picture(&bytes, &cairn_capture::Limits::default(), None).unwrap();
+    assert_eq!((picture.width(), picture.height()), (32, 32));
+    let other = place.text("other.png");
+    place.cairn_ok(&[
+        "render",
+        "town",
+        "--view",
+        &scene.views[7].name,
+        "--out",
+        &other,
+        "--base",
+        connect[0],
+        connect[1],
+    ]);
+    assert_ne!(bytes, std::fs::read(&other).unwrap(), "two places look alike");
+
+    let scored = place.cairn_ok(&["evaluate", "town", connect[0], connect[1]]);
+    assert!(scored.contains("2 held-out views of town"), "{scored}");
+    place.cairn_ok(&["scene", "delete", "town", connect[0], connect[1]]);
+    assert_eq!(place.cairn_ok(&["scene", "list", connect[0], connect[1]]), "");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bad_requests_get_the_right_codes() {
+    let place = Place::new();
+    let daemon = Daemon::start(&place.path("data"), "");
+    place.import("town", ["--connect", &daemon.url]);
+    let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let mut training = TrainingServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let mut render = RenderServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
+
+    let get = |format_version, scene: &str| v1::GetSceneRequest { format_version, scene: scene.into() };
+    let unknown = scenes.get(get(2, "town")).await.unwrap_err();
+    assert_eq!(unknown.code(), Code::InvalidArgument);
+    assert!(unknown.message().contains("format_version is 2"), "{unknown}");
+    assert_eq!(scenes.get(get(1, "tow")).await.unwrap_err().code(), Code::NotFound);
+    assert_eq!(scenes.get(get(1, "../town")).await.unwrap_err().code(), Code::InvalidArgument);
+
+    let wrong_key = base_only("town", 1, "[field]\nstepz = 3");
+    let refused = training.start(wrong_key).await.unwrap_err();
+    assert_eq!(refused.code(), Code::InvalidArgument);
+    assert!(refused.message().contains("`field.stepz` = 3"), "{refused}");
+    let by_anchors = v1::ByAnchors { anchors: 60, neighbours: 20 };
+    let clusters = Some(v1::start_training_request::Clusters::ByAnchors(by_anchors));
+    let too_many = v1::StartTrainingRequest { clusters, ..base_only("town", 1, TINY) };
+    assert_eq!(training.start(too_many).await.unwrap_err().code(), Code::FailedPrecondition);
+    let no_clusters = v1::StartTrainingRequest { clusters: None, ..base_only("town", 1, TINY) };
+    assert_eq!(training.start(no_clusters).await.unwrap_err().code(), Code::InvalidArgument);
+    let cancel = v1::CancelTrainingRequest { format_version: 1, job_id: "job-000009".into() };
+    assert_eq!(training.cancel(cancel).await.unwrap_err().code(), Code::NotFound);
+
+    let request = v1::RenderRequest {
+        format_version: 1,
+        scene: "town".into(),
+        viewpoint: view("images/none.png"),
+        ..v1::RenderRequest::default()
+    };
+    let untrained = render.render(request.clone()).await.unwrap_err();
+    assert_eq!(untrained.code(), Code::FailedPrecondition, "{untrained}");
+    let nowhere = v1::RenderRequest { viewpoint: None, ..request };
+    assert_eq!(render.render(nowhere).await.unwrap_err().code(), Code::InvalidArgument);
+    let noise = v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![7; 99].into() };
+    assert_eq!(detection.detect(noise).await.unwrap_err().code(), Code::InvalidArgument);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_import_that_breaks_its_word_leaves_nothing() {
+    let place = Place::new();
+    let daemon = Daemon::start(&place.path("data"), "[limits]\nmax_photograph_bytes = 2048");
+    let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let camera = v1::Camera {
+        intrinsics: Some(v1::Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, ..v1::Intrinsics::default() }),
+        pose: Some(v1::Pose { rotation: vec![1., 0., 0., 0., 1., 0., 0., 0., 1.], position: vec![0.0; 3] }),
+    };
+    let view = |name: &str, bytes| v1::ImportView {
+        name: name.into(),
+        camera: Some(camera.clone()),
+        contributor: "ada".into(),
+        photograph_bytes: bytes,
+        photograph_sha256: vec![0; 32].into(),
+        ..v1::ImportView::default()
+    };
+    let header = |views| {
+        let kind = v1::SceneKind::Unbounded.into();
+        let header = v1::ImportHeader { scene: "town".into(), views, kind, ..v1::ImportHeader::default() };
+        v1::ImportSceneRequest { format_version: 1, part: Some(Part::Header(header)) }
+    };
+    let chunk = |view_index, bytes: usize| {
+        let part = Part::Chunk(v1::PhotographChunk { view_index, data: vec![1; bytes].into() });
+        v1::ImportSceneRequest { format_version: 1, part: Some(part) }
+    };
+    let both = || vec![view("a", 8), view("b", 8)];
+    let nan = {
+        let mut views = both();
+        views[0].camera.as_mut().unwrap().pose.as_mut().unwrap().position[0] = f64::NAN;
+        views
+    };
+    for (messages, code, says) in [
+        (vec![chunk(0, 8)], Code::InvalidArgument, "no header"),
+        (vec![header(vec![view("a", 8)])], Code::InvalidArgument, "number of views"),
+        (vec![header(vec![view("a", 8), view("a", 8)])], Code::InvalidArgument, "twice"),
+        (vec![header(vec![view("a", 8), view("b", 4096)])], Code::InvalidArgument, "limits.max_photograph_bytes"),
+        (vec![header(nan)], Code::InvalidArgument, "not finite"),
+        (vec![header(both())], Code::InvalidArgument, "0 whole photographs"),
+        (vec![header(both()), chunk(1, 8)], Code::InvalidArgument, "view_index"),
+        (vec![header(both()), chunk(0, 9)], Code::InvalidArgument, "longer"),
+        (vec![header(both()), chunk(0, 8)], Code::InvalidArgument, "SHA-256"),
+    ] {
+        let refused = scenes.import(tokio_stream::iter(messages)).await.unwrap_err();
+        assert_eq!(refused.code(), code, "{refused}");
+        assert!(refused.message().contains(says), "{refused} does not say {says:?}");
+    }
+    let list = scenes.list(v1::ListScenesRequest { format_version: 1 }).await.unwrap();
+    assert!(list.into_inner().scenes.is_empty());
+    assert_eq!(std::fs::read_dir(place.path("data/staging")).unwrap().count(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
+    let place = Place::new();
+    std::fs::write(place.path("token"), "a-token-of-the-test\n").unwrap();
+    let settings = format!("[access]\ntoken_file = {:?}", place.text("token"));
+    let daemon = Daemon::start(&place.path("data"), &settings);
+    let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let delete = || v1::DeleteSceneRequest { format_version: 1, scene: "town".into() };
+    assert_eq!(scenes.delete(delete()).await.unwrap_err().code(), Code::Unauthenticated);
+    for (token, code) in [
+        ("Bearer wrong", Code::Unauthenticated),
+        ("a-token-of-the-test", Code::Unauthenticated),
+        ("Bearer a-token-of-the-test", Code::NotFound),
+    ] {
+        let mut request = Request::new(delete());
+        request.metadata_mut().insert("authorization", token.parse().unwrap());
+        assert_eq!(scenes.delete(request).await.unwrap_err().code(), code, "{token}");
+    }
+    // Reading is free.
+    assert!(scenes.list(v1::ListScenesRequest { format_version: 1 }).await.is_ok());
+    let token = place.text("token");
+    let refused = place.cairn(&["scene", "delete", "town", "--connect", &daemon.url, "--token-file", &token]);
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("no scene"), "{refused:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn health_and_reflection_tell_the_truth_and_the_folder_has_one_owner() {
+    use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient};
+    use tonic_reflection::pb::v1::ServerReflectionRequest;
+    use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+    use tonic_reflection::pb::v1::server_reflection_request::MessageRequest;
+    use tonic_reflection::pb::v1::server_reflection_response::MessageResponse;
+
+    let place = Place::new();
+    let daemon = Daemon::start(&place.path("data"), "");
+    let channel = tonic::transport::Endpoint::from_shared(daemon.url.clone()).unwrap().connect().await.unwrap();
+    let mut health = HealthClient::new(channel.clone());
+    for service in ["", "cairn.v1.SceneService", "cairn.v1.OwnerService"] {
+        let answer = health.check(HealthCheckRequest { service: service.into() }).await.unwrap().into_inner();
+        assert_eq!(answer.status(), ServingStatus::Serving, "{service}");
+    }
+    let ask = ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(MessageRequest::ListServices(String::new())),
+    };
+    let mut answers = ServerReflectionClient::new(channel)
+        .server_reflection_info(tokio_stream::iter([ask]))
+        .await
+        .unwrap()
+        .into_inner();
+    let Some(MessageResponse::ListServicesResponse(list)) = answers.message().await.unwrap().unwrap().message_response
+    else {
+        panic!("no list of services")
+    };
+    let names: Vec<String> = list.service.into_iter().map(|s| s.name).collect();
+    for service in ["Scene", "Training", "Render", "Query", "Detection", "Owner"] {
+        assert!(names.contains(&format!("cairn.v1.{service}Service")), "{names:?}");
+    }
+
+    // A second daemon, and a command without --connect, are told who has the folder.
+    let data = place.text("data");
+    let refused = place.cairn(&["scene", "list", "--data", &data]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && said.contains(&format!("process {}", daemon.pid())), "{said}");
+
+    // A setting that is unknown stops the start, by name.
+    std::fs::write(place.path("wrong.toml"), "[limits]\nque_length = 5\n").unwrap();
+    let wrong = place.text("wrong.toml");
+    let refused = place.cairn(&["serve", "--data", &place.text("other"), "--config", &wrong]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && said.contains("`limits.que_length` = 5"), "{said}");
+    assert!(daemon.terminate().success());
+}

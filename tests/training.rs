@@ -1,0 +1,134 @@
+//! Training through the real daemon: watched, cancelled, resumed, killed in the
+//! middle, and the same bytes at the end whatever happened on the way.
+
+mod common;
+
+use cairn_proto::v1::scene_service_client::SceneServiceClient;
+use cairn_proto::v1::training_service_client::TrainingServiceClient;
+use cairn_proto::v1::{self, JobState};
+use common::{Daemon, Place, TINY, base_only};
+use tonic::transport::Channel;
+
+/// Writes a checkpoint after every step, so that any moment has one.
+const EVERY_STEP: &str = "[training]\ncheckpoint_every_s = 0";
+
+async fn training(daemon: &Daemon) -> TrainingServiceClient<Channel> {
+    TrainingServiceClient::connect(daemon.url.clone()).await.unwrap()
+}
+
+/// Watches until `wanted` holds; the job as it was then.
+async fn watch_until(
+    client: &mut TrainingServiceClient<Channel>,
+    id: &str,
+    wanted: impl Fn(&v1::Job) -> bool,
+) -> v1::Job {
+    let request = v1::WatchTrainingRequest { format_version: 1, job_id: id.into() };
+    let mut stream = client.watch(request).await.unwrap().into_inner();
+    while let Some(message) = stream.message().await.unwrap() {
+        let job = message.job.unwrap();
+        if wanted(&job) {
+            return job;
+        }
+    }
+    panic!("the stream ended before that");
+}
+
+fn ended(job: &v1::Job) -> bool {
+    matches!(job.state(), JobState::Done | JobState::Failed | JobState::Cancelled)
+}
+
+async fn model(daemon: &Daemon, scene: &str) -> v1::Model {
+    let mut client = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let request = v1::GetSceneRequest { format_version: 1, scene: scene.into() };
+    client.get(request).await.unwrap().into_inner().model.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
+    let place = Place::new();
+    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
+    place.import("one", ["--connect", &daemon.url]);
+    place.import("two", ["--connect", &daemon.url]);
+    let mut client = training(&daemon).await;
+
+    // Undisturbed.
+    let first = client.start(base_only("one", 7, TINY)).await.unwrap().into_inner().job.unwrap();
+    assert_eq!(watch_until(&mut client, &first.id, ended).await.state(), JobState::Done);
+    let undisturbed = model(&daemon, "one").await;
+
+    // Killed after some steps, started again: found and taken up by itself.
+    let second = client.start(base_only("two", 7, TINY)).await.unwrap().into_inner().job.unwrap();
+    watch_until(&mut client, &second.id, |job| job.progress.as_ref().unwrap().step >= 10).await;
+    daemon.kill();
+    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
+    let mut client = training(&daemon).await;
+    let job = watch_until(&mut client, &second.id, ended).await;
+    assert_eq!(job.state(), JobState::Done, "{}", job.error);
+    let killed = model(&daemon, "two").await;
+    assert_eq!(undisturbed.base_field_sha256, killed.base_field_sha256);
+    assert_eq!(undisturbed.settings_sha256, killed.settings_sha256);
+    assert_eq!(undisturbed.marked_field_sha256, killed.marked_field_sha256);
+    assert_eq!(undisturbed.detector_sha256, killed.detector_sha256);
+
+    // Another seed gives another field, or the comparison above would say nothing.
+    let third = client.start(base_only("two", 8, TINY)).await.unwrap().into_inner().job.unwrap();
+    watch_until(&mut client, &third.id, ended).await;
+    assert_ne!(undisturbed.base_field_sha256, model(&daemon, "two").await.base_field_sha256);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn cancelled_resumed_and_put_down_by_sigterm() {
+    let place = Place::new();
+    // Long enough that nobody waits for its end by chance.
+    let long = TINY.replace("steps = 40", "steps = 100000");
+    let daemon = Daemon::start(&place.path("data"), "[limits]\nqueue_length = 1");
+    place.import("one", ["--connect", &daemon.url]);
+    let mut client = training(&daemon).await;
+    let job = client.start(base_only("one", 7, &long)).await.unwrap().into_inner().job.unwrap();
+    watch_until(&mut client, &job.id, |job| job.progress.as_ref().unwrap().step > 0).await;
+
+    // One may wait, the next is refused; a scene in use is not deleted.
+    let waiting = client.start(base_only("one", 8, &long)).await.unwrap().into_inner().job.unwrap();
+    let refused = client.start(base_only("one", 9, &long)).await.unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::ResourceExhausted, "{refused}");
+    let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let request = v1::DeleteSceneRequest { format_version: 1, scene: "one".into() };
+    assert_eq!(scenes.delete(request).await.unwrap_err().code(), tonic::Code::FailedPrecondition);
+
+    for id in [&waiting.id, &job.id] {
+        let request = v1::CancelTrainingRequest { format_version: 1, job_id: id.clone() };
+        let cancelled = client.cancel(request).await.unwrap().into_inner().job.unwrap();
+        assert_eq!(cancelled.state(), JobState::Cancelled);
+    }
+    let step = client
+        .get(v1::GetTrainingRequest { format_version: 1, job_id: job.id.clone() })
+        .await
+        .unwrap()
+        .into_inner()
+        .job
+        .unwrap()
+        .progress
+        .unwrap()
+        .step;
+    let request = v1::ResumeTrainingRequest { format_version: 1, job_id: job.id.clone() };
+    client.resume(request).await.unwrap();
+    let resumed = watch_until(&mut client, &job.id, |j| {
+        j.state() == JobState::Running && {
+            let p = j.progress.as_ref().unwrap();
+            p.stage == "base field" && p.step > step
+        }
+    });
+    resumed.await;
+
+    // SIGTERM in the middle: the checkpoint is written and the job is found again.
+    assert!(daemon.terminate().success());
+    assert!(place.path("data/jobs").join(&job.id).join("base.checkpoint").exists());
+    let daemon = Daemon::start(&place.path("data"), "");
+    let mut client = training(&daemon).await;
+    watch_until(&mut client, &job.id, |j| j.progress.as_ref().unwrap().step > step).await;
+    let request = v1::CancelTrainingRequest { format_version: 1, job_id: job.id.clone() };
+    client.cancel(request).await.unwrap();
+    let list = client.list(v1::ListTrainingRequest { format_version: 1, scene: String::new() }).await.unwrap();
+    let states: Vec<JobState> = list.into_inner().jobs.iter().map(v1::Job::state).collect();
+    assert_eq!(states, [JobState::Cancelled, JobState::Cancelled]);
+}
