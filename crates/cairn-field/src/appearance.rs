@@ -19,9 +19,26 @@ pub const FEATURES: usize = 8 + SH;
 
 /// One appearance code: for each output channel the weights of the [`FEATURES`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Stored")]
 pub struct Appearance {
     /// `3 x FEATURES`.
     code: Vec<f32>,
+}
+
+/// An appearance as a file has it, before its numbers are counted.
+#[derive(Deserialize)]
+struct Stored {
+    code: Vec<f32>,
+}
+
+impl TryFrom<Stored> for Appearance {
+    type Error = String;
+
+    fn try_from(stored: Stored) -> Result<Self, String> {
+        let got = stored.code.len();
+        Self::from_code(stored.code)
+            .ok_or_else(|| format!("an appearance has {} finite numbers, got {got}", 3 * FEATURES))
+    }
 }
 
 impl Appearance {
@@ -57,19 +74,26 @@ impl Appearance {
         Self { code }
     }
 
+    /// The weights of one output channel.
+    #[inline(always)]
+    fn channel<T: Real>(&self, c: usize) -> [T; FEATURES] {
+        std::array::from_fn(|k| T::of(f64::from(self.code[c * FEATURES + k])))
+    }
+
     /// The pixel's colour, not clamped.
-    pub fn shade(&self, features: &[f32; FEATURES]) -> [f32; 3] {
+    pub fn shade<T: Real>(&self, features: &[T; FEATURES]) -> [T; 3] {
         std::array::from_fn(|c| {
-            let code = &self.code[c * FEATURES..(c + 1) * FEATURES];
-            code.iter().zip(features).map(|(a, b)| a * b).sum()
+            let code = self.channel::<T>(c);
+            (0..FEATURES).fold(T::zero(), |sum, k| sum + code[k] * features[k])
         })
     }
 
-    /// From d(loss)/d(pixel) to d(loss)/d(what the ray gathered).
-    pub(crate) fn pull(&self, g: [f32; 3], basis: &[f32; SH]) -> Gathered<f32> {
+    /// From d(loss)/d(pixel) to d(loss)/d(what the ray gathered); `basis` is the
+    /// ray's.
+    pub fn pull<T: Real>(&self, g: [T; 3], basis: &[T; SH]) -> Gathered<T> {
         let mut out = Gathered::default();
         for c in 0..3 {
-            let code = &self.code[c * FEATURES..(c + 1) * FEATURES];
+            let code = self.channel::<T>(c);
             for k in 0..3 {
                 out.near[k] += g[c] * code[k];
                 out.far[k] += g[c] * code[4 + k];
@@ -81,6 +105,16 @@ impl Appearance {
             }
         }
         out
+    }
+
+    /// Adds to `gradient` (`3 x FEATURES`, like the code) what d(loss)/d(pixel)
+    /// `g` owes the code at a pixel with these features.
+    pub fn add_code_gradient<T: Real>(g: [T; 3], features: &[T; FEATURES], gradient: &mut [T]) {
+        for (row, g) in gradient.chunks_exact_mut(FEATURES).zip(g) {
+            for k in 0..FEATURES {
+                row[k] += g * features[k];
+            }
+        }
     }
 
     /// The linear part for colours of the inner box, `3 x 3` row-major

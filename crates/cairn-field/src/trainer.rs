@@ -230,11 +230,7 @@ impl BaseTrainer {
         for ray in &batch.shaded {
             touched[ray.view as usize] += 1;
             let out = &mut gradient[ray.view as usize * N..][..N];
-            for c in 0..3 {
-                for k in 0..FEATURES {
-                    out[c * FEATURES + k] += ray.slope[c] * ray.features[k];
-                }
-            }
+            Appearance::add_code_gradient(ray.slope, &ray.features, out);
         }
         if !gradient.iter().all(|v| v.is_finite()) {
             return false;

@@ -1,0 +1,189 @@
+//! The walk back against finite differences, in f64: every density and colour
+//! coefficient a ray touches, for straight and contracted paths, with both
+//! losses on the weights; and the appearance code.
+
+mod common;
+
+use cairn_field::appearance::{FEATURES, features};
+use cairn_field::composite::{Gathered, Owed, Regularise, Thresholds, gather, push_back, spread};
+use cairn_field::grid::{Grid, ROW};
+use cairn_field::sh::{SH, basis};
+use cairn_field::{Appearance, RayPath, SceneFrame};
+use common::{Numbers, ahead, ball_box, ball_in_the_open, random_appearance, random_grid};
+use glam::DVec3;
+
+const REGULARISE: Regularise<f64> = Regularise { distortion: 0.7, sparsity: 0.3 };
+const TARGET: [f64; 3] = [0.2, 0.9, 0.4];
+const OFFSET: f64 = 0.37;
+
+/// A ray and its basis.
+type Ray = (RayPath, [f64; SH]);
+
+/// Rays that start outside, inside and beyond, along and across the axes.
+fn rays(frame: &SceneFrame, origin: DVec3, aims: &[DVec3]) -> Vec<Ray> {
+    let rays: Vec<Ray> = aims
+        .iter()
+        .map(|aim| {
+            let d = (*aim - origin).normalize();
+            (frame.path(origin, d), basis(d.to_array()))
+        })
+        .collect();
+    assert!(rays.iter().all(|r| r.0 != RayPath::Miss), "every ray is to cross the grid");
+    rays
+}
+
+/// Squared error of all rays plus the losses on their weights, from the definitions.
+fn loss(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> f64 {
+    let mut tape = Vec::new();
+    let mut sum = 0.0;
+    for (path, basis) in rays {
+        let gathered = gather(grid, path, basis, OFFSET, Thresholds::EXACT, &mut tape);
+        let shade = look.shade(&features(&gathered, basis));
+        sum += (0..3).map(|c| (shade[c] - TARGET[c]).powi(2)).sum::<f64>();
+        for a in &tape {
+            // T_i alpha_i and T_{i+1} give the optical depth back.
+            sum += REGULARISE.sparsity * ((a.weight + a.behind) / a.behind).ln();
+            sum += REGULARISE.distortion / 3.0 * a.weight * a.weight * a.length;
+            for b in &tape {
+                sum += REGULARISE.distortion * a.weight * b.weight * (a.along - b.along).abs();
+            }
+        }
+    }
+    sum
+}
+
+/// The same loss's gradient by the renderer's own walk, `rows x ROW`.
+fn gradient(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> Vec<f64> {
+    let mut tape = Vec::new();
+    let mut owed: Vec<Owed<f64>> = Vec::new();
+    for (ray, (path, basis)) in rays.iter().enumerate() {
+        let gathered = gather(grid, path, basis, OFFSET, Thresholds::EXACT, &mut tape);
+        let shade = look.shade(&features(&gathered, basis));
+        let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), basis);
+        push_back(&tape, gathered.end, &slope, &REGULARISE, ray as u32, &mut owed);
+    }
+    let mut out = vec![0.0; grid.rows() * ROW];
+    for o in &owed {
+        spread(grid, &grid.corners(), o, &rays[o.ray as usize].1, |row, share, add| {
+            for k in 0..ROW {
+                out[row * ROW + k] += share * add[k];
+            }
+        });
+    }
+    out
+}
+
+fn agree(frame: &SceneFrame, origin: DVec3, aims: &[DVec3], dims: [usize; 3]) {
+    let mut grid: Grid<f64> = random_grid(dims, 0.8, (-4.5, -1.5), 11);
+    let rays = rays(frame, origin, aims);
+    let look = random_appearance(3);
+    let found = gradient(&grid, &rays, &look);
+    let largest = found.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    assert!(largest > 1e-3, "the rays are to touch something");
+    let mut touched = 0;
+    let h = 1e-5;
+    for row in 1..grid.rows() {
+        if found[row * ROW..(row + 1) * ROW].iter().all(|v| *v == 0.0) {
+            continue;
+        }
+        touched += 1;
+        // The density, the constant colours and three others.
+        for k in [ROW - 1, 0, SH, 2 * SH, 4, SH + 6, 2 * SH + 8] {
+            let mut at = |step: f64| {
+                let value = if k == ROW - 1 { &mut grid.raw[row] } else { &mut grid.colour[row * ROW + k] };
+                let before = std::mem::replace(value, *value + step);
+                let sum = loss(&grid, &rays, &look);
+                let value = if k == ROW - 1 { &mut grid.raw[row] } else { &mut grid.colour[row * ROW + k] };
+                *value = before;
+                sum
+            };
+            let expected = (at(h) - at(-h)) / (2.0 * h);
+            let got = found[row * ROW + k];
+            assert!(
+                (got - expected).abs() <= 1e-6 * expected.abs() + 1e-8 * largest.max(1.0),
+                "row {row}, number {k}: {got} for {expected}"
+            );
+        }
+    }
+    assert!(touched > 20, "only {touched} rows touched");
+}
+
+#[test]
+fn a_bounded_box() {
+    let aims = [DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 0.9, 0.4)];
+    agree(&ball_box(), DVec3::new(-3.0, 0.7, 2.0), &aims, [6, 5, 7]);
+}
+
+#[test]
+fn a_camera_inside_the_box() {
+    agree(&ball_box(), DVec3::new(0.2, 0.1, -0.3), &[DVec3::new(5.0, 1.0, 1.0), DVec3::new(0.2, 0.1, 9.0)], [6, 5, 7]);
+}
+
+#[test]
+fn device_coordinates() {
+    let aims = [DVec3::new(0.3, -0.2, 4.0), DVec3::new(-1.2, 0.9, 3.0)];
+    agree(&ahead(), DVec3::new(0.05, 0.1, 0.02), &aims, [6, 7, 5]);
+}
+
+#[test]
+fn contracted_space() {
+    let aims = [DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 2.9, 0.4), DVec3::new(-9.0, 0.9, 4.0)];
+    agree(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &aims, [6, 5, 7]);
+}
+
+#[test]
+fn an_appearance_code() {
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let rays = rays(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1)]);
+    let look = random_appearance(9);
+    let mut tape = Vec::new();
+    let gathered = gather(&grid, &rays[0].0, &rays[0].1, OFFSET, Thresholds::EXACT, &mut tape);
+    let f = features(&gathered, &rays[0].1);
+    let shade = look.shade(&f);
+    let mut found = [0.0f64; common::CODE];
+    Appearance::add_code_gradient(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), &f, &mut found);
+    // A power of two, so that the code's f32 takes the step exactly.
+    let h = 2.0f32.powi(-12);
+    for k in 0..common::CODE {
+        let at = |step: f32| {
+            let mut code = look.code().to_vec();
+            code[k] += step;
+            let taken = code[k] - look.code()[k];
+            (loss(&grid, &rays, &Appearance::from_code(code).expect("finite")), f64::from(taken))
+        };
+        let ((up, a), (down, b)) = (at(h), at(-h));
+        let expected = (up - down) / (a - b);
+        assert!((found[k] - expected).abs() < 1e-3 * expected.abs() + 1e-6, "{k}: {} for {expected}", found[k]);
+    }
+    assert!(found.iter().filter(|v| v.abs() > 1e-4).count() > FEATURES, "most numbers matter to this pixel");
+}
+
+#[test]
+fn extreme_rays_have_finite_gradients() {
+    let mut numbers = Numbers(1);
+    for raw in [-1e8, -50.0, 0.0, 50.0, 1e4, 1e8] {
+        let mut grid: Grid<f32> = random_grid([6, 5, 7], 1.0, (0.0, 1.0), 2);
+        grid.raw[1..].fill(raw as f32);
+        grid.refresh_occupancy(0.0);
+        let d = DVec3::new(1.0, numbers.within(-0.2, 0.2), -0.5).normalize();
+        for frame in [ball_box(), ball_in_the_open()] {
+            let path = frame.path(DVec3::new(-3.0, 0.1, 1.0), d);
+            let basis = basis([d.x as f32, d.y as f32, d.z as f32]);
+            let mut tape = Vec::new();
+            let gathered = gather(&grid, &path, &basis, 0.5, Thresholds::SHOWN, &mut tape);
+            if raw >= 50.0 {
+                assert_eq!(gathered.end, 0.0, "raw density {raw} lets nothing through");
+            }
+            if raw <= -50.0 {
+                assert_eq!(gathered.end, 1.0, "raw density {raw} stops nothing");
+            }
+            let mut owed = Vec::new();
+            let slope = random_appearance(4).pull([1.0f32, -2.0, 0.5], &basis);
+            let regularise = Regularise { distortion: 0.1, sparsity: 0.1 };
+            push_back(&tape, gathered.end, &slope, &regularise, 0, &mut owed);
+            for o in &owed {
+                assert!(o.raw.is_finite() && o.colour.iter().all(|v| v.is_finite()), "raw density {raw}: {o:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! The linear view of a field is what it says: the difference of true renders,
+//! with its exact transpose.
+
+mod common;
+
+use cairn_field::grid::{Grid, ROW};
+use cairn_field::operator::{CarrierBasis, LinearView, MarkableField};
+use cairn_field::sh::{SH, SH_DC};
+use cairn_field::{Field, SceneFrame};
+use common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
+use glam::DVec3;
+
+const BASES: [CarrierBasis; 2] = [CarrierBasis::Constant, CarrierBasis::Harmonics];
+
+/// A field, the same with other colours, and the change as a carrier.
+fn pair(frame: &SceneFrame, basis: CarrierBasis) -> (Field, Field, Vec<f32>) {
+    let grid: Grid<f32> = random_grid([16, 14, 18], 0.7, (-5.0, 0.0), 31);
+    let look = random_appearance(6);
+    let before = field_of(frame, &grid, &look);
+    let mut numbers = Numbers(77);
+    let mut changed = grid.clone();
+    for row in 1..grid.rows() {
+        for c in 0..3 {
+            for k in 0..if basis == CarrierBasis::Constant { 1 } else { SH } {
+                changed.colour[row * ROW + c * SH + k] += numbers.within(-0.5, 0.5) as f32;
+            }
+        }
+    }
+    let after = field_of(frame, &changed, &look);
+    // Stored colours are half precision: the change is what became of them.
+    let mut carrier = vec![0.0; grid.rows() * basis.width()];
+    for row in 1..grid.rows() {
+        for c in 0..3 {
+            let change = |k: usize| {
+                let at = row * ROW + c * SH + k;
+                after.grid().colour[at] - before.grid().colour[at]
+            };
+            match basis {
+                CarrierBasis::Constant => carrier[row * 3 + c] = change(0) * SH_DC as f32,
+                CarrierBasis::Harmonics => (0..SH).for_each(|k| carrier[(row * 3 + c) * SH + k] = change(k)),
+            }
+        }
+    }
+    (before, after, carrier)
+}
+
+fn cases() -> [(SceneFrame, DVec3); 3] {
+    [
+        (ball_box(), DVec3::new(-3.0, 0.7, 2.0)),
+        (ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0)),
+        (ahead(), DVec3::new(0.05, 0.1, 0.02)),
+    ]
+}
+
+fn view(field: &Field, from: DVec3, cutoff: f32) -> (LinearView, cairn_capture::Camera) {
+    let target = if from.z < 1.0 { DVec3::new(0.0, 0.0, 4.0) } else { DVec3::ZERO };
+    let camera = camera(from, target, 24);
+    (field.view(&camera, cutoff), camera)
+}
+
+#[test]
+fn a_change_of_colour_is_the_difference_of_renders() {
+    for (frame, from) in cases() {
+        for basis in BASES {
+            let (before, after, carrier) = pair(&frame, basis);
+            let look = random_appearance(12);
+            let (linear, camera) = view(&before, from, 0.0);
+            assert_eq!((linear.width(), linear.height()), (24, 24));
+            let mut picture = linear.base(&look);
+            assert!(apart(&picture, before.render(&camera, &look).rgb()) < 1e-5, "{frame:?}: the base is the render");
+            linear.apply(&carrier, basis, &look, &mut picture);
+            let expected = after.render(&camera, &look);
+            assert!(apart(expected.rgb(), before.render(&camera, &look).rgb()) > 0.02, "the change shows");
+            let off = apart(&picture, expected.rgb());
+            assert!(off < 2e-5, "{frame:?}, {basis:?}: {off}");
+        }
+    }
+}
+
+#[test]
+fn the_transpose_is_exact() {
+    for (frame, from) in cases() {
+        for basis in BASES {
+            let (field, _, x) = pair(&frame, basis);
+            let look = random_appearance(12);
+            let (linear, _) = view(&field, from, 1e-4);
+            let mut ax = vec![0.0; 24 * 24 * 3];
+            linear.apply(&x, basis, &look, &mut ax);
+            let mut numbers = Numbers(4);
+            let y: Vec<f32> = ax.iter().map(|_| numbers.within(-1.0, 1.0) as f32).collect();
+            let mut aty = vec![0.0; x.len()];
+            let mut touched = vec![false; field.rows()];
+            linear.push_back(&y, basis, &look, &mut aty, &mut touched);
+            let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+            let size = dot(&ax, &ax).sqrt() * dot(&y, &y).sqrt();
+            let off = (dot(&ax, &y) - dot(&x, &aty)).abs();
+            assert!(size > 0.1 && off < 1e-6 * size, "{frame:?}, {basis:?}: {off} of {size}");
+            for (row, touched) in touched.iter().enumerate() {
+                let any = aty[row * basis.width()..(row + 1) * basis.width()].iter().any(|v| *v != 0.0);
+                assert!(*touched || !any, "row {row} has a gradient and is not touched");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_cutoff_leaves_out_little_and_saves_entries() {
+    let (field, _, carrier) = pair(&ball_box(), CarrierBasis::Constant);
+    let look = random_appearance(12);
+    let from = DVec3::new(-3.0, 0.7, 2.0);
+    let (whole, lean) = (view(&field, from, 0.0).0, view(&field, from, 2e-3).0);
+    assert!(lean.density() < 0.8 * whole.density(), "{} of {}", lean.density(), whole.density());
+    let (mut a, mut b) = (vec![0.0; 24 * 24 * 3], vec![0.0; 24 * 24 * 3]);
+    whole.apply(&carrier, CarrierBasis::Constant, &look, &mut a);
+    lean.apply(&carrier, CarrierBasis::Constant, &look, &mut b);
+    assert!(common::rms(&a, &b) < 0.01, "{}", common::rms(&a, &b));
+}
