@@ -39,6 +39,8 @@ pub(crate) struct Shaded {
 pub(crate) struct Batch {
     /// Mean squared error a channel.
     pub(crate) loss: f64,
+    /// Whether every gradient at a sample is a finite number.
+    pub(crate) finite: bool,
     /// Gradients at samples, in chunks in ray order.
     pub(crate) owed: Vec<Vec<Owed<f32>>>,
     /// Colour basis of each ray.
@@ -50,6 +52,7 @@ pub(crate) struct Batch {
 #[derive(Default)]
 struct Chunk {
     loss: f64,
+    broken: bool,
     owed: Vec<Owed<f32>>,
     bases: Vec<[f32; SH]>,
     shaded: Vec<Shaded>,
@@ -84,13 +87,14 @@ impl Batch {
             })
             .collect();
         let loss = chunks.iter().map(|c| c.loss).sum::<f64>() / (3 * settings.rays) as f64;
+        let finite = !chunks.iter().any(|c| c.broken);
         let (mut owed, mut bases, mut shaded) = (Vec::new(), Vec::with_capacity(settings.rays), Vec::new());
         for chunk in chunks {
             owed.push(chunk.owed);
             bases.extend(chunk.bases);
             shaded.extend(chunk.shaded);
         }
-        Self { loss, owed, bases, shaded }
+        Self { loss, finite, owed, bases, shaded }
     }
 }
 
@@ -114,7 +118,11 @@ fn one_ray(
         out.loss += f64::from(residual * residual);
         2.0 * if s.huber > 0.0 { residual.clamp(-s.huber, s.huber) } else { residual }
     });
+    let first = out.owed.len();
     push_back(tape, gathered.end, &appearance.pull(slope, &basis), &s.regularise, ray, &mut out.owed);
+    // One not finite makes the sum so (they are few, and none nears f32's end).
+    let sum: f32 = out.owed[first..].iter().map(|o| o.raw + o.colour[0] + o.colour[1] + o.colour[2]).sum();
+    out.broken |= !sum.is_finite();
     out.bases.push(basis);
     if !s.appearances.is_empty() {
         out.shaded.push(Shaded { view: view as u32, slope, features: f });

@@ -100,19 +100,23 @@ impl BaseTrainer {
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
         let mut trainer = Self::new(views, header.frame, None, header.config, header.seed)?;
         let vertex = read_u32(&file, "vertex")?;
-        let vertices: usize = header.dims.iter().product();
-        if vertex.iter().any(|v| *v as usize >= vertices) {
-            return refuse("a vertex lies outside its grid".into());
+        if !crate::grid::fits(header.dims, &vertex) || header.level >= trainer.config.levels {
+            return refuse("its grid and its vertices or level do not fit together".into());
+        }
+        if header.appearances != trainer.appearances.len() {
+            return refuse(format!("{} appearances for {} views", header.appearances, trainer.views.len()));
         }
         let mut grid = Grid::with_vertices(header.dims, vertex);
         let rows = grid.rows();
         let read = |name: &'static str, len: usize| -> Result<Vec<f32>, FieldError> {
             let values = read_f32(&file, name)?;
-            if values.len() == len {
-                Ok(values)
-            } else {
-                Err(stored("checkpoint", format!("`{name}` has {} numbers, expected {len}", values.len())))
+            if values.len() != len {
+                return Err(stored("checkpoint", format!("`{name}` has {} numbers, expected {len}", values.len())));
             }
+            if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+                return Err(stored("checkpoint", format!("number {at} of `{name}` is not finite")));
+            }
+            Ok(values)
         };
         grid.raw = read("raw", rows)?;
         grid.colour = read("colour", rows * ROW)?;

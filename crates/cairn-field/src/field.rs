@@ -195,11 +195,7 @@ impl Field {
         let vertex = read_u32(&file, "vertex")?;
         let raw = read_f32(&file, "density")?;
         let colour = file.tensor("colour").map_err(|e| stored("field", e.to_string()))?;
-        let vertices =
-            header.dims.iter().try_fold(1usize, |a, d| a.checked_mul(*d)).filter(|v| *v <= u32::MAX as usize);
-        let ordered = vertex.windows(2).all(|w| w[0] < w[1]);
-        let last = vertex.last().is_none_or(|v| (*v as usize) < vertices.unwrap_or(0));
-        if vertices.is_none() || header.dims.iter().any(|d| *d < 2) || !ordered || !last {
+        if !crate::grid::fits(header.dims, &vertex) {
             return Err(stored("field", "its grid and its vertices do not fit together".into()));
         }
         if raw.len() != vertex.len() || colour.data().len() != vertex.len() * 3 * SH * 2 || colour.dtype() != Dtype::F16

@@ -37,6 +37,17 @@ pub struct Grid<T> {
     block_dims: [usize; 3],
 }
 
+/// Most vertices a grid may have: its dense index is then 2 GiB.
+const MOST_VERTICES: usize = 1 << 29;
+
+/// Whether a file's `dims` and `vertex` make a grid: two vertices a side at
+/// least, not absurdly many, rows in ascending order and within.
+pub(crate) fn fits(dims: [usize; 3], vertex: &[u32]) -> bool {
+    let all = dims.iter().try_fold(1usize, |a, d| a.checked_mul(*d)).filter(|all| *all <= MOST_VERTICES);
+    let ordered = vertex.windows(2).all(|w| w[0] < w[1]);
+    all.is_some_and(|all| dims.iter().all(|d| *d >= 2) && ordered && vertex.last().is_none_or(|v| (*v as usize) < all))
+}
+
 impl<T: Real> Grid<T> {
     /// A grid whose every vertex has a row with raw density `raw` and grey `level`.
     pub fn full(dims: [usize; 3], raw: f64, level: f64) -> Self {

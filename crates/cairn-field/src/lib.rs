@@ -22,6 +22,7 @@ pub mod grid;
 pub mod march;
 pub mod operator;
 mod optimise;
+mod overlay;
 mod rays;
 mod real;
 pub mod scatter;

@@ -41,6 +41,8 @@ impl CarrierBasis {
 pub trait MarkableField: Sync {
     /// Rows of colour coefficients, the unused row 0 included.
     fn rows(&self) -> usize;
+    /// Lattice coordinates of each row's vertex, `rows` long (row 0's are zero).
+    fn lattice(&self) -> Vec<[u32; 3]>;
     /// Mean magnitude of each row's colour, `rows` long, for the gradient mask.
     fn row_magnitudes(&self) -> Vec<f32>;
     /// The magnitudes of single coefficients, `rows x 3 x 9`, channel-major.
@@ -66,6 +68,12 @@ pub struct LinearView {
 impl MarkableField for Field {
     fn rows(&self) -> usize {
         self.grid.rows()
+    }
+
+    fn lattice(&self) -> Vec<[u32; 3]> {
+        let [nx, ny, _] = self.grid.dims.map(|d| d as u32);
+        let place = |v: &u32| if *v == u32::MAX { [0; 3] } else { [v % nx, v / nx % ny, v / (nx * ny)] };
+        self.grid.vertex.iter().map(place).collect()
     }
 
     fn row_magnitudes(&self) -> Vec<f32> {

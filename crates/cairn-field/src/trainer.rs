@@ -96,7 +96,7 @@ impl BaseTrainer {
         let grid = Grid::full(dims, raw, level);
         let rows = grid.rows();
         Ok(Self {
-            appearance_adam: Adam::zero(appearances.len() * 3 * FEATURES),
+            appearance_adam: Adam::zero(appearances.len() * CODE),
             config,
             frame,
             seed,
@@ -155,6 +155,14 @@ impl BaseTrainer {
         if !batch.loss.is_finite() {
             return Err(self.not_finite("the loss"));
         }
+        // Everything is looked at before anything moves.
+        if !batch.finite {
+            return Err(self.not_finite("a gradient at a sample"));
+        }
+        let codes = self.gradient_of_appearances(&batch);
+        if !codes.values.iter().all(|v| v.is_finite()) {
+            return Err(self.not_finite("a gradient of an appearance"));
+        }
         self.gradient.add(&self.grid, &batch.owed, &batch.bases);
         let decay = self.config.final_rate.powf(progress) as f32;
         let rates = Rates {
@@ -167,12 +175,7 @@ impl BaseTrainer {
         if !self.adam.step_grid(&mut self.grid, &mut self.gradient, &rates) {
             return Err(self.not_finite("a gradient of the grid"));
         }
-        if !self.appearances.is_empty() {
-            let rate = self.config.learning_rate_appearance as f32 * decay;
-            if !self.adam_appearances(&batch, rate) {
-                return Err(self.not_finite("a gradient of an appearance"));
-            }
-        }
+        self.move_appearances(codes, self.config.learning_rate_appearance as f32 * decay);
         self.step += 1;
         Ok(self.stats(batch.loss))
     }
@@ -221,35 +224,45 @@ impl BaseTrainer {
         }
     }
 
-    /// Moves the appearances of the views in the batch; false when a gradient is
-    /// not finite (nothing is moved then).
-    fn adam_appearances(&mut self, batch: &Batch, rate: f32) -> bool {
-        const N: usize = 3 * FEATURES;
-        let mut gradient = vec![0.0f32; self.appearances.len() * N];
-        let mut touched = vec![0usize; self.appearances.len()];
+    /// What the batch owes the appearances; empty where there are none.
+    fn gradient_of_appearances(&self, batch: &Batch) -> CodeGradient {
+        let views = self.appearances.len();
+        let mut out = CodeGradient { values: vec![0.0; views * CODE], rays: vec![0; views] };
         for ray in &batch.shaded {
-            touched[ray.view as usize] += 1;
-            let out = &mut gradient[ray.view as usize * N..][..N];
-            Appearance::add_code_gradient(ray.slope, &ray.features, out);
+            out.rays[ray.view as usize] += 1;
+            let values = &mut out.values[ray.view as usize * CODE..][..CODE];
+            Appearance::add_code_gradient(ray.slope, &ray.features, values);
         }
-        if !gradient.iter().all(|v| v.is_finite()) {
-            return false;
-        }
+        out
+    }
+
+    /// Moves the appearances of the views that had rays in the batch.
+    fn move_appearances(&mut self, mut gradient: CodeGradient, rate: f32) {
         self.appearance_adam.tick();
         for (view, appearance) in self.appearances.iter_mut().enumerate() {
-            if touched[view] == 0 {
+            if gradient.rays[view] == 0 {
                 continue;
             }
             // A weak pull to neutral fixes what the photographs leave open.
-            let pull = 1e-3 * touched[view] as f32;
-            let gradient = &mut gradient[view * N..][..N];
-            for ((g, a), n) in gradient.iter_mut().zip(appearance.code()).zip(self.neutral.code()) {
+            let pull = 1e-3 * gradient.rays[view] as f32;
+            let values = &mut gradient.values[view * CODE..][..CODE];
+            for ((g, a), n) in values.iter_mut().zip(appearance.code()).zip(self.neutral.code()) {
                 *g += pull * (a - n);
             }
-            self.appearance_adam.update(view * N, gradient, appearance.code_mut(), rate);
+            self.appearance_adam.update(view * CODE, values, appearance.code_mut(), rate);
         }
-        true
     }
+}
+
+/// Numbers of an appearance code.
+const CODE: usize = 3 * FEATURES;
+
+/// What a batch owes the appearances.
+struct CodeGradient {
+    /// `views x CODE`.
+    values: Vec<f32>,
+    /// Rays of each view in the batch.
+    rays: Vec<usize>,
 }
 
 /// Step at which `level` ends: the last level gets three fifths of all steps.

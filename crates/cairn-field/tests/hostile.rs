@@ -1,0 +1,223 @@
+//! What must not go wrong on bad input: one clear error, never a panic, and the
+//! last good state.
+
+mod common;
+
+use cairn_capture::Picture;
+use cairn_field::grid::{Grid, ROW};
+use cairn_field::{Appearance, BaseTrainer, Field, FieldConfig, FieldError, TrainingView};
+use common::{ball_box, ball_in_the_open, camera, field_of, random_grid, stored_field, stored_with, tiny, views};
+use glam::DVec3;
+use safetensors::tensor::{SafeTensors, TensorView};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+fn start(views: Vec<TrainingView>) -> Result<BaseTrainer, FieldError> {
+    BaseTrainer::new(views, ball_box(), None, tiny(20), 1)
+}
+
+fn refused(views: Vec<TrainingView>) -> String {
+    start(views).err().expect("an error").to_string()
+}
+
+#[test]
+fn bad_views_are_refused_by_name() {
+    assert!(refused(Vec::new()).contains("none to train on"));
+    let mut holed = views(3, 16, 1.0, DVec3::ZERO);
+    Arc::make_mut(&mut holed[1].picture).rgb_mut()[(2 * 16 + 5) * 3 + 1] = f32::NAN;
+    let text = refused(holed);
+    assert!(text.contains("001.png") && text.contains("(5, 2)"), "{text}");
+    let mut other = views(3, 16, 1.0, DVec3::ZERO);
+    other[2].picture = Arc::new(Picture::constant(16, 15, [0.5; 3]));
+    let text = refused(other);
+    assert!(text.contains("002.png") && text.contains("16 x 16") && text.contains("16 x 15"), "{text}");
+}
+
+#[test]
+fn settings_out_of_range_are_refused_by_key() {
+    let sound = FieldConfig::default;
+    for (config, key) in [
+        (FieldConfig { steps: 0, ..sound() }, "field.steps"),
+        (FieldConfig { rays_per_step: 3, ..sound() }, "field.rays_per_step"),
+        (FieldConfig { voxels: 7, ..sound() }, "field.voxels"),
+        (FieldConfig { levels: 9, ..sound() }, "field.levels"),
+        (FieldConfig { learning_rate_density: f64::NAN, ..sound() }, "field.learning_rate_density"),
+        (FieldConfig { sparsity: -1.0, ..sound() }, "field.sparsity"),
+        (FieldConfig { prune_weight: 2.0, ..sound() }, "field.prune_weight"),
+        (FieldConfig { initial_opacity: 1.0, ..sound() }, "field.initial_opacity"),
+    ] {
+        let text = config.validate().expect_err("out of range").to_string();
+        assert!(text.contains(key) && text.contains("allowed"), "{text}");
+    }
+    let unknown = serde_json::from_str::<FieldConfig>(r#"{"stepz": 3}"#).expect_err("an unknown key").to_string();
+    assert!(unknown.contains("stepz"), "{unknown}");
+}
+
+#[test]
+fn one_view_and_a_lone_pixel_train() {
+    for size in [1, 16] {
+        let mut trainer = start(views(1, size, 1.0, DVec3::ZERO)).expect("one view is enough");
+        while trainer.steps_done() < trainer.steps_total() {
+            assert!(trainer.step().expect("finite numbers").loss.is_finite());
+        }
+        // After the last step there is nothing more to do.
+        assert_eq!(trainer.step().expect("a report").step, 20);
+        trainer.finish().to_bytes().expect("a field");
+    }
+}
+
+#[test]
+fn cameras_inside_and_looking_away_render() {
+    let look = Appearance::neutral([0.1, 0.2, 0.3]);
+    for frame in [ball_box(), ball_in_the_open()] {
+        let field = field_of(&frame, &random_grid([12, 12, 12], 1.0, (-3.0, 0.0), 2), &look);
+        let inside = field.render_maps(&camera(DVec3::new(0.1, 0.2, 0.0), DVec3::ONE, 8), &look);
+        let away = field.render_maps(&camera(DVec3::new(0.0, 0.0, 3.0), DVec3::new(0.0, 0.5, 9.0), 8), &look);
+        for maps in [&inside, &away] {
+            assert!(maps.picture.rgb().iter().chain(&maps.accumulation).chain(&maps.depth).all(|v| v.is_finite()));
+        }
+        assert!(inside.accumulation.iter().all(|a| *a > 0.1));
+        if !frame.is_unbounded() {
+            assert!(away.accumulation.iter().all(|a| *a == 0.0));
+            assert!(common::apart(&away.picture.rgb()[..3], &[0.1, 0.2, 0.3]) < 1e-6, "the background");
+        }
+    }
+}
+
+#[test]
+fn walls_and_nothing_are_exact() {
+    let look = Appearance::neutral([0.1, 0.2, 0.3]);
+    let view = camera(DVec3::new(0.3, 0.1, 3.0), DVec3::ZERO, 8);
+    for raw in [100.0f32, 1e4, 1e8, f32::MAX] {
+        let mut grid: Grid<f32> = Grid::full([8, 8, 8], f64::from(raw), 0.6);
+        grid.raw[1..].fill(raw);
+        let maps = field_of(&ball_box(), &grid, &look).render_maps(&view, &look);
+        let middle = 4 * 8 + 4;
+        assert_eq!(maps.accumulation[middle], 1.0, "raw density {raw}");
+        assert!(common::apart(&maps.picture.pixel(4, 4), &[0.6; 3]) < 1e-3, "{:?}", maps.picture.pixel(4, 4));
+    }
+    let nothing = Grid::with_vertices([8, 8, 8], Vec::new());
+    let maps = field_of(&ball_box(), &nothing, &look).render_maps(&view, &look);
+    assert!(maps.accumulation.iter().all(|a| *a == 0.0) && maps.depth.iter().all(|d| *d == 0.0));
+}
+
+#[test]
+fn unknown_formats_are_refused_by_name() {
+    let look = Appearance::neutral([0.0; 3]);
+    let grid = random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1);
+    let header = |change: &dyn Fn(&mut serde_json::Value)| {
+        let mut header = serde_json::json!({
+            "format": "cairn.field/1", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
+        });
+        change(&mut header);
+        Field::from_bytes(&stored_with(&header, &grid)).err().map(|e| e.to_string())
+    };
+    assert_eq!(header(&|_| ()), None);
+    let text = header(&|h| h["format"] = "cairn.field/2".into()).expect("an error");
+    assert!(text.contains("cairn.field/2") && text.contains("cairn.field/1"), "{text}");
+    for dims in [[0u64, 5, 6], [1, 5, 6], [4, 5, 5], [1 << 40, 1 << 40, 1 << 40], [4_000_000_000, 2, 2]] {
+        let text = header(&|h| h["dims"] = dims.to_vec().into()).expect("an error");
+        assert!(text.contains("field"), "{dims:?}: {text}");
+    }
+    let text = header(&|h| h["canonical"]["code"] = vec![1.0; 5].into()).expect("an error");
+    assert!(text.contains("51") && text.contains('5'), "{text}");
+}
+
+#[test]
+fn damaged_files_are_errors() {
+    let look = Appearance::neutral([0.0; 3]);
+    let field = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1), &look);
+    let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
+    trainer.step().expect("finite numbers");
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    for n in (0..field.len()).step_by(97) {
+        assert!(matches!(Field::from_bytes(&field[..n]), Err(FieldError::Stored { .. })), "cut at {n}");
+    }
+    for n in (0..checkpoint.len()).step_by(checkpoint.len() / 60) {
+        let resumed = BaseTrainer::resume(&checkpoint[..n], views(2, 12, 1.0, DVec3::ZERO));
+        assert!(matches!(resumed, Err(FieldError::Stored { .. })), "cut at {n}");
+    }
+    let resumed = BaseTrainer::resume(&checkpoint, views(3, 12, 1.0, DVec3::ZERO));
+    assert!(matches!(resumed, Err(FieldError::Views(_))), "other views");
+    assert!(matches!(Field::from_bytes(&checkpoint), Err(FieldError::Stored { .. })), "a checkpoint is no field");
+    // A flipped byte may go unnoticed in a number, but must never panic.
+    for n in (0..field.len()).step_by(7) {
+        let mut flipped = field.clone();
+        flipped[n] ^= 0x51;
+        if let Ok(field) = Field::from_bytes(&flipped) {
+            field.render(&camera(DVec3::new(0.3, 0.1, 3.0), DVec3::ZERO, 3), &look);
+        }
+    }
+}
+
+/// A checkpoint with its header or a tensor's f32 changed.
+fn altered(bytes: &[u8], change: impl Fn(&mut serde_json::Value), tensor: &str, fill: Option<f32>) -> Vec<u8> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).expect("a checkpoint");
+    let text = &metadata.metadata().as_ref().expect("a header")["cairn"];
+    let mut header: serde_json::Value = serde_json::from_str(text).expect("a header");
+    change(&mut header);
+    let file = SafeTensors::deserialize(bytes).expect("a checkpoint");
+    let data: Vec<(String, safetensors::Dtype, Vec<usize>, Vec<u8>)> = file
+        .tensors()
+        .into_iter()
+        .map(|(name, t)| {
+            let mut data = t.data().to_vec();
+            if let (true, Some(v)) = (name == tensor, fill) {
+                // Row 0 is nobody's; the rest gets the number.
+                let first = if name == "colour" { ROW * 4 } else { 4 };
+                data[first..].chunks_exact_mut(4).for_each(|b| b.copy_from_slice(&v.to_le_bytes()));
+            }
+            (name, t.dtype(), t.shape().to_vec(), data)
+        })
+        .collect();
+    let views = data.iter().map(|(n, t, s, d)| (n.as_str(), TensorView::new(*t, s.clone(), d).expect("as before")));
+    safetensors::serialize(views, Some(HashMap::from([("cairn".to_owned(), header.to_string())])))
+        .expect("plain tensors")
+}
+
+#[test]
+fn checkpoints_that_do_not_fit_are_refused() {
+    let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
+    trainer.step().expect("finite numbers");
+    let bytes = trainer.checkpoint().expect("a checkpoint");
+    let resume = |bytes: &[u8]| BaseTrainer::resume(bytes, views(2, 12, 1.0, DVec3::ZERO)).err().map(|e| e.to_string());
+    assert_eq!(resume(&altered(&bytes, |_| (), "", None)), None);
+    let text =
+        resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/9".into(), "", None)).expect("an error");
+    assert!(text.contains("checkpoint/9"), "{text}");
+    for dims in [[0u64, 0, 0], [4, 4, 4], [1 << 40, 1 << 40, 1 << 40], [1 << 30, 2, 2]] {
+        assert!(resume(&altered(&bytes, |h| h["dims"] = dims.to_vec().into(), "", None)).is_some(), "{dims:?}");
+    }
+    assert!(resume(&altered(&bytes, |h| h["level"] = 7.into(), "", None)).is_some(), "a level beyond the last");
+    assert!(
+        resume(&altered(&bytes, |h| h["config"]["steps"] = 0.into(), "", None)).is_some(),
+        "a setting out of range"
+    );
+    assert!(resume(&altered(&bytes, |h| h["appearances"] = 1.into(), "", None)).is_some(), "an appearance too few");
+    for name in ["raw", "colour", "first", "second", "seen"] {
+        let text = resume(&altered(&bytes, |_| (), name, Some(f32::NAN))).expect("an error");
+        assert!(text.contains(name) && text.contains("finite"), "{text}");
+    }
+}
+
+#[test]
+fn a_poisoned_step_is_not_taken() {
+    let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
+    (0..3).for_each(|_| {
+        trainer.step().expect("finite numbers");
+    });
+    let bytes = trainer.checkpoint().expect("a checkpoint");
+    // Squares overflow at the one, products of errors and colours at the other.
+    for (poison, place) in [(3e38f32, "loss"), (4e19, "gradient")] {
+        let poisoned = altered(&bytes, |_| (), "colour", Some(poison));
+        let mut trainer = BaseTrainer::resume(&poisoned, views(2, 12, 1.0, DVec3::ZERO)).expect("finite numbers");
+        let before = trainer.checkpoint().expect("a checkpoint");
+        for _ in 0..2 {
+            match trainer.step() {
+                Err(FieldError::NotFinite { step: 3, place: found }) => assert!(found.contains(place), "{found}"),
+                other => panic!("colours of {poison}: {other:?}"),
+            }
+            assert!(trainer.checkpoint().expect("a checkpoint") == before, "{poison}: the state is as before");
+        }
+    }
+}
