@@ -1,6 +1,7 @@
 //! Photographs and renders in memory: one plain type, so that every later stage
 //! shares a layout and none of them needs to know an image file format.
 
+use crate::resize::AreaFilter;
 use thiserror::Error;
 
 /// An RGB image, `height x width x 3`, row-major, interleaved, display-referred
@@ -131,47 +132,9 @@ impl Picture {
         if (width, height) == (self.width, self.height) {
             return self.clone();
         }
-        let columns = area_weights(self.width, width);
-        let rows = area_weights(self.height, height);
-        let mut across = vec![0.0f32; self.height * width * 3];
-        for y in 0..self.height {
-            for (x, taps) in columns.iter().enumerate() {
-                for &(from, weight) in taps {
-                    for c in 0..3 {
-                        across[(y * width + x) * 3 + c] += weight * self.rgb[(y * self.width + from) * 3 + c];
-                    }
-                }
-            }
-        }
-        let mut rgb = vec![0.0f32; height * width * 3];
-        for (y, taps) in rows.iter().enumerate() {
-            for &(from, weight) in taps {
-                let source = &across[from * width * 3..(from + 1) * width * 3];
-                for (out, v) in rgb[y * width * 3..(y + 1) * width * 3].iter_mut().zip(source) {
-                    *out += weight * v;
-                }
-            }
-        }
+        let rgb = AreaFilter::new([self.width, self.height], [width, height]).apply(&self.rgb);
         Self { width, height, rgb }
     }
-}
-
-/// For each of `to` new samples the old samples (of `from`) it covers and their
-/// shares, which sum to one.
-fn area_weights(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
-    let scale = from as f64 / to as f64;
-    (0..to)
-        .map(|i| {
-            let (start, end) = (i as f64 * scale, (i + 1) as f64 * scale);
-            let (first, last) = (start as usize, (end.ceil() as usize).min(from));
-            (first..last)
-                .filter_map(|j| {
-                    let overlap = end.min((j + 1) as f64) - start.max(j as f64);
-                    (overlap > 0.0).then_some((j, (overlap / scale) as f32))
-                })
-                .collect()
-        })
-        .collect()
 }
 
 #[cfg(test)]

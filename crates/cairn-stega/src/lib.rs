@@ -1,1 +1,32 @@
-//! cairn-stega
+//! Stage 2 (StegaNeRF, ICCV 2023, for several owners): hide a signal of each
+//! identity in what the field renders, and train with it the detector and the
+//! classifier that recover it and say `unmarked` where there is none.
+//!
+//! [`MarkTrainer`] drives it: `bank` holds the views as fixed linear maps and
+//! the unmarked pictures, [`Carrier`] the coefficients that move, `mask` how
+//! much each may, `judge` which state was best. The outcome is a
+//! [`MarkedField`] and a [`Detector`].
+
+mod bank;
+mod carrier;
+mod checkpoint;
+mod config;
+mod detector;
+mod error;
+mod judge;
+mod marked;
+mod mask;
+mod negatives;
+mod networks;
+mod poses;
+mod trainer;
+
+pub use carrier::Carrier;
+pub use config::{CarrierKind, LossKind, MarkConfig, MaskKind};
+pub use detector::{DETECTOR_FORMAT, Detection, Detector};
+pub use error::MarkError;
+pub use judge::Judgement;
+pub use marked::{MARKED_FORMAT, MarkedField};
+pub use mask::gradient_mask;
+pub use poses::{PlannedView, at_most, between, virtual_views};
+pub use trainer::{MarkPlan, MarkStats, MarkTrainer};

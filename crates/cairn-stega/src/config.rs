@@ -1,0 +1,174 @@
+//! Settings of stage 2, with the paper's symbols (method.md's equations 1 to 5).
+
+use crate::error::MarkError;
+use cairn_nn::{ClassifierConfig, UNetConfig};
+use serde::{Deserialize, Serialize};
+
+/// Where a mark lives in the field.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CarrierKind {
+    /// Each identity has colour coefficients of its own, seen from its cluster's
+    /// poses only: marks differ by design and end where the cluster does.
+    #[default]
+    PerCluster,
+    /// The paper's: one set of spherical-harmonic coefficients for all, told
+    /// apart by viewing direction alone.
+    Harmonics,
+}
+
+/// What weighs a coefficient's update (adaptive gradient masking).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MaskKind {
+    /// All alike.
+    None,
+    /// The paper's: by the magnitude of each weight of theta_0.
+    #[default]
+    PerWeight,
+    /// The authors' code: by the mean magnitude of each coefficient's group.
+    PerCoefficientGroup,
+}
+
+/// How a difference is measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LossKind {
+    /// Mean absolute error (the paper's).
+    #[default]
+    Absolute,
+    /// Mean squared error (the authors' code).
+    Squared,
+}
+
+/// Settings of stage 2.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MarkConfig {
+    /// Optimiser steps at most, 1 to 1,000,000; training ends earlier once
+    /// recovery on virtual poses has converged.
+    pub steps: u64,
+    /// Marked renders a step, 1 to 64; as many unmarked pictures go with them.
+    pub batch: usize,
+    /// l0, weight of the classification (equation 3).
+    pub weight_classify: f64,
+    /// l1, weight of recovery (equation 1).
+    pub weight_recover: f64,
+    /// l2, weight of silence on unmarked pictures (equation 2).
+    pub weight_empty: f64,
+    /// l3, weight of keeping the picture (equation 4).
+    pub weight_picture: f64,
+    /// How differences are measured.
+    pub loss: LossKind,
+    /// Where marks live.
+    pub carrier: CarrierKind,
+    /// What weighs updates.
+    pub mask: MaskKind,
+    /// alpha, the mask's exponent, 0 to 10.
+    pub mask_alpha: f64,
+    /// The mask's smallest value, 0 to 1: nothing is locked altogether.
+    pub mask_least: f64,
+    /// theta's renders stay at least this close to theta_0's, PSNR in dB, 20 to 80.
+    pub budget_db: f64,
+    /// Pull of the carrier to nothing, a share a step, 0 to 1.
+    pub pull: f64,
+    /// Largest step of a colour coefficient, > 0, in colour units.
+    pub learning_rate_carrier: f64,
+    /// Learning rate of classifier and detector at the start, > 0.
+    pub learning_rate_networks: f64,
+    /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
+    pub final_rate: f64,
+    /// Classifier and carrier train alone until the cross-entropy is below this
+    /// (nats): from theta = theta_0 the detector would collapse to silence.
+    pub classify_until: f64,
+    /// Poses between each cluster's photographs to train on as well, 0 to 256.
+    pub virtual_views: usize,
+    /// Views are trained on at most this long, px, 64 to 4096.
+    pub longest_side_px: usize,
+    /// Training ends when all held-out virtual poses are answered right and the
+    /// hidden signals' mean SSIM has reached this; above 1 = never.
+    pub enough_ssim: f64,
+    /// The classifier.
+    pub classifier: ClassifierConfig,
+    /// The detector; its size is that of the hidden pictures.
+    pub detector: UNetConfig,
+}
+
+impl Default for MarkConfig {
+    fn default() -> Self {
+        Self {
+            steps: 600,
+            batch: 2,
+            weight_classify: 0.1,
+            weight_recover: 1.0,
+            weight_empty: 1.0,
+            weight_picture: 1.0,
+            loss: LossKind::Absolute,
+            carrier: CarrierKind::PerCluster,
+            mask: MaskKind::PerWeight,
+            mask_alpha: 3.0,
+            mask_least: 0.2,
+            budget_db: 44.0,
+            pull: 1e-3,
+            learning_rate_carrier: 5e-4,
+            learning_rate_networks: 3e-3,
+            final_rate: 0.1,
+            classify_until: 0.2,
+            virtual_views: 8,
+            longest_side_px: 320,
+            enough_ssim: 0.96,
+            classifier: ClassifierConfig::default(),
+            detector: UNetConfig::default(),
+        }
+    }
+}
+
+impl MarkConfig {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// [`MarkError::Setting`] naming the first key that is out of range.
+    pub fn validate(&self) -> Result<(), MarkError> {
+        let check = |ok: bool, key, value: String, allowed| {
+            if ok { Ok(()) } else { Err(MarkError::Setting { key, value, allowed }) }
+        };
+        check((1..=1_000_000).contains(&self.steps), "mark.steps", self.steps.to_string(), "1 to 1000000")?;
+        check((1..=64).contains(&self.batch), "mark.batch", self.batch.to_string(), "1 to 64")?;
+        check(self.virtual_views <= 256, "mark.virtual_views", self.virtual_views.to_string(), "0 to 256")?;
+        check(
+            (64..=4096).contains(&self.longest_side_px),
+            "mark.longest_side_px",
+            self.longest_side_px.to_string(),
+            "64 to 4096",
+        )?;
+        for (key, value, low, high, allowed) in [
+            ("mark.weight_classify", self.weight_classify, 0.0, 1e6, "0 to 1000000"),
+            ("mark.weight_recover", self.weight_recover, 0.0, 1e6, "0 to 1000000"),
+            ("mark.weight_empty", self.weight_empty, 0.0, 1e6, "0 to 1000000"),
+            ("mark.weight_picture", self.weight_picture, 0.0, 1e6, "0 to 1000000"),
+            ("mark.mask_alpha", self.mask_alpha, 0.0, 10.0, "0 to 10"),
+            ("mark.mask_least", self.mask_least, 0.0, 1.0, "0 to 1"),
+            ("mark.budget_db", self.budget_db, 20.0, 80.0, "20 to 80"),
+            ("mark.pull", self.pull, 0.0, 1.0, "0 to 1"),
+            ("mark.learning_rate_carrier", self.learning_rate_carrier, 1e-9, 1.0, "1e-9 to 1"),
+            ("mark.learning_rate_networks", self.learning_rate_networks, 1e-9, 1.0, "1e-9 to 1"),
+            ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
+            ("mark.classify_until", self.classify_until, 0.0, 10.0, "0 to 10"),
+            ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
+        ] {
+            check((low..=high).contains(&value), key, value.to_string(), allowed)?;
+        }
+        let [h, w] = self.detector.size;
+        check(
+            h == w && (32..=512).contains(&h) && h % 16 == 0,
+            "mark.detector.size",
+            format!("[{h}, {w}]"),
+            "a square of 32 to 512 px, a multiple of 16",
+        )
+    }
+
+    /// Side of hidden pictures and of what the networks see, px.
+    pub fn side_px(&self) -> usize {
+        self.detector.size[0]
+    }
+}

@@ -1,0 +1,121 @@
+//! The trained detector and classifier: what a picture says of its owner.
+
+use crate::config::MarkConfig;
+use crate::error::MarkError;
+use crate::judge::winner;
+use crate::marked::{read_header, stored};
+use crate::negatives::shrunk;
+use crate::networks::Networks;
+use cairn_capture::Picture;
+use cairn_nn::Params;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+
+/// Format of a stored detector; another number is refused by name.
+pub const DETECTOR_FORMAT: &str = "cairn.detector/1";
+
+/// F_psi and Fc_psi after training.
+pub struct Detector {
+    config: MarkConfig,
+    networks: Networks,
+}
+
+/// What a picture says.
+#[derive(Clone, Debug)]
+pub struct Detection {
+    /// The identity with the largest probability; `None` for unmarked.
+    pub identity: Option<u32>,
+    /// Probability of each class; class 0 is `unmarked`.
+    pub probabilities: Vec<f32>,
+    /// The recovered signal, side x side, [0, 1]; black where nothing is hidden.
+    pub recovered: Picture,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    classes: usize,
+    config: MarkConfig,
+}
+
+impl Detector {
+    pub(crate) fn new(config: MarkConfig, networks: Networks) -> Self {
+        Self { config, networks }
+    }
+
+    /// M + 1.
+    pub fn classes(&self) -> usize {
+        self.networks.classifier.classes()
+    }
+
+    /// Side of recovered signals, px.
+    pub fn side_px(&self) -> usize {
+        self.config.side_px()
+    }
+
+    /// Classifies `picture` (any size) and recovers what it hides.
+    ///
+    /// # Errors
+    /// [`MarkError`] when a number of the picture is not finite.
+    pub fn detect(&self, picture: &Picture) -> Result<Detection, MarkError> {
+        self.read(picture, None)
+    }
+
+    /// As [`Detector::detect`], with `class` told to the detector in place of the
+    /// classifier's answer. On pictures without a mark this shows what the
+    /// detector knows by heart.
+    ///
+    /// # Errors
+    /// As [`Detector::detect`]; [`MarkError::Plan`] for a class there is not.
+    pub fn detect_forced(&self, picture: &Picture, class: usize) -> Result<Detection, MarkError> {
+        if class >= self.classes() {
+            return Err(MarkError::Plan(format!("class {class} of {}; give one below", self.classes())));
+        }
+        self.read(picture, Some(class))
+    }
+
+    fn read(&self, picture: &Picture, forced: Option<usize>) -> Result<Detection, MarkError> {
+        if let Some(at) = picture.rgb().iter().position(|v| !v.is_finite()) {
+            let (x, y) = (at / 3 % picture.width(), at / 3 / picture.width());
+            return Err(MarkError::Plan(format!("pixel ({x}, {y}) is not finite; send another picture")));
+        }
+        let side = self.side_px();
+        let mut read = self.networks.read(&[shrunk(picture, side)], side, forced)?;
+        let (probabilities, hidden) = read.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
+        let recovered = Picture::new(side, side, hidden).map_err(|e| MarkError::Plan(e.to_string()))?.clamped();
+        let class = winner(&probabilities);
+        Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, recovered })
+    }
+
+    /// As safetensors. Equal detectors give equal bytes.
+    ///
+    /// # Errors
+    /// [`MarkError::Stored`] when it cannot be written out.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, MarkError> {
+        let header = Header { format: DETECTOR_FORMAT.into(), classes: self.classes(), config: self.config.clone() };
+        let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
+        let params = self.networks.params.to_bytes()?;
+        let tensors = [("parameters", TensorView::new(Dtype::U8, vec![params.len()], &params).map_err(bad)?)];
+        let json = serde_json::to_string(&header).map_err(|e| stored("detector", e.to_string()))?;
+        safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
+    }
+
+    /// Reads what [`Detector::to_bytes`] wrote.
+    ///
+    /// # Errors
+    /// [`MarkError::Stored`] for an unknown format or a damaged file.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
+        let header: Header = read_header(bytes, "detector")?;
+        if header.format != DETECTOR_FORMAT {
+            let why = format!("format `{}`, this program reads `{DETECTOR_FORMAT}`", header.format);
+            return Err(stored("detector", why));
+        }
+        header.config.validate()?;
+        let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
+        let file = SafeTensors::deserialize(bytes).map_err(bad)?;
+        let params = Params::from_bytes(file.tensor("parameters").map_err(bad)?.data())?;
+        let networks = Networks::with(&header.config, header.classes, params)?;
+        Ok(Self { config: header.config, networks })
+    }
+}

@@ -1,0 +1,95 @@
+//! Judging a state on poses it was not trained on. The last state is not the
+//! best: training can have learnt its own views by heart. Judging uses virtual
+//! poses and base renders only; held-out photographs stay out of it.
+
+use crate::error::MarkError;
+use crate::trainer::MarkTrainer;
+use cairn_capture::{AreaFilter, Picture};
+
+/// How a state did on virtual poses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judgement {
+    /// After this many steps.
+    pub step: u64,
+    /// Right answers of the classifier, over marked and unmarked pictures, [0, 1].
+    pub accuracy: f64,
+    /// Mean SSIM of recovered against true signals, identities weighing alike.
+    pub hidden_ssim: f64,
+}
+
+/// What is kept of the best state.
+#[derive(Clone)]
+pub(crate) struct State {
+    pub(crate) judgement: Judgement,
+    pub(crate) params: Vec<u8>,
+    pub(crate) carriers: Vec<Vec<f32>>,
+}
+
+impl Judgement {
+    fn score(&self) -> f64 {
+        // An owner missed or made up is worse than a blurred signal.
+        2.0 * self.accuracy + self.hidden_ssim
+    }
+}
+
+impl MarkTrainer {
+    /// Judges the present state and keeps it if it is the best so far. The
+    /// caller decides when; a run that judges at the same steps gives the same
+    /// bytes. Training counts as converged once everything is answered right and
+    /// the hidden signals reach `enough_ssim`.
+    ///
+    /// # Errors
+    /// [`MarkError`] when the networks fail.
+    pub fn judge(&mut self) -> Result<Judgement, MarkError> {
+        let side = self.config.side_px();
+        let (mut right, mut asked) = (0usize, 0usize);
+        let mut ssim = Vec::new();
+        for (identity, view) in &self.bank.judged {
+            let filter = AreaFilter::new([view.linear.width(), view.linear.height()], [side, side]);
+            let base = view.linear.base(&view.appearance);
+            let mut marked = base.clone();
+            let carrier = &self.carriers[self.carrier_of(*identity)];
+            view.linear.apply(&carrier.values, carrier.basis, &view.appearance, &mut marked);
+            let seen = [filter.apply(&eight_bits(marked)), filter.apply(&eight_bits(base))];
+            let read = self.networks.read(&seen, side, None)?;
+            right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
+            asked += 2;
+            let hidden = Picture::new(side, side, read[0].1.clone()).map(Picture::clamped);
+            let truth = Picture::new(side, side, self.signals[*identity].clone());
+            if let (Ok(hidden), Ok(truth)) = (hidden, truth) {
+                ssim.push(cairn_metrics::ssim(&hidden, &truth).unwrap_or(0.0));
+            }
+        }
+        for chunk in self.bank.judged_unmarked.chunks(4) {
+            for (probabilities, _) in self.networks.read(chunk, side, None)? {
+                right += usize::from(winner(&probabilities) == 0);
+                asked += 1;
+            }
+        }
+        let judgement = Judgement {
+            step: self.step,
+            accuracy: right as f64 / asked.max(1) as f64,
+            hidden_ssim: if self.joined { ssim.iter().sum::<f64>() / ssim.len().max(1) as f64 } else { 0.0 },
+        };
+        if self.best.as_ref().is_none_or(|b| judgement.score() >= b.judgement.score()) {
+            self.best = Some(State {
+                judgement,
+                params: self.networks.params.to_bytes()?,
+                carriers: self.carriers.iter().map(|c| c.values.clone()).collect(),
+            });
+        }
+        self.converged |= judgement.accuracy == 1.0 && judgement.hidden_ssim >= self.config.enough_ssim;
+        Ok(judgement)
+    }
+}
+
+/// What remains of a render in an 8-bit file.
+fn eight_bits(mut rgb: Vec<f32>) -> Vec<f32> {
+    rgb.iter_mut().for_each(|v| *v = (v.clamp(0.0, 1.0) * 255.0).round() / 255.0);
+    rgb
+}
+
+/// The class with the largest probability.
+pub(crate) fn winner(probabilities: &[f32]) -> usize {
+    (0..probabilities.len()).max_by(|a, b| probabilities[*a].total_cmp(&probabilities[*b])).unwrap_or(0)
+}

@@ -1,0 +1,159 @@
+//! The marked field: the base field and the carriers, in one file.
+
+use crate::config::CarrierKind;
+use crate::error::MarkError;
+use cairn_capture::{Camera, Picture};
+use cairn_cluster::Clusters;
+use cairn_field::operator::{CarrierBasis, MarkableField};
+use cairn_field::{Appearance, Field};
+use half::f16;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Format of a stored marked field; another number is refused by name.
+pub const MARKED_FORMAT: &str = "cairn.marked/1";
+
+/// theta: renders carry the mark of the identity whose cluster the pose is in.
+#[derive(Clone, Debug)]
+pub struct MarkedField {
+    base: Arc<Field>,
+    clusters: Clusters,
+    kind: CarrierKind,
+    carriers: Vec<Vec<f32>>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: String,
+    carrier: CarrierKind,
+    clusters: Clusters,
+    carriers: usize,
+}
+
+impl MarkedField {
+    /// Carriers are rounded to half precision, so that memory and file agree.
+    pub(crate) fn new(
+        base: Arc<Field>,
+        clusters: Clusters,
+        kind: CarrierKind,
+        mut carriers: Vec<Vec<f32>>,
+    ) -> Result<Self, MarkError> {
+        let width = basis_of(kind).width();
+        let expected = match kind {
+            CarrierKind::PerCluster => clusters.clusters.len(),
+            CarrierKind::Harmonics => 1,
+        };
+        if carriers.len() != expected || carriers.iter().any(|c| c.len() != base.rows() * width) {
+            return Err(stored("marked field", "its carriers do not fit its base field".into()));
+        }
+        for value in carriers.iter_mut().flatten() {
+            *value = f16::from_f32(*value).to_f32();
+            if !value.is_finite() {
+                return Err(stored("marked field", "a carrier is not finite".into()));
+            }
+        }
+        Ok(Self { base, clusters, kind, carriers })
+    }
+
+    /// theta_0.
+    pub fn base(&self) -> &Arc<Field> {
+        &self.base
+    }
+
+    /// Whose pose is whose.
+    pub fn clusters(&self) -> &Clusters {
+        &self.clusters
+    }
+
+    /// theta(P): the render at `camera` with the mark of the cluster it lies in;
+    /// outside all clusters nothing is added (with per-cluster carriers). Not clamped.
+    pub fn render(&self, camera: &Camera, appearance: &Appearance) -> Picture {
+        self.render_as(camera, appearance, self.clusters.identity_of(&camera.pose).identity)
+    }
+
+    /// As [`MarkedField::render`], with the mark of `identity` whatever the pose:
+    /// for tests of whether a class comes from the mark or from the view.
+    /// `None` is theta_0 with per-cluster carriers.
+    pub fn render_as(&self, camera: &Camera, appearance: &Appearance, identity: Option<u32>) -> Picture {
+        let carrier = match self.kind {
+            CarrierKind::Harmonics => self.carriers.first(),
+            CarrierKind::PerCluster => identity.and_then(|i| self.carriers.get((i as usize).wrapping_sub(1))),
+        };
+        match carrier {
+            Some(carrier) => self.base.render_with(camera, appearance, carrier, basis_of(self.kind)),
+            None => self.base.render(camera, appearance),
+        }
+    }
+
+    /// The marked field, its base field included, as safetensors. Equal fields
+    /// give equal bytes.
+    ///
+    /// # Errors
+    /// [`MarkError::Stored`] when it cannot be written out.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, MarkError> {
+        let header = Header {
+            format: MARKED_FORMAT.into(),
+            carrier: self.kind,
+            clusters: self.clusters.clone(),
+            carriers: self.carriers.len(),
+        };
+        let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
+        let base = self.base.to_bytes()?;
+        let carriers: Vec<u8> = self.carriers.iter().flatten().flat_map(|v| f16::from_f32(*v).to_le_bytes()).collect();
+        let shape = vec![self.carriers.len(), self.base.rows(), basis_of(self.kind).width()];
+        let tensors = [
+            ("base", TensorView::new(Dtype::U8, vec![base.len()], &base).map_err(bad)?),
+            ("carriers", TensorView::new(Dtype::F16, shape, &carriers).map_err(bad)?),
+        ];
+        let json = serde_json::to_string(&header).map_err(|e| stored("marked field", e.to_string()))?;
+        safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
+    }
+
+    /// Reads what [`MarkedField::to_bytes`] wrote.
+    ///
+    /// # Errors
+    /// [`MarkError::Stored`] for an unknown format or a damaged file.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
+        let header: Header = read_header(bytes, "marked field")?;
+        if header.format != MARKED_FORMAT {
+            let why = format!("format `{}`, this program reads `{MARKED_FORMAT}`", header.format);
+            return Err(stored("marked field", why));
+        }
+        let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
+        let file = SafeTensors::deserialize(bytes).map_err(bad)?;
+        let base = Arc::new(Field::from_bytes(file.tensor("base").map_err(bad)?.data())?);
+        let tensor = file.tensor("carriers").map_err(bad)?;
+        let each = base.rows() * basis_of(header.carrier).width();
+        if tensor.dtype() != Dtype::F16 || tensor.data().len() != header.carriers.saturating_mul(each * 2) {
+            return Err(stored("marked field", "its carriers do not fit its base field".into()));
+        }
+        let carriers = tensor
+            .data()
+            .chunks_exact(each * 2)
+            .map(|c| c.chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]]).to_f32()).collect())
+            .collect();
+        Self::new(base, header.clusters, header.carrier, carriers)
+    }
+}
+
+fn basis_of(kind: CarrierKind) -> CarrierBasis {
+    match kind {
+        CarrierKind::PerCluster => CarrierBasis::Constant,
+        CarrierKind::Harmonics => CarrierBasis::Harmonics,
+    }
+}
+
+/// A [`MarkError::Stored`].
+pub(crate) fn stored(what: &'static str, why: String) -> MarkError {
+    MarkError::Stored { what, why }
+}
+
+/// Our JSON header in a safetensors file's metadata.
+pub(crate) fn read_header<H: serde::de::DeserializeOwned>(bytes: &[u8], what: &'static str) -> Result<H, MarkError> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| stored(what, e.to_string()))?;
+    let json = metadata.metadata().as_ref().and_then(|m| m.get("cairn"));
+    let json = json.ok_or_else(|| stored(what, "it has no Cairn header".into()))?;
+    serde_json::from_str(json).map_err(|e| stored(what, format!("its header: {e}")))
+}

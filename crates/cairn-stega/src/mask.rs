@@ -1,0 +1,97 @@
+//! The gradient mask: coefficients that matter to the picture barely move,
+//! those that don't carry the signal.
+//!
+//! The paper's `w = |theta_0|^alpha, m = w^-1 / sum(w^-1)` is infinite at zero and
+//! tiny after a sum over millions. Here it is worked out in logarithms over a
+//! floored magnitude and divided by its largest value, so that learning rates
+//! keep their meaning; it is clipped below, so that one weight among millions
+//! cannot hold all of it. It is applied to updates, not to gradients: Adam would
+//! divide it out again.
+
+use crate::config::MaskKind;
+use cairn_field::operator::{CarrierBasis, MarkableField};
+use cairn_field::sh::SH;
+
+/// Quantile of the magnitudes that counts as "does not matter": everything below
+/// moves freely.
+const FREE: f64 = 0.25;
+
+/// The mask of a carrier, `rows x basis.width()`, each in `[least, 1]`.
+pub fn gradient_mask(
+    kind: MaskKind,
+    alpha: f64,
+    least: f64,
+    field: &dyn MarkableField,
+    basis: CarrierBasis,
+) -> Vec<f32> {
+    let width = basis.width();
+    match (kind, basis) {
+        (MaskKind::None, _) | (MaskKind::PerCoefficientGroup, CarrierBasis::Constant) => {
+            vec![1.0; field.rows() * width]
+        }
+        (MaskKind::PerWeight, CarrierBasis::Constant) => {
+            let magnitudes = field.row_magnitudes();
+            from_magnitudes(&magnitudes, alpha, least).into_iter().flat_map(|m| [m; 3]).collect()
+        }
+        (MaskKind::PerWeight, CarrierBasis::Harmonics) => {
+            from_magnitudes(&field.coefficient_magnitudes(), alpha, least)
+        }
+        (MaskKind::PerCoefficientGroup, CarrierBasis::Harmonics) => {
+            let all = field.coefficient_magnitudes();
+            let mut groups = [0.0f64; SH];
+            for row in all.chunks_exact(3 * SH) {
+                for (k, v) in row.iter().enumerate() {
+                    groups[k % SH] += f64::from(*v);
+                }
+            }
+            let smallest = groups.iter().copied().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
+            let group = groups.map(|g| ((alpha * (smallest.ln() - g.max(smallest).ln())).exp().max(least)) as f32);
+            (0..all.len()).map(|i| group[i % SH]).collect()
+        }
+    }
+}
+
+/// `(e_free / max(e, e_free))^alpha`, clipped below at `least`.
+fn from_magnitudes(magnitudes: &[f32], alpha: f64, least: f64) -> Vec<f32> {
+    let mut sorted: Vec<f32> = magnitudes.iter().copied().filter(|m| *m > 0.0).collect();
+    if sorted.is_empty() {
+        return vec![1.0; magnitudes.len()];
+    }
+    let at = ((sorted.len() - 1) as f64 * FREE) as usize;
+    let (_, free, _) = sorted.select_nth_unstable_by(at, f32::total_cmp);
+    let log_free = f64::from(*free).ln();
+    let mask = |m: &f32| {
+        let log = f64::from(*m).max(f64::from(f32::MIN_POSITIVE)).ln();
+        ((alpha * (log_free - log)).min(0.0).exp().max(least)) as f32
+    };
+    magnitudes.iter().map(mask).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zeros_denormals_and_giants_give_masks_in_range() {
+        let magnitudes = [0.0, 1e-42, 1e-20, 1e-3, 1.0, 1e30, f32::MAX];
+        for alpha in [0.0, 3.0, 10.0] {
+            for m in from_magnitudes(&magnitudes, alpha, 0.1) {
+                assert!((0.1..=1.0).contains(&m), "{m} at alpha {alpha}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_mask_is_the_ratio_to_the_power_of_alpha() {
+        // The free quantile of these is 1: twice the magnitude moves an eighth.
+        let mask = from_magnitudes(&[1.0, 1.0, 1.0, 2.0, 4.0], 3.0, 0.0);
+        assert_eq!(mask[0], 1.0);
+        assert!((mask[3] - 0.125).abs() < 1e-6);
+        assert!((mask[4] - 1.0 / 64.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_field_without_colour_is_not_masked() {
+        assert_eq!(from_magnitudes(&[0.0; 4], 3.0, 0.1), [1.0; 4]);
+    }
+}

@@ -1,0 +1,77 @@
+//! Detector and classifier together: built alike for training and for use.
+
+use crate::config::MarkConfig;
+use crate::error::MarkError;
+use cairn_nn::{Classifier, Params, UNet, softmax};
+use candle_core::{Device, Tensor};
+
+/// F_psi and Fc_psi with their parameters.
+pub(crate) struct Networks {
+    pub(crate) params: Params,
+    pub(crate) classifier: Classifier,
+    pub(crate) detector: UNet,
+}
+
+impl Networks {
+    /// Fresh networks for `classes` = M + 1 classes.
+    pub(crate) fn new(config: &MarkConfig, classes: usize, seed: u64) -> Result<Self, MarkError> {
+        Self::with(config, classes, Params::new(seed))
+    }
+
+    /// Networks over `params`, which may hold stored values already.
+    pub(crate) fn with(config: &MarkConfig, classes: usize, mut params: Params) -> Result<Self, MarkError> {
+        let classifier = Classifier::new(&config.classifier, classes, params.scope("classifier"))?;
+        let detector = UNet::new(&config.detector, classes, params.scope("detector"))?;
+        Ok(Self { params, classifier, detector })
+    }
+
+    /// Class probabilities and hidden pictures for `pictures`
+    /// (each `side x side x 3`). With `forced`, that class is told to the
+    /// detector in place of the classifier's own answer.
+    pub(crate) fn read(
+        &self,
+        pictures: &[Vec<f32>],
+        side: usize,
+        forced: Option<usize>,
+    ) -> Result<Vec<(Vec<f32>, Vec<f32>)>, MarkError> {
+        let images = to_tensor(pictures, side)?;
+        let probabilities = softmax(&self.classifier.forward(&images)?)?.detach();
+        let told = match forced {
+            None => probabilities.clone(),
+            Some(class) => {
+                let classes = self.classifier.classes();
+                let row: Vec<f32> = (0..classes).map(|k| if k == class { 1.0 } else { 0.0 }).collect();
+                Tensor::from_vec(row.repeat(pictures.len()), (pictures.len(), classes), &Device::Cpu)?
+            }
+        };
+        let hidden = self.detector.forward(&images, &told)?;
+        let mut out = Vec::with_capacity(pictures.len());
+        for i in 0..pictures.len() {
+            let flat = hidden.get(i)?.flatten_all()?.to_vec1::<f32>()?;
+            out.push((probabilities.get(i)?.to_vec1::<f32>()?, interleaved(&flat)));
+        }
+        Ok(out)
+    }
+}
+
+/// N x 3 x side x side from interleaved pictures.
+pub(crate) fn to_tensor(pictures: &[Vec<f32>], side: usize) -> Result<Tensor, MarkError> {
+    Ok(Tensor::from_vec(planar(pictures), (pictures.len(), 3, side, side), &Device::Cpu)?)
+}
+
+/// Interleaved pictures as planes, one after another.
+pub(crate) fn planar(pictures: &[Vec<f32>]) -> Vec<f32> {
+    let mut out = Vec::with_capacity(pictures.iter().map(Vec::len).sum());
+    for picture in pictures {
+        for c in 0..3 {
+            out.extend(picture.iter().skip(c).step_by(3));
+        }
+    }
+    out
+}
+
+/// Three planes as an interleaved picture.
+pub(crate) fn interleaved(planes: &[f32]) -> Vec<f32> {
+    let n = planes.len() / 3;
+    (0..n * 3).map(|i| planes[(i % 3) * n + i / 3]).collect()
+}
