@@ -4,7 +4,7 @@
 //! `cargo run --release -p cairn-field --example curve -- FOLDER SCALE [settings as JSON]`
 
 use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
-use cairn_field::{BaseTrainer, FieldConfig, SceneFrame, TrainingView};
+use cairn_field::{BaseTrainer, Field, FieldConfig, FieldError, SceneFrame, TrainingView};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let test = capture.held_out().take(12).map(view).collect::<Result<Vec<_>, _>>()?;
     let frame = SceneFrame::from_capture(&capture)?;
     println!("{} training and {} held-out views, {frame:?}", train.len(), test.len());
-    let mut trainer = BaseTrainer::new(train, frame, capture.background, config, 1)?;
+    let mut trainer = BaseTrainer::new(train.clone(), frame, capture.background, config, 1)?;
     let started = Instant::now();
     let every = trainer.steps_total().div_ceil(10);
     while trainer.steps_done() < trainer.steps_total() {
@@ -40,29 +40,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds = started.elapsed().as_secs_f64();
     let wild = trainer.has_appearance();
     let field = trainer.finish();
+    let learnt = train.iter().step_by(train.len().div_ceil(3));
+    let known = learnt.clone().map(|view| Ok(shown(&field, view, false)?.0)).sum::<Result<f64, FieldError>>()?;
+    println!("training views {:.2} dB", known / learnt.count() as f64);
     let (mut sum, started) = (0.0, Instant::now());
     for (n, view) in test.iter().enumerate() {
-        let w = view.picture.width();
-        let appearance = if wild {
-            field.fit_appearance_left_half(&view.camera, &view.picture)?
-        } else {
-            field.canonical_appearance().clone()
-        };
-        let render = field.render(&view.camera, &appearance).clamped();
-        let first = if wild { w / 2 } else { 0 };
-        let (mut error, mut count) = (0.0f64, 0.0f64);
-        for y in 0..render.height() {
-            for x in first..w {
-                for c in 0..3 {
-                    error += f64::from(render.pixel(x, y)[c] - view.picture.pixel(x, y)[c]).powi(2);
-                    count += 1.0;
-                }
-            }
-        }
-        sum += -10.0 * (error / count).log10();
+        let (db, render) = shown(&field, view, wild)?;
+        sum += db;
         let mut both = view.picture.rgb().to_vec();
         both.extend_from_slice(render.rgb());
-        let sheet = Picture::new(w, 2 * render.height(), both)?;
+        let sheet = Picture::new(render.width(), 2 * render.height(), both)?;
         std::fs::write(std::env::temp_dir().join(format!("curve-{n}.png")), encode_png(&sheet))?;
     }
     let each = started.elapsed().as_secs_f64() / test.len() as f64;
@@ -72,4 +59,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         field.grid().rows()
     );
     Ok(())
+}
+
+/// A view's PSNR and render; with `half`, appearance is fitted on its left half
+/// and its right half scored.
+fn shown(field: &Field, view: &TrainingView, half: bool) -> Result<(f64, Picture), FieldError> {
+    let appearance = if half {
+        field.fit_appearance_left_half(&view.camera, &view.picture)?
+    } else {
+        field.appearance_of(&view.name).clone()
+    };
+    let render = field.render(&view.camera, &appearance).clamped();
+    let (mut error, mut count) = (0.0f64, 0.0f64);
+    for y in 0..render.height() {
+        for x in if half { render.width() / 2 } else { 0 }..render.width() {
+            for c in 0..3 {
+                error += f64::from(render.pixel(x, y)[c] - view.picture.pixel(x, y)[c]).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    Ok((-10.0 * (error / count).log10(), render))
 }

@@ -210,7 +210,8 @@ mod tests {
     fn a_fit_finds_the_code_that_made_the_pixels() {
         let truth = Appearance::from_code((0..3 * FEATURES).map(|i| (i as f32 * 0.7).sin()).collect()).unwrap();
         let features: Vec<[f32; FEATURES]> = (0..400)
-            .map(|i| std::array::from_fn(|k| ((i * 31 + k * 17) as f32 * 0.37).sin() + 0.3 * (k as f32)))
+            // A frequency of its own for each feature makes them independent.
+            .map(|i| std::array::from_fn(|k| (i as f32 * (0.31 + 0.17 * k as f32)).sin()))
             .collect();
         let pixels: Vec<[f32; 3]> = features.iter().map(|f| truth.shade(f)).collect();
         let found = Appearance::fit(&features, &pixels, &Appearance::neutral([0.0; 3]), 1e-6);

@@ -24,6 +24,7 @@ pub(crate) struct BatchSettings<'a> {
     pub(crate) rays: usize,
     pub(crate) huber: f32,
     pub(crate) regularise: Regularise<f32>,
+    pub(crate) limits: Thresholds,
     /// Seed and step: the only source of chance.
     pub(crate) stream: (u64, u64),
 }
@@ -109,7 +110,7 @@ fn one_ray(
 ) {
     let prepared = &s.views[view];
     let (path, basis) = prepared.lens.ray(&prepared.camera, s.frame, at);
-    let gathered = gather(s.grid, &path, &basis, f64::from(offset), Thresholds::SHOWN, tape);
+    let gathered = gather(s.grid, &path, &basis, f64::from(offset), s.limits, tape);
     let appearance = s.appearances.get(view).unwrap_or(s.neutral);
     let f = features(&gathered, &basis);
     let shade = appearance.shade(&f);

@@ -8,8 +8,8 @@
 
 use crate::frame::RayPath;
 use crate::grid::{DENSITY_SCALE, Grid, trilinear};
-use crate::march::march;
-use crate::real::{Real, softplus, softplus_slope};
+use crate::march::{STEP_VOXELS, march};
+use crate::real::{Real, softplus_and_slope};
 use crate::sh::SH;
 
 /// When to leave out what cannot be seen.
@@ -19,14 +19,19 @@ pub struct Thresholds {
     pub alpha: f64,
     /// A ray ends when less than this of the light from behind would arrive.
     pub transmittance: f64,
+    /// A sample that weighs less in the pixel dims what lies behind it, but its
+    /// colour is not looked up and it gets no gradient.
+    pub weight: f64,
+    /// Distance between samples in the inner box, voxels.
+    pub step: f64,
 }
 
 impl Thresholds {
-    /// For training and pictures: what is left out is below half an 8-bit step
-    /// (0.5 / 255 = 2e-3) at every pixel.
-    pub const SHOWN: Self = Self { alpha: 1e-5, transmittance: 1e-3 };
+    /// For pictures: what is left out is below half an 8-bit step (0.5 / 255 =
+    /// 2e-3) at every pixel.
+    pub const SHOWN: Self = Self { alpha: 1e-5, transmittance: 1e-3, weight: 0.0, step: STEP_VOXELS };
     /// Leaves nothing out; for reference renders.
-    pub const EXACT: Self = Self { alpha: 0.0, transmittance: 0.0 };
+    pub const EXACT: Self = Self { alpha: 0.0, transmittance: 0.0, weight: 0.0, step: STEP_VOXELS };
 }
 
 /// One sample's share of a ray.
@@ -82,29 +87,33 @@ pub fn gather<T: Real>(
     tape.clear();
     let corners = grid.corners();
     let scale = T::of(DENSITY_SCALE);
-    let (least, stop) = (T::of(limits.alpha), T::of(limits.transmittance));
+    let (least, stop, light) = (T::of(limits.alpha), T::of(limits.transmittance), T::of(limits.weight));
     let mut t = T::one();
-    march(grid, path, offset, |sample| {
+    march(grid, path, offset, limits.step, |sample| {
         let weights = trilinear(sample.frac);
         let raw = grid.raw_at(sample.cell as usize, &weights, &corners);
-        let depth = scale * softplus(raw) * sample.length;
-        let alpha = -(-depth).exp_m1();
-        if alpha <= least {
+        let (density, slope) = softplus_and_slope(raw);
+        let depth = scale * density * sample.length;
+        // Alpha is never above the depth: spare the exponential.
+        if depth <= least {
             return true;
         }
-        let behind = t * (T::one() - alpha);
-        tape.push(Kept {
-            cell: sample.cell,
-            frac: sample.frac,
-            weight: t * alpha,
-            behind,
-            slope: scale * softplus_slope(raw) * sample.length,
-            along: sample.along,
-            length: sample.length,
-            far: sample.far,
-            colour: [T::zero(); 3],
-        });
+        let alpha = -(-depth).exp_m1();
+        let (before, behind) = (t, t * (T::one() - alpha));
         t = behind;
+        if before * alpha > light {
+            tape.push(Kept {
+                cell: sample.cell,
+                frac: sample.frac,
+                weight: before * alpha,
+                behind,
+                slope: scale * slope * sample.length,
+                along: sample.along,
+                length: sample.length,
+                far: sample.far,
+                colour: [T::zero(); 3],
+            });
+        }
         t > stop
     });
     let mut sum = Gathered { end: t, ..Gathered::default() };

@@ -55,6 +55,12 @@ pub struct FieldConfig {
     /// Light the fresh grid stops on the way across, 0 to 1: low, so that clouds
     /// before the cameras do not form.
     pub initial_opacity: f64,
+    /// Distance between samples in training, voxels, 0.25 to 2; pictures take half
+    /// a voxel.
+    pub step_voxels: f64,
+    /// In training, a sample that weighs less than this in its pixel gets no
+    /// colour and no gradient, 0 to 0.1.
+    pub skip_weight: f64,
     /// Per-view appearance.
     pub appearance: AppearanceMode,
 }
@@ -72,12 +78,14 @@ impl Default for FieldConfig {
             learning_rate_appearance: 0.01,
             final_rate: 0.1,
             distortion: 0.003,
-            sparsity: 2e-3,
+            sparsity: 1e-2,
             smooth_density: 1e-5,
             smooth_colour: 1e-4,
             huber: 0.0,
             prune_weight: 0.003,
-            initial_opacity: 0.1,
+            initial_opacity: 0.05,
+            step_voxels: 1.0,
+            skip_weight: 3e-4,
             appearance: AppearanceMode::Auto,
         }
     }
@@ -136,6 +144,8 @@ impl FieldConfig {
         ] {
             check(share(value), key, number(value), "0 to 1")?;
         }
+        check((0.25..=2.0).contains(&self.step_voxels), "field.step_voxels", number(self.step_voxels), "0.25 to 2")?;
+        check((0.0..=0.1).contains(&self.skip_weight), "field.skip_weight", number(self.skip_weight), "0 to 0.1")?;
         check(self.initial_opacity < 1.0, "field.initial_opacity", number(self.initial_opacity), "above 0, below 1")
     }
 }

@@ -122,7 +122,8 @@ impl SceneFrame {
         }
         // The near plane must lie in front of every camera.
         let foremost = cameras.iter().map(|c| depth(c.pose.position)).fold(f64::NEG_INFINITY, f64::max);
-        let near = near.max(foremost * 1.05);
+        // Not `max`, which would hide that there is none.
+        let near = if near < foremost * 1.05 { foremost * 1.05 } else { near };
         if !(near > 0.0 && near.is_finite()) {
             return Err(FieldError::Frame(
                 "a forward-facing scene needs near bounds or sparse points to place its near plane; import it as unbounded".into(),
@@ -308,4 +309,132 @@ fn focus_and_footprint(cameras: &[&Camera]) -> (DVec3, f64) {
     // Cameras that stand together and look outwards: the scene is around them.
     let half = (distance * slope).max(spread * 0.5);
     (focus, if half > 0.0 { half } else { 1.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_capture::{Distortion, Intrinsics, Pose, View};
+
+    fn camera(position: DVec3, target: DVec3) -> Camera {
+        let distortion = Distortion::default();
+        let intrinsics = Intrinsics { width: 200, height: 100, fx: 200.0, fy: 200.0, cx: 100.0, cy: 50.0, distortion };
+        Camera { intrinsics, pose: Pose::look_at(position, target, -DVec3::Y).expect("a direction") }
+    }
+
+    fn capture(kind: SceneKind, cameras: &[Camera], near: Option<f64>, points: Vec<DVec3>) -> Capture {
+        let views = cameras
+            .iter()
+            .enumerate()
+            .map(|(i, camera)| View {
+                name: format!("{i}"),
+                camera: *camera,
+                contributor: String::new(),
+                photograph: "none".into(),
+                held_out: false,
+                bounds: near.map(|n| (n, 100.0)),
+            })
+            .collect();
+        Capture { root: ".".into(), kind, background: None, views, points }
+    }
+
+    #[test]
+    fn contraction_keeps_the_inside_and_brings_infinity_to_two() {
+        let inside = DVec3::new(0.3, -1.0, 0.999);
+        assert_eq!(contract(inside), inside);
+        // mip-NeRF 360 eq. 10 by hand: (2 - 1/4) (4, 2, -1) / 4.
+        assert!((contract(DVec3::new(4.0, 2.0, -1.0)) - DVec3::new(1.75, 0.875, -0.4375)).length() < 1e-15);
+        assert!((contract(DVec3::new(0.0, -1e12, 0.0)) - DVec3::new(0.0, -2.0, 0.0)).length() < 1e-11);
+        let (a, b) = (contract(DVec3::new(1.0 - 1e-9, 0.5, 0.2)), contract(DVec3::new(1.0 + 1e-9, 0.5, 0.2)));
+        assert!((a - b).length() < 1e-8, "no jump at the border");
+    }
+
+    #[test]
+    fn a_known_point_in_device_coordinates() {
+        let frame = SceneFrame::ForwardFacing {
+            rotation: DMat3::IDENTITY,
+            position: DVec3::new(1.0, 0.0, 0.0),
+            near: 2.0,
+            low: [-1.0, -0.5],
+            high: [1.0, 0.5],
+        };
+        // At depth 4: x/z = 1/4 of [-1, 1], y/z = -1/4 of [-1/2, 1/2], 1 - 2/4.
+        let at = frame.unit(DVec3::new(2.0, -1.0, 4.0)).expect("in front");
+        assert!((at - DVec3::new(0.625, 0.25, 0.5)).length() < 1e-15, "{at}");
+        assert_eq!(frame.unit(DVec3::new(2.0, -1.0, -4.0)), None);
+        // World rays are straight there, and run from the near plane to infinity.
+        let (o, d) = (DVec3::new(1.2, 0.1, 0.3), DVec3::new(0.1, -0.05, 1.0));
+        let RayPath::Straight { origin, direction, start, end } = frame.path(o, d) else {
+            panic!("it crosses the box")
+        };
+        assert!((start, end) == (0.0, 1.0));
+        for t in [2.0, 3.7, 50.0] {
+            let point = frame.unit(o + d * (t - 0.3)).expect("in front");
+            let s = (point.z - origin[2]) / direction[2];
+            let on = DVec3::from(origin) + DVec3::from(direction) * s;
+            assert!((on - point).length() < 1e-12, "at depth {t}: {on} for {point}");
+        }
+        assert_eq!(frame.path(o, DVec3::NEG_Z), RayPath::Miss);
+    }
+
+    #[test]
+    fn every_pixel_of_a_forward_scene_stays_in_the_cube() {
+        let cameras: Vec<Camera> =
+            (0..5).map(|i| camera(DVec3::new(f64::from(i) * 0.1, 0.05, 0.0), DVec3::new(0.1, 0.0, 9.0))).collect();
+        let frame = SceneFrame::from_capture(&capture(SceneKind::ForwardFacing, &cameras, Some(2.0), Vec::new()))
+            .expect("a frame");
+        for camera in &cameras {
+            for (x, y) in [(0.0, 0.0), (200.0, 0.0), (0.0, 100.0), (200.0, 100.0), (77.0, 31.0)] {
+                let (o, d) = camera.ray(x, y);
+                let RayPath::Straight { start, end, .. } = frame.path(o, d) else { panic!("it crosses the box") };
+                assert!(start < 1e-9 && end > 1.0 - 1e-9, "from {start} to {end}");
+            }
+        }
+        let error = SceneFrame::from_capture(&capture(SceneKind::ForwardFacing, &cameras, None, Vec::new()));
+        assert!(error.expect_err("no near plane").to_string().contains("near bounds or sparse points"));
+    }
+
+    #[test]
+    fn boxes_lie_where_the_cameras_look() {
+        let at = DVec3::new(5.0, -2.0, 1.0);
+        let cameras: Vec<Camera> = (0..8)
+            .map(|i| f64::from(i) * std::f64::consts::FRAC_PI_4)
+            .map(|a| camera(at + DVec3::new(4.0 * a.cos(), -1.0, 4.0 * a.sin()), at))
+            .collect();
+        let SceneFrame::Bounded { centre, half } =
+            SceneFrame::from_capture(&capture(SceneKind::Bounded, &cameras, None, Vec::new())).expect("a box")
+        else {
+            panic!("bounded")
+        };
+        // Half of what is seen from 17^0.5 away with a field of half a unit a unit, and 5 %.
+        let expected = 17f64.sqrt() * 0.5 * 1.05;
+        assert!((centre - at).length() < 0.02, "{centre}");
+        assert!((half - DVec3::splat(expected)).length() < 0.02, "{half} for {expected}");
+        // Points say it better: the middle 90 % of [-1, 1] x [0, 4] x [0, 0.1], widened by a fifth.
+        let points = (0..=1000).map(|i| f64::from(i) / 1000.0);
+        let points = points.map(|s| at + DVec3::new(2.0 * s - 1.0, 4.0 * s, 0.1 * s)).collect();
+        let SceneFrame::Unbounded { centre, half } =
+            SceneFrame::from_capture(&capture(SceneKind::Unbounded, &cameras, None, points)).expect("a box")
+        else {
+            panic!("unbounded")
+        };
+        assert!((centre - at - DVec3::new(0.0, 2.0, 0.05)).length() < 1e-6, "{centre}");
+        // The thin side is kept at a quarter of the longest.
+        assert!((half - DVec3::new(1.08, 2.16, 0.54)).length() < 1e-6, "{half}");
+        let none = capture(SceneKind::Bounded, &[], None, Vec::new());
+        assert!(SceneFrame::from_capture(&none).expect_err("no views").to_string().contains("no views"));
+    }
+
+    #[test]
+    fn rays_beside_a_box_miss_it() {
+        let frame = SceneFrame::Bounded { centre: DVec3::ZERO, half: DVec3::ONE };
+        assert_eq!(frame.path(DVec3::new(3.0, 0.0, 0.0), DVec3::X), RayPath::Miss);
+        assert_eq!(frame.path(DVec3::new(3.0, 1.5, 0.0), DVec3::NEG_X), RayPath::Miss);
+        let RayPath::Straight { start, end, .. } = frame.path(DVec3::new(3.0, 0.5, 0.0), DVec3::NEG_X) else {
+            panic!("it crosses the box")
+        };
+        assert!((start - 2.0).abs() < 1e-12 && (end - 4.0).abs() < 1e-12);
+        let RayPath::Straight { start, .. } = frame.path(DVec3::ZERO, DVec3::X) else { panic!("it starts inside") };
+        assert_eq!(start, 0.0);
+    }
 }

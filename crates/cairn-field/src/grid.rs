@@ -204,6 +204,39 @@ impl<T: Real> Grid<T> {
         [dot(0), dot(1), dot(2)]
     }
 
+    /// By row, whether it or any of its 26 neighbours was `seen` (by row) with at
+    /// least `least`. The neighbours belong to it: raw density is interpolated
+    /// before it is made positive, so that losing one thins the surface beside it.
+    pub(crate) fn near_seen(&self, seen: &[f32], least: f32) -> Vec<bool> {
+        let [nx, ny, nz] = self.dims;
+        let near = |a: usize, n: usize| a.saturating_sub(1)..(a + 2).min(n);
+        (0..self.rows())
+            .into_par_iter()
+            .map(|row| {
+                if row == 0 || seen[row] >= least {
+                    return row != 0;
+                }
+                let v = self.vertex[row] as usize;
+                let (x, y, z) = (v % nx, v / nx % ny, v / (nx * ny));
+                near(z, nz).any(|z| {
+                    near(y, ny).any(|y| {
+                        near(x, nx).any(|x| {
+                            let other = self.index[(z * ny + y) * nx + x] as usize;
+                            other != 0 && seen[other] >= least
+                        })
+                    })
+                })
+            })
+            .collect()
+    }
+
+    /// Empties the rows that `keep` (by row) does not hold for.
+    pub(crate) fn clear(&mut self, keep: &[bool]) {
+        for (raw, _) in self.raw.iter_mut().zip(keep).filter(|(_, keep)| !**keep) {
+            *raw = T::of(EMPTY_RAW);
+        }
+    }
+
     /// The same field on a finer (or coarser) lattice: a vertex of the result
     /// gets a row where `keep` (by old row, row 0 ignored) holds at a corner of
     /// the old cell it falls into. Values are interpolated.

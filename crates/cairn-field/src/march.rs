@@ -1,13 +1,17 @@
 //! Where along a ray the field is sampled: points half a voxel apart in grid
-//! coordinates, empty blocks and cells passed over. Skipping never moves a
-//! sample: the points are a lattice fixed by the ray alone.
+//! coordinates (a whole one beyond the inner box, and in training), empty blocks
+//! and cells passed over. Skipping never moves a sample: the points are a lattice
+//! fixed by the ray alone.
 
 use crate::frame::RayPath;
 use crate::grid::Grid;
 use crate::real::Real;
 
-/// Distance between samples, in voxels.
+/// Distance between samples in a picture, in voxels.
 pub const STEP_VOXELS: f64 = 0.5;
+/// The least distance between samples in contracted space, in voxels: those are
+/// drawn out in depth, where nobody can tell.
+pub const FAR_STEP_VOXELS: f64 = 1.0;
 
 /// A place where the field is looked up.
 #[derive(Clone, Copy, Debug)]
@@ -25,23 +29,23 @@ pub struct Sample<T> {
 }
 
 /// Visits the samples of `path` in occupied cells, near to far, until `visit`
-/// returns false. `offset` in [0, 1) shifts the lattice by that share of a step
-/// (0.5 for a render; random in training).
+/// returns false. They lie `step` voxels apart; `offset` in [0, 1) shifts the
+/// lattice by that share of a step (0.5 for a render; random in training).
 #[inline(always)]
-pub fn march<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, visit: impl FnMut(&Sample<T>) -> bool) {
+pub fn march<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, step: f64, visit: impl FnMut(&Sample<T>) -> bool) {
     match path {
         RayPath::Miss => {}
         RayPath::Straight { origin, direction, start, end } => {
-            straight(grid, *origin, *direction, *start, *end, offset, visit);
+            straight(grid, (*origin, *direction), (*start, *end), offset, step, visit);
         }
-        RayPath::Contracted { origin, direction } => contracted(grid, *origin, *direction, offset, visit),
+        RayPath::Contracted { origin, direction } => contracted(grid, *origin, *direction, offset, step, visit),
     }
 }
 
-/// Unit-cube length of one step.
-fn step_length<T: Real>(grid: &Grid<T>) -> f64 {
+/// Unit-cube length of a step of `step` voxels.
+fn step_length<T: Real>(grid: &Grid<T>, step: f64) -> f64 {
     let largest = *grid.dims.iter().max().expect("three sides");
-    STEP_VOXELS / (largest - 1) as f64
+    step / (largest - 1) as f64
 }
 
 #[inline(always)]
@@ -83,20 +87,19 @@ fn steps_in_block<T: Real>(p: [T; 3], velocity: [T; 3], cell: [usize; 3]) -> usi
 #[inline(always)]
 fn straight<T: Real>(
     grid: &Grid<T>,
-    origin: [f64; 3],
-    direction: [f64; 3],
-    start: f64,
-    end: f64,
+    (origin, direction): ([f64; 3], [f64; 3]),
+    (start, end): (f64, f64),
     offset: f64,
+    step: f64,
     mut visit: impl FnMut(&Sample<T>) -> bool,
 ) {
     let scale: [f64; 3] = std::array::from_fn(|k| (grid.dims[k] - 1) as f64);
     let speed = (0..3).map(|k| (direction[k] * scale[k]).powi(2)).sum::<f64>().sqrt();
-    let dt = STEP_VOXELS / speed;
+    let dt = step / speed;
     let count = ((end - start) / dt).floor() as usize;
     let first: [T; 3] = std::array::from_fn(|k| T::of((origin[k] + direction[k] * (start + offset * dt)) * scale[k]));
     let velocity: [T; 3] = std::array::from_fn(|k| T::of(direction[k] * dt * scale[k]));
-    let length = T::of(step_length(grid));
+    let length = T::of(step_length(grid, step));
     let mut i = 0;
     while i < count {
         let n = T::from(i).unwrap_or_else(T::zero);
@@ -120,20 +123,21 @@ fn contracted<T: Real>(
     origin: [f64; 3],
     direction: [f64; 3],
     offset: f64,
+    step: f64,
     mut visit: impl FnMut(&Sample<T>) -> bool,
 ) {
     let quarter: [T; 3] = std::array::from_fn(|k| T::of((grid.dims[k] - 1) as f64 * 0.25));
     let (o, d) = (origin.map(T::of), direction.map(T::of));
     let (one, two) = (T::one(), T::of(2.0));
-    let step = T::of(STEP_VOXELS);
-    let length = T::of(step_length(grid));
+    let far_step = T::of(step.max(FAR_STEP_VOXELS));
+    let (near_length, far_length) = (T::of(step_length(grid, step)), T::of(step_length(grid, far_step.wide())));
     let offset = T::of(offset);
     let limit = T::of(2.0 * *grid.dims.iter().max().expect("three sides") as f64);
     let norm = |v: [T; 3]| (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
     let inner_velocity: [T; 3] = std::array::from_fn(|k| d[k] * quarter[k]);
-    let inner_dt = step / norm(inner_velocity);
+    let inner_dt = T::of(step) / norm(inner_velocity);
     let inner_velocity = inner_velocity.map(|v| v * inner_dt);
-    let (mut t, mut n_steps) = (T::zero(), 0usize);
+    let (mut t, mut along) = (T::zero(), T::zero());
     loop {
         let x: [T; 3] = std::array::from_fn(|k| o[k] + d[k] * t);
         let (mut n, mut axis) = (x[0].abs(), 0);
@@ -147,42 +151,43 @@ fn contracted<T: Real>(
             return;
         }
         let inside = n <= one;
-        let dt = if inside {
-            inner_dt
+        let (dt, length) = if inside {
+            (inner_dt, near_length)
         } else {
             // d/dt of x (2/n - 1/n^2): the speed in voxels.
-            let (s, dn) = ((two - one / n) / n, if outward { d[axis].abs() } else { -d[axis].abs() });
-            let ds = dn * (two / n - two) / (n * n);
-            step / norm(std::array::from_fn(|k| (d[k] * s + x[k] * ds) * quarter[k]))
+            let inverse = n.recip();
+            let (s, dn) = ((two - inverse) * inverse, if outward { d[axis].abs() } else { -d[axis].abs() });
+            let ds = dn * (two * inverse - two) * inverse * inverse;
+            (far_step / norm(std::array::from_fn(|k| (d[k] * s + x[k] * ds) * quarter[k])), far_length)
         };
         let x: [T; 3] = std::array::from_fn(|k| x[k] + d[k] * dt * offset);
         let n = x[0].abs().max(x[1].abs()).max(x[2].abs());
-        let s = if n > one { (two - one / n) / n } else { one };
+        let s = if n > one { (two - n.recip()) * n.recip() } else { one };
         let p: [T; 3] = std::array::from_fn(|k| (x[k] * s + two) * quarter[k]);
         let (cell, frac) = cell_of(grid, p);
-        let skip = inside && !grid.block_occupied(cell[0], cell[1], cell[2]);
-        if skip {
-            // Space is straight here: jump to the block's end or the inner box's.
-            let mut steps = steps_in_block(p, inner_velocity, cell);
-            for k in 0..3 {
-                let room = (if d[k] > T::zero() { one - x[k] } else { -one - x[k] }) / (d[k] * inner_dt);
-                if d[k] != T::zero() {
-                    steps = steps.min(room.to_usize().unwrap_or(0));
+        if !grid.block_occupied(cell[0], cell[1], cell[2]) {
+            let mut steps = 1;
+            if inside {
+                // Space is straight here: jump to the block's end or the inner box's.
+                steps = steps_in_block(p, inner_velocity, cell);
+                for k in 0..3 {
+                    let room = (if d[k] > T::zero() { one - x[k] } else { -one - x[k] }) / (d[k] * inner_dt);
+                    if d[k] != T::zero() {
+                        steps = steps.min(room.to_usize().unwrap_or(0));
+                    }
                 }
+                steps = steps.max(1);
             }
-            let steps = steps.max(1);
-            t += inner_dt * T::from(steps).unwrap_or(one);
-            n_steps += steps;
+            let steps = T::from(steps).unwrap_or(one);
+            t += dt * steps;
+            along += length * steps;
             continue;
         }
         let at = linear(grid, cell);
-        if grid.cell_occupied(at) {
-            let along = T::from(n_steps).unwrap_or_else(T::zero) * length;
-            if !visit(&Sample { cell: at as u32, frac, length, along, far: n > one }) {
-                return;
-            }
+        if grid.cell_occupied(at) && !visit(&Sample { cell: at as u32, frac, length, along, far: n > one }) {
+            return;
         }
         t += dt;
-        n_steps += 1;
+        along += length;
     }
 }

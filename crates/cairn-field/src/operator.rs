@@ -91,25 +91,32 @@ impl MarkableField for Field {
     fn view(&self, camera: &Camera, cutoff: f32) -> LinearView {
         let lens = Lens::new(camera);
         let corners = self.grid.corners();
-        type Scratch = (Vec<Kept<f32>>, Vec<(u32, f32)>);
         type Pixel = ([f32; FEATURES], [f32; SH], Vec<(u32, f32)>);
         let pixels: Vec<Pixel> = (0..lens.pixels())
             .into_par_iter()
             .with_min_len(64)
-            .map_init(Scratch::default, |(tape, all), at| {
+            .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
                 let (path, basis) = lens.ray(camera, &self.frame, at);
                 let gathered = gather(&self.grid, &path, &basis, 0.5, Thresholds::SHOWN, tape);
-                all.clear();
-                for kept in tape.iter().filter(|k| k.weight >= cutoff * 0.25) {
-                    let flag = if kept.far { FAR } else { 0 };
-                    for (corner, share) in corners.iter().zip(trilinear(kept.frac)) {
-                        let row = self.grid.index[kept.cell as usize + corner];
-                        if row != 0 {
-                            all.push((row | flag, share * kept.weight));
+                let mut entries = Vec::new();
+                // Neighbouring samples mostly share a cell: their weights on its corners add up.
+                for run in tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far) {
+                    let mut shares = [0.0f32; 8];
+                    for kept in run {
+                        for (share, corner) in shares.iter_mut().zip(trilinear(kept.frac)) {
+                            *share += corner * kept.weight;
+                        }
+                    }
+                    let (cell, flag) = (run[0].cell as usize, if run[0].far { FAR } else { 0 });
+                    for (share, corner) in shares.iter().zip(corners) {
+                        let row = self.grid.index[cell + corner];
+                        if row != 0 && *share >= cutoff {
+                            entries.push((row | flag, *share));
                         }
                     }
                 }
-                (features(&gathered, &basis), basis, merged(all, cutoff))
+                entries.shrink_to_fit();
+                (features(&gathered, &basis), basis, entries)
             })
             .collect();
         let mut starts = vec![0u32];
@@ -124,21 +131,6 @@ impl MarkableField for Field {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         LinearView { width, height, starts, entries, bases, features: all }
     }
-}
-
-/// Adds up entries of the same row and drops the small ones.
-fn merged(all: &mut [(u32, f32)], cutoff: f32) -> Vec<(u32, f32)> {
-    all.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let mut out: Vec<(u32, f32)> = Vec::with_capacity(48);
-    for &(row, weight) in all.iter() {
-        match out.last_mut() {
-            Some(last) if last.0 == row => last.1 += weight,
-            _ => out.push((row, weight)),
-        }
-    }
-    out.retain(|e| e.1 >= cutoff);
-    out.shrink_to_fit();
-    out
 }
 
 impl LinearView {

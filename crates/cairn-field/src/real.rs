@@ -38,8 +38,10 @@ pub(crate) fn softplus<T: Real>(x: T) -> T {
     if x > T::of(20.0) { x } else { x.exp().ln_1p() }
 }
 
-/// Derivative of [`softplus`]: the logistic function.
+/// [`softplus`] and its derivative, the logistic function, from one exponential.
 #[inline(always)]
-pub(crate) fn softplus_slope<T: Real>(x: T) -> T {
-    T::one() / (T::one() + (-x).exp())
+pub(crate) fn softplus_and_slope<T: Real>(x: T) -> (T, T) {
+    let e = (-x.abs()).exp();
+    let all = T::one() + e;
+    if x > T::zero() { (x + e.ln_1p(), T::one() / all) } else { (e.ln_1p(), e / all) }
 }

@@ -4,7 +4,7 @@
 
 use crate::appearance::{Appearance, FEATURES};
 use crate::batch::{Batch, BatchSettings};
-use crate::composite::Regularise;
+use crate::composite::{Regularise, Thresholds};
 use crate::config::{AppearanceMode, FieldConfig};
 use crate::error::FieldError;
 use crate::field::{Field, empty_density};
@@ -150,6 +150,12 @@ impl BaseTrainer {
             rays: self.config.rays_per_step,
             huber: self.config.huber as f32,
             regularise: Regularise { distortion: self.config.distortion as f32, sparsity: self.config.sparsity as f32 },
+            limits: Thresholds {
+                alpha: 1e-4,
+                weight: self.config.skip_weight,
+                step: self.config.step_voxels,
+                ..Thresholds::SHOWN
+            },
             stream: (self.seed, self.step),
         });
         if !batch.loss.is_finite() {
@@ -182,14 +188,15 @@ impl BaseTrainer {
 
     /// The trained field.
     pub fn finish(self) -> Field {
+        let grid = if self.step > 0 { self.grid.resampled(self.grid.dims, &self.kept()) } else { self.grid };
         let names = self.views.into_iter().map(|v| v.name);
-        let mut grid = self.grid;
-        if self.step > 0 {
-            let keep: Vec<bool> = self.gradient.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
-            grid = grid.resampled(grid.dims, &keep);
-        }
         let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
         Field::new(self.frame, grid, canonical, names.zip(self.appearances).collect())
+    }
+
+    /// The rows worth keeping, by what was seen of late.
+    fn kept(&self) -> Vec<bool> {
+        self.grid.near_seen(&self.gradient.seen, self.config.prune_weight as f32)
     }
 
     fn stats(&self, loss: f64) -> StepStats {
@@ -206,6 +213,7 @@ impl BaseTrainer {
     fn change_level(&mut self) {
         let end = |level: usize| level_end(&self.config, level);
         if self.level + 1 < self.config.levels && self.step >= end(self.level) {
+            // Coarse cells are kept whole: that is margin enough.
             let keep: Vec<bool> = self.gradient.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
             self.level += 1;
             let dims = dims_of_level(&self.config, &self.frame, self.level);
@@ -217,6 +225,12 @@ impl BaseTrainer {
         }
         let start = if self.level == 0 { 0 } else { end(self.level - 1) };
         if self.step == start + (end(self.level) - start) / 2 {
+            // The first level is still finding out what is there.
+            if self.level > 0 {
+                let keep = self.kept();
+                self.grid.clear(&keep);
+                self.grid.refresh_occupancy(empty_density(self.grid.dims));
+            }
             self.gradient.seen.fill(0.0);
         }
         if self.step % 64 == 63 {

@@ -7,7 +7,7 @@ mod common;
 use cairn_capture::Camera;
 use cairn_field::appearance::features;
 use cairn_field::grid::{DENSITY_SCALE, EMPTY_RAW, Grid, ROW};
-use cairn_field::march::STEP_VOXELS;
+use cairn_field::march::{FAR_STEP_VOXELS, STEP_VOXELS};
 use cairn_field::{Appearance, Field, SceneFrame, Thresholds};
 use common::{ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid, rms};
 use glam::DVec3;
@@ -32,8 +32,9 @@ fn place(frame: &SceneFrame, p: DVec3) -> (DVec3, bool) {
     }
 }
 
-/// World points a ray is sampled at: in the middle of steps of half a voxel.
-fn points(frame: &SceneFrame, dims: [usize; 3], o: DVec3, d: DVec3) -> Vec<DVec3> {
+/// World points a ray is sampled at, in the middle of steps of half a voxel (a
+/// whole one beyond the inner box), and how many voxels they stand for.
+fn points(frame: &SceneFrame, dims: [usize; 3], o: DVec3, d: DVec3) -> Vec<(DVec3, f64)> {
     let voxels = DVec3::from(dims.map(|n| (n - 1) as f64));
     let inside = |u: DVec3| u.min_element() >= 0.0 && u.max_element() <= 1.0;
     match frame {
@@ -49,8 +50,9 @@ fn points(frame: &SceneFrame, dims: [usize; 3], o: DVec3, d: DVec3) -> Vec<DVec3
                 // Speed in voxels by a difference in space, on the inner side of the border.
                 let h = 1e-7 * (1.0 + t);
                 let ahead = (place(frame, o + d * (t + h)).0 - place(frame, o + d * t).0) * voxels;
-                let dt = STEP_VOXELS / (ahead.length() / h);
-                out.push(o + d * (t + dt / 2.0));
+                let step = if y.abs().max_element() > 1.0 { FAR_STEP_VOXELS } else { STEP_VOXELS };
+                let dt = step / (ahead.length() / h);
+                out.push((o + d * (t + dt / 2.0), step));
                 t += dt;
             }
         }
@@ -58,7 +60,7 @@ fn points(frame: &SceneFrame, dims: [usize; 3], o: DVec3, d: DVec3) -> Vec<DVec3
             let dt = STEP_VOXELS / (d / (2.0 * *half) * voxels).length();
             let (start, end) = crossing(|t| inside(place(frame, o + d * t).0), 0.0, 20.0);
             let n = ((end - start) / dt).floor() as usize;
-            (0..n).map(|i| o + d * (start + (i as f64 + 0.5) * dt)).collect()
+            (0..n).map(|i| (o + d * (start + (i as f64 + 0.5) * dt), STEP_VOXELS)).collect()
         }
         SceneFrame::ForwardFacing { rotation, position, near, .. } => {
             // Even steps in device coordinates: z' = 1 - near/z is even along the ray.
@@ -71,7 +73,7 @@ fn points(frame: &SceneFrame, dims: [usize; 3], o: DVec3, d: DVec3) -> Vec<DVec3
             let whole = place(frame, at(0.9)).0 - place(frame, at(0.1)).0;
             let dt = STEP_VOXELS / (whole / 0.8 * voxels).length();
             let n = ((end - start) / dt).floor() as usize;
-            (0..n).map(|i| at(start + (i as f64 + 0.5) * dt)).collect()
+            (0..n).map(|i| (at(start + (i as f64 + 0.5) * dt), STEP_VOXELS)).collect()
         }
     }
 }
@@ -135,13 +137,13 @@ fn look_up(grid: &Grid<f32>, u: DVec3) -> (f64, [f64; 27]) {
 fn pixel(field: &Field, look: &Appearance, o: DVec3, d: DVec3) -> [f32; 3] {
     let grid = field.grid();
     let y = harmonics(d);
-    let length = STEP_VOXELS / (grid.dims.into_iter().max().unwrap() - 1) as f64;
+    let voxels = (grid.dims.into_iter().max().unwrap() - 1) as f64;
     let mut light = 1.0;
     let mut f = [0.0f64; 17];
-    for p in points(field.frame(), grid.dims, o, d) {
+    for (p, step) in points(field.frame(), grid.dims, o, d) {
         let (u, far) = place(field.frame(), p);
         let (raw, colour) = look_up(grid, u);
-        let alpha = 1.0 - (-DENSITY_SCALE * (1.0 + raw.exp()).ln() * length).exp();
+        let alpha = 1.0 - (-DENSITY_SCALE * (1.0 + raw.exp()).ln() * step / voxels).exp();
         let first = if far { 4 } else { 0 };
         for c in 0..3 {
             f[first + c] += light * alpha * (0..9).map(|k| y[k] * colour[c * 9 + k]).sum::<f64>();

@@ -12,13 +12,13 @@ const NEW: DVec3 = DVec3::new(1.1, 1.6, 3.4);
 
 /// Trains on the ball of radius `unit` around `at` and renders a new view of it.
 fn picture(kind: SceneKind, unit: f64, at: DVec3) -> (Picture, Picture) {
-    let frame = SceneFrame::from_capture(&capture(kind, ring(14, 40, unit, at), unit, at)).expect("a box");
-    let mut trainer = BaseTrainer::new(views(14, 40, unit, at), frame, None, tiny(120), 5).expect("sound settings");
+    let frame = SceneFrame::from_capture(&capture(kind, ring(10, 32, unit, at), unit, at)).expect("a box");
+    let mut trainer = BaseTrainer::new(views(10, 32, unit, at), frame, None, tiny(80), 5).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }
     let field = trainer.finish();
-    let camera = camera(at + NEW * unit, at, 40);
+    let camera = camera(at + NEW * unit, at, 32);
     (field.render(&camera, field.canonical_appearance()).clamped(), photograph(&camera, unit, at))
 }
 
@@ -30,7 +30,7 @@ fn scale_and_place_do_not_matter() {
         assert!(db > 20.0, "{kind:?}: a new view of the ball is {db:.2} dB right");
         let far = DVec3::new(1.0, -2.0, 3.0) * 1e6;
         for (unit, at) in [(1e-6, DVec3::ZERO), (1e6, DVec3::ZERO), (1.0, far), (1e6, far)] {
-            // Training multiplies the last bits' differences; 120 steps of it stay
+            // Training multiplies the last bits' differences; 80 steps of it stay
             // far below what an 8-bit picture shows.
             let (other, _) = picture(kind, unit, at);
             let off = rms(plain.rgb(), other.rgb());

@@ -135,7 +135,7 @@ pub fn ahead() -> SceneFrame {
 
 /// Settings small enough to train in a second.
 pub fn tiny(steps: u64) -> FieldConfig {
-    FieldConfig { steps, rays_per_step: 512, voxels: 20_000, levels: 2, ..FieldConfig::default() }
+    FieldConfig { steps, rays_per_step: 256, voxels: 12_000, levels: 2, ..FieldConfig::default() }
 }
 
 /// A grid of random numbers in which about `filled` of the vertices have a row;
