@@ -143,6 +143,7 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         let part = Part::Chunk(v1::PhotographChunk { view_index, data: vec![1; bytes].into() });
         v1::ImportSceneRequest { format_version: 1, part: Some(part) }
     };
+    let points = |xyz| v1::ImportSceneRequest { format_version: 1, part: Some(Part::Points(v1::PointChunk { xyz })) };
     let both = || vec![view("a", 8), view("b", 8)];
     let nan = {
         let mut views = both();
@@ -156,6 +157,9 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         (vec![header(vec![view("a", 8), view("b", 4096)])], Code::InvalidArgument, "limits.max_photograph_bytes"),
         (vec![header(nan)], Code::InvalidArgument, "not finite"),
         (vec![header(both())], Code::InvalidArgument, "0 whole photographs"),
+        (vec![header(both()), header(both())], Code::InvalidArgument, "no chunk"),
+        (vec![header(both()), points(vec![0.0; 4])], Code::InvalidArgument, "multiple of 3"),
+        (vec![header(both()), points(vec![f64::NAN; 3])], Code::InvalidArgument, "finite"),
         (vec![header(both()), chunk(1, 8)], Code::InvalidArgument, "view_index"),
         (vec![header(both()), chunk(0, 9)], Code::InvalidArgument, "longer"),
         (vec![header(both()), chunk(0, 8)], Code::InvalidArgument, "SHA-256"),

@@ -6,7 +6,7 @@ mod common;
 use cairn_proto::v1::scene_service_client::SceneServiceClient;
 use cairn_proto::v1::training_service_client::TrainingServiceClient;
 use cairn_proto::v1::{self, JobState};
-use common::{Daemon, Place, TINY, base_only};
+use common::{Daemon, Place, TINY, base_only, training as wanted};
 use tonic::transport::Channel;
 
 /// Writes a checkpoint after every step, so that any moment has one.
@@ -52,13 +52,20 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     let mut client = training(&daemon).await;
 
     // Undisturbed.
-    let first = client.start(base_only("one", 7, TINY)).await.unwrap().into_inner().job.unwrap();
+    let first = client.start(wanted("one", 7, TINY)).await.unwrap().into_inner().job.unwrap();
     assert_eq!(watch_until(&mut client, &first.id, ended).await.state(), JobState::Done);
     let undisturbed = model(&daemon, "one").await;
 
-    // Killed after some steps, started again: found and taken up by itself.
-    let second = client.start(base_only("two", 7, TINY)).await.unwrap().into_inner().job.unwrap();
-    watch_until(&mut client, &second.id, |job| job.progress.as_ref().unwrap().step >= 10).await;
+    // Killed within each stage, started again: found and taken up by itself.
+    let second = client.start(wanted("two", 7, TINY)).await.unwrap().into_inner().job.unwrap();
+    let within = |stage: &'static str| {
+        move |job: &v1::Job| job.progress.as_ref().is_some_and(|p| p.stage == stage && p.step > 0)
+    };
+    watch_until(&mut client, &second.id, within("base field")).await;
+    daemon.kill();
+    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
+    let mut client = training(&daemon).await;
+    watch_until(&mut client, &second.id, within("marked field")).await;
     daemon.kill();
     let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
     let mut client = training(&daemon).await;
@@ -69,6 +76,8 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     assert_eq!(undisturbed.settings_sha256, killed.settings_sha256);
     assert_eq!(undisturbed.marked_field_sha256, killed.marked_field_sha256);
     assert_eq!(undisturbed.detector_sha256, killed.detector_sha256);
+
+    assert_eq!(undisturbed.detector_sha256.len(), 32);
 
     // Another seed gives another field, or the comparison above would say nothing.
     let third = client.start(base_only("two", 8, TINY)).await.unwrap().into_inner().job.unwrap();

@@ -127,6 +127,7 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         base_only: args.base_only,
         resume: None,
         detach: false,
+        keys: None,
     };
     let job = train::run_to_end(line, &train).await?;
     for stage in &job.stages {

@@ -166,28 +166,17 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
         base_only: args.base_only,
         resume: None,
         detach: false,
+        keys: None,
     };
     train::run_to_end(line, &train).await
 }
 
 /// A key and a record for every identity, each verified from its files.
 async fn records(line: &Connection, args: &Args, data: &Path) -> anyhow::Result<Right> {
-    let model = scene::get(line, SCENE).await?.model.context("the training left no model")?;
-    let (keys, bundles) = (args.out.join("keys"), args.out.join("bundles"));
-    for folder in [&keys, &bundles] {
-        std::fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    }
-    let kind = if args.base_only { owners::Kind::Contribution } else { owners::Kind::Claim };
     let mut trusted = Right::default();
-    for identity in &model.identities {
-        let key = keys.join(format!("{}.key", identity.number));
-        cairn_registry::OwnerKey::generate()?.save(&key)?;
-        let out = bundles.join(identity.number.to_string());
-        let purpose = "credit for the photographs".to_owned();
-        let sign = owners::SignArgs { name: SCENE.into(), identity: identity.number, key, kind, purpose, out };
-        owners::sign(line, &sign).await?;
-        let vkey = Some(sign.out.join("log.vkey"));
-        let verify = owners::VerifyArgs { bundle: sign.out, vkey, against: Some(data.into()), log: None, json: false };
+    for bundle in owners::sign_all(line, SCENE, &args.out.join("owners")).await? {
+        let vkey = Some(bundle.join("log.vkey"));
+        let verify = owners::VerifyArgs { bundle, vkey, against: Some(data.into()), log: None, json: false };
         trusted.count(owners::audit(&verify)?.outcome == Outcome::Trusted);
     }
     Ok(trusted)

@@ -9,6 +9,7 @@ mod owners;
 mod scene;
 mod train;
 
+use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -68,7 +69,7 @@ impl Cli {
     /// Whatever went wrong, for people to read.
     pub fn run(self) -> anyhow::Result<ExitCode> {
         let config = Config::load(self.place.config.as_deref())?;
-        start_log(&config);
+        start_log(&config, matches!(self.command, Command::Serve));
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
         runtime.block_on(self.answer(config))
     }
@@ -107,10 +108,14 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
     }
 }
 
-/// Logs go to standard error: standard output belongs to answers.
-fn start_log(config: &Config) {
-    let filter = tracing_subscriber::EnvFilter::new(&config.log_filter);
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+/// Logs go to standard error: standard output belongs to answers. Commands other
+/// than the daemon speak for themselves, and log only what is wrong.
+fn start_log(config: &Config, daemon: bool) {
+    let filter = if daemon { config.log_filter.as_str() } else { "warn" };
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(tracing_subscriber::EnvFilter::new(filter))
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr);
     match config.log_format {
         LogFormat::Text => log.init(),
         LogFormat::Json => log.json().init(),

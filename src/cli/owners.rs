@@ -137,6 +137,26 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
     Ok(entered.index)
 }
 
+/// Makes a key for every identity of the scene's model and signs a record with it:
+/// `FOLDER/<number>.key` and the bundle `FOLDER/<number>`. For trying things out: in
+/// earnest every owner makes their own key where they are. The bundles' folders.
+pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let model = super::scene::get(line, scene).await?.model.context("the scene has no model yet; train it first")?;
+    std::fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let kind = if model.marked_field_sha256.is_empty() { Kind::Contribution } else { Kind::Claim };
+    let mut bundles = Vec::with_capacity(model.identities.len());
+    for identity in &model.identities {
+        let key = folder.join(format!("{}.key", identity.number));
+        OwnerKey::generate()?.save(&key)?;
+        let out = folder.join(identity.number.to_string());
+        let purpose = "credit for the photographs".to_owned();
+        let args = SignArgs { name: scene.to_owned(), identity: identity.number, key, kind, purpose, out };
+        sign(line, &args).await?;
+        bundles.push(args.out);
+    }
+    Ok(bundles)
+}
+
 fn record(
     args: &SignArgs,
     key: &OwnerKey,

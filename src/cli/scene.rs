@@ -16,6 +16,8 @@ use crate::daemon::to_proto;
 
 /// Bytes of photograph a message.
 const CHUNK_BYTES: usize = 256 << 10;
+/// Points a message.
+const POINTS_A_CHUNK: usize = 10_000;
 
 /// What to do with scenes.
 #[derive(Debug, clap::Subcommand)]
@@ -149,18 +151,17 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     let options = ReadOptions { contributors, kind, hold_every: args.hold_every, ..ReadOptions::default() };
     let capture = Capture::read(&args.from, &options)?;
     let (views, photographs) = prepare(&capture, args)?;
-    let points = capture.points.iter().map(|p| v1::Point { x: p.x, y: p.y, z: p.z }).collect();
     let header = v1::ImportHeader {
         scene: args.name.clone(),
         views,
-        points,
         kind: to_proto::scene_kind(capture.kind).into(),
         background: capture.background.map(Vec::from).unwrap_or_default(),
     };
     let first = v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Header(header)) };
+    let points: Vec<_> = capture.points.chunks(POINTS_A_CHUNK).map(point_chunk).collect();
     let trouble = Arc::new(Mutex::new(None));
     let chunks = chunks(photographs, trouble.clone());
-    let answer = line.scenes().import(tokio_stream::iter(std::iter::once(first).chain(chunks))).await;
+    let answer = line.scenes().import(tokio_stream::iter(std::iter::once(first).chain(points).chain(chunks))).await;
     // A file that could not be read ended the stream early; that is the error to tell.
     if let Some(error) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
@@ -201,6 +202,11 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
         photographs.push(photograph);
     }
     Ok((views, photographs))
+}
+
+fn point_chunk(points: &[glam::DVec3]) -> v1::ImportSceneRequest {
+    let chunk = v1::PointChunk { xyz: points.iter().flat_map(|p| p.to_array()).collect() };
+    v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Points(chunk)) }
 }
 
 fn new_size(args: &ImportArgs, camera: &cairn_capture::Camera) -> anyhow::Result<Option<(usize, usize)>> {

@@ -46,8 +46,11 @@ pub struct Args {
     #[arg(long, value_name = "JOB")]
     pub resume: Option<String>,
     /// Do not wait for the end (with --connect)
-    #[arg(long)]
+    #[arg(long, conflicts_with = "keys")]
     pub detach: bool,
+    /// Then make a key for every identity in this new folder, and sign a record with each (for trying things out)
+    #[arg(long, value_name = "DIR")]
+    pub keys: Option<PathBuf>,
 }
 
 /// Answers `cairn train`.
@@ -65,7 +68,12 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         return Ok(());
     }
     let job = watch(line, &job.id, true).await?;
-    report(&job)
+    report(&job)?;
+    if let Some(folder) = args.keys.filter(|_| job.state() == JobState::Done) {
+        let bundles = super::owners::sign_all(line, &args.name, &folder).await?;
+        println!("{} owner records signed; keys and bundles are in {}", bundles.len(), folder.display());
+    }
+    Ok(())
 }
 
 /// Starts a training and watches it to its good end.

@@ -196,7 +196,7 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
     if token.is_none() && !bind.ip().is_loopback() {
         return Err(out_of_range("server.bind", bind, "a loopback address while access.token_file is empty"));
     }
-    let training = TrainingSettings { field: raw.field };
+    let training = TrainingSettings { field: raw.field, mark: raw.mark };
     training.check()?;
     Ok(Config {
         bind,

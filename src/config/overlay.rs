@@ -2,6 +2,7 @@
 //! nothing else, so a misspelt one is found however deep it lies.
 
 use cairn_field::{FieldConfig, FieldError};
+use cairn_stega::{MarkConfig, MarkError};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
@@ -14,6 +15,8 @@ use super::{ConfigError, out_of_range};
 pub struct TrainingSettings {
     /// Stage 1.
     pub field: FieldConfig,
+    /// Stage 2.
+    pub mark: MarkConfig,
 }
 
 impl TrainingSettings {
@@ -25,6 +28,10 @@ impl TrainingSettings {
         self.field.validate().map_err(|e| match e {
             FieldError::Setting { key, value, allowed } => out_of_range(key, value, allowed),
             other => out_of_range("field", other.to_string(), "settings that stage 1 accepts"),
+        })?;
+        self.mark.validate().map_err(|e| match e {
+            MarkError::Setting { key, value, allowed } => out_of_range(key, value, allowed),
+            other => out_of_range("mark", other.to_string(), "settings that stage 2 accepts"),
         })
     }
 

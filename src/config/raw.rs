@@ -2,6 +2,7 @@
 //! second time, in code; a test holds them and the default file to each other.
 
 use cairn_field::FieldConfig;
+use cairn_stega::MarkConfig;
 use serde::{Deserialize, Serialize};
 
 /// A whole settings file.
@@ -16,6 +17,7 @@ pub struct Raw {
     pub registry: Registry,
     pub log: Log,
     pub field: FieldConfig,
+    pub mark: MarkConfig,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,6 +97,7 @@ impl Default for Raw {
             registry: Registry { origin: "cairn.localhost/owners".into() },
             log: Log { filter: "info".into(), format: LogFormat::Text },
             field: FieldConfig::default(),
+            mark: MarkConfig::default(),
         }
     }
 }

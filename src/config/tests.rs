@@ -9,18 +9,20 @@ fn the_default_file_is_the_defaults_and_has_every_key() {
     let parsed: Raw = file.clone().try_into().unwrap();
     assert_eq!(parsed, Raw::default());
     let code = toml::Table::try_from(Raw::default()).unwrap();
-    let keys = |t: &toml::Table| -> Vec<String> {
-        let mut keys: Vec<String> = Vec::new();
-        for (k, v) in t {
-            match v {
-                toml::Value::Table(inner) => keys.extend(inner.keys().map(|i| format!("{k}.{i}"))),
-                _ => keys.push(k.clone()),
-            }
-        }
-        keys.sort();
-        keys
-    };
     assert_eq!(keys(&file), keys(&code));
+}
+
+/// All keys, those of inner tables by their whole path, sorted.
+fn keys(table: &toml::Table) -> Vec<String> {
+    let mut found: Vec<String> = Vec::new();
+    for (key, value) in table {
+        match value {
+            toml::Value::Table(inner) => found.extend(keys(inner).iter().map(|k| format!("{key}.{k}"))),
+            _ => found.push(key.clone()),
+        }
+    }
+    found.sort();
+    found
 }
 
 #[test]
@@ -55,6 +57,8 @@ fn refusals_name_key_value_and_what_is_allowed() {
         ("[limits]\nqueue_length = 0", ["`limits.queue_length` = 0", "1 to 10000"]),
         ("[limits]\nqueue_length = \"many\"", ["`limits.queue_length` = \"many\"", "integer"]),
         ("[field]\nsteps = 0", ["`field.steps` = 0", "1 to 1000000"]),
+        ("[mark]\nbatch = 0", ["`mark.batch` = 0", "1 to 64"]),
+        ("[mark.detector]\nsise = 1", ["`mark.detector.sise` = 1", "size"]),
         ("[field]\nstepz = 1", ["`field.stepz` = 1", "steps"]),
         ("format_version = 2", ["`format_version` = 2", "1 to 1"]),
         ("[server]\nbind = \"0.0.0.0:1\"", ["`server.bind` = 0.0.0.0:1", "loopback"]),

@@ -122,15 +122,20 @@ pub fn import_plan(header: v1::ImportHeader) -> Result<ImportPlan, EngineError> 
         }
     };
     let views = header.views.into_iter().map(planned_view).collect::<Result<_, _>>()?;
-    let mut points = Vec::with_capacity(header.points.len());
-    for (i, p) in header.points.iter().enumerate() {
-        let point = DVec3::new(p.x, p.y, p.z);
-        if !point.is_finite() {
-            return Err(EngineError::invalid(format!("point {i}"), point, "finite coordinates"));
-        }
-        points.push(point);
+    Ok(ImportPlan { scene: header.scene, kind: scene_kind(header.kind)?, background, views })
+}
+
+/// Points of the surface.
+pub fn points(chunk: &v1::PointChunk) -> Result<Vec<DVec3>, EngineError> {
+    let (points, rest) = chunk.xyz.as_chunks::<3>();
+    if !rest.is_empty() {
+        return Err(EngineError::invalid("the points' numbers", chunk.xyz.len(), "a multiple of 3"));
     }
-    Ok(ImportPlan { scene: header.scene, kind: scene_kind(header.kind)?, background, views, points })
+    let points: Vec<DVec3> = points.iter().map(|p| DVec3::from_array(*p)).collect();
+    match points.iter().find(|p| !p.is_finite()) {
+        Some(point) => Err(EngineError::invalid("a point", point, "finite coordinates")),
+        None => Ok(points),
+    }
 }
 
 fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {

@@ -26,8 +26,15 @@ impl SceneService for Shared {
         // A stream that breaks off drops the import, and with it what it had written.
         while let Some(message) = stream.message().await? {
             from_proto::version(message.format_version).map_err(status)?;
-            let Some(Part::Chunk(chunk)) = message.part else {
-                return Err(status(EngineError::invalid("the stream's next message", "no chunk", "a chunk")));
+            let chunk = match message.part {
+                Some(Part::Chunk(chunk)) => chunk,
+                Some(Part::Points(chunk)) => {
+                    import.add_points(from_proto::points(&chunk).map_err(status)?).map_err(status)?;
+                    continue;
+                }
+                Some(Part::Header(_)) | None => {
+                    return Err(status(EngineError::invalid("the stream's next message", "no chunk", "a chunk")));
+                }
             };
             import = self
                 .run(move |_| {

@@ -5,6 +5,7 @@ use cairn_capture::CaptureError;
 use cairn_cluster::ClusterError;
 use cairn_field::FieldError;
 use cairn_registry::RegistryError;
+use cairn_stega::MarkError;
 use tonic::{Code, Status};
 
 use crate::engine::error::EngineError;
@@ -31,6 +32,7 @@ fn code(error: &EngineError) -> Code {
         EngineError::Capture(error) => capture(error),
         EngineError::Cluster(error) => cluster(error),
         EngineError::Field(error) => field(error),
+        EngineError::Mark(error) => mark(error),
         EngineError::Registry(error) => registry(error),
     }
 }
@@ -71,6 +73,16 @@ fn field(error: &FieldError) -> Code {
         FieldError::Frame(_) | FieldError::Views(_) => Code::FailedPrecondition,
         FieldError::NotFinite { .. } => Code::Internal,
         FieldError::Stored { .. } => Code::DataLoss,
+    }
+}
+
+fn mark(error: &MarkError) -> Code {
+    match error {
+        MarkError::Setting { .. } => Code::InvalidArgument,
+        MarkError::Plan(_) => Code::FailedPrecondition,
+        MarkError::NotFinite { .. } | MarkError::Network(_) => Code::Internal,
+        MarkError::Field(error) => field(error),
+        MarkError::Stored { .. } => Code::DataLoss,
     }
 }
 

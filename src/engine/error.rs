@@ -8,6 +8,7 @@ use cairn_cluster::ClusterError;
 use cairn_field::FieldError;
 use cairn_metrics::MetricError;
 use cairn_registry::RegistryError;
+use cairn_stega::MarkError;
 use thiserror::Error;
 
 use crate::config::ConfigError;
@@ -113,6 +114,9 @@ pub enum EngineError {
     /// Stage 1 and rendering.
     #[error(transparent)]
     Field(#[from] FieldError),
+    /// Stage 2 and detection.
+    #[error(transparent)]
+    Mark(#[from] MarkError),
     /// Scoring.
     #[error(transparent)]
     Metric(#[from] MetricError),

@@ -155,7 +155,7 @@ fn recovery(
     for view in scored.iter().filter(|v| v.truth == number) {
         if let Some(read) = &view.marked {
             hidden.push(likeness(signal, &read.recovered)?);
-            forced.push(likeness(signal, &mark.detector.recover_as(&view.base, number)?)?);
+            forced.push(likeness(signal, &forced_as(mark, &view.base, number)?)?);
         }
     }
     let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
@@ -167,9 +167,14 @@ fn recovery(
         views: hidden.len(),
         hidden_ssim: mean(&hidden),
         forced_base_ssim: mean(&forced),
-        forced_grey_ssim: likeness(signal, &mark.detector.recover_as(&grey, number)?)?,
-        forced_noise_ssim: likeness(signal, &mark.detector.recover_as(&noise(w, h), number)?)?,
+        forced_grey_ssim: likeness(signal, &forced_as(mark, &grey, number)?)?,
+        forced_noise_ssim: likeness(signal, &forced_as(mark, &noise(w, h), number)?)?,
     })
+}
+
+/// What the detector makes of a picture when told that it is identity `number`'s.
+fn forced_as(mark: &Mark, picture: &Picture, number: u32) -> Result<Picture, EngineError> {
+    Ok(mark.detector.detect_forced(picture, number as usize)?.recovered)
 }
 
 /// SSIM of a signal and what was recovered, at the signal's size.

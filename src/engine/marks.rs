@@ -1,85 +1,85 @@
-//! Stage 2 at the engine's seam: the marked field's trainer and the detector.
+//! Stage 2 as the engine drives it: the plan from a scene, judging at fixed
+//! steps, and what comes out.
 
-use cairn_capture::{Camera, Picture};
+use std::sync::Arc;
+
+use cairn_capture::{Picture, SceneFolder};
+use cairn_cluster::Clusters;
+use cairn_stega::{MarkPlan, MarkTrainer, PlannedView};
+
+pub use cairn_stega::{Detection, Detector, MarkedField};
 
 use super::error::EngineError;
-use super::stages::{Appearance, MarkPlan, Stage, Step};
+use super::stages::{Field, Stage, Step};
+use crate::config::TrainingSettings;
 
-/// The field after stage 2.
-pub enum MarkedField {}
+/// Steps between judgements of a state on poses it was not trained on; fixed, so
+/// that every run of a job judges at the same steps.
+const JUDGE_EVERY: u64 = 50;
 
-/// Reads marks out of pictures.
-pub enum Detector {}
+/// Trains the marked field and the detector, and keeps the best state judged.
+pub struct Marking(MarkTrainer);
 
-/// Trains both together.
-pub enum MarkTrainer {}
-
-/// What a detector says of a picture.
-pub struct Detection {
-    /// The identity; `None` for unmarked.
-    pub identity: Option<u32>,
-    /// Probability of each class; class 0 is `unmarked`.
-    pub probabilities: Vec<f32>,
-    /// The recovered hidden signal.
-    pub recovered: Picture,
-}
-
-fn absent() -> EngineError {
-    EngineError::Internal("this build cannot mark fields; train with --base-only".into())
-}
-
-impl MarkedField {
-    /// Reads what training wrote.
-    pub fn from_bytes(_bytes: &[u8]) -> Result<Self, EngineError> {
-        Err(absent())
+impl Marking {
+    /// Stage 2 for the scene's training views, new or from a checkpoint. Works
+    /// out every view's ray weights first.
+    ///
+    /// # Errors
+    /// For photographs that were altered, settings out of range, a cluster without
+    /// views, a checkpoint of another plan.
+    pub fn start(
+        scene: &SceneFolder,
+        base: Field,
+        clusters: &Clusters,
+        signals: Vec<Picture>,
+        settings: &TrainingSettings,
+        seed: u64,
+        checkpoint: Option<&[u8]>,
+    ) -> Result<Self, EngineError> {
+        let capture = scene.capture();
+        let (mut views, mut negatives) = (Vec::new(), Vec::new());
+        for index in capture.training() {
+            let view = &capture.views[index];
+            views.push(PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() });
+            // Photographs carry no mark: the detector has to stay silent on them.
+            negatives.push(scene.photograph(index)?);
+        }
+        let plan = MarkPlan { clusters: clusters.clone(), views, signals, negatives };
+        let base = Arc::new(base);
+        Ok(Self(match checkpoint {
+            Some(bytes) => MarkTrainer::resume(bytes, base, plan)?,
+            None => MarkTrainer::new(base, plan, settings.mark.clone(), seed)?,
+        }))
     }
 
-    /// Renders; colours are not clamped.
-    pub fn render(&self, _camera: &Camera, _appearance: &Appearance) -> Picture {
-        match *self {}
-    }
-}
-
-impl Detector {
-    /// Reads what training wrote.
-    pub fn from_bytes(_bytes: &[u8]) -> Result<Self, EngineError> {
-        Err(absent())
-    }
-
-    /// Recovers and classifies.
-    pub fn detect(&self, _picture: &Picture) -> Result<Detection, EngineError> {
-        match *self {}
-    }
-
-    /// What it recovers when told that the picture is `identity`'s, whatever it
-    /// shows: how much of a signal it knows by heart.
-    pub fn recover_as(&self, _picture: &Picture, _identity: u32) -> Result<Picture, EngineError> {
-        match *self {}
-    }
-}
-
-impl MarkTrainer {
-    /// New, or from a checkpoint.
-    pub fn start(_plan: MarkPlan<'_>, _checkpoint: Option<&[u8]>) -> Result<Self, EngineError> {
-        Err(absent())
-    }
-
-    /// The marked field's and the detector's bytes.
+    /// The marked field's and the detector's bytes, at the best state judged.
+    ///
+    /// # Errors
+    /// When they cannot be written out.
     pub fn finish(self) -> Result<(Vec<u8>, Vec<u8>), EngineError> {
-        match self {}
+        if let Some(best) = self.0.best() {
+            let (step, accuracy, ssim) = (best.step, best.accuracy, best.hidden_ssim);
+            tracing::info!(step, accuracy, hidden_ssim = ssim, "best state on virtual poses");
+        }
+        let (field, detector) = self.0.finish()?;
+        Ok((field.to_bytes()?, detector.to_bytes()?))
     }
 }
 
-impl Stage for MarkTrainer {
+impl Stage for Marking {
     fn step(&mut self) -> Result<Step, EngineError> {
-        match *self {}
+        let stats = self.0.step()?;
+        if stats.step.is_multiple_of(JUDGE_EVERY) || stats.step == stats.total {
+            self.0.judge()?;
+        }
+        Ok(Step { loss: stats.loss, psnr_db: stats.kept_db })
     }
 
     fn steps(&self) -> (u64, u64) {
-        match *self {}
+        (self.0.steps_done(), self.0.steps_total())
     }
 
     fn checkpoint(&self) -> Result<Vec<u8>, EngineError> {
-        match *self {}
+        Ok(self.0.checkpoint()?)
     }
 }

@@ -13,6 +13,9 @@ use sha2::{Digest as _, Sha256};
 use super::error::EngineError;
 use crate::config::Limits;
 
+/// Most points of a scene's surface; they take 24 bytes each.
+const MAX_POINTS: usize = 50_000_000;
+
 /// What an import announces before the photographs' bytes.
 #[derive(Clone, Debug)]
 pub struct ImportPlan {
@@ -24,8 +27,6 @@ pub struct ImportPlan {
     pub background: Option<[f32; 3]>,
     /// The views, in the order of their photographs' bytes.
     pub views: Vec<PlannedView>,
-    /// Points of the surface, capture's unit.
-    pub points: Vec<DVec3>,
 }
 
 /// A view that is going to be brought.
@@ -51,6 +52,7 @@ pub struct PlannedView {
 #[derive(Debug)]
 pub struct Import {
     plan: ImportPlan,
+    points: Vec<DVec3>,
     folder: tempfile::TempDir,
     /// The photograph being written: its file, bytes so far, and their hash.
     current: Option<(File, u64, Sha256)>,
@@ -85,7 +87,20 @@ impl Import {
             .prefix("import-")
             .tempdir_in(staging)
             .map_err(EngineError::io("create a folder in", staging))?;
-        Ok(Self { plan, folder, current: None, next: 0 })
+        Ok(Self { plan, points: Vec::new(), folder, current: None, next: 0 })
+    }
+
+    /// Takes points of the surface, capture's unit.
+    ///
+    /// # Errors
+    /// For more than [`MAX_POINTS`].
+    pub fn add_points(&mut self, points: Vec<DVec3>) -> Result<(), EngineError> {
+        let count = self.points.len() + points.len();
+        if count > MAX_POINTS {
+            return Err(EngineError::invalid("the number of points", count, format!("at most {MAX_POINTS}")));
+        }
+        self.points.extend(points);
+        Ok(())
     }
 
     /// Takes the next bytes of view `index`'s photograph.
@@ -151,7 +166,7 @@ impl Import {
             kind: self.plan.kind,
             background: self.plan.background,
             views,
-            points: self.plan.points,
+            points: self.points,
         };
         Ok(SceneFolder::create(scenes, &self.plan.scene, &capture)?)
     }

@@ -1,11 +1,9 @@
-//! The two stages of training as the engine drives them: make or resume a
-//! trainer, step it, checkpoint it. All that the engine knows of how fields and
-//! marks are trained stands here.
+//! A stage of training as the engine drives it: make or resume a trainer, step
+//! it, checkpoint it. Stage 1 stands here, stage 2 in [`super::marks`].
 
 use std::sync::Arc;
 
-use cairn_capture::{Camera, Picture, SceneFolder};
-use cairn_cluster::Clusters;
+use cairn_capture::SceneFolder;
 use cairn_field::{BaseTrainer, SceneFrame, TrainingView};
 
 pub use cairn_field::{Appearance, Field};
@@ -17,8 +15,6 @@ use crate::config::TrainingSettings;
 pub const BASE: &str = "base field";
 /// Name of stage 2.
 pub const MARK: &str = "marked field";
-/// Side of a hidden picture, px.
-pub const SIGNAL_SIDE_PX: usize = 128;
 
 /// A training that goes on by steps and can be put down and taken up between them.
 pub trait Stage {
@@ -78,20 +74,4 @@ pub fn base_trainer(
             BaseTrainer::new(views, frame, capture.background, settings.field.clone(), seed)?
         }
     })
-}
-
-/// Everything that stage 2 starts from. Training views only.
-pub struct MarkPlan<'a> {
-    /// The base field.
-    pub base: Arc<Field>,
-    /// The identities; indices count `views`.
-    pub clusters: &'a Clusters,
-    /// Name and camera of each training view.
-    pub views: Vec<(String, Camera)>,
-    /// What each identity hides, identity 1 first, [`SIGNAL_SIDE_PX`] square.
-    pub signals: Vec<Picture>,
-    /// The settings.
-    pub settings: &'a TrainingSettings,
-    /// The seed.
-    pub seed: u64,
 }

@@ -6,7 +6,6 @@
 //! ends in the same bytes however often it was cut off.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use cairn_capture::{Picture, SceneFolder, encode_png};
@@ -17,10 +16,10 @@ use super::error::EngineError;
 use super::folder::{read_limited, remove, write_atomic};
 use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
-use super::marks::MarkTrainer;
+use super::marks::Marking;
 use super::model::{IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
 use super::scenes;
-use super::stages::{self, Field, MarkPlan, Stage};
+use super::stages::{self, Field, Stage};
 
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT_BYTES: u64 = 64 << 30;
@@ -109,18 +108,14 @@ impl Training {
         clusters: &Clusters,
         control: &Control<'_>,
     ) -> Result<Option<MarkFiles>, EngineError> {
-        let capture = scene.capture();
+        let (settings, seed) = (&job.spec.settings, job.spec.seed);
         let signals = signals(job, folder, clusters.clusters.len())?;
-        let plan = MarkPlan {
-            base: Arc::new(Field::from_bytes(base)?),
-            clusters,
-            views: capture.training().map(|i| (capture.views[i].name.clone(), capture.views[i].camera)).collect(),
-            signals: signals.clone(),
-            settings: &job.spec.settings,
-            seed: job.spec.seed,
-        };
         let file = folder.join("mark.checkpoint");
-        let mut trainer = MarkTrainer::start(plan, read_checkpoint(&file)?.as_deref())?;
+        let checkpoint = read_checkpoint(&file)?;
+        let base = Field::from_bytes(base)?;
+        let mut trainer =
+            Marking::start(scene, base, clusters, signals.clone(), settings, seed, checkpoint.as_deref())?;
+        drop(checkpoint);
         if !self.drive(stages::MARK, &mut trainer, &file, control)? {
             return Ok(None);
         }
@@ -161,8 +156,9 @@ impl Training {
                     stage: name.to_owned(),
                     step,
                     total,
-                    loss: stats.loss,
-                    psnr_db: stats.psnr_db,
+                    // Perfect agreement is infinite, which JSON cannot say.
+                    loss: if stats.loss.is_finite() { stats.loss } else { 0.0 },
+                    psnr_db: if stats.psnr_db.is_finite() { stats.psnr_db } else { 0.0 },
                     seconds_left: a_step * total.saturating_sub(step) as f64,
                 });
             }
@@ -172,7 +168,7 @@ impl Training {
 
 /// What each identity hides: what the job brought, else its own emblem.
 fn signals(job: &Job, folder: &Path, identities: usize) -> Result<Vec<Picture>, EngineError> {
-    let side = stages::SIGNAL_SIDE_PX;
+    let side = job.spec.settings.mark.side_px();
     let signal = |number: usize| {
         if job.spec.signals == 0 {
             return Ok(cairn_landmark::signals::emblem(number - 1, side, job.spec.seed));

@@ -11,7 +11,23 @@ use cairn_proto::v1;
 use tempfile::TempDir;
 
 /// Training settings so small that a whole training takes a moment.
-pub const TINY: &str = "[field]\nsteps = 40\nrays_per_step = 256\nvoxels = 4096\nlevels = 1\n";
+pub const TINY: &str = r#"
+[field]
+steps = 40
+rays_per_step = 256
+voxels = 4096
+levels = 1
+[mark]
+steps = 30
+virtual_views = 1
+longest_side_px = 64
+classify_until = 10.0
+[mark.classifier]
+channels = [4, 8]
+[mark.detector]
+size = [32, 32]
+channels = [4, 8]
+"#;
 
 /// A folder that goes with the test, with a capture in it.
 pub struct Place {
@@ -108,6 +124,11 @@ impl Drop for Daemon {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// A training of `scene` by contributor, both stages.
+pub fn training(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainingRequest {
+    v1::StartTrainingRequest { base_only: false, ..base_only(scene, seed, settings_toml) }
 }
 
 /// A training of `scene` by contributor that stops after stage 1.

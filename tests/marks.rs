@@ -1,0 +1,65 @@
+//! Marks through the real binary: trained, rendered, read, claimed. The training
+//! is far too short for good answers; that they are well-formed and consistent
+//! is what counts here.
+
+mod common;
+
+use cairn_proto::v1;
+use cairn_proto::v1::detection_service_client::DetectionServiceClient;
+use cairn_proto::v1::query_service_client::QueryServiceClient;
+use common::{Daemon, Place};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_mark_is_trained_rendered_read_and_claimed() {
+    let place = Place::new();
+    let data = place.text("data");
+    place.import("town", ["--data", &data]);
+    let tiny = place.text("tiny.toml");
+    let keys = place.text("owners");
+    let train = ["train", "town", "--by-contributor", "--settings", &tiny, "--data", &data, "--keys", &keys];
+    let said = place.cairn_ok(&train);
+    assert!(said.contains("marked field") && said.contains("2 owner records signed"), "{said}");
+
+    let daemon = Daemon::start(&place.path("data"), "");
+    let to = ["--connect", daemon.url.as_str()];
+    let (marked, base) = (place.text("marked.png"), place.text("base.png"));
+    let render = ["render", "town", "--view", "images/ada_002.png", "--out"];
+    place.cairn_ok(&[&render[..], &[&marked], &to].concat());
+    place.cairn_ok(&[&render[..], &[&base, "--base"], &to].concat());
+    let (marked, base) = (std::fs::read(marked).unwrap(), std::fs::read(base).unwrap());
+    assert_ne!(marked, base, "the mark left no trace");
+
+    // Query and detection read the same picture the same way.
+    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let request = v1::DetectRequest { format_version: 1, scene: "town".into(), picture: marked.clone().into() };
+    let found = detection.detect(request).await.unwrap().into_inner();
+    assert_eq!(found.probabilities.len(), 3);
+    assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{:?}", found.probabilities);
+    let signal = cairn_capture::decode_picture(&found.recovered_png, &cairn_capture::Limits::default(), None).unwrap();
+    assert_eq!((signal.width(), signal.height()), (32, 32));
+    let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let request = v1::WhoByPictureRequest { format_version: 1, scene: "town".into(), picture: marked.into() };
+    let who = query.who_by_picture(request).await.unwrap().into_inner();
+    let number = match who.answer.unwrap() {
+        v1::who_response::Answer::Identity(who) => who.number,
+        v1::who_response::Answer::Unmarked(_) => 0,
+    };
+    assert_eq!(number, found.identity);
+    assert!((who.confidence - f64::from(found.probabilities[number as usize])).abs() < 1e-6);
+
+    let (json, sheet) = (place.text("report.json"), place.text("sheet.png"));
+    place.cairn_ok(&["evaluate", "town", "--json", &json, "--sheet", &sheet, to[0], to[1]]);
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    assert_eq!(report["mark"]["classes"]["asked"], 4, "{report}");
+    assert_eq!(report["mark"]["identities"].as_array().unwrap().len(), 2);
+    assert!(std::fs::read(sheet).unwrap().starts_with(b"\x89PNG"));
+
+    assert!(daemon.terminate().success());
+    let (bundle, vkey) = (place.text("owners/1"), place.text("owners/1/log.vkey"));
+    let verify = ["owners", "verify", &bundle, "--vkey", &vkey, "--against", &data];
+    assert!(place.cairn_ok(&verify).starts_with("trusted"));
+
+    // Another picture in the place of the hidden one.
+    std::fs::copy(place.path("sheet.png"), place.path("owners/1/signal.png")).unwrap();
+    assert_eq!(place.cairn(&verify).status.code(), Some(1));
+}
