@@ -19,8 +19,7 @@ pub struct Thresholds {
     pub alpha: f64,
     /// A ray ends when less than this of the light from behind would arrive.
     pub transmittance: f64,
-    /// A sample that weighs less in the pixel dims what lies behind it, but its
-    /// colour is not looked up and it gets no gradient.
+    /// A sample that weighs less in the pixel is passed over.
     pub weight: f64,
     /// Distance between samples in the inner box, voxels.
     pub step: f64,
@@ -99,21 +98,23 @@ pub fn gather<T: Real>(
             return true;
         }
         let alpha = -(-depth).exp_m1();
-        let (before, behind) = (t, t * (T::one() - alpha));
-        t = behind;
-        if before * alpha > light {
-            tape.push(Kept {
-                cell: sample.cell,
-                frac: sample.frac,
-                weight: before * alpha,
-                behind,
-                slope: scale * slope * sample.length,
-                along: sample.along,
-                length: sample.length,
-                far: sample.far,
-                colour: [T::zero(); 3],
-            });
+        let weight = t * alpha;
+        if weight <= light {
+            return true;
         }
+        t *= T::one() - alpha;
+        grid.prefetch_colour(sample.cell as usize, &corners);
+        tape.push(Kept {
+            cell: sample.cell,
+            frac: sample.frac,
+            weight,
+            behind: t,
+            slope: scale * slope * sample.length,
+            along: sample.along,
+            length: sample.length,
+            far: sample.far,
+            colour: [T::zero(); 3],
+        });
         t > stop
     });
     let mut sum = Gathered { end: t, ..Gathered::default() };

@@ -58,8 +58,8 @@ pub struct FieldConfig {
     /// Distance between samples in training, voxels, 0.25 to 2; pictures take half
     /// a voxel.
     pub step_voxels: f64,
-    /// In training, a sample that weighs less than this in its pixel gets no
-    /// colour and no gradient, 0 to 0.1.
+    /// In training, a sample that weighs less than this in its pixel is passed
+    /// over, 0 to 0.1.
     pub skip_weight: f64,
     /// Per-view appearance.
     pub appearance: AppearanceMode,
@@ -82,10 +82,10 @@ impl Default for FieldConfig {
             smooth_density: 1e-5,
             smooth_colour: 1e-4,
             huber: 0.0,
-            prune_weight: 0.003,
+            prune_weight: 0.005,
             initial_opacity: 0.05,
             step_voxels: 1.0,
-            skip_weight: 3e-4,
+            skip_weight: 5e-4,
             appearance: AppearanceMode::Auto,
         }
     }

@@ -183,6 +183,24 @@ impl<T: Real> Grid<T> {
         raw
     }
 
+    /// Asks for the colours of a cell's corners ahead of [`Grid::colour_at`]:
+    /// rows lie far apart, and waiting for them was a fifth of a training step.
+    #[inline(always)]
+    pub(crate) fn prefetch_colour(&self, cell: usize, corners: &[usize; 8]) {
+        #[cfg(target_arch = "x86_64")]
+        for corner in corners {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            let row: *const T = &raw const self.colour[self.index[cell + corner] as usize * ROW];
+            // SAFETY: a prefetch reads nothing and may name any address.
+            unsafe {
+                _mm_prefetch::<_MM_HINT_T0>(row.cast());
+                _mm_prefetch::<_MM_HINT_T0>(row.wrapping_byte_add(64).cast());
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = (cell, corners);
+    }
+
     /// Colour at a point of cell `cell` seen along the direction of `basis`.
     #[inline(always)]
     pub(crate) fn colour_at(&self, cell: usize, weights: &[T; 8], corners: &[usize; 8], basis: &[T; SH]) -> [T; 3] {

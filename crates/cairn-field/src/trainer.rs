@@ -152,9 +152,9 @@ impl BaseTrainer {
             regularise: Regularise { distortion: self.config.distortion as f32, sparsity: self.config.sparsity as f32 },
             limits: Thresholds {
                 alpha: 1e-4,
+                transmittance: 2e-3,
                 weight: self.config.skip_weight,
                 step: self.config.step_voxels,
-                ..Thresholds::SHOWN
             },
             stream: (self.seed, self.step),
         });
@@ -188,10 +188,25 @@ impl BaseTrainer {
 
     /// The trained field.
     pub fn finish(self) -> Field {
-        let grid = if self.step > 0 { self.grid.resampled(self.grid.dims, &self.kept()) } else { self.grid };
+        let grid = if self.knows_enough() { self.grid.resampled(self.grid.dims, &self.kept()) } else { self.grid };
         let names = self.views.into_iter().map(|v| v.name);
         let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
         Field::new(self.frame, grid, canonical, names.zip(self.appearances).collect())
+    }
+
+    /// The steps at which this level began and is half done.
+    fn halfway(&self) -> (u64, u64) {
+        let start = if self.level == 0 { 0 } else { level_end(&self.config, self.level - 1) };
+        (start, start + (level_end(&self.config, self.level) - start) / 2)
+    }
+
+    /// Whether so many rays were drawn since the record of what was seen began
+    /// that a row without a mark is one that does not show. With fewer rays than
+    /// half the rows, walls were lost that no ray had happened to meet.
+    fn knows_enough(&self) -> bool {
+        let (start, middle) = self.halfway();
+        let since = self.step - if self.step > middle { middle } else { start };
+        since * self.config.rays_per_step as u64 >= self.grid.rows() as u64 / 2
     }
 
     /// The rows worth keeping, by what was seen of late.
@@ -223,10 +238,9 @@ impl BaseTrainer {
             self.gradient = Gradient::zero(self.grid.rows());
             return;
         }
-        let start = if self.level == 0 { 0 } else { end(self.level - 1) };
-        if self.step == start + (end(self.level) - start) / 2 {
+        if self.step == self.halfway().1 {
             // The first level is still finding out what is there.
-            if self.level > 0 {
+            if self.level > 0 && self.knows_enough() {
                 let keep = self.kept();
                 self.grid.clear(&keep);
                 self.grid.refresh_occupancy(empty_density(self.grid.dims));
