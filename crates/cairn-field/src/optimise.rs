@@ -59,7 +59,7 @@ impl Adam {
     /// One step of the whole grid; clears the gradient. Returns false, with grid
     /// and moments unchanged, when a gradient is not finite.
     pub(crate) fn step_grid(&mut self, grid: &mut Grid<f32>, gradient: &mut Gradient, rates: &Rates) -> bool {
-        if !smooth(grid, gradient, rates, self.steps % SMOOTH_EVERY == 0) {
+        if !smooth(grid, gradient, rates, self.steps.is_multiple_of(SMOOTH_EVERY)) {
             return false;
         }
         self.steps += 1;
