@@ -8,7 +8,7 @@ use candle_core::Tensor;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{NnError, Result};
-use crate::front::{front_channels, front_end};
+use crate::front::front_end;
 use crate::layers::{ConvBlock, Linear, check_image};
 use crate::params::{Init, Scope};
 use crate::resample::pool_moments;
@@ -21,15 +21,17 @@ pub struct ClassifierConfig {
     pub inputs: usize,
     /// Output channels of each strided convolution.
     pub channels: Vec<usize>,
-    /// Groups of the normalisation, 0 for none.
+    /// Groups of the normalisation, 0 for none: normalising divides out the very
+    /// energy that tells a marked picture from an unmarked one.
     pub groups: usize,
-    /// Amplification of the high-pass channels, 0 for none (see [`front_end`]).
+    /// Amplification of the high-pass channels, which are then all it sees; 0 for
+    /// the picture itself (see [`front_end`]).
     pub high_pass_gain: f32,
 }
 
 impl Default for ClassifierConfig {
     fn default() -> Self {
-        Self { inputs: 3, channels: vec![16, 32, 64, 64], groups: 4, high_pass_gain: 10.0 }
+        Self { inputs: 3, channels: vec![16, 32, 64, 64], groups: 0, high_pass_gain: 30.0 }
     }
 }
 
@@ -52,7 +54,9 @@ impl Classifier {
     /// with other shapes.
     pub fn new(config: &ClassifierConfig, classes: usize, mut scope: Scope<'_>) -> Result<Self> {
         check_sizes(config.inputs, &config.channels, classes, config.high_pass_gain)?;
-        let mut inputs = front_channels(config.inputs, config.high_pass_gain, 0);
+        // With a front end, only what it lets through: a classifier that saw the
+        // picture itself would learn to recognise the scene.
+        let mut inputs = config.inputs;
         let mut blocks = Vec::with_capacity(config.channels.len());
         for (i, &outputs) in config.channels.iter().enumerate() {
             blocks.push(ConvBlock::new(&mut scope.sub(&format!("block{i}")), inputs, outputs, 2, config.groups)?);
@@ -76,6 +80,9 @@ impl Classifier {
     pub fn forward(&self, images: &Tensor) -> Result<Tensor> {
         check_image("the classifier", images, self.config.inputs, 1 << self.blocks.len())?;
         let mut x = front_end(images, self.config.high_pass_gain, None)?;
+        if self.config.high_pass_gain != 0.0 {
+            x = x.narrow(1, self.config.inputs, self.config.inputs)?.contiguous()?;
+        }
         for block in &self.blocks {
             x = block.forward(&x)?;
         }

@@ -2,8 +2,10 @@
 //!
 //! A hidden mark has an amplitude of about one 255th, under picture content a
 //! hundred times larger. Beside the picture the networks therefore see its
-//! amplified difference from a blur of itself, and the detector sees the class
-//! probabilities as flat channels.
+//! amplified difference from a blur of itself, squashed so that an edge counts
+//! little more than a mark (the truncated linear unit of steganalysis, Ye, Ni and
+//! Yi 2017, made smooth); the detector also sees the class probabilities as flat
+//! channels.
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -15,7 +17,7 @@ use crate::sum::sum;
 const BLUR: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
 const REACH: usize = BLUR.len() / 2;
 
-/// `[x, gain (x - blur x), classes]` along the channels: from `x`, N x C x H x W,
+/// `[x, s(gain (x - blur x)), classes]` along the channels, `s(v) = v / (1 + |v|)`: from `x`, N x C x H x W,
 /// and `classes`, N x K, N x (2C + K) x H x W. The blur is binomial, 5 x 5, with
 /// the border repeated. Without gain (0) the second part is left out.
 ///
@@ -61,6 +63,7 @@ impl FrontEnd {
                 plane.copy_from_slice(source(channel));
             } else if channel < channels - k {
                 high_pass(source(channel - c), w, self.gain, plane);
+                plane.iter_mut().for_each(|v| *v /= 1.0 + v.abs());
             } else if let Some((classes, _)) = classes {
                 plane.fill(classes[image * k + channel - (channels - k)]);
             }
@@ -68,18 +71,23 @@ impl FrontEnd {
         Ok((CpuStorage::F32(out), (n, channels, h, w).into()))
     }
 
-    fn backward(&self, x: &Tensor, grad: &[f32], channels: usize) -> Result<Tensor> {
-        let (n, c, h, w) = x.dims4()?;
+    fn backward(&self, x: &[f32], shape: &Shape, grad: &[f32], channels: usize) -> Result<Tensor> {
+        let (n, c, h, w) = shape.dims4()?;
         let pixels = h * w;
         let mut dx = vec![0.0; n * c * pixels];
         dx.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
             let at = |channel: usize| &grad[(i / c * channels + channel) * pixels..][..pixels];
             plane.copy_from_slice(at(i % c));
             if self.gain != 0.0 {
-                high_pass_adjoint(at(c + i % c), w, self.gain, plane);
+                let mut slope = vec![0.0; pixels];
+                high_pass(&x[i * pixels..(i + 1) * pixels], w, self.gain, &mut slope);
+                for (s, g) in slope.iter_mut().zip(at(c + i % c)) {
+                    *s = g / (1.0 + s.abs()).powi(2);
+                }
+                high_pass_adjoint(&slope, w, self.gain, plane);
             }
         });
-        tensor(dx, x.shape())
+        tensor(dx, shape)
     }
 }
 
@@ -143,7 +151,11 @@ impl CustomOp1 for FrontEnd {
 
     fn bwd(&self, x: &Tensor, res: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let channels = res.dim(1)?;
-        with_floats(NAME, &grad.contiguous()?, |g| self.backward(x, g, channels))?.map(Some)
+        let x = x.contiguous()?;
+        with_floats(NAME, &grad.contiguous()?, |g| {
+            with_floats(NAME, &x, |v| self.backward(v, x.shape(), g, channels))?
+        })?
+        .map(Some)
     }
 }
 
@@ -166,7 +178,12 @@ impl CustomOp2 for FrontEnd {
         let (n, channels, h, w) = res.dims4()?;
         let (k, pixels) = (classes.dim(1)?, h * w);
         let grad = grad.contiguous()?;
-        let dx = if x.track_op() { Some(with_floats(NAME, &grad, |g| self.backward(x, g, channels))??) } else { None };
+        let dx = if x.track_op() {
+            let x = x.contiguous()?;
+            Some(with_floats(NAME, &grad, |g| with_floats(NAME, &x, |v| self.backward(v, x.shape(), g, channels))?)??)
+        } else {
+            None
+        };
         let flat = with_floats(NAME, &grad, |g| {
             let plane = |i: usize, j: usize| &g[(i * channels + channels - k + j) * pixels..][..pixels];
             (0..n * k).map(|at| sum(plane(at / k, at % k))).collect()

@@ -49,7 +49,7 @@ impl Default for UNetConfig {
             size: [128, 128],
             channels: vec![16, 24, 32, 48],
             groups: 4,
-            high_pass_gain: 10.0,
+            high_pass_gain: 30.0,
             positional: true,
             gated: true,
         }

@@ -55,15 +55,18 @@ fn main() -> Fallible<()> {
     let plan = MarkPlan { clusters: clusters.clone(), views, signals: hidden.clone(), negatives };
     let mut trainer = MarkTrainer::new(field.clone(), plan, config, 1)?;
     println!("ray weights: {:.1} s", started.elapsed().as_secs_f64());
+    let mut classify = 0.0;
     while trainer.steps_done() < trainer.steps_total() {
         let s = trainer.step()?;
-        if s.step % 50 == 0 {
+        classify += s.classify / 25.0;
+        if s.step % 25 == 0 {
             let t = started.elapsed().as_secs_f64();
             let j = trainer.judge()?;
             println!(
                 "{:5} {t:6.1} s  loss {:.4}  classify {:.4}  recover {:.4}  kept {:.1} dB | accuracy {:.3}  hidden {:.3}",
-                s.step, s.loss, s.classify, s.recover, s.kept_db, j.accuracy, j.hidden_ssim
+                s.step, s.loss, classify, s.recover, s.kept_db, j.accuracy, j.hidden_ssim
             );
+            classify = 0.0;
         }
     }
     let (marked, detector) = trainer.finish()?;
@@ -76,9 +79,15 @@ fn main() -> Fallible<()> {
         let eight = |p: Picture| Picture::from_rgb8(p.width(), p.height(), &p.to_rgb8());
         let base = eight(field.render(&camera, &appearance))?;
         let with = eight(marked.render(&camera, &appearance))?;
+        let mut both = truth.rgb().to_vec();
+        both.extend_from_slice(base.rgb());
+        both.extend_from_slice(with.rgb());
+        let sheet = Picture::new(truth.width(), 3 * truth.height(), both)?;
+        std::fs::write(std::env::temp_dir().join(format!("marked-{i}.png")), cairn_capture::encode_png(&sheet))?;
         let whose = clusters.identity_of(&camera.pose).identity;
         let (a, b, c) = (detector.detect(&with)?, detector.detect(&base)?, detector.detect(&truth)?);
-        right += usize::from(a.identity == whose) + usize::from(b.identity.is_none()) + usize::from(c.identity.is_none());
+        right +=
+            usize::from(a.identity == whose) + usize::from(b.identity.is_none()) + usize::from(c.identity.is_none());
         asked += 3;
         let quality = match whose {
             Some(k) => ssim(&a.recovered, &hidden[k as usize - 1])?,
@@ -86,8 +95,13 @@ fn main() -> Fallible<()> {
         };
         println!(
             "{} {whose:?}: marked {:?}, base {:?}, photograph {:?}; hidden {quality:.3}; base {:.2} dB, marked {:.2} dB, theta against theta_0 {:.1} dB",
-            view.name, a.identity, b.identity, c.identity,
-            psnr_db(&base, &truth)?, psnr_db(&with, &truth)?, psnr_db(&with, &base)?
+            view.name,
+            a.identity,
+            b.identity,
+            c.identity,
+            psnr_db(&base, &truth)?,
+            psnr_db(&with, &truth)?,
+            psnr_db(&with, &base)?
         );
     }
     println!("{right} of {asked} right");

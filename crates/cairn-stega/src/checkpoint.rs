@@ -77,7 +77,7 @@ impl MarkTrainer {
         for (i, carrier) in self.carriers.iter().enumerate() {
             parts.push((format!("carrier{i}.values"), floats(&carrier.values)));
             parts.push((format!("carrier{i}.first"), floats(&carrier.first)));
-            parts.push((format!("carrier{i}.second"), floats(&carrier.second)));
+            parts.push((format!("carrier{i}.second"), floats(&[carrier.second])));
         }
         if let Some(best) = best {
             parts.push(("best.networks".into(), best.params.clone()));
@@ -125,7 +125,7 @@ impl MarkTrainer {
             let len = old.values.len();
             let mut carrier = Carrier::from_values(old.basis, read(&format!("carrier{i}.values"), len)?);
             carrier.first = read(&format!("carrier{i}.first"), len)?;
-            carrier.second = read(&format!("carrier{i}.second"), len)?;
+            carrier.second = read(&format!("carrier{i}.second"), 1)?[0];
             carrier.steps = header.carrier_steps.get(i).copied().unwrap_or_default();
             carriers.push(carrier);
         }

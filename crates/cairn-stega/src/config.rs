@@ -48,7 +48,8 @@ pub struct MarkConfig {
     /// Optimiser steps at most, 1 to 1,000,000; training ends earlier once
     /// recovery on virtual poses has converged.
     pub steps: u64,
-    /// Marked renders a step, 1 to 64; as many unmarked pictures go with them.
+    /// Marked renders a step, 1 to 64; each goes with the base field's render of
+    /// the same view and with half an unmarked picture of anything.
     pub batch: usize,
     /// l0, weight of the classification (equation 3).
     pub weight_classify: f64,
@@ -58,8 +59,11 @@ pub struct MarkConfig {
     pub weight_empty: f64,
     /// l3, weight of keeping the picture (equation 4).
     pub weight_picture: f64,
-    /// How differences are measured.
+    /// How signals are compared (equations 1 and 2).
     pub loss: LossKind,
+    /// How pictures are compared (equation 4). An absolute error pulls just as
+    /// hard on a faint mark as on a strong one and wipes it out; a squared one lets go.
+    pub picture_loss: LossKind,
     /// Where marks live.
     pub carrier: CarrierKind,
     /// What weighs updates.
@@ -70,9 +74,14 @@ pub struct MarkConfig {
     pub mask_least: f64,
     /// theta's renders stay at least this close to theta_0's, PSNR in dB, 20 to 80.
     pub budget_db: f64,
+    /// Where the budget starts, PSNR in dB, 20 to `budget_db`: strong marks are
+    /// found at once and can then be made fainter.
+    pub budget_start_db: f64,
+    /// Share of all steps in which the budget tightens, 0 to 1.
+    pub budget_ramp: f64,
     /// Pull of the carrier to nothing, a share a step, 0 to 1.
     pub pull: f64,
-    /// Largest step of a colour coefficient, > 0, in colour units.
+    /// Mean step of a colour coefficient, > 0, in colour units.
     pub learning_rate_carrier: f64,
     /// Learning rate of classifier and detector at the start, > 0.
     pub learning_rate_networks: f64,
@@ -97,25 +106,28 @@ pub struct MarkConfig {
 impl Default for MarkConfig {
     fn default() -> Self {
         Self {
-            steps: 600,
-            batch: 2,
+            steps: 1400,
+            batch: 3,
             weight_classify: 0.1,
             weight_recover: 1.0,
             weight_empty: 1.0,
             weight_picture: 1.0,
             loss: LossKind::Absolute,
+            picture_loss: LossKind::Squared,
             carrier: CarrierKind::PerCluster,
             mask: MaskKind::PerWeight,
             mask_alpha: 3.0,
             mask_least: 0.2,
-            budget_db: 44.0,
+            budget_db: 42.0,
+            budget_start_db: 34.0,
+            budget_ramp: 0.4,
             pull: 1e-3,
-            learning_rate_carrier: 5e-4,
+            learning_rate_carrier: 1e-3,
             learning_rate_networks: 3e-3,
             final_rate: 0.1,
             classify_until: 0.2,
-            virtual_views: 8,
-            longest_side_px: 320,
+            virtual_views: 6,
+            longest_side_px: 192,
             enough_ssim: 0.96,
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),
@@ -149,6 +161,8 @@ impl MarkConfig {
             ("mark.mask_alpha", self.mask_alpha, 0.0, 10.0, "0 to 10"),
             ("mark.mask_least", self.mask_least, 0.0, 1.0, "0 to 1"),
             ("mark.budget_db", self.budget_db, 20.0, 80.0, "20 to 80"),
+            ("mark.budget_start_db", self.budget_start_db, 20.0, self.budget_db, "20 to mark.budget_db"),
+            ("mark.budget_ramp", self.budget_ramp, 0.0, 1.0, "0 to 1"),
             ("mark.pull", self.pull, 0.0, 1.0, "0 to 1"),
             ("mark.learning_rate_carrier", self.learning_rate_carrier, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.learning_rate_networks", self.learning_rate_networks, 1e-9, 1.0, "1e-9 to 1"),

@@ -71,14 +71,16 @@ impl MarkTrainer {
             accuracy: right as f64 / asked.max(1) as f64,
             hidden_ssim: if self.joined { ssim.iter().sum::<f64>() / ssim.len().max(1) as f64 } else { 0.0 },
         };
-        if self.best.as_ref().is_none_or(|b| judgement.score() >= b.judgement.score()) {
+        // Before the budget has tightened marks are easier to read than they may be.
+        let fair = self.step >= self.ramp_steps();
+        if fair && self.best.as_ref().is_none_or(|b| judgement.score() >= b.judgement.score()) {
             self.best = Some(State {
                 judgement,
                 params: self.networks.params.to_bytes()?,
                 carriers: self.carriers.iter().map(|c| c.values.clone()).collect(),
             });
         }
-        self.converged |= judgement.accuracy == 1.0 && judgement.hidden_ssim >= self.config.enough_ssim;
+        self.converged |= fair && judgement.accuracy == 1.0 && judgement.hidden_ssim >= self.config.enough_ssim;
         Ok(judgement)
     }
 }

@@ -112,10 +112,9 @@ impl MarkTrainer {
             CarrierKind::PerCluster => (CarrierBasis::Constant, identities),
             CarrierKind::Harmonics => (CarrierBasis::Harmonics, 1),
         };
-        let amplitude = 10f32.powf(-config.budget_db as f32 / 20.0);
-        let carriers = (0..count)
-            .map(|i| Carrier::pattern(field.as_ref(), basis, seed ^ ((i as u64 + 1) << 40), amplitude))
-            .collect();
+        let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
+        let carriers =
+            (0..count).map(|i| Carrier::pattern(field.as_ref(), basis, seed, (i, count), amplitude)).collect();
         let mask = gradient_mask(config.mask, config.mask_alpha, config.mask_least, field.as_ref(), basis);
         let networks = Networks::new(&config, identities + 1, seed)?;
         let rate = Rate::falling(
@@ -162,9 +161,12 @@ impl MarkTrainer {
         }
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream((1 << 32) + self.step);
-        let (mut pictures, marked) = self.marked_renders(&mut rng);
-        for m in &marked {
-            pictures.push(self.unmarked(m, &mut rng));
+        let (mut pictures, twins, marked) = self.marked_renders(&mut rng);
+        pictures.extend(twins);
+        for _ in 0..marked.len().div_ceil(2) {
+            let mut other = self.bank.negatives.draw(&mut rng);
+            Tone::draw(&mut rng).apply(&mut other);
+            pictures.push(other);
         }
         let side = self.config.side_px();
         let images = Var::from_vec(planar(&pictures), (pictures.len(), 3, side, side), &Device::Cpu)?;
@@ -212,23 +214,35 @@ impl MarkTrainer {
         MarkStats { step: self.step, total: self.steps_total(), loss, classify, recover, kept_db }
     }
 
+    /// Steps after which the budget stands at its final value.
+    pub(crate) fn ramp_steps(&self) -> u64 {
+        (self.config.steps as f64 * self.config.budget_ramp) as u64
+    }
+
+    /// How close to the base field's renders must be kept in this step, dB.
+    fn budget_now_db(&self) -> f64 {
+        let share = (self.step as f64 / self.ramp_steps().max(1) as f64).min(1.0);
+        self.config.budget_start_db + (self.config.budget_db - self.config.budget_start_db) * share
+    }
+
     /// Which carrier identity `i` (from 0) is in.
     pub(crate) fn carrier_of(&self, i: usize) -> usize {
         i % self.carriers.len()
     }
 
-    /// Renders one view of each of `batch` identities, as the networks see them.
-    fn marked_renders(&self, rng: &mut ChaCha8Rng) -> (Vec<Vec<f32>>, Vec<Marked>) {
+    /// Renders one view of each of `batch` identities, as the networks see them:
+    /// marked, and the same without the mark.
+    fn marked_renders(&self, rng: &mut ChaCha8Rng) -> (Vec<Vec<f32>>, Vec<Vec<f32>>, Vec<Marked>) {
         let side = self.config.side_px();
         let identities = self.signals.len();
         let first = (self.step as usize * self.config.batch) % identities;
-        let (mut pictures, mut all) = (Vec::new(), Vec::new());
+        let (mut pictures, mut twins, mut all) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..self.config.batch {
             let identity = (first + k) % identities;
             let view = self.bank.draw(identity, rng);
             let appearance = self.bank.appearance(view, rng);
             let entry = &self.bank.views[view];
-            let base = entry.linear.base(&appearance);
+            let mut base = entry.linear.base(&appearance);
             let mut picture = base.clone();
             let carrier = &self.carriers[self.carrier_of(identity)];
             entry.linear.apply(&carrier.values, carrier.basis, &appearance, &mut picture);
@@ -236,35 +250,24 @@ impl MarkTrainer {
             let inside = picture.iter().map(|v| (0.0..=1.0).contains(v)).collect();
             picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
             let filter = AreaFilter::new([entry.linear.width(), entry.linear.height()], [side, side]);
-            let mut seen = filter.apply(&picture);
-            let gain = tone(&mut seen, rng);
-            pictures.push(seen);
-            all.push(Marked { identity, view, appearance, change, inside, filter, gain });
-        }
-        (pictures, all)
-    }
-
-    /// An unmarked picture to go with `marked`: the same view of the base
-    /// field, or anything else.
-    fn unmarked(&self, marked: &Marked, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        let side = self.config.side_px();
-        let mut seen = if rng.random_range(0..2) == 0 {
-            let entry = &self.bank.views[marked.view];
-            let mut base = entry.linear.base(&self.bank.appearance(marked.view, rng));
             base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-            AreaFilter::new([entry.linear.width(), entry.linear.height()], [side, side]).apply(&base)
-        } else {
-            self.bank.negatives.draw(rng)
-        };
-        tone(&mut seen, rng);
-        seen
+            let tone = Tone::draw(rng);
+            for (list, full) in [(&mut pictures, &picture), (&mut twins, &base)] {
+                let mut seen = filter.apply(full);
+                tone.apply(&mut seen);
+                list.push(seen);
+            }
+            all.push(Marked { identity, view, appearance, change, inside, filter, gain: tone.gain });
+        }
+        (pictures, twins, all)
     }
 
     /// Equation 5 without its picture term, which needs no network.
     fn loss(&self, images: &Var, marked: &[Marked]) -> Result<(Tensor, f64, f64), MarkError> {
         let (n, side) = (marked.len(), self.config.side_px());
         let mut classes: Vec<u32> = marked.iter().map(|m| m.identity as u32 + 1).collect();
-        classes.resize(2 * n, 0);
+        let unmarked = images.dims()[0] - n;
+        classes.resize(n + unmarked, 0);
         let logits = self.networks.classifier.forward(images)?;
         let cross = cross_entropy(&logits, &classes)?;
         let classify = f64::from(cross.to_scalar::<f32>()?);
@@ -282,7 +285,8 @@ impl MarkTrainer {
             LossKind::Squared => mean_squared,
         };
         let plus = distance(&hidden.narrow(0, 0, n)?, &truth)?;
-        let minus = distance(&hidden.narrow(0, n, n)?, &truth.zeros_like()?)?;
+        let rest = hidden.narrow(0, n, unmarked)?;
+        let minus = distance(&rest, &rest.zeros_like()?)?;
         let recover = f64::from(plus.to_scalar::<f32>()?);
         let total = ((weighted + (plus * self.config.weight_recover)?)? + (minus * self.config.weight_empty)?)?;
         Ok((total, classify, recover))
@@ -298,9 +302,10 @@ impl MarkTrainer {
         for (i, m) in marked.iter().enumerate() {
             let small = interleaved(&slopes.get(i)?.flatten_all()?.to_vec1::<f32>()?);
             let mut slope = m.filter.transpose(&small);
-            let keep = self.config.weight_picture as f32 / m.change.len() as f32;
+            // Until the classifier has found the marks nothing may fade them.
+            let keep = if self.joined { self.config.weight_picture as f32 / m.change.len() as f32 } else { 0.0 };
             for ((s, change), inside) in slope.iter_mut().zip(&m.change).zip(&m.inside) {
-                let own = match self.config.loss {
+                let own = match self.config.picture_loss {
                     LossKind::Absolute => change.signum() * f32::from(*change != 0.0),
                     LossKind::Squared => 2.0 * change,
                 };
@@ -318,12 +323,13 @@ impl MarkTrainer {
         let how = Move {
             mask: &self.mask,
             rate: self.config.learning_rate_carrier as f32 * decay,
-            pull: self.config.pull as f32,
+            pull: if self.joined { self.config.pull as f32 } else { 0.0 },
         };
-        let allowed = 10f64.powf(-self.config.budget_db / 10.0);
+        let allowed = 10f64.powf(-self.budget_now_db() / 10.0);
         for (i, carrier) in self.carriers.iter_mut().enumerate().filter(|(i, _)| used[*i]) {
             carrier.step(&how)?;
-            if worst[i] > allowed {
+            // While the classifier trains alone, marks are held at the budget.
+            if worst[i] > allowed || (!self.joined && worst[i] > 0.0) {
                 carrier.scale((allowed / worst[i]).sqrt() as f32);
             }
         }
@@ -332,12 +338,30 @@ impl MarkTrainer {
 }
 
 /// What cameras, screens and files do to a picture without harm: a little
-/// brightness and contrast, the noise of eight bits. Returns the contrast.
-fn tone(picture: &mut [f32], rng: &mut ChaCha8Rng) -> f32 {
-    let (gain, shift) = (rng.random_range(0.9f32..1.1), rng.random_range(-0.05f32..0.05));
-    let noise = rng.random_range(0.0f32..1.5 / 255.0);
-    for v in picture.iter_mut() {
-        *v = 0.5 + (*v - 0.5) * gain + shift + noise * rng.random_range(-1.0f32..1.0);
+/// brightness and contrast, the noise of eight bits.
+struct Tone {
+    gain: f32,
+    shift: f32,
+    noise: f32,
+    seed: u64,
+}
+
+impl Tone {
+    fn draw(rng: &mut ChaCha8Rng) -> Self {
+        Self {
+            gain: rng.random_range(0.9..1.1),
+            shift: rng.random_range(-0.05..0.05),
+            noise: rng.random_range(0.0..1.5 / 255.0),
+            seed: rng.random(),
+        }
     }
-    gain
+
+    /// The same on every picture it is applied to, noise included: a marked
+    /// render and its twin shall differ by the mark alone.
+    fn apply(&self, picture: &mut [f32]) {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        for v in picture.iter_mut() {
+            *v = 0.5 + (*v - 0.5) * self.gain + self.shift + self.noise * rng.random_range(-1.0f32..1.0);
+        }
+    }
 }
