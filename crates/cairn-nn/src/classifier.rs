@@ -63,7 +63,8 @@ impl Classifier {
             inputs = outputs;
         }
         // A small start: equal probabilities, so that no class is favoured before training.
-        let head = Linear::new(&mut scope.sub("head"), 2 * inputs, classes, Init::Uniform(0.02))?;
+        let energies = if config.high_pass_gain != 0.0 && config.inputs == 3 { DIRECTIONS } else { 0 };
+        let head = Linear::new(&mut scope.sub("head"), 2 * inputs + energies, classes, Init::Uniform(0.02))?;
         Ok(Self { config: config.clone(), classes, blocks, head })
     }
 
@@ -83,11 +84,52 @@ impl Classifier {
         if self.config.high_pass_gain != 0.0 {
             x = x.narrow(1, self.config.inputs, self.config.inputs)?.contiguous()?;
         }
+        let energies = match self.config.high_pass_gain != 0.0 && self.config.inputs == 3 {
+            true => Some(colour_energies(&x)?),
+            false => None,
+        };
         for block in &self.blocks {
             x = block.forward(&x)?;
         }
-        self.head.forward(&pool_moments(&x)?)
+        let moments = pool_moments(&x)?;
+        match energies {
+            Some(energies) => self.head.forward(&Tensor::cat(&[&moments, &energies], 1)?),
+            None => self.head.forward(&moments),
+        }
     }
+}
+
+/// Colour directions whose energies are measured: six hues and grey.
+const DIRECTIONS: usize = 7;
+
+/// Logarithms of the residual's energy along [`DIRECTIONS`] colour directions,
+/// N x 7, from `x`, N x 3 x H x W: colour statistics of residuals tell a hidden
+/// texture from a natural one (Goljan, Fridrich and Cogranne 2014), and marks
+/// differ by their colour direction by design.
+fn colour_energies(x: &Tensor) -> Result<Tensor> {
+    let (n, c, h, w) = x.dims4()?;
+    let flat = x.reshape((n, c, h * w))?;
+    let covariance = (flat.matmul(&flat.transpose(1, 2)?.contiguous()?)? / (h * w) as f64)?;
+    let mut weights = Vec::with_capacity(9 * DIRECTIONS);
+    let directions: Vec<[f32; 3]> = (0..DIRECTIONS).map(direction).collect();
+    for a in 0..3 {
+        for b in 0..3 {
+            weights.extend(directions.iter().map(|d| d[a] * d[b]));
+        }
+    }
+    let weights = Tensor::from_vec(weights, (9, DIRECTIONS), x.device())?;
+    // The floor is the energy of eight bits' rounding after amplification.
+    Ok(covariance.reshape((n, 9))?.matmul(&weights)?.affine(1.0, 1e-4)?.log()?)
+}
+
+/// Unit colour directions: the last is grey, the others hues 30 degrees apart.
+fn direction(which: usize) -> [f32; 3] {
+    if which + 1 == DIRECTIONS {
+        return [(1.0f32 / 3.0).sqrt(); 3];
+    }
+    let (sin, cos) = (std::f32::consts::PI * which as f32 / (DIRECTIONS - 1) as f32).sin_cos();
+    let (red_green, yellow_blue) = (0.5f32.sqrt(), (1.0f32 / 6.0).sqrt());
+    [cos * red_green + sin * yellow_blue, sin * yellow_blue - cos * red_green, -2.0 * sin * yellow_blue]
 }
 
 /// Checks what both networks have in common.

@@ -47,7 +47,7 @@ impl Default for UNetConfig {
             inputs: 3,
             outputs: 3,
             size: [128, 128],
-            channels: vec![16, 24, 32, 48],
+            channels: vec![8, 16, 32, 48],
             groups: 4,
             high_pass_gain: 30.0,
             positional: true,

@@ -33,7 +33,9 @@ fn main() -> Fallible<()> {
     };
     let field = base_field(&capture, field_file, setting(1), &camera, &photograph)?;
     let poses: Vec<_> = capture.views.iter().map(|v| v.camera.pose).collect();
-    let grouping = Grouping::Anchors(ClusterConfig::default());
+    let mut around = ClusterConfig::default();
+    around.neighbours = around.neighbours.min(poses.len() / around.anchors);
+    let grouping = Grouping::Anchors(around);
     let clusters = Clusters::build(&poses, &grouping, &[], 1)?;
     let views: Vec<PlannedView> = capture
         .training()

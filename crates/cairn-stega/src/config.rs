@@ -122,7 +122,7 @@ impl Default for MarkConfig {
             budget_start_db: 34.0,
             budget_ramp: 0.4,
             pull: 1e-3,
-            learning_rate_carrier: 1e-3,
+            learning_rate_carrier: 5e-4,
             learning_rate_networks: 3e-3,
             final_rate: 0.1,
             classify_until: 0.2,

@@ -275,9 +275,14 @@ impl MarkTrainer {
         if !self.joined {
             return Ok((weighted, classify, 0.0));
         }
-        // Detached: recovery must not teach the classifier what to say.
+        // Detached: recovery must not teach the classifier what to say. The gate
+        // silences most unmarked pictures by itself: one twin and one other
+        // picture a step suffice, and the detector is the costly network.
         let told = softmax(&logits)?.detach();
-        let hidden = self.networks.detector.forward(images, &told)?;
+        let (first, last) = (images.narrow(0, 0, n + 1)?, images.narrow(0, n + unmarked - 1, 1)?);
+        let seen = Tensor::cat(&[&first, &last], 0)?;
+        let told = Tensor::cat(&[&told.narrow(0, 0, n + 1)?, &told.narrow(0, n + unmarked - 1, 1)?], 0)?;
+        let hidden = self.networks.detector.forward(&seen, &told)?;
         let truth: Vec<Vec<f32>> = marked.iter().map(|m| self.signals[m.identity].clone()).collect();
         let truth = Tensor::from_vec(planar(&truth), (n, 3, side, side), &Device::Cpu)?;
         let distance = match self.config.loss {
@@ -285,7 +290,7 @@ impl MarkTrainer {
             LossKind::Squared => mean_squared,
         };
         let plus = distance(&hidden.narrow(0, 0, n)?, &truth)?;
-        let rest = hidden.narrow(0, n, unmarked)?;
+        let rest = hidden.narrow(0, n, 2)?;
         let minus = distance(&rest, &rest.zeros_like()?)?;
         let recover = f64::from(plus.to_scalar::<f32>()?);
         let total = ((weighted + (plus * self.config.weight_recover)?)? + (minus * self.config.weight_empty)?)?;

@@ -101,10 +101,9 @@ fn config(steps: u64) -> MarkConfig {
 fn trained(config: MarkConfig) -> (MarkedField, Detector) {
     let mut trainer = MarkTrainer::new(field(), plan(), config, 7).unwrap();
     while trainer.steps_done() < trainer.steps_total() {
-        let s = trainer.step().unwrap();
+        trainer.step().unwrap();
         if trainer.steps_done() % 5 == 0 {
-            let j = trainer.judge().unwrap();
-            eprintln!("{s:?} {j:?}");
+            trainer.judge().unwrap();
         }
     }
     trainer.finish().unwrap()
