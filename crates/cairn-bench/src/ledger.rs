@@ -1,16 +1,14 @@
 //! Rows of measurements and their file.
 //!
 //! The file is JSON in a stable order, one field a line, so that a change of one
-//! figure is a change of one line in review.
+//! figure is a change of one line in review. It is a bare list of rows, for
+//! tools that know nothing of Cairn; unknown fields are refused.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-
-/// What the file's `format` says, and the only thing that is accepted.
-const FORMAT: &str = "cairn-benchmarks/1";
 
 /// Which side of a target is good.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -114,13 +112,6 @@ struct StoredRow {
     date: String,
 }
 
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Document {
-    format: String,
-    rows: Vec<StoredRow>,
-}
-
 /// Why the ledger was not read, changed or written.
 #[derive(Debug, Error)]
 pub enum LedgerError {
@@ -141,14 +132,6 @@ pub enum LedgerError {
         path: PathBuf,
         /// Why not.
         source: serde_json::Error,
-    },
-    /// The file has another format.
-    #[error("{path} has the format {got:?}, expected {FORMAT:?}; use the version of Cairn that wrote it")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// Its format.
-        got: String,
     },
     /// A row contradicts itself.
     #[error("{path}: {row} says met = {got:?}, but its value and target give {expected:?}; measure it again")]
@@ -182,21 +165,18 @@ impl Ledger {
     /// Reads the ledger at `path`; a file that does not exist is an empty one.
     ///
     /// # Errors
-    /// [`LedgerError`] for a file that cannot be read, is of another format,
-    /// or whose rows contradict or repeat themselves.
+    /// [`LedgerError`] for a file that cannot be read or whose rows contradict
+    /// or repeat themselves.
     pub fn load(path: &Path) -> Result<Self, LedgerError> {
         let bytes = match std::fs::read(path) {
             Ok(bytes) => bytes,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
             Err(source) => return Err(LedgerError::Io { operation: "read", path: path.to_path_buf(), source }),
         };
-        let document: Document =
+        let stored: Vec<StoredRow> =
             serde_json::from_slice(&bytes).map_err(|source| LedgerError::Json { path: path.to_path_buf(), source })?;
-        if document.format != FORMAT {
-            return Err(LedgerError::Format { path: path.to_path_buf(), got: document.format });
-        }
         let mut ledger = Self::default();
-        for stored in document.rows {
+        for stored in stored {
             let (got, row) = stored.into_row();
             let expected = row.met();
             if got != expected {
@@ -252,9 +232,8 @@ impl Ledger {
     /// # Errors
     /// [`LedgerError::Io`].
     pub fn save(&self, path: &Path) -> Result<(), LedgerError> {
-        let document =
-            Document { format: FORMAT.to_owned(), rows: self.rows.iter().cloned().map(StoredRow::from).collect() };
-        let mut text = serde_json::to_string_pretty(&document)
+        let rows: Vec<StoredRow> = self.rows.iter().cloned().map(StoredRow::from).collect();
+        let mut text = serde_json::to_string_pretty(&rows)
             .map_err(|source| LedgerError::Json { path: path.to_path_buf(), source })?;
         text.push('\n');
         let part = path.with_extension(format!("part-{}", std::process::id()));

@@ -68,9 +68,9 @@ pub struct FieldConfig {
 impl Default for FieldConfig {
     fn default() -> Self {
         Self {
-            steps: 1500,
-            rays_per_step: 8192,
-            voxels: 4_000_000,
+            steps: 1000,
+            rays_per_step: 4096,
+            voxels: 2_000_000,
             levels: 3,
             learning_rate_density: 0.2,
             learning_rate_colour: 0.05,

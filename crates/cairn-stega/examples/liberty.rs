@@ -61,7 +61,7 @@ fn main() -> Fallible<()> {
     while trainer.steps_done() < trainer.steps_total() {
         let s = trainer.step()?;
         classify += s.classify / 25.0;
-        if s.step % 25 == 0 {
+        if s.step.is_multiple_of(25) {
             let t = started.elapsed().as_secs_f64();
             let j = trainer.judge()?;
             println!(
@@ -131,7 +131,7 @@ fn base_field(
     let mut trainer = BaseTrainer::new(views, frame, capture.background, config, 1)?;
     while trainer.steps_done() < trainer.steps_total() {
         let stats = trainer.step()?;
-        if stats.step % 100 == 0 {
+        if stats.step.is_multiple_of(100) {
             println!("{} {:.2} dB", stats.step, stats.psnr_db);
         }
     }

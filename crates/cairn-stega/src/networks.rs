@@ -5,6 +5,9 @@ use crate::error::MarkError;
 use cairn_nn::{Classifier, Params, UNet, softmax};
 use candle_core::{Device, Tensor};
 
+/// Class probabilities (M + 1), and the hidden picture (`side x side x 3`).
+pub(crate) type Reading = (Vec<f32>, Vec<f32>);
+
 /// F_psi and Fc_psi with their parameters.
 pub(crate) struct Networks {
     pub(crate) params: Params,
@@ -33,7 +36,7 @@ impl Networks {
         pictures: &[Vec<f32>],
         side: usize,
         forced: Option<usize>,
-    ) -> Result<Vec<(Vec<f32>, Vec<f32>)>, MarkError> {
+    ) -> Result<Vec<Reading>, MarkError> {
         let images = to_tensor(pictures, side)?;
         let probabilities = softmax(&self.classifier.forward(&images)?)?.detach();
         let told = match forced {

@@ -69,7 +69,7 @@ fn field() -> Arc<Field> {
 }
 
 fn signal(identity: usize) -> Picture {
-    let on = |x: usize, y: usize| if identity == 0 { (x / 8 + y / 8) % 2 == 0 } else { x.abs_diff(y) < 8 };
+    let on = |x: usize, y: usize| if identity == 0 { (x / 8 + y / 8).is_multiple_of(2) } else { x.abs_diff(y) < 8 };
     let pixel = |i: usize| if on(i % SIDE, i / SIDE) { [0.9, 0.2, 0.3] } else { [0.1, 0.5, 0.8] };
     Picture::new(SIDE, SIDE, (0..SIDE * SIDE).flat_map(pixel).collect()).unwrap()
 }
@@ -102,7 +102,7 @@ fn trained(config: MarkConfig) -> (MarkedField, Detector) {
     let mut trainer = MarkTrainer::new(field(), plan(), config, 7).unwrap();
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().unwrap();
-        if trainer.steps_done() % 5 == 0 {
+        if trainer.steps_done().is_multiple_of(5) {
             trainer.judge().unwrap();
         }
     }
@@ -138,7 +138,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
     assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
     while second.steps_done() < second.steps_total() {
         second.step().unwrap();
-        if second.steps_done() % 5 == 0 {
+        if second.steps_done().is_multiple_of(5) {
             second.judge().unwrap();
         }
     }
