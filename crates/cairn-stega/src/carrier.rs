@@ -7,9 +7,6 @@ use rayon::prelude::*;
 
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.99;
-/// Vertices along a block of equal sign in the first patterns: coarse enough to
-/// survive being made smaller, fine enough to be texture and not shade.
-const BLOCKS: [u32; 3] = [3, 2, 4];
 /// Rows a task handles.
 const TASK: usize = 8192;
 
@@ -36,10 +33,11 @@ pub(crate) struct Move<'a> {
 
 impl Carrier {
     /// The first pattern of carrier `which` of `count`, amplitude `amplitude` in
-    /// colour units: blocks of random sign (a start at zero is a saddle that
-    /// training does not leave by itself). Carriers differ by design, not only by
-    /// chance: each has a colour direction and a block size of its own, so that
-    /// what tells them apart is the same from every view.
+    /// colour units: a random sign a vertex (a start at zero is a saddle that
+    /// training does not leave by itself; anything coarser than a vertex falls
+    /// below what the networks' high-pass lets through). Carriers differ by
+    /// design, not only by chance: each has a colour direction of its own, so
+    /// that what tells them apart is the same from every view.
     pub fn pattern(
         field: &dyn MarkableField,
         basis: CarrierBasis,
@@ -49,10 +47,9 @@ impl Carrier {
     ) -> Self {
         let width = basis.width();
         let colour = colour_direction(which, count);
-        let block = BLOCKS[which % BLOCKS.len()];
         let mut values = vec![0.0f32; field.rows() * width];
         for (row, at) in field.lattice().iter().enumerate().skip(1) {
-            let at = at.map(|v| u64::from(v / block));
+            let at = at.map(u64::from);
             let key = (at[0] << 42) ^ (at[1] << 21) ^ at[2];
             for k in 0..width {
                 // One sign a coefficient of a channel's kind, shared by the channels.

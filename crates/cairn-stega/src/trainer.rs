@@ -239,7 +239,11 @@ impl MarkTrainer {
         let (mut pictures, mut twins, mut all) = (Vec::new(), Vec::new(), Vec::new());
         for k in 0..self.config.batch {
             let identity = (first + k) % identities;
-            let view = self.bank.draw(identity, rng);
+            // Now and then on a view of somebody else's: the class must come
+            // from the mark and not from what the view shows.
+            let stranger = self.carriers.len() > 1 && rng.random_range(0..3) == 0;
+            let whose = if stranger { rng.random_range(0..identities) } else { identity };
+            let view = self.bank.draw(whose, rng);
             let appearance = self.bank.appearance(view, rng);
             let entry = &self.bank.views[view];
             let mut base = entry.linear.base(&appearance);

@@ -147,7 +147,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
 
 #[test]
 fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
-    let (marked, detector) = trained(MarkConfig { budget_db: 36.0, ..config(240) });
+    let (marked, detector) = trained(MarkConfig { budget_db: 36.0, ..config(400) });
     let (mut right, mut asked) = (0, 0);
     for camera in cameras() {
         let appearance = field().canonical_appearance().clone();
