@@ -81,9 +81,11 @@ fn small_networks(params: &mut Params) -> Result<(Classifier, UNet)> {
     Ok((classifier, UNet::new(&config, 2, params.scope("detector"))?))
 }
 
-/// One step of both networks on a plain picture and one with a faint pattern.
+/// One step of both networks on a smooth picture (as renders are) and the same
+/// with a faint pattern.
 fn train_step(nets: &(Classifier, UNet), params: &Params, adam: &mut Adam) -> Result<[f32; 2]> {
-    let plain = wave(&[1, 3, 32, 32], 0.3);
+    let smooth = (0..3072).map(|i| (i % 32 + i / 32 % 32) as f32 / 64.0).collect();
+    let plain = Tensor::from_vec(smooth, (1, 3, 32, 32), &Device::Cpu)?;
     let pattern: Vec<f32> = (0..3072).map(|i| if (i + i / 32) % 2 == 0 { 0.005 } else { -0.005 }).collect();
     let marked = (&plain + Tensor::from_vec(pattern, (1, 3, 32, 32), &Device::Cpu)?)?;
     let images = Tensor::cat(&[&plain, &marked], 0)?;
