@@ -69,11 +69,11 @@ fn all_consistency_cases() {
     let mut found = Vec::new();
     cases(&folder.join("consistency"), &mut found);
     assert_eq!(found.len(), 98);
-    let mut placeholders = 0;
+    let mut stand_ins = 0;
     for (name, mut case) in found {
         let want_error = case["wantErr"].as_bool().unwrap();
         if !want_error && bytes(&case["root1"]).len() != 32 {
-            placeholders += 1;
+            stand_ins += 1;
             assert!(matches!(consistency(&case), Err(ProofError::Hash(_))), "{name}");
             for root in ["root1", "root2"] {
                 let mut padded = bytes(&case[root]);
@@ -84,5 +84,5 @@ fn all_consistency_cases() {
         let result = consistency(&case);
         assert_eq!(result.is_err(), want_error, "{name}: {result:?}");
     }
-    assert_eq!(placeholders, 1);
+    assert_eq!(stand_ins, 1);
 }
