@@ -1,7 +1,8 @@
 //! `cairn train` and `cairn jobs`: start or take up a training and watch it.
 
+use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use cairn_proto::v1::{self, JobState, start_training_request::Clusters};
@@ -130,14 +131,14 @@ fn signals(folder: &Path) -> anyhow::Result<Vec<v1::Signal>> {
 pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1::Job> {
     let request = v1::WatchTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
     let mut stream = line.training().watch(request).await.map_err(refused)?.into_inner();
-    let bar = if bar { progress_bar() } else { ProgressBar::hidden() };
+    let mut shown = Progress::new(bar);
     let mut last: Option<v1::Job> = None;
     loop {
         tokio::select! {
             message = stream.message() => match message.map_err(refused)? {
                 Some(message) => {
                     if let Some(job) = message.job {
-                        draw(&bar, &job);
+                        shown.draw(&job);
                         last = Some(job);
                     }
                 }
@@ -145,34 +146,56 @@ pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1:
             },
             interrupt = tokio::signal::ctrl_c() => {
                 interrupt?;
-                bar.set_message("cancelling after this step");
+                shown.bar.set_message("cancelling after this step");
                 let request = v1::CancelTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
                 line.training().cancel(request).await.map_err(refused)?;
             }
         }
     }
-    bar.finish_and_clear();
+    shown.bar.finish_and_clear();
     last.context("the daemon closed the line before it said anything of the job")
 }
 
-fn progress_bar() -> ProgressBar {
-    let bar = ProgressBar::new(0);
-    // The template is a constant that parses; the plain style is there for the day it does not.
-    if let Ok(style) = ProgressStyle::with_template("{prefix:12} [{bar:32}] {pos}/{len} {msg}") {
-        bar.set_style(style.progress_chars("=> "));
-    }
-    bar.enable_steady_tick(Duration::from_millis(250));
-    bar
+/// Seconds between lines of progress where nobody sees a bar.
+const LINE_EVERY: Duration = Duration::from_secs(15);
+
+/// Progress for people: a bar on a terminal; now and then a line where the output
+/// goes to a file or a pipe.
+struct Progress {
+    bar: ProgressBar,
+    /// When the last line was written; `None` where none are.
+    lines: Option<Instant>,
 }
 
-fn draw(bar: &ProgressBar, job: &v1::Job) {
-    let Some(p) = &job.progress else { return };
-    bar.set_prefix(p.stage.clone());
-    bar.set_length(p.total);
-    bar.set_position(p.step);
-    let left = if p.seconds_left >= 0.0 { clock(p.seconds_left) } else { "?".into() };
-    let quality = if p.psnr_db > 0.0 { format!("{:.1} dB", p.psnr_db) } else { format!("loss {:.4}", p.loss) };
-    bar.set_message(format!("{quality}, {left} left"));
+impl Progress {
+    fn new(shown: bool) -> Self {
+        if !shown {
+            return Self { bar: ProgressBar::hidden(), lines: None };
+        }
+        let bar = ProgressBar::new(0);
+        // The template is a constant that parses; the plain style is there for the day it does not.
+        if let Ok(style) = ProgressStyle::with_template("{prefix:12} [{bar:32}] {pos}/{len} {msg}") {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        bar.enable_steady_tick(Duration::from_millis(250));
+        let lines = (!std::io::stderr().is_terminal()).then(Instant::now);
+        Self { bar, lines }
+    }
+
+    fn draw(&mut self, job: &v1::Job) {
+        let Some(p) = &job.progress else { return };
+        self.bar.set_prefix(p.stage.clone());
+        self.bar.set_length(p.total);
+        self.bar.set_position(p.step);
+        let left = if p.seconds_left >= 0.0 { clock(p.seconds_left) } else { "?".into() };
+        let quality = if p.psnr_db > 0.0 { format!("{:.1} dB", p.psnr_db) } else { format!("loss {:.4}", p.loss) };
+        let message = format!("{quality}, {left} left");
+        if self.lines.is_some_and(|last| last.elapsed() >= LINE_EVERY) {
+            eprintln!("{} {}/{} {message}", p.stage, p.step, p.total);
+            self.lines = Some(Instant::now());
+        }
+        self.bar.set_message(message);
+    }
 }
 
 /// Seconds as m:ss.

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{NnError, Result};
 use crate::front::front_end;
-use crate::layers::{ConvBlock, Linear, check_image};
+use crate::layers::{ConvBlock, LEAKY_SLOPE, Linear, check_image};
+use crate::norm::leaky_relu;
 use crate::params::{Init, Scope};
 use crate::resample::pool_moments;
 
@@ -36,14 +37,19 @@ impl Default for ClassifierConfig {
 }
 
 /// Pictures to logits: strided convolutions, means and mean squares over the
-/// picture, one linear layer.
+/// picture, two linear layers.
 #[derive(Debug, Clone)]
 pub struct Classifier {
     config: ClassifierConfig,
     classes: usize,
     blocks: Vec<ConvBlock>,
+    hidden: Linear,
     head: Linear,
 }
+
+/// Numbers between the two linear layers.
+const HIDDEN: usize = 32;
+
 
 impl Classifier {
     /// A classifier of `classes` = M + 1 classes, class 0 unmarked, with its
@@ -64,8 +70,10 @@ impl Classifier {
         }
         // A small start: equal probabilities, so that no class is favoured before training.
         let energies = if config.high_pass_gain != 0.0 && config.inputs == 3 { DIRECTIONS } else { 0 };
-        let head = Linear::new(&mut scope.sub("head"), 2 * inputs + energies, classes, Init::Uniform(0.02))?;
-        Ok(Self { config: config.clone(), classes, blocks, head })
+        let features = 2 * inputs + energies;
+        let hidden = Linear::new(&mut scope.sub("hidden"), features, HIDDEN, Init::He { fan_in: features })?;
+        let head = Linear::new(&mut scope.sub("head"), HIDDEN, classes, Init::Uniform(0.02))?;
+        Ok(Self { config: config.clone(), classes, blocks, hidden, head })
     }
 
     /// M + 1.
@@ -91,21 +99,21 @@ impl Classifier {
         for block in &self.blocks {
             x = block.forward(&x)?;
         }
-        let moments = pool_moments(&x)?;
-        match energies {
-            Some(energies) => self.head.forward(&Tensor::cat(&[&moments, &energies], 1)?),
-            None => self.head.forward(&moments),
+        let mut features = pool_moments(&x)?;
+        if let Some(energies) = energies {
+            features = Tensor::cat(&[&features, &energies], 1)?;
         }
+        self.head.forward(&leaky_relu(&self.hidden.forward(&features)?, LEAKY_SLOPE)?)
     }
 }
 
-/// Colour directions whose energies are measured: six hues and grey.
+/// Colour directions whose energies are measured: lightness and six hues.
 const DIRECTIONS: usize = 7;
 
 /// Logarithms of the residual's energy along [`DIRECTIONS`] colour directions,
-/// N x 7, from `x`, N x 3 x H x W: colour statistics of residuals tell a hidden
-/// texture from a natural one (Goljan, Fridrich and Cogranne 2014), and marks
-/// differ by their colour direction by design.
+/// N x 7, from `x`, N x 3 x H x W in opponent colours: colour statistics of
+/// residuals tell a hidden texture from a natural one (Goljan, Fridrich and
+/// Cogranne 2014), and marks differ by their colour direction by design.
 fn colour_energies(x: &Tensor) -> Result<Tensor> {
     let (n, c, h, w) = x.dims4()?;
     let flat = x.reshape((n, c, h * w))?;
@@ -119,17 +127,16 @@ fn colour_energies(x: &Tensor) -> Result<Tensor> {
     }
     let weights = Tensor::from_vec(weights, (9, DIRECTIONS), x.device())?;
     // The floor is the energy of eight bits' rounding after amplification.
-    Ok(covariance.reshape((n, 9))?.matmul(&weights)?.affine(1.0, 1e-4)?.log()?)
+    Ok(covariance.reshape((n, 9))?.matmul(&weights)?.affine(1.0, 1e-3)?.log()?)
 }
 
-/// Unit colour directions: the last is grey, the others hues 30 degrees apart.
+/// Unit directions in opponent colours: the last is lightness, the others hues 30 degrees apart.
 fn direction(which: usize) -> [f32; 3] {
     if which + 1 == DIRECTIONS {
-        return [(1.0f32 / 3.0).sqrt(); 3];
+        return [1.0, 0.0, 0.0];
     }
     let (sin, cos) = (std::f32::consts::PI * which as f32 / (DIRECTIONS - 1) as f32).sin_cos();
-    let (red_green, yellow_blue) = (0.5f32.sqrt(), (1.0f32 / 6.0).sqrt());
-    [cos * red_green + sin * yellow_blue, sin * yellow_blue - cos * red_green, -2.0 * sin * yellow_blue]
+    [0.0, cos, sin]
 }
 
 /// Checks what both networks have in common.

@@ -2,10 +2,11 @@
 //!
 //! A hidden mark has an amplitude of about one 255th, under picture content a
 //! hundred times larger. Beside the picture the networks therefore see its
-//! amplified difference from a blur of itself, squashed so that an edge counts
-//! little more than a mark (the truncated linear unit of steganalysis, Ye, Ni and
-//! Yi 2017, made smooth); the detector also sees the class probabilities as flat
-//! channels.
+//! amplified difference from a blur of itself, in opponent colours (fine detail is
+//! nearly all lightness in pictures of anything, and would drown the colours),
+//! squashed so that an edge counts little more than a mark (the truncated linear
+//! unit of steganalysis, Ye, Ni and Yi 2017, made smooth); the detector also sees
+//! the class probabilities as flat channels.
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -16,10 +17,15 @@ use crate::sum::sum;
 /// The binomial kernel of five taps.
 const BLUR: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
 const REACH: usize = BLUR.len() / 2;
+/// Further amplification of the two colour channels.
+const CHROMA: f32 = 4.0;
 
-/// `[x, s(gain (x - blur x)), classes]` along the channels, `s(v) = v / (1 + |v|)`: from `x`, N x C x H x W,
+/// `[x, s(gain A (x - blur x)), classes]` along the channels, `s(v) = v / (1 + |v|)`: from `x`, N x C x H x W,
 /// and `classes`, N x K, N x (2C + K) x H x W. The blur is binomial, 5 x 5, with
-/// the border repeated. Without gain (0) the second part is left out.
+/// the border repeated. `A` turns red, green and blue into lightness and, four
+/// times amplified, red-green and yellow-blue (rows of an orthonormal matrix);
+/// with other than three channels it is the identity. Without gain (0) the second
+/// part is left out.
 ///
 /// # Errors
 /// When shapes do not fit or a tensor is not f32 on the CPU.
@@ -56,16 +62,18 @@ impl FrontEnd {
         let channels = front_channels(c, self.gain, k);
         let pixels = h * w;
         let mut out = vec![0.0; n * channels * pixels];
-        out.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
-            let (image, channel) = (i / channels, i % channels);
-            let source = |c0: usize| &x[(image * c + c0) * pixels..][..pixels];
-            if channel < c {
-                plane.copy_from_slice(source(channel));
-            } else if channel < channels - k {
-                high_pass(source(channel - c), w, self.gain, plane);
-                plane.iter_mut().for_each(|v| *v /= 1.0 + v.abs());
-            } else if let Some((classes, _)) = classes {
-                plane.fill(classes[image * k + channel - (channels - k)]);
+        out.par_chunks_mut(channels * pixels).enumerate().for_each(|(image, out)| {
+            let (seen, flat) = out.split_at_mut((channels - k) * pixels);
+            let (copy, high) = seen.split_at_mut(c * pixels);
+            copy.copy_from_slice(&x[image * c * pixels..][..c * pixels]);
+            if self.gain != 0.0 {
+                self.residual(copy, (w, pixels), high);
+                high.iter_mut().for_each(|v| *v /= 1.0 + v.abs());
+            }
+            if let Some((classes, _)) = classes {
+                for (plane, class) in flat.chunks_exact_mut(pixels).zip(&classes[image * k..]) {
+                    plane.fill(*class);
+                }
             }
         });
         Ok((CpuStorage::F32(out), (n, channels, h, w).into()))
@@ -75,19 +83,54 @@ impl FrontEnd {
         let (n, c, h, w) = shape.dims4()?;
         let pixels = h * w;
         let mut dx = vec![0.0; n * c * pixels];
-        dx.par_chunks_mut(pixels).enumerate().for_each(|(i, plane)| {
-            let at = |channel: usize| &grad[(i / c * channels + channel) * pixels..][..pixels];
-            plane.copy_from_slice(at(i % c));
+        dx.par_chunks_mut(c * pixels).enumerate().for_each(|(image, dx)| {
+            let at = |channel: usize| &grad[(image * channels + channel) * pixels..][..c * pixels];
+            dx.copy_from_slice(at(0));
             if self.gain != 0.0 {
-                let mut slope = vec![0.0; pixels];
-                high_pass(&x[i * pixels..(i + 1) * pixels], w, self.gain, &mut slope);
-                for (s, g) in slope.iter_mut().zip(at(c + i % c)) {
+                let mut slope = vec![0.0; c * pixels];
+                self.residual(&x[image * c * pixels..][..c * pixels], (w, pixels), &mut slope);
+                for (s, g) in slope.iter_mut().zip(at(c)) {
                     *s = g / (1.0 + s.abs()).powi(2);
                 }
-                high_pass_adjoint(&slope, w, self.gain, plane);
+                mix(&mut slope, pixels, true);
+                for (slope, dx) in slope.chunks_exact(pixels).zip(dx.chunks_exact_mut(pixels)) {
+                    high_pass_adjoint(slope, w, self.gain, dx);
+                }
             }
         });
         tensor(dx, shape)
+    }
+
+    /// `gain A (x - blur x)` of one image's planes, `pixels` numbers each in rows of `w`, into `out`.
+    fn residual(&self, x: &[f32], (w, pixels): (usize, usize), out: &mut [f32]) {
+        for (x, out) in x.chunks_exact(pixels).zip(out.chunks_exact_mut(pixels)) {
+            high_pass(x, w, self.gain, out);
+        }
+        mix(out, pixels, false);
+    }
+}
+
+/// Opponent colours: lightness, red-green, yellow-blue; orthonormal rows times their amplification.
+fn opponent() -> [[f32; 3]; 3] {
+    let (grey, two, six) = ((1.0f32 / 3.0).sqrt(), CHROMA * 0.5f32.sqrt(), CHROMA * (1.0f32 / 6.0).sqrt());
+    [[grey; 3], [two, -two, 0.0], [six, six, -2.0 * six]]
+}
+
+/// Three planes to opponent colours in place, or their gradients back (the transpose).
+fn mix(planes: &mut [f32], pixels: usize, back: bool) {
+    if planes.len() != 3 * pixels {
+        return;
+    }
+    let a = opponent();
+    let (r, rest) = planes.split_at_mut(pixels);
+    let (g, b) = rest.split_at_mut(pixels);
+    for ((r, g), b) in r.iter_mut().zip(g).zip(b) {
+        let v = [*r, *g, *b];
+        let of = |k: usize| match back {
+            false => a[k][0] * v[0] + a[k][1] * v[1] + a[k][2] * v[2],
+            true => a[0][k] * v[0] + a[1][k] * v[1] + a[2][k] * v[2],
+        };
+        (*r, *g, *b) = (of(0), of(1), of(2));
     }
 }
 

@@ -52,4 +52,4 @@ pub use loss::{cross_entropy, mean_absolute, mean_squared, softmax};
 pub use norm::{group_norm_leaky, leaky_relu};
 pub use params::{Init, Params, Scope};
 pub use resample::{avg_pool, pool_moments, upsample, upsample_add};
-pub use unet::{UNet, UNetConfig};
+pub use unet::{Memory, UNet, UNetConfig};

@@ -24,8 +24,7 @@ pub struct UNetConfig {
     pub inputs: usize,
     /// Channels of the hidden pictures.
     pub outputs: usize,
-    /// Rows and columns of the pictures; the learned positional features are
-    /// made for this size. Multiples of two to the power of levels - 1.
+    /// Rows and columns of the pictures; the memory is made for this size. Multiples of two to the power of levels - 1.
     pub size: [usize; 2],
     /// Channels of each level, finest first.
     pub channels: Vec<usize>,
@@ -33,10 +32,8 @@ pub struct UNetConfig {
     pub groups: usize,
     /// Amplification of the high-pass channels, 0 for none (see [`front_end`]).
     pub high_pass_gain: f32,
-    /// Learned positional features at the coarsest level. They let the network
-    /// know the hidden picture by heart; without them more of it must come from
-    /// the carrier.
-    pub positional: bool,
+    /// What it may know of the hidden pictures by heart.
+    pub memory: Memory,
     /// Multiplies the output by 1 - p(unmarked), so that unmarked means empty.
     pub gated: bool,
 }
@@ -50,10 +47,28 @@ impl Default for UNetConfig {
             channels: vec![8, 16, 32, 48],
             groups: 4,
             high_pass_gain: 30.0,
-            positional: true,
+            memory: Memory::PerClass,
             gated: true,
         }
     }
+}
+
+/// What a detector may know of the hidden pictures by heart, in learned features
+/// of its own that depend on the place in the picture. A faint mark on a scene
+/// seen from anywhere carries tens of bits (method papers of 2023 to 2025 report
+/// 32 to 48), a picture of 128 x 128 some hundred thousand: whatever the network,
+/// most of a recovered picture comes out of it, and the render's part is to say
+/// whose it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Memory {
+    /// Nothing: all of it must come from the render.
+    None,
+    /// Features at the coarsest level, shared by all classes.
+    Coarsest,
+    /// A picture a class, which what is seen in the render is added to.
+    #[default]
+    PerClass,
 }
 
 /// Pictures and class probabilities to hidden pictures.
@@ -64,7 +79,8 @@ pub struct UNet {
     /// Finest first: what enters a level, and what works in it.
     down: Vec<Vec<ConvBlock>>,
     film: Linear,
-    positional: Option<Tensor>,
+    /// 1 x C x H x W at the coarsest level, or M x (outputs H W).
+    memory: Option<Tensor>,
     /// Coarsest first: to the next finer level's channels, and after the skip.
     up: Vec<[ConvBlock; 2]>,
     out: (Tensor, Tensor),
@@ -87,16 +103,21 @@ impl UNet {
         let down = down_blocks(config, classes, &mut scope)?;
         let (&finest, &coarsest) = (&config.channels[0], &config.channels[config.channels.len() - 1]);
         let film = Linear::new(&mut scope.sub("film"), classes, 2 * coarsest, Init::Uniform(0.1))?;
-        let positional = if config.positional {
-            let [h, w] = config.size;
-            Some(scope.get("positional", &[1, coarsest, h / factor, w / factor], Init::Uniform(0.1))?)
-        } else {
-            None
+        let [h, w] = config.size;
+        let memory = match config.memory {
+            Memory::None => None,
+            Memory::Coarsest => {
+                Some(scope.get("positional", &[1, coarsest, h / factor, w / factor], Init::Uniform(0.1))?)
+            }
+            Memory::PerClass if classes == 1 => None,
+            Memory::PerClass => {
+                Some(scope.get("memory", &[classes - 1, config.outputs * h * w], Init::Constant(0.0))?)
+            }
         };
         let up = up_blocks(config, &mut scope)?;
         let weight = scope.get("out.weight", &[config.outputs, finest, 3, 3], Init::He { fan_in: finest * 9 * 4 })?;
         let out = (weight, scope.get("out.bias", &[config.outputs], Init::Constant(0.0))?);
-        Ok(Self { config: config.clone(), classes, down, film, positional, up, out })
+        Ok(Self { config: config.clone(), classes, down, film, memory, up, out })
     }
 
     /// M + 1.
@@ -131,7 +152,11 @@ impl UNet {
             }
             x = merge.forward(&x)?;
         }
-        let raw = conv2d(&x, &self.out.0, Some(&self.out.1), Window::square(1, 1))?;
+        let mut raw = conv2d(&x, &self.out.0, Some(&self.out.1), Window::square(1, 1))?;
+        if let (Memory::PerClass, Some(memory)) = (self.config.memory, &self.memory) {
+            let known = probabilities.narrow(1, 1, self.classes - 1)?.contiguous()?.matmul(memory)?;
+            raw = (known.reshape(raw.shape())? + raw)?;
+        }
         if !self.config.gated {
             return Ok(raw);
         }
@@ -145,17 +170,17 @@ impl UNet {
         let film = self.film.forward(probabilities)?.reshape((n, 2 * c, 1, 1))?;
         let scale = film.narrow(1, 0, c)?.affine(1.0, 1.0)?;
         let x = x.broadcast_mul(&scale)?.broadcast_add(&film.narrow(1, c, c)?)?;
-        Ok(match &self.positional {
-            Some(place) => x.broadcast_add(place)?,
-            None => x,
+        Ok(match (self.config.memory, &self.memory) {
+            (Memory::Coarsest, Some(place)) => x.broadcast_add(place)?,
+            _ => x,
         })
     }
 
     fn check_inputs(&self, images: &Tensor, probabilities: &Tensor) -> Result<()> {
         let network = "the detector";
         check_image(network, images, self.config.inputs, 1 << (self.down.len() - 1))?;
-        if self.positional.is_some() && images.dims()[2..] != self.config.size {
-            let expected = format!("pictures of {:?} pixels, the size of its positional features", self.config.size);
+        if self.memory.is_some() && images.dims()[2..] != self.config.size {
+            let expected = format!("pictures of {:?} pixels, the size of its memory", self.config.size);
             return Err(NnError::Input { network, expected, got: images.dims().to_vec() });
         }
         if probabilities.dims() != [images.dims()[0], self.classes] {

@@ -6,7 +6,7 @@ use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, virtual_views};
 use crate::trainer::MarkPlan;
-use cairn_capture::Picture;
+use cairn_capture::AreaFilter;
 use cairn_field::operator::{LinearView, MarkableField};
 use cairn_field::{Appearance, Field};
 use rand::{RngExt, SeedableRng};
@@ -29,7 +29,9 @@ pub(crate) struct Bank {
     pub(crate) views: Vec<BankView>,
     /// Views of each identity, from 0.
     of: Vec<Vec<usize>>,
-    pub(crate) negatives: Negatives,
+    /// Views of nobody's cluster, to be silent on; without entries for marks.
+    outside: Vec<BankView>,
+    negatives: Negatives,
     /// Virtual views kept for judging: identity (from 0) and view.
     pub(crate) judged: Vec<(usize, BankView)>,
     /// Unmarked pictures kept for judging, at the networks' size.
@@ -68,18 +70,42 @@ impl Bank {
             of.push((first..views.len()).collect());
             judged.extend(held.into_iter().map(|v| (cluster.identity as usize - 1, prepared(v))));
         }
-        let outside: Vec<Vec<f32>> = small
-            .iter()
-            .filter(|v| identity_of(v).is_none())
-            .map(|v| shrunk(&field.render(&v.camera, &v.appearance), side))
-            .collect();
-        // Every fifth picture judges and does not teach.
-        let (mut teach, mut judge) = (Vec::new(), Vec::new());
-        let photographs = plan.negatives.iter().map(|p: &Picture| shrunk(p, side));
-        for (i, picture) in outside.into_iter().chain(photographs).enumerate() {
-            if i % 5 == 4 && judge.len() < 8 * JUDGED { judge.push(picture) } else { teach.push(picture) }
+        // Every fifth unmarked picture judges and does not teach.
+        let (mut outside, mut teach, mut judge) = (Vec::new(), Vec::new(), Vec::new());
+        let kept_to_judge = |i: usize, judge: &Vec<_>, most: usize| i % 5 == 4 && judge.len() < most;
+        for (i, v) in small.iter().filter(|v| identity_of(v).is_none()).enumerate() {
+            if kept_to_judge(i, &judge, 4 * JUDGED) {
+                judge.push(shrunk(&field.render(&v.camera, &v.appearance), side));
+            } else {
+                let linear = field.view(&v.camera, f32::INFINITY);
+                outside.push(BankView { linear, appearance: v.appearance.clone() });
+            }
         }
-        Ok(Self { views, of, negatives: Negatives::new(side, teach.into_iter()), judged, judged_unmarked: judge })
+        for (i, photograph) in plan.negatives.iter().enumerate() {
+            let list = if kept_to_judge(i, &judge, 8 * JUDGED) { &mut judge } else { &mut teach };
+            list.push(shrunk(photograph, side));
+        }
+        Ok(Self {
+            views,
+            of,
+            outside,
+            negatives: Negatives::new(side, teach.into_iter()),
+            judged,
+            judged_unmarked: judge,
+        })
+    }
+
+    /// An unmarked picture: as often the base field's render of any view in any
+    /// light as a picture of something else.
+    pub(crate) fn unmarked(&self, side: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        if rng.random_range(0..2) == 0 {
+            return self.negatives.draw(rng);
+        }
+        let at = rng.random_range(0..self.views.len() + self.outside.len());
+        let view = self.views.get(at).unwrap_or_else(|| &self.outside[at - self.views.len()]);
+        let mut base = view.linear.base(&self.mixed(&view.appearance, rng));
+        base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+        AreaFilter::new([view.linear.width(), view.linear.height()], [side, side]).apply(&base)
     }
 
     /// A view of `identity` (from 0).
@@ -88,10 +114,14 @@ impl Bank {
         of[rng.random_range(0..of.len())]
     }
 
-    /// Mostly the view's own appearance, at times half-way to another's: marks
-    /// must outlast a change of light.
+    /// The appearance to show a view in.
     pub(crate) fn appearance(&self, view: usize, rng: &mut ChaCha8Rng) -> Appearance {
-        let own = &self.views[view].appearance;
+        self.mixed(&self.views[view].appearance, rng)
+    }
+
+    /// As often a view's own appearance as one on the way to another's: marks
+    /// must outlast a change of light, and unmarked pictures come in any.
+    fn mixed(&self, own: &Appearance, rng: &mut ChaCha8Rng) -> Appearance {
         let (other, share) = (rng.random_range(0..self.views.len()), rng.random_range(-1.0f32..1.0));
         if share <= 0.0 { own.clone() } else { own.mixed(&self.views[other].appearance, share) }
     }

@@ -64,6 +64,10 @@ pub struct MarkConfig {
     /// How pictures are compared (equation 4). An absolute error pulls just as
     /// hard on a faint mark as on a strong one and wipes it out; a squared one lets go.
     pub picture_loss: LossKind,
+    /// Whether recovery's gradient moves the mark as well (the paper's), or only
+    /// classification's. A detector that knows the pictures by heart asks nothing of
+    /// the mark but the class, and its gradient is then noise that wears marks off.
+    pub recover_moves_marks: bool,
     /// Where marks live.
     pub carrier: CarrierKind,
     /// What weighs updates.
@@ -108,12 +112,13 @@ impl Default for MarkConfig {
         Self {
             steps: 1400,
             batch: 3,
-            weight_classify: 0.1,
+            weight_classify: 1.0,
             weight_recover: 1.0,
             weight_empty: 1.0,
             weight_picture: 1.0,
             loss: LossKind::Absolute,
             picture_loss: LossKind::Squared,
+            recover_moves_marks: false,
             carrier: CarrierKind::PerCluster,
             mask: MaskKind::PerWeight,
             mask_alpha: 3.0,

@@ -164,7 +164,7 @@ impl MarkTrainer {
         let (mut pictures, twins, marked) = self.marked_renders(&mut rng);
         pictures.extend(twins);
         for _ in 0..marked.len().div_ceil(2) {
-            let mut other = self.bank.negatives.draw(&mut rng);
+            let mut other = self.bank.unmarked(self.config.side_px(), &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
         }
@@ -225,6 +225,13 @@ impl MarkTrainer {
         self.config.budget_start_db + (self.config.budget_db - self.config.budget_start_db) * share
     }
 
+    /// How surely marks are read, 0 to 1: the cross-entropy's distance below
+    /// `classify_until`. 0 until the detector has joined.
+    fn ease(&self) -> f32 {
+        let below = 1.0 - self.classify / self.config.classify_until.max(1e-9);
+        if self.joined { below.clamp(0.0, 1.0) as f32 } else { 0.0 }
+    }
+
     /// Which carrier identity `i` (from 0) is in.
     pub(crate) fn carrier_of(&self, i: usize) -> usize {
         i % self.carriers.len()
@@ -283,7 +290,8 @@ impl MarkTrainer {
         // silences most unmarked pictures by itself: one twin and one other
         // picture a step suffice, and the detector is the costly network.
         let told = softmax(&logits)?.detach();
-        let (first, last) = (images.narrow(0, 0, n + 1)?, images.narrow(0, n + unmarked - 1, 1)?);
+        let shown = if self.config.recover_moves_marks { images.as_tensor().clone() } else { images.detach() };
+        let (first, last) = (shown.narrow(0, 0, n + 1)?, shown.narrow(0, n + unmarked - 1, 1)?);
         let seen = Tensor::cat(&[&first, &last], 0)?;
         let told = Tensor::cat(&[&told.narrow(0, 0, n + 1)?, &told.narrow(0, n + unmarked - 1, 1)?], 0)?;
         let hidden = self.networks.detector.forward(&seen, &told)?;
@@ -308,11 +316,12 @@ impl MarkTrainer {
         let mut worst = vec![0.0f64; self.carriers.len()];
         let mut used = vec![false; self.carriers.len()];
         let mut mean = 0.0;
+        // A mark may fade only as far as it is read with ease.
+        let ease = self.ease();
         for (i, m) in marked.iter().enumerate() {
             let small = interleaved(&slopes.get(i)?.flatten_all()?.to_vec1::<f32>()?);
             let mut slope = m.filter.transpose(&small);
-            // Until the classifier has found the marks nothing may fade them.
-            let keep = if self.joined { self.config.weight_picture as f32 / m.change.len() as f32 } else { 0.0 };
+            let keep = ease * self.config.weight_picture as f32 / m.change.len() as f32;
             for ((s, change), inside) in slope.iter_mut().zip(&m.change).zip(&m.inside) {
                 let own = match self.config.picture_loss {
                     LossKind::Absolute => change.signum() * f32::from(*change != 0.0),
@@ -332,13 +341,13 @@ impl MarkTrainer {
         let how = Move {
             mask: &self.mask,
             rate: self.config.learning_rate_carrier as f32 * decay,
-            pull: if self.joined { self.config.pull as f32 } else { 0.0 },
+            pull: ease * self.config.pull as f32,
         };
         let allowed = 10f64.powf(-self.budget_now_db() / 10.0);
         for (i, carrier) in self.carriers.iter_mut().enumerate().filter(|(i, _)| used[*i]) {
             carrier.step(&how)?;
-            // While the classifier trains alone, marks are held at the budget.
-            if worst[i] > allowed || (!self.joined && worst[i] > 0.0) {
+            // Until they are read with ease, marks are held at the budget.
+            if worst[i] > allowed || (ease < 0.5 && worst[i] > 0.0) {
                 carrier.scale((allowed / worst[i]).sqrt() as f32);
             }
         }

@@ -57,9 +57,14 @@ def main():
         blur = F.conv2d(F.pad(x, (2, 2, 2, 2), mode="replicate").reshape(n * c, 1, h + 4, w + 4),
                         torch.outer(line, line)[None, None]).reshape(x.shape)
         high = 10 * (x - blur)
+        if c == 3:
+            a = torch.tensor([[1.0, 1, 1], [1, -1, 0], [1, 1, -2]], dtype=torch.float64)
+            a = a / a.norm(dim=1, keepdim=True) * torch.tensor([[1.0], [4], [4]], dtype=torch.float64)
+            high = torch.einsum("kc,nchw->nkhw", a, high)
         return torch.cat([x, high / (1 + high.abs()), classes[:, :, None, None].expand(-1, -1, h, w)], 1)
 
-    cases.append(entry("front_end", [10], [[2, 2, 5, 4], [2, 3]], front))
+    for channels in (2, 3):
+        cases.append(entry("front_end", [10], [[2, channels, 5, 4], [2, 3]], front))
     print("[" + ",\n".join(json.dumps(case) for case in cases) + "]")
 
 
