@@ -83,6 +83,73 @@ pub fn gather<T: Real>(
     limits: Thresholds,
     tape: &mut Vec<Kept<T>>,
 ) -> Gathered<T> {
+    let corners = grid.corners();
+    let end = record(grid, path, offset, limits, tape);
+    let mut sum = Gathered { end, ..Gathered::default() };
+    for kept in tape.iter_mut() {
+        kept.colour = grid.colour_at(kept.cell as usize, &trilinear(kept.frac), &corners, basis);
+        sum.add(kept, kept.weight, kept.colour.map(|c| kept.weight * c));
+    }
+    sum
+}
+
+/// As [`gather`], for pictures: the samples of a run in one cell look its corners
+/// up together, and the tape's colours stay zero.
+#[inline]
+pub fn see<T: Real>(
+    grid: &Grid<T>,
+    path: &RayPath,
+    basis: &[T; SH],
+    limits: Thresholds,
+    tape: &mut Vec<Kept<T>>,
+) -> Gathered<T> {
+    let corners = grid.corners();
+    let end = record(grid, path, 0.5, limits, tape);
+    let mut sum = Gathered { end, ..Gathered::default() };
+    for run in runs(tape) {
+        let shares = corner_shares(run);
+        let light = grid.colour_at(run[0].cell as usize, &shares, &corners, basis);
+        sum.add(&run[0], T::zero(), light);
+        for kept in run {
+            sum.add(kept, kept.weight, [T::zero(); 3]);
+        }
+    }
+    sum
+}
+
+/// The tape's runs of samples in one cell and one part of space.
+pub fn runs<T: Real>(tape: &[Kept<T>]) -> impl Iterator<Item = &[Kept<T>]> {
+    tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far)
+}
+
+/// What each corner of a run's cell weighs in the pixel.
+pub fn corner_shares<T: Real>(run: &[Kept<T>]) -> [T; 8] {
+    let mut shares = [T::zero(); 8];
+    for kept in run {
+        for (share, corner) in shares.iter_mut().zip(trilinear(kept.frac)) {
+            *share += corner * kept.weight;
+        }
+    }
+    shares
+}
+
+impl<T: Real> Gathered<T> {
+    /// Adds a sample's weight and light to its part of space.
+    #[inline(always)]
+    fn add(&mut self, kept: &Kept<T>, weight: T, light: [T; 3]) {
+        let (part, sum) =
+            if kept.far { (&mut self.far, &mut self.far_weight) } else { (&mut self.near, &mut self.near_weight) };
+        *sum += weight;
+        for c in 0..3 {
+            part[c] += light[c];
+        }
+        self.along += weight * kept.along;
+    }
+}
+
+/// Marches one ray onto `tape`, colours left zero; returns the transmittance at its end.
+#[inline(always)]
+fn record<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, limits: Thresholds, tape: &mut Vec<Kept<T>>) -> T {
     tape.clear();
     let corners = grid.corners();
     let scale = T::of(DENSITY_SCALE);
@@ -117,18 +184,7 @@ pub fn gather<T: Real>(
         });
         t > stop
     });
-    let mut sum = Gathered { end: t, ..Gathered::default() };
-    for kept in tape.iter_mut() {
-        kept.colour = grid.colour_at(kept.cell as usize, &trilinear(kept.frac), &corners, basis);
-        let (part, weight) =
-            if kept.far { (&mut sum.far, &mut sum.far_weight) } else { (&mut sum.near, &mut sum.near_weight) };
-        *weight += kept.weight;
-        for c in 0..3 {
-            part[c] += kept.weight * kept.colour[c];
-        }
-        sum.along += kept.weight * kept.along;
-    }
-    sum
+    t
 }
 
 /// What one sample owes the grid: gradients at a point, to be spread over its

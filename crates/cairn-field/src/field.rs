@@ -1,7 +1,7 @@
 //! A trained base field: what it renders, and how it is stored.
 
 use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Gathered, Kept, Thresholds, gather};
+use crate::composite::{Gathered, Kept, Thresholds, see};
 use crate::error::FieldError;
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
@@ -102,7 +102,7 @@ impl Field {
             .with_min_len(64)
             .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
                 let (path, basis) = lens.ray(camera, &self.frame, at);
-                (gather(&self.grid, &path, &basis, 0.5, limits, tape), basis)
+                (see(&self.grid, &path, &basis, limits, tape), basis)
             })
             .collect()
     }

@@ -7,9 +7,8 @@
 //! and its transpose is all the rendering that stage 2 does.
 
 use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Kept, Thresholds, gather};
+use crate::composite::{Kept, Thresholds, corner_shares, runs, see};
 use crate::field::Field;
-use crate::grid::trilinear;
 use crate::rays::Lens;
 use crate::sh::{SH, SH_DC};
 use cairn_capture::Camera;
@@ -97,16 +96,11 @@ impl MarkableField for Field {
             .with_min_len(64)
             .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
                 let (path, basis) = lens.ray(camera, &self.frame, at);
-                let gathered = gather(&self.grid, &path, &basis, 0.5, Thresholds::SHOWN, tape);
+                let gathered = see(&self.grid, &path, &basis, Thresholds::SHOWN, tape);
                 let mut entries = Vec::new();
                 // Neighbouring samples mostly share a cell: their weights on its corners add up.
-                for run in tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far) {
-                    let mut shares = [0.0f32; 8];
-                    for kept in run {
-                        for (share, corner) in shares.iter_mut().zip(trilinear(kept.frac)) {
-                            *share += corner * kept.weight;
-                        }
-                    }
+                for run in runs(tape) {
+                    let shares = corner_shares(run);
                     let (cell, flag) = (run[0].cell as usize, if run[0].far { FAR } else { 0 });
                     for (share, corner) in shares.iter().zip(corners) {
                         let row = self.grid.index[cell + corner];

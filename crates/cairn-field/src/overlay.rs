@@ -2,9 +2,8 @@
 //! the exact traversal of the field and without a copy of its grid.
 
 use crate::appearance::Appearance;
-use crate::composite::{Kept, Thresholds, gather};
+use crate::composite::{Kept, Thresholds, corner_shares, runs, see};
 use crate::field::Field;
-use crate::grid::trilinear;
 use crate::operator::CarrierBasis;
 use crate::rays::Lens;
 use crate::sh::SH;
@@ -33,15 +32,15 @@ impl Field {
             .with_min_len(64)
             .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
                 let (path, angles) = lens.ray(camera, &self.frame, at);
-                let gathered = gather(&self.grid, &path, &angles, 0.5, Thresholds::SHOWN, tape);
+                let gathered = see(&self.grid, &path, &angles, Thresholds::SHOWN, tape);
                 let mut sums = [[0.0f32; 3]; 2];
-                for kept in tape.iter() {
-                    let sum = &mut sums[usize::from(kept.far)];
-                    for (corner, share) in corners.iter().zip(trilinear(kept.frac)) {
-                        let row = self.grid.index[kept.cell as usize + corner] as usize;
+                for run in runs(tape) {
+                    let sum = &mut sums[usize::from(run[0].far)];
+                    for (corner, share) in corners.iter().zip(corner_shares(run)) {
+                        let row = self.grid.index[run[0].cell as usize + corner] as usize;
                         let colour = carrier_colour(carrier, row, basis, &angles);
                         for k in 0..3 {
-                            sum[k] += kept.weight * share * colour[k];
+                            sum[k] += share * colour[k];
                         }
                     }
                 }

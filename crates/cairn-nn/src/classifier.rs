@@ -50,7 +50,6 @@ pub struct Classifier {
 /// Numbers between the two linear layers.
 const HIDDEN: usize = 32;
 
-
 impl Classifier {
     /// A classifier of `classes` = M + 1 classes, class 0 unmarked, with its
     /// parameters in `scope`.

@@ -6,7 +6,7 @@ use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, virtual_views};
 use crate::trainer::MarkPlan;
-use cairn_capture::AreaFilter;
+use crate::window::Window;
 use cairn_field::operator::{LinearView, MarkableField};
 use cairn_field::{Appearance, Field};
 use rand::{RngExt, SeedableRng};
@@ -105,7 +105,7 @@ impl Bank {
         let view = self.views.get(at).unwrap_or_else(|| &self.outside[at - self.views.len()]);
         let mut base = view.linear.base(&self.mixed(&view.appearance, rng));
         base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-        AreaFilter::new([view.linear.width(), view.linear.height()], [side, side]).apply(&base)
+        Window::draw(view.linear.width(), view.linear.height(), side, rng).apply(&base)
     }
 
     /// A view of `identity` (from 0).

@@ -20,6 +20,7 @@ mod negatives;
 mod networks;
 mod poses;
 mod trainer;
+mod window;
 
 pub use carrier::Carrier;
 pub use config::{CarrierKind, LossKind, MarkConfig, MaskKind};

@@ -16,7 +16,8 @@ use crate::marked::MarkedField;
 use crate::mask::gradient_mask;
 use crate::networks::{Networks, interleaved, planar};
 use crate::poses::PlannedView;
-use cairn_capture::{AreaFilter, Picture};
+use crate::window::Window;
+use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_field::operator::CarrierBasis;
 use cairn_field::{Appearance, Field};
@@ -88,7 +89,7 @@ struct Marked {
     change: Vec<f32>,
     /// Whether each number is inside [0, 1], where a gradient passes.
     inside: Vec<bool>,
-    filter: AreaFilter,
+    window: Window,
     gain: f32,
 }
 
@@ -260,15 +261,15 @@ impl MarkTrainer {
             let change = picture.iter().zip(&base).map(|(a, b)| a - b).collect();
             let inside = picture.iter().map(|v| (0.0..=1.0).contains(v)).collect();
             picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-            let filter = AreaFilter::new([entry.linear.width(), entry.linear.height()], [side, side]);
+            let window = Window::draw(entry.linear.width(), entry.linear.height(), side, rng);
             base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
             let tone = Tone::draw(rng);
             for (list, full) in [(&mut pictures, &picture), (&mut twins, &base)] {
-                let mut seen = filter.apply(full);
+                let mut seen = window.apply(full);
                 tone.apply(&mut seen);
                 list.push(seen);
             }
-            all.push(Marked { identity, view, appearance, change, inside, filter, gain: tone.gain });
+            all.push(Marked { identity, view, appearance, change, inside, window, gain: tone.gain });
         }
         (pictures, twins, all)
     }
@@ -320,7 +321,7 @@ impl MarkTrainer {
         let ease = self.ease();
         for (i, m) in marked.iter().enumerate() {
             let small = interleaved(&slopes.get(i)?.flatten_all()?.to_vec1::<f32>()?);
-            let mut slope = m.filter.transpose(&small);
+            let mut slope = m.window.transpose(&small);
             let keep = ease * self.config.weight_picture as f32 / m.change.len() as f32;
             for ((s, change), inside) in slope.iter_mut().zip(&m.change).zip(&m.inside) {
                 let own = match self.config.picture_loss {
