@@ -55,8 +55,8 @@ fn cell_of<T: Real>(grid: &Grid<T>, p: [T; 3]) -> ([usize; 3], [T; 3]) {
     for k in 0..3 {
         // Rounding may leave the cube by an ulp; the clamp keeps it inside.
         let v = p[k].max(T::zero());
-        cell[k] = v.to_usize().unwrap_or(0).min(grid.dims[k] - 2);
-        frac[k] = (v - T::from(cell[k]).unwrap_or_else(T::zero)).min(T::one());
+        cell[k] = v.whole().min(grid.dims[k] - 2);
+        frac[k] = (v - T::of(cell[k] as f64)).min(T::one());
     }
     (cell, frac)
 }
@@ -72,7 +72,7 @@ fn steps_in_block<T: Real>(p: [T; 3], velocity: [T; 3], cell: [usize; 3]) -> usi
     let side = Grid::<T>::block_side();
     let mut least = T::of(1e6);
     for k in 0..3 {
-        let low = T::from(cell[k] / side * side).unwrap_or_else(T::zero);
+        let low = T::of((cell[k] / side * side) as f64);
         let high = low + T::of(side as f64);
         let v = velocity[k];
         if v > T::of(1e-6) {
@@ -81,7 +81,7 @@ fn steps_in_block<T: Real>(p: [T; 3], velocity: [T; 3], cell: [usize; 3]) -> usi
             least = least.min((low - p[k]) / v);
         }
     }
-    least.ceil().to_usize().unwrap_or(1).max(1)
+    least.ceil().whole().max(1)
 }
 
 #[inline(always)]
@@ -99,10 +99,23 @@ fn straight<T: Real>(
     let count = ((end - start) / dt).floor() as usize;
     let first: [T; 3] = std::array::from_fn(|k| T::of((origin[k] + direction[k] * (start + offset * dt)) * scale[k]));
     let velocity: [T; 3] = std::array::from_fn(|k| T::of(direction[k] * dt * scale[k]));
-    let length = T::of(step_length(grid, step));
+    lattice(grid, (first, velocity), count, (T::zero(), T::of(step_length(grid, step))), &mut visit);
+}
+
+/// Visits the occupied ones of `count` points `first + i velocity` (voxels), each
+/// standing for `length`, the first `along` from the start. False once `visit`
+/// wants no more.
+#[inline(always)]
+fn lattice<T: Real>(
+    grid: &Grid<T>,
+    (first, velocity): ([T; 3], [T; 3]),
+    count: usize,
+    (along, length): (T, T),
+    visit: &mut impl FnMut(&Sample<T>) -> bool,
+) -> bool {
     let mut i = 0;
     while i < count {
-        let n = T::from(i).unwrap_or_else(T::zero);
+        let n = T::of(i as f64);
         let p: [T; 3] = std::array::from_fn(|k| first[k] + velocity[k] * n);
         let (cell, frac) = cell_of(grid, p);
         if !grid.block_occupied(cell[0], cell[1], cell[2]) {
@@ -111,10 +124,14 @@ fn straight<T: Real>(
         }
         i += 1;
         let at = linear(grid, cell);
-        if grid.cell_occupied(at) && !visit(&Sample { cell: at as u32, frac, length, along: n * length, far: false }) {
-            return;
+        if !grid.cell_occupied(at) {
+            continue;
+        }
+        if !visit(&Sample { cell: at as u32, frac, length, along: along + n * length, far: false }) {
+            return false;
         }
     }
+    true
 }
 
 #[inline(always)]
@@ -151,6 +168,27 @@ fn contracted<T: Real>(
             return;
         }
         let inside = n <= one;
+        if inside {
+            // Space is straight here, and steps are cheap up to the inner box's end.
+            let mut room = T::of(1e6);
+            for k in 0..3 {
+                if d[k] != T::zero() {
+                    let end = if d[k] > T::zero() { one } else { -one };
+                    room = room.min((end - x[k]) / (d[k] * inner_dt) - offset);
+                }
+            }
+            if room >= T::zero() {
+                let count = room.whole() + 1;
+                let first = std::array::from_fn(|k| (x[k] + d[k] * inner_dt * offset + two) * quarter[k]);
+                if !lattice(grid, (first, inner_velocity), count, (along, near_length), &mut visit) {
+                    return;
+                }
+                let count = T::of(count as f64);
+                t += inner_dt * count;
+                along += near_length * count;
+                continue;
+            }
+        }
         let (dt, length) = if inside {
             (inner_dt, near_length)
         } else {
@@ -165,24 +203,6 @@ fn contracted<T: Real>(
         let s = if n > one { (two - n.recip()) * n.recip() } else { one };
         let p: [T; 3] = std::array::from_fn(|k| (x[k] * s + two) * quarter[k]);
         let (cell, frac) = cell_of(grid, p);
-        if !grid.block_occupied(cell[0], cell[1], cell[2]) {
-            let mut steps = 1;
-            if inside {
-                // Space is straight here: jump to the block's end or the inner box's.
-                steps = steps_in_block(p, inner_velocity, cell);
-                for k in 0..3 {
-                    let room = (if d[k] > T::zero() { one - x[k] } else { -one - x[k] }) / (d[k] * inner_dt);
-                    if d[k] != T::zero() {
-                        steps = steps.min(room.to_usize().unwrap_or(0));
-                    }
-                }
-                steps = steps.max(1);
-            }
-            let steps = T::from(steps).unwrap_or(one);
-            t += dt * steps;
-            along += length * steps;
-            continue;
-        }
         let at = linear(grid, cell);
         if grid.cell_occupied(at) && !visit(&Sample { cell: at as u32, frac, length, along, far: n > one }) {
             return;

@@ -7,6 +7,8 @@ pub trait Real: num_traits::Float + num_traits::NumAssign + Default + Send + Syn
     fn of(value: f64) -> Self;
     /// As `f64`.
     fn wide(self) -> f64;
+    /// The whole part of a number not below zero; 0 for those and for not-a-number.
+    fn whole(self) -> usize;
 }
 
 impl Real for f32 {
@@ -18,6 +20,11 @@ impl Real for f32 {
     fn wide(self) -> f64 {
         f64::from(self)
     }
+    #[inline(always)]
+    fn whole(self) -> usize {
+        // By way of i32, one instruction; lattices are far smaller than that.
+        (self as i32).max(0) as usize
+    }
 }
 
 impl Real for f64 {
@@ -28,6 +35,10 @@ impl Real for f64 {
     #[inline(always)]
     fn wide(self) -> f64 {
         self
+    }
+    #[inline(always)]
+    fn whole(self) -> usize {
+        self as usize
     }
 }
 

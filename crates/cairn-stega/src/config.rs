@@ -49,7 +49,7 @@ pub struct MarkConfig {
     /// recovery on virtual poses has converged.
     pub steps: u64,
     /// Marked renders a step, 1 to 64; each goes with the base field's render of
-    /// the same view and with half an unmarked picture of anything.
+    /// the same view and with an unmarked picture of anything.
     pub batch: usize,
     /// l0, weight of the classification (equation 3).
     pub weight_classify: f64,

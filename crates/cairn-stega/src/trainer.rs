@@ -164,7 +164,7 @@ impl MarkTrainer {
         rng.set_stream((1 << 32) + self.step);
         let (mut pictures, twins, marked) = self.marked_renders(&mut rng);
         pictures.extend(twins);
-        for _ in 0..marked.len().div_ceil(2) {
+        for _ in 0..marked.len() {
             let mut other = self.bank.unmarked(self.config.side_px(), &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
