@@ -2,6 +2,7 @@
 
 use crate::config::MarkConfig;
 use crate::error::MarkError;
+use crate::judge::winner;
 use cairn_nn::{Classifier, Params, UNet, softmax};
 use candle_core::{Device, Tensor};
 
@@ -38,20 +39,19 @@ impl Networks {
         forced: Option<usize>,
     ) -> Result<Vec<Reading>, MarkError> {
         let images = to_tensor(pictures, side)?;
-        let probabilities = softmax(&self.classifier.forward(&images)?)?.detach();
-        let told = match forced {
-            None => probabilities.clone(),
-            Some(class) => {
-                let classes = self.classifier.classes();
-                let row: Vec<f32> = (0..classes).map(|k| if k == class { 1.0 } else { 0.0 }).collect();
-                Tensor::from_vec(row.repeat(pictures.len()), (pictures.len(), classes), &Device::Cpu)?
-            }
-        };
+        let probabilities = softmax(&self.classifier.forward(&images)?)?;
+        let probabilities = probabilities.to_vec2::<f32>()?;
+        // The detector is told the decision, not its odds: half an owner's picture is nobody's.
+        let told = probabilities.iter().flat_map(|p| {
+            let class = forced.unwrap_or_else(|| winner(p));
+            (0..p.len()).map(move |k| if k == class { 1.0f32 } else { 0.0 })
+        });
+        let told = Tensor::from_vec(told.collect(), (pictures.len(), self.classifier.classes()), &Device::Cpu)?;
         let hidden = self.detector.forward(&images, &told)?;
         let mut out = Vec::with_capacity(pictures.len());
-        for i in 0..pictures.len() {
+        for (i, probabilities) in probabilities.into_iter().enumerate() {
             let flat = hidden.get(i)?.flatten_all()?.to_vec1::<f32>()?;
-            out.push((probabilities.get(i)?.to_vec1::<f32>()?, interleaved(&flat)));
+            out.push((probabilities, interleaved(&flat)));
         }
         Ok(out)
     }
