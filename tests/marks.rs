@@ -63,3 +63,31 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     std::fs::copy(place.path("sheet.png"), place.path("owners/1/signal.png")).unwrap();
     assert_eq!(place.cairn(&verify).status.code(), Some(1));
 }
+
+#[test]
+fn anchors_and_signals_of_ones_own_go_all_the_way() {
+    let place = Place::new();
+    let data = place.text("data");
+    place.import("town", ["--data", &data]);
+    let signals = place.path("signals");
+    std::fs::create_dir(&signals).unwrap();
+    for (name, colour) in [("b.png", [0.0, 1.0, 0.2]), ("a.png", [1.0, 0.0, 0.4])] {
+        let picture = cairn_capture::Picture::constant(40, 40, colour);
+        std::fs::write(signals.join(name), cairn_capture::encode_png(&picture)).unwrap();
+    }
+    let (tiny, signals) = (place.text("tiny.toml"), signals.display().to_string());
+    let train = ["train", "town", "--anchors", "2", "--neighbours", "4", "--signals", &signals];
+    let keys = place.text("owners");
+    place.cairn_ok(&[&train[..], &["--settings", &tiny, "--data", &data, "--keys", &keys]].concat());
+    // In order of file name: a.png is identity 1's. It is hidden at the detector's size.
+    for (number, colour) in [(1, [255, 0, 102]), (2, [0, 255, 51])] {
+        let kept = std::fs::read(place.path(&format!("owners/{number}/signal.png"))).unwrap();
+        let kept = cairn_capture::decode_picture(&kept, &cairn_capture::Limits::default(), None).unwrap();
+        assert_eq!(kept.to_rgb8()[..3], colour, "identity {number}");
+    }
+    // One signal too few is refused before anything is trained.
+    let short = ["train", "town", "--anchors", "3", "--neighbours", "3", "--signals", &signals, "--settings", &tiny];
+    let refused = place.cairn(&[&short[..], &["--data", &data]].concat());
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && said.contains('2') && said.contains('3'), "{said}");
+}

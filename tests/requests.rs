@@ -118,6 +118,40 @@ async fn bad_requests_get_the_right_codes() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn requests_beyond_the_limits_are_refused_by_name() {
+    let place = Place::new();
+    let settings = "[limits]\nmax_message_bytes = 65536\nmax_pixels = 4096\nmax_side_px = 100";
+    let daemon = Daemon::start(&place.path("data"), settings);
+    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let request = v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![0; 70_000].into() };
+    let heavy = detection.detect(request).await.unwrap_err();
+    assert_eq!(heavy.code(), Code::OutOfRange, "{heavy}");
+
+    place.import("town", ["--connect", &daemon.url]);
+    let mut training = TrainingServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let job = training.start(base_only("town", 1, TINY)).await.unwrap().into_inner().job.unwrap();
+    let watch = v1::WatchTrainingRequest { format_version: 1, job_id: job.id };
+    let mut line = training.watch(watch).await.unwrap().into_inner();
+    while line.message().await.unwrap().is_some() {}
+
+    let mut render = RenderServiceClient::connect(daemon.url.clone()).await.unwrap();
+    for (width, height, limit) in [(90, 90, "limits.max_pixels"), (101, 4, "limits.max_side_px")] {
+        let intrinsics = v1::Intrinsics { width, height, fx: 40.0, fy: 40.0, ..v1::Intrinsics::default() };
+        let pose = v1::Pose { rotation: vec![1., 0., 0., 0., 1., 0., 0., 0., 1.], position: vec![0.0; 3] };
+        let camera = v1::Camera { intrinsics: Some(intrinsics), pose: Some(pose) };
+        let request = v1::RenderRequest {
+            format_version: 1,
+            scene: "town".into(),
+            viewpoint: Some(v1::Viewpoint { from: Some(v1::viewpoint::From::Camera(camera)) }),
+            ..v1::RenderRequest::default()
+        };
+        let refused = render.render(request).await.unwrap_err();
+        assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
+        assert!(refused.message().contains(limit), "{refused} does not name {limit}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_import_that_breaks_its_word_leaves_nothing() {
     let place = Place::new();
     let daemon = Daemon::start(&place.path("data"), "[limits]\nmax_photograph_bytes = 2048");
@@ -145,6 +179,11 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
     };
     let points = |xyz| v1::ImportSceneRequest { format_version: 1, part: Some(Part::Points(v1::PointChunk { xyz })) };
     let both = || vec![view("a", 8), view("b", 8)];
+    let wide = {
+        let mut views = both();
+        views[0].camera.as_mut().unwrap().intrinsics.as_mut().unwrap().width = 20_000;
+        views
+    };
     let nan = {
         let mut views = both();
         views[0].camera.as_mut().unwrap().pose.as_mut().unwrap().position[0] = f64::NAN;
@@ -156,6 +195,7 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         (vec![header(vec![view("a", 8), view("a", 8)])], Code::InvalidArgument, "twice"),
         (vec![header(vec![view("a", 8), view("b", 4096)])], Code::InvalidArgument, "limits.max_photograph_bytes"),
         (vec![header(nan)], Code::InvalidArgument, "not finite"),
+        (vec![header(wide)], Code::InvalidArgument, "limits.max_side_px"),
         (vec![header(both())], Code::InvalidArgument, "0 whole photographs"),
         (vec![header(both()), header(both())], Code::InvalidArgument, "no chunk"),
         (vec![header(both()), points(vec![0.0; 4])], Code::InvalidArgument, "multiple of 3"),

@@ -3,6 +3,9 @@
 
 mod common;
 
+use std::io::{BufRead as _, BufReader};
+use std::process::{Command, Stdio};
+
 use cairn_proto::v1::scene_service_client::SceneServiceClient;
 use cairn_proto::v1::training_service_client::TrainingServiceClient;
 use cairn_proto::v1::{self, JobState};
@@ -140,4 +143,34 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
     let list = client.list(v1::ListTrainingRequest { format_version: 1, scene: String::new() }).await.unwrap();
     let states: Vec<JobState> = list.into_inner().jobs.iter().map(v1::Job::state).collect();
     assert_eq!(states, [JobState::Cancelled, JobState::Cancelled]);
+}
+
+#[test]
+fn ctrl_c_cancels_and_keeps_the_checkpoint() {
+    let place = Place::new();
+    let data = place.text("data");
+    place.import("one", ["--data", &data]);
+    let long = place.text("long.toml");
+    std::fs::write(&long, TINY.replace("steps = 40", "steps = 100000")).unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+        .args(["train", "one", "--by-contributor", "--base-only", "--settings", &long, "--data", &data])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    assert!(lines.next().unwrap().unwrap().contains("job-000001 accepted"));
+    // The signal is caught from the moment that the job is watched; one sent before ends
+    // the process, and the wait below would see it.
+    let checkpoint = place.path("data/jobs/job-000001");
+    while std::fs::read_to_string(checkpoint.join("job.json")).is_ok_and(|job| !job.contains("\"running\"")) {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let said: Vec<String> = lines.map(Result::unwrap).collect();
+    assert!(child.wait().unwrap().success());
+    assert!(said.iter().any(|line| line.contains("cancelled; its checkpoint is kept")), "{said:?}");
+    assert!(checkpoint.join("base.checkpoint").exists());
+    assert!(place.cairn_ok(&["jobs", "--data", &data]).contains("cancelled"));
 }

@@ -83,6 +83,7 @@ pub async fn measure(place: &Where, args: &Args) -> anyhow::Result<Results> {
         format!("cannot make the folder {}; the demo wants a new one (--out DIR)", args.out.display())
     })?;
     let mut clock = Clock::default();
+    clock.start();
     let config =
         LandmarkConfig { contributors: args.contributors, photographs: args.photographs, ..LandmarkConfig::default() };
     let capture = args.out.join("capture");

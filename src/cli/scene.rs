@@ -46,7 +46,7 @@ pub struct ImportArgs {
     /// The capture's folder
     #[arg(long, value_name = "DIR")]
     pub from: PathBuf,
-    /// Who took what: a CSV table with the columns image,contributor
+    /// Who took what: a CSV table with the columns image,contributor; looked for here, then in the capture's folder
     #[arg(long, value_name = "CSV")]
     pub contributors: Option<PathBuf>,
     /// How the scene lies around its cameras (guessed where not given)
@@ -147,7 +147,10 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         Kind::Bounded => SceneKind::Bounded,
         Kind::Unbounded => SceneKind::Unbounded,
     });
-    let contributors = args.contributors.clone();
+    let contributors = args.contributors.clone().map(|table| match args.from.join(&table) {
+        beside if !table.exists() && beside.exists() => beside,
+        _ => table,
+    });
     let options = ReadOptions { contributors, kind, hold_every: args.hold_every, ..ReadOptions::default() };
     let capture = Capture::read(&args.from, &options)?;
     let (views, photographs) = prepare(&capture, args)?;

@@ -43,6 +43,7 @@ fn shipped_overlays_are_accepted() {
         ("llff", include_str!("../../configs/llff.toml")),
         ("synthetic", include_str!("../../configs/synthetic.toml")),
         ("wild", include_str!("../../configs/wild.toml")),
+        ("paper", include_str!("../../configs/paper.toml")),
         ("quick", QUICK_TOML),
     ] {
         let settings = training_settings(&base, &[(name, text)]).unwrap();

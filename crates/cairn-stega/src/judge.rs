@@ -35,8 +35,9 @@ impl Judgement {
 impl MarkTrainer {
     /// Judges the present state and keeps it if it is the best so far. The
     /// caller decides when; a run that judges at the same steps gives the same
-    /// bytes. Training counts as converged once everything is answered right and
-    /// the hidden signals reach `enough_ssim`.
+    /// bytes. Training counts as converged once everything is answered right, with
+    /// ease in training too (the few judged poses alone flatter), and the hidden
+    /// signals reach `enough_ssim`.
     ///
     /// # Errors
     /// [`MarkError`] when the networks fail.
@@ -80,7 +81,8 @@ impl MarkTrainer {
                 carriers: self.carriers.iter().map(|c| c.values.clone()).collect(),
             });
         }
-        self.converged |= fair && judgement.accuracy == 1.0 && judgement.hidden_ssim >= self.config.enough_ssim;
+        let easy = self.ease() > 0.8;
+        self.converged |= fair && easy && judgement.accuracy == 1.0 && judgement.hidden_ssim >= self.config.enough_ssim;
         Ok(judgement)
     }
 }

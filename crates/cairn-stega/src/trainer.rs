@@ -228,7 +228,7 @@ impl MarkTrainer {
 
     /// How surely marks are read, 0 to 1: the cross-entropy's distance below
     /// `classify_until`. 0 until the detector has joined.
-    fn ease(&self) -> f32 {
+    pub(crate) fn ease(&self) -> f32 {
         let below = 1.0 - self.classify / self.config.classify_until.max(1e-9);
         if self.joined { below.clamp(0.0, 1.0) as f32 } else { 0.0 }
     }
