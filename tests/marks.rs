@@ -89,5 +89,27 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
     let short = ["train", "town", "--anchors", "3", "--neighbours", "3", "--signals", &signals, "--settings", &tiny];
     let refused = place.cairn(&[&short[..], &["--data", &data]].concat());
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert!(!refused.status.success() && said.contains('2') && said.contains('3'), "{said}");
+    assert!(!refused.status.success() && said.contains("the number of signals") && said.contains('3'), "{said}");
+}
+
+#[test]
+fn the_demo_goes_the_whole_way() {
+    let place = Place::new();
+    let (tiny, out, json) = (place.text("tiny.toml"), place.text("demo"), place.text("demo.json"));
+    let said = place.cairn_ok(&["demo", "--photographs", "6", "--settings", &tiny, "--out", &out, "--json", &json]);
+    for line in ["pictures, base field", "pictures, marked field", "classes, marked and base", "hidden SSIM"] {
+        assert!(said.contains(line), "no line {line:?} in {said}");
+    }
+    for line in ["who contributed, by pose", "photographs unmarked", "owner records trusted      3 of 3 right"] {
+        assert!(said.contains(line), "no line {line:?} in {said}");
+    }
+    let results: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    assert_eq!((results["format_version"].as_u64(), results["seed"].as_u64()), (Some(1), Some(1)));
+    assert_eq!(results["records_trusted"], serde_json::json!({ "right": 3, "asked": 3 }));
+    assert_eq!(results["evaluation"]["mark"]["identities"].as_array().unwrap().len(), 3);
+    assert_eq!(results["seconds"].as_array().unwrap().last().unwrap()[0], "whole demo");
+    // Six tiles a row, each at least 96 px wide.
+    let sheet = std::fs::read(place.path("demo/contact-sheet.png")).unwrap();
+    let sheet = cairn_capture::decode_picture(&sheet, &cairn_capture::Limits::default(), None).unwrap();
+    assert!(sheet.width() >= 6 * 96, "{} px wide", sheet.width());
 }

@@ -188,6 +188,12 @@ fn text_models_name_the_line() {
     refuses(read(folder.path()), &["images.txt", "line 1", "translation", "end of the line"]);
     write("images.txt", "1 1 0 0 0 nan 0 0 1 1.png\n\n");
     refuses(read(folder.path()), &["images.txt", "image 1 (1.png)", "not finite"]);
+    // Without lines of observations every other image would be lost unnoticed.
+    write(
+        "images.txt",
+        &good.lines().filter(|l| l.split(' ').count() >= 10 && !l.starts_with('#')).collect::<Vec<_>>().join("\n"),
+    );
+    refuses(read(folder.path()), &["images.txt", "line 2", "a line of observations"]);
     write("images.txt", &good);
     write("cameras.txt", "1 PINHOLE 64 48 55 57.5 31\n");
     refuses(read(folder.path()), &["cameras.txt", "camera 1", "4 parameters of PINHOLE", "got 3"]);

@@ -40,6 +40,20 @@ impl Reader {
         Ok(None)
     }
 
+    /// The line of observations that follows an image's: X Y POINT3D_ID, any
+    /// number of times. Read and dropped, but looked at: where a file leaves these
+    /// lines out, every other image would be taken for one and lost.
+    fn observations(&mut self) -> Result<(), CaptureError> {
+        let Some(line) = self.any()? else { return Ok(()) };
+        let fields: Vec<&str> = line.split_ascii_whitespace().collect();
+        let numbers = fields.iter().all(|f| f.parse::<f64>().is_ok());
+        if numbers && fields.len().is_multiple_of(3) {
+            return Ok(());
+        }
+        let got: String = line.chars().take(40).collect();
+        Err(self.wrong("a line of observations (it may be empty) after each image's", format!("{got:?}")))
+    }
+
     fn wrong(&self, expected: &str, got: String) -> CaptureError {
         CaptureError::malformed(&self.file, format!("line {}", self.number), expected, got, REMEDY)
     }
@@ -102,7 +116,7 @@ pub(super) fn images(path: &Path, max_views: usize) -> Result<Vec<Image>, Captur
         }
         check_count(path, images.len() as u64 + 1, max_views)?;
         images.push(Image { id, rotation, translation, camera, name });
-        reader.any()?;
+        reader.observations()?;
     }
     Ok(images)
 }
