@@ -5,7 +5,7 @@
 
 /// Version 1 of the contract.
 pub mod v1 {
-    #![allow(missing_docs, clippy::doc_lazy_continuation)]
+    #![allow(missing_docs, clippy::doc_lazy_continuation, clippy::missing_errors_doc)]
     tonic::include_proto!("cairn.v1");
 
     /// All messages and services, encoded as a `FileDescriptorSet`: what
