@@ -8,6 +8,7 @@ use std::path::Path;
 use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_registry::Digest;
+use cairn_registry::record::photographs_root;
 use serde::{Deserialize, Serialize};
 
 use super::error::EngineError;
@@ -68,6 +69,16 @@ pub struct IdentityInfo {
     pub views: Vec<String>,
     /// SHA-256 of its views' photographs, in their order.
     pub photographs: Vec<Digest>,
+    /// Who took the photographs and how many each, most first, then by name; empty in models of before this was kept.
+    #[serde(default)]
+    pub contributors: Vec<(String, usize)>,
+}
+
+impl IdentityInfo {
+    /// Merkle root over the photographs' digests, as owner records bind it.
+    pub fn photographs_root(&self) -> Digest {
+        photographs_root(&self.photographs)
+    }
 }
 
 /// A model's files before they are in their place.
@@ -236,4 +247,19 @@ fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, E
         return Err(EngineError::Stored { path: path.to_path_buf(), problem });
     }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identity_of_before_contributors_were_kept_is_read() {
+        let json = r#"{"number": 1, "label": "anchor-a", "views": ["a"], "photographs": []}"#;
+        let old: IdentityInfo = serde_json::from_str(json).unwrap();
+        assert_eq!(old.contributors, []);
+        let new = IdentityInfo { contributors: vec![("ada".into(), 3)], ..old };
+        let again: IdentityInfo = serde_json::from_str(&serde_json::to_string(&new).unwrap()).unwrap();
+        assert_eq!(again, new);
+    }
 }
