@@ -173,6 +173,37 @@ pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineErr
     read_json(&models.join(scene).join(job).join("model.json")).map(Some)
 }
 
+/// What every model of `scene` says of itself, newest first: trainings leave the models before them in their place.
+///
+/// # Errors
+/// [`EngineError::Stored`] for a damaged `model.json`, and the file system's.
+pub fn all(models: &Path, scene: &str) -> Result<Vec<ModelInfo>, EngineError> {
+    let of_scene = models.join(scene);
+    if !of_scene.exists() {
+        return Ok(Vec::new());
+    }
+    let mut jobs = Vec::new();
+    for entry in std::fs::read_dir(&of_scene).map_err(EngineError::io("list", &of_scene))? {
+        let name = entry.map_err(EngineError::io("list", &of_scene))?.file_name().to_string_lossy().into_owned();
+        // A name with a dot in front is a model that is not whole yet.
+        if !name.starts_with('.') && of_scene.join(&name).join("model.json").exists() {
+            jobs.push(name);
+        }
+    }
+    jobs.sort_unstable_by(|a, b| b.cmp(a));
+    let read = |job: &String| {
+        let path = of_scene.join(job).join("model.json");
+        let info: ModelInfo = read_json(&path)?;
+        // The folder of its other files is found by these names.
+        if (info.scene.as_str(), &info.job) != (scene, job) {
+            let problem = format!("it says that it is of scene {:?} and job {:?}", info.scene, info.job);
+            return Err(EngineError::Stored { path, problem });
+        }
+        Ok(info)
+    };
+    jobs.iter().map(read).collect()
+}
+
 impl Model {
     /// Loads the model that `info` describes; every file is held to its digest.
     pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
