@@ -65,6 +65,46 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
 }
 
 #[test]
+fn a_record_outlives_the_next_training_and_speaks_for_its_own_alone() {
+    let place = Place::new();
+    let (data, tiny) = (place.text("data"), place.text("tiny.toml"));
+    place.import("town", ["--data", &data]);
+    let train = |seed: &str, keys: &str| {
+        let keys = place.text(keys);
+        let train = ["train", "town", "--by-contributor", "--settings", &tiny, "--data", &data, "--seed", seed];
+        place.cairn_ok(&[&train[..], &["--keys", &keys]].concat());
+    };
+    let who = || place.cairn_ok(&["who", "town", "--view", "images/ada_002.png", "--data", &data]);
+    train("1", "first");
+    let before = who();
+    let number = if before.starts_with("identity 1: ada") { 1 } else { 2 };
+    assert!(before.starts_with(&format!("identity {number}: ada ")), "{before}");
+    assert!(before.contains("\nada: photographs by ada (5)\n"), "{before}");
+    assert!(before.ends_with(&format!("\nowner records: {}\n", number - 1)), "{before}");
+
+    // The second training has marks and records of its own; the first one's say nothing about them.
+    train("2", "second");
+    assert!(who().ends_with(&format!("\nowner records: {}\n", number + 1)), "{}", who());
+    for keys in ["first", "second"] {
+        let (bundle, vkey) = (place.text(&format!("{keys}/1")), place.text(&format!("{keys}/1/log.vkey")));
+        let report = place.cairn_ok(&["owners", "verify", &bundle, "--vkey", &vkey, "--against", &data]);
+        assert!(report.starts_with("trusted") && report.contains("marked_field.match"), "{keys}: {report}");
+    }
+
+    // A file that is not there any more cannot have been compared; a marked field that was altered is told from the record's.
+    let (bundle, vkey) = (place.text("first/1"), place.text("first/1/log.vkey"));
+    let verify = ["owners", "verify", &bundle, "--vkey", &vkey, "--against", &data];
+    let field = place.path("data/models/town/job-000001/marked.field");
+    std::fs::write(&field, b"another").unwrap();
+    assert_eq!(place.cairn(&verify).status.code(), Some(1));
+    std::fs::remove_dir_all(field.parent().unwrap()).unwrap();
+    let refused = place.cairn(&verify);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(2), "{said}");
+    assert!(said.contains("of 1 models of scene \"town\" none has the marked field"), "{said}");
+}
+
+#[test]
 fn anchors_and_signals_of_ones_own_go_all_the_way() {
     let place = Place::new();
     let data = place.text("data");
@@ -85,6 +125,15 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
         let kept = cairn_capture::decode_picture(&kept, &cairn_capture::Limits::default(), None).unwrap();
         assert_eq!(kept.to_rgb8()[..3], colour, "identity {number}");
     }
+    // The label names the anchor's view; whose photographs stand behind it is said beside it.
+    let shown = place.cairn_ok(&["scene", "show", "town", "--data", &data]);
+    let label = shown.lines().find_map(|l| l.trim().strip_prefix("identity 1: ")?.split(',').next()).unwrap();
+    let anchor = label.strip_prefix("anchor-").unwrap();
+    let who = place.cairn_ok(&["who", "town", "--view", anchor, "--data", &data]);
+    let by = who.lines().find_map(|l| l.strip_prefix(&format!("{label}: photographs by "))).expect(&who);
+    let counts: Vec<usize> = by.split(", ").map(|c| c.rsplit(['(', ')']).nth(1).unwrap().parse().unwrap()).collect();
+    assert!(counts.is_sorted_by(|a, b| a >= b), "{who}");
+    assert_eq!(counts.iter().sum::<usize>(), 4, "{who}");
     // One signal too few is refused before anything is trained.
     let short = ["train", "town", "--anchors", "3", "--neighbours", "3", "--signals", &signals, "--settings", &tiny];
     let refused = place.cairn(&[&short[..], &["--data", &data]].concat());

@@ -3,7 +3,19 @@
 
 mod common;
 
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use cairn_audit::{Evidence, LogView, Outcome, audit};
+use cairn_proto::v1;
+use cairn_proto::v1::owner_service_client::OwnerServiceClient;
+use cairn_registry::record::{self, Digests, Identity, Seen, random_salt};
+use cairn_registry::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
 use common::{Daemon, Place};
+use tonic::transport::Channel;
 
 #[test]
 fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
@@ -36,6 +48,14 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     assert!(report.starts_with("trusted"), "{report}");
     assert!(place.cairn_ok(&["owners", "verify", &bundle]).starts_with("valid"));
 
+    // A folder that has nothing to compare with: neither trusted nor invalid, but a mistake.
+    let empty = place.cairn(&["owners", "verify", &bundle, "--vkey", &vkey, "--against", &place.text("tada")]);
+    let said = String::from_utf8_lossy(&empty.stderr).into_owned();
+    assert_eq!((empty.status.code(), empty.stdout.len()), (Some(2), 0), "{said}");
+    for part in ["tada", "\"town\"", "nothing was compared", "give --against the data folder"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+
     // Another photograph than the one that was signed for.
     let photographs = place.path("data/scenes/town/photographs");
     for entry in std::fs::read_dir(&photographs).unwrap() {
@@ -65,4 +85,187 @@ fn first_view(place: &Place, connect: &[&str; 2]) -> String {
     let label = shown.lines().find_map(|l| l.trim().strip_prefix("identity 1: ")?.split(',').next()).unwrap();
     let of_label = |l: &&str| l.contains(&format!("by {label}")) && !l.contains("held out");
     shown.lines().find(of_label).unwrap().trim().split("  ").next().unwrap().to_owned()
+}
+
+#[test]
+fn the_key_to_pin_comes_from_the_registry_and_not_from_the_bundle() {
+    let place = Place::new();
+    let (data, tiny, key) = (place.text("data"), place.text("tiny.toml"), place.text("ada.key"));
+    place.import("town", ["--data", &data]);
+    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
+    place.cairn_ok(&["keys", "new", &key]);
+    // Whoever has the photographs and the model can draw up a log of their own, with a bundle that agrees with itself.
+    for part in ["scenes", "models"] {
+        copy(&place.path("data").join(part), &place.path("forged-data").join(part));
+    }
+    let (bundle, forged) = (place.text("bundle"), place.text("forged"));
+    for (out, data) in [(&bundle, &data), (&forged, &place.text("forged-data"))] {
+        let sign = ["owners", "sign", "town", "--identity", "1", "--key", &key, "--kind", "contribution"];
+        place.cairn_ok(&[&sign[..], &["--out", out, "--data", data]].concat());
+    }
+    let own = place.text("forged/log.vkey");
+    assert!(place.cairn_ok(&["owners", "verify", &forged, "--vkey", &own]).starts_with("trusted"));
+
+    let pinned = place.text("pinned.vkey");
+    place.cairn_ok(&["owners", "vkey", "--data", &data, "--out", &pinned]);
+    let written = std::fs::read_to_string(&pinned).unwrap();
+    assert_eq!(place.cairn_ok(&["owners", "vkey", "--data", &data]), written);
+    let daemon = Daemon::start(&place.path("data"), "");
+    assert_eq!(place.cairn_ok(&["owners", "vkey", "--connect", &daemon.url]), written);
+    assert!(daemon.terminate().success());
+    assert_eq!(std::fs::read_to_string(place.path("bundle/log.vkey")).unwrap(), written);
+    assert_eq!(place.cairn(&["owners", "verify", &forged, "--vkey", &pinned]).status.code(), Some(1));
+    // Nor does it matter what a bundle brings along.
+    std::fs::copy(&own, place.path("bundle/log.vkey")).unwrap();
+    assert!(place.cairn_ok(&["owners", "verify", &bundle, "--vkey", &pinned]).starts_with("trusted"));
+    assert_eq!(place.cairn(&["owners", "verify", &bundle, "--vkey", &own]).status.code(), Some(1));
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let to = to.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copy(&path, &to);
+        } else {
+            std::fs::copy(&path, &to).unwrap();
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_log_whose_key_is_lost_is_not_opened_with_a_new_one() {
+    let place = Place::new();
+    let daemon = Daemon::start(&place.path("data"), "");
+    let mut client = OwnerServiceClient::connect(daemon.url.clone()).await.unwrap();
+    submit(&mut client, &OwnerKey::from_seed(&[1; 32]), "one").await.unwrap();
+    assert!(daemon.terminate().success());
+
+    let (key, kept) = (place.path("data/registry.key"), place.path("kept.key"));
+    std::fs::rename(&key, &kept).unwrap();
+    let list = ["owners", "list", "--data", &place.text("data")];
+    let refused = place.cairn(&list);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(2), "{said}");
+    assert!(said.contains("registry.key") && said.contains("restore") && said.contains("backup"), "{said}");
+    assert!(!key.exists(), "a new key was made");
+    std::fs::rename(&kept, &key).unwrap();
+    assert!(place.cairn_ok(&list).starts_with("0  contribution  town"));
+}
+
+/// Records as they were acknowledged.
+type Answers = Arc<Mutex<Vec<v1::Record>>>;
+
+/// Rounds of killing the daemon.
+const ROUNDS: usize = 4;
+/// Clients that submit at the same time.
+const CLIENTS: u8 = 3;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_acknowledged_record_outlives_a_killed_daemon() {
+    let place = Place::new();
+    let mut acknowledged: HashMap<u64, v1::Record> = HashMap::new();
+    let mut daemon = Daemon::start(&place.path("data"), "");
+    let pinned: NoteVerifier = checkpoint(&daemon.url).await.vkey.parse().unwrap();
+    for round in 0..ROUNDS {
+        let (answers, killed) = (Answers::default(), Arc::new(AtomicBool::new(false)));
+        let clients: Vec<_> = (1..=CLIENTS)
+            .map(|number| {
+                tokio::spawn(submit_until_gone(daemon.url.clone(), number, round, answers.clone(), killed.clone()))
+            })
+            .collect();
+        let begun = Instant::now();
+        while answers.lock().unwrap().len() < 5 + 4 * round {
+            assert!(begun.elapsed() < Duration::from_secs(30), "round {round}: the daemon takes no records");
+            tokio::time::sleep(Duration::from_micros(700)).await;
+        }
+        killed.store(true, Ordering::SeqCst);
+        daemon.kill();
+        for client in clients {
+            client.await.unwrap();
+        }
+        for record in answers.lock().unwrap().drain(..) {
+            let index = record.index;
+            assert!(acknowledged.insert(index, record).is_none(), "round {round}: index {index} was given twice");
+        }
+
+        daemon = Daemon::start(&place.path("data"), "");
+        verify_all(&daemon.url, &pinned, &acknowledged).await;
+    }
+    assert!(acknowledged.len() >= 5 * ROUNDS);
+}
+
+/// Submits under a key of its own until the daemon is gone.
+async fn submit_until_gone(url: String, number: u8, round: usize, answers: Answers, killed: Arc<AtomicBool>) {
+    let mut client = match OwnerServiceClient::connect(url).await {
+        Ok(client) => client,
+        Err(e) => return assert!(killed.load(Ordering::SeqCst), "round {round}: {e}"),
+    };
+    let key = OwnerKey::from_seed(&[number; 32]);
+    for count in 0.. {
+        match submit(&mut client, &key, &format!("{round}/{number}/{count}")).await {
+            Ok(record) => answers.lock().unwrap().push(record),
+            // What a broken line is called depends on the moment; before the kill there is none.
+            Err(_) if killed.load(Ordering::SeqCst) => return,
+            Err(e) => panic!("round {round}: {e}"),
+        }
+    }
+}
+
+/// Signs and submits a contribution; the record as the daemon acknowledged it.
+async fn submit(
+    client: &mut OwnerServiceClient<Channel>,
+    key: &OwnerKey,
+    what: &str,
+) -> Result<v1::Record, tonic::Status> {
+    let owner_key = key.public().to_bytes().to_vec().into();
+    let nonce =
+        client.nonce(v1::NonceRequest { format_version: 1, scene: "town".into(), owner_key }).await?.into_inner();
+    let seen = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint).unwrap().text).unwrap();
+    let record = OwnerRecord {
+        version: record::VERSION,
+        kind: RecordKind::Contribution,
+        origin: nonce.origin,
+        scene: "town".into(),
+        scene_salt: random_salt().unwrap(),
+        identity: Identity { number: 1, contributor: "ada".into() },
+        owner_key: key.public(),
+        digests: Digests { photographs: Some(Digest::of(what)), ..Digests::default() },
+        seed: None,
+        purpose: "credit".into(),
+        nonce: nonce.nonce.parse().unwrap(),
+        seen: Seen { size: seen.size, root: seen.root },
+        replaces: None,
+    };
+    let envelope = record.seal(key).unwrap().to_json().into_bytes().into();
+    let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await?;
+    Ok(answer.into_inner().record.unwrap())
+}
+
+async fn checkpoint(url: &str) -> v1::CheckpointResponse {
+    let mut client = OwnerServiceClient::connect(url.to_owned()).await.unwrap();
+    client.checkpoint(v1::CheckpointRequest { format_version: 1 }).await.unwrap().into_inner()
+}
+
+/// Holds the log to what was acknowledged, and every record to the key that was pinned before the first kill.
+async fn verify_all(url: &str, pinned: &NoteVerifier, acknowledged: &HashMap<u64, v1::Record>) {
+    let size = Checkpoint::verify(&checkpoint(url).await.checkpoint, pinned).unwrap().size;
+    let log = LogView { size, records: vec![] };
+    let mut client = OwnerServiceClient::connect(url.to_owned()).await.unwrap();
+    let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into() };
+    let records = client.list(request).await.unwrap().into_inner().records;
+    assert_eq!(records.len() as u64, size);
+    for (index, wanted) in acknowledged {
+        let kept = records.get(*index as usize).unwrap_or_else(|| panic!("record {index} is lost"));
+        assert_eq!(kept, wanted, "record {index} is another");
+    }
+    // Those that were on their way when the daemon was killed may be there too, and must hold as well.
+    for record in &records {
+        let request = v1::ProofRequest { format_version: 1, index: record.index };
+        let proof = client.proof(request).await.unwrap().into_inner().tlog_proof;
+        let (envelope, proof, pinned) = (&record.envelope, Some(proof.as_str()), Some(pinned));
+        let report = audit(&Evidence { envelope, proof, pinned, log: Some(&log), ..Evidence::default() });
+        assert_eq!(report.outcome, Outcome::Trusted, "{report}");
+    }
 }

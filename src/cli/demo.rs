@@ -136,9 +136,10 @@ async fn through(
     let job = training(line, args).await?;
     clock.laps.extend(job.stages.iter().map(|s| (s.stage.clone(), s.seconds)));
     clock.start();
-    let records_trusted = records(line, args, data).await?;
+    let signed = owners::sign_all(line, SCENE, &args.out.join("owners")).await?;
+    let records_trusted = trusted(&signed, data)?;
     clock.lap("signing and verifying");
-    let records_found = found(line).await?;
+    let records_found = found(line, &signed).await?;
     let evaluation = look::report(line, SCENE, None, Some(&args.out.join("contact-sheet.png"))).await?;
     clock.lap("scoring");
     let seconds = std::mem::take(&mut clock.laps);
@@ -178,29 +179,30 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
     train::run_to_end(line, &train).await
 }
 
-/// A key and a record for every identity, each verified from its files.
-async fn records(line: &Connection, args: &Args, data: &Path) -> anyhow::Result<Right> {
+/// Verifies each record from its bundle's files.
+fn trusted(signed: &[owners::Signed], data: &Path) -> anyhow::Result<Right> {
     let mut trusted = Right::default();
-    for bundle in owners::sign_all(line, SCENE, &args.out.join("owners")).await? {
-        let vkey = Some(bundle.join("log.vkey"));
+    for owners::Signed { bundle, .. } in signed {
+        let (bundle, vkey) = (bundle.clone(), Some(bundle.join("log.vkey")));
         let verify = owners::VerifyArgs { bundle, vkey, against: Some(data.into()), log: None, json: false };
         trusted.count(owners::audit(&verify)?.outcome == Outcome::Trusted);
     }
     Ok(trusted)
 }
 
-/// Asks for every training view of a cluster whether the answer leads to a record.
-async fn found(line: &Connection) -> anyhow::Result<Right> {
+/// Asks for every training view of a cluster whether the answer leads to the identity's record and no other.
+async fn found(line: &Connection, signed: &[owners::Signed]) -> anyhow::Result<Right> {
     let model = scene::get(line, SCENE).await?.model.context("the training left no model")?;
     let mut found = Right::default();
     for identity in &model.identities {
+        let records: Vec<u64> = signed.iter().filter(|s| s.identity == identity.number).map(|s| s.index).collect();
         for name in &identity.view_names {
             let from = Some(v1::viewpoint::From::ViewName(name.clone()));
             let viewpoint = Some(v1::Viewpoint { from });
             let request = v1::WhoByPoseRequest { format_version: VERSION, scene: SCENE.into(), viewpoint };
             let answer = line.query().who_by_pose(request).await.map_err(refused)?.into_inner().answer;
             let right = matches!(answer, Some(v1::who_response::Answer::Identity(who))
-                if who.number == identity.number && !who.record_indices.is_empty());
+                if who.number == identity.number && !records.is_empty() && who.record_indices == records);
             found.count(right);
         }
     }

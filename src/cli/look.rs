@@ -9,6 +9,9 @@ use serde::Deserialize;
 use super::connect::{Connection, refused};
 use super::{VERSION, read, write};
 
+/// Contributors named in one line.
+const MAX_NAMES: usize = 5;
+
 /// From where to look.
 #[derive(Clone, Debug, clap::Args)]
 #[group(required = true, multiple = false)]
@@ -175,6 +178,9 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     match answer.answer {
         Some(v1::who_response::Answer::Identity(who)) => {
             println!("identity {}: {} (confidence {:.2})", who.number, who.label, answer.confidence);
+            if !who.contributors.is_empty() {
+                println!("{}: photographs by {}", who.label, named(&who.contributors));
+            }
             let indices: Vec<String> = who.record_indices.iter().map(u64::to_string).collect();
             let records = if indices.is_empty() { "none".to_owned() } else { indices.join(", ") };
             println!("owner records: {records}");
@@ -182,6 +188,16 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         _ => println!("unmarked (confidence {:.2})", answer.confidence),
     }
     Ok(())
+}
+
+/// The first contributors by name, each with a count; how many more there are.
+fn named(contributors: &[v1::WhoContributor]) -> String {
+    let first = contributors.iter().take(MAX_NAMES).map(|c| format!("{} ({})", c.name, c.photographs));
+    let mut names = first.collect::<Vec<_>>().join(", ");
+    if contributors.len() > MAX_NAMES {
+        names.push_str(&format!(" and {} more", contributors.len() - MAX_NAMES));
+    }
+    names
 }
 
 /// Answers `cairn detect`.
@@ -261,6 +277,17 @@ mod tests {
         let difference: DMat3 = read.pose.rotation - wanted.pose.rotation;
         assert!(difference.to_cols_array().iter().all(|v| v.abs() < 1e-9), "{difference}");
         assert!((wanted.ray(1.0, 2.0).1 - read.ray(1.0, 2.0).1).length() < 1e-9);
+    }
+
+    #[test]
+    fn a_line_names_five_contributors_and_counts_the_rest() {
+        let of = |count: u32| {
+            let of = |n| v1::WhoContributor { name: format!("drone-{n}"), photographs: 9 - n };
+            named(&(0..count).map(of).collect::<Vec<_>>())
+        };
+        assert_eq!(of(2), "drone-0 (9), drone-1 (8)");
+        assert_eq!(of(5), "drone-0 (9), drone-1 (8), drone-2 (7), drone-3 (6), drone-4 (5)");
+        assert_eq!(of(7), "drone-0 (9), drone-1 (8), drone-2 (7), drone-3 (6), drone-4 (5) and 2 more");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The command line: what can be asked for, and which file answers it.
 
+mod against;
 mod bench;
 mod connect;
 mod demo;

@@ -4,22 +4,21 @@
 //! A signed record becomes a bundle, a folder of files that whoever has them can
 //! verify without a daemon: `record.json` (DSSE envelope), `record.tlog-proof`,
 //! `log.vkey`, and for a claim `signal.png` with `signal.salt`, which are the
-//! owner's secret until they choose to show them.
+//! owner's secret until they choose to show them. An auditor pins the key that
+//! `vkey` prints, not the bundle's copy: whoever forges a bundle forges that too.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use cairn_audit::{Evidence, FileInHand, HiddenSignalInHand, LogView, Outcome, PhotographsInHand, RecordInHand};
-use cairn_capture::SceneFolder;
+use cairn_audit::{Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
 use cairn_proto::v1;
 use cairn_registry::record::{Digests, Identity, Seen, hidden_signal_commitment, photographs_root, random_salt};
 use cairn_registry::{Checkpoint, Digest, Envelope, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
 use serde::{Deserialize, Serialize};
 
 use super::connect::{Connection, refused};
-use super::{VERSION, read, write};
-use crate::engine::model::ModelInfo;
+use super::{VERSION, against, read, write};
 
 /// What to do with owner records.
 #[derive(Debug, clap::Subcommand)]
@@ -31,6 +30,12 @@ pub enum Command {
         /// The scene
         name: Option<String>,
         /// Also keep them in a file, for `verify --log`
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+    /// Print the log's public key (vkey), for auditors to pin: a key that comes with a bundle proves nothing
+    Vkey {
+        /// Write it into a file instead
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
@@ -76,10 +81,10 @@ pub enum Kind {
 pub struct VerifyArgs {
     /// The bundle's folder
     pub bundle: PathBuf,
-    /// The log's public key (vkey), obtained from elsewhere; without it nothing is trusted
+    /// The log's public key (see `cairn owners vkey`), obtained elsewhere than the bundle; without it nothing is trusted
     #[arg(long, value_name = "FILE")]
     pub vkey: Option<PathBuf>,
-    /// A data folder whose photographs, settings, marked field and detector are held to the record
+    /// A data folder whose photographs, settings, marked field and detector, of the record's own training, are held to it
     #[arg(long, value_name = "DIR")]
     pub against: Option<PathBuf>,
     /// The log's records, from `cairn owners list --out`: tells of revocations and disputes
@@ -90,7 +95,7 @@ pub struct VerifyArgs {
     pub json: bool,
 }
 
-/// Answers `cairn owners sign` and `list`.
+/// Answers `cairn owners sign`, `list` and `vkey`.
 pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Sign(args) => {
@@ -99,6 +104,16 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             Ok(())
         }
         Command::List { name, out } => list(line, name, out.as_ref()).await,
+        Command::Vkey { out } => {
+            let vkey = vkey(line).await?;
+            match out {
+                Some(path) => write(&path, format!("{vkey}\n").as_bytes()),
+                None => {
+                    println!("{vkey}");
+                    Ok(())
+                }
+            }
+        }
         Command::Verify(args) => verify(&args).map(drop),
     }
 }
@@ -125,8 +140,7 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
 
     let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
     let proof = client.proof(request).await.map_err(refused)?.into_inner().tlog_proof;
-    let request = v1::CheckpointRequest { format_version: VERSION };
-    let vkey = client.checkpoint(request).await.map_err(refused)?.into_inner().vkey;
+    let vkey = vkey(line).await?;
     write(&args.out.join("record.json"), &entered.envelope)?;
     write(&args.out.join("record.tlog-proof"), proof.as_bytes())?;
     write(&args.out.join("log.vkey"), format!("{vkey}\n").as_bytes())?;
@@ -137,24 +151,40 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
     Ok(entered.index)
 }
 
+/// The log's verifier key, one line without its end.
+async fn vkey(line: &Connection) -> anyhow::Result<String> {
+    let request = v1::CheckpointRequest { format_version: VERSION };
+    Ok(line.owners().checkpoint(request).await.map_err(refused)?.into_inner().vkey)
+}
+
+/// A record that [`sign_all`] signed.
+pub struct Signed {
+    /// The identity's number.
+    pub identity: u32,
+    /// The record's place in the log.
+    pub index: u64,
+    /// The bundle's folder.
+    pub bundle: PathBuf,
+}
+
 /// Makes a key for every identity of the scene's model and signs a record with it:
 /// `FOLDER/<number>.key` and the bundle `FOLDER/<number>`. For trying things out: in
-/// earnest every owner makes their own key where they are. The bundles' folders.
-pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+/// earnest every owner makes their own key where they are.
+pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::Result<Vec<Signed>> {
     let model = super::scene::get(line, scene).await?.model.context("the scene has no model yet; train it first")?;
     std::fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let kind = if model.marked_field_sha256.is_empty() { Kind::Contribution } else { Kind::Claim };
-    let mut bundles = Vec::with_capacity(model.identities.len());
+    let mut signed = Vec::with_capacity(model.identities.len());
     for identity in &model.identities {
         let key = folder.join(format!("{}.key", identity.number));
         OwnerKey::generate()?.save(&key)?;
         let out = folder.join(identity.number.to_string());
         let purpose = "credit for the photographs".to_owned();
         let args = SignArgs { name: scene.to_owned(), identity: identity.number, key, kind, purpose, out };
-        sign(line, &args).await?;
-        bundles.push(args.out);
+        let index = sign(line, &args).await?;
+        signed.push(Signed { identity: identity.number, index, bundle: args.out });
     }
-    Ok(bundles)
+    Ok(signed)
 }
 
 fn record(
@@ -254,6 +284,10 @@ pub fn verify(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Recomputes everything from the files that are there.
+///
+/// # Errors
+/// For a file that cannot be read, and for a data folder that has not what the record binds; an invalid
+/// record's report comes all the same.
 pub fn audit(args: &VerifyArgs) -> anyhow::Result<cairn_audit::Report> {
     let envelope = read(&args.bundle.join("record.json"))?;
     let proof = text(&args.bundle.join("record.tlog-proof"))?;
@@ -273,14 +307,20 @@ pub fn audit(args: &VerifyArgs) -> anyhow::Result<cairn_audit::Report> {
         log: log.as_ref(),
         ..Evidence::default()
     };
+    let mut gathered = Ok(());
     if let Some(data) = &args.against {
         // The record says which files to look at; whether it may be believed is the audit's to say.
         let parsed = Envelope::parse(&envelope).ok().and_then(|e| OwnerRecord::parse(&e.payload).ok());
         if let Some(record) = parsed {
-            against(&mut evidence, data, &record)?;
+            gathered = against::gather(&mut evidence, data, &record);
         }
     }
-    Ok(cairn_audit::audit(&evidence))
+    let report = cairn_audit::audit(&evidence);
+    if let Some(data) = args.against.as_ref().filter(|_| report.outcome != Outcome::Invalid) {
+        gathered?;
+        against::all_compared(&report, data)?;
+    }
+    Ok(report)
 }
 
 fn text(path: &Path) -> anyhow::Result<Option<String>> {
@@ -304,28 +344,4 @@ fn log_view(path: &Path) -> anyhow::Result<LogView> {
     let records = file.records.into_iter();
     let records = records.map(|r| RecordInHand { index: r.index, envelope: r.envelope.into_bytes() }).collect();
     Ok(LogView { size: file.size, records })
-}
-
-/// Adds a data folder's files, hashed anew from their bytes.
-fn against(evidence: &mut Evidence<'_>, data: &Path, record: &OwnerRecord) -> anyhow::Result<()> {
-    crate::engine::scenes::check_scene_name(&record.scene)?;
-    let models = data.join("models");
-    let info: Option<ModelInfo> = crate::engine::model::newest(&models, &record.scene)?;
-    let Some(info) = info else { return Ok(()) };
-    let folder = models.join(&info.scene).join(&info.job);
-    evidence.training_configuration = Some(FileInHand::read(&folder.join("settings.toml"))?);
-    if info.mark.is_some() {
-        evidence.marked_field = Some(FileInHand::read(&folder.join("marked.field"))?);
-        evidence.detector = Some(FileInHand::read(&folder.join("detector"))?);
-    }
-    let scene = SceneFolder::open(&data.join("scenes"), &record.scene)?;
-    let capture = scene.capture();
-    let Ok(identity) = info.identity(record.identity.number) else { return Ok(()) };
-    let mut photographs = Vec::with_capacity(identity.views.len());
-    for view in capture.views.iter().filter(|v| identity.views.contains(&v.name)) {
-        photographs.push(FileInHand::read(&capture.root.join(&view.photograph))?.digest);
-    }
-    let place = format!("{} photographs of {}", photographs.len(), scene.folder().display());
-    evidence.photographs = Some(PhotographsInHand::of(place, &photographs));
-    Ok(())
 }

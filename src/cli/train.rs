@@ -71,8 +71,8 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     let job = watch(line, &job.id, true).await?;
     report(&job)?;
     if let Some(folder) = args.keys.filter(|_| job.state() == JobState::Done) {
-        let bundles = super::owners::sign_all(line, &args.name, &folder).await?;
-        println!("{} owner records signed; keys and bundles are in {}", bundles.len(), folder.display());
+        let signed = super::owners::sign_all(line, &args.name, &folder).await?;
+        println!("{} owner records signed; keys and bundles are in {}", signed.len(), folder.display());
     }
     Ok(())
 }

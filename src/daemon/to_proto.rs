@@ -135,7 +135,11 @@ pub fn job(job: &Job) -> v1::Job {
 pub fn who(who: Who) -> v1::WhoResponse {
     use v1::who_response::Answer;
     let answer = match who.identity {
-        Some((number, label)) => Answer::Identity(v1::WhoIdentity { number, label, record_indices: who.records }),
+        Some((number, label)) => {
+            let of = |(name, photographs)| v1::WhoContributor { name, photographs: photographs as u32 };
+            let contributors = who.contributors.into_iter().map(of).collect();
+            Answer::Identity(v1::WhoIdentity { number, label, record_indices: who.records, contributors })
+        }
         None => Answer::Unmarked(v1::WhoUnmarked {}),
     };
     v1::WhoResponse { format_version: VERSION, answer: Some(answer), confidence: who.confidence }

@@ -84,6 +84,18 @@ pub enum EngineError {
         /// Who has it; `unknown` where its lock file does not say.
         pid: String,
     },
+    /// The log of owner records is there and the key that signs it is not.
+    #[error(
+        "the registry's key {} is missing, and the log in {} can be signed by no other; restore the key's file from the \
+         backup",
+        key.display(), log.display()
+    )]
+    KeyMissing {
+        /// The key's file.
+        key: PathBuf,
+        /// The log's folder.
+        log: PathBuf,
+    },
     /// The file system said no.
     #[error("cannot {operation} {}: {source}", path.display())]
     Io {

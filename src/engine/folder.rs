@@ -87,6 +87,19 @@ impl DataFolder {
         self.root.join("registry")
     }
 
+    /// Whether no log of owner records was ever begun here.
+    ///
+    /// # Errors
+    /// The file system's.
+    pub fn registry_is_empty(&self) -> Result<bool, EngineError> {
+        let path = self.registry();
+        match fs::read_dir(&path) {
+            Ok(mut entries) => Ok(entries.next().is_none()),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(true),
+            Err(e) => Err(EngineError::io("list", &path)(e)),
+        }
+    }
+
     /// The registry's signing key.
     pub fn registry_key(&self) -> PathBuf {
         self.root.join("registry.key")

@@ -67,12 +67,16 @@ impl Engine {
     /// the trainings that were cut off.
     ///
     /// # Errors
-    /// [`EngineError::Locked`] while another process has the folder; what the
-    /// stored files say.
+    /// [`EngineError::Locked`] while another process has the folder;
+    /// [`EngineError::KeyMissing`]; what the stored files say.
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
         let key = folder.registry_key();
         if !key.exists() {
+            // A new key cannot go on with an old log; made all the same, it would only hide that the old one is lost.
+            if !folder.registry_is_empty()? {
+                return Err(EngineError::KeyMissing { key, log: folder.registry() });
+            }
             OwnerKey::generate().and_then(|new| new.save(&key)).map_err(cairn_registry::RegistryError::from)?;
         }
         let key = OwnerKey::load(&key).map_err(cairn_registry::RegistryError::from)?;

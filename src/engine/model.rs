@@ -8,6 +8,7 @@ use std::path::Path;
 use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_registry::Digest;
+use cairn_registry::record::photographs_root;
 use serde::{Deserialize, Serialize};
 
 use super::error::EngineError;
@@ -68,6 +69,16 @@ pub struct IdentityInfo {
     pub views: Vec<String>,
     /// SHA-256 of its views' photographs, in their order.
     pub photographs: Vec<Digest>,
+    /// Who took the photographs and how many each, most first, then by name; empty in models of before this was kept.
+    #[serde(default)]
+    pub contributors: Vec<(String, usize)>,
+}
+
+impl IdentityInfo {
+    /// Merkle root over the photographs' digests, as owner records bind it.
+    pub fn photographs_root(&self) -> Digest {
+        photographs_root(&self.photographs)
+    }
 }
 
 /// A model's files before they are in their place.
@@ -162,6 +173,37 @@ pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineErr
     read_json(&models.join(scene).join(job).join("model.json")).map(Some)
 }
 
+/// What every model of `scene` says of itself, newest first: trainings leave the models before them in their place.
+///
+/// # Errors
+/// [`EngineError::Stored`] for a damaged `model.json`, and the file system's.
+pub fn all(models: &Path, scene: &str) -> Result<Vec<ModelInfo>, EngineError> {
+    let of_scene = models.join(scene);
+    if !of_scene.exists() {
+        return Ok(Vec::new());
+    }
+    let mut jobs = Vec::new();
+    for entry in std::fs::read_dir(&of_scene).map_err(EngineError::io("list", &of_scene))? {
+        let name = entry.map_err(EngineError::io("list", &of_scene))?.file_name().to_string_lossy().into_owned();
+        // A name with a dot in front is a model that is not whole yet.
+        if !name.starts_with('.') && of_scene.join(&name).join("model.json").exists() {
+            jobs.push(name);
+        }
+    }
+    jobs.sort_unstable_by(|a, b| b.cmp(a));
+    let read = |job: &String| {
+        let path = of_scene.join(job).join("model.json");
+        let info: ModelInfo = read_json(&path)?;
+        // The folder of its other files is found by these names.
+        if (info.scene.as_str(), &info.job) != (scene, job) {
+            let problem = format!("it says that it is of scene {:?} and job {:?}", info.scene, info.job);
+            return Err(EngineError::Stored { path, problem });
+        }
+        Ok(info)
+    };
+    jobs.iter().map(read).collect()
+}
+
 impl Model {
     /// Loads the model that `info` describes; every file is held to its digest.
     pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
@@ -236,4 +278,19 @@ fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, E
         return Err(EngineError::Stored { path: path.to_path_buf(), problem });
     }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identity_of_before_contributors_were_kept_is_read() {
+        let json = r#"{"number": 1, "label": "anchor-a", "views": ["a"], "photographs": []}"#;
+        let old: IdentityInfo = serde_json::from_str(json).unwrap();
+        assert_eq!(old.contributors, []);
+        let new = IdentityInfo { contributors: vec![("ada".into(), 3)], ..old };
+        let again: IdentityInfo = serde_json::from_str(&serde_json::to_string(&new).unwrap()).unwrap();
+        assert_eq!(again, new);
+    }
 }

@@ -44,9 +44,11 @@ pub enum Light {
 pub struct Who {
     /// Number and label; `None` for nobody.
     pub identity: Option<(u32, String)>,
+    /// Who took the photographs of the identity's cluster and how many each, most first, then by name.
+    pub contributors: Vec<(String, usize)>,
     /// By picture the class's probability; by pose 1 in a cluster's middle, 0 on its border.
     pub confidence: f64,
-    /// Log indices of the owner records for the scene and identity.
+    /// Log indices of the owner records that bear on the identity, rising: see [`Engine::records_of`].
     pub records: Vec<u64>,
 }
 
@@ -154,10 +156,13 @@ impl Engine {
     }
 
     fn who(&self, info: &super::ModelInfo, identity: Option<u32>, confidence: f64) -> Result<Who, EngineError> {
-        let Some(number) = identity else { return Ok(Who { identity: None, confidence, records: Vec::new() }) };
-        let label = info.identity(number)?.label.clone();
-        let records = self.records_of(&info.scene, number)?;
-        Ok(Who { identity: Some((number, label)), confidence, records })
+        let Some(number) = identity else {
+            return Ok(Who { identity: None, contributors: Vec::new(), confidence, records: Vec::new() });
+        };
+        let known = info.identity(number)?;
+        let records = self.records_of(info, known)?;
+        let contributors = known.contributors.clone();
+        Ok(Who { identity: Some((number, known.label.clone())), contributors, confidence, records })
     }
 }
 

@@ -5,6 +5,8 @@
 //! checkpoint within a stage, the base field between the stages. The same job
 //! ends in the same bytes however often it was cut off.
 
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -212,7 +214,33 @@ fn identities(scene: &SceneFolder, clusters: &Clusters) -> Vec<IdentityInfo> {
             },
             views: members.iter().map(|m| capture.views[*m].name.clone()).collect(),
             photographs: members.iter().map(|m| Digest::from_bytes(scene.photograph_digest(*m))).collect(),
+            contributors: contributors(members.iter().map(|m| capture.views[*m].contributor.as_str())),
         }
     };
     clusters.clusters.iter().map(describe).collect()
+}
+
+/// Contributors of the photographs with how many each took, most first, then by name.
+fn contributors<'a>(of_photographs: impl Iterator<Item = &'a str>) -> Vec<(String, usize)> {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for name in of_photographs {
+        *counts.entry(name).or_default() += 1;
+    }
+    let mut counted: Vec<(String, usize)> = counts.into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
+    // The sort is stable: equal counts stay in the order of names.
+    counted.sort_by_key(|(_, count)| Reverse(*count));
+    counted
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn contributors_are_counted_most_first_then_by_name() {
+        let names = ["visitor-31", "drone-2", "ada", "drone-2", "drone-2", "ada", "zoe", "zoe"];
+        let wanted = [("drone-2", 3), ("ada", 2), ("zoe", 2), ("visitor-31", 1)].map(|(n, c)| (n.to_owned(), c));
+        assert_eq!(contributors(names.into_iter()), wanted);
+        assert_eq!(contributors(std::iter::empty()), []);
+    }
 }

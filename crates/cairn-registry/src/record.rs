@@ -32,7 +32,7 @@ const EXACT_IN_JSON: u64 = 1 << 53;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordKind {
-    /// An identity of a marked field belongs to the owner.
+    /// An identity of a marked field, with the photographs of its cluster, belongs to the owner.
     Claim,
     /// The owner contributed the cluster's photographs.
     Contribution,
@@ -240,8 +240,8 @@ impl OwnerRecord {
 
     /// Checks every rule that needs nothing but the record.
     ///
-    /// Needed per kind: a claim names marked field, detector and hidden signal; a contribution its photographs; a training
-    /// marked field, detector, training configuration and seed; a rotation or dispute the record that it is about.
+    /// Needed per kind: a claim names marked field, detector, hidden signal and the cluster's photographs, since a mark
+    /// is a hint only and the photographs are what is owned; a contribution its photographs; a training marked field, detector, training configuration and seed; a rotation or dispute the record that it is about.
     ///
     /// # Errors
     /// [`RecordError::Version`] or [`RecordError::Field`].
@@ -265,6 +265,7 @@ impl OwnerRecord {
                 ("digests.marked_field", digests.marked_field.is_some()),
                 ("digests.detector", digests.detector.is_some()),
                 ("digests.hidden_signal", digests.hidden_signal.is_some()),
+                ("digests.photographs", digests.photographs.is_some()),
             ],
             RecordKind::Contribution => &[("digests.photographs", digests.photographs.is_some())],
             RecordKind::Training => &[

@@ -101,6 +101,28 @@ fn each_kind_asks_for_what_it_is_about() {
 }
 
 #[test]
+fn a_claim_binds_the_mark_and_the_photographs() {
+    let whole = Digests {
+        marked_field: Some(Digest::of("field")),
+        detector: Some(Digest::of("detector")),
+        hidden_signal: Some(Digest::of("signal")),
+        photographs: Some(Digest::of("photographs")),
+        training_configuration: None,
+    };
+    let claim = |digests| OwnerRecord { kind: RecordKind::Claim, digests, ..record() }.check();
+    claim(whole.clone()).unwrap();
+    for (missing, digests) in [
+        ("digests.marked_field", Digests { marked_field: None, ..whole.clone() }),
+        ("digests.detector", Digests { detector: None, ..whole.clone() }),
+        ("digests.hidden_signal", Digests { hidden_signal: None, ..whole.clone() }),
+        ("digests.photographs", Digests { photographs: None, ..whole.clone() }),
+    ] {
+        let refused = claim(digests).unwrap_err();
+        assert!(matches!(refused, RecordError::Field { field, .. } if field == missing), "{missing}: {refused}");
+    }
+}
+
+#[test]
 fn a_leaf_is_162_bytes_in_the_documented_order() {
     let envelope = record().seal(&owner(1)).unwrap();
     let leaf = Leaf::of(&envelope).unwrap();

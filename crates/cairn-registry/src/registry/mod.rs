@@ -329,6 +329,17 @@ impl Registry {
         Ok(reload::index_of(self.store.as_ref(), record)?.filter(|index| *index < size))
     }
 
+    /// Index of the revocation or rotation that ended the key `owner`, if one is published.
+    ///
+    /// # Errors
+    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
+    pub fn ended(&self, owner: &PublicKey) -> Result<Option<u64>, RegistryError> {
+        let size = self.size();
+        let key = layout::retired(&owner.id());
+        let index = reload::number_at(self.store.as_ref(), &key, || format!("end of key {owner}"))?;
+        Ok(index.filter(|index| *index < size))
+    }
+
     /// Re-reads everything: each leaf, its hash in the tree, its envelope, both signatures, its indices. Gives what is wrong,
     /// nothing where all is well.
     ///

@@ -1,0 +1,176 @@
+//! `cairn owners verify --against DIR`: the files of a data folder that a record
+//! binds, hashed anew from their bytes. Nothing to compare is an error: a report
+//! that compared nothing must not read as one that did.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use cairn_audit::{Code, Evidence, FileInHand, PhotographsInHand, Report};
+use cairn_capture::SceneFolder;
+use cairn_registry::OwnerRecord;
+
+use crate::engine::model::{self, ModelInfo};
+
+/// What is left out for want of the file, one code a digest that a data folder can be asked for.
+const UNCHECKED: [Code; 4] =
+    [Code::MarkedFieldUnchecked, Code::DetectorUnchecked, Code::PhotographsUnchecked, Code::ConfigurationUnchecked];
+
+/// Adds to `evidence` each file below `data` whose digest the record names.
+///
+/// # Errors
+/// Where no model in `data` is of the training that the record names, or a file of it cannot be read.
+pub fn gather(evidence: &mut Evidence<'_>, data: &Path, record: &OwnerRecord) -> anyhow::Result<()> {
+    crate::engine::scenes::check_scene_name(&record.scene)?;
+    let models = data.join("models");
+    let info = training_of(&models, record)?;
+    let folder = models.join(&info.scene).join(&info.job);
+    let bound = &record.digests;
+    let file = |name: &str| FileInHand::read(&folder.join(name));
+    if bound.training_configuration.is_some() {
+        evidence.training_configuration = Some(file("settings.toml")?);
+    }
+    if bound.marked_field.is_some() {
+        evidence.marked_field = Some(file("marked.field")?);
+    }
+    if bound.detector.is_some() {
+        evidence.detector = Some(file("detector")?);
+    }
+    if bound.photographs.is_some() {
+        evidence.photographs = Some(photographs(data, &info, record)?);
+    }
+    Ok(())
+}
+
+/// The model of the record's own training: the scene may have been trained again since.
+fn training_of(models: &Path, record: &OwnerRecord) -> anyhow::Result<ModelInfo> {
+    let bound = &record.digests;
+    let same_photographs = |m: &ModelInfo| {
+        m.identity(record.identity.number).is_ok_and(|i| Some(i.photographs_root()) == bound.photographs)
+    };
+    let mut found = model::all(models, &record.scene)?;
+    let there = found.len();
+    let named = match (bound.marked_field, bound.training_configuration, bound.photographs) {
+        (Some(field), ..) => {
+            found.retain(|m| m.mark.as_ref().is_some_and(|mark| mark.marked_field == field));
+            format!("marked field {field}")
+        }
+        (None, Some(settings), _) => {
+            found.retain(|m| m.settings == settings);
+            format!("training configuration {settings}")
+        }
+        (None, None, Some(root)) => {
+            found.retain(same_photographs);
+            format!("photographs {root} as identity {}", record.identity.number)
+        }
+        (None, None, None) => anyhow::bail!(
+            "the record about scene {:?} names neither marked field, training configuration nor photographs, so {} \
+             holds nothing to compare it with; leave --against out",
+            record.scene,
+            models.display()
+        ),
+    };
+    // Settings and photographs stay the same from one training to the next: any of those will do.
+    let at = found.iter().position(same_photographs).unwrap_or(0);
+    anyhow::ensure!(
+        at < found.len(),
+        "{}: of {there} models of scene {:?} none has the {named} that the record names, so nothing was compared; \
+         give --against the data folder in which it was trained, or leave it out",
+        models.display(),
+        record.scene
+    );
+    Ok(found.swap_remove(at))
+}
+
+fn photographs(data: &Path, info: &ModelInfo, record: &OwnerRecord) -> anyhow::Result<PhotographsInHand> {
+    let identity = info.identity(record.identity.number).with_context(|| {
+        let (place, scene) = (data.display(), &info.scene);
+        format!(
+            "{place}: the photographs of the record about scene {scene:?} were not compared; give --against the data \
+             folder in which it was trained, or leave it out"
+        )
+    })?;
+    let scene = SceneFolder::open(&data.join("scenes"), &info.scene)?;
+    let capture = scene.capture();
+    let mut digests = Vec::with_capacity(identity.views.len());
+    for view in capture.views.iter().filter(|v| identity.views.contains(&v.name)) {
+        digests.push(FileInHand::read(&capture.root.join(&view.photograph))?.digest);
+    }
+    let place = format!("{} photographs of {}", digests.len(), scene.folder().display());
+    Ok(PhotographsInHand::of(place, &digests))
+}
+
+/// Makes sure that everything of the record that a data folder can be asked for was compared.
+///
+/// # Errors
+/// Naming the first field that was not.
+pub fn all_compared(report: &Report, data: &Path) -> anyhow::Result<()> {
+    match report.findings.iter().find(|f| UNCHECKED.contains(&f.code)) {
+        None => Ok(()),
+        Some(finding) => anyhow::bail!(
+            "{}: {} ({}) was not compared; give --against the data folder in which it was trained, or leave it out",
+            data.display(),
+            finding.place,
+            finding.expected
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_audit::Outcome;
+    use cairn_registry::record::{self, Digests, Identity, Seen};
+    use cairn_registry::{Digest, OwnerKey, RecordKind, merkle};
+
+    fn contribution(digests: Digests) -> (OwnerRecord, Vec<u8>) {
+        let key = OwnerKey::from_seed(&[1; 32]);
+        let record = OwnerRecord {
+            version: record::VERSION,
+            kind: RecordKind::Contribution,
+            origin: "cairn.example/log".into(),
+            scene: "town".into(),
+            scene_salt: Digest::of("salt"),
+            identity: Identity { number: 1, contributor: "ada".into() },
+            owner_key: key.public(),
+            digests: Digests { photographs: Some(Digest::of("photographs")), ..digests },
+            seed: None,
+            purpose: "credit".into(),
+            nonce: Digest::of("nonce"),
+            seen: Seen { size: 0, root: merkle::empty_root() },
+            replaces: None,
+        };
+        let envelope = record.seal(&key).unwrap().to_json().into_bytes();
+        (record, envelope)
+    }
+
+    #[test]
+    fn whatever_the_record_binds_and_nobody_compared_is_named() {
+        let any = Some(Digest::of("any"));
+        let photographs = PhotographsInHand { place: "p".into(), count: 1, root: Digest::of("photographs") };
+        for (digests, field) in [
+            (Digests { marked_field: any, ..Digests::default() }, "marked_field"),
+            (Digests { detector: any, ..Digests::default() }, "detector"),
+            (Digests { training_configuration: any, ..Digests::default() }, "training_configuration"),
+        ] {
+            let (_, envelope) = contribution(digests);
+            let photographs = Some(photographs.clone());
+            let report = cairn_audit::audit(&Evidence { envelope: &envelope, photographs, ..Evidence::default() });
+            assert_eq!(report.outcome, Outcome::Valid, "{report}");
+            let error = all_compared(&report, Path::new("folder")).unwrap_err().to_string();
+            assert!(error.contains(field) && error.starts_with("folder: "), "{field}: {error}");
+        }
+        let (_, envelope) = contribution(Digests::default());
+        let evidence = |photographs| Evidence { envelope: &envelope, photographs, ..Evidence::default() };
+        assert!(all_compared(&cairn_audit::audit(&evidence(None)), Path::new("folder")).is_err());
+        all_compared(&cairn_audit::audit(&evidence(Some(photographs))), Path::new("folder")).unwrap();
+    }
+
+    #[test]
+    fn a_record_that_binds_nothing_cannot_be_held_to_a_folder() {
+        let (mut record, envelope) = contribution(Digests::default());
+        record.digests = Digests::default();
+        let mut evidence = Evidence { envelope: &envelope, ..Evidence::default() };
+        let error = gather(&mut evidence, Path::new("folder"), &record).unwrap_err().to_string();
+        assert!(error.contains("\"town\"") && error.contains("leave --against out"), "{error}");
+    }
+}
