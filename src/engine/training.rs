@@ -17,7 +17,7 @@ use super::folder::{read_limited, remove, write_atomic};
 use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
 use super::marks::Marking;
-use super::model::{IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
+use super::model::{self, IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
 use super::scenes;
 use super::stages::{self, Field, Stage};
 
@@ -45,6 +45,10 @@ impl Work for Training {
         let folder = self.jobs.join(&job.id);
         let clusters = clusters(&scene, &spec.grouping, spec.seed)?;
         let settings = spec.settings.to_toml()?;
+        // Cut off between publishing and its end: the model is there, whole.
+        if self.is_published(job, &clusters, &settings)? {
+            return finished(&folder, control);
+        }
         let Some(base) = self.base_field(job, &scene, &folder, control)? else { return Ok(Outcome::Stopped) };
         let mark = match spec.base_only {
             true => None,
@@ -79,6 +83,17 @@ fn finished(folder: &Path, control: &Control<'_>) -> Result<Outcome, EngineError
 }
 
 impl Training {
+    /// Whether the scene's newest model is this job's. Its number alone does not
+    /// say: numbers start again where somebody emptied the folder of jobs.
+    fn is_published(&self, job: &Job, clusters: &Clusters, settings: &str) -> Result<bool, EngineError> {
+        let Some(model) = model::newest(&self.models, &job.spec.scene)? else { return Ok(false) };
+        Ok(model.job == job.id
+            && model.seed == job.spec.seed.to_string()
+            && model.settings == Digest::of(settings)
+            && model.clusters == *clusters
+            && model.mark.is_none() == job.spec.base_only)
+    }
+
     /// Stage 1: the base field's bytes, or `None` when it was asked to stop.
     fn base_field(
         &self,

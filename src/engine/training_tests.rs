@@ -1,4 +1,5 @@
-//! One job on a made-up landmark, stopped while a stage is being prepared.
+//! One job on a made-up landmark: cut off after its model was published, and
+//! stopped while a stage is being prepared.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU8;
@@ -75,6 +76,36 @@ impl Trained {
     fn model(&self) -> PathBuf {
         self.path("models/town").join(&self.job.id)
     }
+
+    /// As the process leaves things when it dies between publishing and the job's
+    /// end, and what the next one makes of them.
+    fn killed_after_publishing(&self, change: impl Fn(&mut Job)) -> Job {
+        let mut running = self.job.clone();
+        (running.state, running.ended_unix_s) = (JobState::Running, 0);
+        change(&mut running);
+        super::super::folder::write_json(&self.folder().join("job.json"), &running).unwrap();
+        end_of(&open(self.dir.path()), &self.job.id)
+    }
+}
+
+#[test]
+fn a_published_model_is_not_trained_again() {
+    let trained = Trained::new();
+    // Publishing puts a new folder in the place of the old one: a file in it tells them apart.
+    let witness = trained.model().join("witness");
+    std::fs::write(&witness, "").unwrap();
+    std::fs::copy(trained.model().join("base.field"), trained.folder().join("base.field")).unwrap();
+    std::fs::write(trained.folder().join("mark.checkpoint"), "left").unwrap();
+    let job = trained.killed_after_publishing(|_| ());
+    assert!(witness.exists(), "the model was published again");
+    assert_eq!(job.stages, trained.job.stages, "something was trained");
+    for left in ["base.field", "mark.checkpoint"] {
+        assert!(!trained.folder().join(left).exists(), "{left} was left behind");
+    }
+    // Another training under the same number is another one.
+    let job = trained.killed_after_publishing(|job| job.spec.seed = 8);
+    assert!(!witness.exists(), "the old model was taken for the new one's");
+    assert_ne!(job.stages, trained.job.stages);
 }
 
 #[test]
