@@ -188,8 +188,13 @@ impl Progress {
         self.bar.set_length(p.total);
         self.bar.set_position(p.step);
         let left = if p.seconds_left >= 0.0 { clock(p.seconds_left) } else { "?".into() };
-        let quality = if p.psnr_db > 0.0 { format!("{:.1} dB", p.psnr_db) } else { format!("loss {:.4}", p.loss) };
-        let message = format!("{quality}, {left} left");
+        // What is prepared before a stage has neither.
+        let quality = match (p.psnr_db > 0.0, p.loss != 0.0) {
+            (true, _) => format!("{:.1} dB, ", p.psnr_db),
+            (false, true) => format!("loss {:.4}, ", p.loss),
+            (false, false) => String::new(),
+        };
+        let message = format!("{quality}{left} left");
         if self.lines.is_some_and(|last| last.elapsed() >= LINE_EVERY) {
             eprintln!("{} {}/{} {message}", p.stage, p.step, p.total);
             self.lines = Some(Instant::now());

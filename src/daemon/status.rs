@@ -81,8 +81,9 @@ fn field(error: &FieldError) -> Code {
 fn mark(error: &MarkError) -> Code {
     match error {
         MarkError::Setting { .. } => Code::InvalidArgument,
-        MarkError::Plan(_) => Code::FailedPrecondition,
-        MarkError::NotFinite { .. } | MarkError::Network(_) => Code::Internal,
+        MarkError::Plan(_) | MarkError::NotLearnt { .. } => Code::FailedPrecondition,
+        MarkError::Stopped => Code::Cancelled,
+        MarkError::NotFinite { .. } | MarkError::Network(_) | MarkError::Metric(_) => Code::Internal,
         MarkError::Field(error) => field(error),
         MarkError::Stored { .. } => Code::DataLoss,
     }

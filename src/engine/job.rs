@@ -45,7 +45,7 @@ pub struct Job {
     pub accepted_unix_s: u64,
     /// When it ended, likewise; 0 while it has not.
     pub ended_unix_s: u64,
-    /// Seconds of computing a stage, over all runs.
+    /// Seconds of computing a stage, its preparation included, over all runs.
     pub stages: Vec<StageSeconds>,
 }
 
@@ -114,9 +114,9 @@ pub struct StageSeconds {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
-    /// `waiting`, `base field`, `marked field`, `finished`.
+    /// `waiting`, `photographs`, `base field`, `ray weights`, `marked field`, `finished`.
     pub stage: String,
-    /// Steps of this stage done.
+    /// Steps of this stage done; photographs decoded, views worked out.
     pub step: u64,
     /// Steps of this stage in all; 0 while not known.
     pub total: u64,

@@ -47,7 +47,14 @@ pub struct Control<'a> {
     path: PathBuf,
 }
 
-impl Control<'_> {
+impl<'a> Control<'a> {
+    /// A line of its own, for tests of what runs a job.
+    #[cfg(test)]
+    pub(super) fn stopping(stop: &'a AtomicU8, sender: &'a watch::Sender<Job>, path: PathBuf) -> Self {
+        stop.store(CANCEL, Ordering::Release);
+        Self { stop, sender, path }
+    }
+
     /// Whether the job has to stop at its next step.
     pub fn stop_requested(&self) -> bool {
         self.stop.load(Ordering::Acquire) != GO_ON

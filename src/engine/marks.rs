@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use cairn_capture::{Picture, SceneFolder};
 use cairn_cluster::Clusters;
-use cairn_stega::{MarkPlan, MarkTrainer, PlannedView};
+use cairn_stega::{MarkError, MarkPlan, MarkTrainer, PlannedView};
 
 pub use cairn_stega::{Detection, Detector, MarkedField};
 
 use super::error::EngineError;
-use super::stages::{Field, Stage, Step};
+use super::stages::{self, Field, Preparing, Stage, Step};
 use crate::config::TrainingSettings;
 
 /// Steps between judgements of a state on poses it was not trained on; fixed, so
@@ -22,7 +22,8 @@ pub struct Marking(MarkTrainer);
 
 impl Marking {
     /// Stage 2 for the scene's training views, new or from a checkpoint. Works
-    /// out every view's ray weights first.
+    /// out every view's ray weights first; `None` when `preparing` did not want to
+    /// go on.
     ///
     /// # Errors
     /// For photographs that were altered, settings out of range, a cluster without
@@ -30,26 +31,30 @@ impl Marking {
     pub fn start(
         scene: &SceneFolder,
         base: Field,
-        clusters: &Clusters,
-        signals: Vec<Picture>,
-        settings: &TrainingSettings,
-        seed: u64,
+        (clusters, signals): (&Clusters, Vec<Picture>),
+        (settings, seed): (&TrainingSettings, u64),
         checkpoint: Option<&[u8]>,
-    ) -> Result<Self, EngineError> {
+        preparing: Preparing<'_>,
+    ) -> Result<Option<Self>, EngineError> {
         let capture = scene.capture();
-        let (mut views, mut negatives) = (Vec::new(), Vec::new());
-        for index in capture.training() {
+        // Photographs carry no mark: the detector has to stay silent on them.
+        let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
+        let views = capture.training().map(|index| {
             let view = &capture.views[index];
-            views.push(PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() });
-            // Photographs carry no mark: the detector has to stay silent on them.
-            negatives.push(scene.photograph(index)?);
-        }
-        let plan = MarkPlan { clusters: clusters.clone(), views, signals, negatives };
+            PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() }
+        });
+        let plan = MarkPlan { clusters: clusters.clone(), views: views.collect(), signals, negatives };
         let base = Arc::new(base);
-        Ok(Self(match checkpoint {
-            Some(bytes) => MarkTrainer::resume(bytes, base, plan)?,
-            None => MarkTrainer::new(base, plan, settings.mark.clone(), seed)?,
-        }))
+        let progress = &mut |done, total| preparing(stages::RAY_WEIGHTS, done, total);
+        let made = match checkpoint {
+            Some(bytes) => MarkTrainer::resume(bytes, base, plan, progress),
+            None => MarkTrainer::new(base, plan, settings.mark.clone(), seed, progress),
+        };
+        match made {
+            Ok(trainer) => Ok(Some(Self(trainer))),
+            Err(MarkError::Stopped) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// The marked field's and the detector's bytes, at the best state judged.

@@ -1,9 +1,12 @@
 //! A stage of training as the engine drives it: make or resume a trainer, step
 //! it, checkpoint it. Stage 1 stands here, stage 2 in [`super::marks`].
+//!
+//! Making a trainer takes long where photographs or poses are many. It therefore
+//! tells how far it is, part by part, and hears between them that it has to stop.
 
 use std::sync::Arc;
 
-use cairn_capture::SceneFolder;
+use cairn_capture::{Picture, SceneFolder};
 use cairn_field::{BaseTrainer, SceneFrame, TrainingView};
 
 pub use cairn_field::{Appearance, Field};
@@ -15,6 +18,14 @@ use crate::config::TrainingSettings;
 pub const BASE: &str = "base field";
 /// Name of stage 2.
 pub const MARK: &str = "marked field";
+/// Name of decoding the training views' photographs, before either stage.
+pub const PHOTOGRAPHS: &str = "photographs";
+/// Name of working out views as linear maps, before stage 2.
+pub const RAY_WEIGHTS: &str = "ray weights";
+
+/// Hears what is being prepared, how many parts of it are done and how many there
+/// are; answers whether to go on.
+pub type Preparing<'a> = &'a mut dyn FnMut(&'static str, usize, usize) -> bool;
 
 /// A training that goes on by steps and can be put down and taken up between them.
 pub trait Stage {
@@ -50,7 +61,8 @@ impl Stage for BaseTrainer {
     }
 }
 
-/// The trainer of stage 1 for the scene's training views, new or from a checkpoint.
+/// The trainer of stage 1 for the scene's training views, new or from a checkpoint;
+/// `None` when `preparing` did not want to go on.
 ///
 /// # Errors
 /// For photographs that were altered, settings out of range, a checkpoint of other views.
@@ -59,19 +71,34 @@ pub fn base_trainer(
     settings: &TrainingSettings,
     seed: u64,
     checkpoint: Option<&[u8]>,
-) -> Result<BaseTrainer, EngineError> {
+    preparing: Preparing<'_>,
+) -> Result<Option<BaseTrainer>, EngineError> {
     let capture = scene.capture();
-    let mut views = Vec::new();
-    for index in capture.training() {
+    let Some(photographs) = photographs(scene, preparing)? else { return Ok(None) };
+    let mut views = Vec::with_capacity(photographs.len());
+    for (index, picture) in capture.training().zip(photographs) {
         let view = &capture.views[index];
-        let picture = Arc::new(scene.photograph(index)?);
-        views.push(TrainingView { name: view.name.clone(), camera: view.camera, picture });
+        views.push(TrainingView { name: view.name.clone(), camera: view.camera, picture: Arc::new(picture) });
     }
-    Ok(match checkpoint {
+    Ok(Some(match checkpoint {
         Some(bytes) => BaseTrainer::resume(bytes, views)?,
         None => {
             let frame = SceneFrame::from_capture(capture)?;
             BaseTrainer::new(views, frame, capture.background, settings.field.clone(), seed)?
         }
-    })
+    }))
+}
+
+/// The training views' photographs, in their order; `None` when `preparing` did not
+/// want to go on.
+pub fn photographs(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Picture>>, EngineError> {
+    let training: Vec<usize> = scene.capture().training().collect();
+    let mut pictures = Vec::with_capacity(training.len());
+    for index in &training {
+        if !preparing(PHOTOGRAPHS, pictures.len(), training.len()) {
+            return Ok(None);
+        }
+        pictures.push(scene.photograph(*index)?);
+    }
+    Ok(Some(pictures))
 }

@@ -19,7 +19,7 @@ use super::folder::{read_limited, remove, write_atomic};
 use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
 use super::marks::Marking;
-use super::model::{IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
+use super::model::{self, IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
 use super::scenes;
 use super::stages::{self, Field, Stage};
 
@@ -45,9 +45,13 @@ impl Work for Training {
         let spec = &job.spec;
         let scene = scenes::open(&self.scenes, &spec.scene)?;
         let folder = self.jobs.join(&job.id);
-        let Some(base) = self.base_field(job, &scene, &folder, control)? else { return Ok(Outcome::Stopped) };
         let clusters = clusters(&scene, &spec.grouping, spec.seed)?;
         let settings = spec.settings.to_toml()?;
+        // Cut off between publishing and its end: the model is there, whole.
+        if self.is_published(job, &clusters, &settings)? {
+            return finished(&folder, control);
+        }
+        let Some(base) = self.base_field(job, &scene, &folder, control)? else { return Ok(Outcome::Stopped) };
         let mark = match spec.base_only {
             true => None,
             false => match self.mark(job, &scene, &folder, &base, &clusters, control)? {
@@ -67,14 +71,31 @@ impl Work for Training {
             mark: mark.as_ref().map(MarkFiles::info),
         };
         publish(&self.models, &info, &ModelFiles { base: &base, settings: &settings, mark: mark.as_ref() })?;
-        remove(&folder.join("base.field"))?;
-        remove(&folder.join("mark.checkpoint"))?;
-        control.progress(Progress { stage: "finished".into(), seconds_left: 0.0, ..Progress::default() });
-        Ok(Outcome::Finished)
+        finished(&folder, control)
     }
 }
 
+/// Removes what is of no more use once the model is published, and says so.
+fn finished(folder: &Path, control: &Control<'_>) -> Result<Outcome, EngineError> {
+    for left in ["base.checkpoint", "base.field", "mark.checkpoint"] {
+        remove(&folder.join(left))?;
+    }
+    control.progress(Progress { stage: "finished".into(), seconds_left: 0.0, ..Progress::default() });
+    Ok(Outcome::Finished)
+}
+
 impl Training {
+    /// Whether the scene's newest model is this job's. Its number alone does not
+    /// say: numbers start again where somebody emptied the folder of jobs.
+    fn is_published(&self, job: &Job, clusters: &Clusters, settings: &str) -> Result<bool, EngineError> {
+        let Some(model) = model::newest(&self.models, &job.spec.scene)? else { return Ok(false) };
+        Ok(model.job == job.id
+            && model.seed == job.spec.seed.to_string()
+            && model.settings == Digest::of(settings)
+            && model.clusters == *clusters
+            && model.mark.is_none() == job.spec.base_only)
+    }
+
     /// Stage 1: the base field's bytes, or `None` when it was asked to stop.
     fn base_field(
         &self,
@@ -87,11 +108,14 @@ impl Training {
         if done.exists() {
             return read_limited(&done, MAX_CHECKPOINT_BYTES).map(Some);
         }
+        let clock = Instant::now();
         let file = folder.join("base.checkpoint");
         let checkpoint = read_checkpoint(&file)?;
-        let mut trainer = stages::base_trainer(scene, &job.spec.settings, job.spec.seed, checkpoint.as_deref())?;
+        let (settings, seed) = (&job.spec.settings, job.spec.seed);
+        let made = stages::base_trainer(scene, settings, seed, checkpoint.as_deref(), &mut preparing(control))?;
         drop(checkpoint);
-        if !self.drive(stages::BASE, &mut trainer, &file, control)? {
+        let Some(mut trainer) = made else { return stopped(stages::BASE, clock, control) };
+        if !self.drive((stages::BASE, clock), &mut trainer, &file, control)? {
             return Ok(None);
         }
         let bytes = Field::to_bytes(&trainer.finish())?;
@@ -110,32 +134,34 @@ impl Training {
         clusters: &Clusters,
         control: &Control<'_>,
     ) -> Result<Option<MarkFiles>, EngineError> {
-        let (settings, seed) = (&job.spec.settings, job.spec.seed);
+        let clock = Instant::now();
         let signals = signals(job, folder, clusters.clusters.len())?;
         let file = folder.join("mark.checkpoint");
         let checkpoint = read_checkpoint(&file)?;
         let base = Field::from_bytes(base)?;
-        let mut trainer =
-            Marking::start(scene, base, clusters, signals.clone(), settings, seed, checkpoint.as_deref())?;
+        let (plan, how) = ((clusters, signals.clone()), (&job.spec.settings, job.spec.seed));
+        let made = Marking::start(scene, base, plan, how, checkpoint.as_deref(), &mut preparing(control))?;
         drop(checkpoint);
-        if !self.drive(stages::MARK, &mut trainer, &file, control)? {
+        let Some(mut trainer) = made else { return stopped(stages::MARK, clock, control) };
+        if !self.drive((stages::MARK, clock), &mut trainer, &file, control)? {
             return Ok(None);
         }
         let (field, detector) = trainer.finish()?;
         Ok(Some(MarkFiles { field, detector, signals: signals.iter().map(encode_png).collect() }))
     }
 
-    /// Steps a stage to its end; false when it was asked to stop. Either way its
-    /// state is on the disk on return.
+    /// Steps a stage, whose `clock` runs since before its trainer was made, to its
+    /// end; false when it was asked to stop. Either way its state is on the disk on
+    /// return.
     fn drive(
         &self,
-        name: &str,
+        (name, clock): (&str, Instant),
         stage: &mut impl Stage,
         file: &Path,
         control: &Control<'_>,
     ) -> Result<bool, EngineError> {
         let (begun, first) = (Instant::now(), stage.steps().0);
-        let (mut saved, mut told): (Instant, Option<Instant>) = (begun, None);
+        let (mut saved, mut told): (Instant, Option<Instant>) = (clock, None);
         loop {
             let (step, total) = stage.steps();
             let finished = step >= total;
@@ -166,6 +192,33 @@ impl Training {
             }
         }
     }
+}
+
+/// Tells the job's watchers of a preparation, and that it has to stop.
+fn preparing(control: &Control<'_>) -> impl FnMut(&'static str, usize, usize) -> bool {
+    let (mut begun, mut told): (Instant, Option<Instant>) = (Instant::now(), None);
+    move |stage, done, total| {
+        if done == 0 {
+            (begun, told) = (Instant::now(), None);
+        }
+        if told.is_none_or(|t| t.elapsed() >= PROGRESS_EVERY) {
+            told = Some(Instant::now());
+            let seconds_left = match done {
+                0 => Progress::default().seconds_left,
+                done => begun.elapsed().as_secs_f64() / done as f64 * (total - done) as f64,
+            };
+            let (step, total) = (done as u64, total as u64);
+            control.progress(Progress { stage: stage.to_owned(), step, total, seconds_left, ..Progress::default() });
+        }
+        !control.stop_requested()
+    }
+}
+
+/// The end of a stage that was stopped before its trainer was made: there is nothing
+/// to keep but the time it took.
+fn stopped<T>(name: &str, clock: Instant, control: &Control<'_>) -> Result<Option<T>, EngineError> {
+    control.spent(name, clock.elapsed().as_secs_f64())?;
+    Ok(None)
 }
 
 /// What each identity hides: what the job brought, else its own emblem.
@@ -233,14 +286,5 @@ fn contributors<'a>(of_photographs: impl Iterator<Item = &'a str>) -> Vec<(Strin
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn contributors_are_counted_most_first_then_by_name() {
-        let names = ["visitor-31", "drone-2", "ada", "drone-2", "drone-2", "ada", "zoe", "zoe"];
-        let wanted = [("drone-2", 3), ("ada", 2), ("zoe", 2), ("visitor-31", 1)].map(|(n, c)| (n.to_owned(), c));
-        assert_eq!(contributors(names.into_iter()), wanted);
-        assert_eq!(contributors(std::iter::empty()), []);
-    }
-}
+#[path = "training_tests.rs"]
+mod tests;

@@ -111,7 +111,8 @@ impl Params {
     /// Parameters from [`Self::to_bytes`]; networks built on them find theirs by name.
     ///
     /// # Errors
-    /// [`NnError::Container`] or [`NnError::Format`] when the bytes are not such a file.
+    /// [`NnError::Container`] or [`NnError::Format`] when the bytes are not such a file,
+    /// or hold a number that is not finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let (header, tensors): (Header, _) = unpack("parameters", bytes)?;
         check_format("parameters", (&header.format, header.version), (FORMAT, VERSION))?;
@@ -232,7 +233,7 @@ pub(crate) fn pack(what: &'static str, header: &impl Serialize, tensors: &Tensor
     serialize(views, Some(HashMap::from([(METADATA_KEY.to_owned(), header)]))).map_err(container)
 }
 
-/// Header and tensors of [`pack`].
+/// Header and tensors of [`pack`], every number finite.
 pub(crate) fn unpack<H: for<'a> Deserialize<'a>>(what: &'static str, bytes: &[u8]) -> Result<(H, Tensors)> {
     let container = |source| NnError::Container { what, source };
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
@@ -247,7 +248,12 @@ pub(crate) fn unpack<H: for<'a> Deserialize<'a>>(what: &'static str, bytes: &[u8
             let got = format!("{:?} in `{name}`", view.dtype());
             return Err(NnError::Format { what, expected: "f32 tensors".into(), got });
         }
-        let data = view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let data: Vec<f32> =
+            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        if let Some(at) = data.iter().position(|v| !v.is_finite()) {
+            let got = format!("{} at entry {at} of `{name}`", data[at]);
+            return Err(NnError::Format { what, expected: "finite numbers".into(), got });
+        }
         tensors.insert(name.to_owned(), (view.shape().to_vec(), data));
     }
     Ok((header, tensors))

@@ -55,7 +55,7 @@ fn main() -> Fallible<()> {
     let negatives = capture.training().map(&photograph).collect::<Fallible<Vec<_>>>()?;
     let started = Instant::now();
     let plan = MarkPlan { clusters: clusters.clone(), views, signals: hidden.clone(), negatives };
-    let mut trainer = MarkTrainer::new(field.clone(), plan, config, 1)?;
+    let mut trainer = MarkTrainer::new(field.clone(), plan, config, 1, &mut |_, _| true)?;
     println!("ray weights: {:.1} s", started.elapsed().as_secs_f64());
     let mut classify = 0.0;
     while trainer.steps_done() < trainer.steps_total() {

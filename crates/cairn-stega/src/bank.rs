@@ -1,7 +1,7 @@
 //! The views stage 2 trains on: each cluster's photographs' poses and virtual
 //! ones between them, with ray weights worked out once, and unmarked pictures.
 
-use crate::config::MarkConfig;
+use crate::config::{CarrierKind, MarkConfig};
 use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, virtual_views};
@@ -29,31 +29,38 @@ pub(crate) struct Bank {
     pub(crate) views: Vec<BankView>,
     /// Views of each identity, from 0.
     of: Vec<Vec<usize>>,
-    /// Views of nobody's cluster, to be silent on; without entries for marks.
+    /// Views of nobody's cluster, to be silent on.
     outside: Vec<BankView>,
+    /// Whether a carrier is seen on those as well; else they are without entries for marks.
+    marked_outside: bool,
     negatives: Negatives,
     /// Virtual views kept for judging: identity (from 0) and view.
     pub(crate) judged: Vec<(usize, BankView)>,
+    /// Views of nobody's cluster kept for judging, where a carrier is seen on them.
+    pub(crate) judged_outside: Vec<BankView>,
     /// Unmarked pictures kept for judging, at the networks' size.
     pub(crate) judged_unmarked: Vec<Vec<f32>>,
 }
 
-impl Bank {
-    /// Works out all ray weights; everything drawn follows from `seed`.
-    pub(crate) fn new(field: &Field, plan: &MarkPlan, config: &MarkConfig, seed: u64) -> Result<Self, MarkError> {
+/// The views of a bank before their ray weights are worked out.
+struct Chosen {
+    /// Each identity's views to train on, and those to judge it by.
+    of: Vec<(Vec<PlannedView>, Vec<PlannedView>)>,
+    outside: Vec<PlannedView>,
+    judged_outside: Vec<PlannedView>,
+}
+
+impl Chosen {
+    /// Everything drawn follows from `seed`.
+    fn draw(plan: &MarkPlan, config: &MarkConfig, seed: u64) -> Result<Self, MarkError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let side = config.side_px();
-        let small: Vec<PlannedView> = plan
-            .views
-            .iter()
-            .map(|v| PlannedView {
-                camera: at_most(&v.camera, config.longest_side_px),
-                appearance: v.appearance.clone(),
-            })
-            .collect();
+        let shrink = |v: &PlannedView| PlannedView {
+            camera: at_most(&v.camera, config.longest_side_px),
+            appearance: v.appearance.clone(),
+        };
+        let small: Vec<PlannedView> = plan.views.iter().map(shrink).collect();
         let identity_of = |v: &PlannedView| plan.clusters.identity_of(&v.camera.pose).identity;
-        let prepared = |v: PlannedView| BankView { linear: field.view(&v.camera, CUTOFF), appearance: v.appearance };
-        let (mut views, mut of, mut judged) = (Vec::new(), Vec::new(), Vec::new());
+        let mut of = Vec::new();
         for cluster in &plan.clusters.clusters {
             let members: Vec<PlannedView> =
                 small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
@@ -65,32 +72,100 @@ impl Bank {
             }
             let between = virtual_views(&plan.clusters, cluster.identity, &members, config.virtual_views, &mut rng);
             let held = virtual_views(&plan.clusters, cluster.identity, &members, JUDGED, &mut rng);
-            let first = views.len();
-            views.extend(members.into_iter().chain(between).map(prepared));
-            of.push((first..views.len()).collect());
-            judged.extend(held.into_iter().map(|v| (cluster.identity as usize - 1, prepared(v))));
+            of.push((members.into_iter().chain(between).collect(), held));
         }
-        // Every fifth unmarked picture judges and does not teach.
-        let (mut outside, mut teach, mut judge) = (Vec::new(), Vec::new(), Vec::new());
-        let kept_to_judge = |i: usize, judge: &Vec<_>, most: usize| i % 5 == 4 && judge.len() < most;
-        for (i, v) in small.iter().filter(|v| identity_of(v).is_none()).enumerate() {
-            if kept_to_judge(i, &judge, 4 * JUDGED) {
-                judge.push(shrunk(&field.render(&v.camera, &v.appearance), side));
+        let (mut outside, mut judged_outside) = (Vec::new(), Vec::new());
+        for (i, v) in small.into_iter().filter(|v| identity_of(v).is_none()).enumerate() {
+            let list =
+                if kept_to_judge(i, judged_outside.len(), 4 * JUDGED) { &mut judged_outside } else { &mut outside };
+            list.push(v);
+        }
+        Ok(Self { of, outside, judged_outside })
+    }
+
+    fn len(&self) -> usize {
+        let of: usize = self.of.iter().map(|(views, judged)| views.len() + judged.len()).sum();
+        of + self.outside.len() + self.judged_outside.len()
+    }
+}
+
+/// Every fifth unmarked picture judges and does not teach, up to `most` that judge.
+fn kept_to_judge(i: usize, so_far: usize, most: usize) -> bool {
+    i % 5 == 4 && so_far < most
+}
+
+/// Works out ray weights, view after view, as long as `progress` wants it.
+struct Prepare<'a> {
+    field: &'a Field,
+    done: usize,
+    total: usize,
+    progress: &'a mut dyn FnMut(usize, usize) -> bool,
+}
+
+impl Prepare<'_> {
+    fn go_on(&mut self) -> Result<(), MarkError> {
+        let go_on = (self.progress)(self.done, self.total);
+        self.done += 1;
+        if go_on { Ok(()) } else { Err(MarkError::Stopped) }
+    }
+
+    fn view(&mut self, v: PlannedView, cutoff: f32) -> Result<BankView, MarkError> {
+        self.go_on()?;
+        Ok(BankView { linear: self.field.view(&v.camera, cutoff), appearance: v.appearance })
+    }
+}
+
+impl Bank {
+    /// Works out all ray weights; everything drawn follows from `seed`. Before each
+    /// view `progress` hears how many are done and how many there are, and says
+    /// whether to go on.
+    pub(crate) fn new(
+        field: &Field,
+        plan: &MarkPlan,
+        config: &MarkConfig,
+        seed: u64,
+        progress: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Self, MarkError> {
+        let side = config.side_px();
+        let chosen = Chosen::draw(plan, config, seed)?;
+        let mut prepare = Prepare { field, done: 0, total: chosen.len(), progress };
+        let (mut views, mut of, mut judged) = (Vec::new(), Vec::new(), Vec::new());
+        for (identity, (teach, judge)) in chosen.of.into_iter().enumerate() {
+            let first = views.len();
+            for v in teach {
+                views.push(prepare.view(v, CUTOFF)?);
+            }
+            of.push((first..views.len()).collect());
+            for v in judge {
+                judged.push((identity, prepare.view(v, CUTOFF)?));
+            }
+        }
+        // One carrier for all is seen from everywhere, also where it must say nothing.
+        let marked_outside = config.carrier == CarrierKind::Harmonics;
+        let cutoff = if marked_outside { CUTOFF } else { f32::INFINITY };
+        let outside: Vec<BankView> =
+            chosen.outside.into_iter().map(|v| prepare.view(v, cutoff)).collect::<Result<_, MarkError>>()?;
+        let (mut judged_outside, mut judge, mut teach) = (Vec::new(), Vec::new(), Vec::new());
+        for v in chosen.judged_outside {
+            if marked_outside {
+                judged_outside.push(prepare.view(v, CUTOFF)?);
             } else {
-                let linear = field.view(&v.camera, f32::INFINITY);
-                outside.push(BankView { linear, appearance: v.appearance.clone() });
+                prepare.go_on()?;
+                judge.push(shrunk(&field.render(&v.camera, &v.appearance), side));
             }
         }
         for (i, photograph) in plan.negatives.iter().enumerate() {
-            let list = if kept_to_judge(i, &judge, 8 * JUDGED) { &mut judge } else { &mut teach };
-            list.push(shrunk(photograph, side));
+            let kept = kept_to_judge(i, judged_outside.len() + judge.len(), 8 * JUDGED);
+            if kept { &mut judge } else { &mut teach }.push(shrunk(photograph, side));
         }
         Ok(Self {
             views,
             of,
             outside,
+            marked_outside,
             negatives: Negatives::new(side, teach.into_iter()),
             judged,
+            judged_outside,
             judged_unmarked: judge,
         })
     }
@@ -102,10 +177,21 @@ impl Bank {
             return self.negatives.draw(rng);
         }
         let at = rng.random_range(0..self.views.len() + self.outside.len());
-        let view = self.views.get(at).unwrap_or_else(|| &self.outside[at - self.views.len()]);
+        let view = self.view(at);
         let mut base = view.linear.base(&self.mixed(&view.appearance, rng));
         base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         Window::draw(view.linear.width(), view.linear.height(), side, rng).apply(&base)
+    }
+
+    /// A view to train on; those outside all clusters come last.
+    pub(crate) fn view(&self, at: usize) -> &BankView {
+        self.views.get(at).unwrap_or_else(|| &self.outside[at - self.views.len()])
+    }
+
+    /// A view outside all clusters on which a carrier is seen all the same.
+    pub(crate) fn draw_outside(&self, rng: &mut ChaCha8Rng) -> Option<usize> {
+        let some = self.marked_outside && !self.outside.is_empty();
+        some.then(|| self.views.len() + rng.random_range(0..self.outside.len()))
     }
 
     /// A view of `identity` (from 0).
@@ -116,7 +202,7 @@ impl Bank {
 
     /// The appearance to show a view in.
     pub(crate) fn appearance(&self, view: usize, rng: &mut ChaCha8Rng) -> Appearance {
-        self.mixed(&self.views[view].appearance, rng)
+        self.mixed(&self.view(view).appearance, rng)
     }
 
     /// As often a view's own appearance as one on the way to another's: marks

@@ -86,23 +86,39 @@ impl Carrier {
         view.push_back(slope, self.basis, appearance, &mut self.gradient, &mut self.touched);
     }
 
-    /// One step: the gradient's running mean over its size, times the mask, then the pull. Clears the
-    /// gradient. Errors with the values unchanged when the gradient is not finite.
-    pub(crate) fn step(&mut self, how: &Move<'_>) -> Result<(), MarkError> {
+    /// The mean square that [`Carrier::apply`] is to go on with, from the gradient
+    /// owed. Changes nothing, so that all carriers can be checked before one moves.
+    ///
+    /// # Errors
+    /// [`MarkError::NotFinite`] when the gradient, or its mean square as f32, is not
+    /// finite; `step` is the trainer's.
+    pub(crate) fn check(&self, step: u64) -> Result<f32, MarkError> {
         let width = self.basis.width();
         // Sums in fixed pieces, so that threads do not change them.
         let squares: Vec<f64> =
             self.gradient.par_chunks(TASK).map(|c| c.iter().map(|g| f64::from(*g).powi(2)).sum()).collect();
         let touched = self.touched.iter().filter(|t| **t).count().max(1) * width;
         let square = squares.iter().sum::<f64>() / touched as f64;
-        if !square.is_finite() {
-            self.gradient.fill(0.0);
-            self.touched.fill(false);
-            return Err(MarkError::NotFinite { step: self.steps, place: "a carrier's gradient".into() });
+        let second = BETA_2 * self.second + (1.0 - BETA_2) * square as f32;
+        if !second.is_finite() {
+            return Err(MarkError::NotFinite { step: Some(step), place: "a carrier's gradient".into() });
         }
+        Ok(second)
+    }
+
+    /// Forgets the gradient owed: the step is not taken.
+    pub(crate) fn forget(&mut self) {
+        self.gradient.fill(0.0);
+        self.touched.fill(false);
+    }
+
+    /// One step: the gradient's running mean over its size, times the mask, then the
+    /// pull. Clears the gradient. `second` is what [`Carrier::check`] gave.
+    pub(crate) fn apply(&mut self, second: f32, how: &Move<'_>) {
+        let width = self.basis.width();
         self.steps += 1;
         let n = self.steps as i32;
-        self.second = BETA_2 * self.second + (1.0 - BETA_2) * square as f32;
+        self.second = second;
         let root = (self.second / (1.0 - BETA_2.powi(n))).sqrt().max(1e-12);
         let rate = how.rate / (1.0 - BETA_1.powi(n)) / root;
         self.touched
@@ -123,7 +139,6 @@ impl Carrier {
                     }
                 }
             });
-        Ok(())
     }
 
     /// Makes the mark weaker or stronger by `factor`.
@@ -149,4 +164,41 @@ pub(crate) fn scramble(mut x: u64) -> u64 {
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ (x >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As if one view had been pushed back.
+    fn owing(carrier: &mut Carrier, gradient: &[f32]) {
+        carrier.gradient.copy_from_slice(gradient);
+        carrier.touched.fill(true);
+    }
+
+    #[test]
+    fn a_refused_gradient_leaves_no_trace() {
+        let mut plain = Carrier::from_values(CarrierBasis::Constant, vec![0.1; 6]);
+        let mut refused = plain.clone();
+        // The second is finite; its square is not, as f32.
+        for bad in [f32::NAN, 1e25] {
+            let mut gradient = [0.5; 6];
+            gradient[4] = bad;
+            owing(&mut refused, &gradient);
+            assert!(matches!(refused.check(9), Err(MarkError::NotFinite { step: Some(9), .. })), "{bad}");
+            refused.forget();
+        }
+        let how = Move { mask: &[1.0; 6], rate: 0.01, pull: 0.0 };
+        for carrier in [&mut plain, &mut refused] {
+            // One row only: what is left of the other would show.
+            owing(carrier, &[1.0, -2.0, 3.0, 0.0, 0.0, 0.0]);
+            carrier.touched[1] = false;
+            let second = carrier.check(10).unwrap();
+            carrier.apply(second, &how);
+        }
+        assert_eq!(plain.values, refused.values);
+        assert_eq!(plain.second, refused.second);
+        assert_ne!(plain.values[..3], [0.1; 3], "the step moved nothing");
+        assert_eq!(plain.values[3..], [0.1; 3]);
+    }
 }

@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Format of a stage-2 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/1";
+const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/2";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -30,23 +30,28 @@ struct Header {
     carrier_steps: Vec<u64>,
     /// Step, and bits of accuracy and SSIM, of the best state.
     best: Option<(u64, u64, u64)>,
-    /// SHA-256 of signals and cameras: another plan is refused.
+    /// [`fingerprint`] of the plan and the base field: others are refused.
     plan: String,
 }
 
-/// A digest of what a checkpoint must meet again.
-fn fingerprint(plan: &MarkPlan) -> String {
+/// A digest of what a checkpoint must meet again: cameras, appearances, clusters,
+/// pictures and the base field. Lengths go in as well, so that no two plans run
+/// together into the same bytes.
+pub(crate) fn fingerprint(plan: &MarkPlan, field: &Field) -> Result<String, MarkError> {
     let mut hash = Sha256::new();
-    for view in &plan.views {
-        for number in view.camera.pose.rotation.to_cols_array().iter().chain(&view.camera.pose.position.to_array()) {
-            hash.update(number.to_le_bytes());
-        }
-    }
+    let mut part = |bytes: &[u8]| {
+        hash.update((bytes.len() as u64).to_le_bytes());
+        hash.update(bytes);
+    };
+    let views: Vec<_> = plan.views.iter().map(|v| (&v.camera, &v.appearance)).collect();
+    let json = serde_json::to_vec(&(views, &plan.clusters, plan.signals.len()));
+    part(&json.map_err(|e| stored("checkpoint", format!("its plan: {e}")))?);
     for picture in plan.signals.iter().chain(&plan.negatives) {
-        hash.update((picture.width() as u64).to_le_bytes());
-        hash.update(picture.to_rgb8());
+        part(&(picture.width() as u64).to_le_bytes());
+        part(&picture.to_rgb8());
     }
-    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+    part(&field.to_bytes()?);
+    Ok(hash.finalize().iter().map(|b| format!("{b:02x}")).collect())
 }
 
 fn floats(values: &[f32]) -> Vec<u8> {
@@ -70,7 +75,7 @@ impl MarkTrainer {
             converged: self.converged,
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
             best: best.map(|b| (b.judgement.step, b.judgement.accuracy.to_bits(), b.judgement.hidden_ssim.to_bits())),
-            plan: fingerprint(&self.plan),
+            plan: self.fingerprint.clone(),
         };
         let mut parts: Vec<(String, Vec<u8>)> =
             vec![("networks".into(), self.networks.params.to_bytes()?), ("adam".into(), self.adam.to_bytes()?)];
@@ -94,53 +99,96 @@ impl MarkTrainer {
         safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
     }
 
-    /// Takes stage 2 up where `bytes` left it, on the same field and plan.
+    /// Takes stage 2 up where `bytes` left it, on the same field and plan. Ray
+    /// weights are worked out anew, with `progress` as in [`MarkTrainer::new`].
     ///
     /// # Errors
-    /// [`MarkError::Stored`] for an unknown format, a damaged file or another plan.
-    pub fn resume(bytes: &[u8], field: Arc<Field>, plan: MarkPlan) -> Result<Self, MarkError> {
+    /// [`MarkError::Stored`] for an unknown format, a damaged file, another plan or
+    /// field; [`MarkError::Stopped`].
+    pub fn resume(
+        bytes: &[u8],
+        field: Arc<Field>,
+        plan: MarkPlan,
+        progress: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "checkpoint")?;
         if header.format != CHECKPOINT_FORMAT {
             let why = format!("format `{}`, this program reads `{CHECKPOINT_FORMAT}`", header.format);
             return Err(stored("checkpoint", why));
         }
-        if header.plan != fingerprint(&plan) {
-            return Err(stored("checkpoint", "it was made with other views, signals or photographs".into()));
+        let fingerprint = fingerprint(&plan, &field)?;
+        if header.plan != fingerprint {
+            let why = "it was made with another base field, or other views, clusters, signals or photographs";
+            return Err(stored("checkpoint", why.into()));
         }
-        let bad = |e: safetensors::SafeTensorError| stored("checkpoint", e.to_string());
-        let file = SafeTensors::deserialize(bytes).map_err(bad)?;
-        let part = |name: &str| file.tensor(name).map(|t| t.data().to_vec()).map_err(bad);
-        let mut trainer = Self::new(field, plan, header.config, header.seed)?;
-        let read = |name: &str, len: usize| -> Result<Vec<f32>, MarkError> {
-            let data = part(name)?;
-            if data.len() != len * 4 {
-                return Err(stored("checkpoint", format!("`{name}` is of another length")));
-            }
-            Ok(data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
-        };
-        trainer.networks.params.load(&part("networks")?)?;
-        trainer.adam.load(&trainer.networks.params, &part("adam")?)?;
-        let mut carriers = Vec::new();
-        for (i, old) in trainer.carriers.iter().enumerate() {
-            let len = old.values.len();
-            let mut carrier = Carrier::from_values(old.basis, read(&format!("carrier{i}.values"), len)?);
-            carrier.first = read(&format!("carrier{i}.first"), len)?;
-            carrier.second = read(&format!("carrier{i}.second"), 1)?[0];
-            carrier.steps = header.carrier_steps.get(i).copied().unwrap_or_default();
-            carriers.push(carrier);
+        let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
+        let (config, seed) = (header.config.clone(), header.seed);
+        let mut trainer = Self::prepared(field, (plan, fingerprint), config, seed, progress)?;
+        trainer.restore(&header, &file)?;
+        Ok(trainer)
+    }
+
+    /// Takes over a checkpoint's state, every number of it checked.
+    fn restore(&mut self, header: &Header, file: &SafeTensors<'_>) -> Result<(), MarkError> {
+        let damaged = |why: String| Err(stored("checkpoint", why));
+        if header.step > self.config.steps {
+            return damaged(format!("step {} of {}", header.step, self.config.steps));
+        }
+        let (steps, expected) = (header.carrier_steps.len(), self.carriers.len());
+        if steps != expected {
+            return damaged(format!("`carrier_steps` has {steps} entries for {expected} carriers"));
+        }
+        let classify = f64::from_bits(header.classify_bits);
+        // Infinite until the first step.
+        if classify.is_nan() || (header.step > 0 && !classify.is_finite()) {
+            return damaged(format!("`classify_bits` says {classify}"));
+        }
+        self.adam.load(&self.networks.params, &part(file, "adam")?)?;
+        for (i, (carrier, steps)) in self.carriers.iter_mut().zip(&header.carrier_steps).enumerate() {
+            let len = carrier.values.len();
+            *carrier = Carrier::from_values(carrier.basis, numbers(file, &format!("carrier{i}.values"), len)?);
+            carrier.first = numbers(file, &format!("carrier{i}.first"), len)?;
+            carrier.second = numbers(file, &format!("carrier{i}.second"), 1)?[0];
+            carrier.steps = *steps;
         }
         if let Some((step, accuracy, ssim)) = header.best {
             let judgement = Judgement { step, accuracy: f64::from_bits(accuracy), hidden_ssim: f64::from_bits(ssim) };
-            let values = carriers.iter().enumerate();
-            let carriers =
-                values.map(|(i, c)| read(&format!("best.carrier{i}"), c.values.len())).collect::<Result<_, _>>()?;
-            trainer.best = Some(State { judgement, params: part("best.networks")?, carriers });
+            if !(judgement.accuracy.is_finite() && judgement.hidden_ssim.is_finite()) {
+                return damaged(format!("`best` says {judgement:?}"));
+            }
+            let values = self.carriers.iter().enumerate();
+            let carriers = values
+                .map(|(i, c)| numbers(file, &format!("best.carrier{i}"), c.values.len()))
+                .collect::<Result<_, _>>()?;
+            let params = part(file, "best.networks")?;
+            // Loaded now to be checked, not at the end of training.
+            self.networks.params.load(&params)?;
+            self.best = Some(State { judgement, params, carriers });
         }
-        trainer.carriers = carriers;
-        trainer.step = header.step;
-        trainer.classify = f64::from_bits(header.classify_bits);
-        trainer.joined = header.joined;
-        trainer.converged = header.converged;
-        Ok(trainer)
+        self.networks.params.load(&part(file, "networks")?)?;
+        self.step = header.step;
+        self.classify = classify;
+        self.joined = header.joined;
+        self.converged = header.converged;
+        Ok(())
+    }
+}
+
+fn part(file: &SafeTensors<'_>, name: &str) -> Result<Vec<u8>, MarkError> {
+    let tensor = file.tensor(name).map_err(|e| stored("checkpoint", format!("`{name}`: {e}")))?;
+    Ok(tensor.data().to_vec())
+}
+
+/// The `len` numbers of part `name`, all finite.
+fn numbers(file: &SafeTensors<'_>, name: &str, len: usize) -> Result<Vec<f32>, MarkError> {
+    let data = part(file, name)?;
+    if data.len() != len * 4 {
+        let why = format!("`{name}` has {} bytes, {len} numbers take {}", data.len(), len * 4);
+        return Err(stored("checkpoint", why));
+    }
+    let values: Vec<f32> = data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(at) => Err(stored("checkpoint", format!("`{name}` is not finite at number {at}"))),
+        None => Ok(values),
     }
 }

@@ -51,13 +51,13 @@ pub struct MarkConfig {
     /// Marked renders a step, 1 to 64; each goes with the base field's render of
     /// the same view and with an unmarked picture of anything.
     pub batch: usize,
-    /// l0, weight of the classification (equation 3).
+    /// l0, weight of the classification (equation 3); 0 to 1,000,000.
     pub weight_classify: f64,
-    /// l1, weight of recovery (equation 1).
+    /// l1, weight of recovery (equation 1); 0 to 1,000,000.
     pub weight_recover: f64,
-    /// l2, weight of silence on unmarked pictures (equation 2).
+    /// l2, weight of silence on unmarked pictures (equation 2); 0 to 1,000,000.
     pub weight_empty: f64,
-    /// l3, weight of keeping the picture (equation 4).
+    /// l3, weight of keeping the picture (equation 4); 0 to 1,000,000.
     pub weight_picture: f64,
     /// How signals are compared (equations 1 and 2).
     pub loss: LossKind,
@@ -76,10 +76,15 @@ pub struct MarkConfig {
     pub mask_alpha: f64,
     /// The mask's smallest value, 0 to 1: nothing is locked altogether.
     pub mask_least: f64,
+    /// Whether carriers are scaled to the budget below, and the picture loss and the
+    /// pull wait until marks are read with ease. The paper has no budget: there the
+    /// picture loss alone keeps the picture, at its full weight from the start.
+    pub budget: bool,
     /// theta's renders stay at least this close to theta_0's, PSNR in dB, 20 to 80.
     pub budget_db: f64,
     /// Where the budget starts, PSNR in dB, 20 to `budget_db`: strong marks are
-    /// found at once and can then be made fainter.
+    /// found at once and can then be made fainter. With or without a budget, the
+    /// first pattern's amplitude.
     pub budget_start_db: f64,
     /// Share of all steps in which the budget tightens, 0 to 1.
     pub budget_ramp: f64,
@@ -92,14 +97,15 @@ pub struct MarkConfig {
     /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
     pub final_rate: f64,
     /// Classifier and carrier train alone until the cross-entropy is below this
-    /// (nats): from theta = theta_0 the detector would collapse to silence.
+    /// (nats, 0.001 to 10): from theta = theta_0 the detector would collapse to
+    /// silence. A training that never gets there ends in an error.
     pub classify_until: f64,
     /// Poses between each cluster's photographs to train on as well, 0 to 256.
     pub virtual_views: usize,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
     /// Training ends when all held-out virtual poses are answered right and the
-    /// hidden signals' mean SSIM has reached this; above 1 = never.
+    /// hidden signals' mean SSIM has reached this, 0 to 10; above 1 = never.
     pub enough_ssim: f64,
     /// The classifier.
     pub classifier: ClassifierConfig,
@@ -123,6 +129,7 @@ impl Default for MarkConfig {
             mask: MaskKind::PerWeight,
             mask_alpha: 3.0,
             mask_least: 0.2,
+            budget: true,
             budget_db: 40.0,
             budget_start_db: 32.0,
             budget_ramp: 0.4,
@@ -172,7 +179,7 @@ impl MarkConfig {
             ("mark.learning_rate_carrier", self.learning_rate_carrier, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.learning_rate_networks", self.learning_rate_networks, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
-            ("mark.classify_until", self.classify_until, 0.0, 10.0, "0 to 10"),
+            ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
         ] {
             check((low..=high).contains(&value), key, value.to_string(), allowed)?;

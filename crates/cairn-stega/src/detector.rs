@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// Format of a stored detector; another number is refused by name.
-pub const DETECTOR_FORMAT: &str = "cairn.detector/1";
+pub const DETECTOR_FORMAT: &str = "cairn.detector/2";
 
 /// F_psi and Fc_psi after training.
 pub struct Detector {
@@ -57,7 +57,8 @@ impl Detector {
     /// Classifies `picture` (any size) and recovers what it hides.
     ///
     /// # Errors
-    /// [`MarkError`] when a number of the picture is not finite.
+    /// [`MarkError::Plan`] when a number of the picture is not finite,
+    /// [`MarkError::NotFinite`] when one of the answer is not.
     pub fn detect(&self, picture: &Picture) -> Result<Detection, MarkError> {
         self.read(picture, None)
     }

@@ -18,22 +18,38 @@ pub enum MarkError {
     /// The plan does not fit together.
     #[error("plan: {0}")]
     Plan(String),
-    /// A number that is not finite appeared; the state is the last good one.
-    #[error(
-        "step {step}: {place} is not finite; the step was not taken. Lower `mark.learning_rate_networks` or `mark.learning_rate_carrier`"
-    )]
+    /// A number that is not finite appeared; a trainer's state is the last good one.
+    #[error("{}", not_finite(*step, place))]
     NotFinite {
-        /// The step that made it.
-        step: u64,
+        /// The step that made it, or after which it was read; `None` for a detector at work.
+        step: Option<u64>,
         /// Which quantity.
         place: String,
     },
+    /// Training ended before the marks could be read, so that the detector never trained.
+    #[error(
+        "after {steps} steps the classifier's cross-entropy is {classify:.3} nats and never fell below `mark.classify_until` = {until}: the marks were not learnt. Train again with more `mark.steps`, or with stronger marks (a lower `mark.budget_db`; without a budget, a lower `mark.weight_picture`)"
+    )]
+    NotLearnt {
+        /// Steps done.
+        steps: u64,
+        /// Running mean of the cross-entropy at the end, nats.
+        classify: f64,
+        /// What it had to fall below, nats.
+        until: f64,
+    },
+    /// The caller's `progress` asked to stop; nothing was made.
+    #[error("stopped, as asked, while ray weights were worked out; start again to go on")]
+    Stopped,
     /// The networks failed.
     #[error(transparent)]
     Network(#[from] cairn_nn::NnError),
     /// The field failed.
     #[error(transparent)]
     Field(#[from] cairn_field::FieldError),
+    /// Recovered pictures could not be scored.
+    #[error(transparent)]
+    Metric(#[from] cairn_metrics::MetricError),
     /// A stored object cannot be read.
     #[error("{what}: {why}; train the scene again or restore the file from a backup")]
     Stored {
@@ -47,5 +63,16 @@ pub enum MarkError {
 impl From<candle_core::Error> for MarkError {
     fn from(error: candle_core::Error) -> Self {
         Self::Network(error.into())
+    }
+}
+
+fn not_finite(step: Option<u64>, place: &str) -> String {
+    match step {
+        Some(step) => format!(
+            "step {step}: {place} is not finite; the last good state is kept. Lower `mark.learning_rate_networks` or `mark.learning_rate_carrier`"
+        ),
+        None => format!(
+            "{place} is not finite; restore the detector from a backup, or train the scene again with a lower `mark.learning_rate_networks`"
+        ),
     }
 }

@@ -2,9 +2,17 @@
 //! best: training can have learnt its own views by heart. Judging uses virtual
 //! poses and base renders only; held-out photographs stay out of it.
 
+use crate::bank::BankView;
+use crate::carrier::Carrier;
 use crate::error::MarkError;
+use crate::networks::Reading;
 use crate::trainer::MarkTrainer;
 use cairn_capture::{AreaFilter, Picture};
+
+/// Training may end early once marks are read with more ease than this: the running
+/// cross-entropy is then below a fifth of `classify_until`, over renders cut, tinted
+/// and noisy as no judged one is.
+const EASE_TO_END: f32 = 0.8;
 
 /// How a state did on virtual poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,29 +48,27 @@ impl MarkTrainer {
     /// signals reach `enough_ssim`.
     ///
     /// # Errors
-    /// [`MarkError`] when the networks fail.
+    /// [`MarkError::NotFinite`] when an answer is not finite; [`MarkError`] when the
+    /// networks fail. The best state so far is then what it was.
     pub fn judge(&mut self) -> Result<Judgement, MarkError> {
         let side = self.config.side_px();
         let (mut right, mut asked) = (0usize, 0usize);
         let mut ssim = Vec::new();
+        let picture = |rgb: &[f32]| {
+            Picture::new(side, side, rgb.to_vec()).map_err(|e| MarkError::Plan(format!("a hidden picture: {e}")))
+        };
         for (identity, view) in &self.bank.judged {
-            let filter = AreaFilter::new([view.linear.width(), view.linear.height()], [side, side]);
-            let base = view.linear.base(&view.appearance);
-            let mut marked = base.clone();
             let carrier = &self.carriers[self.carrier_of(*identity)];
-            view.linear.apply(&carrier.values, carrier.basis, &view.appearance, &mut marked);
-            let seen = [filter.apply(&eight_bits(marked)), filter.apply(&eight_bits(base))];
-            let read = self.networks.read(&seen, side, None)?;
+            let read = self.read(&[seen(view, Some(carrier), side), seen(view, None, side)])?;
             right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
             asked += 2;
-            let hidden = Picture::new(side, side, read[0].1.clone()).map(Picture::clamped);
-            let truth = Picture::new(side, side, self.signals[*identity].clone());
-            if let (Ok(hidden), Ok(truth)) = (hidden, truth) {
-                ssim.push(cairn_metrics::ssim(&hidden, &truth).unwrap_or(0.0));
-            }
+            ssim.push(cairn_metrics::ssim(&picture(&read[0].1)?.clamped(), &picture(&self.signals[*identity])?)?);
         }
-        for chunk in self.bank.judged_unmarked.chunks(4) {
-            for (probabilities, _) in self.networks.read(chunk, side, None)? {
+        // What one carrier for all shows where it must say nothing.
+        let outside: Vec<_> =
+            self.bank.judged_outside.iter().map(|view| seen(view, self.carriers.first(), side)).collect();
+        for chunk in self.bank.judged_unmarked.chunks(4).chain(outside.chunks(4)) {
+            for (probabilities, _) in self.read(chunk)? {
                 right += usize::from(winner(&probabilities) == 0);
                 asked += 1;
             }
@@ -81,10 +87,26 @@ impl MarkTrainer {
                 carriers: self.carriers.iter().map(|c| c.values.clone()).collect(),
             });
         }
-        let easy = self.ease() > 0.8;
+        let easy = self.ease() > EASE_TO_END;
         self.converged |= fair && easy && judgement.accuracy == 1.0 && judgement.hidden_ssim >= self.config.enough_ssim;
         Ok(judgement)
     }
+
+    fn read(&self, pictures: &[Vec<f32>]) -> Result<Vec<Reading>, MarkError> {
+        self.networks.read(pictures, self.config.side_px(), None).map_err(|error| match error {
+            MarkError::NotFinite { place, .. } => MarkError::NotFinite { step: Some(self.step), place },
+            error => error,
+        })
+    }
+}
+
+/// A view as the networks read it from a file, `side x side x 3`.
+fn seen(view: &BankView, carrier: Option<&Carrier>, side: usize) -> Vec<f32> {
+    let mut rgb = view.linear.base(&view.appearance);
+    if let Some(carrier) = carrier {
+        view.linear.apply(&carrier.values, carrier.basis, &view.appearance, &mut rgb);
+    }
+    AreaFilter::new([view.linear.width(), view.linear.height()], [side, side]).apply(&eight_bits(rgb))
 }
 
 /// What remains of a render in an 8-bit file.

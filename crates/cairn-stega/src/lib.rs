@@ -3,8 +3,9 @@
 //! classifier that recover it and say `unmarked` where there is none.
 //!
 //! [`MarkTrainer`] drives it: `bank` holds the views as fixed linear maps and
-//! the unmarked pictures, [`Carrier`] the coefficients that move, `mask` how
-//! much each may, `judge` which state was best. The outcome is a
+//! the unmarked pictures, `renders` what the networks are shown of them,
+//! [`Carrier`] the coefficients that move, `moves` when, and `mask` how much each
+//! may, `judge` which state was best. The outcome is a
 //! [`MarkedField`] and a [`Detector`].
 
 mod bank;
@@ -16,9 +17,11 @@ mod error;
 mod judge;
 mod marked;
 mod mask;
+mod moves;
 mod negatives;
 mod networks;
 mod poses;
+mod renders;
 mod trainer;
 mod window;
 

@@ -32,6 +32,9 @@ impl Networks {
     /// Class probabilities and hidden pictures for `pictures`
     /// (each `side x side x 3`). With `forced`, that class is told to the
     /// detector in place of the classifier's own answer.
+    ///
+    /// # Errors
+    /// [`MarkError::NotFinite`] when a probability or a hidden value is not finite.
     pub(crate) fn read(
         &self,
         pictures: &[Vec<f32>],
@@ -41,6 +44,7 @@ impl Networks {
         let images = to_tensor(pictures, side)?;
         let probabilities = softmax(&self.classifier.forward(&images)?)?;
         let probabilities = probabilities.to_vec2::<f32>()?;
+        probabilities.iter().try_for_each(|p| finite(p, "a class's probability"))?;
         // The detector is told the decision, not its odds: half an owner's picture is nobody's.
         let told = probabilities.iter().flat_map(|p| {
             let class = forced.unwrap_or_else(|| winner(p));
@@ -51,9 +55,18 @@ impl Networks {
         let mut out = Vec::with_capacity(pictures.len());
         for (i, probabilities) in probabilities.into_iter().enumerate() {
             let flat = hidden.get(i)?.flatten_all()?.to_vec1::<f32>()?;
+            finite(&flat, "the recovered picture")?;
             out.push((probabilities, interleaved(&flat)));
         }
         Ok(out)
+    }
+}
+
+/// Refuses numbers that would otherwise be ranked or clamped into an answer.
+fn finite(values: &[f32], place: &str) -> Result<(), MarkError> {
+    match values.iter().all(|v| v.is_finite()) {
+        true => Ok(()),
+        false => Err(MarkError::NotFinite { step: None, place: place.into() }),
     }
 }
 

@@ -1,0 +1,107 @@
+//! How a step's gradient moves the carriers, and how the budget holds them.
+//!
+//! A step is taken whole or not at all: what every carrier is owed is worked out
+//! and checked before the first of them, or a network, moves.
+
+use crate::carrier::Move;
+use crate::config::LossKind;
+use crate::error::MarkError;
+use crate::networks::interleaved;
+use crate::renders::Render;
+use crate::trainer::MarkTrainer;
+use candle_core::Tensor;
+
+/// Below this ease marks are held at the budget, neither above nor below it: one
+/// that is hardly read yet must not fade. Half way to certainty leaves as much
+/// room for a mark to be read worse again as for the picture loss to work in.
+const HELD_BELOW_EASE: f32 = 0.5;
+
+/// A checked step that may be taken.
+pub(crate) struct Owed {
+    /// A carrier's next mean square and its scale, where this step moves it.
+    carriers: Vec<Option<(f32, f32)>>,
+    /// PSNR of theta's renders against theta_0's, dB.
+    pub(crate) kept_db: f64,
+}
+
+impl MarkTrainer {
+    /// How much of the picture loss and the pull counts now, 0 to 1: a mark may fade
+    /// only as far as it is read with ease. Without a budget nothing would hold it then.
+    fn fading(&self) -> f32 {
+        if self.config.budget { self.ease() } else { 1.0 }
+    }
+
+    /// Pushes the pictures' gradients into the carriers and checks that all of them
+    /// can be moved.
+    ///
+    /// # Errors
+    /// [`MarkError::NotFinite`]; the carriers are then still owed and the caller
+    /// forgets it.
+    pub(crate) fn owe(&mut self, renders: &[Render], slopes: &Tensor) -> Result<Owed, MarkError> {
+        let mut worst = vec![None::<f64>; self.carriers.len()];
+        let mut mean = 0.0;
+        let fading = self.fading();
+        for (i, m) in renders.iter().enumerate() {
+            let small = interleaved(&slopes.get(i)?.flatten_all()?.to_vec1::<f32>()?);
+            let mut slope = m.window.transpose(&small);
+            let keep = fading * self.config.weight_picture as f32 / m.change.len() as f32;
+            for ((s, change), inside) in slope.iter_mut().zip(&m.change).zip(&m.inside) {
+                let own = match self.config.picture_loss {
+                    LossKind::Absolute => change.signum() * f32::from(*change != 0.0),
+                    LossKind::Squared => 2.0 * change,
+                };
+                *s = if *inside { *s * m.gain } else { 0.0 } + keep * own;
+            }
+            self.carriers[m.carrier].owe(&self.bank.view(m.view).linear, &slope, &m.appearance);
+            let square = m.change.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / m.change.len() as f64;
+            self.finite(square, "a marked render")?;
+            worst[m.carrier] = Some(worst[m.carrier].unwrap_or(0.0).max(square));
+            mean += square / renders.len() as f64;
+        }
+        let mut carriers = Vec::with_capacity(worst.len());
+        for (carrier, worst) in self.carriers.iter().zip(worst) {
+            carriers.push(match worst {
+                Some(worst) => Some((carrier.check(self.step)?, self.scale(worst)?)),
+                None => None,
+            });
+        }
+        Ok(Owed { carriers, kept_db: -10.0 * mean.max(1e-20).log10() })
+    }
+
+    /// The factor that brings a carrier to the budget, whose renders of this step
+    /// strayed `worst` (mean square) from the base field's; 1 where it may stay.
+    fn scale(&self, worst: f64) -> Result<f32, MarkError> {
+        let allowed = 10f64.powf(-self.budget_now_db() / 10.0);
+        let held = self.ease() < HELD_BELOW_EASE && worst > 0.0;
+        if !self.config.budget || !(worst > allowed || held) {
+            return Ok(1.0);
+        }
+        let factor = (allowed / worst).sqrt() as f32;
+        self.finite(f64::from(factor), "a carrier's scale")?;
+        Ok(factor)
+    }
+
+    fn finite(&self, value: f64, place: &str) -> Result<(), MarkError> {
+        match value.is_finite() {
+            true => Ok(()),
+            false => Err(MarkError::NotFinite { step: Some(self.step), place: place.into() }),
+        }
+    }
+
+    /// Moves the carriers by what they are owed, and scales back (or up) those that
+    /// the budget holds.
+    pub(crate) fn move_carriers(&mut self, owed: &Owed) {
+        let decay = self.config.final_rate.powf(self.step as f64 / self.config.steps as f64) as f32;
+        let pull = self.fading() * self.config.pull as f32;
+        let how = Move { mask: &self.mask, rate: self.config.learning_rate_carrier as f32 * decay, pull };
+        for (carrier, owed) in self.carriers.iter_mut().zip(&owed.carriers) {
+            if let Some((second, factor)) = owed {
+                carrier.apply(*second, &how);
+                // Times one changes nothing, but goes through all of a large carrier.
+                if *factor != 1.0 {
+                    carrier.scale(*factor);
+                }
+            }
+        }
+    }
+}

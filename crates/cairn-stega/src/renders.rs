@@ -1,0 +1,121 @@
+//! What the networks are shown in a step: marked renders, the same renders
+//! without the mark, and what cameras and files do to either.
+
+use crate::bank::BankView;
+use crate::trainer::MarkTrainer;
+use crate::window::Window;
+use cairn_field::Appearance;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// One marked render in so many shows a mark on a view of anybody's cluster: the
+/// class must come from the mark and not from what the view shows. Oftener, and
+/// too few renders would be those that a mark is judged by, its own cluster's.
+const ONE_IN_STRANGERS: i32 = 3;
+
+/// A render of the marked field in this step.
+pub(crate) struct Render {
+    /// What the classifier is to say: the identity, 1 and up, or 0 outside all clusters.
+    pub(crate) class: u32,
+    /// Which carrier the render shows.
+    pub(crate) carrier: usize,
+    /// The bank's number of the view.
+    pub(crate) view: usize,
+    pub(crate) appearance: Appearance,
+    /// Marked minus base, `height x width x 3`.
+    pub(crate) change: Vec<f32>,
+    /// Whether each number is inside [0, 1], where a gradient passes.
+    pub(crate) inside: Vec<bool>,
+    pub(crate) window: Window,
+    pub(crate) gain: f32,
+}
+
+/// The pictures of one step, `side x side x 3` each.
+#[derive(Default)]
+pub(crate) struct Shown {
+    /// One a render: first those of identities, then that of no cluster, if any.
+    pub(crate) marked: Vec<Vec<f32>>,
+    /// The same as the first of them, without the mark.
+    pub(crate) twins: Vec<Vec<f32>>,
+    pub(crate) renders: Vec<Render>,
+}
+
+impl MarkTrainer {
+    /// Renders one view of each of `batch` identities, marked and not. Where one
+    /// carrier is seen from everywhere, also a view of nobody's cluster: what theta
+    /// shows there is to be silent (equation 2).
+    pub(crate) fn marked_renders(&self, rng: &mut ChaCha8Rng) -> Shown {
+        let identities = self.signals.len();
+        let first = (self.step as usize * self.config.batch) % identities;
+        let mut shown = Shown::default();
+        for k in 0..self.config.batch {
+            let identity = (first + k) % identities;
+            let stranger = self.carriers.len() > 1 && rng.random_range(0..ONE_IN_STRANGERS) == 0;
+            let whose = if stranger { rng.random_range(0..identities) } else { identity };
+            let view = self.bank.draw(whose, rng);
+            let (marked, twin, render) = self.render(view, identity as u32 + 1, rng);
+            shown.marked.push(marked);
+            shown.twins.push(twin);
+            shown.renders.push(render);
+        }
+        if let Some(view) = self.bank.draw_outside(rng) {
+            let (marked, _, render) = self.render(view, 0, rng);
+            shown.marked.push(marked);
+            shown.renders.push(render);
+        }
+        shown
+    }
+
+    /// A view with the mark of `class` and without it, as the networks see them.
+    fn render(&self, view: usize, class: u32, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>, Render) {
+        let appearance = self.bank.appearance(view, rng);
+        let BankView { linear, .. } = self.bank.view(view);
+        let at = self.carrier_of((class as usize).saturating_sub(1));
+        let mut base = linear.base(&appearance);
+        let mut picture = base.clone();
+        let carrier = &self.carriers[at];
+        linear.apply(&carrier.values, carrier.basis, &appearance, &mut picture);
+        let change = picture.iter().zip(&base).map(|(a, b)| a - b).collect();
+        let inside = picture.iter().map(|v| (0.0..=1.0).contains(v)).collect();
+        picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+        base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+        let window = Window::draw(linear.width(), linear.height(), self.config.side_px(), rng);
+        let tone = Tone::draw(rng);
+        let seen = |full: &[f32]| {
+            let mut seen = window.apply(full);
+            tone.apply(&mut seen);
+            seen
+        };
+        let (marked, twin) = (seen(&picture), seen(&base));
+        (marked, twin, Render { class, carrier: at, view, appearance, change, inside, window, gain: tone.gain })
+    }
+}
+
+/// What cameras, screens and files do to a picture without harm: a little
+/// brightness and contrast, the noise of eight bits.
+pub(crate) struct Tone {
+    gain: f32,
+    shift: f32,
+    noise: f32,
+    seed: u64,
+}
+
+impl Tone {
+    pub(crate) fn draw(rng: &mut ChaCha8Rng) -> Self {
+        Self {
+            gain: rng.random_range(0.9..1.1),
+            shift: rng.random_range(-0.05..0.05),
+            noise: rng.random_range(0.0..1.5 / 255.0),
+            seed: rng.random(),
+        }
+    }
+
+    /// The same on every picture it is applied to, noise included: a marked
+    /// render and its twin shall differ by the mark alone.
+    pub(crate) fn apply(&self, picture: &mut [f32]) {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        for v in picture.iter_mut() {
+            *v = 0.5 + (*v - 0.5) * self.gain + self.shift + self.noise * rng.random_range(-1.0f32..1.0);
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! Settings that no default uses: each does what it says, and what it says only.
+
+mod common;
+
+use cairn_cluster::{ClusterConfig, Clusters, Grouping};
+use cairn_nn::Memory;
+use cairn_stega::{CarrierKind, Detector, LossKind, MarkConfig, MarkPlan, MarkTrainer, MarkedField, MaskKind};
+use common::{bytes, cameras, config, field, plan, start};
+use safetensors::tensor::SafeTensors;
+
+/// Bytes of one part of a file.
+fn part(bytes: &[u8], name: &str) -> Vec<u8> {
+    SafeTensors::deserialize(bytes).unwrap().tensor(name).unwrap().data().to_vec()
+}
+
+/// All steps, never judged: which state is best is no business of these switches.
+fn unjudged(plan: MarkPlan, config: MarkConfig) -> (Vec<u8>, Vec<u8>) {
+    let mut trainer = MarkTrainer::new(field(), plan, config, 7, &mut |_, _| true).unwrap();
+    while trainer.steps_done() < trainer.steps_total() {
+        trainer.step().unwrap();
+    }
+    bytes(trainer.finish().unwrap())
+}
+
+#[test]
+fn every_switch_trains_and_changes_its_own_part() {
+    let memory = |memory| {
+        let mut config = config(6);
+        config.detector.memory = memory;
+        config
+    };
+    let usual = unjudged(plan(), config(6));
+    // Whether marks come out otherwise than by default; networks always do.
+    for (name, config, marks) in [
+        ("memory none", memory(Memory::None), false),
+        ("memory coarsest", memory(Memory::Coarsest), false),
+        ("recovery moves marks", MarkConfig { recover_moves_marks: true, ..config(6) }, true),
+        ("squared recovery", MarkConfig { loss: LossKind::Squared, ..config(6) }, false),
+        ("absolute picture loss", MarkConfig { picture_loss: LossKind::Absolute, ..config(6) }, true),
+        ("no mask", MarkConfig { mask: MaskKind::None, ..config(6) }, true),
+        ("no budget", MarkConfig { budget: false, ..config(6) }, true),
+    ] {
+        let (marked, detector) = unjudged(plan(), config);
+        assert_eq!(part(&marked, "carriers") != part(&usual.0, "carriers"), marks, "{name}: the marks");
+        assert_ne!(part(&detector, "parameters"), part(&usual.1, "parameters"), "{name}: the networks");
+        let (marked, detector) = (MarkedField::from_bytes(&marked).unwrap(), Detector::from_bytes(&detector).unwrap());
+        let found = detector.detect(&marked.render(&cameras()[0], field().canonical_appearance())).unwrap();
+        assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{name}");
+    }
+}
+
+#[test]
+fn signals_move_marks_only_where_they_are_told_to() {
+    let mut other = plan();
+    other.signals.swap(0, 1);
+    for (recover_moves_marks, memory) in
+        [(false, Memory::PerClass), (true, Memory::PerClass), (false, Memory::None), (true, Memory::None)]
+    {
+        let mut config = MarkConfig { recover_moves_marks, ..config(6) };
+        config.detector.memory = memory;
+        let (one, two) = (unjudged(plan(), config.clone()), unjudged(other.clone(), config));
+        let told = format!("recover_moves_marks = {recover_moves_marks}, {memory:?}");
+        assert_eq!(part(&one.0, "carriers") != part(&two.0, "carriers"), recover_moves_marks, "{told}");
+        assert_ne!(part(&one.1, "parameters"), part(&two.1, "parameters"), "{told}: the detector");
+    }
+}
+
+#[test]
+fn without_a_budget_nothing_scales_a_mark() {
+    // Neither a picture loss nor a gradient worth the name: only the budget is left to move marks.
+    let still = MarkConfig { learning_rate_carrier: 1e-9, pull: 0.0, ..config(4) };
+    let strength = |config: &MarkConfig| {
+        let values = part(&unjudged(plan(), config.clone()).0, "carriers");
+        let values = values.chunks_exact(2).map(|b| half::f16::from_le_bytes([b[0], b[1]]).to_f64().abs());
+        values.fold(0.0, f64::max)
+    };
+    for start_db in [32.0, 26.0] {
+        let first = 10f64.powf(-start_db / 20.0) * 0.95;
+        let free = strength(&MarkConfig { budget: false, budget_start_db: start_db, ..still.clone() });
+        let held = strength(&MarkConfig { budget_start_db: start_db, ..still.clone() });
+        assert!(free >= first * 0.8 && free <= first * 1.1, "{start_db} dB: {free} for a pattern of {first}");
+        assert!((held / free - 1.0).abs() > 0.2, "{start_db} dB: {held} with the budget, {free} without");
+    }
+    // The picture loss is there from the first step: it alone pulls the mark to nothing.
+    let pulled = MarkConfig { budget: false, weight_picture: 1e6, classify_until: 0.001, ..config(4) };
+    let renders = |config: &MarkConfig| {
+        let mut trainer = start(config.clone());
+        let mut kept = Vec::new();
+        while trainer.steps_done() < trainer.steps_total() {
+            kept.push(trainer.step().unwrap().kept_db);
+        }
+        kept
+    };
+    let kept = renders(&pulled);
+    assert!(kept[3] > kept[0] + 0.1, "{kept:?}");
+}
+
+/// Rows of the one carrier that training moved; the state is judged on the way.
+fn rows_moved(plan: MarkPlan) -> usize {
+    let config = MarkConfig { carrier: CarrierKind::Harmonics, budget: false, pull: 0.0, ..config(12) };
+    let mut trainer = MarkTrainer::new(field(), plan, config, 7, &mut |_, _| true).unwrap();
+    let before = part(&trainer.checkpoint().unwrap(), "carrier0.values");
+    while trainer.steps_done() < trainer.steps_total() {
+        trainer.step().unwrap();
+    }
+    let judged = trainer.judge().unwrap();
+    assert!((0.0..=1.0).contains(&judged.accuracy), "{judged:?}");
+    let after = part(&trainer.checkpoint().unwrap(), "carrier0.values");
+    before.chunks_exact(27 * 4).zip(after.chunks_exact(27 * 4)).filter(|(a, b)| a != b).count()
+}
+
+#[test]
+fn one_carrier_for_all_is_trained_where_it_must_be_silent() {
+    let mut all = plan();
+    let poses: Vec<_> = all.views.iter().map(|v| v.camera.pose).collect();
+    // One small cluster: much of the ball is seen from outside it only.
+    let small = ClusterConfig { anchors: 1, neighbours: 2, ..ClusterConfig::default() };
+    all.signals.pop();
+    all.clusters = Clusters::build(&poses, &Grouping::Anchors(small), &[], 5).unwrap();
+    let mut inside = all.clone();
+    inside.views.retain(|v| inside.clusters.identity_of(&v.camera.pose).identity.is_some());
+    let outside = all.views.len() - inside.views.len();
+    assert!(outside >= 5, "{outside} views outside: too few for one of them to judge");
+    let (with, without) = (rows_moved(all), rows_moved(inside));
+    assert!(with > without + 100, "{with} rows with views outside, {without} without");
+}

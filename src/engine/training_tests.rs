@@ -1,0 +1,169 @@
+//! One job on a made-up landmark: cut off after its model was published, and
+//! stopped while a stage is being prepared.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicU8;
+
+use cairn_capture::{Capture, ReadOptions};
+use cairn_landmark::{Landmark, LandmarkConfig};
+use tokio::sync::watch;
+
+use super::super::job::JobState;
+use super::super::{Engine, TrainingRequest};
+use super::*;
+use crate::config::Config;
+
+/// Both stages in a moment.
+const TINY: &str = "[field]\nsteps = 10\nrays_per_step = 128\nvoxels = 4096\nlevels = 1\n\
+    [mark]\nsteps = 4\nvirtual_views = 1\nlongest_side_px = 64\nclassify_until = 10.0\n\
+    [mark.classifier]\nchannels = [4, 8]\n[mark.detector]\nsize = [32, 32]\nchannels = [4, 8]\n";
+
+/// A data folder with the scene `town`, trained.
+struct Trained {
+    dir: tempfile::TempDir,
+    job: Job,
+}
+
+fn open(data: &Path) -> Engine {
+    Engine::open(data, &Config::from_toml("", "test").unwrap()).unwrap()
+}
+
+fn end_of(engine: &Engine, id: &str) -> Job {
+    let mut watch = engine.jobs().watch(id).unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    let job = runtime.block_on(async { watch.wait_for(|job| job.state.has_ended()).await.unwrap().clone() });
+    assert_eq!(job.state, JobState::Done, "{}", job.error);
+    job
+}
+
+impl Trained {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let config =
+            LandmarkConfig { contributors: 2, photographs: 4, width: 32, height: 32, ..LandmarkConfig::default() };
+        Landmark::generate(&config, 3).unwrap().write(&dir.path().join("capture")).unwrap();
+        let capture = Capture::read(&dir.path().join("capture"), &ReadOptions::default()).unwrap();
+        let engine = open(dir.path());
+        SceneFolder::create(&dir.path().join("scenes"), "town", &capture).unwrap();
+        let request = TrainingRequest {
+            scene: "town".into(),
+            grouping: Grouping::Anchors(cairn_cluster::ClusterConfig {
+                anchors: 2,
+                neighbours: 2,
+                ..cairn_cluster::ClusterConfig::default()
+            }),
+            seed: 7,
+            settings_toml: TINY.into(),
+            signals: Vec::new(),
+            quick: false,
+            base_only: false,
+        };
+        let id = engine.train(request).unwrap().id;
+        let job = end_of(&engine, &id);
+        Self { dir, job }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// The job's folder.
+    fn folder(&self) -> PathBuf {
+        self.path("jobs").join(&self.job.id)
+    }
+
+    /// The job's model's folder.
+    fn model(&self) -> PathBuf {
+        self.path("models/town").join(&self.job.id)
+    }
+
+    /// As the process leaves things when it dies between publishing and the job's
+    /// end, and what the next one makes of them.
+    fn killed_after_publishing(&self, change: impl Fn(&mut Job)) -> Job {
+        let mut running = self.job.clone();
+        (running.state, running.ended_unix_s) = (JobState::Running, 0);
+        change(&mut running);
+        super::super::folder::write_json(&self.folder().join("job.json"), &running).unwrap();
+        end_of(&open(self.dir.path()), &self.job.id)
+    }
+}
+
+#[test]
+fn a_published_model_is_not_trained_again() {
+    let trained = Trained::new();
+    // Publishing puts a new folder in the place of the old one: a file in it tells them apart.
+    let witness = trained.model().join("witness");
+    std::fs::write(&witness, "").unwrap();
+    std::fs::copy(trained.model().join("base.field"), trained.folder().join("base.field")).unwrap();
+    std::fs::write(trained.folder().join("mark.checkpoint"), "left").unwrap();
+    let job = trained.killed_after_publishing(|_| ());
+    assert!(witness.exists(), "the model was published again");
+    assert_eq!(job.stages, trained.job.stages, "something was trained");
+    for left in ["base.field", "mark.checkpoint"] {
+        assert!(!trained.folder().join(left).exists(), "{left} was left behind");
+    }
+    // Another training under the same number is another one.
+    let job = trained.killed_after_publishing(|job| job.spec.seed = 8);
+    assert!(!witness.exists(), "the old model was taken for the new one's");
+    assert_ne!(job.stages, trained.job.stages);
+}
+
+#[test]
+fn a_stop_is_heard_before_the_next_photograph_and_view() {
+    let trained = Trained::new();
+    let scene = scenes::open(&trained.path("scenes"), "town").unwrap();
+    let (settings, seed) = (&trained.job.spec.settings, trained.job.spec.seed);
+    let mut heard = Vec::new();
+    let made = stages::base_trainer(&scene, settings, seed, None, &mut |stage, done, total| {
+        heard.push((stage, done, total));
+        done < 2
+    });
+    assert!(made.unwrap().is_none());
+    let total = scene.capture().training().count();
+    assert_eq!(heard, [0, 1, 2].map(|done| (stages::PHOTOGRAPHS, done, total)));
+
+    let clusters = clusters(&scene, &trained.job.spec.grouping, seed).unwrap();
+    let signals = signals(&trained.job, &trained.folder(), clusters.clusters.len()).unwrap();
+    let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
+    heard.clear();
+    let made = Marking::start(&scene, base, (&clusters, signals), (settings, seed), None, &mut |stage, done, total| {
+        heard.push((stage, done, total));
+        stage != stages::RAY_WEIGHTS || done < 3
+    });
+    assert!(made.unwrap().is_none());
+    let (stage, done, total) = *heard.last().unwrap();
+    assert_eq!((stage, done), (stages::RAY_WEIGHTS, 3));
+    assert!(total > 8, "{total} views to prepare for two clusters of two");
+}
+
+#[test]
+fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
+    let trained = Trained::new();
+    let mut job = trained.job.clone();
+    (job.id, job.spec.seed) = ("job-000009".into(), 9);
+    job.stages.clear();
+    let folder = trained.path("jobs").join(&job.id);
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::copy(trained.model().join("base.field"), folder.join("base.field")).unwrap();
+    let (stop, sender) = (Arc::new(AtomicU8::new(0)), watch::Sender::new(job.clone()));
+    let control = Control::stopping(&stop, &sender, folder.join("job.json"));
+    let mut training = Training {
+        scenes: trained.path("scenes"),
+        models: trained.path("models"),
+        jobs: trained.path("jobs"),
+        checkpoint_every: Duration::from_secs(30),
+    };
+    assert_eq!(training.run(&job, &control).unwrap(), Outcome::Stopped);
+    let written: Job = super::super::folder::read_json(&folder.join("job.json")).unwrap();
+    assert_eq!(written.stages.iter().map(|s| s.stage.as_str()).collect::<Vec<_>>(), [stages::MARK]);
+    assert_eq!(sender.borrow().progress.stage, stages::PHOTOGRAPHS);
+    assert!(folder.join("base.field").exists() && !folder.join("mark.checkpoint").exists());
+}
+
+#[test]
+fn contributors_are_counted_most_first_then_by_name() {
+    let names = ["visitor-31", "drone-2", "ada", "drone-2", "drone-2", "ada", "zoe", "zoe"];
+    let wanted = [("drone-2", 3), ("ada", 2), ("zoe", 2), ("visitor-31", 1)].map(|(n, c)| (n.to_owned(), c));
+    assert_eq!(contributors(names.into_iter()), wanted);
+    assert_eq!(contributors(std::iter::empty()), []);
+}
