@@ -56,6 +56,14 @@ enum Suite {
     Liberty,
 }
 
+impl Args {
+    /// What a row calls `case`: under other settings it is another case.
+    fn case(&self, case: &str) -> String {
+        let settings = self.settings.as_deref().and_then(Path::file_stem).map(|s| format!(", {}", s.to_string_lossy()));
+        format!("{case}{}{}", if self.quick { ", quick" } else { "" }, settings.unwrap_or_default())
+    }
+}
+
 /// Answers `cairn bench`.
 pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
     let mut ledger = Ledger::load(&args.ledger)?;
@@ -72,12 +80,13 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
                 base_only: args.base_only,
             };
             let results = demo::measure(place, &demo).await?;
-            rows.of_report("made-up landmark", &results.evaluation);
-            rows.share("made-up landmark", "owner records trusted", results.records_trusted, Some(1.0));
-            rows.share("made-up landmark", "records found by pose", results.records_found, Some(1.0));
+            let case = args.case("made-up landmark");
+            rows.of_report(&case, &results.evaluation);
+            rows.share(&case, "owner records trusted", results.records_trusted, Some(1.0));
+            rows.share(&case, "records found by pose", results.records_found, Some(1.0));
             for (step, seconds) in &results.seconds {
                 let target = (step == demo::WHOLE).then(|| Target::at_most(180.0));
-                rows.add("made-up landmark", step, *seconds, "s", target);
+                rows.add(&case, step, *seconds, "s", target);
             }
         }
         Suite::Liberty => liberty(place, &args, &mut rows).await?,
@@ -134,11 +143,12 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         keys: None,
     };
     let job = train::run_to_end(line, &train).await?;
+    let case = args.case("liberty");
     for stage in &job.stages {
-        rows.add("liberty", &stage.stage, stage.seconds, "s", None);
+        rows.add(&case, &stage.stage, stage.seconds, "s", None);
     }
     let report = look::report(line, "liberty", None, Some(&args.out.join("contact-sheet.png"))).await?;
-    rows.of_report("liberty", &report);
+    rows.of_report(&case, &report);
     Ok(())
 }
 
