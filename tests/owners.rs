@@ -38,7 +38,7 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     let listed = place.cairn_ok(&["owners", "list", "town", "--out", &list, connect[0], connect[1]]);
     assert!(listed.starts_with("0  contribution  town  identity 1"), "{listed}");
     let who = place.cairn_ok(&["who", "town", "--view", &first_view(&place, &connect), connect[0], connect[1]]);
-    assert!(who.contains("owner records: 0"), "{who}");
+    assert!(who.contains("owner records at index: 0"), "{who}");
     assert!(daemon.terminate().success());
 
     // The daemon is gone; the files speak.

@@ -1,8 +1,8 @@
 //! The README's commands, run as they stand: documentation that cannot rot.
 //!
 //! Every line of a `console` block that starts with `$ cairn ` is run, in one
-//! fresh folder, in order, and must succeed. Commands that serve until they are stopped are
-//! only parsed.
+//! fresh folder, in order, and must succeed. Commands that serve until they are stopped, and
+//! those of a block that needs somebody's capture (`PATH/TO`), are only parsed.
 
 use std::path::Path;
 use std::process::Command;
@@ -17,9 +17,9 @@ fn every_cairn_command_of_the_readme_works() {
     let commands = commands(&text);
     assert!(!commands.is_empty(), "the README shows no `$ cairn ...` in a `console` block");
     let folder = tempfile::tempdir().unwrap();
-    for command in commands {
+    for (command, elsewhere) in commands {
         let mut arguments: Vec<&str> = command.split_whitespace().skip(1).collect();
-        if arguments.first() == Some(&"serve") || command.contains("--connect") || command.contains("PATH/TO") {
+        if arguments.first() == Some(&"serve") || command.contains("--connect") || elsewhere {
             arguments.push("--help");
         }
         let output =
@@ -28,15 +28,15 @@ fn every_cairn_command_of_the_readme_works() {
     }
 }
 
-/// Lines `$ cairn ...` of the text's `console` blocks, without comments.
-fn commands(text: &str) -> Vec<String> {
-    let mut inside = false;
+/// Lines `$ cairn ...` of the text's `console` blocks, without comments, and
+/// whether their block needs what only its reader has.
+fn commands(text: &str) -> Vec<(String, bool)> {
     let mut found = Vec::new();
-    for line in text.lines() {
-        if line.starts_with("```") {
-            inside = line == "```console";
-        } else if inside && let Some(command) = line.strip_prefix("$ ").filter(|c| c.starts_with("cairn ")) {
-            found.push(command.split(" #").next().unwrap_or(command).to_owned());
+    for block in text.split("```console\n").skip(1) {
+        let block = block.split("\n```").next().unwrap_or(block);
+        let elsewhere = block.contains("PATH/TO");
+        for command in block.lines().filter_map(|line| line.strip_prefix("$ ")).filter(|c| c.starts_with("cairn ")) {
+            found.push((command.split(" #").next().unwrap_or(command).to_owned(), elsewhere));
         }
     }
     found
@@ -44,6 +44,8 @@ fn commands(text: &str) -> Vec<String> {
 
 #[test]
 fn commands_are_found_where_they_are_shown() {
-    let text = "```console\n$ cairn jobs # all\noutput\n```\n```text\n$ cairn no\n```\n";
-    assert_eq!(commands(text), ["cairn jobs"]);
+    let text = "```console\n$ cairn jobs # all\noutput\n```\n```text\n$ cairn no\n```\n\
+        ```console\n$ cairn a PATH/TO/b\n$ cairn c\n```\n";
+    let wanted = [("cairn jobs", false), ("cairn a PATH/TO/b", true), ("cairn c", true)];
+    assert_eq!(commands(text), wanted.map(|(c, e)| (c.to_owned(), e)));
 }

@@ -183,7 +183,7 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
             }
             let indices: Vec<String> = who.record_indices.iter().map(u64::to_string).collect();
             let records = if indices.is_empty() { "none".to_owned() } else { indices.join(", ") };
-            println!("owner records: {records}");
+            println!("owner records at index: {records}");
         }
         _ => println!("unmarked (confidence {:.2})", answer.confidence),
     }
