@@ -9,6 +9,7 @@ mod ledger;
 mod markdown;
 mod origin;
 pub mod sheet;
+pub mod table;
 mod timing;
 
 pub use ledger::{Ledger, LedgerError, Row, Target, TargetOp};

@@ -52,6 +52,20 @@ impl Stopwatch {
         }
         watch.median_s()
     }
+
+    /// As [`Stopwatch::median_of`] with laps until there are `most` or `seconds` are
+    /// over, and one at least: for work that may be fast or slow.
+    pub fn median_within<T>(most: usize, seconds: f64, mut work: impl FnMut() -> T) -> f64 {
+        std::hint::black_box(work());
+        let mut watch = Self::start();
+        loop {
+            std::hint::black_box(work());
+            watch.lap();
+            if watch.laps.len() >= most || watch.laps.iter().sum::<f64>() >= seconds {
+                return median(&watch.laps).unwrap_or(f64::NAN);
+            }
+        }
+    }
 }
 
 /// The middle value (the mean of the middle two); `None` for no values.
@@ -83,6 +97,10 @@ mod tests {
         let mut runs = 0;
         assert!(Stopwatch::median_of(3, || runs += 1).unwrap() >= 0.0);
         assert_eq!(runs, 4);
+        assert!(Stopwatch::median_within(3, 60.0, || runs += 1).is_finite());
+        assert_eq!(runs, 8);
+        Stopwatch::median_within(3, 0.0, || runs += 1);
+        assert_eq!(runs, 10, "one lap at least");
         let mut watch = Stopwatch::start();
         assert_eq!(watch.median_s(), None);
         watch.lap();
