@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_bench::{Ledger, Row, Target, commit, machine, today};
+use cairn_bench::{Ledger, Notes, Row, Target, commit, machine, today};
 
 use super::connect::{Connection, Where};
 use super::{demo, look, scene, train};
@@ -97,7 +97,8 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
     }
     ledger.save(&args.ledger)?;
     if let Some(page) = &args.page {
-        super::write(page, ledger.to_markdown().as_bytes())?;
+        let notes = Notes::read(&page.with_file_name("limits"))?;
+        super::write(page, ledger.to_markdown(&notes).as_bytes())?;
     }
     println!("in {}; {} targets missed", args.ledger.display(), ledger.missed().count());
     Ok(())

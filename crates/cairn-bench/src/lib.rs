@@ -7,11 +7,13 @@
 pub mod chart;
 mod ledger;
 mod markdown;
+mod notes;
 mod origin;
 pub mod sheet;
 pub mod table;
 mod timing;
 
 pub use ledger::{Ledger, LedgerError, Row, Target, TargetOp};
+pub use notes::Notes;
 pub use origin::{commit, machine, today};
 pub use timing::{Stopwatch, median};

@@ -3,12 +3,14 @@
 use std::fmt::Write as _;
 
 use crate::ledger::{Ledger, Row, TargetOp};
+use crate::notes::Notes;
 
 const HEAD: &str = "# Benchmarks\n\nGenerated from `benchmarks.json`; do not edit by hand. Every row states the command that measures it\nagain, and the commit and machine it was measured on.\n";
 
 impl Ledger {
-    /// The page, in Markdown. The same rows give the same text.
-    pub fn to_markdown(&self) -> String {
+    /// The page, in Markdown, with the suites' notes. The same rows and notes give
+    /// the same text.
+    pub fn to_markdown(&self, notes: &Notes) -> String {
         let mut page = HEAD.to_owned();
         summary(&mut page, self);
         let mut suite = None;
@@ -16,6 +18,9 @@ impl Ledger {
             if suite != Some(&row.suite) {
                 suite = Some(&row.suite);
                 let _ = write!(page, "\n## {}\n\n", escaped(&row.suite));
+                if let Some(note) = notes.of(&row.suite) {
+                    let _ = write!(page, "{note}\n\n");
+                }
                 page.push_str("| case | metric | value | target | met | seed | command | commit | machine | date |\n");
                 page.push_str("|---|---|---:|---:|---|---:|---|---|---|---|\n");
             }

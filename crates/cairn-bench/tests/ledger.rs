@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cairn_bench::{Ledger, Row, Target};
+use cairn_bench::{Ledger, Notes, Row, Target};
 
 fn row(suite: &str, case: &str, metric: &str, seed: u64, value: f64, target: Option<Target>) -> Row {
     Row {
@@ -86,13 +86,27 @@ fn a_file_that_was_meddled_with_is_refused() {
 
 #[test]
 fn the_page_tells_what_was_missed() {
-    let page = sample().to_markdown();
+    let page = sample().to_markdown(&Notes::default());
     assert!(page.contains("1 of 2 targets are met."));
     assert!(page.contains("- a, one, time (seed 18446744073709551615): 61 dB, wanted ≤ 60 dB"), "{page}");
     assert!(page.contains("| **NO** |") && page.contains("| yes |"));
     assert!(page.contains("`cairn bench a \\| b`"), "a bar does not end the cell");
     assert_eq!(page.matches("\n## ").count(), 2);
-    assert!(Ledger::default().to_markdown().contains("No row has a target."));
+    assert!(Ledger::default().to_markdown(&Notes::default()).contains("No row has a target."));
+}
+
+#[test]
+fn a_suites_note_stands_above_its_table_as_it_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(Notes::read(&folder.path().join("absent")).unwrap(), Notes::default());
+    let note = "Limited by *memory*:\n\n- | not a table\n";
+    std::fs::write(folder.path().join("b.md"), note).unwrap();
+    std::fs::write(folder.path().join("other.txt"), "not a note").unwrap();
+    let notes = Notes::read(folder.path()).unwrap();
+    assert_eq!((notes.of("a"), notes.of("other")), (None, None));
+    let page = sample().to_markdown(&notes);
+    assert!(page.contains("\n## b\n\nLimited by *memory*:\n\n- | not a table\n\n| case |"), "{page}");
+    assert!(page.contains("\n## a\n\n| case |"), "{page}");
 }
 
 #[test]
@@ -101,7 +115,7 @@ fn the_page_in_the_repository_is_the_ledgers() {
     let (json, page): (PathBuf, PathBuf) = (docs.join("benchmarks.json"), docs.join("benchmarks.md"));
     match (json.is_file(), page.is_file()) {
         (true, true) => {
-            let generated = Ledger::load(&json).unwrap().to_markdown();
+            let generated = Ledger::load(&json).unwrap().to_markdown(&Notes::read(&docs.join("limits")).unwrap());
             let written = std::fs::read_to_string(&page).unwrap();
             assert!(
                 generated == written,

@@ -201,7 +201,12 @@ impl Chart {
     /// Writes the points' labels, those of ringed points first. One that would cover
     /// another is left out: a label that cannot be read says less than none.
     fn labels(&self, svg: &mut String, frame: &Frame, placed: &[Vec<Placed<'_>>]) {
-        let mut taken: Vec<Place> = Vec::new();
+        let points = placed.iter().flatten().map(|p| Place::of_mark(frame.across(p.x), frame.down(p.y)));
+        let mut taken: Vec<Place> = points.collect();
+        for (place, label) in self.levels.iter().filter_map(|level| Some((level.place(self.y.scale, frame)?, level))) {
+            place.write(svg, "#666", &label.label);
+            taken.push(place);
+        }
         for ringed in [true, false] {
             for (index, (points, series)) in placed.iter().zip(&self.series).enumerate() {
                 for p in points.iter().filter(|p| p.point.ring == ringed && !p.point.label.is_empty()) {
@@ -226,8 +231,21 @@ impl Chart {
                 MARGINS.0,
                 MARGINS.0 + PLOT.0
             );
-            text(svg, (MARGINS.0 + PLOT.0 - 4.0, y - 4.0), ("end", "#666"), &level.label);
         }
+    }
+}
+
+impl Level {
+    /// Where it is drawn, px; `None` where the chart does not reach.
+    fn down(&self, scale: Scale, frame: &Frame) -> Option<f64> {
+        let y = place(self.y, scale).filter(|y| (frame.y.0..=frame.y.1).contains(y))?;
+        Some(frame.down(y))
+    }
+
+    /// Where its label stands: on it, at the right end.
+    fn place(&self, scale: Scale, frame: &Frame) -> Option<Place> {
+        let width = Place::width(&self.label);
+        Some(Place { x: MARGINS.0 + PLOT.0 - width, y: self.down(scale, frame)? - 4.0, width })
     }
 }
 
@@ -269,9 +287,19 @@ struct Place {
 }
 
 impl Place {
+    /// What a label takes across.
+    fn width(label: &str) -> f64 {
+        label.chars().count() as f64 * LETTER + 2.0
+    }
+
+    /// What a point's own mark takes.
+    fn of_mark(x: f64, y: f64) -> Self {
+        Self { x: x - 4.0, y: y + 4.0, width: 8.0 }
+    }
+
     /// The first place beside the point at `x`, `y` that is on the chart and free.
     fn free((x, y): (f64, f64), label: &str, taken: &[Self]) -> Option<Self> {
-        let width = label.chars().count() as f64 * LETTER + 2.0;
+        let width = Self::width(label);
         let sides = [(8.0, -6.0), (8.0, 15.0), (-8.0 - width, -6.0), (-8.0 - width, 15.0), (-width / 2.0, -11.0)];
         let places = sides.map(|(dx, dy)| Self { x: x + dx, y: y + dy, width });
         places.into_iter().find(|place| place.is_on_the_chart() && !taken.iter().any(|other| place.covers(other)))
