@@ -61,6 +61,9 @@ enum Command {
     Demo(demo::Args),
     /// Measure run time and quality, into a ledger
     Bench(bench::Args),
+    /// One measurement of `bench field`, in a process of its own; what, it hears on standard input
+    #[command(hide = true)]
+    BenchPart,
 }
 
 impl Cli {
@@ -82,6 +85,7 @@ impl Cli {
             Command::Keys(command) => keys::run(&command)?,
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
+            Command::BenchPart => bench::part()?,
             Command::Owners(owners::Command::Verify(args)) => return owners::verify(&args),
             command => {
                 let line = Connection::open(&place).await?;
@@ -105,7 +109,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Detect(args) => look::detect(line, args).await,
         Command::Evaluate(args) => look::evaluate(line, args).await,
         Command::Owners(command) => owners::run(line, command).await,
-        Command::Serve | Command::Keys(_) | Command::Demo(_) | Command::Bench(_) => Ok(()),
+        Command::Serve | Command::Keys(_) | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
     }
 }
 

@@ -204,7 +204,7 @@ impl Progress {
 }
 
 /// Seconds as m:ss.
-fn clock(seconds: f64) -> String {
+pub fn clock(seconds: f64) -> String {
     let seconds = seconds.round() as u64;
     format!("{}:{:02}", seconds / 60, seconds % 60)
 }

@@ -14,6 +14,7 @@ use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
+use cairn_capture::SceneKind;
 use thiserror::Error;
 
 pub use overlay::{TrainingSettings, training_settings};
@@ -24,6 +25,16 @@ pub use raw::{Limits, LogFormat};
 pub const DEFAULT_TOML: &str = include_str!("../../configs/default.toml");
 /// What `--quick` lays over the training settings.
 pub const QUICK_TOML: &str = include_str!("../../configs/quick.toml");
+
+/// The training settings that are meant for a kind of scene: the file's name and its text.
+pub fn overlay_for(kind: SceneKind) -> (&'static str, &'static str) {
+    match kind {
+        SceneKind::ForwardFacing => ("configs/llff.toml", include_str!("../../configs/llff.toml")),
+        SceneKind::Bounded => ("configs/synthetic.toml", include_str!("../../configs/synthetic.toml")),
+        SceneKind::Unbounded => ("configs/wild.toml", include_str!("../../configs/wild.toml")),
+    }
+}
+
 /// The version of settings files that this release reads.
 const FORMAT_VERSION: u32 = 1;
 /// Largest settings or token file, bytes.

@@ -1,5 +1,7 @@
 //! The default file against the defaults in code, and what is refused.
 
+use cairn_field::AppearanceMode;
+
 use super::raw::Raw;
 use super::*;
 
@@ -49,6 +51,15 @@ fn shipped_overlays_are_accepted() {
         let settings = training_settings(&base, &[(name, text)]).unwrap();
         assert_ne!(settings, base, "{name}.toml changes nothing");
     }
+}
+
+#[test]
+fn every_kind_of_scene_has_settings_that_are_accepted() {
+    let base = Config::from_toml("", "test").unwrap().training;
+    let appearance = |kind| training_settings(&base, &[overlay_for(kind)]).unwrap().field.appearance;
+    assert_eq!(appearance(SceneKind::ForwardFacing), AppearanceMode::Off);
+    assert_eq!(appearance(SceneKind::Bounded), AppearanceMode::Off);
+    assert_eq!(appearance(SceneKind::Unbounded), AppearanceMode::On);
 }
 
 #[test]

@@ -18,7 +18,7 @@ use super::stages::Appearance;
 /// Most rows of a contact sheet.
 const SHEET_ROWS: usize = 8;
 /// What 8 bits cannot tell from perfect, dB.
-const PERFECT_DB: f64 = 100.0;
+pub const PERFECT_DB: f64 = 100.0;
 
 /// A held-out view with everything that is compared.
 struct Scored {
@@ -197,7 +197,11 @@ fn noise(width: usize, height: usize) -> Picture {
     picture
 }
 
-fn eight_bits(picture: &Picture) -> Result<Picture, EngineError> {
+/// A picture as its users have it: rounded to 8 bits a channel.
+///
+/// # Errors
+/// [`EngineError::Internal`].
+pub fn eight_bits(picture: &Picture) -> Result<Picture, EngineError> {
     Picture::from_rgb8(picture.width(), picture.height(), &picture.to_rgb8())
         .map_err(|e| EngineError::Internal(format!("a render at 8 bits: {e}")))
 }
@@ -217,7 +221,10 @@ fn score<'a>(
 }
 
 /// The right half of a picture.
-fn half(picture: &Picture) -> Result<Picture, EngineError> {
+///
+/// # Errors
+/// [`EngineError::Internal`].
+pub fn half(picture: &Picture) -> Result<Picture, EngineError> {
     let (w, h) = (picture.width(), picture.height());
     let from = w / 2;
     let rgb = (0..h).flat_map(|y| picture.rgb()[(y * w + from) * 3..(y + 1) * w * 3].iter().copied()).collect();

@@ -1,0 +1,75 @@
+//! All that this suite asks of a field beyond rendering it as shipped: other
+//! limits, an exact picture in f64, other precisions of storage.
+
+use cairn_capture::{Camera, Picture};
+use cairn_field::appearance::features;
+use cairn_field::composite::gather;
+use cairn_field::{Appearance, Field, Thresholds, sh};
+
+/// What a pixel leaves out as shipped.
+pub const SHIPPED: Thresholds = Thresholds::SHOWN;
+/// How colours are stored as shipped.
+pub const STORED: Storage = Storage::F16;
+
+/// What a field's colours are kept in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Storage {
+    /// 32 bits.
+    F32,
+    /// 16 bits, floating point.
+    F16,
+    /// 8 bits.
+    U8,
+}
+
+impl Storage {
+    /// All of them, finest first.
+    pub const ALL: [Self; 3] = [Self::F32, Self::F16, Self::U8];
+
+    /// As it stands in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::F16 => "f16",
+            Self::U8 => "u8",
+        }
+    }
+
+    /// Bits of a colour coefficient.
+    pub fn bits(self) -> f64 {
+        match self {
+            Self::F32 => 32.0,
+            Self::F16 => 16.0,
+            Self::U8 => 8.0,
+        }
+    }
+}
+
+/// A render with other limits than the shipped ones; colours are not clamped.
+pub fn render_with_limits(field: &Field, camera: &Camera, appearance: &Appearance, limits: Thresholds) -> Picture {
+    let gathered = field.gather_view(camera, limits);
+    let rgb = gathered.iter().flat_map(|(g, basis)| appearance.shade(&features(g, basis))).collect();
+    Picture::new(camera.intrinsics.width, camera.intrinsics.height, rgb).expect("one colour a pixel")
+}
+
+/// The picture in f64 with nothing left out, samples `step_voxels` apart:
+/// `height * width * 3` numbers, row-major, not clamped.
+pub fn render_exact(field: &Field, camera: &Camera, appearance: &Appearance, step_voxels: f64) -> Vec<f64> {
+    let mut grid = field.grid().cast::<f64>();
+    grid.refresh_occupancy(0.0);
+    let limits = Thresholds { alpha: 0.0, transmittance: 0.0, weight: 0.0, step: step_voxels };
+    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+    let mut tape = Vec::new();
+    let mut pixel = |at: usize| {
+        let (origin, direction) = camera.ray((at % w) as f64 + 0.5, (at / w) as f64 + 0.5);
+        let basis = sh::basis(direction.to_array());
+        let gathered = gather(&grid, &field.frame().path(origin, direction), &basis, 0.5, limits, &mut tape);
+        appearance.shade(&features(&gathered, &basis))
+    };
+    (0..w * h).flat_map(&mut pixel).collect()
+}
+
+/// The field as it is when stored so; `None` where this release cannot.
+pub fn stored_as(field: &Field, storage: Storage) -> Option<Field> {
+    (storage == STORED).then(|| field.clone())
+}

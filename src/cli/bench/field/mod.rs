@@ -1,0 +1,176 @@
+//! Suite `field`: what stage 1 makes of four captures at full size. Quality on
+//! views that no training saw, seconds, rays a second, memory, and two curves:
+//! what a smaller or larger budget gives, and what each limit of a render costs.
+//!
+//! Every training, scoring and timing runs in a process of its own (`part`), so
+//! that peak memory is that work's alone, and ends with this one (`children`).
+//! Rows reach the ledger a case at a time, when it is whole.
+
+mod adapter;
+mod case;
+mod children;
+mod memory;
+mod outcome;
+mod parts;
+mod progress;
+mod report;
+mod score;
+mod serve;
+mod source;
+mod tables;
+mod tradeoff;
+mod train;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use cairn_field::FieldConfig;
+
+use super::super::connect::Where;
+use super::super::read;
+use super::Args;
+use super::rows::Rows;
+use crate::config::{Config, overlay_for, training_settings};
+pub use case::Name;
+use case::{CASES, Case};
+use children::Children;
+use outcome::{Budget, Outcome, Share};
+pub use parts::part;
+use source::Source;
+
+/// What `--quick` lays over a kind's settings here: everything runs, nothing is good.
+const QUICK_TOML: &str = "[field]\nsteps = 64\nrays_per_step = 512\nvoxels = 32768\nlevels = 2\n";
+/// Pictures' longest side under `--quick`, px.
+const QUICK_SIDE_PX: usize = 64;
+/// Views to train on, and to score on, at most, under `--quick`.
+const QUICK_VIEWS: usize = 24;
+/// Views that a render's limits are varied on.
+const TRADEOFF_VIEWS: usize = 2;
+
+/// Measures the captures that were asked for and puts each one's rows into the ledger.
+pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
+    let captures = args.captures()?;
+    let wanted = |case: &&Case| args.cases.is_empty() || args.cases.contains(&case.name);
+    let cases: Vec<&'static Case> = CASES.iter().filter(wanted).collect();
+    for case in &cases {
+        let folder = captures.join(case.name.as_str());
+        anyhow::ensure!(
+            folder.is_dir(),
+            "there is no capture {}; bring it, or name those to measure (--case NAME)",
+            folder.display()
+        );
+    }
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let children = Arc::new(Children::default());
+    for case in cases {
+        let run = Run::new(place, args, case, &captures)?;
+        let work = tokio::task::spawn_blocking({
+            let children = children.clone();
+            move || run.outcome(&children)
+        });
+        let outcome = unless_stopped(work, &children).await?;
+        let name = args.case_name(case.name.as_str());
+        // Tables first: a folder that cannot be written leaves the ledger as it was.
+        tables::save(&args.out, &name, args.seed, case, &outcome)?;
+        report::rows(rows, &name, case, &outcome);
+        rows.save(args)?;
+    }
+    println!("tables and charts in {}", args.out.display());
+    Ok(())
+}
+
+/// Waits for `work`; on Ctrl-C ends its process and says what is kept.
+async fn unless_stopped(
+    mut work: tokio::task::JoinHandle<anyhow::Result<Outcome>>,
+    children: &Children,
+) -> anyhow::Result<Outcome> {
+    tokio::select! {
+        done = &mut work => done.context("the measurement broke off")?,
+        interrupt = tokio::signal::ctrl_c() => {
+            interrupt?;
+            children.stop();
+            // Its error would only say that it was stopped.
+            let _ = work.await;
+            anyhow::bail!("stopped by Ctrl-C; the captures that were finished are in the ledger, this one is not")
+        }
+    }
+}
+
+/// One capture's measurements, as they are asked for.
+struct Run {
+    case: &'static Case,
+    source: Source,
+    config: FieldConfig,
+    seed: u64,
+    shares: Vec<Share>,
+    out: PathBuf,
+}
+
+impl Run {
+    fn new(place: &Where, args: &Args, case: &'static Case, captures: &Path) -> anyhow::Result<Self> {
+        let folder = captures.join(case.name.as_str());
+        let folder = folder.canonicalize().with_context(|| format!("cannot find {}", folder.display()))?;
+        let (longest_side_px, most_views) =
+            if args.quick { (Some(QUICK_SIDE_PX), Some(QUICK_VIEWS)) } else { (None, None) };
+        let source = Source { folder, longest_side_px, most_views };
+        let overlay = overlay_for(source.open()?.kind());
+        let settings = match &args.settings {
+            Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?,
+            None => String::new(),
+        };
+        let mut overlays = vec![overlay];
+        if args.quick {
+            overlays.push(("the quick settings", QUICK_TOML));
+        }
+        overlays.push(("--settings", settings.as_str()));
+        let base = Config::load(place.config.as_deref())?.training;
+        let config = training_settings(&base, &overlays)?.field;
+        eprintln!("{}: {} and what goes over it, {} steps", case.name.as_str(), overlay.0, config.steps);
+        let shares = Share::budgets(args.long);
+        Ok(Self { case, source, config, seed: args.seed, shares, out: args.out.clone() })
+    }
+
+    /// All of a capture's measurements. The trained fields stay in the folder.
+    fn outcome(&self, children: &Children) -> anyhow::Result<Outcome> {
+        let cameras = self.source.open()?.held_out_cameras();
+        anyhow::ensure!(!cameras.is_empty(), "{} holds no view out to score on", self.source.folder.display());
+        let mut budgets = Vec::new();
+        for share in &self.shares {
+            budgets.push(self.budget(children, *share)?);
+        }
+        let field = self.field(Share::WHOLE);
+        let name = self.case.name.as_str();
+        let serve = serve::Task { field: field.clone(), cameras: cameras.clone(), label: format!("{name}, rendering") };
+        let served = children.run(&serve)?;
+        let few: Vec<_> = cameras.iter().step_by(cameras.len().div_ceil(TRADEOFF_VIEWS)).copied().collect();
+        let tradeoffs = tradeoff::Task { field, cameras: few, label: format!("{name}, limits of a render") };
+        let tradeoffs = children.run(&tradeoffs)?;
+        Ok(Outcome { budgets, served, tradeoffs })
+    }
+
+    /// A whole training with its own schedule, and its score.
+    fn budget(&self, children: &Children, share: Share) -> anyhow::Result<Budget> {
+        let (name, field) = (self.case.name.as_str(), self.field(share));
+        let config = FieldConfig { steps: share.of(self.config.steps), ..self.config.clone() };
+        let train = train::Task {
+            source: self.source.clone(),
+            config,
+            seed: self.seed,
+            field: field.clone(),
+            label: format!("{name}, training, {}", share.of_the_steps()),
+        };
+        let trained = children.run(&train)?;
+        let score = score::Task {
+            source: self.source.clone(),
+            field,
+            right_half: trained.has_appearance,
+            label: format!("{name}, scoring, {}", share.of_the_steps()),
+        };
+        Ok(Budget { share, scored: children.run(&score)?, trained })
+    }
+
+    fn field(&self, share: Share) -> PathBuf {
+        self.out.join(format!("{}-{}.field", self.case.name.as_str(), share.to_string().replace('/', "-")))
+    }
+}

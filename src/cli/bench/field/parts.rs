@@ -1,0 +1,82 @@
+//! The other side of [`super::children`]: `cairn bench-part` reads one task, does
+//! it and answers with one line of JSON. It ends when its standard input does.
+
+use std::io::{BufRead as _, Read as _};
+
+use anyhow::Context as _;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::{score, serve, tradeoff, train};
+
+/// A piece of the suite's work.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// A training from its first step to the stored field.
+    Train(train::Task),
+    /// Pictures against photographs.
+    Score(score::Task),
+    /// A stored field, loaded and rendered.
+    Serve(serve::Task),
+    /// What each limit of a render costs.
+    Tradeoff(tradeoff::Task),
+}
+
+/// What [`super::children::Children::run`] takes.
+pub trait Work: Clone + Serialize {
+    /// What it answers.
+    type Result: DeserializeOwned;
+    /// What people are told is under way.
+    fn label(&self) -> &str;
+    /// Itself as a task.
+    fn to_part(&self) -> Part;
+}
+
+macro_rules! work {
+    ($($module:ident: $part:ident -> $result:ty,)*) => {
+        $(impl Work for $module::Task {
+            type Result = $result;
+            fn label(&self) -> &str {
+                &self.label
+            }
+            fn to_part(&self) -> Part {
+                Part::$part(self.clone())
+            }
+        })*
+    };
+}
+
+work! {
+    train: Train -> train::Trained,
+    score: Score -> score::Scored,
+    serve: Serve -> serve::Served,
+    tradeoff: Tradeoff -> Vec<tradeoff::Tradeoff>,
+}
+
+/// Answers `cairn bench-part`.
+///
+/// # Errors
+/// For a line that is no task, and the work's own.
+pub fn part() -> anyhow::Result<()> {
+    let mut line = String::new();
+    std::io::stdin().lock().read_line(&mut line).context("cannot read the task")?;
+    let part: Part = serde_json::from_str(&line)
+        .context("standard input holds no task: `cairn bench field` starts this command, people do not")?;
+    std::thread::spawn(end_with_the_line);
+    let answer = match part {
+        Part::Train(task) => serde_json::to_string(&train::run(&task)?)?,
+        Part::Score(task) => serde_json::to_string(&score::run(&task)?)?,
+        Part::Serve(task) => serde_json::to_string(&serve::run(&task)?)?,
+        Part::Tradeoff(task) => serde_json::to_string(&tradeoff::run(&task)?)?,
+    };
+    println!("{answer}");
+    Ok(())
+}
+
+/// Ends this process when standard input does: nobody waits for it any more.
+fn end_with_the_line() {
+    let mut rest = [0u8; 64];
+    while matches!(std::io::stdin().lock().read(&mut rest), Ok(1..)) {}
+    std::process::exit(130);
+}

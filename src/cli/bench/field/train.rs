@@ -1,0 +1,84 @@
+//! A training as a part: from decoded photographs to the stored field.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use cairn_field::{BaseTrainer, FieldConfig};
+use serde::{Deserialize, Serialize};
+
+use super::memory::peak_mib;
+use super::progress::Progress;
+use super::source::Source;
+
+/// Bytes of a MiB.
+const MIB: f64 = 1024.0 * 1024.0;
+
+/// What to train, and where its field goes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Task {
+    /// The capture.
+    pub source: Source,
+    /// Its settings; the schedule is that of `steps`.
+    pub config: FieldConfig,
+    /// The seed.
+    pub seed: u64,
+    /// The file to store the field in.
+    pub field: PathBuf,
+    /// What people are told.
+    pub label: String,
+}
+
+/// How it went.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Trained {
+    /// Seconds from decoded photographs to the finished field; neither decoding
+    /// nor storing is in them.
+    pub seconds: f64,
+    /// Steps taken.
+    pub steps: u64,
+    /// Rays a second over those seconds.
+    pub rays_per_s: f64,
+    /// Rows of the grid at the end.
+    pub rows: usize,
+    /// Whether views had appearances of their own.
+    pub has_appearance: bool,
+    /// The stored field, MiB.
+    pub stored_mib: f64,
+    /// The most memory held, photographs and storing included, MiB; `None` where
+    /// the system does not tell.
+    pub peak_mib: Option<f64>,
+}
+
+/// Trains and stores.
+///
+/// # Errors
+/// For photographs that do not decode, settings out of range, and the trainer's.
+pub fn run(task: &Task) -> anyhow::Result<Trained> {
+    let opened = task.source.open()?;
+    let views = opened.training().into_iter().map(|index| opened.view(index)).collect::<anyhow::Result<Vec<_>>>()?;
+    let (frame, background, rays) = (opened.frame()?, opened.background(), task.config.rays_per_step);
+    drop(opened);
+    let begun = Instant::now();
+    let mut trainer = BaseTrainer::new(views, frame, background, task.config.clone(), task.seed)?;
+    let mut progress = Progress::new(&task.label, trainer.steps_total());
+    while trainer.steps_done() < trainer.steps_total() {
+        let stats = trainer.step()?;
+        progress.at(stats.step, &format!("{:.1} dB, ", stats.psnr_db));
+    }
+    drop(progress);
+    let (steps, has_appearance) = (trainer.steps_done(), trainer.has_appearance());
+    let field = trainer.finish();
+    let seconds = begun.elapsed().as_secs_f64();
+    let bytes = field.to_bytes()?;
+    crate::cli::write(&task.field, &bytes)?;
+    Ok(Trained {
+        seconds,
+        steps,
+        rays_per_s: steps as f64 * rays as f64 / seconds.max(1e-9),
+        // The first is the empty one.
+        rows: field.grid().rows().saturating_sub(1),
+        has_appearance,
+        stored_mib: bytes.len() as f64 / MIB,
+        peak_mib: peak_mib(),
+    })
+}

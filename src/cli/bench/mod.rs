@@ -1,0 +1,133 @@
+//! `cairn bench`: a suite's measurements, one row each, into the ledger, with the
+//! command, seed, commit and machine that they come from.
+
+mod field;
+mod liberty;
+mod rows;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use cairn_bench::{Ledger, Target};
+
+use super::connect::Where;
+use super::demo;
+pub use field::part;
+use rows::Rows;
+
+/// `cairn bench`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// What to measure
+    #[arg(value_enum)]
+    suite: Suite,
+    /// The folder of captures (suites `liberty` and `field`); else CAIRN_DATA
+    #[arg(long, value_name = "DIR")]
+    captures: Option<PathBuf>,
+    /// The ledger, JSON; a row with the same suite, case, metric and seed is replaced
+    #[arg(long, value_name = "FILE", default_value = "docs/benchmarks.json")]
+    ledger: PathBuf,
+    /// Also write the ledger as a page of Markdown, with the suites' notes from `limits` beside it
+    #[arg(long, value_name = "FILE")]
+    page: Option<PathBuf>,
+    /// The seed of everything that is drawn
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Training settings that go over the defaults (suite `field`: and over those for the capture's kind)
+    #[arg(long, value_name = "FILE")]
+    settings: Option<PathBuf>,
+    /// Fewer steps and smaller sizes
+    #[arg(long)]
+    quick: bool,
+    /// Stop after the base field (suites `demo` and `liberty`)
+    #[arg(long)]
+    base_only: bool,
+    /// Pictures to hide in `liberty`, in order of file name (drawn where not given)
+    #[arg(long, value_name = "DIR")]
+    signals: Option<PathBuf>,
+    /// Resample by this factor, above 0, to 1 (suite `liberty`; `field` measures at full size)
+    #[arg(long, value_name = "FACTOR", default_value_t = 0.5)]
+    scale: f64,
+    /// Measure this capture only; may be given several times (suite `field`)
+    #[arg(long = "case", value_name = "NAME", value_enum)]
+    cases: Vec<field::Name>,
+    /// Also train for twice the configured steps (suite `field`)
+    #[arg(long)]
+    long: bool,
+    /// Where the work goes: a new folder, except for suite `field`, which adds to its tables there
+    #[arg(long, value_name = "DIR", default_value = "bench-out")]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Suite {
+    /// The made-up landmark
+    Demo,
+    /// The statue photographed by a hundred visitors, three anchors of twenty views
+    Liberty,
+    /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
+    Field,
+}
+
+impl Suite {
+    /// What the ledger calls it.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Demo => "demo",
+            Self::Liberty => "liberty",
+            Self::Field => "field",
+        }
+    }
+}
+
+impl Args {
+    /// What a row calls `case`: under other settings it is another case.
+    fn case_name(&self, case: &str) -> String {
+        let settings = self.settings.as_deref().and_then(Path::file_stem).map(|s| format!(", {}", s.to_string_lossy()));
+        format!("{case}{}{}", if self.quick { ", quick" } else { "" }, settings.unwrap_or_default())
+    }
+
+    /// The folder that holds the captures.
+    fn captures(&self) -> anyhow::Result<PathBuf> {
+        let captures = self.captures.clone().or_else(|| std::env::var_os("CAIRN_DATA").map(PathBuf::from));
+        captures.context("say where the captures are: --captures DIR or CAIRN_DATA")
+    }
+}
+
+/// Answers `cairn bench`.
+pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
+    // Read now: an unreadable one is better found before the work than after it.
+    Ledger::load(&args.ledger)?;
+    let mut rows = Rows::new(&args);
+    match args.suite {
+        Suite::Demo => of_demo(place, &args, &mut rows).await?,
+        Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
+        Suite::Field => field::measure(place, &args, &mut rows).await?,
+    }
+    rows.save(&args)?;
+    let ledger = Ledger::load(&args.ledger)?;
+    println!("in {}; {} targets missed", args.ledger.display(), ledger.missed().count());
+    Ok(())
+}
+
+async fn of_demo(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
+    let demo = demo::Args {
+        json: None,
+        out: args.out.clone(),
+        seed: args.seed,
+        contributors: 3,
+        photographs: 14,
+        settings: args.settings.clone(),
+        base_only: args.base_only,
+    };
+    let results = demo::measure(place, &demo).await?;
+    let case = args.case_name("made-up landmark");
+    rows.of_report(&case, &results.evaluation);
+    rows.share(&case, "owner records trusted", results.records_trusted, Some(1.0));
+    rows.share(&case, "records found by pose", results.records_found, Some(1.0));
+    for (step, seconds) in &results.seconds {
+        let target = (step == demo::WHOLE).then(|| Target::at_most(180.0));
+        rows.add(&case, step, *seconds, "s", target);
+    }
+    Ok(())
+}

@@ -1,0 +1,175 @@
+//! The rows of a run: what they have in common, how they are shown, and their way
+//! into the ledger.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use cairn_bench::{Ledger, Notes, Row, Target, TargetOp, commit, machine, today};
+
+use super::Args;
+use crate::engine::report::{Report, Right};
+
+/// The command as anybody can give it again: without the folders and files of this machine.
+fn command(arguments: impl Iterator<Item = String>) -> String {
+    const LOCAL: [&str; 7] = ["--captures", "--connect", "--data", "--ledger", "--page", "--out", "--signals"];
+    let mut said = vec!["cairn".to_owned()];
+    let mut value_follows = false;
+    for argument in arguments {
+        let name = argument.split('=').next().unwrap_or_default();
+        if !std::mem::take(&mut value_follows) && !LOCAL.contains(&name) {
+            said.push(argument);
+        } else if LOCAL.contains(&name) {
+            value_follows = !argument.contains('=');
+        }
+    }
+    said.join(" ")
+}
+
+/// Rows with what they have in common.
+pub struct Rows {
+    rows: Vec<Row>,
+    blank: Row,
+}
+
+impl Rows {
+    /// None yet, of the suite, seed, commit, machine and day of this run.
+    pub fn new(args: &Args) -> Self {
+        let blank = Row {
+            suite: args.suite.name().into(),
+            case: String::new(),
+            metric: String::new(),
+            value: 0.0,
+            unit: String::new(),
+            target: None,
+            // Without the program's own path, which says nothing elsewhere.
+            command: command(std::env::args().skip(1)),
+            seed: args.seed,
+            commit: commit(Path::new(".")),
+            machine: machine(),
+            date: today(),
+        };
+        Self { rows: Vec::new(), blank }
+    }
+
+    /// Shows the rows that are there and puts them into the ledger as it is by
+    /// then, all or none, and into its page. They are taken; more may follow.
+    ///
+    /// # Errors
+    /// For a figure that is not finite, and files that cannot be read or written.
+    pub fn save(&mut self, args: &Args) -> anyhow::Result<()> {
+        let mut ledger = Ledger::load(&args.ledger)?;
+        let mut case = None;
+        for row in self.rows.drain(..) {
+            if case.as_ref() != Some(&row.case) {
+                println!("{}", row.case);
+                case = Some(row.case.clone());
+            }
+            println!("  {}", shown(&row));
+            ledger.record(row)?;
+        }
+        ledger.save(&args.ledger)?;
+        if let Some(page) = &args.page {
+            let notes = Notes::read(&page.with_file_name("limits"))?;
+            super::super::write(page, ledger.to_markdown(&notes).as_bytes())?;
+        }
+        Ok(())
+    }
+
+    /// Adds a figure.
+    pub fn add(&mut self, case: &str, metric: &str, value: f64, unit: &str, target: Option<Target>) {
+        let (case, metric, unit) = (case.to_owned(), metric.to_owned(), unit.to_owned());
+        self.rows.push(Row { case, metric, value, unit, target, ..self.blank.clone() });
+    }
+
+    /// Adds a share of right answers; nothing where none was asked for.
+    pub fn share(&mut self, case: &str, metric: &str, right: Right, at_least: Option<f64>) {
+        if right.asked > 0 {
+            let value = right.right as f64 / right.asked as f64;
+            self.add(case, metric, value, "", at_least.map(Target::at_least));
+        }
+    }
+
+    /// Adds what an evaluation says.
+    pub fn of_report(&mut self, case: &str, report: &Report) {
+        self.add(case, "base field PSNR", report.base.psnr_db, "dB", None);
+        self.add(case, "base field SSIM", report.base.ssim, "", None);
+        if let Some(who) = report.who_by_pose {
+            self.share(case, "who contributed, by pose", who, None);
+        }
+        let Some(mark) = &report.mark else { return };
+        self.add(case, "marked field PSNR", mark.pictures.psnr_db, "dB", None);
+        self.add(case, "marked field SSIM", mark.pictures.ssim, "", None);
+        self.add(case, "marked against base PSNR", mark.against_base_psnr_db, "dB", None);
+        let change = mark.pictures.psnr_db - report.base.psnr_db;
+        self.add(case, "PSNR change by the mark", change, "dB", Some(Target::at_least(-0.2)));
+        self.share(case, "classes right", mark.classes, Some(0.95));
+        self.share(case, "who contributed, by picture", mark.who_by_picture, None);
+        self.share(case, "photographs unmarked", mark.photographs_unmarked, Some(1.0));
+        for r in &mark.identities {
+            let name = format!("identity {}", r.number);
+            if let Some(ssim) = r.hidden_ssim {
+                self.add(case, &format!("hidden SSIM, {name}"), ssim, "", Some(Target::at_least(0.9)));
+            }
+            if let Some(ssim) = r.forced_base_ssim {
+                self.add(case, &format!("forced on base, {name}"), ssim, "", None);
+            }
+            self.add(case, &format!("forced on grey, {name}"), r.forced_grey_ssim, "", None);
+            self.add(case, &format!("forced on noise, {name}"), r.forced_noise_ssim, "", None);
+        }
+    }
+}
+
+/// A figure as the terminal shows it; a missed target is not to be overlooked.
+fn shown(row: &Row) -> String {
+    let mut line = format!("{:56} {:>12} {:8}", row.metric, figure(row.value), row.unit);
+    if let Some(target) = row.target {
+        let side = match target.op {
+            TargetOp::AtLeast => "at least",
+            TargetOp::AtMost => "at most",
+        };
+        let verdict = if target.is_met_by(row.value) { "met:" } else { "MISSED:" };
+        let _ = write!(line, " {verdict} {side} {} {}", figure(target.value), row.unit);
+    }
+    line.trim_end().to_owned()
+}
+
+/// Four decimals, none for large figures, and the power of ten for tiny ones.
+fn figure(value: f64) -> String {
+    match value.abs() {
+        size if size >= 1000.0 => format!("{value:.0}"),
+        size if size < 1e-3 && size > 0.0 => format!("{value:.2e}"),
+        _ => format!("{value:.4}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missed_target_is_said_with_figure_and_target() {
+        let row = |value| Row {
+            suite: "s".into(),
+            case: "c".into(),
+            metric: "training".into(),
+            value,
+            unit: "s".into(),
+            target: Some(Target::at_most(180.0)),
+            command: "cairn".into(),
+            seed: 1,
+            commit: String::new(),
+            machine: String::new(),
+            date: String::new(),
+        };
+        let missed = shown(&row(200.5));
+        assert!(missed.contains("200.5000 s") && missed.ends_with("MISSED: at most 180.0000 s"), "{missed}");
+        assert!(shown(&row(100.0)).contains(" met: at most"));
+        assert!(shown(&Row { target: None, ..row(1.0) }).ends_with("1.0000 s"));
+    }
+
+    #[test]
+    fn a_recorded_command_names_no_folder_of_this_machine() {
+        let given = ["bench", "liberty", "--captures", "/mnt/c", "--seed", "2", "--ledger=/x.json", "--quick"];
+        assert_eq!(command(given.map(String::from).into_iter()), "cairn bench liberty --seed 2 --quick");
+    }
+}
