@@ -7,6 +7,7 @@ mod demo;
 mod keys;
 mod look;
 mod owners;
+mod progress;
 mod scene;
 mod train;
 
