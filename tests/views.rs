@@ -187,3 +187,22 @@ fn an_interrupt_keeps_whole_frames_and_nothing_else() {
         assert_eq!(picture(&frames.join(name)).width(), 200);
     }
 }
+
+#[test]
+fn cameras_are_drawn_by_contributor_and_by_cluster() {
+    let place = Place::new();
+    let data = place.text("data");
+    place.import("town", ["--data", &data]);
+    let (png, svg) = (place.text("poses.png"), place.text("poses.svg"));
+    let poses = ["scene", "poses", "town", "--data", &data, "--out"];
+    let said = place.cairn_ok(&[&poses[..], &[&png]].concat());
+    assert!(said.starts_with("12 cameras by contributor in "), "{said}");
+    let said = place.cairn_ok(&[&poses[..], &[&svg, "--anchors", "2", "--neighbours", "4"]].concat());
+    assert!(said.contains("in 2 clusters"), "{said}");
+    let (drawn, svg) = (picture(Path::new(&png)), std::fs::read_to_string(svg).unwrap());
+    assert!(drawn.width() > 1000 && svg.contains(">ada</text>") && svg.contains("ringed: anchor"));
+    let refused = place.cairn(&[&poses[..], &["poses.bmp"]].concat());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains(".png or .svg"));
+    let refused = place.cairn(&[&poses[..], &[&png, "--anchors", "9", "--neighbours", "9"]].concat());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("FailedPrecondition"), "{refused:?}");
+}

@@ -9,6 +9,7 @@ mod keys;
 mod look;
 mod owners;
 mod path;
+mod poses;
 mod progress;
 mod scene;
 mod train;

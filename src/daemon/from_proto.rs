@@ -202,6 +202,26 @@ pub fn by_contributor(c: &v1::ByContributor) -> Grouping {
     Grouping::ByContributor { min_views: c.least_views as usize, direction_weight }
 }
 
+/// Clusters to draw, and the seed they are made with; `None` for the model's.
+pub fn drawn_clusters(request: &v1::DrawPosesRequest) -> Result<Option<(Grouping, u64)>, EngineError> {
+    use v1::draw_poses_request::Clusters;
+    let grouping = match &request.clusters {
+        None => return Ok(None),
+        Some(Clusters::ByAnchors(a)) => by_anchors(a)?,
+        Some(Clusters::ByContributor(c)) => by_contributor(c),
+    };
+    Ok(Some((grouping, request.seed)))
+}
+
+/// Whether a drawing is wanted as SVG, and not as PNG.
+pub fn is_svg(format: i32) -> Result<bool, EngineError> {
+    match v1::DrawingFormat::try_from(format) {
+        Ok(v1::DrawingFormat::Svg) => Ok(true),
+        Ok(v1::DrawingFormat::Png | v1::DrawingFormat::Unspecified) => Ok(false),
+        Err(_) => Err(EngineError::invalid("the drawing's format", format, "PNG (1) or SVG (2)")),
+    }
+}
+
 /// A camera path, and its first frame to render.
 pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), EngineError> {
     use v1::render_path_request::Path;
