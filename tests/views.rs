@@ -13,6 +13,7 @@ use cairn_proto::v1::render_service_client::RenderServiceClient;
 use cairn_proto::v1::{self};
 use common::{Daemon, Place};
 use tonic::Code;
+use tonic::transport::Endpoint;
 
 const FIRST: &str = "images/ada_002.png";
 const SECOND: &str = "images/ada_004.png";
@@ -154,6 +155,25 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
     let same = v1::RenderRequest { format_version: 1, scene: "town".into(), viewpoint, field, ..Default::default() };
     let answer = tokio::time::timeout(Duration::from_secs(20), render.render(same)).await.unwrap().unwrap();
     assert_eq!(answer.into_inner().png, first.png, "a frame is what its camera sees");
+
+    // A flight that its scene's next training overtakes ends, and does not change fields in the air.
+    // A narrow line keeps the frames from all being sent ahead.
+    let narrow = Endpoint::from_shared(daemon.url.clone()).unwrap().initial_stream_window_size(65_535);
+    let mut render = RenderServiceClient::new(narrow.connect().await.unwrap());
+    let large = v1::RenderPathRequest { width: 64, height: 64, ..orbit(50) };
+    let mut stream = render.render_path(large).await.unwrap().into_inner();
+    stream.message().await.unwrap().unwrap();
+    let tiny = place.text("tiny.toml");
+    let train = ["train", "town", "--by-contributor", "--base-only", "--seed", "2", "--settings", &tiny];
+    place.cairn_ok(&[&train[..], &to].concat());
+    let overtaken = loop {
+        match stream.message().await {
+            Ok(frame) => assert_eq!(frame.expect("an error before the end").job_id, "job-000001"),
+            Err(overtaken) => break overtaken,
+        }
+    };
+    assert_eq!(overtaken.code(), Code::FailedPrecondition);
+    assert!(overtaken.message().contains("begin again"), "{overtaken}");
 }
 
 #[cfg(unix)]

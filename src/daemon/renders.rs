@@ -10,6 +10,7 @@ use tonic::{Request, Response, Status};
 
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
+use crate::engine::Engine;
 use crate::engine::error::EngineError;
 use crate::engine::query::FieldKind;
 use crate::engine::tour::Tour;
@@ -71,8 +72,11 @@ impl RenderService for Shared {
         tokio::spawn(async move {
             for at in first..tour.cameras().len() {
                 let tour = tour.clone();
-                // A place for each frame: renders of other callers come in between.
-                let frame = shared.compute(move |_| frame(&tour, at)).await;
+                // A place for each frame: renders of other callers come in between. Who hangs up waits for none.
+                let frame = tokio::select! {
+                    frame = shared.compute(move |engine| frame(engine, &tour, at)) => frame,
+                    () = sender.closed() => return,
+                };
                 let failed = frame.is_err();
                 if sender.send(frame).await.is_err() || failed {
                     return;
@@ -83,8 +87,8 @@ impl RenderService for Shared {
     }
 }
 
-fn frame(tour: &Tour, at: usize) -> Result<v1::RenderPathResponse, EngineError> {
-    let picture = tour.frame(at)?;
+fn frame(engine: &Engine, tour: &Tour, at: usize) -> Result<v1::RenderPathResponse, EngineError> {
+    let picture = engine.frame(tour, at)?;
     Ok(v1::RenderPathResponse {
         format_version: to_proto::VERSION,
         frame: at as u32,

@@ -2,7 +2,6 @@
 //! frame, so that whoever asked can stop between two of them.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use cairn_capture::{Camera, Capture, Intrinsics, Picture, Pose, SceneKind, View};
 use cairn_field::SceneFrame;
@@ -47,9 +46,12 @@ pub struct PathRequest {
     pub light: Option<Light>,
 }
 
-/// A path that was planned. Holds its model: a training that ends meanwhile changes nothing.
+/// A path that was planned. It holds no model: whoever takes its frames slowly must not
+/// keep a large field in memory.
 pub struct Tour {
-    model: Arc<Model>,
+    scene: String,
+    /// The job whose model it was planned for.
+    job: String,
     field: FieldKind,
     cameras: Vec<Camera>,
     /// At the path's beginning and end.
@@ -64,17 +66,7 @@ impl Tour {
 
     /// The job that trained what is seen.
     pub fn job(&self) -> &str {
-        &self.model.info.job
-    }
-
-    /// Renders frame `i`, clamped to [0, 1].
-    ///
-    /// # Errors
-    /// As [`Model::mark`].
-    pub fn frame(&self, i: usize) -> Result<Picture, EngineError> {
-        let share = paths::through(i, self.cameras.len()) as f32;
-        let light = self.light.0.mixed(&self.light.1, share);
-        self.model.look(self.field, &self.cameras[i], &light)
+        &self.job
     }
 }
 
@@ -108,7 +100,28 @@ impl Engine {
             (None, _) => ends(model.base.canonical_appearance().clone()),
         };
         let cameras = route.cameras(capture, model.base.frame(), request.frames, (width, height))?;
-        Ok(Tour { model, field: request.field, cameras, light })
+        Ok(Tour { scene: request.scene.clone(), job: model.info.job.clone(), field: request.field, cameras, light })
+    }
+
+    /// Renders frame `i` of a path, clamped to [0, 1].
+    ///
+    /// # Errors
+    /// [`EngineError::WrongState`] when the scene was trained again since the path was
+    /// planned; [`Engine::model`]'s.
+    pub fn frame(&self, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
+        let model = self.model(&tour.scene)?;
+        if model.info.job != tour.job {
+            return Err(EngineError::WrongState {
+                what: format!("the path through scene {:?}", tour.scene),
+                operation: "gone on with",
+                why: format!(
+                    "it began in the model of {}, and the newest is {}'s; begin again",
+                    tour.job, model.info.job
+                ),
+            });
+        }
+        let share = paths::through(i, tour.cameras.len()) as f32;
+        model.look(tour.field, &tour.cameras[i], &tour.light.0.mixed(&tour.light.1, share))
     }
 }
 
