@@ -27,6 +27,13 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     place.cairn_ok(&[&render[..], &[&marked], &to].concat());
     place.cairn_ok(&[&render[..], &[&base, "--base"], &to].concat());
     let (marked, base) = (std::fs::read(marked).unwrap(), std::fs::read(base).unwrap());
+    // A flight shows the marked field, too, and its maps are there.
+    let (there, flight) = (place.text("there.png"), place.text("flight"));
+    let light = ["--light", "images/ada_002.png", "--depth", &place.text("depth.png")];
+    place.cairn_ok(&[&render[..], &[&there], &light, &to].concat());
+    let between = ["path", "town", "--between", "images/ada_002.png", "images/ada_004.png", "--frames", "2"];
+    place.cairn_ok(&[&between[..], &["--sequence", &flight], &to].concat());
+    assert_eq!(std::fs::read(place.path("flight/frame-00000.png")).unwrap(), std::fs::read(there).unwrap());
     assert_ne!(marked, base, "the mark left no trace");
 
     // Query and detection read the same picture the same way.

@@ -41,6 +41,15 @@ pub struct RenderArgs {
     /// In the light of this training view
     #[arg(long, value_name = "VIEW")]
     light: Option<String>,
+    /// Also write depth along the optical axis: 16-bit grey, 0 for none, its unit is printed and said in the file
+    #[arg(long, value_name = "PNG")]
+    depth: Option<PathBuf>,
+    /// Also write depth in colours: near yellow, far violet, fading into a grey chequer for none
+    #[arg(long, value_name = "PNG")]
+    depth_colours: Option<PathBuf>,
+    /// Also write accumulation, the share of light that the field stops: 16-bit grey
+    #[arg(long, value_name = "PNG")]
+    accumulation: Option<PathBuf>,
 }
 
 /// `cairn who`.
@@ -153,10 +162,26 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),
         field: field.into(),
         appearance: Some(v1::Appearance { choice }),
+        accumulation: args.accumulation.is_some(),
+        depth: args.depth.is_some(),
+        depth_colours: args.depth_colours.is_some(),
     };
     let answer = line.render().render(request).await.map_err(refused)?.into_inner();
     write(&args.out, &answer.png)?;
     println!("{} x {} px in {}", answer.width, answer.height, args.out.display());
+    if let Some(path) = &args.depth {
+        write(path, &answer.depth_png)?;
+        let unit = answer.depth_unit;
+        println!("depth in {}: grey value x {unit:.4e} capture units, 0 is no depth", path.display());
+    }
+    if let Some(path) = &args.depth_colours {
+        write(path, &answer.depth_colours_png)?;
+        println!("depth in colours in {}", path.display());
+    }
+    if let Some(path) = &args.accumulation {
+        write(path, &answer.accumulation_png)?;
+        println!("accumulation in {}: 65535 is all light stopped", path.display());
+    }
     Ok(())
 }
 

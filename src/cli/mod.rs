@@ -1,12 +1,16 @@
 //! The command line: what can be asked for, and which file answers it.
 
 mod against;
+mod animation;
 mod bench;
 mod connect;
 mod demo;
 mod keys;
 mod look;
 mod owners;
+mod path;
+mod poses;
+mod progress;
 mod scene;
 mod train;
 
@@ -45,6 +49,8 @@ enum Command {
     Jobs,
     /// Render a trained scene to a PNG
     Render(look::RenderArgs),
+    /// Fly through a trained scene: an orbit, a spiral, or from one view to another
+    Path(path::Args),
     /// Ask who contributed what is seen: by view, pose or picture
     Who(look::WhoArgs),
     /// Recover what a picture hides
@@ -105,6 +111,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Train(args) => train::run(line, args).await,
         Command::Jobs => train::jobs(line).await,
         Command::Render(args) => look::render(line, args).await,
+        Command::Path(args) => path::run(line, args).await,
         Command::Who(args) => look::who(line, args).await,
         Command::Detect(args) => look::detect(line, args).await,
         Command::Evaluate(args) => look::evaluate(line, args).await,

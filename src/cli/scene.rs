@@ -1,4 +1,4 @@
-//! `cairn scene`: import, list, show, delete.
+//! `cairn scene`: import, list, show, delete (and `poses`, in its own file).
 
 use std::fs::File;
 use std::io::Read;
@@ -31,6 +31,8 @@ pub enum Command {
         /// The scene
         name: String,
     },
+    /// Draw where the cameras stand, coloured by contributor and by cluster
+    Poses(super::poses::Args),
     /// Delete a scene and its models (owner records stay in the log)
     Delete {
         /// The scene
@@ -92,6 +94,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             Ok(())
         }
         Command::Show { name } => show(line, name).await,
+        Command::Poses(args) => super::poses::run(line, args).await,
         Command::Delete { name } => {
             let request = v1::DeleteSceneRequest { format_version: VERSION, scene: name.clone() };
             line.scenes().delete(request).await.map_err(refused)?;

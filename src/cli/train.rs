@@ -1,14 +1,12 @@
 //! `cairn train` and `cairn jobs`: start or take up a training and watch it.
 
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use cairn_proto::v1::{self, JobState, start_training_request::Clusters};
-use indicatif::{ProgressBar, ProgressStyle};
 
 use super::connect::{Connection, refused};
+use super::progress::Progress;
 use super::{VERSION, read};
 
 /// `cairn train`.
@@ -138,7 +136,7 @@ pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1:
             message = stream.message() => match message.map_err(refused)? {
                 Some(message) => {
                     if let Some(job) = message.job {
-                        shown.draw(&job);
+                        draw(&mut shown, &job);
                         last = Some(job);
                     }
                 }
@@ -146,67 +144,25 @@ pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1:
             },
             interrupt = tokio::signal::ctrl_c() => {
                 interrupt?;
-                shown.bar.set_message("cancelling after this step");
+                shown.say("cancelling after this step");
                 let request = v1::CancelTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
                 line.training().cancel(request).await.map_err(refused)?;
             }
         }
     }
-    shown.bar.finish_and_clear();
+    shown.end();
     last.context("the daemon closed the line before it said anything of the job")
 }
 
-/// Seconds between lines of progress where nobody sees a bar.
-const LINE_EVERY: Duration = Duration::from_secs(15);
-
-/// Progress for people: a bar on a terminal; now and then a line where the output
-/// goes to a file or a pipe.
-struct Progress {
-    bar: ProgressBar,
-    /// When the last line was written; `None` where none are.
-    lines: Option<Instant>,
-}
-
-impl Progress {
-    fn new(shown: bool) -> Self {
-        if !shown {
-            return Self { bar: ProgressBar::hidden(), lines: None };
-        }
-        let bar = ProgressBar::new(0);
-        // The template is a constant that parses; the plain style is there for the day it does not.
-        if let Ok(style) = ProgressStyle::with_template("{prefix:12} [{bar:32}] {pos}/{len} {msg}") {
-            bar.set_style(style.progress_chars("=> "));
-        }
-        bar.enable_steady_tick(Duration::from_millis(250));
-        let lines = (!std::io::stderr().is_terminal()).then(Instant::now);
-        Self { bar, lines }
-    }
-
-    fn draw(&mut self, job: &v1::Job) {
-        let Some(p) = &job.progress else { return };
-        self.bar.set_prefix(p.stage.clone());
-        self.bar.set_length(p.total);
-        self.bar.set_position(p.step);
-        let left = if p.seconds_left >= 0.0 { clock(p.seconds_left) } else { "?".into() };
-        // What is prepared before a stage has neither.
-        let quality = match (p.psnr_db > 0.0, p.loss != 0.0) {
-            (true, _) => format!("{:.1} dB, ", p.psnr_db),
-            (false, true) => format!("loss {:.4}, ", p.loss),
-            (false, false) => String::new(),
-        };
-        let message = format!("{quality}{left} left");
-        if self.lines.is_some_and(|last| last.elapsed() >= LINE_EVERY) {
-            eprintln!("{} {}/{} {message}", p.stage, p.step, p.total);
-            self.lines = Some(Instant::now());
-        }
-        self.bar.set_message(message);
-    }
-}
-
-/// Seconds as m:ss.
-pub fn clock(seconds: f64) -> String {
-    let seconds = seconds.round() as u64;
-    format!("{}:{:02}", seconds / 60, seconds % 60)
+fn draw(shown: &mut Progress, job: &v1::Job) {
+    let Some(p) = &job.progress else { return };
+    // What is prepared before a stage has neither.
+    let quality = match (p.psnr_db > 0.0, p.loss != 0.0) {
+        (true, _) => format!("{:.1} dB, ", p.psnr_db),
+        (false, true) => format!("loss {:.4}, ", p.loss),
+        (false, false) => String::new(),
+    };
+    shown.draw(&p.stage, (p.step, p.total), &quality, p.seconds_left);
 }
 
 fn report(job: &v1::Job) -> anyhow::Result<()> {

@@ -230,6 +230,7 @@ fn check_limits(limits: &Limits) -> Result<(), ConfigError> {
     within("limits.max_photograph_bytes", limits.max_photograph_bytes, 1024..=1 << 30)?;
     within("limits.max_side_px", limits.max_side_px as u64, 16..=65_536)?;
     within("limits.max_pixels", limits.max_pixels, 256..=1_000_000_000)?;
+    within("limits.max_path_frames", limits.max_path_frames as u64, 2..=100_000)?;
     within("limits.max_views", limits.max_views as u64, 2..=1_000_000)?;
     within("limits.max_scene_bytes", limits.max_scene_bytes, 1024..=1 << 40)
 }

@@ -51,6 +51,8 @@ pub struct Limits {
     pub max_side_px: usize,
     /// Most pixels in a photograph or a render.
     pub max_pixels: u64,
+    /// Most frames of a camera path.
+    pub max_path_frames: usize,
     /// Most views in a scene.
     pub max_views: usize,
     /// Largest scene, bytes of all its photographs.
@@ -112,6 +114,7 @@ impl Default for Limits {
             max_photograph_bytes: 64 << 20,
             max_side_px: 16_384,
             max_pixels: 100_000_000,
+            max_path_frames: 2_000,
             max_views: 10_000,
             max_scene_bytes: 16 << 30,
         }

@@ -10,6 +10,7 @@ use crate::engine::TrainingRequest;
 use crate::engine::error::EngineError;
 use crate::engine::query::{FieldKind, Light, Viewpoint};
 use crate::engine::scenes::{ImportPlan, PlannedView};
+use crate::engine::tour::{PathKind, PathRequest};
 
 /// Longest text field, bytes.
 const MAX_TEXT_BYTES: usize = 256;
@@ -163,21 +164,9 @@ fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
 /// What to train.
 pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, EngineError> {
     use v1::start_training_request::Clusters;
-    let weight = ClusterConfig::default().direction_weight;
     let grouping = match request.clusters.ok_or_else(|| missing("clusters"))? {
-        Clusters::ByAnchors(a) => {
-            if !(1..=64).contains(&a.anchors) {
-                return Err(EngineError::invalid("anchors", a.anchors, "1 to 64"));
-            }
-            if !(1..=1000).contains(&a.neighbours) {
-                return Err(EngineError::invalid("neighbours", a.neighbours, "1 to 1000"));
-            }
-            let (anchors, neighbours) = (a.anchors as usize, a.neighbours as usize);
-            Grouping::Anchors(ClusterConfig { anchors, neighbours, direction_weight: weight })
-        }
-        Clusters::ByContributor(c) => {
-            Grouping::ByContributor { min_views: c.least_views as usize, direction_weight: weight }
-        }
+        Clusters::ByAnchors(a) => by_anchors(&a)?,
+        Clusters::ByContributor(c) => by_contributor(&c),
     };
     if request.settings_toml.len() > MAX_SETTINGS_BYTES {
         let got = format!("{} bytes", request.settings_toml.len());
@@ -192,6 +181,79 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
         quick: request.quick,
         base_only: request.base_only,
     })
+}
+
+/// Clusters around anchors.
+pub fn by_anchors(a: &v1::ByAnchors) -> Result<Grouping, EngineError> {
+    if !(1..=64).contains(&a.anchors) {
+        return Err(EngineError::invalid("anchors", a.anchors, "1 to 64"));
+    }
+    if !(1..=1000).contains(&a.neighbours) {
+        return Err(EngineError::invalid("neighbours", a.neighbours, "1 to 1000"));
+    }
+    let (anchors, neighbours) = (a.anchors as usize, a.neighbours as usize);
+    let direction_weight = ClusterConfig::default().direction_weight;
+    Ok(Grouping::Anchors(ClusterConfig { anchors, neighbours, direction_weight }))
+}
+
+/// One cluster a contributor.
+pub fn by_contributor(c: &v1::ByContributor) -> Grouping {
+    let direction_weight = ClusterConfig::default().direction_weight;
+    Grouping::ByContributor { min_views: c.least_views as usize, direction_weight }
+}
+
+/// Clusters to draw, and the seed they are made with; `None` for the model's.
+pub fn drawn_clusters(request: &v1::DrawPosesRequest) -> Result<Option<(Grouping, u64)>, EngineError> {
+    use v1::draw_poses_request::Clusters;
+    let grouping = match &request.clusters {
+        None => return Ok(None),
+        Some(Clusters::ByAnchors(a)) => by_anchors(a)?,
+        Some(Clusters::ByContributor(c)) => by_contributor(c),
+    };
+    Ok(Some((grouping, request.seed)))
+}
+
+/// Whether a drawing is wanted as SVG, and not as PNG.
+pub fn is_svg(format: i32) -> Result<bool, EngineError> {
+    match v1::DrawingFormat::try_from(format) {
+        Ok(v1::DrawingFormat::Svg) => Ok(true),
+        Ok(v1::DrawingFormat::Png | v1::DrawingFormat::Unspecified) => Ok(false),
+        Err(_) => Err(EngineError::invalid("the drawing's format", format, "PNG (1) or SVG (2)")),
+    }
+}
+
+/// A camera path, and its first frame to render.
+pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), EngineError> {
+    use v1::render_path_request::Path;
+    let kind = match request.path.ok_or_else(|| missing("the path"))? {
+        Path::Orbit(o) => {
+            let arc_deg = if o.arc_deg == 0.0 { 360.0 } else { o.arc_deg };
+            if !(arc_deg > 0.0 && arc_deg <= 360.0) {
+                return Err(EngineError::invalid("the orbit's arc_deg", arc_deg, "above 0, to 360"));
+            }
+            PathKind::Orbit { arc_deg }
+        }
+        Path::Spiral(_) => PathKind::Spiral,
+        Path::Between(b) => PathKind::Between(b.from_view, b.to_view),
+    };
+    let first = request.first_frame as usize;
+    if first > 0 && request.first_frame >= request.frames {
+        let expected = format!("0 to below the number of frames, {}", request.frames);
+        return Err(EngineError::invalid("first_frame", first, expected));
+    }
+    let light = match request.appearance.and_then(|a| a.choice) {
+        None => None,
+        choice => Some(light(Some(v1::Appearance { choice }))),
+    };
+    let plan = PathRequest {
+        scene: request.scene,
+        kind,
+        frames: request.frames as usize,
+        size: (request.width as usize, request.height as usize),
+        field: field_kind(request.field)?,
+        light,
+    };
+    Ok((plan, first))
 }
 
 /// Which field.

@@ -8,6 +8,7 @@
 pub mod from_proto;
 mod owners;
 mod queries;
+mod renders;
 mod scenes;
 pub mod serve;
 mod status;

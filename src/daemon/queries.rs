@@ -1,40 +1,13 @@
-//! `RenderService`, `QueryService` and `DetectionService`.
+//! `QueryService` and `DetectionService`.
 
 use cairn_capture::encode_png;
-use cairn_proto::v1::{
-    self, detection_service_server::DetectionService, query_service_server::QueryService,
-    render_service_server::RenderService,
-};
+use cairn_proto::v1::{self, detection_service_server::DetectionService, query_service_server::QueryService};
 use tonic::{Request, Response, Status};
 
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
-use crate::engine::query::FieldKind;
 
 type Answer<T> = Result<Response<T>, Status>;
-
-#[tonic::async_trait]
-impl RenderService for Shared {
-    async fn render(&self, request: Request<v1::RenderRequest>) -> Answer<v1::RenderResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
-        let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
-        if field == FieldKind::Base {
-            self.authorise(request.metadata())?;
-        }
-        let v1::RenderRequest { scene, viewpoint, appearance, .. } = request.into_inner();
-        let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
-        let light = from_proto::light(appearance);
-        let answer = self
-            .compute(move |engine| {
-                let picture = engine.render(&scene, &viewpoint, field, &light)?;
-                let (width, height) = (picture.width() as u32, picture.height() as u32);
-                let png = encode_png(&picture).into();
-                Ok(v1::RenderResponse { format_version: to_proto::VERSION, png, width, height })
-            })
-            .await?;
-        Ok(Response::new(answer))
-    }
-}
 
 #[tonic::async_trait]
 impl QueryService for Shared {

@@ -1,5 +1,6 @@
 //! `SceneService`.
 
+use cairn_capture::encode_png;
 use cairn_proto::v1::{self, import_scene_request::Part, scene_service_server::SceneService};
 use tonic::{Request, Response, Status, Streaming};
 
@@ -7,6 +8,7 @@ use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::engine::error::EngineError;
+use crate::engine::poses::PoseSheet;
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -69,6 +71,28 @@ impl SceneService for Shared {
                     summary: Some(to_proto::scene_summary(&scene, &folder, model.is_some())),
                     views: to_proto::scene_views(&folder),
                     model: model.as_ref().map(to_proto::model),
+                })
+            })
+            .await?;
+        Ok(Response::new(answer))
+    }
+
+    async fn draw_poses(&self, request: Request<v1::DrawPosesRequest>) -> Answer<v1::DrawPosesResponse> {
+        let request = request.into_inner();
+        from_proto::version(request.format_version).map_err(status)?;
+        let svg = from_proto::is_svg(request.format).map_err(status)?;
+        let clusters = from_proto::drawn_clusters(&request).map_err(status)?;
+        let answer = self
+            .compute(move |engine| {
+                let PoseSheet { drawing, views, clusters } = engine.draw_poses(&request.scene, clusters)?;
+                let picture = if svg { drawing.svg().into_bytes() } else { encode_png(&drawing.picture()) };
+                Ok(v1::DrawPosesResponse {
+                    format_version: to_proto::VERSION,
+                    picture: picture.into(),
+                    width: drawing.width as u32,
+                    height: drawing.height as u32,
+                    views: views as u32,
+                    clusters: clusters as u32,
                 })
             })
             .await?;

@@ -24,9 +24,10 @@ fn code(error: &EngineError) -> Code {
     match error {
         EngineError::Invalid { .. } | EngineError::OverLimit { .. } | EngineError::Config(_) => Code::InvalidArgument,
         EngineError::NotFound { .. } => Code::NotFound,
-        EngineError::NotTrained { .. } | EngineError::WrongState { .. } | EngineError::KeyMissing { .. } => {
-            Code::FailedPrecondition
-        }
+        EngineError::NotTrained { .. }
+        | EngineError::WrongState { .. }
+        | EngineError::KeyMissing { .. }
+        | EngineError::Path(_) => Code::FailedPrecondition,
         EngineError::QueueFull { .. } => Code::ResourceExhausted,
         EngineError::ShuttingDown | EngineError::Locked { .. } => Code::Unavailable,
         EngineError::Stored { .. } => Code::DataLoss,

@@ -11,6 +11,7 @@ use cairn_registry::RegistryError;
 use cairn_stega::MarkError;
 use thiserror::Error;
 
+use super::paths::PathError;
 use crate::config::ConfigError;
 
 /// Why the engine did not do it.
@@ -132,6 +133,9 @@ pub enum EngineError {
     /// Scoring.
     #[error(transparent)]
     Metric(#[from] MetricError),
+    /// Camera paths.
+    #[error(transparent)]
+    Path(#[from] PathError),
     /// Settings.
     #[error(transparent)]
     Config(#[from] ConfigError),

@@ -3,18 +3,25 @@
 //!
 //! All calls block, some for long; the edge puts them on threads of their own.
 
+pub mod crowd;
+pub mod drawing;
 pub mod error;
 pub mod evaluate;
 pub mod folder;
 pub mod job;
 pub mod jobs;
+pub mod layout;
+pub mod maps;
 pub mod marks;
 pub mod model;
 pub mod owners;
+pub mod paths;
+pub mod poses;
 pub mod query;
 pub mod report;
 pub mod scenes;
 pub mod stages;
+pub mod tour;
 pub mod training;
 
 use std::path::Path;

@@ -3,6 +3,7 @@
 use cairn_capture::{Camera, Picture};
 
 use super::error::EngineError;
+use super::maps::Maps;
 use super::marks::Detection;
 use super::model::Model;
 use super::scenes::check_size;
@@ -89,7 +90,7 @@ impl Engine {
         Ok(camera)
     }
 
-    /// Renders a view, clamped to [0, 1].
+    /// Renders a view, clamped to [0, 1]; with accumulation and depth where `maps` asks for them.
     ///
     /// # Errors
     /// [`EngineError::NotTrained`], [`EngineError::NotFound`], [`EngineError::Invalid`].
@@ -99,15 +100,22 @@ impl Engine {
         viewpoint: &Viewpoint,
         field: FieldKind,
         light: &Light,
-    ) -> Result<Picture, EngineError> {
+        maps: bool,
+    ) -> Result<(Picture, Option<Maps>), EngineError> {
         let model = self.model(scene)?;
         let camera = self.camera(scene, viewpoint)?;
         let appearance = appearance(&model, light)?;
+        if !maps {
+            return Ok((model.look(field, &camera, &appearance)?, None));
+        }
+        let seen = model.base.render_maps(&camera, &appearance);
+        let maps = Maps::new(model.base.frame(), &camera, &seen);
         let picture = match field {
-            FieldKind::Base => model.base.render(&camera, &appearance),
-            FieldKind::Marked => model.mark()?.field.render(&camera, &appearance),
+            FieldKind::Base => seen.picture.clamped(),
+            // A mark is colour alone: what lies behind it is the base field's.
+            FieldKind::Marked => model.look(field, &camera, &appearance)?,
         };
-        Ok(picture.clamped())
+        Ok((picture, Some(maps)))
     }
 
     /// Whose cluster a viewpoint belongs to.
@@ -166,8 +174,22 @@ impl Engine {
     }
 }
 
+impl Model {
+    /// What `camera` sees, clamped to [0, 1].
+    ///
+    /// # Errors
+    /// As [`Model::mark`].
+    pub fn look(&self, field: FieldKind, camera: &Camera, appearance: &Appearance) -> Result<Picture, EngineError> {
+        let picture = match field {
+            FieldKind::Base => self.base.render(camera, appearance),
+            FieldKind::Marked => self.mark()?.field.render(camera, appearance),
+        };
+        Ok(picture.clamped())
+    }
+}
+
 /// The appearance that `light` asks for.
-fn appearance(model: &Model, light: &Light) -> Result<Appearance, EngineError> {
+pub(super) fn appearance(model: &Model, light: &Light) -> Result<Appearance, EngineError> {
     let of = |name: &str| {
         let known = model.base.appearances();
         match known.iter().find(|(n, _)| n == name) {

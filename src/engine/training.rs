@@ -253,7 +253,8 @@ pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<C
     Ok(Clusters::build(&poses, grouping, &contributors, seed)?)
 }
 
-fn identities(scene: &SceneFolder, clusters: &Clusters) -> Vec<IdentityInfo> {
+/// What the clusters' identities are called, and whose photographs they are.
+pub fn identities(scene: &SceneFolder, clusters: &Clusters) -> Vec<IdentityInfo> {
     let capture = scene.capture();
     let training: Vec<usize> = capture.training().collect();
     let describe = |cluster: &cairn_cluster::Cluster| {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::cli::train::clock;
+use crate::cli::progress::clock;
 
 /// Seconds between lines where nobody sees a bar.
 const LINE_EVERY: Duration = Duration::from_secs(15);

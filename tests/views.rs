@@ -1,0 +1,228 @@
+//! Looking at a scene through the real daemon: maps behind a render, camera paths,
+//! and the drawing of its cameras.
+
+mod common;
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use cairn_capture::{Limits, Picture, decode_picture};
+use cairn_proto::v1::render_path_request::Path as Way;
+use cairn_proto::v1::render_service_client::RenderServiceClient;
+use cairn_proto::v1::{self};
+use common::{Daemon, Place};
+use tonic::Code;
+use tonic::transport::Endpoint;
+
+const FIRST: &str = "images/ada_002.png";
+const SECOND: &str = "images/ada_004.png";
+
+/// A place whose scene `town` has a base field.
+fn trained() -> Place {
+    let place = Place::new();
+    let (data, tiny) = (place.text("data"), place.text("tiny.toml"));
+    place.import("town", ["--data", &data]);
+    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
+    place
+}
+
+fn picture(path: &Path) -> Picture {
+    decode_picture(&std::fs::read(path).unwrap(), &Limits::default(), None).unwrap()
+}
+
+fn orbit(frames: u32) -> v1::RenderPathRequest {
+    v1::RenderPathRequest {
+        format_version: 1,
+        scene: "town".into(),
+        path: Some(Way::Orbit(v1::OrbitPath::default())),
+        frames,
+        field: v1::FieldKind::Base.into(),
+        ..v1::RenderPathRequest::default()
+    }
+}
+
+#[test]
+fn maps_are_written_beside_a_render_and_agree() {
+    let place = trained();
+    let data = place.text("data");
+    let files = ["view.png", "depth.png", "colours.png", "accumulation.png"].map(|f| place.text(f));
+    let render = ["render", "town", "--view", FIRST, "--base", "--data", &data, "--out", &files[0]];
+    let maps = ["--depth", &files[1], "--depth-colours", &files[2], "--accumulation", &files[3]];
+    let said = place.cairn_ok(&[&render[..], &maps].concat());
+    assert!(said.contains("capture units") && said.lines().count() == 4, "{said}");
+    let alone = place.text("alone.png");
+    place.cairn_ok(&["render", "town", "--view", FIRST, "--base", "--data", &data, "--out", &alone]);
+    assert_eq!(std::fs::read(&alone).unwrap(), std::fs::read(&files[0]).unwrap(), "maps change no picture");
+
+    let [_, depth, colours, accumulation] = files.map(|f| picture(Path::new(&f)));
+    assert_eq!((colours.width(), colours.height()), (32, 32));
+    let mut deep = 0;
+    for (depth, accumulation) in depth.rgb().iter().zip(accumulation.rgb()) {
+        assert_eq!(*depth > 0.0, *accumulation >= 0.1, "depth {depth} where {accumulation} is stopped");
+        deep += usize::from(*depth > 0.0);
+    }
+    assert!(deep > 0, "nothing at all is in the picture");
+}
+
+#[test]
+fn a_flight_begins_and_ends_in_its_views_and_goes_on_where_it_was_cut() {
+    let place = trained();
+    let daemon = Daemon::start(&place.path("data"), "");
+    let to = ["--connect", daemon.url.as_str()];
+    let (file, frames) = (place.text("flight.png"), place.text("flight"));
+    let path = ["path", "town", "--between", FIRST, SECOND, "--base", "--frames", "4", "--out", &file];
+    let said = place.cairn_ok(&[&path[..], &["--sequence", &frames], &to].concat());
+    assert!(said.starts_with("4 frames of 32 x 32 px in "), "{said}");
+    for (frame, view) in [("frame-00000.png", FIRST), ("frame-00003.png", SECOND)] {
+        let there = place.text("there.png");
+        place.cairn_ok(&["render", "town", "--view", view, "--light", view, "--base", "--out", &there, to[0], to[1]]);
+        let (frame, there) = (std::fs::read(place.path("flight").join(frame)), std::fs::read(there));
+        assert_eq!(frame.unwrap(), there.unwrap(), "{view}");
+    }
+    let decoder = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(&file).unwrap()));
+    let reader = decoder.read_info().unwrap();
+    assert_eq!(reader.info().animation_control().unwrap().num_frames, 4);
+
+    // Without two of its frames and the animation it goes on, to the same bytes.
+    let third = std::fs::read(place.path("flight/frame-00002.png")).unwrap();
+    let whole = std::fs::read(&file).unwrap();
+    for gone in ["flight/frame-00002.png", "flight/frame-00003.png", "flight.png"] {
+        std::fs::remove_file(place.path(gone)).unwrap();
+    }
+    let again = [&path[..], &["--sequence", &frames, "--resume"], &to].concat();
+    place.cairn_ok(&again);
+    assert_eq!(std::fs::read(place.path("flight/frame-00002.png")).unwrap(), third);
+    assert_eq!(std::fs::read(&file).unwrap(), whole);
+    let other = ["path", "town", "--orbit", "--base", "--frames", "4", "--resume", "--sequence", &frames];
+    let refused = place.cairn(&[&other[..], &to].concat());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("another path"), "{refused:?}");
+
+    let gif = place.text("orbit.gif");
+    place.cairn_ok(&[
+        "path", "town", "--orbit", "--base", "--frames", "3", "--width", "24", "--out", &gif, to[0], to[1],
+    ]);
+    let mut reader = gif::DecodeOptions::new().read_info(std::fs::File::open(gif).unwrap()).unwrap();
+    let mut read = 0;
+    while let Some(frame) = reader.read_next_frame().unwrap() {
+        assert_eq!((frame.width, frame.height), (24, 24));
+        read += 1;
+    }
+    assert_eq!(read, 3);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
+    let place = trained();
+    let settings = "[limits]\nmax_path_frames = 50\nmax_pixels = 4096\nconcurrent_renders = 1";
+    let daemon = Daemon::start(&place.path("data"), settings);
+    let mut render = RenderServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let between =
+        |from: &str, to: &str| Some(Way::Between(v1::BetweenPath { from_view: from.into(), to_view: to.into() }));
+    let bad_arc = Some(Way::Orbit(v1::OrbitPath { arc_deg: f64::NAN }));
+    for (request, code, says) in [
+        (orbit(1), Code::InvalidArgument, "number of frames is 1"),
+        (orbit(51), Code::InvalidArgument, "limits.max_path_frames"),
+        (v1::RenderPathRequest { first_frame: 9, ..orbit(9) }, Code::InvalidArgument, "first_frame"),
+        (v1::RenderPathRequest { width: 65, height: 65, ..orbit(9) }, Code::InvalidArgument, "limits.max_pixels"),
+        (v1::RenderPathRequest { width: u32::MAX, ..orbit(9) }, Code::InvalidArgument, "limits.max_side_px"),
+        (v1::RenderPathRequest { path: None, ..orbit(9) }, Code::InvalidArgument, "the path"),
+        (v1::RenderPathRequest { path: bad_arc, ..orbit(9) }, Code::InvalidArgument, "arc_deg"),
+        (v1::RenderPathRequest { path: between(FIRST, "none"), ..orbit(9) }, Code::NotFound, "no view"),
+        (v1::RenderPathRequest { field: v1::FieldKind::Marked.into(), ..orbit(9) }, Code::FailedPrecondition, "marks"),
+        (v1::RenderPathRequest { scene: "tow".into(), ..orbit(9) }, Code::NotFound, "tow"),
+        (v1::RenderPathRequest { format_version: 2, ..orbit(9) }, Code::InvalidArgument, "format_version"),
+    ] {
+        let refused = render.render_path(request).await.unwrap_err();
+        assert_eq!(refused.code(), code, "{refused}");
+        assert!(refused.message().contains(says), "{refused} does not say {says}");
+    }
+    // A scene seen from one side has no orbit; it says so before it is trained.
+    let (capture, to) = (place.text("capture"), ["--connect", daemon.url.as_str()]);
+    let import = ["scene", "import", "wall", "--from", &capture, "--kind", "forward-facing"];
+    place.cairn_ok(&[&import[..], &to].concat());
+    let refused = render.render_path(v1::RenderPathRequest { scene: "wall".into(), ..orbit(9) }).await.unwrap_err();
+    assert_eq!(refused.code(), Code::FailedPrecondition);
+    assert!(refused.message().contains("--spiral"), "{refused}");
+
+    // Who stops reading frees the only place for others.
+    let mut stream = render.render_path(orbit(50)).await.unwrap().into_inner();
+    let first = stream.message().await.unwrap().unwrap();
+    assert_eq!((first.frame, first.frames, first.job_id.as_str()), (0, 50, "job-000001"));
+    drop(stream);
+    let viewpoint = Some(v1::Viewpoint { from: Some(v1::viewpoint::From::Camera(first.camera.unwrap())) });
+    let field = v1::FieldKind::Base.into();
+    let same = v1::RenderRequest { format_version: 1, scene: "town".into(), viewpoint, field, ..Default::default() };
+    let answer = tokio::time::timeout(Duration::from_secs(20), render.render(same)).await.unwrap().unwrap();
+    assert_eq!(answer.into_inner().png, first.png, "a frame is what its camera sees");
+
+    // A flight that its scene's next training overtakes ends, and does not change fields in the air.
+    // A narrow line keeps the frames from all being sent ahead.
+    let narrow = Endpoint::from_shared(daemon.url.clone()).unwrap().initial_stream_window_size(65_535);
+    let mut render = RenderServiceClient::new(narrow.connect().await.unwrap());
+    let large = v1::RenderPathRequest { width: 64, height: 64, ..orbit(50) };
+    let mut stream = render.render_path(large).await.unwrap().into_inner();
+    stream.message().await.unwrap().unwrap();
+    let tiny = place.text("tiny.toml");
+    let train = ["train", "town", "--by-contributor", "--base-only", "--seed", "2", "--settings", &tiny];
+    place.cairn_ok(&[&train[..], &to].concat());
+    let overtaken = loop {
+        match stream.message().await {
+            Ok(frame) => assert_eq!(frame.expect("an error before the end").job_id, "job-000001"),
+            Err(overtaken) => break overtaken,
+        }
+    };
+    assert_eq!(overtaken.code(), Code::FailedPrecondition);
+    assert!(overtaken.message().contains("begin again"), "{overtaken}");
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_keeps_whole_frames_and_nothing_else() {
+    let place = trained();
+    let data = place.text("data");
+    let (file, frames) = (place.text("long.gif"), place.path("long"));
+    let path = ["path", "town", "--orbit", "--base", "--frames", "2000", "--width", "200", "--data", &data];
+    let child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+        .args(path)
+        .args(["--out", &file, "--sequence", frames.to_str().unwrap()])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let begun = Instant::now();
+    while !frames.join("frame-00001.png").exists() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no second frame in a minute");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let ended = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(2), "{said}");
+    assert!(said.contains("cut off after") && said.contains("--resume"), "{said}");
+    assert!(!Path::new(&file).exists());
+    let names =
+        |folder: &Path| std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+    assert!(names(place.dir.path()).chain(names(&frames)).all(|n| !n.ends_with(".part")));
+    for name in names(&frames).filter(|n| n.ends_with(".png")) {
+        assert_eq!(picture(&frames.join(name)).width(), 200);
+    }
+}
+
+#[test]
+fn cameras_are_drawn_by_contributor_and_by_cluster() {
+    let place = Place::new();
+    let data = place.text("data");
+    place.import("town", ["--data", &data]);
+    let (png, svg) = (place.text("poses.png"), place.text("poses.svg"));
+    let poses = ["scene", "poses", "town", "--data", &data, "--out"];
+    let said = place.cairn_ok(&[&poses[..], &[&png]].concat());
+    assert!(said.starts_with("12 cameras by contributor in "), "{said}");
+    let said = place.cairn_ok(&[&poses[..], &[&svg, "--anchors", "2", "--neighbours", "4"]].concat());
+    assert!(said.contains("in 2 clusters"), "{said}");
+    let (drawn, svg) = (picture(Path::new(&png)), std::fs::read_to_string(svg).unwrap());
+    assert!(drawn.width() > 1000 && svg.contains(">ada</text>") && svg.contains("ringed: anchor"));
+    let refused = place.cairn(&[&poses[..], &["poses.bmp"]].concat());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains(".png or .svg"));
+    let refused = place.cairn(&[&poses[..], &[&png, "--anchors", "9", "--neighbours", "9"]].concat());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("FailedPrecondition"), "{refused:?}");
+}
