@@ -32,7 +32,7 @@ use cairn_capture::{Capture, SceneFolder};
 use cairn_cluster::Grouping;
 use cairn_registry::{OwnerKey, Registry};
 
-use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, training_settings};
+use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, training_settings};
 use error::EngineError;
 use folder::DataFolder;
 use job::{Job, JobSpec};
@@ -188,7 +188,10 @@ impl Engine {
     pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
         let scene = self.scene(&request.scene)?;
         let quick = if request.quick { QUICK_TOML } else { "" };
-        let overlays = [("configs/quick.toml", quick), ("the request's settings", request.settings_toml.as_str())];
+        // Who configured stage 1 himself is taken at his word; else the kind of scene decides.
+        let own = self.training.field != TrainingSettings::default().field;
+        let kind = if own { ("no settings", "") } else { overlay_for(scene.capture().kind) };
+        let overlays = [kind, ("configs/quick.toml", quick), ("the request's settings", request.settings_toml.as_str())];
         let settings = training_settings(&self.training, &overlays)?;
         // Found now rather than after an hour of stage 1.
         let clusters = training::clusters(&scene, &request.grouping, request.seed)?;

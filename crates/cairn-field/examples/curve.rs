@@ -1,7 +1,7 @@
 //! Trains a capture and prints seconds against held-out PSNR: the quickest way
 //! to see what a setting does.
 //!
-//! `cargo run --release -p cairn-field --example curve -- FOLDER SCALE [settings as JSON]`
+//! `cargo run --release -p cairn-field --example curve -- FOLDER SCALE [settings as JSON] [FILE for the field]`
 
 use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
 use cairn_field::{BaseTrainer, Field, FieldConfig, FieldError, SceneFrame, TrainingView};
@@ -11,7 +11,7 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, scale, rest @ ..] = arguments.as_slice() else {
-        return Err("usage: curve FOLDER SCALE [settings as JSON]".into());
+        return Err("usage: curve FOLDER SCALE [settings as JSON] [FILE for the field]".into());
     };
     let scale: f64 = scale.parse()?;
     let config: FieldConfig = serde_json::from_str(rest.first().map_or("{}", String::as_str))?;
@@ -40,6 +40,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seconds = started.elapsed().as_secs_f64();
     let wild = trainer.has_appearance();
     let field = trainer.finish();
+    if let Some(file) = rest.get(1) {
+        std::fs::write(file, field.to_bytes()?)?;
+    }
     let learnt = train.iter().step_by(train.len().div_ceil(3));
     let known = learnt.clone().map(|view| Ok(shown(&field, view, false)?.0)).sum::<Result<f64, FieldError>>()?;
     println!("training views {:.2} dB", known / learnt.count() as f64);

@@ -8,14 +8,14 @@ use crate::error::FieldError;
 use crate::field::{read_f32, read_header, read_u32, stored};
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
-use crate::optimise::Adam;
+use crate::optimise::{Adam, RowState};
 use crate::scatter::Gradient;
 use crate::trainer::{BaseTrainer, TrainingView};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/1";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/2";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -24,6 +24,7 @@ struct Header {
     frame: SceneFrame,
     seed: u64,
     step: u64,
+    drawn: u64,
     level: usize,
     dims: [usize; 3],
     adam_steps: u64,
@@ -45,9 +46,10 @@ impl BaseTrainer {
             frame: self.frame.clone(),
             seed: self.seed,
             step: self.step,
+            drawn: self.drawn,
             level: self.level,
             dims: self.grid.dims,
-            adam_steps: self.adam.steps,
+            adam_steps: self.rows.adam.steps,
             appearance_steps: self.appearance_adam.steps,
             neutral: self.neutral.clone(),
             views: self.views.iter().map(|v| v.name.clone()).collect(),
@@ -55,12 +57,14 @@ impl BaseTrainer {
         };
         let codes: Vec<f32> = self.appearances.iter().flat_map(|a| a.code().to_vec()).collect();
         let vertex: Vec<u8> = self.grid.vertex[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
-        let occupancy: Vec<u8> = self.grid.occupancy().iter().flat_map(|v| v.to_le_bytes()).collect();
-        let float: [(&str, &[f32]); 8] = [
-            ("raw", &self.grid.raw),
+        let occupancy: Vec<u8> = self.grid.occupancy.words().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let raw: Vec<f32> = self.grid.raw_rows().collect();
+        let float: [(&str, &[f32]); 9] = [
+            ("raw", &raw),
             ("colour", &self.grid.colour),
-            ("first", &self.adam.first),
-            ("second", &self.adam.second),
+            ("first", &self.rows.adam.first),
+            ("second", &self.rows.adam.second),
+            ("square", &self.rows.square),
             ("seen", &self.gradient.seen),
             ("codes", &codes),
             ("codes_first", &self.appearance_adam.first),
@@ -118,15 +122,17 @@ impl BaseTrainer {
             }
             Ok(values)
         };
-        grid.raw = read("raw", rows)?;
+        grid.set_raw_rows(&read("raw", rows - 1)?);
         grid.colour = read("colour", rows * ROW)?;
         let occupancy = file.tensor("occupancy").map_err(|e| stored("checkpoint", e.to_string()))?;
         let words = occupancy.data().chunks_exact(8).map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes")));
-        if !grid.restore_occupancy(words.collect()) {
+        if !grid.occupancy.restore(words.collect()) {
             return refuse("its occupancy does not fit its grid".into());
         }
-        trainer.adam =
-            Adam { first: read("first", rows * ROW)?, second: read("second", rows * ROW)?, steps: header.adam_steps };
+        trainer.rows = RowState {
+            adam: Adam { first: read("first", rows)?, second: read("second", rows)?, steps: header.adam_steps },
+            square: read("square", rows)?,
+        };
         trainer.gradient = Gradient::zero(rows);
         trainer.gradient.seen = read("seen", rows)?;
         trainer.grid = grid;
@@ -145,6 +151,8 @@ impl BaseTrainer {
         trainer.neutral = header.neutral;
         trainer.step = header.step;
         trainer.level = header.level;
+        trainer.lay_tiles();
+        trainer.drawn = header.drawn;
         Ok(trainer)
     }
 }

@@ -7,10 +7,13 @@
 //! and far (contracted space), because appearance treats them differently.
 
 use crate::frame::RayPath;
-use crate::grid::{DENSITY_SCALE, Grid, trilinear};
-use crate::march::{STEP_VOXELS, march};
-use crate::real::{Real, softplus_and_slope};
+use crate::grid::{DENSITY_SCALE, Grid, ROW, trilinear};
+use crate::march::{STEP_VOXELS, Sample, march};
+use crate::real::Real;
 use crate::sh::SH;
+
+/// Samples whose densities are worked out together: one AVX2 register of f32.
+const LANES: usize = 8;
 
 /// When to leave out what cannot be seen.
 #[derive(Clone, Copy, Debug)]
@@ -86,9 +89,18 @@ pub fn gather<T: Real>(
     let corners = grid.corners();
     let end = record(grid, path, offset, limits, tape);
     let mut sum = Gathered { end, ..Gathered::default() };
-    for kept in tape.iter_mut() {
-        kept.colour = grid.colour_at(kept.cell as usize, &trilinear(kept.frac), &corners, basis);
-        sum.add(kept, kept.weight, kept.colour.map(|c| kept.weight * c));
+    for run in tape.chunk_by_mut(|a, b| a.cell == b.cell) {
+        let colours = grid.corner_colours(run[0].cell as usize, &corners, basis);
+        for kept in run {
+            let mut colour = [T::zero(); 3];
+            for (c, share) in colours.iter().zip(trilinear(kept.frac)) {
+                for k in 0..3 {
+                    colour[k] += share * c[k];
+                }
+            }
+            kept.colour = colour;
+            sum.add(kept, kept.weight, colour.map(|c| kept.weight * c));
+        }
     }
     sum
 }
@@ -108,7 +120,7 @@ pub fn see<T: Real>(
     let mut sum = Gathered { end, ..Gathered::default() };
     for run in runs(tape) {
         let shares = corner_shares(run);
-        let light = grid.colour_at(run[0].cell as usize, &shares, &corners, basis);
+        let light = grid.light(run[0].cell as usize, &shares, &corners, basis);
         sum.add(&run[0], T::zero(), light);
         for kept in run {
             sum.add(kept, kept.weight, [T::zero(); 3]);
@@ -151,58 +163,103 @@ impl<T: Real> Gathered<T> {
 #[inline(always)]
 fn record<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, limits: Thresholds, tape: &mut Vec<Kept<T>>) -> T {
     tape.clear();
+    let mut light = T::one();
+    let mut waiting = [const { None }; LANES];
+    let mut n = 0;
+    let mut open = true;
+    march(grid, path, offset, limits.step, |sample| {
+        waiting[n] = Some(*sample);
+        n += 1;
+        if n == LANES {
+            n = 0;
+            open = meet(grid, &waiting, &limits, &mut light, tape);
+        }
+        open
+    });
+    if open {
+        meet(grid, &waiting[..n], &limits, &mut light, tape);
+    }
+    light
+}
+
+/// Composites up to [`LANES`] samples behind those on the tape, `light` being what
+/// arrives; false when hardly any is left.
+#[inline(always)]
+fn meet<T: Real>(
+    grid: &Grid<T>,
+    samples: &[Option<Sample<T>>],
+    limits: &Thresholds,
+    light: &mut T,
+    tape: &mut Vec<Kept<T>>,
+) -> bool {
     let corners = grid.corners();
     let scale = T::of(DENSITY_SCALE);
-    let (least, stop, light) = (T::of(limits.alpha), T::of(limits.transmittance), T::of(limits.weight));
-    let mut t = T::one();
-    march(grid, path, offset, limits.step, |sample| {
-        let weights = trilinear(sample.frac);
-        let raw = grid.raw_at(sample.cell as usize, &weights, &corners);
-        let (density, slope) = softplus_and_slope(raw);
-        let depth = scale * density * sample.length;
-        // Alpha is never above the depth: spare the exponential.
-        if depth <= least {
-            return true;
+    let (least, stop, weak) = (T::of(limits.alpha), T::of(limits.transmittance), T::of(limits.weight));
+    let (mut raw, mut length) = ([T::zero(); LANES], [T::zero(); LANES]);
+    for (k, sample) in samples.iter().flatten().enumerate() {
+        raw[k] = grid.raw_at(sample.cell as usize, sample.frac);
+        length[k] = sample.length;
+    }
+    // All lanes at once: these loops have no branch and become vector instructions.
+    let (mut alpha, mut slope) = ([T::zero(); LANES], [T::zero(); LANES]);
+    for k in 0..LANES {
+        let (density, rise) = raw[k].softplus_and_slope();
+        alpha[k] = (scale * density * length[k]).stopped();
+        slope[k] = scale * rise * length[k];
+    }
+    for (k, sample) in samples.iter().flatten().enumerate() {
+        if alpha[k] <= least {
+            continue;
         }
-        let alpha = -(-depth).exp_m1();
-        let weight = t * alpha;
-        if weight <= light {
-            return true;
+        let weight = *light * alpha[k];
+        if weight <= weak {
+            continue;
         }
-        t *= T::one() - alpha;
+        *light *= T::one() - alpha[k];
         grid.prefetch_colour(sample.cell as usize, &corners);
         tape.push(Kept {
             cell: sample.cell,
             frac: sample.frac,
             weight,
-            behind: t,
-            slope: scale * slope * sample.length,
+            behind: *light,
+            slope: slope[k],
             along: sample.along,
             length: sample.length,
             far: sample.far,
             colour: [T::zero(); 3],
         });
-        t > stop
-    });
-    t
+        if *light <= stop {
+            return false;
+        }
+    }
+    true
 }
 
-/// What one sample owes the grid: gradients at a point, to be spread over its
-/// cell's corners.
+/// What some rays' errors owe the grid.
+#[derive(Clone, Debug, Default)]
+pub struct Debts<T> {
+    /// Run by run.
+    pub owed: Vec<Owed<T>>,
+    /// Colour basis of each ray.
+    pub bases: Vec<[T; SH]>,
+}
+
+/// What a run of samples in one cell owes the grid: gradients at the cell's corners.
 #[derive(Clone, Copy, Debug)]
 pub struct Owed<T> {
     /// Cell (first vertex).
     pub cell: u32,
-    /// Which ray of the batch it belongs to (for its basis).
+    /// Which ray of its task it belongs to (for its basis).
     pub ray: u32,
-    /// Place in the cell.
-    pub frac: [T; 3],
-    /// d(loss)/d(raw density at the point).
-    pub raw: T,
-    /// d(loss)/d(colour at the point).
-    pub colour: [T; 3],
-    /// Its weight in the picture, for pruning.
-    pub weight: T,
+    /// d(loss)/d(raw density) of each corner.
+    pub raw: [T; 8],
+    /// What each corner's colour weighs in the pixel.
+    pub shares: [T; 8],
+    /// What all gradients here are to be multiplied by: above 1 in a run that stands
+    /// for others that were passed over.
+    pub boost: T,
+    /// d(loss)/d(light gathered in the run's part of space).
+    pub slope: [T; 3],
 }
 
 /// Losses on a ray's weights themselves.
@@ -210,8 +267,45 @@ pub struct Owed<T> {
 pub struct Regularise<T> {
     /// Weight of mip-NeRF 360's distortion loss (eq. 15): draws a ray's weight together.
     pub distortion: T,
-    /// Weight of the ray's optical depth: clears the haze that explains nothing.
+    /// Weight of the sum of the ray's alphas: clears the haze that explains nothing and
+    /// leaves walls alone.
     pub sparsity: T,
+}
+
+/// Which faint runs' gradients are spread: each with a probability, and then as much
+/// the more. The mean stays what it is, and most of the work goes where the light is.
+#[derive(Clone, Copy, Debug)]
+pub struct Roulette {
+    /// Weight in the pixel below which a run takes its chance; 0 spreads all.
+    pub below: f32,
+    /// State of the chance; see [`Roulette::survives`].
+    pub state: u64,
+}
+
+impl Default for Roulette {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
+impl Roulette {
+    /// Least probability: what survives by luck does not outweigh all else.
+    const LEAST: f32 = 0.1;
+    /// Spreads everything.
+    pub const NONE: Self = Self { below: 0.0, state: 0 };
+
+    /// The factor of a run that weighs `weight`, or `None` when it is passed over.
+    #[inline(always)]
+    fn survives(&mut self, weight: f32) -> Option<f32> {
+        if weight >= self.below {
+            return Some(1.0);
+        }
+        let p = (weight / self.below).max(Self::LEAST);
+        // A linear congruential step (Knuth's MMIX): the upper bits are even enough here.
+        self.state = self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let chance = (self.state >> 40) as f32 / (1u32 << 24) as f32;
+        (chance < p).then(|| 1.0 / p)
+    }
 }
 
 /// Walks the tape back. `slope` holds d(loss)/d(each field of [`Gathered`])
@@ -222,6 +316,7 @@ pub fn push_back<T: Real>(
     slope: &Gathered<T>,
     regularise: &Regularise<T>,
     ray: u32,
+    roulette: &mut Roulette,
     owed: &mut Vec<Owed<T>>,
 ) {
     // Sums over everything for the distortion's |u_i - u_j| in one pass.
@@ -234,52 +329,51 @@ pub fn push_back<T: Real>(
     // sum_{j > i} w_j e_j + T_end e_end, from the back.
     let mut later = end * slope.end;
     let two = T::of(2.0);
-    for kept in tape.iter().rev() {
-        let (g, g_weight) = if kept.far { (slope.far, slope.far_weight) } else { (slope.near, slope.near_weight) };
-        let mut e = g[0] * kept.colour[0] + g[1] * kept.colour[1] + g[2] * kept.colour[2] + g_weight;
-        if regularise.distortion != T::zero() {
-            let weight_before = weight_all - weight_behind - kept.weight;
-            let moment_before = moment_all - moment_behind - kept.weight * kept.along;
-            let spread = kept.along * weight_before - moment_before + moment_behind - kept.along * weight_behind;
-            e += regularise.distortion * (two * spread + two / T::of(3.0) * kept.weight * kept.length);
-            weight_behind += kept.weight;
-            moment_behind += kept.weight * kept.along;
+    for run in tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far).rev() {
+        let (g, g_weight) = if run[0].far { (slope.far, slope.far_weight) } else { (slope.near, slope.near_weight) };
+        let weight = run.iter().fold(T::zero(), |sum, kept| sum + kept.weight);
+        let boost = roulette.survives(weight.wide() as f32);
+        let (zero, one) = ([T::zero(); 8], T::one());
+        let mut out = Owed { cell: run[0].cell, ray, raw: zero, shares: zero, boost: one, slope: g };
+        for kept in run.iter().rev() {
+            let mut e = g[0] * kept.colour[0] + g[1] * kept.colour[1] + g[2] * kept.colour[2] + g_weight;
+            if regularise.distortion != T::zero() {
+                let weight_before = weight_all - weight_behind - kept.weight;
+                let moment_before = moment_all - moment_behind - kept.weight * kept.along;
+                let spread = kept.along * weight_before - moment_before + moment_behind - kept.along * weight_behind;
+                e += regularise.distortion * (two * spread + two / T::of(3.0) * kept.weight * kept.length);
+                weight_behind += kept.weight;
+                moment_behind += kept.weight * kept.along;
+            }
+            // d(alpha)/d(depth) = 1 - alpha: what is opaque has nothing more to pay.
+            let clear = kept.behind / (kept.behind + kept.weight).max(T::min_positive_value());
+            let raw = kept.slope * (kept.behind * e - later + regularise.sparsity * clear);
+            if boost.is_some() {
+                for (k, corner) in trilinear(kept.frac).into_iter().enumerate() {
+                    out.raw[k] += corner * raw;
+                    out.shares[k] += corner * kept.weight;
+                }
+            }
+            later += kept.weight * e;
         }
-        owed.push(Owed {
-            cell: kept.cell,
-            ray,
-            frac: kept.frac,
-            raw: kept.slope * (kept.behind * e - later + regularise.sparsity),
-            colour: [kept.weight * g[0], kept.weight * g[1], kept.weight * g[2]],
-            weight: kept.weight,
-        });
-        later += kept.weight * e;
+        if let Some(boost) = boost {
+            out.boost = T::of(f64::from(boost));
+            owed.push(out);
+        }
     }
 }
 
-/// Spreads one sample's gradient over its cell's corners into `gradient`
-/// (`rows x ROW`, density in the last column). `touch` hears each row and the
-/// corner's share of the sample's weight.
-#[inline(always)]
-pub fn spread<T: Real>(
-    grid: &Grid<T>,
-    corners: &[usize; 8],
-    owed: &Owed<T>,
-    basis: &[T; SH],
-    mut add: impl FnMut(usize, T, &[T; crate::grid::ROW]),
-) {
-    let mut row = [T::zero(); crate::grid::ROW];
-    for c in 0..3 {
+impl<T: Real> Owed<T> {
+    /// Gradient of each corner's row: `shares[k]` times what this returns, and
+    /// `boost * raw[k]` in the last column.
+    #[inline(always)]
+    pub fn row(&self, basis: &[T; SH]) -> [T; ROW] {
+        let mut row = [T::zero(); ROW];
         for k in 0..SH {
-            row[c * SH + k] = owed.colour[c] * basis[k];
+            for c in 0..3 {
+                row[3 * k + c] = self.boost * self.slope[c] * basis[k];
+            }
         }
-    }
-    row[crate::grid::ROW - 1] = owed.raw;
-    let weights = trilinear(owed.frac);
-    for k in 0..8 {
-        let at = grid.index[owed.cell as usize + corners[k]] as usize;
-        if at != 0 {
-            add(at, weights[k], &row);
-        }
+        row
     }
 }

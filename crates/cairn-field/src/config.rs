@@ -40,7 +40,7 @@ pub struct FieldConfig {
     pub final_rate: f64,
     /// Weight of the distortion loss (mip-NeRF 360 eq. 15), >= 0.
     pub distortion: f64,
-    /// Weight of rays' optical depth, >= 0: clears haze.
+    /// Weight of the sum of a ray's alphas, >= 0: clears haze and leaves walls alone.
     pub sparsity: f64,
     /// Weight of density's total variation, >= 0.
     pub smooth_density: f64,
@@ -52,8 +52,9 @@ pub struct FieldConfig {
     /// A vertex is dropped when its largest weight in any picture stayed below
     /// this; 0 to 1.
     pub prune_weight: f64,
-    /// Light the fresh grid stops on the way across, 0 to 1: low, so that clouds
-    /// before the cameras do not form.
+    /// Light the fresh grid stops on the way across, 0 to 1: too little, and it is
+    /// wiped out before it has explained anything; too much, and clouds form before
+    /// the cameras.
     pub initial_opacity: f64,
     /// Distance between samples in training, voxels, 0.25 to 2; pictures take half
     /// a voxel.
@@ -61,6 +62,12 @@ pub struct FieldConfig {
     /// In training, a sample that weighs less than this in its pixel is passed
     /// over, 0 to 0.1.
     pub skip_weight: f64,
+    /// A run of samples that weighs less than this in its pixel moves the grid only
+    /// now and then, and then as much the more; 0 to 0.5.
+    pub faint_weight: f64,
+    /// Side of the square tiles that rays are drawn in on the last level, pixels: 1,
+    /// 2, 4, 8 or 16; a quarter of it on each level before.
+    pub tile_px: usize,
     /// Per-view appearance.
     pub appearance: AppearanceMode,
 }
@@ -72,20 +79,22 @@ impl Default for FieldConfig {
             rays_per_step: 4096,
             voxels: 2_000_000,
             levels: 3,
-            learning_rate_density: 0.2,
+            learning_rate_density: 0.3,
             learning_rate_colour: 0.05,
             view_dependence: 0.2,
             learning_rate_appearance: 0.01,
             final_rate: 0.1,
-            distortion: 0.003,
-            sparsity: 1e-2,
+            distortion: 0.01,
+            sparsity: 0.003,
             smooth_density: 1e-5,
             smooth_colour: 1e-4,
             huber: 0.0,
-            prune_weight: 0.005,
-            initial_opacity: 0.05,
+            prune_weight: 0.01,
+            initial_opacity: 0.3,
             step_voxels: 1.0,
             skip_weight: 5e-4,
+            faint_weight: 0.03,
+            tile_px: 4,
             appearance: AppearanceMode::Auto,
         }
     }
@@ -146,6 +155,9 @@ impl FieldConfig {
         }
         check((0.25..=2.0).contains(&self.step_voxels), "field.step_voxels", number(self.step_voxels), "0.25 to 2")?;
         check((0.0..=0.1).contains(&self.skip_weight), "field.skip_weight", number(self.skip_weight), "0 to 0.1")?;
+        check((0.0..=0.5).contains(&self.faint_weight), "field.faint_weight", number(self.faint_weight), "0 to 0.5")?;
+        let sides = [1, 2, 4, 8, 16];
+        check(sides.contains(&self.tile_px), "field.tile_px", self.tile_px.to_string(), "1, 2, 4, 8 or 16")?;
         check(self.initial_opacity < 1.0, "field.initial_opacity", number(self.initial_opacity), "above 0, below 1")
     }
 }

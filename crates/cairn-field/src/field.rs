@@ -14,7 +14,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 /// Format of a stored field; another number is refused by name.
-pub const FIELD_FORMAT: &str = "cairn.field/1";
+pub const FIELD_FORMAT: &str = "cairn.field/2";
 /// Density (per unit-cube length) below which a cell counts as empty: a step
 /// through it stops less than a ten-thousandth of the light.
 pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
@@ -66,6 +66,23 @@ impl Field {
         }
         grid.refresh_occupancy(empty_density(grid.dims));
         Self { frame, grid, canonical, appearances }
+    }
+
+    /// The field with each colour coefficient rounded to one of 256 even steps between
+    /// its least and its largest: what storing a byte each would do to pictures.
+    #[must_use]
+    pub fn with_colours_of_8_bits(&self) -> Self {
+        let mut field = self.clone();
+        for k in 0..3 * SH {
+            let of = field.grid.colour[ROW..].iter().skip(k).step_by(ROW);
+            let (low, high) = of.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+            let step = (high - low) / 255.0;
+            if step > 0.0 {
+                let of = field.grid.colour[ROW..].iter_mut().skip(k).step_by(ROW);
+                of.for_each(|v| *v = low + ((*v - low) / step).round() * step);
+            }
+        }
+        field
     }
 
     /// The frame of the scene.
@@ -165,14 +182,14 @@ impl Field {
         };
         let rows = self.grid.rows() - 1;
         let vertex: Vec<u8> = self.grid.vertex[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
-        let raw: Vec<u8> = self.grid.raw[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let raw: Vec<u8> = self.grid.raw_rows().flat_map(f32::to_le_bytes).collect();
         let colour: Vec<u8> = self.grid.colour[ROW..]
             .chunks_exact(ROW)
             .flat_map(|row| row[..3 * SH].iter().flat_map(|v| f16::from_f32(*v).to_le_bytes()))
             .collect();
         let bad = |e: safetensors::SafeTensorError| stored("field", e.to_string());
         let tensors = [
-            ("colour", TensorView::new(Dtype::F16, vec![rows, 3, SH], &colour).map_err(bad)?),
+            ("colour", TensorView::new(Dtype::F16, vec![rows, SH, 3], &colour).map_err(bad)?),
             ("density", TensorView::new(Dtype::F32, vec![rows], &raw).map_err(bad)?),
             ("vertex", TensorView::new(Dtype::U32, vec![rows], &vertex).map_err(bad)?),
         ];
@@ -203,7 +220,7 @@ impl Field {
             return Err(stored("field", "its tensors are of different lengths".into()));
         }
         let mut grid = Grid::with_vertices(header.dims, vertex);
-        grid.raw[1..].copy_from_slice(&raw);
+        grid.set_raw_rows(&raw);
         for (row, bytes) in grid.colour[ROW..].chunks_exact_mut(ROW).zip(colour.data().chunks_exact(3 * SH * 2)) {
             for (v, b) in row.iter_mut().zip(bytes.chunks_exact(2)) {
                 *v = f16::from_le_bytes([b[0], b[1]]).to_f32();

@@ -184,7 +184,7 @@ impl SceneFrame {
     pub fn proportions(&self) -> [f64; 3] {
         let p = match self {
             Self::ForwardFacing { low, high, .. } => {
-                DVec3::new(high[0] - low[0], high[1] - low[1], (high[0] - low[0]).min(high[1] - low[1]) * 0.6)
+                DVec3::new(high[0] - low[0], high[1] - low[1], (high[0] - low[0]).min(high[1] - low[1]) * 0.35)
             }
             Self::Bounded { half, .. } | Self::Unbounded { half, .. } => *half,
         };

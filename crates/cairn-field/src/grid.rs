@@ -1,23 +1,24 @@
 //! The sparse voxel grid: density and spherical harmonics at the vertices that
 //! matter, nothing at the others.
 //!
-//! A dense index maps a vertex to a row (0 = empty); rows are compact. Two bit
-//! sets over cells and over blocks of cells let rays pass empty space.
+//! Densities lie densely, one a vertex: a ray asks for many more of them than for
+//! colours. A dense index maps a vertex to its row of colours (0 = none, and then
+//! no density); rows are compact.
 
-use crate::real::{Real, softplus};
+use crate::memory::{zero_rows, zeros};
+use crate::occupancy::Occupancy;
+use crate::real::Real;
 use crate::sh::SH;
 use rayon::prelude::*;
 
-/// Numbers a row of colour coefficients takes: 3 channels x 9 and one of padding
-/// (in gradients that one holds the density's).
+/// Numbers a row of colour coefficients takes: 9 coefficients x 3 channels, channel
+/// fastest, and one of padding (in gradients that one holds the density's).
 pub const ROW: usize = 28;
 /// Density is `DENSITY_SCALE * softplus(raw)` per unit-cube length, so that raw
 /// values of a few units make a voxel opaque at the resolutions used here.
 pub const DENSITY_SCALE: f64 = 100.0;
-/// Raw density of the empty row: softplus(-20) is 2e-9.
+/// Raw density of a vertex without a row: softplus(-20) is 2e-9.
 pub const EMPTY_RAW: f64 = -20.0;
-/// Cells along a block's side.
-const BLOCK: usize = 8;
 
 /// A sparse voxel grid over the unit cube; see the module's text.
 #[derive(Clone, Debug)]
@@ -28,13 +29,12 @@ pub struct Grid<T> {
     pub index: Vec<u32>,
     /// Vertex of each row (row 0's is unused).
     pub vertex: Vec<u32>,
-    /// Raw density a row.
+    /// Raw density of each vertex, x fastest. `dims` product long.
     pub raw: Vec<T>,
-    /// Colour coefficients, `rows x ROW`: channel-major, 9 a channel.
+    /// Colour coefficients, `rows x ROW`.
     pub colour: Vec<T>,
-    cells: Vec<u64>,
-    blocks: Vec<u64>,
-    block_dims: [usize; 3],
+    /// What rays may pass.
+    pub occupancy: Occupancy,
 }
 
 /// Most vertices a grid may have: its dense index is then 2 GiB.
@@ -54,11 +54,9 @@ impl<T: Real> Grid<T> {
         let vertices = dims.iter().product::<usize>();
         let keep = (0..vertices as u32).collect();
         let mut grid = Self::with_vertices(dims, keep);
-        grid.raw[1..].fill(T::of(raw));
+        grid.raw.fill(T::of(raw));
         for row in grid.colour[ROW..].chunks_exact_mut(ROW) {
-            for c in 0..3 {
-                row[c * SH] = T::of(level / crate::sh::SH_DC);
-            }
+            row[..3].fill(T::of(level / crate::sh::SH_DC));
         }
         grid.refresh_occupancy(0.0);
         grid
@@ -66,28 +64,43 @@ impl<T: Real> Grid<T> {
 
     /// A grid with rows for `vertex` (ascending linear indices), all values empty.
     pub fn with_vertices(dims: [usize; 3], mut vertex: Vec<u32>) -> Self {
-        let mut index = vec![0u32; dims.iter().product()];
+        let mut index = zero_rows(dims.iter().product());
         for (row, &v) in vertex.iter().enumerate() {
             index[v as usize] = row as u32 + 1;
         }
         vertex.insert(0, u32::MAX);
         let rows = vertex.len();
-        let block_dims = dims.map(|d| (d - 1).div_ceil(BLOCK));
+        let mut raw = zeros(index.len());
+        raw.fill(T::of(EMPTY_RAW));
         Self {
             dims,
+            raw,
             index,
             vertex,
-            raw: vec![T::of(EMPTY_RAW); rows],
-            colour: vec![T::zero(); rows * ROW],
-            cells: vec![0; dims.iter().product::<usize>().div_ceil(64)],
-            blocks: vec![0; block_dims.iter().product::<usize>().div_ceil(64)],
-            block_dims,
+            colour: zeros(rows * ROW),
+            occupancy: Occupancy::none(dims),
         }
     }
 
     /// Rows in use, the empty one included.
     pub fn rows(&self) -> usize {
-        self.raw.len()
+        self.vertex.len()
+    }
+
+    /// Raw densities by row, the empty one left out.
+    pub fn raw_rows(&self) -> impl Iterator<Item = T> {
+        self.vertex[1..].iter().map(|v| self.raw[*v as usize])
+    }
+
+    /// Sets the raw densities of all rows but the empty one.
+    ///
+    /// # Panics
+    /// When there are not as many as rows.
+    pub fn set_raw_rows(&mut self, raw: &[T]) {
+        assert_eq!(raw.len() + 1, self.rows(), "a raw density a row");
+        for (v, raw) in self.vertex[1..].iter().zip(raw) {
+            self.raw[*v as usize] = *raw;
+        }
     }
 
     /// Offsets from a cell's first vertex to its eight corners, x fastest.
@@ -100,97 +113,45 @@ impl<T: Real> Grid<T> {
     /// Marks the cells with a corner whose density exceeds `threshold` (per
     /// unit-cube length); all others are skipped by rays.
     pub fn refresh_occupancy(&mut self, threshold: f64) {
-        let [nx, ny, nz] = self.dims;
-        let occupied: Vec<bool> = self.raw.par_iter().map(|r| DENSITY_SCALE * softplus(r.wide()) > threshold).collect();
-        self.cells.fill(0);
-        self.blocks.fill(0);
-        for row in 1..self.rows() {
-            if !occupied[row] {
-                continue;
-            }
-            let v = self.vertex[row] as usize;
-            let (x, y, z) = (v % nx, v / nx % ny, v / (nx * ny));
-            for cz in z.saturating_sub(1)..(z + 1).min(nz - 1) {
-                for cy in y.saturating_sub(1)..(y + 1).min(ny - 1) {
-                    for cx in x.saturating_sub(1)..(x + 1).min(nx - 1) {
-                        let cell = (cz * ny + cy) * nx + cx;
-                        self.cells[cell / 64] |= 1 << (cell % 64);
-                        let block = self.block_of(cx, cy, cz);
-                        self.blocks[block / 64] |= 1 << (block % 64);
-                    }
-                }
-            }
-        }
-    }
-
-    /// The cells' occupancy as stored in checkpoints: it lags behind the
-    /// densities between refreshes, so it is part of the state.
-    pub(crate) fn occupancy(&self) -> &[u64] {
-        &self.cells
-    }
-
-    /// Takes over a stored occupancy; false when it is of another grid.
-    pub(crate) fn restore_occupancy(&mut self, cells: Vec<u64>) -> bool {
-        if cells.len() != self.cells.len() {
-            return false;
-        }
-        let [nx, ny, nz] = self.dims;
-        self.cells = cells;
-        self.blocks.fill(0);
-        for z in 0..nz - 1 {
-            for y in 0..ny - 1 {
-                for x in 0..nx - 1 {
-                    if self.cell_occupied((z * ny + y) * nx + x) {
-                        let block = self.block_of(x, y, z);
-                        self.blocks[block / 64] |= 1 << (block % 64);
-                    }
-                }
-            }
-        }
-        true
-    }
-
-    #[inline(always)]
-    fn block_of(&self, x: usize, y: usize, z: usize) -> usize {
-        ((z / BLOCK) * self.block_dims[1] + y / BLOCK) * self.block_dims[0] + x / BLOCK
-    }
-
-    /// Whether the cell with first vertex `cell` may hold anything.
-    #[inline(always)]
-    pub(crate) fn cell_occupied(&self, cell: usize) -> bool {
-        self.cells[cell / 64] >> (cell % 64) & 1 == 1
-    }
-
-    /// Whether the block of cells around cell (x, y, z) may hold anything.
-    #[inline(always)]
-    pub(crate) fn block_occupied(&self, x: usize, y: usize, z: usize) -> bool {
-        let block = self.block_of(x, y, z);
-        self.blocks[block / 64] >> (block % 64) & 1 == 1
-    }
-
-    /// Cells along a block's side, for the traversal.
-    pub(crate) const fn block_side() -> usize {
-        BLOCK
+        let least = raw_of(threshold / DENSITY_SCALE);
+        let raw = &self.raw;
+        self.occupancy.refresh(&self.vertex[1..], |v| raw[v as usize].wide() > least);
     }
 
     /// Raw density at a point of cell `cell`, trilinear.
     #[inline(always)]
-    pub(crate) fn raw_at(&self, cell: usize, weights: &[T; 8], corners: &[usize; 8]) -> T {
-        let mut raw = T::zero();
-        for k in 0..8 {
-            raw += weights[k] * self.raw[self.index[cell + corners[k]] as usize];
-        }
-        raw
+    pub(crate) fn raw_at(&self, cell: usize, frac: [T; 3]) -> T {
+        let (dy, dz) = (self.dims[0], self.dims[0] * self.dims[1]);
+        let edge = |at: usize| {
+            let pair: &[T; 2] = self.raw[at..at + 2].try_into().expect("two vertices");
+            pair[0] + (pair[1] - pair[0]) * frac[0]
+        };
+        let side = |at: usize| {
+            let low = edge(at);
+            low + (edge(at + dy) - low) * frac[1]
+        };
+        let low = side(cell);
+        low + (side(cell + dz) - low) * frac[2]
     }
 
-    /// Asks for the colours of a cell's corners ahead of [`Grid::colour_at`]:
-    /// rows lie far apart, and waiting for them was a fifth of a training step.
+    /// Rows of a cell's corners.
+    #[inline(always)]
+    pub(crate) fn corner_rows(&self, cell: usize, corners: &[usize; 8]) -> [u32; 8] {
+        let mut rows = [0; 8];
+        for (row, corner) in rows.iter_mut().zip(corners) {
+            *row = self.index[cell + corner];
+        }
+        rows
+    }
+
+    /// Asks for the colours of rows ahead of their use: they lie far apart, and
+    /// waiting for them was a fifth of a training step.
     #[inline(always)]
     pub(crate) fn prefetch_colour(&self, cell: usize, corners: &[usize; 8]) {
         #[cfg(target_arch = "x86_64")]
-        for corner in corners {
+        for row in self.corner_rows(cell, corners) {
             use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-            let row: *const T = &raw const self.colour[self.index[cell + corner] as usize * ROW];
+            let row: *const T = &raw const self.colour[row as usize * ROW];
             // SAFETY: a prefetch reads nothing and may name any address.
             unsafe {
                 _mm_prefetch::<_MM_HINT_T0>(row.cast());
@@ -201,25 +162,33 @@ impl<T: Real> Grid<T> {
         let _ = (cell, corners);
     }
 
-    /// Colour at a point of cell `cell` seen along the direction of `basis`.
+    /// Sum of `shares` times the colours of cell `cell`'s corners, seen along the
+    /// direction of `basis`.
     #[inline(always)]
-    pub(crate) fn colour_at(&self, cell: usize, weights: &[T; 8], corners: &[usize; 8], basis: &[T; SH]) -> [T; 3] {
+    pub(crate) fn light(&self, cell: usize, shares: &[T; 8], corners: &[usize; 8], basis: &[T; SH]) -> [T; 3] {
         let mut sum = [T::zero(); ROW];
-        for k in 0..8 {
-            let row = self.index[cell + corners[k]] as usize * ROW;
-            let row: &[T; ROW] = self.colour[row..row + ROW].try_into().expect("ROW numbers");
-            for (s, v) in sum.iter_mut().zip(row) {
-                *s += weights[k] * *v;
+        for (row, share) in self.corner_rows(cell, corners).into_iter().zip(shares) {
+            for (s, v) in sum.iter_mut().zip(self.row(row)) {
+                *s += *share * *v;
             }
         }
-        let dot = |c: usize| {
-            let mut v = T::zero();
-            for k in 0..SH {
-                v += sum[c * SH + k] * basis[k];
-            }
-            v
-        };
-        [dot(0), dot(1), dot(2)]
+        seen_along(&sum, basis)
+    }
+
+    /// Colours of cell `cell`'s corners, seen along the direction of `basis`.
+    #[inline(always)]
+    pub(crate) fn corner_colours(&self, cell: usize, corners: &[usize; 8], basis: &[T; SH]) -> [[T; 3]; 8] {
+        let mut colours = [[T::zero(); 3]; 8];
+        for (colour, row) in colours.iter_mut().zip(self.corner_rows(cell, corners)) {
+            *colour = seen_along(self.row(row), basis);
+        }
+        colours
+    }
+
+    #[inline(always)]
+    fn row(&self, row: u32) -> &[T; ROW] {
+        let at = row as usize * ROW;
+        self.colour[at..at + ROW].try_into().expect("ROW numbers")
     }
 
     /// By row, whether it or any of its 26 neighbours was `seen` (by row) with at
@@ -248,25 +217,63 @@ impl<T: Real> Grid<T> {
             .collect()
     }
 
-    /// Empties the rows that `keep` (by row) does not hold for.
-    pub(crate) fn clear(&mut self, keep: &[bool]) {
-        for (raw, _) in self.raw.iter_mut().zip(keep).filter(|(_, keep)| !**keep) {
-            *raw = T::of(EMPTY_RAW);
+    /// The smallest box of whole cells, in unit-cube places, with `margin` cells around
+    /// every row that `keep` holds for; the whole cube where there is none.
+    pub(crate) fn bounds(&self, keep: &[bool], margin: usize) -> ([f64; 3], [f64; 3]) {
+        let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
+        for (v, _) in self.vertex.iter().zip(keep).skip(1).filter(|(_, keep)| **keep) {
+            let at = self.place(*v);
+            for k in 0..3 {
+                low[k] = low[k].min(at[k]);
+                high[k] = high[k].max(at[k]);
+            }
+        }
+        if low[0] > high[0] {
+            return ([0.0; 3], [1.0; 3]);
+        }
+        let unit = |v: usize, k: usize| v as f64 / (self.dims[k] - 1) as f64;
+        (
+            std::array::from_fn(|k| unit(low[k].saturating_sub(margin), k)),
+            std::array::from_fn(|k| unit((high[k] + margin).min(self.dims[k] - 1), k)),
+        )
+    }
+
+    /// Lattice coordinates of vertex `v`.
+    fn place(&self, v: u32) -> [usize; 3] {
+        let (v, [nx, ny, _]) = (v as usize, self.dims);
+        [v % nx, v / nx % ny, v / (nx * ny)]
+    }
+
+    /// Multiplies every density by `factor`.
+    pub(crate) fn scale_density(&mut self, factor: f64) {
+        let Self { raw, vertex, .. } = self;
+        for v in &vertex[1..] {
+            let raw = &mut raw[*v as usize];
+            let density = raw.wide().softplus_and_slope().0;
+            *raw = T::of(raw_of(density * factor).max(EMPTY_RAW));
         }
     }
 
-    /// The same field on a finer (or coarser) lattice: a vertex of the result
-    /// gets a row where `keep` (by old row, row 0 ignored) holds at a corner of
+    /// Empties the rows that `keep` (by row) does not hold for.
+    pub(crate) fn clear(&mut self, keep: &[bool]) {
+        for (v, _) in self.vertex.iter().zip(keep).skip(1).filter(|(_, keep)| !**keep) {
+            self.raw[*v as usize] = T::of(EMPTY_RAW);
+        }
+    }
+
+    /// The part of the field between unit-cube places `low` and `high` on a lattice
+    /// that is finer (or coarser): a vertex of the result gets a row where `keep` (by old row, row 0 ignored) holds at a corner of
     /// the old cell it falls into. Values are interpolated.
-    pub fn resampled(&self, dims: [usize; 3], keep: &[bool]) -> Self {
-        let scale: [f64; 3] = std::array::from_fn(|k| (self.dims[k] - 1) as f64 / (dims[k] - 1) as f64);
+    pub fn resampled(&self, dims: [usize; 3], (low, high): ([f64; 3], [f64; 3]), keep: &[bool]) -> Self {
+        let cells = self.dims.map(|d| (d - 1) as f64);
+        let scale: [f64; 3] = std::array::from_fn(|k| cells[k] * (high[k] - low[k]) / (dims[k] - 1) as f64);
         let corners = self.corners();
         let locate = |v: usize| {
             let at = [v % dims[0], v / dims[0] % dims[1], v / (dims[0] * dims[1])];
             let mut cell = [0usize; 3];
             let mut frac = [T::zero(); 3];
             for k in 0..3 {
-                let p = at[k] as f64 * scale[k];
+                let p = (low[k] * cells[k] + at[k] as f64 * scale[k]).clamp(0.0, cells[k]);
                 cell[k] = (p as usize).min(self.dims[k] - 2);
                 frac[k] = T::of(p - cell[k] as f64);
             }
@@ -285,31 +292,36 @@ impl<T: Real> Grid<T> {
             .map(|v| v as u32)
             .collect();
         let mut grid = Self::with_vertices(dims, kept);
-        let vertex = &grid.vertex;
-        grid.raw[1..].par_iter_mut().zip(grid.colour[ROW..].par_chunks_exact_mut(ROW)).enumerate().for_each(
-            |(i, (raw, colour))| {
-                let (cell, frac) = locate(vertex[i + 1] as usize);
-                let weights = trilinear(frac);
-                *raw = self.raw_at(cell, &weights, &corners);
-                let mut total = T::zero();
-                for k in 0..8 {
-                    let row = self.index[cell + corners[k]] as usize;
-                    if row == 0 {
-                        continue;
-                    }
-                    total += weights[k];
-                    for (out, v) in colour.iter_mut().zip(&self.colour[row * ROW..(row + 1) * ROW]) {
-                        *out += weights[k] * *v;
-                    }
+        let Self { vertex, raw, colour, .. } = &mut grid;
+        colour[ROW..].par_chunks_exact_mut(ROW).zip(&vertex[1..]).for_each(|(colour, v)| {
+            let (cell, frac) = locate(*v as usize);
+            let mut total = T::zero();
+            for (row, weight) in self.corner_rows(cell, &corners).into_iter().zip(trilinear(frac)) {
+                if row == 0 {
+                    continue;
                 }
-                // An empty corner has no colour to mix in, only no density.
-                if total > T::of(1e-6) {
-                    for out in colour.iter_mut() {
-                        *out /= total;
-                    }
+                total += weight;
+                for (out, v) in colour.iter_mut().zip(self.row(row)) {
+                    *out += weight * *v;
                 }
-            },
-        );
+            }
+            // An empty corner has no colour to mix in, only no density.
+            if total > T::of(1e-6) {
+                for out in colour.iter_mut() {
+                    *out /= total;
+                }
+            }
+        });
+        let densities: Vec<T> = vertex[1..]
+            .par_iter()
+            .map(|v| {
+                let (cell, frac) = locate(*v as usize);
+                self.raw_at(cell, frac)
+            })
+            .collect();
+        for (v, density) in vertex[1..].iter().zip(densities) {
+            raw[*v as usize] = density;
+        }
         grid
     }
 
@@ -321,9 +333,7 @@ impl<T: Real> Grid<T> {
             vertex: self.vertex.clone(),
             raw: self.raw.iter().map(|v| U::of(v.wide())).collect(),
             colour: self.colour.iter().map(|v| U::of(v.wide())).collect(),
-            cells: self.cells.clone(),
-            blocks: self.blocks.clone(),
-            block_dims: self.block_dims,
+            occupancy: self.occupancy.clone(),
         }
     }
 }
@@ -336,4 +346,23 @@ pub(crate) fn trilinear<T: Real>(frac: [T; 3]) -> [T; 8] {
     let (x0, y0, z0) = (one - x, one - y, one - z);
     let (a, b, c, d) = (y0 * z0, y * z0, y0 * z, y * z);
     [x0 * a, x * a, x0 * b, x * b, x0 * c, x * c, x0 * d, x * d]
+}
+
+/// Colours of a row's coefficients seen along the direction of `basis`.
+#[inline(always)]
+pub(crate) fn seen_along<T: Real>(row: &[T; ROW], basis: &[T; SH]) -> [T; 3] {
+    // Four lanes, the last one waste: then a coefficient is one vector instruction.
+    let mut sum = [T::zero(); 4];
+    for k in 0..SH {
+        for c in 0..4 {
+            sum[c] += basis[k] * row[3 * k + c];
+        }
+    }
+    [sum[0], sum[1], sum[2]]
+}
+
+/// The raw value whose softplus is `density` (of [`DENSITY_SCALE`]); minus infinity for 0.
+pub(crate) fn raw_of(density: f64) -> f64 {
+    // ln(e^d - 1) without overflow.
+    if density > 30.0 { density } else { density.exp_m1().ln() }
 }

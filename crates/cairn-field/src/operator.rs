@@ -79,12 +79,13 @@ impl MarkableField for Field {
         self.grid
             .colour
             .par_chunks_exact(crate::grid::ROW)
-            .map(|row| (row[0].abs() + row[SH].abs() + row[2 * SH].abs()) / 3.0 * SH_DC as f32)
+            .map(|row| (row[0].abs() + row[1].abs() + row[2].abs()) / 3.0 * SH_DC as f32)
             .collect()
     }
 
     fn coefficient_magnitudes(&self) -> Vec<f32> {
-        self.grid.colour.chunks_exact(crate::grid::ROW).flat_map(|row| row[..3 * SH].iter().map(|v| v.abs())).collect()
+        let channel_major = |row: &[f32]| -> [f32; 3 * SH] { std::array::from_fn(|i| row[i % SH * 3 + i / SH].abs()) };
+        self.grid.colour.chunks_exact(crate::grid::ROW).flat_map(channel_major).collect()
     }
 
     fn view(&self, camera: &Camera, cutoff: f32) -> LinearView {

@@ -55,6 +55,11 @@ impl Lens {
         (frame.path(camera.pose.position, d), basis([d.x as f32, d.y as f32, d.z as f32]))
     }
 
+    /// Pixels across and down.
+    pub fn size(&self) -> (usize, usize) {
+        (self.intrinsics.width, self.intrinsics.height)
+    }
+
     /// Pixels of a view.
     pub fn pixels(&self) -> usize {
         self.slopes.len()

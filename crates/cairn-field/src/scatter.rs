@@ -3,27 +3,25 @@
 //! vertex, so each is one thread's alone, and within a slab samples keep their
 //! order. Any number of threads gives the same bytes.
 
-use crate::composite::{Owed, spread};
+use crate::composite::{Debts, Owed};
 use crate::grid::{Grid, ROW};
-use crate::sh::SH;
+use crate::memory::zeros;
 use rayon::prelude::*;
 
 /// Gradients, and what the last batches touched.
 pub struct Gradient {
     /// `rows x ROW`, the raw density's in the last column.
     pub values: Vec<f32>,
-    /// Rows with a gradient in this batch.
-    pub touched: Vec<bool>,
+    /// What each row weighs in the batch's pixels, all together; 0 in rows without a gradient.
+    pub weight: Vec<f32>,
     /// Largest weight each row had in any picture since the last clearing.
     pub seen: Vec<f32>,
+    /// Room to sort a batch in: task and place of each of its debts.
+    order: Vec<(u32, u32)>,
 }
 
 /// Cells of z in a slab; two slabs' vertices overlap by one plane only.
-const SLAB: usize = 2;
-
-/// Cells of y in a lane. Lanes only order the samples within a slab, so that
-/// neighbours in memory follow one another.
-const LANE: usize = 4;
+const SLAB: usize = 4;
 
 /// A pointer that several threads may use on disjoint rows.
 struct Shared<T>(*mut T);
@@ -33,79 +31,80 @@ unsafe impl<T> Sync for Shared<T> {}
 impl Gradient {
     /// All zero, for a grid of `rows` rows.
     pub fn zero(rows: usize) -> Self {
-        Self { values: vec![0.0; rows * ROW], touched: vec![false; rows], seen: vec![0.0; rows] }
+        Self { values: zeros(rows * ROW), weight: zeros(rows), seen: zeros(rows), order: Vec::new() }
     }
 
     /// Forgets the gradient, not what was seen.
     pub fn clear(&mut self) {
         self.values.fill(0.0);
-        self.touched.fill(false);
+        self.weight.fill(0.0);
     }
 
-    /// Adds `owed` (chunks in batch order) into the gradient; `bases` by ray.
-    pub fn add(&mut self, grid: &Grid<f32>, owed: &[Vec<Owed<f32>>], bases: &[[f32; SH]]) {
-        let (nx, plane) = (grid.dims[0], grid.dims[0] * grid.dims[1]);
+    /// Adds a batch, `debts` by task, into the gradient.
+    pub fn add(&mut self, grid: &Grid<f32>, debts: &[&Debts<f32>]) {
+        let plane = grid.dims[0] * grid.dims[1];
         let slabs = (grid.dims[2] - 1).div_ceil(SLAB);
-        let lanes = (grid.dims[1] - 1).div_ceil(LANE);
-        let buckets = slabs * lanes;
-        let bucket_of = |o: &Owed<f32>| {
-            let cell = o.cell as usize;
-            cell / plane / SLAB * lanes + cell % plane / nx / LANE
-        };
-        // Counting sort: how many of each chunk go to each bucket, then where.
-        let mut offsets: Vec<Vec<u32>> = owed
+        let slab_of = |o: &Owed<f32>| o.cell as usize / plane / SLAB;
+        // Counting sort: how many of each chunk go to each slab, then where.
+        let mut offsets: Vec<Vec<u32>> = debts
             .par_iter()
-            .map(|chunk| {
-                let mut count = vec![0u32; buckets];
-                chunk.iter().for_each(|o| count[bucket_of(o)] += 1);
+            .map(|debts| {
+                let mut count = vec![0u32; slabs];
+                debts.owed.iter().for_each(|o| count[slab_of(o)] += 1);
                 count
             })
             .collect();
         let mut bounds = vec![0u32; slabs + 1];
         let mut next = 0;
-        for bucket in 0..buckets {
-            if bucket % lanes == 0 {
-                bounds[bucket / lanes] = next;
-            }
+        for slab in 0..slabs {
+            bounds[slab] = next;
             for offset in &mut offsets {
-                let count = std::mem::replace(&mut offset[bucket], next);
+                let count = std::mem::replace(&mut offset[slab], next);
                 next += count;
             }
         }
         bounds[slabs] = next;
-        let mut order = vec![(0u32, 0u32); next as usize];
-        let slots = Shared(order.as_mut_ptr());
-        owed.par_iter().zip(offsets).enumerate().for_each(|(c, (chunk, mut offset))| {
+        self.order.resize(next as usize, (0, 0));
+        let slots = Shared(self.order.as_mut_ptr());
+        debts.par_iter().zip(offsets).enumerate().for_each(|(c, (debts, mut offset))| {
             let slots = &slots;
-            for (i, o) in chunk.iter().enumerate() {
-                let slot = &mut offset[bucket_of(o)];
+            for (i, o) in debts.owed.iter().enumerate() {
+                let slot = &mut offset[slab_of(o)];
                 // SAFETY: the offsets give every (chunk, sample) a slot of its own below `next`.
                 unsafe { *slots.0.add(*slot as usize) = (c as u32, i as u32) };
                 *slot += 1;
             }
         });
+        let order = &self.order;
         let corners = grid.corners();
         let values = Shared(self.values.as_mut_ptr());
-        let touched = Shared(self.touched.as_mut_ptr());
+        let weight = Shared(self.weight.as_mut_ptr());
         let seen = Shared(self.seen.as_mut_ptr());
         for parity in 0..2 {
             (0..slabs).into_par_iter().filter(|s| s % 2 == parity).for_each(|slab| {
-                let (values, touched, seen) = (&values, &touched, &seen);
+                let (values, weight, seen) = (&values, &weight, &seen);
                 for &(c, i) in &order[bounds[slab] as usize..bounds[slab + 1] as usize] {
-                    let o = &owed[c as usize][i as usize];
-                    spread(grid, &corners, o, &bases[o.ray as usize], |row, share, add| {
+                    let debts = debts[c as usize];
+                    let o = &debts.owed[i as usize];
+                    let add = o.row(&debts.bases[o.ray as usize]);
+                    for (k, row) in grid.corner_rows(o.cell as usize, &corners).into_iter().enumerate() {
+                        if row == 0 {
+                            continue;
+                        }
+                        let row = row as usize;
                         // SAFETY: `row` is a row of the grid (index < rows, ROW numbers each), and
                         // its vertex lies in this slab's planes, which no other slab of this parity has.
                         unsafe {
-                            let out = std::slice::from_raw_parts_mut(values.0.add(row * ROW), ROW);
-                            for (g, a) in out.iter_mut().zip(add) {
-                                *g += share * a;
+                            let out = &mut *values.0.add(row * ROW).cast::<[f32; ROW]>();
+                            for (g, a) in out.iter_mut().zip(&add) {
+                                *g += o.shares[k] * a;
                             }
-                            *touched.0.add(row) = true;
+                            out[ROW - 1] += o.boost * o.raw[k];
+                            *weight.0.add(row) += o.shares[k];
                             let most = &mut *seen.0.add(row);
-                            *most = most.max(share * o.weight);
+                            *most = most.max(o.shares[k]);
                         }
-                    });
+                    }
                 }
             });
         }

@@ -9,11 +9,13 @@ use crate::config::{AppearanceMode, FieldConfig};
 use crate::error::FieldError;
 use crate::field::{Field, empty_density};
 use crate::frame::SceneFrame;
-use crate::grid::{DENSITY_SCALE, Grid, ROW};
-use crate::optimise::{Adam, Rates};
+use crate::grid::{DENSITY_SCALE, Grid, raw_of};
+use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
+use crate::sampling::{Tile, Tiles};
 use crate::scatter::Gradient;
 use cairn_capture::{Camera, Picture};
+use glam::DVec3;
 use std::sync::Arc;
 
 /// One photograph to learn from.
@@ -54,11 +56,15 @@ pub struct BaseTrainer {
     pub(crate) frame: SceneFrame,
     pub(crate) seed: u64,
     pub(crate) step: u64,
+    /// Tiles drawn so far.
+    pub(crate) drawn: u64,
+    tiles: Tiles,
     pub(crate) level: usize,
     pub(crate) views: Vec<Prepared>,
     pub(crate) grid: Grid<f32>,
-    pub(crate) adam: Adam,
+    pub(crate) rows: RowState,
     pub(crate) gradient: Gradient,
+    batch: Batch,
     pub(crate) neutral: Appearance,
     /// One a view; empty where the scene needs none.
     pub(crate) appearances: Vec<Appearance>,
@@ -91,21 +97,25 @@ impl BaseTrainer {
         let appearances = if with_appearance { vec![neutral.clone(); views.len()] } else { Vec::new() };
         let dims = dims_of_level(&config, &frame, 0);
         let density = -(1.0 - config.initial_opacity).ln() / DENSITY_SCALE;
-        let raw = density.exp_m1().ln();
+        let raw = raw_of(density);
         let level = mean_colour(&views).iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0;
         let grid = Grid::full(dims, raw, level);
         let rows = grid.rows();
+        let tiles = Tiles::of(views.iter().map(|v| &v.lens), tile_side(&config, 0));
         Ok(Self {
             appearance_adam: Adam::zero(appearances.len() * CODE),
             config,
             frame,
             seed,
             step: 0,
+            drawn: 0,
+            tiles,
             level: 0,
             views,
             grid,
-            adam: Adam::zero(rows * ROW),
+            rows: RowState::zero(rows),
             gradient: Gradient::zero(rows),
+            batch: Batch::default(),
             neutral,
             appearances,
         })
@@ -141,21 +151,29 @@ impl BaseTrainer {
         }
         self.change_level();
         let progress = self.step as f64 / self.config.steps as f64;
-        let batch = Batch::draw(&BatchSettings {
+        // A young field explains little yet: the price of density would wipe it out.
+        let begun = ((progress - 0.02) / 0.1).clamp(0.0, 1.0);
+        let (tiles, drawn) = self.draw_tiles();
+        let mut batch = std::mem::take(&mut self.batch);
+        batch.draw(&BatchSettings {
             views: &self.views,
             frame: &self.frame,
             grid: &self.grid,
             neutral: &self.neutral,
             appearances: &self.appearances,
-            rays: self.config.rays_per_step,
+            tiles: &tiles,
             huber: self.config.huber as f32,
-            regularise: Regularise { distortion: self.config.distortion as f32, sparsity: self.config.sparsity as f32 },
+            regularise: Regularise {
+                distortion: (self.config.distortion * begun) as f32,
+                sparsity: (self.config.sparsity * begun) as f32,
+            },
             limits: Thresholds {
                 alpha: 1e-4,
                 transmittance: 2e-3,
                 weight: self.config.skip_weight,
                 step: self.config.step_voxels,
             },
+            faint: self.config.faint_weight as f32,
             stream: (self.seed, self.step),
         });
         if !batch.loss.is_finite() {
@@ -169,7 +187,7 @@ impl BaseTrainer {
         if !codes.values.iter().all(|v| v.is_finite()) {
             return Err(self.not_finite("a gradient of an appearance"));
         }
-        self.gradient.add(&self.grid, &batch.owed, &batch.bases);
+        self.gradient.add(&self.grid, &batch.debts());
         let decay = self.config.final_rate.powf(progress) as f32;
         let rates = Rates {
             density: self.config.learning_rate_density as f32 * decay,
@@ -178,17 +196,38 @@ impl BaseTrainer {
             smooth_density: self.config.smooth_density as f32,
             smooth_colour: self.config.smooth_colour as f32,
         };
-        if !self.adam.step_grid(&mut self.grid, &mut self.gradient, &rates) {
+        if !self.rows.step(&mut self.grid, &mut self.gradient, &rates) {
             return Err(self.not_finite("a gradient of the grid"));
         }
         self.move_appearances(codes, self.config.learning_rate_appearance as f32 * decay);
         self.step += 1;
-        Ok(self.stats(batch.loss))
+        self.drawn = drawn;
+        let loss = batch.loss;
+        self.batch = batch;
+        Ok(self.stats(loss))
+    }
+
+    /// Begins to draw tiles of the level's size.
+    pub(crate) fn lay_tiles(&mut self) {
+        self.tiles = Tiles::of(self.views.iter().map(|v| &v.lens), tile_side(&self.config, self.level));
+        self.drawn = 0;
+    }
+
+    /// The next step's tiles, and how many were drawn with them.
+    fn draw_tiles(&self) -> (Vec<Tile>, u64) {
+        let (mut tiles, mut rays, mut drawn) = (Vec::new(), 0, self.drawn);
+        while rays < self.config.rays_per_step {
+            let tile = self.tiles.draw(self.seed, drawn);
+            rays += tile.len();
+            drawn += 1;
+            tiles.push(tile);
+        }
+        (tiles, drawn)
     }
 
     /// The trained field.
     pub fn finish(self) -> Field {
-        let grid = if self.knows_enough() { self.grid.resampled(self.grid.dims, &self.kept()) } else { self.grid };
+        let grid = if self.knows_enough() { self.grid.resampled(self.grid.dims, WHOLE, &self.kept()) } else { self.grid };
         let names = self.views.into_iter().map(|v| v.name);
         let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
         Field::new(self.frame, grid, canonical, names.zip(self.appearances).collect())
@@ -231,11 +270,13 @@ impl BaseTrainer {
             // Coarse cells are kept whole: that is margin enough.
             let keep: Vec<bool> = self.gradient.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
             self.level += 1;
+            let part = self.tighten(&keep);
             let dims = dims_of_level(&self.config, &self.frame, self.level);
-            self.grid = self.grid.resampled(dims, &keep);
+            self.grid = self.grid.resampled(dims, part, &keep);
             self.grid.refresh_occupancy(empty_density(self.grid.dims));
-            self.adam = Adam::zero(self.grid.rows() * ROW);
+            self.rows = RowState::zero(self.grid.rows());
             self.gradient = Gradient::zero(self.grid.rows());
+            self.lay_tiles();
             return;
         }
         if self.step == self.halfway().1 {
@@ -252,11 +293,25 @@ impl BaseTrainer {
         }
     }
 
+    /// Draws a bounded scene's box in to what is there, so that the next level's
+    /// vertices are not spent on the air around it; returns the part of the old box.
+    fn tighten(&mut self, keep: &[bool]) -> ([f64; 3], [f64; 3]) {
+        let SceneFrame::Bounded { centre, half } = &mut self.frame else { return WHOLE };
+        let (low, high) = self.grid.bounds(keep, 1);
+        let (l, h) = (DVec3::from(low), DVec3::from(high));
+        let before = half.max_element();
+        *centre += (l + h - 1.0) * *half;
+        *half *= h - l;
+        // Densities are per length of the cube, which is another now.
+        self.grid.scale_density(half.max_element() / before);
+        (low, high)
+    }
+
     /// What the batch owes the appearances; empty where there are none.
     fn gradient_of_appearances(&self, batch: &Batch) -> CodeGradient {
         let views = self.appearances.len();
         let mut out = CodeGradient { values: vec![0.0; views * CODE], rays: vec![0; views] };
-        for ray in &batch.shaded {
+        for ray in batch.shaded() {
             out.rays[ray.view as usize] += 1;
             let values = &mut out.values[ray.view as usize * CODE..][..CODE];
             Appearance::add_code_gradient(ray.slope, &ray.features, values);
@@ -282,6 +337,9 @@ impl BaseTrainer {
     }
 }
 
+/// The whole unit cube.
+const WHOLE: ([f64; 3], [f64; 3]) = ([0.0; 3], [1.0; 3]);
+
 /// Numbers of an appearance code.
 const CODE: usize = 3 * FEATURES;
 
@@ -300,6 +358,12 @@ fn level_end(config: &FieldConfig, level: usize) -> u64 {
     }
     let share = 0.4 * ((level + 1) as f64 / (config.levels - 1) as f64).powf(1.6);
     (config.steps as f64 * share) as u64
+}
+
+/// Side of the tiles drawn at `level`, pixels: neighbours in a coarse grid meet the
+/// same voxels and would say the same.
+fn tile_side(config: &FieldConfig, level: usize) -> usize {
+    (config.tile_px >> (2 * (config.levels - 1 - level))).max(1)
 }
 
 /// Vertices along each side at `level`, in the frame's proportions.

@@ -5,7 +5,7 @@
 mod common;
 
 use cairn_field::appearance::{FEATURES, features};
-use cairn_field::composite::{Gathered, Owed, Regularise, Thresholds, gather, push_back, spread};
+use cairn_field::composite::{Gathered, Owed, Regularise, Roulette, Thresholds, gather, push_back};
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::sh::{SH, basis};
 use cairn_field::{Appearance, RayPath, SceneFrame};
@@ -41,8 +41,8 @@ fn loss(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> f64 {
         let shade = look.shade(&features(&gathered, basis));
         sum += (0..3).map(|c| (shade[c] - TARGET[c]).powi(2)).sum::<f64>();
         for a in &tape {
-            // T_i alpha_i and T_{i+1} give the optical depth back.
-            sum += REGULARISE.sparsity * ((a.weight + a.behind) / a.behind).ln();
+            // T_i alpha_i and T_{i+1} = T_i - T_i alpha_i give the opacity back.
+            sum += REGULARISE.sparsity * a.weight / (a.weight + a.behind);
             sum += REGULARISE.distortion / 3.0 * a.weight * a.weight * a.length;
             for b in &tape {
                 sum += REGULARISE.distortion * a.weight * b.weight * (a.along - b.along).abs();
@@ -53,31 +53,43 @@ fn loss(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> f64 {
 }
 
 /// The same loss's gradient by the renderer's own walk, `rows x ROW`.
-fn gradient(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> Vec<f64> {
+fn gradient(grid: &Grid<f64>, rays: &[Ray], look: &Appearance, mut roulette: Roulette) -> Vec<f64> {
     let mut tape = Vec::new();
     let mut owed: Vec<Owed<f64>> = Vec::new();
     for (ray, (path, basis)) in rays.iter().enumerate() {
         let gathered = gather(grid, path, basis, OFFSET, Thresholds::EXACT, &mut tape);
         let shade = look.shade(&features(&gathered, basis));
         let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), basis);
-        push_back(&tape, gathered.end, &slope, &REGULARISE, ray as u32, &mut owed);
+        push_back(&tape, gathered.end, &slope, &REGULARISE, ray as u32, &mut roulette, &mut owed);
     }
     let mut out = vec![0.0; grid.rows() * ROW];
     for o in &owed {
-        spread(grid, &grid.corners(), o, &rays[o.ray as usize].1, |row, share, add| {
-            for k in 0..ROW {
-                out[row * ROW + k] += share * add[k];
+        let add = o.row(&rays[o.ray as usize].1);
+        for (k, corner) in grid.corners().into_iter().enumerate() {
+            let row = grid.index[o.cell as usize + corner] as usize;
+            if row == 0 {
+                continue;
             }
-        });
+            for (out, add) in out[row * ROW..].iter_mut().zip(add) {
+                *out += o.shares[k] * add;
+            }
+            out[row * ROW + ROW - 1] += o.boost * o.raw[k];
+        }
     }
     out
+}
+
+/// A row's raw density (the last column) or one of its coefficients.
+fn number(grid: &mut Grid<f64>, row: usize, k: usize) -> &mut f64 {
+    let vertex = grid.vertex[row] as usize;
+    if k == ROW - 1 { &mut grid.raw[vertex] } else { &mut grid.colour[row * ROW + k] }
 }
 
 fn agree(frame: &SceneFrame, origin: DVec3, aims: &[DVec3], dims: [usize; 3]) {
     let mut grid: Grid<f64> = random_grid(dims, 0.8, (-4.5, -1.5), 11);
     let rays = rays(frame, origin, aims);
     let look = random_appearance(3);
-    let found = gradient(&grid, &rays, &look);
+    let found = gradient(&grid, &rays, &look, Roulette::NONE);
     let largest = found.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     assert!(largest > 1e-3, "the rays are to touch something");
     let mut touched = 0;
@@ -88,13 +100,12 @@ fn agree(frame: &SceneFrame, origin: DVec3, aims: &[DVec3], dims: [usize; 3]) {
         }
         touched += 1;
         // The density, the constant colours and three others.
-        for k in [ROW - 1, 0, SH, 2 * SH, 4, SH + 6, 2 * SH + 8] {
+        for k in [ROW - 1, 0, 1, 2, 3 * 4, 3 * 6 + 1, 3 * 8 + 2] {
             let mut at = |step: f64| {
-                let value = if k == ROW - 1 { &mut grid.raw[row] } else { &mut grid.colour[row * ROW + k] };
-                let before = std::mem::replace(value, *value + step);
+                let before = *number(&mut grid, row, k);
+                *number(&mut grid, row, k) += step;
                 let sum = loss(&grid, &rays, &look);
-                let value = if k == ROW - 1 { &mut grid.raw[row] } else { &mut grid.colour[row * ROW + k] };
-                *value = before;
+                *number(&mut grid, row, k) = before;
                 sum
             };
             let expected = (at(h) - at(-h)) / (2.0 * h);
@@ -131,6 +142,39 @@ fn contracted_space() {
     agree(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &aims, [6, 5, 7]);
 }
 
+/// The axes of the largest coordinate beyond the inner box, in their order along a ray.
+fn dominant_axes(path: &RayPath) -> Vec<usize> {
+    let RayPath::Contracted { origin, direction } = path else { panic!("a contracted ray") };
+    let mut axes = Vec::new();
+    for i in 0..20_000 {
+        let t = f64::from(i) * 1e-3;
+        let x: [f64; 3] = std::array::from_fn(|k| (origin[k] + t * direction[k]).abs());
+        let axis = (0..3).max_by(|a, b| x[*a].total_cmp(&x[*b])).expect("three");
+        if x[axis] > 1.0 && axes.last() != Some(&axis) {
+            axes.push(axis);
+        }
+    }
+    axes
+}
+
+#[test]
+fn contracted_rays_that_turn_a_corner() {
+    let frame = ball_in_the_open();
+    for (origin, aim) in [
+        // x, y and z are largest in turn, without ever meeting the inner box.
+        (DVec3::new(-6.0, 2.0, 1.0), DVec3::new(-1.0, 5.0, 4.0)),
+        // Through the box, in by x, out by z.
+        (DVec3::new(-4.0, 0.2, 0.9), DVec3::new(0.2, 0.1, 2.0)),
+        // Along a side of the contracted cube: the largest coordinate hardly changes.
+        (DVec3::new(-3.0, -2.9, 2.2), DVec3::new(-3.01, 1.0, 2.5)),
+    ] {
+        let path = frame.path(origin, (aim - origin).normalize());
+        let axes = dominant_axes(&path);
+        assert!(axes.len() > 1, "{origin}: the largest coordinate is {axes:?} all along");
+        agree(&frame, origin, &[aim, aim + DVec3::new(0.0, 0.3, 0.1)], [6, 5, 7]);
+    }
+}
+
 #[test]
 fn an_appearance_code() {
     let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
@@ -159,11 +203,33 @@ fn an_appearance_code() {
 }
 
 #[test]
+fn faint_runs_left_to_chance_keep_the_mean() {
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let rays = rays(&ball_box(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 0.9, 0.4)]);
+    let look = random_appearance(3);
+    let exact = gradient(&grid, &rays, &look, Roulette::NONE);
+    let mut numbers = Numbers(1);
+    let draws = 4000;
+    let (mut sum, mut differed) = (vec![0.0; exact.len()], false);
+    for _ in 0..draws {
+        let state = (numbers.share() * 2f64.powi(53)) as u64;
+        let drawn = gradient(&grid, &rays, &look, Roulette { below: 0.05, state });
+        differed |= drawn != exact;
+        sum.iter_mut().zip(drawn).for_each(|(s, v)| *s += v);
+    }
+    assert!(differed, "some runs are faint");
+    let size = exact.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let off = exact.iter().zip(sum).map(|(a, b)| (a - b / f64::from(draws)).powi(2)).sum::<f64>().sqrt();
+    // The spread of one draw is below the gradient's size: 4000 leave a sixtieth of it.
+    assert!(off < 0.03 * size, "{off} of {size}");
+}
+
+#[test]
 fn extreme_rays_have_finite_gradients() {
     let mut numbers = Numbers(1);
     for raw in [-1e8, -50.0, 0.0, 50.0, 1e4, 1e8] {
         let mut grid: Grid<f32> = random_grid([6, 5, 7], 1.0, (0.0, 1.0), 2);
-        grid.raw[1..].fill(raw as f32);
+        grid.set_raw_rows(&vec![raw as f32; grid.rows() - 1]);
         grid.refresh_occupancy(0.0);
         let d = DVec3::new(1.0, numbers.within(-0.2, 0.2), -0.5).normalize();
         for frame in [ball_box(), ball_in_the_open()] {
@@ -180,9 +246,10 @@ fn extreme_rays_have_finite_gradients() {
             let mut owed = Vec::new();
             let slope = random_appearance(4).pull([1.0f32, -2.0, 0.5], &basis);
             let regularise = Regularise { distortion: 0.1, sparsity: 0.1 };
-            push_back(&tape, gathered.end, &slope, &regularise, 0, &mut owed);
+            push_back(&tape, gathered.end, &slope, &regularise, 0, &mut Roulette::default(), &mut owed);
             for o in &owed {
-                assert!(o.raw.is_finite() && o.colour.iter().all(|v| v.is_finite()), "raw density {raw}: {o:?}");
+                let numbers = o.raw.iter().chain(&o.shares).chain(&o.slope);
+                assert!(numbers.copied().all(f32::is_finite), "raw density {raw}: {o:?}");
             }
         }
     }

@@ -90,7 +90,7 @@ fn walls_and_nothing_are_exact() {
     let view = camera(DVec3::new(0.3, 0.1, 3.0), DVec3::ZERO, 8);
     for raw in [100.0f32, 1e4, 1e8, f32::MAX] {
         let mut grid: Grid<f32> = Grid::full([8, 8, 8], f64::from(raw), 0.6);
-        grid.raw[1..].fill(raw);
+        grid.set_raw_rows(&vec![raw; grid.rows() - 1]);
         let maps = field_of(&ball_box(), &grid, &look).render_maps(&view, &look);
         let middle = 4 * 8 + 4;
         assert_eq!(maps.accumulation[middle], 1.0, "raw density {raw}");
@@ -107,13 +107,13 @@ fn unknown_formats_are_refused_by_name() {
     let grid = random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1);
     let header = |change: &dyn Fn(&mut serde_json::Value)| {
         let mut header = serde_json::json!({
-            "format": "cairn.field/1", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
+            "format": "cairn.field/2", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
         });
         change(&mut header);
         Field::from_bytes(&stored_with(&header, &grid)).err().map(|e| e.to_string())
     };
     assert_eq!(header(&|_| ()), None);
-    let text = header(&|h| h["format"] = "cairn.field/2".into()).expect("an error");
+    let text = header(&|h| h["format"] = "cairn.field/1".into()).expect("an error");
     assert!(text.contains("cairn.field/2") && text.contains("cairn.field/1"), "{text}");
     for dims in [[0u64, 5, 6], [1, 5, 6], [4, 5, 5], [1 << 40, 1 << 40, 1 << 40], [4_000_000_000, 2, 2]] {
         let text = header(&|h| h["dims"] = dims.to_vec().into()).expect("an error");
@@ -175,6 +175,21 @@ fn altered(bytes: &[u8], change: impl Fn(&mut serde_json::Value), tensor: &str, 
         .expect("plain tensors")
 }
 
+/// A file with one tensor's bytes replaced.
+fn with_tensor(bytes: &[u8], name: &str, data: &[u8]) -> Vec<u8> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).expect("a checkpoint");
+    let file = SafeTensors::deserialize(bytes).expect("a checkpoint");
+    let views: Vec<_> = file
+        .tensors()
+        .into_iter()
+        .map(|(n, t)| {
+            let data = if n == name { data } else { t.data() };
+            (n, TensorView::new(t.dtype(), t.shape().to_vec(), data).expect("as before"))
+        })
+        .collect();
+    safetensors::serialize(views, metadata.metadata().clone()).expect("plain tensors")
+}
+
 #[test]
 fn checkpoints_that_do_not_fit_are_refused() {
     let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
@@ -194,23 +209,46 @@ fn checkpoints_that_do_not_fit_are_refused() {
         "a setting out of range"
     );
     assert!(resume(&altered(&bytes, |h| h["appearances"] = 1.into(), "", None)).is_some(), "an appearance too few");
-    for name in ["raw", "colour", "first", "second", "seen"] {
+    for name in ["raw", "colour", "first", "second", "square", "seen"] {
         let text = resume(&altered(&bytes, |_| (), name, Some(f32::NAN))).expect("an error");
         assert!(text.contains(name) && text.contains("finite"), "{text}");
     }
 }
 
-#[test]
-fn a_poisoned_step_is_not_taken() {
+/// Steps to the end and gives the field's bytes.
+fn end(mut trainer: BaseTrainer) -> Vec<u8> {
+    while trainer.steps_done() < trainer.steps_total() {
+        trainer.step().expect("finite numbers");
+    }
+    trainer.finish().to_bytes().expect("a field")
+}
+
+/// A training of two small views after three steps, as bytes.
+fn begun() -> Vec<u8> {
     let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
     (0..3).for_each(|_| {
         trainer.step().expect("finite numbers");
     });
-    let bytes = trainer.checkpoint().expect("a checkpoint");
+    trainer.checkpoint().expect("a checkpoint")
+}
+
+fn resume(bytes: &[u8]) -> BaseTrainer {
+    BaseTrainer::resume(bytes, views(2, 12, 1.0, DVec3::ZERO)).expect("finite numbers")
+}
+
+/// The bytes of one tensor of a checkpoint.
+fn tensor(bytes: &[u8], name: &str) -> Vec<u8> {
+    SafeTensors::deserialize(bytes).expect("a checkpoint").tensor(name).expect("a tensor").data().to_vec()
+}
+
+#[test]
+fn a_poisoned_step_is_not_taken() {
+    let bytes = begun();
+    let undisturbed = end(resume(&bytes));
     // Squares overflow at the one, products of errors and colours at the other.
     for (poison, place) in [(3e38f32, "loss"), (4e19, "gradient")] {
         let poisoned = altered(&bytes, |_| (), "colour", Some(poison));
-        let mut trainer = BaseTrainer::resume(&poisoned, views(2, 12, 1.0, DVec3::ZERO)).expect("finite numbers");
+        let mut trainer = resume(&poisoned);
         let before = trainer.checkpoint().expect("a checkpoint");
         for _ in 0..2 {
             match trainer.step() {
@@ -218,6 +256,43 @@ fn a_poisoned_step_is_not_taken() {
                 other => panic!("colours of {poison}: {other:?}"),
             }
             assert!(trainer.checkpoint().expect("a checkpoint") == before, "{poison}: the state is as before");
+        }
+        // With the poison taken out of what it left, nothing has happened.
+        let after = trainer.checkpoint().expect("a checkpoint");
+        for name in SafeTensors::deserialize(&bytes).expect("a checkpoint").names().iter().filter(|n| **n != "colour") {
+            assert!(tensor(&after, name) == tensor(&bytes, name), "{poison}: {name}");
+        }
+        let healed = with_tensor(&after, "colour", &tensor(&bytes, "colour"));
+        assert!(end(resume(&healed)) == undisturbed, "{poison}: training goes on as if there had been none");
+    }
+}
+
+#[test]
+fn numbers_of_any_size_are_refused_or_survived() {
+    let bytes = begun();
+    for name in ["colour", "raw"] {
+        for power in (-38..=38).step_by(2).chain([17, 19, 21]) {
+            for sign in [1.0f32, -1.0] {
+                let poison = sign * 10f32.powi(power);
+                let mut trainer = resume(&altered(&bytes, |_| (), name, Some(poison)));
+                let mut before = trainer.checkpoint().expect("a checkpoint");
+                for _ in 0..3 {
+                    let outcome = trainer.step();
+                    let after = trainer.checkpoint().expect("a checkpoint");
+                    match outcome {
+                        Ok(stats) => {
+                            assert!(stats.loss.is_finite());
+                            let read = BaseTrainer::resume(&after, views(2, 12, 1.0, DVec3::ZERO)).err();
+                            assert!(read.is_none(), "{name} of {poison}: {}", read.expect("an error"));
+                        }
+                        Err(FieldError::NotFinite { .. }) => {
+                            assert!(after == before, "{name} of {poison}: the state is as before");
+                        }
+                        Err(other) => panic!("{name} of {poison}: {other}"),
+                    }
+                    before = after;
+                }
+            }
         }
     }
 }

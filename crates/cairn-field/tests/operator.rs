@@ -22,7 +22,7 @@ fn pair(frame: &SceneFrame, basis: CarrierBasis) -> (Field, Field, Vec<f32>) {
     for row in 1..grid.rows() {
         for c in 0..3 {
             for k in 0..if basis == CarrierBasis::Constant { 1 } else { SH } {
-                changed.colour[row * ROW + c * SH + k] += numbers.within(-0.5, 0.5) as f32;
+                changed.colour[row * ROW + 3 * k + c] += numbers.within(-0.5, 0.5) as f32;
             }
         }
     }
@@ -32,7 +32,7 @@ fn pair(frame: &SceneFrame, basis: CarrierBasis) -> (Field, Field, Vec<f32>) {
     for row in 1..grid.rows() {
         for c in 0..3 {
             let change = |k: usize| {
-                let at = row * ROW + c * SH + k;
+                let at = row * ROW + 3 * k + c;
                 after.grid().colour[at] - before.grid().colour[at]
             };
             match basis {

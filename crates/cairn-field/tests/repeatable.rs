@@ -62,6 +62,23 @@ fn a_resumed_training_ends_in_the_same_bytes() {
 }
 
 #[test]
+fn a_training_stopped_before_every_step_ends_in_the_same_bytes() {
+    for frame in [ball_box(), ball_in_the_open()] {
+        // Past a level's change, its half and a refreshing of what is occupied.
+        let config = tiny(70);
+        let mut whole = trainer(&frame, &config, 4);
+        let mut broken = trainer(&frame, &config, 4);
+        for _ in 0..config.steps {
+            let stats = whole.step().expect("finite numbers");
+            let bytes = broken.checkpoint().expect("a checkpoint");
+            broken = BaseTrainer::resume(&bytes, views(5, 24, 1.0, DVec3::ZERO)).expect("a sound checkpoint");
+            assert_eq!(broken.step().expect("finite numbers"), stats);
+        }
+        assert!(whole.finish().to_bytes().expect("a field") == broken.finish().to_bytes().expect("a field"));
+    }
+}
+
+#[test]
 fn a_stored_field_is_the_field_in_memory() {
     let mut trainer = trainer(&ball_in_the_open(), &tiny(30), 3);
     (0..30).for_each(|_| {

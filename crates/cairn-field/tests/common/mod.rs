@@ -5,7 +5,7 @@
 
 use cairn_capture::{Camera, Capture, Distortion, Intrinsics, Picture, Pose, SceneKind, View};
 use cairn_field::appearance::FEATURES;
-use cairn_field::grid::{Grid, ROW};
+use cairn_field::grid::{DENSITY_SCALE, Grid, ROW};
 use cairn_field::sh::SH;
 use cairn_field::{Appearance, Field, FieldConfig, Real, SceneFrame, TrainingView};
 use glam::{DMat3, DVec3};
@@ -81,15 +81,7 @@ pub fn photograph(camera: &Camera, unit: f64, at: DVec3) -> Picture {
 
 /// The ring's photographs, ready to train on.
 pub fn views(n: usize, size: usize, unit: f64, at: DVec3) -> Vec<TrainingView> {
-    ring(n, size, unit, at)
-        .into_iter()
-        .enumerate()
-        .map(|(i, camera)| TrainingView {
-            name: format!("{i:03}.png"),
-            picture: Arc::new(photograph(&camera, unit, at)),
-            camera,
-        })
-        .collect()
+    photographs(&ring(n, size, unit, at), unit, at)
 }
 
 /// The ring as a capture, for choosing a frame; sparse points lie on the ball.
@@ -133,6 +125,27 @@ pub fn ahead() -> SceneFrame {
     }
 }
 
+/// A forward-facing row of cameras, four units in front of `at`.
+pub fn facing(n: usize, size: usize, unit: f64, at: DVec3) -> Vec<Camera> {
+    (0..n)
+        .map(|i| {
+            let a = i as f64 * 2.4;
+            let place = DVec3::new(0.9 * a.cos(), 0.6 * a.sin(), -4.0) * unit;
+            camera(at + place, at + DVec3::new(0.3 * place.x, 0.3 * place.y, 0.0), size)
+        })
+        .collect()
+}
+
+/// What `cameras` photograph of the ball, ready to train on.
+pub fn photographs(cameras: &[Camera], unit: f64, at: DVec3) -> Vec<TrainingView> {
+    let view = |(i, camera): (usize, &Camera)| TrainingView {
+        name: format!("{i:03}.png"),
+        picture: Arc::new(photograph(camera, unit, at)),
+        camera: *camera,
+    };
+    cameras.iter().enumerate().map(view).collect()
+}
+
 /// Settings small enough to train in a second.
 pub fn tiny(steps: u64) -> FieldConfig {
     FieldConfig { steps, rays_per_step: 256, voxels: 12_000, levels: 2, ..FieldConfig::default() }
@@ -145,14 +158,21 @@ pub fn random_grid<T: Real>(dims: [usize; 3], filled: f64, raw: (f64, f64), seed
     let vertex: Vec<u32> = (0..dims.iter().product::<usize>() as u32).filter(|_| numbers.share() < filled).collect();
     let mut grid = Grid::with_vertices(dims, vertex);
     for row in 1..grid.rows() {
-        grid.raw[row] = T::of(numbers.within(raw.0, raw.1));
+        let vertex = grid.vertex[row] as usize;
+        grid.raw[vertex] = T::of(numbers.within(raw.0, raw.1));
         for k in 0..3 * SH {
-            let level = if k % SH == 0 { 1.7 } else { 0.0 };
+            let level = if k < 3 { 1.7 } else { 0.0 };
             grid.colour[row * ROW + k] = T::of(level + numbers.within(-0.6, 0.6));
         }
     }
     grid.refresh_occupancy(0.0);
     grid
+}
+
+/// The raw density whose density is `density` per unit-cube length, > 0.
+pub fn raw_for(density: f64) -> f64 {
+    let softplus = density / DENSITY_SCALE;
+    if softplus > 30.0 { softplus } else { softplus.exp_m1().ln() }
 }
 
 /// An appearance of random numbers near the neutral one.
@@ -166,7 +186,7 @@ pub fn random_appearance(seed: u64) -> Appearance {
 /// The stored form of a field, put together without the crate's writer.
 pub fn stored_field(frame: &SceneFrame, grid: &Grid<f32>, canonical: &Appearance) -> Vec<u8> {
     let header = serde_json::json!({
-        "format": "cairn.field/1", "frame": frame, "dims": grid.dims, "canonical": canonical, "appearances": [],
+        "format": cairn_field::FIELD_FORMAT, "frame": frame, "dims": grid.dims, "canonical": canonical, "appearances": [],
     });
     stored_with(&header, grid)
 }
@@ -175,13 +195,13 @@ pub fn stored_field(frame: &SceneFrame, grid: &Grid<f32>, canonical: &Appearance
 pub fn stored_with(header: &serde_json::Value, grid: &Grid<f32>) -> Vec<u8> {
     let rows = grid.rows() - 1;
     let vertex: Vec<u8> = grid.vertex[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
-    let raw: Vec<u8> = grid.raw[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let raw: Vec<u8> = grid.raw_rows().flat_map(f32::to_le_bytes).collect();
     let colour: Vec<u8> = grid.colour[ROW..]
         .chunks_exact(ROW)
         .flat_map(|row| row[..3 * SH].iter().flat_map(|v| f16::from_f32(*v).to_le_bytes()))
         .collect();
     let tensors = [
-        ("colour", TensorView::new(Dtype::F16, vec![rows, 3, SH], &colour).expect("fits")),
+        ("colour", TensorView::new(Dtype::F16, vec![rows, SH, 3], &colour).expect("fits")),
         ("density", TensorView::new(Dtype::F32, vec![rows], &raw).expect("fits")),
         ("vertex", TensorView::new(Dtype::U32, vec![rows], &vertex).expect("fits")),
     ];

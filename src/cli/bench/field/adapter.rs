@@ -14,8 +14,6 @@ pub const STORED: Storage = Storage::F16;
 /// What a field's colours are kept in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Storage {
-    /// 32 bits.
-    F32,
     /// 16 bits, floating point.
     F16,
     /// 8 bits.
@@ -23,13 +21,13 @@ pub enum Storage {
 }
 
 impl Storage {
-    /// All of them, finest first.
-    pub const ALL: [Self; 3] = [Self::F32, Self::F16, Self::U8];
+    /// All of them, finest first. Fields are trained in f32 and rounded when they are
+    /// finished, so that one in memory and one read back are the same.
+    pub const ALL: [Self; 2] = [Self::F16, Self::U8];
 
     /// As it stands in tables.
     pub fn as_str(self) -> &'static str {
         match self {
-            Self::F32 => "f32",
             Self::F16 => "f16",
             Self::U8 => "u8",
         }
@@ -38,7 +36,6 @@ impl Storage {
     /// Bits of a colour coefficient.
     pub fn bits(self) -> f64 {
         match self {
-            Self::F32 => 32.0,
             Self::F16 => 16.0,
             Self::U8 => 8.0,
         }
@@ -71,5 +68,8 @@ pub fn render_exact(field: &Field, camera: &Camera, appearance: &Appearance, ste
 
 /// The field as it is when stored so; `None` where this release cannot.
 pub fn stored_as(field: &Field, storage: Storage) -> Option<Field> {
-    (storage == STORED).then(|| field.clone())
+    match storage {
+        Storage::F16 => Some(field.clone()),
+        Storage::U8 => Some(field.with_colours_of_8_bits()),
+    }
 }
