@@ -191,7 +191,8 @@ impl Engine {
         // Who configured stage 1 himself is taken at his word; else the kind of scene decides.
         let own = self.training.field != TrainingSettings::default().field;
         let kind = if own { ("no settings", "") } else { overlay_for(scene.capture().kind) };
-        let overlays = [kind, ("configs/quick.toml", quick), ("the request's settings", request.settings_toml.as_str())];
+        let overlays =
+            [kind, ("configs/quick.toml", quick), ("the request's settings", request.settings_toml.as_str())];
         let settings = training_settings(&self.training, &overlays)?;
         // Found now rather than after an hour of stage 1.
         let clusters = training::clusters(&scene, &request.grouping, request.seed)?;

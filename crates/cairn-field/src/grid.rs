@@ -72,14 +72,7 @@ impl<T: Real> Grid<T> {
         let rows = vertex.len();
         let mut raw = zeros(index.len());
         raw.fill(T::of(EMPTY_RAW));
-        Self {
-            dims,
-            raw,
-            index,
-            vertex,
-            colour: zeros(rows * ROW),
-            occupancy: Occupancy::none(dims),
-        }
+        Self { dims, raw, index, vertex, colour: zeros(rows * ROW), occupancy: Occupancy::none(dims) }
     }
 
     /// Rows in use, the empty one included.

@@ -167,11 +167,8 @@ impl Stretch {
     /// Cuts it into even shares of `s`, about `step` voxels long; moves `along` to its end.
     fn segment<T: Real>(&self, dims: [usize; 3], offset: f64, step: f64, along: &mut f64) -> Segment<T> {
         // Simpson's rule; exact where the stretch is straight.
-        let voxels = if self.far {
-            (self.speed(0.0) + 4.0 * self.speed(0.5) + self.speed(1.0)) / 6.0
-        } else {
-            self.speed(0.0)
-        };
+        let voxels =
+            if self.far { (self.speed(0.0) + 4.0 * self.speed(0.5) + self.speed(1.0)) / 6.0 } else { self.speed(0.0) };
         let largest = (*dims.iter().max().expect("three sides") - 1) as f64;
         let count = (voxels / step).ceil().clamp(1.0, MOST_SAMPLES);
         let h = 1.0 / count;

@@ -154,10 +154,8 @@ mod tests {
         }
         assert_eq!(found.cells(), count);
         let [bx, by, bz] = found.blocks;
-        let full: Vec<[usize; 3]> = (0..bx * by * bz)
-            .filter(|b| found.masks[*b] != 0)
-            .map(|b| [b % bx, b / bx % by, b / (bx * by)])
-            .collect();
+        let full: Vec<[usize; 3]> =
+            (0..bx * by * bz).filter(|b| found.masks[*b] != 0).map(|b| [b % bx, b / bx % by, b / (bx * by)]).collect();
         for b in 0..bx * by * bz {
             let p = [b % bx, b / bx % by, b / (bx * by)];
             let far = |q: &[usize; 3]| (0..3).map(|k| p[k].abs_diff(q[k])).max().unwrap();

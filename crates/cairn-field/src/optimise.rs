@@ -100,35 +100,39 @@ impl RowState {
             .zip(raw.par_iter_mut().zip(grid.vertex.par_chunks(TASK)))
             .zip(grid.colour.par_chunks_mut(TASK * ROW))
             .zip(self.adam.first.par_chunks_mut(TASK).zip(self.adam.second.par_chunks_mut(TASK)))
-            .zip(self.square.par_chunks_mut(TASK));
-        tasks.for_each(|(((((gradient, weight), ((from, raw), vertex)), colour), (first, second)), square)| {
-            for row in 0..weight.len() {
-                let weight = std::mem::take(&mut weight[row]);
-                if weight == 0.0 {
-                    continue;
+            .zip(self.square.par_chunks_mut(TASK))
+            .zip(gradient.seen.par_chunks_mut(TASK).zip(gradient.seen_now.par_chunks_mut(TASK)));
+        tasks.for_each(
+            |((((((gradient, weight), ((from, raw), vertex)), colour), (first, second)), square), (seen, seen_now))| {
+                for row in 0..weight.len() {
+                    let weight = std::mem::take(&mut weight[row]);
+                    if weight == 0.0 {
+                        continue;
+                    }
+                    seen[row] = seen[row].max(std::mem::take(&mut seen_now[row]));
+                    let at = row * ROW..(row + 1) * ROW;
+                    let (g, c): (&mut [f32; ROW], &mut [f32; ROW]) = (
+                        (&mut gradient[at.clone()]).try_into().expect("ROW numbers"),
+                        (&mut colour[at]).try_into().expect("ROW numbers"),
+                    );
+                    let raw = &mut raw[vertex[row] as usize - *from];
+                    *raw -= rates.density * moment(g[ROW - 1], &mut first[row], &mut second[row], fix);
+                    g[ROW - 1] = 0.0;
+                    let now = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) / 3.0;
+                    // The first touch is all that is known.
+                    square[row] = if square[row] == 0.0 { now } else { MEMORY * square[row] + (1.0 - MEMORY) * now };
+                    let step = rates.colour / (square[row].sqrt() + EPSILON);
+                    for k in 0..3 {
+                        c[k] -= step * g[k];
+                    }
+                    let step = step * rates.view_dependence;
+                    for k in 3..ROW {
+                        c[k] -= step * g[k];
+                    }
+                    *g = [0.0; ROW];
                 }
-                let at = row * ROW..(row + 1) * ROW;
-                let (g, c): (&mut [f32; ROW], &mut [f32; ROW]) = (
-                    (&mut gradient[at.clone()]).try_into().expect("ROW numbers"),
-                    (&mut colour[at]).try_into().expect("ROW numbers"),
-                );
-                let raw = &mut raw[vertex[row] as usize - *from];
-                *raw -= rates.density * moment(g[ROW - 1], &mut first[row], &mut second[row], fix);
-                g[ROW - 1] = 0.0;
-                let now = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) / 3.0;
-                // The first touch is all that is known.
-                square[row] = if square[row] == 0.0 { now } else { MEMORY * square[row] + (1.0 - MEMORY) * now };
-                let step = rates.colour / (square[row].sqrt() + EPSILON);
-                for k in 0..3 {
-                    c[k] -= step * g[k];
-                }
-                let step = step * rates.view_dependence;
-                for k in 3..ROW {
-                    c[k] -= step * g[k];
-                }
-                *g = [0.0; ROW];
-            }
-        });
+            },
+        );
         true
     }
 }
@@ -188,8 +192,8 @@ fn smooth(grid: &Grid<f32>, gradient: &mut Gradient, rates: &Rates, now: bool) -
                         out[ROW - 1] += for_density * (grid.raw[v] - grid.raw[neighbour]);
                     }
                 }
-                // One not finite makes the sum so (they are few, and none nears f32's end).
-                fine &= out.iter().sum::<f32>().is_finite();
+                // The moments hold squares; one that is not finite makes the sum so.
+                fine &= out.iter().map(|g| g * g).sum::<f32>().is_finite();
             }
             fine
         })

@@ -16,6 +16,8 @@ pub struct Gradient {
     pub weight: Vec<f32>,
     /// Largest weight each row had in any picture since the last clearing.
     pub seen: Vec<f32>,
+    /// The same for this batch alone, which may yet be refused.
+    pub seen_now: Vec<f32>,
     /// Room to sort a batch in: task and place of each of its debts.
     order: Vec<(u32, u32)>,
 }
@@ -31,13 +33,20 @@ unsafe impl<T> Sync for Shared<T> {}
 impl Gradient {
     /// All zero, for a grid of `rows` rows.
     pub fn zero(rows: usize) -> Self {
-        Self { values: zeros(rows * ROW), weight: zeros(rows), seen: zeros(rows), order: Vec::new() }
+        Self {
+            values: zeros(rows * ROW),
+            weight: zeros(rows),
+            seen: zeros(rows),
+            seen_now: zeros(rows),
+            order: Vec::new(),
+        }
     }
 
     /// Forgets the gradient, not what was seen.
     pub fn clear(&mut self) {
         self.values.fill(0.0);
         self.weight.fill(0.0);
+        self.seen_now.fill(0.0);
     }
 
     /// Adds a batch, `debts` by task, into the gradient.
@@ -79,7 +88,7 @@ impl Gradient {
         let corners = grid.corners();
         let values = Shared(self.values.as_mut_ptr());
         let weight = Shared(self.weight.as_mut_ptr());
-        let seen = Shared(self.seen.as_mut_ptr());
+        let seen = Shared(self.seen_now.as_mut_ptr());
         for parity in 0..2 {
             (0..slabs).into_par_iter().filter(|s| s % 2 == parity).for_each(|slab| {
                 let (values, weight, seen) = (&values, &weight, &seen);

@@ -227,7 +227,8 @@ impl BaseTrainer {
 
     /// The trained field.
     pub fn finish(self) -> Field {
-        let grid = if self.knows_enough() { self.grid.resampled(self.grid.dims, WHOLE, &self.kept()) } else { self.grid };
+        let grid =
+            if self.knows_enough() { self.grid.resampled(self.grid.dims, WHOLE, &self.kept()) } else { self.grid };
         let names = self.views.into_iter().map(|v| v.name);
         let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
         Field::new(self.frame, grid, canonical, names.zip(self.appearances).collect())
