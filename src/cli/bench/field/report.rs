@@ -8,13 +8,12 @@ use super::tradeoff::{FINE_STEP, Tradeoff, Varied};
 use crate::cli::bench::rows::Rows;
 
 /// Points of the rays-against-error curves that are worth a row each.
-const KEY_POINTS: [(Varied, f64); 7] = [
+const KEY_POINTS: [(Varied, f64); 6] = [
     (Varied::Nothing, 0.0),
     (Varied::Step, 0.25),
     (Varied::Step, 1.0),
     (Varied::Transmittance, 1e-2),
     (Varied::Alpha, 1e-3),
-    (Varied::Storage, 32.0),
     (Varied::Storage, 8.0),
 ];
 

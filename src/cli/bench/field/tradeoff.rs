@@ -321,7 +321,7 @@ mod tests {
         for varied in [Varied::Step, Varied::Transmittance, Varied::Alpha, Varied::Storage] {
             let of = plan.iter().filter(|w| w.varied == varied);
             assert_eq!(of.clone().filter(|w| w.shipped).count(), 1, "{varied:?}");
-            assert!(of.count() >= 3, "{varied:?}");
+            assert!(of.count() >= if varied == Varied::Storage { 2 } else { 3 }, "{varied:?}");
         }
         assert_eq!(with(&[0.0, 2.0], 1.0), [0.0, 1.0, 2.0]);
         assert_eq!(with(&[0.0, 1.0], 1.0), [0.0, 1.0]);
