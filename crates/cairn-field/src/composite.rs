@@ -278,7 +278,7 @@ pub struct Regularise<T> {
 pub struct Roulette {
     /// Weight in the pixel below which a run takes its chance; 0 spreads all.
     pub below: f32,
-    /// State of the chance; see [`Roulette::survives`].
+    /// State of the chance: a seed, then whatever was drawn from it.
     pub state: u64,
 }
 
