@@ -130,7 +130,7 @@ pub fn see<T: Real>(
 }
 
 /// The tape's runs of samples in one cell and one part of space.
-pub fn runs<T: Real>(tape: &[Kept<T>]) -> impl Iterator<Item = &[Kept<T>]> {
+pub fn runs<T: Real>(tape: &[Kept<T>]) -> impl DoubleEndedIterator<Item = &[Kept<T>]> {
     tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far)
 }
 
@@ -329,7 +329,7 @@ pub fn push_back<T: Real>(
     // sum_{j > i} w_j e_j + T_end e_end, from the back.
     let mut later = end * slope.end;
     let two = T::of(2.0);
-    for run in tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far).rev() {
+    for run in runs(tape).rev() {
         let (g, g_weight) = if run[0].far { (slope.far, slope.far_weight) } else { (slope.near, slope.near_weight) };
         let weight = run.iter().fold(T::zero(), |sum, kept| sum + kept.weight);
         let boost = roulette.survives(weight.wide() as f32);
