@@ -196,8 +196,7 @@ impl<T: Real> Grid<T> {
                 if row == 0 || seen[row] >= least {
                     return row != 0;
                 }
-                let v = self.vertex[row] as usize;
-                let (x, y, z) = (v % nx, v / nx % ny, v / (nx * ny));
+                let [x, y, z] = self.place(self.vertex[row]);
                 near(z, nz).any(|z| {
                     near(y, ny).any(|y| {
                         near(x, nx).any(|x| {
@@ -255,8 +254,9 @@ impl<T: Real> Grid<T> {
     }
 
     /// The part of the field between unit-cube places `low` and `high` on a lattice
-    /// that is finer (or coarser): a vertex of the result gets a row where `keep` (by old row, row 0 ignored) holds at a corner of
-    /// the old cell it falls into. Values are interpolated.
+    /// that is finer (or coarser): a vertex of the result gets a row where `keep` (by old
+    /// row, row 0 ignored) holds at a corner of the old cell it falls into. Values are
+    /// interpolated.
     pub fn resampled(&self, dims: [usize; 3], (low, high): ([f64; 3], [f64; 3]), keep: &[bool]) -> Self {
         let cells = self.dims.map(|d| (d - 1) as f64);
         let scale: [f64; 3] = std::array::from_fn(|k| cells[k] * (high[k] - low[k]) / (dims[k] - 1) as f64);
@@ -358,4 +358,76 @@ pub(crate) fn seen_along<T: Real>(row: &[T; ROW], basis: &[T; SH]) -> [T; 3] {
 pub(crate) fn raw_of(density: f64) -> f64 {
     // ln(e^d - 1) without overflow.
     if density > 30.0 { density } else { density.exp_m1().ln() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::composite::{Thresholds, see};
+    use crate::frame::RayPath;
+
+    /// A ray along which `s` in [0, 1] runs from `a` to `b`, unit-cube places.
+    fn ray(a: [f64; 3], b: [f64; 3]) -> RayPath {
+        RayPath::Straight { origin: a, direction: std::array::from_fn(|k| b[k] - a[k]), start: 0.0, end: 1.0 }
+    }
+
+    #[test]
+    fn a_box_drawn_in_to_what_is_there_shows_the_same() {
+        // Cubic cells; something in the middle, off the walls of the whole.
+        let dims = [21usize, 17, 33];
+        let mut grid = Grid::<f64>::full(dims, EMPTY_RAW, 0.5);
+        let held = |p: [usize; 3]| (6..12).contains(&p[0]) && (5..9).contains(&p[1]) && (9..17).contains(&p[2]);
+        let mut keep = vec![false; grid.rows()];
+        for row in 1..grid.rows() {
+            let p = grid.place(grid.vertex[row]);
+            keep[row] = held(p);
+            if keep[row] {
+                let n = (p[0] * 7 + p[1] * 3 + p[2]) as f64;
+                grid.raw[grid.vertex[row] as usize] = -2.0 + n.sin();
+                grid.colour[row * ROW] = n.cos();
+            }
+        }
+        grid.refresh_occupancy(0.0);
+        let (low, high) = grid.bounds(&keep, 1);
+        let cells: [f64; 3] = dims.map(|d| (d - 1) as f64);
+        assert_eq!(low, [5.0 / cells[0], 4.0 / cells[1], 8.0 / cells[2]]);
+        assert_eq!(high, [12.0 / cells[0], 9.0 / cells[1], 17.0 / cells[2]]);
+        let small: [usize; 3] = std::array::from_fn(|k| ((high[k] - low[k]) * cells[k]).round() as usize + 1);
+        let mut cut = grid.clone();
+        // The longest side has 32 cells before and 9 after: what was a unit is longer now.
+        cut.scale_density(9.0 / 32.0);
+        for (v, _) in grid.vertex.iter().zip(&keep).filter(|(_, keep)| **keep) {
+            let density = |grid: &Grid<f64>| grid.raw[*v as usize].softplus_and_slope().0;
+            assert!((density(&cut) / density(&grid) - 9.0 / 32.0).abs() < 1e-12, "density scales at vertex {v}");
+        }
+        let mut cut = cut.resampled(small, (low, high), &vec![true; grid.rows()]);
+        cut.refresh_occupancy(0.0);
+        let basis = crate::sh::basis([0.0, 0.6, 0.8]);
+        let mut tape = Vec::new();
+        for (a, b) in [([0.0, 0.31, 0.2], [1.0, 0.4, 0.6]), ([0.5, 0.1, 0.9], [0.4, 0.5, 0.4])] {
+            let mut seen = |grid: &Grid<f64>, a, b| {
+                let limits = Thresholds { step: 0.01, ..Thresholds::EXACT };
+                see(grid, &ray(a, b), &basis, limits, &mut tape)
+            };
+            // Only the part of the ray that lies in the smaller box: outside, nothing is there.
+            let inside = |s: f64| {
+                (0..3).all(|k| {
+                    let p: f64 = a[k] + s * (b[k] - a[k]);
+                    (low[k]..=high[k]).contains(&p)
+                })
+            };
+            let steps: Vec<f64> = (0..=100_000).map(|i| f64::from(i) * 1e-5).filter(|s| inside(*s)).collect();
+            let at = |s: f64| -> [f64; 3] { std::array::from_fn(|k| a[k] + s * (b[k] - a[k])) };
+            let (from, to) = (at(steps[0]), at(steps[steps.len() - 1]));
+            let moved = |p: [f64; 3]| -> [f64; 3] { std::array::from_fn(|k| (p[k] - low[k]) / (high[k] - low[k])) };
+            let (whole, part) = (seen(&grid, from, to), seen(&cut, moved(from), moved(to)));
+            assert!(whole.end < 0.9, "the ray is to meet something: {}", whole.end);
+            // Vertices are exact; between them raw values are interpolated, and scaling is not
+            // linear in those. Without it, `end` would be below 1e-3 on the first ray.
+            assert!((whole.end - part.end).abs() < 0.01, "{} for {}", part.end, whole.end);
+            for c in 0..3 {
+                assert!((whole.near[c] - part.near[c]).abs() < 0.01, "{:?} for {:?}", part.near, whole.near);
+            }
+        }
+    }
 }
