@@ -2,14 +2,16 @@
 //! grid and the appearances.
 
 use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Debts, Kept, Regularise, Roulette, Thresholds, gather, push_back};
+use crate::composite::{Kept, Regularise, Thresholds, gather, push_back};
 use crate::frame::SceneFrame;
 use crate::grid::Grid;
+use crate::patch::{Debts, Patch, Roulette};
 use crate::sampling::{Tile, mixed};
 use crate::trainer::Prepared;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 
 /// Rays a task handles: enough to amortise, few enough to balance two cores.
 const TASK_RAYS: usize = 128;
@@ -25,7 +27,7 @@ pub(crate) struct BatchSettings<'a> {
     pub(crate) huber: f32,
     pub(crate) regularise: Regularise<f32>,
     pub(crate) limits: Thresholds,
-    /// Runs that weigh less in their pixel take their chance; see [`Roulette`].
+    /// Vertices that weigh less in their tile take their chance; see [`Roulette`].
     pub(crate) faint: f32,
     /// Seed and step: the only source of chance.
     pub(crate) stream: (u64, u64),
@@ -48,6 +50,8 @@ pub(crate) struct Batch {
     tasks: Vec<Task>,
     /// Tasks of this batch; those behind are left over from a larger one.
     used: usize,
+    /// Patches at rest: a thread takes one for a task, so that it stays in its cache.
+    patches: Mutex<Vec<Patch<f32>>>,
 }
 
 #[derive(Default)]
@@ -70,18 +74,18 @@ impl Batch {
         if self.tasks.len() < self.used {
             self.tasks.resize_with(self.used, Task::default);
         }
+        let patches = &self.patches;
         self.tasks.par_iter_mut().zip(settings.tiles.par_chunks(a_task)).enumerate().for_each(|(n, (task, tiles))| {
             let mut rng = ChaCha8Rng::seed_from_u64(mixed(seed ^ mixed(n as u64)));
             rng.set_stream(step + 1);
             task.clear(Roulette { below: settings.faint, state: rng.random() });
+            let at_rest = || patches.lock().unwrap_or_else(PoisonError::into_inner);
+            let taken = at_rest().pop();
+            let mut patch = taken.unwrap_or_default();
             for tile in tiles {
-                let width = settings.views[tile.view].lens.size().0;
-                for y in tile.y..tile.bottom {
-                    for x in tile.x..tile.right {
-                        task.ray(settings, tile.view, y * width + x, rng.random());
-                    }
-                }
+                task.tile(settings, tile, &mut patch, &mut rng);
             }
+            at_rest().push(patch);
         });
         let tasks = &self.tasks[..self.used];
         let rays: usize = settings.tiles.iter().map(Tile::len).sum();
@@ -109,10 +113,23 @@ impl Task {
         self.roulette = roulette;
     }
 
-    fn ray(&mut self, s: &BatchSettings<'_>, view: usize, at: usize, offset: f32) {
+    fn tile(&mut self, s: &BatchSettings<'_>, tile: &Tile, patch: &mut Patch<f32>, rng: &mut ChaCha8Rng) {
+        let prepared = &s.views[tile.view];
+        let width = prepared.lens.size().0;
+        let middle = (tile.y + tile.bottom) / 2 * width + (tile.x + tile.right) / 2;
+        patch.begin(prepared.lens.ray(&prepared.camera, s.frame, middle).1);
+        for y in tile.y..tile.bottom {
+            for x in tile.x..tile.right {
+                self.ray(s, tile.view, y * width + x, rng.random(), patch);
+            }
+        }
+        self.broken |= !patch.settle(&mut self.roulette, &mut self.debts);
+    }
+
+    fn ray(&mut self, s: &BatchSettings<'_>, view: usize, at: usize, offset: f32, patch: &mut Patch<f32>) {
         let prepared = &s.views[view];
         let (path, basis) = prepared.lens.ray(&prepared.camera, s.frame, at);
-        let gathered = gather(s.grid, &path, &basis, f64::from(offset), s.limits, &mut self.tape);
+        let gathered = gather(s.grid, patch, &path, f64::from(offset), s.limits, &mut self.tape);
         let appearance = s.appearances.get(view).unwrap_or(s.neutral);
         let f = features(&gathered, &basis);
         let shade = appearance.shade(&f);
@@ -121,14 +138,8 @@ impl Task {
             self.loss += f64::from(residual * residual);
             2.0 * if s.huber > 0.0 { residual.clamp(-s.huber, s.huber) } else { residual }
         });
-        let (first, ray) = (self.debts.owed.len(), self.debts.bases.len() as u32);
         let pulled = appearance.pull(slope, &basis);
-        push_back(&self.tape, gathered.end, &pulled, &s.regularise, ray, &mut self.roulette, &mut self.debts.owed);
-        // One not finite makes the sum so (they are few, and none nears f32's end).
-        let owed = &self.debts.owed[first..];
-        let sum: f32 = owed.iter().map(|o| o.raw.iter().sum::<f32>() + o.slope.iter().sum::<f32>()).sum();
-        self.broken |= !sum.is_finite();
-        self.debts.bases.push(basis);
+        push_back(patch, &self.tape, gathered.end, &pulled, &s.regularise);
         if !s.appearances.is_empty() {
             self.shaded.push(Shaded { view: view as u32, slope, features: f });
         }

@@ -9,7 +9,6 @@ use crate::field::{read_f32, read_header, read_u32, stored};
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
 use crate::optimise::{Adam, RowState};
-use crate::scatter::Gradient;
 use crate::trainer::{BaseTrainer, TrainingView};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
@@ -65,7 +64,7 @@ impl BaseTrainer {
             ("first", &self.rows.adam.first),
             ("second", &self.rows.adam.second),
             ("square", &self.rows.square),
-            ("seen", &self.gradient.seen),
+            ("seen", &self.rows.seen),
             ("codes", &codes),
             ("codes_first", &self.appearance_adam.first),
             ("codes_second", &self.appearance_adam.second),
@@ -129,12 +128,8 @@ impl BaseTrainer {
         if !grid.occupancy.restore(words.collect()) {
             return refuse("its occupancy does not fit its grid".into());
         }
-        trainer.rows = RowState {
-            adam: Adam { first: read("first", rows)?, second: read("second", rows)?, steps: header.adam_steps },
-            square: read("square", rows)?,
-        };
-        trainer.gradient = Gradient::zero(rows);
-        trainer.gradient.seen = read("seen", rows)?;
+        let adam = Adam { first: read("first", rows)?, second: read("second", rows)?, steps: header.adam_steps };
+        trainer.rows = RowState::from_parts(adam, read("square", rows)?, read("seen", rows)?);
         trainer.grid = grid;
         let n = header.neutral.code().len();
         let codes = read("codes", header.appearances * n)?;

@@ -7,8 +7,9 @@
 //! and far (contracted space), because appearance treats them differently.
 
 use crate::frame::RayPath;
-use crate::grid::{DENSITY_SCALE, Grid, ROW, trilinear};
+use crate::grid::{DENSITY_SCALE, Grid, trilinear};
 use crate::march::{STEP_VOXELS, Sample, march};
+use crate::patch::Patch;
 use crate::real::Real;
 use crate::sh::SH;
 
@@ -41,6 +42,8 @@ impl Thresholds {
 pub struct Kept<T> {
     /// Cell (first vertex).
     pub cell: u32,
+    /// Place of the cell in the [`Patch`].
+    pub place: u32,
     /// Place in the cell.
     pub frac: [T; 3],
     /// `T_i alpha_i`.
@@ -76,37 +79,38 @@ pub struct Gathered<T> {
     pub along: T,
 }
 
-/// Marches one ray and composites it; `tape` is cleared and filled, near to far.
+/// Marches one ray and composites it, colours as `patch` (begun for this ray's tile)
+/// sees them; `tape` is cleared and filled, near to far.
 #[inline]
 pub fn gather<T: Real>(
     grid: &Grid<T>,
+    patch: &mut Patch<T>,
     path: &RayPath,
-    basis: &[T; SH],
     offset: f64,
     limits: Thresholds,
     tape: &mut Vec<Kept<T>>,
 ) -> Gathered<T> {
-    let corners = grid.corners();
-    let end = record(grid, path, offset, limits, tape);
+    let end = record(grid, path, offset, limits, tape, |cell| patch.meet(grid, cell));
+    patch.look_up(grid);
     let mut sum = Gathered { end, ..Gathered::default() };
     for run in tape.chunk_by_mut(|a, b| a.cell == b.cell) {
-        let colours = grid.corner_colours(run[0].cell as usize, &corners, basis);
+        let colours = patch.colours(run[0].place);
         for kept in run {
-            let mut colour = [T::zero(); 3];
+            let mut colour = [T::zero(); 4];
             for (c, share) in colours.iter().zip(trilinear(kept.frac)) {
-                for k in 0..3 {
+                for k in 0..4 {
                     colour[k] += share * c[k];
                 }
             }
-            kept.colour = colour;
-            sum.add(kept, kept.weight, colour.map(|c| kept.weight * c));
+            kept.colour = [colour[0], colour[1], colour[2]];
+            sum.add(kept, kept.weight, kept.colour.map(|c| kept.weight * c));
         }
     }
     sum
 }
 
-/// As [`gather`], for pictures: the samples of a run in one cell look its corners
-/// up together, and the tape's colours stay zero.
+/// As [`gather`] for one ray along `basis`, for pictures: the samples of a run in one
+/// cell look its corners up together, and the tape's places and colours stay zero.
 #[inline]
 pub fn see<T: Real>(
     grid: &Grid<T>,
@@ -116,7 +120,10 @@ pub fn see<T: Real>(
     tape: &mut Vec<Kept<T>>,
 ) -> Gathered<T> {
     let corners = grid.corners();
-    let end = record(grid, path, 0.5, limits, tape);
+    let end = record(grid, path, 0.5, limits, tape, |cell| {
+        grid.prefetch_colour(cell as usize, &corners);
+        0
+    });
     let mut sum = Gathered { end, ..Gathered::default() };
     for run in runs(tape) {
         let shares = corner_shares(run);
@@ -159,9 +166,17 @@ impl<T: Real> Gathered<T> {
     }
 }
 
-/// Marches one ray onto `tape`, colours left zero; returns the transmittance at its end.
+/// Marches one ray onto `tape`, colours left zero; `place` says where a cell's colours
+/// will be. Returns the transmittance at its end.
 #[inline(always)]
-fn record<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, limits: Thresholds, tape: &mut Vec<Kept<T>>) -> T {
+fn record<T: Real>(
+    grid: &Grid<T>,
+    path: &RayPath,
+    offset: f64,
+    limits: Thresholds,
+    tape: &mut Vec<Kept<T>>,
+    mut place: impl FnMut(u32) -> u32,
+) -> T {
     tape.clear();
     let mut light = T::one();
     let mut waiting = [const { None }; LANES];
@@ -172,12 +187,12 @@ fn record<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, limits: Threshol
         n += 1;
         if n == LANES {
             n = 0;
-            open = meet(grid, &waiting, &limits, &mut light, tape);
+            open = meet(grid, &waiting, &limits, &mut light, tape, &mut place);
         }
         open
     });
     if open {
-        meet(grid, &waiting[..n], &limits, &mut light, tape);
+        meet(grid, &waiting[..n], &limits, &mut light, tape, &mut place);
     }
     light
 }
@@ -191,8 +206,8 @@ fn meet<T: Real>(
     limits: &Thresholds,
     light: &mut T,
     tape: &mut Vec<Kept<T>>,
+    place: &mut impl FnMut(u32) -> u32,
 ) -> bool {
-    let corners = grid.corners();
     let scale = T::of(DENSITY_SCALE);
     let (least, stop, weak) = (T::of(limits.alpha), T::of(limits.transmittance), T::of(limits.weight));
     let (mut raw, mut length) = ([T::zero(); LANES], [T::zero(); LANES]);
@@ -216,9 +231,14 @@ fn meet<T: Real>(
             continue;
         }
         *light *= T::one() - alpha[k];
-        grid.prefetch_colour(sample.cell as usize, &corners);
+        // The one before is most often in the same cell.
+        let place = match tape.last() {
+            Some(last) if last.cell == sample.cell => last.place,
+            _ => place(sample.cell),
+        };
         tape.push(Kept {
             cell: sample.cell,
+            place,
             frac: sample.frac,
             weight,
             behind: *light,
@@ -235,33 +255,6 @@ fn meet<T: Real>(
     true
 }
 
-/// What some rays' errors owe the grid.
-#[derive(Clone, Debug, Default)]
-pub struct Debts<T> {
-    /// Run by run.
-    pub owed: Vec<Owed<T>>,
-    /// Colour basis of each ray.
-    pub bases: Vec<[T; SH]>,
-}
-
-/// What a run of samples in one cell owes the grid: gradients at the cell's corners.
-#[derive(Clone, Copy, Debug)]
-pub struct Owed<T> {
-    /// Cell (first vertex).
-    pub cell: u32,
-    /// Which ray of its task it belongs to (for its basis).
-    pub ray: u32,
-    /// d(loss)/d(raw density) of each corner.
-    pub raw: [T; 8],
-    /// What each corner's colour weighs in the pixel.
-    pub shares: [T; 8],
-    /// What all gradients here are to be multiplied by: above 1 in a run that stands
-    /// for others that were passed over.
-    pub boost: T,
-    /// d(loss)/d(light gathered in the run's part of space).
-    pub slope: [T; 3],
-}
-
 /// Losses on a ray's weights themselves.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Regularise<T> {
@@ -272,52 +265,14 @@ pub struct Regularise<T> {
     pub sparsity: T,
 }
 
-/// Which faint runs' gradients are spread: each with a probability, and then as much
-/// the more. The mean stays what it is, and most of the work goes where the light is.
-#[derive(Clone, Copy, Debug)]
-pub struct Roulette {
-    /// Weight in the pixel below which a run takes its chance; 0 spreads all.
-    pub below: f32,
-    /// State of the chance: a seed, then whatever was drawn from it.
-    pub state: u64,
-}
-
-impl Default for Roulette {
-    fn default() -> Self {
-        Self::NONE
-    }
-}
-
-impl Roulette {
-    /// Least probability: what survives by luck does not outweigh all else.
-    const LEAST: f32 = 0.1;
-    /// Spreads everything.
-    pub const NONE: Self = Self { below: 0.0, state: 0 };
-
-    /// The factor of a run that weighs `weight`, or `None` when it is passed over.
-    #[inline(always)]
-    fn survives(&mut self, weight: f32) -> Option<f32> {
-        if weight >= self.below {
-            return Some(1.0);
-        }
-        let p = (weight / self.below).max(Self::LEAST);
-        // A linear congruential step (Knuth's MMIX): the upper bits are even enough here.
-        self.state = self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let chance = (self.state >> 40) as f32 / (1u32 << 24) as f32;
-        (chance < p).then(|| 1.0 / p)
-    }
-}
-
 /// Walks the tape back. `slope` holds d(loss)/d(each field of [`Gathered`])
-/// (its `along` is ignored). Appends to `owed`.
+/// (its `along` is ignored). Adds what the ray owes to `patch`, with which it was gathered.
 pub fn push_back<T: Real>(
+    patch: &mut Patch<T>,
     tape: &[Kept<T>],
     end: T,
     slope: &Gathered<T>,
     regularise: &Regularise<T>,
-    ray: u32,
-    roulette: &mut Roulette,
-    owed: &mut Vec<Owed<T>>,
 ) {
     // Sums over everything for the distortion's |u_i - u_j| in one pass.
     let (mut weight_all, mut moment_all) = (T::zero(), T::zero());
@@ -331,10 +286,7 @@ pub fn push_back<T: Real>(
     let two = T::of(2.0);
     for run in runs(tape).rev() {
         let (g, g_weight) = if run[0].far { (slope.far, slope.far_weight) } else { (slope.near, slope.near_weight) };
-        let weight = run.iter().fold(T::zero(), |sum, kept| sum + kept.weight);
-        let boost = roulette.survives(weight.wide() as f32);
-        let (zero, one) = ([T::zero(); 8], T::one());
-        let mut out = Owed { cell: run[0].cell, ray, raw: zero, shares: zero, boost: one, slope: g };
+        let (mut raws, mut shares) = ([T::zero(); 8], [T::zero(); 8]);
         for kept in run.iter().rev() {
             let mut e = g[0] * kept.colour[0] + g[1] * kept.colour[1] + g[2] * kept.colour[2] + g_weight;
             if regularise.distortion != T::zero() {
@@ -348,32 +300,12 @@ pub fn push_back<T: Real>(
             // d(alpha)/d(depth) = 1 - alpha: what is opaque has nothing more to pay.
             let clear = kept.behind / (kept.behind + kept.weight).max(T::min_positive_value());
             let raw = kept.slope * (kept.behind * e - later + regularise.sparsity * clear);
-            if boost.is_some() {
-                for (k, corner) in trilinear(kept.frac).into_iter().enumerate() {
-                    out.raw[k] += corner * raw;
-                    out.shares[k] += corner * kept.weight;
-                }
+            for (k, corner) in trilinear(kept.frac).into_iter().enumerate() {
+                raws[k] += corner * raw;
+                shares[k] += corner * kept.weight;
             }
             later += kept.weight * e;
         }
-        if let Some(boost) = boost {
-            out.boost = T::of(f64::from(boost));
-            owed.push(out);
-        }
-    }
-}
-
-impl<T: Real> Owed<T> {
-    /// Gradient of each corner's row: `shares[k]` times what this returns, and
-    /// `boost * raw[k]` in the last column.
-    #[inline(always)]
-    pub fn row(&self, basis: &[T; SH]) -> [T; ROW] {
-        let mut row = [T::zero(); ROW];
-        for k in 0..SH {
-            for c in 0..3 {
-                row[3 * k + c] = self.boost * self.slope[c] * basis[k];
-            }
-        }
-        row
+        patch.owe(run[0].place, &raws, &shares, g);
     }
 }

@@ -62,7 +62,7 @@ pub struct FieldConfig {
     /// In training, a sample that weighs less than this in its pixel is passed
     /// over, 0 to 0.1.
     pub skip_weight: f64,
-    /// A run of samples that weighs less than this in its pixel moves the grid only
+    /// A vertex that weighs less than this in its tile's pixels together moves only
     /// now and then, and then as much the more; 0 to 0.5.
     pub faint_weight: f64,
     /// Side of the square tiles that rays are drawn in on the last level, pixels: 1,

@@ -137,12 +137,20 @@ impl<T: Real> Grid<T> {
         rows
     }
 
-    /// Asks for the colours of rows ahead of their use: they lie far apart, and
-    /// waiting for them was a fifth of a training step.
+    /// Asks for the colours of a cell's corners ahead of their use: they lie far
+    /// apart, and waiting for them was a fifth of a training step.
     #[inline(always)]
     pub(crate) fn prefetch_colour(&self, cell: usize, corners: &[usize; 8]) {
-        #[cfg(target_arch = "x86_64")]
         for row in self.corner_rows(cell, corners) {
+            self.prefetch_row(row);
+        }
+    }
+
+    /// Asks for the colours of `row` ahead of their use.
+    #[inline(always)]
+    pub(crate) fn prefetch_row(&self, row: u32) {
+        #[cfg(target_arch = "x86_64")]
+        {
             use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
             let row: *const T = &raw const self.colour[row as usize * ROW];
             // SAFETY: a prefetch reads nothing and may name any address.
@@ -152,7 +160,7 @@ impl<T: Real> Grid<T> {
             }
         }
         #[cfg(not(target_arch = "x86_64"))]
-        let _ = (cell, corners);
+        let _ = row;
     }
 
     /// Sum of `shares` times the colours of cell `cell`'s corners, seen along the
@@ -168,14 +176,10 @@ impl<T: Real> Grid<T> {
         seen_along(&sum, basis)
     }
 
-    /// Colours of cell `cell`'s corners, seen along the direction of `basis`.
+    /// Colour of `row`, seen along the direction of `basis`.
     #[inline(always)]
-    pub(crate) fn corner_colours(&self, cell: usize, corners: &[usize; 8], basis: &[T; SH]) -> [[T; 3]; 8] {
-        let mut colours = [[T::zero(); 3]; 8];
-        for (colour, row) in colours.iter_mut().zip(self.corner_rows(cell, corners)) {
-            *colour = seen_along(self.row(row), basis);
-        }
-        colours
+    pub(crate) fn colour_along(&self, row: u32, basis: &[T; SH]) -> [T; 3] {
+        seen_along(self.row(row), basis)
     }
 
     #[inline(always)]

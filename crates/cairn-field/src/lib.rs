@@ -3,7 +3,7 @@
 //!
 //! Follow a picture through the files: [`SceneFrame`] bends a camera's rays into
 //! the unit cube, `march` finds the samples, `composite` turns them into light
-//! and walks back, `scatter` and `optimise` move the grid, [`Appearance`] tints
+//! and walks back, `patch` sums what a tile's rays owe, `optimise` moves the grid, [`Appearance`] tints
 //! the result as a view's day and camera had it. [`BaseTrainer`] drives them
 //! (stage 1), [`Field`] is the outcome. What stage 2 needs is in [`operator`].
 //!
@@ -25,10 +25,10 @@ mod occupancy;
 pub mod operator;
 mod optimise;
 mod overlay;
+pub mod patch;
 mod rays;
 mod real;
 mod sampling;
-pub mod scatter;
 pub mod sh;
 mod trainer;
 

@@ -1,5 +1,10 @@
 //! How the rows that a batch touched move; the others are not even read.
 //!
+//! Debts are sorted into shares of rows; each share is one thread's alone, and within
+//! it debts keep their order, so that any number of threads gives the same bytes. A
+//! share's gradients are summed and used up while they are at hand: there is no
+//! gradient of the whole grid.
+//!
 //! Densities move by Adam (Kingma and Ba 2015). A row's 27 colour coefficients share
 //! one second moment, that of the constant ones, and have no first (RMSprop, Hinton
 //! 2012): a twelfth of Adam's state, and the harmonics keep their proportions, for
@@ -7,7 +12,8 @@
 
 use crate::grid::{Grid, ROW};
 use crate::memory::zeros;
-use crate::scatter::Gradient;
+use crate::patch::{Debt, Debts};
+use crate::sh::SH;
 use rayon::prelude::*;
 
 const BETA_1: f32 = 0.9;
@@ -18,8 +24,8 @@ const MEMORY: f32 = 0.95;
 /// Smoothing reads six neighbours a row and pulls gently: one step in eight, eight
 /// times as hard, does the same for an eighth of the time.
 const SMOOTH_EVERY: u64 = 8;
-/// Rows a task handles.
-const TASK: usize = 2048;
+/// Rows a share has: their gradients (229 kB) stay in a core's own cache.
+const SHARE: usize = 2048;
 
 /// Adam's state: first and second moments and how many steps were taken.
 pub(crate) struct Adam {
@@ -63,10 +69,13 @@ fn moment(g: f32, first: &mut f32, second: &mut f32, fix: (f32, f32)) -> f32 {
 }
 
 /// What moving a grid's rows needs to remember of each: Adam's state of its density,
-/// and the mean square of its constant colour coefficients' gradient.
+/// the mean square of its constant colour coefficients' gradient, and its largest
+/// weight in any picture since that was last cleared.
 pub(crate) struct RowState {
     pub(crate) adam: Adam,
     pub(crate) square: Vec<f32>,
+    pub(crate) seen: Vec<f32>,
+    sorted: Sorted,
 }
 
 /// Learning rates and smoothness of one step.
@@ -80,70 +89,217 @@ pub(crate) struct Rates {
 
 impl RowState {
     pub(crate) fn zero(rows: usize) -> Self {
-        Self { adam: Adam::zero(rows), square: zeros(rows) }
+        Self::from_parts(Adam::zero(rows), zeros(rows), zeros(rows))
     }
 
-    /// One step of the whole grid; clears the gradient. Returns false, with grid
-    /// and state unchanged, when a gradient is not finite.
-    pub(crate) fn step(&mut self, grid: &mut Grid<f32>, gradient: &mut Gradient, rates: &Rates) -> bool {
-        let smooth_now = self.adam.steps.is_multiple_of(SMOOTH_EVERY);
-        if !smooth(grid, gradient, rates, smooth_now) {
-            return false;
+    pub(crate) fn from_parts(adam: Adam, square: Vec<f32>, seen: Vec<f32>) -> Self {
+        Self { adam, square, seen, sorted: Sorted::default() }
+    }
+
+    /// One step of the whole grid by what a batch owes it, `debts` by task. Returns
+    /// false, with grid and state unchanged, when smoothing has no finite gradient.
+    pub(crate) fn step(&mut self, grid: &mut Grid<f32>, debts: &[&Debts<f32>], rates: &Rates) -> bool {
+        self.sorted.sort(debts, grid.rows().div_ceil(SHARE));
+        let sorted = &self.sorted;
+        let mut pulls = Vec::new();
+        if self.adam.steps.is_multiple_of(SMOOTH_EVERY) {
+            let of = |share| pulls_on(grid, share, sorted.share(share, debts), rates);
+            pulls = (0..sorted.shares()).into_par_iter().map(of).collect();
+            if pulls.iter().any(Option::is_none) {
+                return false;
+            }
         }
         self.adam.tick();
         let fix = self.adam.corrections();
-        let mut raw = by_task(&mut grid.raw, &grid.vertex);
-        let tasks = gradient
-            .values
-            .par_chunks_mut(TASK * ROW)
-            .zip(gradient.weight.par_chunks_mut(TASK))
-            .zip(raw.par_iter_mut().zip(grid.vertex.par_chunks(TASK)))
-            .zip(grid.colour.par_chunks_mut(TASK * ROW))
-            .zip(self.adam.first.par_chunks_mut(TASK).zip(self.adam.second.par_chunks_mut(TASK)))
-            .zip(self.square.par_chunks_mut(TASK))
-            .zip(gradient.seen.par_chunks_mut(TASK).zip(gradient.seen_now.par_chunks_mut(TASK)));
-        tasks.for_each(
-            |((((((gradient, weight), ((from, raw), vertex)), colour), (first, second)), square), (seen, seen_now))| {
-                for row in 0..weight.len() {
-                    let weight = std::mem::take(&mut weight[row]);
-                    if weight == 0.0 {
-                        continue;
-                    }
-                    seen[row] = seen[row].max(std::mem::take(&mut seen_now[row]));
-                    let at = row * ROW..(row + 1) * ROW;
-                    let (g, c): (&mut [f32; ROW], &mut [f32; ROW]) = (
-                        (&mut gradient[at.clone()]).try_into().expect("ROW numbers"),
-                        (&mut colour[at]).try_into().expect("ROW numbers"),
-                    );
-                    let raw = &mut raw[vertex[row] as usize - *from];
-                    *raw -= rates.density * moment(g[ROW - 1], &mut first[row], &mut second[row], fix);
-                    g[ROW - 1] = 0.0;
-                    let now = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) / 3.0;
-                    // The first touch is all that is known.
-                    square[row] = if square[row] == 0.0 { now } else { MEMORY * square[row] + (1.0 - MEMORY) * now };
-                    let step = rates.colour / (square[row].sqrt() + EPSILON);
-                    for k in 0..3 {
-                        c[k] -= step * g[k];
-                    }
-                    let step = step * rates.view_dependence;
-                    for k in 3..ROW {
-                        c[k] -= step * g[k];
-                    }
-                    *g = [0.0; ROW];
-                }
-            },
-        );
+        let raw = by_share(&mut grid.raw, &grid.vertex);
+        let shares: Vec<Share<'_>> = raw
+            .into_iter()
+            .zip(grid.vertex.chunks(SHARE).zip(grid.colour.chunks_mut(SHARE * ROW)))
+            .zip(self.adam.first.chunks_mut(SHARE).zip(self.adam.second.chunks_mut(SHARE)))
+            .zip(self.square.chunks_mut(SHARE).zip(self.seen.chunks_mut(SHARE)))
+            .map(|((((from, raw), (vertex, colour)), (first, second)), (square, seen))| Share {
+                from,
+                raw,
+                vertex,
+                colour,
+                first,
+                second,
+                square,
+                seen,
+            })
+            .collect();
+        let few = (sorted.shares() / 64).max(1);
+        shares.into_par_iter().enumerate().with_min_len(few).for_each_init(Sums::new, |sums, (n, mut share)| {
+            for debt in sorted.share(n, debts) {
+                sums.add(debt.0, debt.1, n);
+            }
+            for (row, pull) in pulls.get(n).into_iter().flatten().flatten() {
+                sums.pull(*row, pull);
+            }
+            sums.spend(|row, gradient, most| share.step(row, gradient, most, rates, fix));
+        });
         true
     }
 }
 
-/// The stretch of `raw` in which each task's rows lie, and where it begins.
-fn by_task<'a>(raw: &'a mut [f32], vertex: &[u32]) -> Vec<(usize, &'a mut [f32])> {
+/// A share of the rows, and all that belongs to them.
+struct Share<'a> {
+    /// The first vertex in `raw`.
+    from: usize,
+    raw: &'a mut [f32],
+    vertex: &'a [u32],
+    colour: &'a mut [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+    square: &'a mut [f32],
+    seen: &'a mut [f32],
+}
+
+impl Share<'_> {
+    /// Moves `row` (counted from the share's first) along its gradient.
+    #[inline(always)]
+    fn step(&mut self, row: usize, g: &[f32; ROW], most: f32, rates: &Rates, fix: (f32, f32)) {
+        self.seen[row] = self.seen[row].max(most);
+        let raw = &mut self.raw[self.vertex[row] as usize - self.from];
+        *raw -= rates.density * moment(g[ROW - 1], &mut self.first[row], &mut self.second[row], fix);
+        let now = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) / 3.0;
+        let square = &mut self.square[row];
+        // The first touch is all that is known.
+        *square = if *square == 0.0 { now } else { MEMORY * *square + (1.0 - MEMORY) * now };
+        let step = rates.colour / (square.sqrt() + EPSILON);
+        let colour: &mut [f32; ROW] = (&mut self.colour[row * ROW..(row + 1) * ROW]).try_into().expect("ROW numbers");
+        for k in 0..3 {
+            colour[k] -= step * g[k];
+        }
+        let step = step * rates.view_dependence;
+        for k in 3..ROW - 1 {
+            colour[k] -= step * g[k];
+        }
+    }
+}
+
+/// The gradients of one share's rows: coefficients, and the raw density's in the last column.
+struct Sums {
+    gradient: Vec<[f32; ROW]>,
+    /// Largest weight in a pixel; below zero where the row was not touched.
+    most: Vec<f32>,
+    /// Rows touched, in that order.
+    touched: Vec<u16>,
+}
+
+impl Sums {
+    fn new() -> Self {
+        Self { gradient: vec![[0.0; ROW]; SHARE], most: vec![-1.0; SHARE], touched: Vec::with_capacity(SHARE) }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, debt: &Debt<f32>, basis: &[f32; SH], share: usize) {
+        let row = debt.row as usize - share * SHARE;
+        let sum = &mut self.gradient[row];
+        if self.most[row] < 0.0 {
+            *sum = [0.0; ROW];
+            self.touched.push(row as u16);
+        }
+        self.most[row] = self.most[row].max(debt.most);
+        for (three, b) in sum.chunks_exact_mut(3).zip(basis) {
+            for (s, light) in three.iter_mut().zip(debt.light) {
+                *s += light * b;
+            }
+        }
+        sum[ROW - 1] += debt.raw;
+    }
+
+    /// Adds smoothing's pull on a row that was touched.
+    fn pull(&mut self, row: u16, pull: &[f32; ROW]) {
+        for (s, p) in self.gradient[row as usize].iter_mut().zip(pull) {
+            *s += p;
+        }
+    }
+
+    /// Hands each touched row to `each`, then knows of none.
+    #[inline(always)]
+    fn spend(&mut self, mut each: impl FnMut(usize, &[f32; ROW], f32)) {
+        for row in self.touched.drain(..) {
+            let row = row as usize;
+            each(row, &self.gradient[row], std::mem::replace(&mut self.most[row], -1.0));
+        }
+    }
+}
+
+/// Which debts go to which share of rows.
+#[derive(Default)]
+struct Sorted {
+    /// Task and place of each debt, by share.
+    order: Vec<(u32, u32)>,
+    /// Where each share begins in `order`, and the end.
+    bounds: Vec<u32>,
+}
+
+/// A pointer that several threads may use on disjoint places.
+struct Shared<T>(*mut T);
+// SAFETY: used only by `Sorted::sort`, which gives each place to one thread.
+unsafe impl<T> Sync for Shared<T> {}
+
+impl Sorted {
+    fn shares(&self) -> usize {
+        self.bounds.len() - 1
+    }
+
+    /// A counting sort: how many of each task go to each share, then where.
+    fn sort(&mut self, debts: &[&Debts<f32>], shares: usize) {
+        let mut offsets: Vec<Vec<u32>> = debts
+            .par_iter()
+            .map(|debts| {
+                let mut count = vec![0u32; shares];
+                debts.owed.iter().for_each(|o| count[o.row as usize / SHARE] += 1);
+                count
+            })
+            .collect();
+        self.bounds.clear();
+        let mut next = 0;
+        for share in 0..shares {
+            self.bounds.push(next);
+            for offset in &mut offsets {
+                let count = std::mem::replace(&mut offset[share], next);
+                next += count;
+            }
+        }
+        self.bounds.push(next);
+        self.order.resize(next as usize, (0, 0));
+        let slots = Shared(self.order.as_mut_ptr());
+        debts.par_iter().zip(offsets).enumerate().for_each(|(task, (debts, mut offset))| {
+            let slots = &slots;
+            for (i, o) in debts.owed.iter().enumerate() {
+                let slot = &mut offset[o.row as usize / SHARE];
+                // SAFETY: the offsets give every debt a slot of its own below `next`.
+                unsafe { *slots.0.add(*slot as usize) = (task as u32, i as u32) };
+                *slot += 1;
+            }
+        });
+    }
+
+    /// The debts of a share, each with the basis of its tile.
+    #[inline(always)]
+    fn share<'a>(
+        &'a self,
+        share: usize,
+        debts: &'a [&Debts<f32>],
+    ) -> impl Iterator<Item = (&'a Debt<f32>, &'a [f32; SH])> {
+        self.order[self.bounds[share] as usize..self.bounds[share + 1] as usize].iter().map(|&(task, i)| {
+            let debts = debts[task as usize];
+            let debt = &debts.owed[i as usize];
+            (debt, &debts.bases[debt.tile as usize])
+        })
+    }
+}
+
+/// The stretch of `raw` in which each share's rows lie, and where it begins.
+fn by_share<'a>(raw: &'a mut [f32], vertex: &[u32]) -> Vec<(usize, &'a mut [f32])> {
     let mut rest = (0, raw);
     vertex
-        .chunks(TASK)
+        .chunks(SHARE)
         .map(|rows| {
-            // Row 0 has no vertex, and as the only row of a task no stretch.
+            // Row 0 has no vertex, and as the only row of a share no stretch.
             let end = rows.last().filter(|v| **v != u32::MAX).map_or(rest.0, |v| *v as usize + 1);
             let (mine, others) = std::mem::take(&mut rest.1).split_at_mut(end - rest.0);
             let from = std::mem::replace(&mut rest.0, end);
@@ -153,49 +309,58 @@ fn by_task<'a>(raw: &'a mut [f32], vertex: &[u32]) -> Vec<(usize, &'a mut [f32])
         .collect()
 }
 
-/// With `now`, adds the gradient of squared differences between touched vertices
-/// and their six neighbours; false when any touched gradient is not finite.
-fn smooth(grid: &Grid<f32>, gradient: &mut Gradient, rates: &Rates, now: bool) -> bool {
+/// The gradient of squared differences between the rows of share `share` that `debts`
+/// touch (each once, counted from the share's first) and their six neighbours; `None`
+/// when one is not finite.
+fn pulls_on<'a>(
+    grid: &Grid<f32>,
+    share: usize,
+    debts: impl Iterator<Item = (&'a Debt<f32>, &'a [f32; SH])>,
+    rates: &Rates,
+) -> Option<Vec<(u16, [f32; ROW])>> {
+    let mut met = vec![false; SHARE];
+    let mut pulls = Vec::new();
+    for (debt, _) in debts {
+        let row = debt.row as usize - share * SHARE;
+        if !std::mem::replace(&mut met[row], true) {
+            let pull = pull_on(grid, debt.row as usize, rates);
+            // The moments hold squares; one that is not finite makes the sum so.
+            if !pull.iter().map(|g| g * g).sum::<f32>().is_finite() {
+                return None;
+            }
+            pulls.push((row as u16, pull));
+        }
+    }
+    Some(pulls)
+}
+
+fn pull_on(grid: &Grid<f32>, row: usize, rates: &Rates) -> [f32; ROW] {
     let (for_colour, for_density) =
         (rates.smooth_colour * SMOOTH_EVERY as f32, rates.smooth_density * SMOOTH_EVERY as f32);
     let [nx, ny, nz] = grid.dims;
     let strides = [1usize, nx, nx * ny];
-    gradient
-        .values
-        .par_chunks_mut(TASK * ROW)
-        .zip(gradient.weight.par_chunks(TASK))
-        .enumerate()
-        .map(|(task, (values, weight))| {
-            let mut fine = true;
-            for (i, _) in weight.iter().enumerate().filter(|(_, w)| **w != 0.0) {
-                let row = task * TASK + i;
-                let v = grid.vertex[row] as usize;
-                let at = [v % nx, v / nx % ny, v / (nx * ny)];
-                let out: &mut [f32; ROW] = (&mut values[i * ROW..(i + 1) * ROW]).try_into().expect("ROW numbers");
-                let mine: &[f32; ROW] = grid.colour[row * ROW..(row + 1) * ROW].try_into().expect("ROW numbers");
-                for axis in 0..if now { 3 } else { 0 } {
-                    for up in [false, true] {
-                        if (up && at[axis] + 1 >= [nx, ny, nz][axis]) || (!up && at[axis] == 0) {
-                            continue;
-                        }
-                        let neighbour = if up { v + strides[axis] } else { v - strides[axis] };
-                        let other = grid.index[neighbour] as usize;
-                        if other == 0 {
-                            continue;
-                        }
-                        let theirs: &[f32; ROW] =
-                            grid.colour[other * ROW..(other + 1) * ROW].try_into().expect("ROW numbers");
-                        // The last column of both is zero.
-                        for k in 0..ROW {
-                            out[k] += for_colour * (mine[k] - theirs[k]);
-                        }
-                        out[ROW - 1] += for_density * (grid.raw[v] - grid.raw[neighbour]);
-                    }
-                }
-                // The moments hold squares; one that is not finite makes the sum so.
-                fine &= out.iter().map(|g| g * g).sum::<f32>().is_finite();
+    let v = grid.vertex[row] as usize;
+    let at = [v % nx, v / nx % ny, v / (nx * ny)];
+    let numbers =
+        |row: usize| -> &[f32; ROW] { grid.colour[row * ROW..(row + 1) * ROW].try_into().expect("ROW numbers") };
+    let mine = numbers(row);
+    let mut pull = [0.0; ROW];
+    for axis in 0..3 {
+        for up in [false, true] {
+            if (up && at[axis] + 1 >= [nx, ny, nz][axis]) || (!up && at[axis] == 0) {
+                continue;
             }
-            fine
-        })
-        .reduce(|| true, |a, b| a && b)
+            let neighbour = if up { v + strides[axis] } else { v - strides[axis] };
+            let other = grid.index[neighbour] as usize;
+            if other == 0 {
+                continue;
+            }
+            // The last column of both is zero.
+            for ((p, mine), theirs) in pull.iter_mut().zip(mine).zip(numbers(other)) {
+                *p += for_colour * (mine - theirs);
+            }
+            pull[ROW - 1] += for_density * (grid.raw[v] - grid.raw[neighbour]);
+        }
+    }
+    pull
 }

@@ -13,7 +13,6 @@ use crate::grid::{DENSITY_SCALE, Grid, raw_of};
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
 use crate::sampling::{Tile, Tiles};
-use crate::scatter::Gradient;
 use cairn_capture::{Camera, Picture};
 use glam::DVec3;
 use std::sync::Arc;
@@ -63,7 +62,6 @@ pub struct BaseTrainer {
     pub(crate) views: Vec<Prepared>,
     pub(crate) grid: Grid<f32>,
     pub(crate) rows: RowState,
-    pub(crate) gradient: Gradient,
     batch: Batch,
     pub(crate) neutral: Appearance,
     /// One a view; empty where the scene needs none.
@@ -114,7 +112,6 @@ impl BaseTrainer {
             views,
             grid,
             rows: RowState::zero(rows),
-            gradient: Gradient::zero(rows),
             batch: Batch::default(),
             neutral,
             appearances,
@@ -187,7 +184,6 @@ impl BaseTrainer {
         if !codes.values.iter().all(|v| v.is_finite()) {
             return Err(self.not_finite("a gradient of an appearance"));
         }
-        self.gradient.add(&self.grid, &batch.debts());
         let decay = self.config.final_rate.powf(progress) as f32;
         let rates = Rates {
             density: self.config.learning_rate_density as f32 * decay,
@@ -196,7 +192,7 @@ impl BaseTrainer {
             smooth_density: self.config.smooth_density as f32,
             smooth_colour: self.config.smooth_colour as f32,
         };
-        if !self.rows.step(&mut self.grid, &mut self.gradient, &rates) {
+        if !self.rows.step(&mut self.grid, &batch.debts(), &rates) {
             return Err(self.not_finite("a gradient of the grid"));
         }
         self.move_appearances(codes, self.config.learning_rate_appearance as f32 * decay);
@@ -251,15 +247,14 @@ impl BaseTrainer {
 
     /// The rows worth keeping, by what was seen of late.
     fn kept(&self) -> Vec<bool> {
-        self.grid.near_seen(&self.gradient.seen, self.config.prune_weight as f32)
+        self.grid.near_seen(&self.rows.seen, self.config.prune_weight as f32)
     }
 
     fn stats(&self, loss: f64) -> StepStats {
         StepStats { step: self.step, total: self.config.steps, loss, psnr_db: -10.0 * loss.max(1e-20).log10() }
     }
 
-    fn not_finite(&mut self, place: &str) -> FieldError {
-        self.gradient.clear();
+    fn not_finite(&self, place: &str) -> FieldError {
         FieldError::NotFinite { step: self.step, place: place.into() }
     }
 
@@ -269,14 +264,13 @@ impl BaseTrainer {
         let end = |level: usize| level_end(&self.config, level);
         if self.level + 1 < self.config.levels && self.step >= end(self.level) {
             // Coarse cells are kept whole: that is margin enough.
-            let keep: Vec<bool> = self.gradient.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
+            let keep: Vec<bool> = self.rows.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
             self.level += 1;
             let part = self.tighten(&keep);
             let dims = dims_of_level(&self.config, &self.frame, self.level);
             self.grid = self.grid.resampled(dims, part, &keep);
             self.grid.refresh_occupancy(empty_density(self.grid.dims));
             self.rows = RowState::zero(self.grid.rows());
-            self.gradient = Gradient::zero(self.grid.rows());
             self.lay_tiles();
             return;
         }
@@ -287,7 +281,7 @@ impl BaseTrainer {
                 self.grid.clear(&keep);
                 self.grid.refresh_occupancy(empty_density(self.grid.dims));
             }
-            self.gradient.seen.fill(0.0);
+            self.rows.seen.fill(0.0);
         }
         if self.step % 64 == 63 {
             self.grid.refresh_occupancy(empty_density(self.grid.dims));

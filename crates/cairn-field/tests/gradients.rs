@@ -5,8 +5,9 @@
 mod common;
 
 use cairn_field::appearance::{FEATURES, features};
-use cairn_field::composite::{Gathered, Owed, Regularise, Roulette, Thresholds, gather, push_back};
+use cairn_field::composite::{Gathered, Regularise, Thresholds, gather, push_back};
 use cairn_field::grid::{Grid, ROW};
+use cairn_field::patch::{Debts, Patch, Roulette};
 use cairn_field::sh::{SH, basis};
 use cairn_field::{Appearance, RayPath, SceneFrame};
 use common::{Numbers, ahead, ball_box, ball_in_the_open, random_appearance, random_grid};
@@ -34,10 +35,11 @@ fn rays(frame: &SceneFrame, origin: DVec3, aims: &[DVec3]) -> Vec<Ray> {
 
 /// Squared error of all rays plus the losses on their weights, from the definitions.
 fn loss(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> f64 {
-    let mut tape = Vec::new();
+    let (mut tape, mut patch) = (Vec::new(), Patch::default());
     let mut sum = 0.0;
     for (path, basis) in rays {
-        let gathered = gather(grid, path, basis, OFFSET, Thresholds::EXACT, &mut tape);
+        patch.begin(*basis);
+        let gathered = gather(grid, &mut patch, path, OFFSET, Thresholds::EXACT, &mut tape);
         let shade = look.shade(&features(&gathered, basis));
         sum += (0..3).map(|c| (shade[c] - TARGET[c]).powi(2)).sum::<f64>();
         for a in &tape {
@@ -54,27 +56,30 @@ fn loss(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> f64 {
 
 /// The same loss's gradient by the renderer's own walk, `rows x ROW`.
 fn gradient(grid: &Grid<f64>, rays: &[Ray], look: &Appearance, mut roulette: Roulette) -> Vec<f64> {
-    let mut tape = Vec::new();
-    let mut owed: Vec<Owed<f64>> = Vec::new();
-    for (ray, (path, basis)) in rays.iter().enumerate() {
-        let gathered = gather(grid, path, basis, OFFSET, Thresholds::EXACT, &mut tape);
+    let (mut tape, mut patch) = (Vec::new(), Patch::default());
+    let mut debts = Debts::default();
+    for (path, basis) in rays {
+        patch.begin(*basis);
+        let gathered = gather(grid, &mut patch, path, OFFSET, Thresholds::EXACT, &mut tape);
         let shade = look.shade(&features(&gathered, basis));
         let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), basis);
-        push_back(&tape, gathered.end, &slope, &REGULARISE, ray as u32, &mut roulette, &mut owed);
+        push_back(&mut patch, &tape, gathered.end, &slope, &REGULARISE);
+        assert!(patch.settle(&mut roulette, &mut debts), "finite gradients");
     }
+    by_row(grid, &debts)
+}
+
+/// All debts added up, `rows x ROW`.
+fn by_row(grid: &Grid<f64>, debts: &Debts<f64>) -> Vec<f64> {
     let mut out = vec![0.0; grid.rows() * ROW];
-    for o in &owed {
-        let add = o.row(&rays[o.ray as usize].1);
-        for (k, corner) in grid.corners().into_iter().enumerate() {
-            let row = grid.index[o.cell as usize + corner] as usize;
-            if row == 0 {
-                continue;
+    for debt in &debts.owed {
+        let out = &mut out[debt.row as usize * ROW..][..ROW];
+        for (k, b) in debts.bases[debt.tile as usize].iter().enumerate() {
+            for c in 0..3 {
+                out[3 * k + c] += debt.light[c] * b;
             }
-            for (out, add) in out[row * ROW..].iter_mut().zip(add) {
-                *out += o.shares[k] * add;
-            }
-            out[row * ROW + ROW - 1] += o.boost * o.raw[k];
         }
+        out[ROW - 1] += debt.raw;
     }
     out
 }
@@ -180,8 +185,9 @@ fn an_appearance_code() {
     let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
     let rays = rays(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1)]);
     let look = random_appearance(9);
-    let mut tape = Vec::new();
-    let gathered = gather(&grid, &rays[0].0, &rays[0].1, OFFSET, Thresholds::EXACT, &mut tape);
+    let mut patch = Patch::default();
+    patch.begin(rays[0].1);
+    let gathered = gather(&grid, &mut patch, &rays[0].0, OFFSET, Thresholds::EXACT, &mut Vec::new());
     let f = features(&gathered, &rays[0].1);
     let shade = look.shade(&f);
     let mut found = [0.0f64; common::CODE];
@@ -203,7 +209,7 @@ fn an_appearance_code() {
 }
 
 #[test]
-fn faint_runs_left_to_chance_keep_the_mean() {
+fn faint_vertices_left_to_chance_keep_the_mean() {
     let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
     let rays = rays(&ball_box(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 0.9, 0.4)]);
     let look = random_appearance(3);
@@ -217,7 +223,7 @@ fn faint_runs_left_to_chance_keep_the_mean() {
         differed |= drawn != exact;
         sum.iter_mut().zip(drawn).for_each(|(s, v)| *s += v);
     }
-    assert!(differed, "some runs are faint");
+    assert!(differed, "some vertices are faint");
     let size = exact.iter().map(|v| v * v).sum::<f64>().sqrt();
     let off = exact.iter().zip(sum).map(|(a, b)| (a - b / f64::from(draws)).powi(2)).sum::<f64>().sqrt();
     // The spread of one draw is below the gradient's size: 4000 leave a sixtieth of it.
@@ -235,22 +241,58 @@ fn extreme_rays_have_finite_gradients() {
         for frame in [ball_box(), ball_in_the_open()] {
             let path = frame.path(DVec3::new(-3.0, 0.1, 1.0), d);
             let basis = basis([d.x as f32, d.y as f32, d.z as f32]);
-            let mut tape = Vec::new();
-            let gathered = gather(&grid, &path, &basis, 0.5, Thresholds::SHOWN, &mut tape);
+            let (mut tape, mut patch) = (Vec::new(), Patch::default());
+            patch.begin(basis);
+            let gathered = gather(&grid, &mut patch, &path, 0.5, Thresholds::SHOWN, &mut tape);
             if raw >= 50.0 {
                 assert_eq!(gathered.end, 0.0, "raw density {raw} lets nothing through");
             }
             if raw <= -50.0 {
                 assert_eq!(gathered.end, 1.0, "raw density {raw} stops nothing");
             }
-            let mut owed = Vec::new();
             let slope = random_appearance(4).pull([1.0f32, -2.0, 0.5], &basis);
             let regularise = Regularise { distortion: 0.1, sparsity: 0.1 };
-            push_back(&tape, gathered.end, &slope, &regularise, 0, &mut Roulette::default(), &mut owed);
-            for o in &owed {
-                let numbers = o.raw.iter().chain(&o.shares).chain(&o.slope);
-                assert!(numbers.copied().all(f32::is_finite), "raw density {raw}: {o:?}");
+            push_back(&mut patch, &tape, gathered.end, &slope, &regularise);
+            let mut debts = Debts::default();
+            assert!(patch.settle(&mut Roulette::default(), &mut debts), "raw density {raw}");
+            for debt in &debts.owed {
+                let numbers = debt.light.iter().chain([&debt.raw, &debt.most]);
+                assert!(numbers.copied().all(f32::is_finite), "raw density {raw}: {debt:?}");
             }
         }
     }
+}
+
+#[test]
+fn rays_of_one_tile_add_up() {
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let aims = [DVec3::new(0.3, -0.2, 0.1), DVec3::new(0.35, -0.2, 0.1), DVec3::new(0.3, -0.1, 0.12)];
+    let rays = rays(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &aims);
+    let basis = rays[0].1;
+    let look = random_appearance(3);
+    // Each ray by itself, all seen along one direction, against the three in one patch.
+    let alone: Vec<Ray> = rays.iter().map(|(path, _)| (path.clone(), basis)).collect();
+    let expected = gradient(&grid, &alone, &look, Roulette::NONE);
+    let (mut tape, mut patch, mut debts) = (Vec::new(), Patch::default(), Debts::default());
+    patch.begin(basis);
+    for (path, _) in &rays {
+        let gathered = gather(&grid, &mut patch, path, OFFSET, Thresholds::EXACT, &mut tape);
+        let shade = look.shade(&features(&gathered, &basis));
+        let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), &basis);
+        push_back(&mut patch, &tape, gathered.end, &slope, &REGULARISE);
+    }
+    assert!(patch.settle(&mut Roulette::default(), &mut debts), "finite gradients");
+    assert_eq!(debts.bases.len(), 1);
+    let mut rows: Vec<u32> = debts.owed.iter().map(|d| d.row).collect();
+    let met = rows.len();
+    rows.sort_unstable();
+    rows.dedup();
+    assert_eq!(rows.len(), met, "every row once");
+    for (a, b) in by_row(&grid, &debts).iter().zip(&expected) {
+        assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{a} for {b}");
+    }
+    // A gradient beyond all measure is refused.
+    let huge = Gathered { near: [f64::INFINITY; 3], far: [f64::NAN; 3], ..Gathered::default() };
+    push_back(&mut patch, &tape, 0.0, &huge, &REGULARISE);
+    assert!(!patch.settle(&mut Roulette::default(), &mut debts));
 }

@@ -10,6 +10,7 @@ use cairn_field::appearance::features;
 use cairn_field::composite::gather;
 use cairn_field::grid::{DENSITY_SCALE, EMPTY_RAW, Grid, ROW};
 use cairn_field::march::STEP_VOXELS;
+use cairn_field::patch::Patch;
 use cairn_field::sh::basis;
 use cairn_field::{Appearance, SceneFrame, Thresholds};
 use common::{Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
@@ -224,7 +225,9 @@ fn rendered(frame: &SceneFrame, grid: &Grid<f64>, look: &Appearance, camera: &Ca
     let limits = Thresholds { step, ..Thresholds::EXACT };
     let shade = |(o, d): (DVec3, DVec3)| {
         let basis = basis(d.to_array());
-        let gathered = gather(grid, &frame.path(o, d), &basis, 0.5, limits, &mut Vec::new());
+        let mut patch = Patch::default();
+        patch.begin(basis);
+        let gathered = gather(grid, &mut patch, &frame.path(o, d), 0.5, limits, &mut Vec::new());
         look.shade(&features(&gathered, &basis))
     };
     rays(camera).into_iter().map(shade).collect()

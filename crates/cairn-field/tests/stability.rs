@@ -6,6 +6,7 @@ mod common;
 use cairn_field::appearance::features;
 use cairn_field::composite::{Gathered, Kept, gather};
 use cairn_field::grid::Grid;
+use cairn_field::patch::Patch;
 use cairn_field::sh::basis;
 use cairn_field::{Appearance, RayPath, Real, SceneFrame, Thresholds};
 use common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
@@ -28,8 +29,9 @@ fn rays(frame: &SceneFrame) -> Vec<(DVec3, DVec3)> {
 }
 
 fn gathered<T: Real>(frame: &SceneFrame, grid: &Grid<T>, (o, d): (DVec3, DVec3), limits: Thresholds) -> Gathered<T> {
-    let basis = basis(d.to_array().map(T::of));
-    gather(grid, &frame.path(o, d), &basis, 0.5, limits, &mut Vec::<Kept<T>>::new())
+    let mut patch = Patch::default();
+    patch.begin(basis(d.to_array().map(T::of)));
+    gather(grid, &mut patch, &frame.path(o, d), 0.5, limits, &mut Vec::<Kept<T>>::new())
 }
 
 fn frames() -> [SceneFrame; 3] {

@@ -4,6 +4,7 @@
 use cairn_capture::{Camera, Picture};
 use cairn_field::appearance::features;
 use cairn_field::composite::gather;
+use cairn_field::patch::Patch;
 use cairn_field::{Appearance, Field, Thresholds, sh};
 
 /// What a pixel leaves out as shipped.
@@ -56,11 +57,12 @@ pub fn render_exact(field: &Field, camera: &Camera, appearance: &Appearance, ste
     grid.refresh_occupancy(0.0);
     let limits = Thresholds { alpha: 0.0, transmittance: 0.0, weight: 0.0, step: step_voxels };
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-    let mut tape = Vec::new();
+    let (mut tape, mut patch) = (Vec::new(), Patch::default());
     let mut pixel = |at: usize| {
         let (origin, direction) = camera.ray((at % w) as f64 + 0.5, (at / w) as f64 + 0.5);
         let basis = sh::basis(direction.to_array());
-        let gathered = gather(&grid, &field.frame().path(origin, direction), &basis, 0.5, limits, &mut tape);
+        patch.begin(basis);
+        let gathered = gather(&grid, &mut patch, &field.frame().path(origin, direction), 0.5, limits, &mut tape);
         appearance.shade(&features(&gathered, &basis))
     };
     (0..w * h).flat_map(&mut pixel).collect()
