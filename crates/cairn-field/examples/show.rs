@@ -1,6 +1,6 @@
-//! Renders a stored field again and again and prints rays a second.
+//! Drops what shows less than LEAST from a stored field, then prints PSNR and rays a second.
 //!
-//! `cargo run --release -p cairn-field --example show -- FIELD FOLDER SCALE`
+//! `cargo run --release -p cairn-field --example show -- FIELD FOLDER SCALE LEAST`
 
 use cairn_capture::{Capture, ReadOptions};
 use cairn_field::{Field, Thresholds};
@@ -8,11 +8,22 @@ use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();
-    let [_, file, folder, scale] = arguments.as_slice() else {
-        return Err("usage: show FIELD FOLDER SCALE".into());
+    let [_, file, folder, scale, least] = arguments.as_slice() else {
+        return Err("usage: show FIELD FOLDER SCALE LEAST".into());
     };
     let field = Field::from_bytes(&std::fs::read(file)?)?;
     let capture = Capture::read(folder.as_ref(), &ReadOptions::default())?;
+    let cameras: Vec<_> = capture.training().map(|i| capture.views[i].camera).collect();
+    let field = field.only_what_shows(&cameras, least.parse()?);
+    let db = |i: usize| -> Result<f64, Box<dyn std::error::Error>> {
+        let photograph = capture.photograph(i)?;
+        let camera = capture.views[i].camera;
+        let render = field.render(&camera, field.canonical_appearance()).clamped();
+        let d = render.rgb().iter().zip(photograph.rgb()).map(|(a, b)| f64::from(a - b).powi(2));
+        Ok(-10.0 * (d.sum::<f64>() / photograph.rgb().len() as f64).log10())
+    };
+    let n = capture.held_out().take(12).count() as f64;
+    println!("{:.2} dB", capture.held_out().take(12).map(db).sum::<Result<f64, _>>()? / n);
     let scale: f64 = scale.parse()?;
     let (mut rays, started) = (0.0, Instant::now());
     for i in capture.held_out().take(12) {

@@ -14,13 +14,16 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 /// Format of a stored field; another number is refused by name.
-pub const FIELD_FORMAT: &str = "cairn.field/2";
+pub const FIELD_FORMAT: &str = "cairn.field/3";
 /// Density (per unit-cube length) below which a cell counts as empty: a step
 /// through it stops less than a ten-thousandth of the light.
 pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
     let largest = dims.iter().copied().max().unwrap_or(2);
     1e-4 * (largest - 1) as f64 / crate::march::STEP_VOXELS
 }
+
+/// Side of the squares that pictures are rendered in, pixels.
+const SQUARE_PX: usize = 8;
 
 /// A radiance field after stage 1 (theta_0). Immutable.
 #[derive(Clone, Debug)]
@@ -114,14 +117,23 @@ impl Field {
     /// What every pixel of `camera` gathers, row-major, with its colour basis.
     pub fn gather_view(&self, camera: &Camera, limits: Thresholds) -> Vec<(Gathered<f32>, [f32; SH])> {
         let lens = Lens::new(camera);
-        (0..lens.pixels())
-            .into_par_iter()
-            .with_min_len(64)
-            .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
-                let (path, basis) = lens.ray(camera, &self.frame, at);
-                (see(&self.grid, &path, &basis, limits, tape), basis)
-            })
-            .collect()
+        let (w, h) = lens.size();
+        let mut all = vec![(Gathered::default(), [0.0; SH]); w * h];
+        // In small squares, so that neighbouring rays find the same rows still at hand.
+        all.par_chunks_mut(SQUARE_PX * w).enumerate().for_each_init(
+            Vec::new,
+            |tape: &mut Vec<Kept<f32>>, (n, band)| {
+                for left in (0..w).step_by(SQUARE_PX) {
+                    for (y, row) in band.chunks_exact_mut(w).enumerate() {
+                        for (x, out) in row.iter_mut().enumerate().skip(left).take(SQUARE_PX) {
+                            let (path, basis) = lens.ray(camera, &self.frame, (n * SQUARE_PX + y) * w + x);
+                            *out = (see(&self.grid, &path, &basis, limits, tape), basis);
+                        }
+                    }
+                }
+            },
+        );
+        all
     }
 
     /// Renders `camera` as `appearance` has it; colours are not clamped.
@@ -168,7 +180,10 @@ impl Field {
         Ok(Appearance::fit(&f, &pixels, &self.canonical, ridge))
     }
 
-    /// The field as safetensors with a versioned header. Equal fields give equal bytes.
+    /// The field as safetensors with a versioned header: rows' vertices, raw densities,
+    /// colour coefficients in half precision, and which cells may hold anything (a bit
+    /// each in blocks of 4 x 4 x 4; all where there is no such tensor). Equal fields give
+    /// equal bytes.
     ///
     /// # Errors
     /// [`FieldError::Stored`] when it cannot be written out.
@@ -187,8 +202,10 @@ impl Field {
             .chunks_exact(ROW)
             .flat_map(|row| row[..3 * SH].iter().flat_map(|v| f16::from_f32(*v).to_le_bytes()))
             .collect();
+        let cells: Vec<u8> = self.grid.occupancy.allowed().iter().flat_map(|v| v.to_le_bytes()).collect();
         let bad = |e: safetensors::SafeTensorError| stored("field", e.to_string());
         let tensors = [
+            ("cells", TensorView::new(Dtype::U64, vec![cells.len() / 8], &cells).map_err(bad)?),
             ("colour", TensorView::new(Dtype::F16, vec![rows, SH, 3], &colour).map_err(bad)?),
             ("density", TensorView::new(Dtype::F32, vec![rows], &raw).map_err(bad)?),
             ("vertex", TensorView::new(Dtype::U32, vec![rows], &vertex).map_err(bad)?),
@@ -224,6 +241,13 @@ impl Field {
         for (row, bytes) in grid.colour[ROW..].chunks_exact_mut(ROW).zip(colour.data().chunks_exact(3 * SH * 2)) {
             for (v, b) in row.iter_mut().zip(bytes.chunks_exact(2)) {
                 *v = f16::from_le_bytes([b[0], b[1]]).to_f32();
+            }
+        }
+        if let Ok(cells) = file.tensor("cells") {
+            let words: Vec<u64> =
+                cells.data().chunks_exact(8).map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes"))).collect();
+            if cells.dtype() != Dtype::U64 || !grid.occupancy.allow_only(&words) {
+                return Err(stored("field", "its cells do not fit its grid".into()));
             }
         }
         if !(grid.raw.iter().all(|v| v.is_finite()) && grid.colour.iter().all(|v| v.is_finite())) {

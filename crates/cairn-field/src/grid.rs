@@ -257,6 +257,26 @@ impl<T: Real> Grid<T> {
         }
     }
 
+    /// Allows no other cells than `words` has, and drops the rows that are then at no
+    /// corner of an occupied one.
+    pub(crate) fn keep_cells(&mut self, words: &[u64]) {
+        self.occupancy.allow_only(words);
+        let [nx, ny, nz] = self.dims;
+        let near = |a: usize, n: usize| a.saturating_sub(1)..(a + 1).min(n - 1);
+        let needed = |v: u32| {
+            let [x, y, z] = self.place(v);
+            near(z, nz).any(|z| near(y, ny).any(|y| near(x, nx).any(|x| self.occupancy.holds([x, y, z]))))
+        };
+        let kept: Vec<u32> = self.vertex[1..].par_iter().copied().filter(|v| needed(*v)).collect();
+        let mut grid = Self::with_vertices(self.dims, kept);
+        for (v, colour) in grid.vertex[1..].iter().zip(grid.colour[ROW..].chunks_exact_mut(ROW)) {
+            colour.copy_from_slice(self.row(self.index[*v as usize]));
+            grid.raw[*v as usize] = self.raw[*v as usize];
+        }
+        std::mem::swap(&mut grid.occupancy, &mut self.occupancy);
+        *self = grid;
+    }
+
     /// The part of the field between unit-cube places `low` and `high` on a lattice
     /// that is finer (or coarser): a vertex of the result gets a row where `keep` (by old
     /// row, row 0 ignored) holds at a corner of the old cell it falls into. Values are

@@ -30,6 +30,7 @@ mod rays;
 mod real;
 mod sampling;
 pub mod sh;
+mod survey;
 mod trainer;
 
 pub use appearance::Appearance;

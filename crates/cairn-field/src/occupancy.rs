@@ -18,6 +18,9 @@ pub struct Occupancy {
     blocks: [usize; 3],
     /// A block's cells, x fastest.
     masks: Vec<u64>,
+    /// Those that may be occupied at all: the others hold nothing, whatever the
+    /// densities at their corners.
+    allowed: Vec<u64>,
     /// Chebyshev distance to the nearest occupied block, 0 in those themselves.
     reach: Vec<u8>,
 }
@@ -27,15 +30,17 @@ impl Occupancy {
     pub(crate) fn none(dims: [usize; 3]) -> Self {
         let blocks = dims.map(|d| (d - 1).div_ceil(BLOCK));
         let all = blocks.iter().product();
-        Self { dims, blocks, masks: vec![0; all], reach: vec![FARTHEST; all] }
+        Self { dims, blocks, masks: vec![0; all], allowed: vec![u64::MAX; all], reach: vec![FARTHEST; all] }
     }
 
-    /// Marks the eight cells around each of `vertices` (ascending linear indices) that `holds`.
+    /// Marks the eight cells around each of `vertices` (ascending linear indices) that
+    /// `holds`, as far as they are allowed.
     pub(crate) fn refresh(&mut self, vertices: &[u32], holds: impl Fn(u32) -> bool + Sync) {
         let [nx, ny, nz] = self.dims;
         let [bx, by, _] = self.blocks;
         let plane = nx * ny;
-        self.masks.par_chunks_mut(bx * by).enumerate().for_each(|(layer, masks)| {
+        let layers = self.masks.par_chunks_mut(bx * by).zip(self.allowed.par_chunks(bx * by));
+        layers.enumerate().for_each(|(layer, (masks, allowed))| {
             masks.fill(0);
             // The cells of this layer touch one plane of vertices more than they are.
             let cells = layer * BLOCK..((layer + 1) * BLOCK).min(nz - 1);
@@ -51,8 +56,29 @@ impl Occupancy {
                     }
                 }
             }
+            masks.iter_mut().zip(allowed).for_each(|(mask, allowed)| *mask &= allowed);
         });
         self.measure();
+    }
+
+    /// Allows no other cells than `words` has (and than were allowed); false, with
+    /// nothing changed, when they are another lattice's.
+    pub(crate) fn allow_only(&mut self, words: &[u64]) -> bool {
+        let fits = words.len() == self.masks.len();
+        if fits {
+            let both = self.masks.iter_mut().zip(&mut self.allowed);
+            for ((mask, allowed), word) in both.zip(words) {
+                *mask &= word;
+                *allowed &= word;
+            }
+            self.measure();
+        }
+        fits
+    }
+
+    /// The cells that may be occupied, a bit each, as [`Occupancy::words`].
+    pub(crate) fn allowed(&self) -> &[u64] {
+        &self.allowed
     }
 
     /// The distances, by one sweep each way over all neighbours (Rosenfeld and Pfaltz 1966).
@@ -112,6 +138,11 @@ impl Occupancy {
     #[inline(always)]
     pub(crate) fn reach(&self, block: usize) -> usize {
         usize::from(self.reach[block])
+    }
+
+    /// Cell `at`'s block and its bit therein.
+    pub(crate) fn place(&self, at: [usize; 3]) -> (usize, usize) {
+        (self.block_of(at), bit(at))
     }
 
     /// Whether cell `at` may hold anything.

@@ -223,11 +223,11 @@ impl BaseTrainer {
 
     /// The trained field.
     pub fn finish(self) -> Field {
-        let grid =
-            if self.knows_enough() { self.grid.resampled(self.grid.dims, WHOLE, &self.kept()) } else { self.grid };
+        let cameras: Vec<Camera> = self.views.iter().map(|v| v.camera).collect();
         let names = self.views.into_iter().map(|v| v.name);
         let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
-        Field::new(self.frame, grid, canonical, names.zip(self.appearances).collect())
+        let field = Field::new(self.frame, self.grid, canonical, names.zip(self.appearances).collect());
+        field.only_what_shows(&cameras, self.config.prune_weight.min(SHOWS))
     }
 
     /// The steps at which this level began and is half done.
@@ -331,6 +331,10 @@ impl BaseTrainer {
         }
     }
 }
+
+/// A cell that never has this share of a pixel is not missed: dropping those changed
+/// held-out views by 0.02 dB, three times as much by 0.2 dB (fern).
+const SHOWS: f64 = 0.01;
 
 /// The whole unit cube.
 const WHOLE: ([f64; 3], [f64; 3]) = ([0.0; 3], [1.0; 3]);

@@ -271,7 +271,7 @@ fn rays_of_one_tile_add_up() {
     let basis = rays[0].1;
     let look = random_appearance(3);
     // Each ray by itself, all seen along one direction, against the three in one patch.
-    let alone: Vec<Ray> = rays.iter().map(|(path, _)| (path.clone(), basis)).collect();
+    let alone: Vec<Ray> = rays.iter().map(|(path, _)| (*path, basis)).collect();
     let expected = gradient(&grid, &alone, &look, Roulette::NONE);
     let (mut tape, mut patch, mut debts) = (Vec::new(), Patch::default(), Debts::default());
     patch.begin(basis);
