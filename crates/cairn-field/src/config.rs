@@ -83,7 +83,7 @@ impl Default for FieldConfig {
             learning_rate_colour: 0.05,
             view_dependence: 0.2,
             learning_rate_appearance: 0.01,
-            final_rate: 0.1,
+            final_rate: 0.3,
             distortion: 0.01,
             sparsity: 0.003,
             smooth_density: 1e-5,
@@ -93,7 +93,7 @@ impl Default for FieldConfig {
             initial_opacity: 0.3,
             step_voxels: 1.0,
             skip_weight: 5e-4,
-            faint_weight: 0.03,
+            faint_weight: 0.003,
             tile_px: 4,
             appearance: AppearanceMode::Auto,
         }
