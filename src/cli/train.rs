@@ -171,6 +171,7 @@ fn report(job: &v1::Job) -> anyhow::Result<()> {
         JobState::Done => {
             let stages: Vec<String> = job.stages.iter().map(|s| format!("{} {:.0} s", s.stage, s.seconds)).collect();
             println!("{} done ({})", job.id, stages.join(", "));
+            job.notes.iter().for_each(|note| println!("  {note}"));
             Ok(())
         }
         JobState::Cancelled => {

@@ -128,6 +128,7 @@ pub fn job(job: &Job) -> v1::Job {
         ended_unix_s: job.ended_unix_s,
         seed: job.spec.seed,
         stages: (job.stages.iter()).map(|s| v1::StageSeconds { stage: s.stage.clone(), seconds: s.seconds }).collect(),
+        notes: job.notes.clone(),
     }
 }
 

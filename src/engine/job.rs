@@ -47,6 +47,9 @@ pub struct Job {
     pub ended_unix_s: u64,
     /// Seconds of computing a stage, its preparation included, over all runs.
     pub stages: Vec<StageSeconds>,
+    /// What training found out about the scene, a sentence each.
+    #[serde(default)]
+    pub notes: Vec<String>,
 }
 
 impl Job {
@@ -62,6 +65,7 @@ impl Job {
             accepted_unix_s,
             ended_unix_s: 0,
             stages: Vec::new(),
+            notes: Vec::new(),
         }
     }
 }

@@ -65,6 +65,17 @@ impl<'a> Control<'a> {
         self.sender.send_modify(|job| job.progress = progress);
     }
 
+    /// Tells the watchers, once, what was found out; written down with what is spent next.
+    pub fn note(&self, note: String) {
+        self.sender.send_if_modified(|job| {
+            let new = !job.notes.contains(&note);
+            if new {
+                job.notes.push(note);
+            }
+            new
+        });
+    }
+
     /// Adds seconds of computing to a stage and writes the job down: called with
     /// every checkpoint.
     pub fn spent(&self, stage: &str, seconds: f64) -> Result<(), EngineError> {

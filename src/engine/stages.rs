@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use cairn_capture::{Picture, SceneFolder};
-use cairn_field::{BaseTrainer, SceneFrame, TrainingView};
+use cairn_field::{BaseTrainer, LightVerdict, SceneFrame, TrainingView};
 
 pub use cairn_field::{Appearance, Field};
 
@@ -35,6 +35,10 @@ pub trait Stage {
     fn steps(&self) -> (u64, u64);
     /// The whole state.
     fn checkpoint(&self) -> Result<Vec<u8>, EngineError>;
+    /// What was found out about the scene so far.
+    fn note(&self) -> Option<String> {
+        None
+    }
 }
 
 /// What a step says of itself.
@@ -58,6 +62,18 @@ impl Stage for BaseTrainer {
 
     fn checkpoint(&self) -> Result<Vec<u8>, EngineError> {
         Ok(Self::checkpoint(self)?)
+    }
+
+    fn note(&self) -> Option<String> {
+        match self.light() {
+            LightVerdict::Settled | LightVerdict::Open => None,
+            LightVerdict::OneLight { gain_db } => Some(format!(
+                "the photographs share one light: appearances of their own were left out (they would gain {gain_db:.2} dB)"
+            )),
+            LightVerdict::ManyLights { gain_db } => Some(format!(
+                "the photographs differ in light: every view has an appearance of its own (a gain of {gain_db:.2} dB on the coarsest field)"
+            )),
+        }
     }
 }
 

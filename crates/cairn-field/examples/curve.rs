@@ -37,6 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             println!("{:6} {seconds:7.1} s  {:5.2} dB  {:?}", stats.step, stats.psnr_db, trainer.size());
         }
     }
+    println!("{:?}", trainer.light());
     let seconds = started.elapsed().as_secs_f64();
     let wild = trainer.has_appearance();
     let field = trainer.finish();

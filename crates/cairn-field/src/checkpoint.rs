@@ -8,13 +8,15 @@ use crate::error::FieldError;
 use crate::field::{read_f32, read_header, read_u32, stored};
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
+use crate::light::LightVerdict;
 use crate::optimise::{Adam, RowState};
 use crate::trainer::{BaseTrainer, TrainingView};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/2";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/3";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -31,6 +33,9 @@ struct Header {
     neutral: Appearance,
     views: Vec<String>,
     appearances: usize,
+    light: LightVerdict,
+    /// SHA-256 of the tensors and of where training stands; see [`digest`].
+    digest: String,
 }
 
 impl BaseTrainer {
@@ -39,7 +44,7 @@ impl BaseTrainer {
     /// # Errors
     /// [`FieldError::Stored`] when it cannot be written out.
     pub fn checkpoint(&self) -> Result<Vec<u8>, FieldError> {
-        let header = Header {
+        let mut header = Header {
             format: CHECKPOINT_FORMAT.into(),
             config: self.config.clone(),
             frame: self.frame.clone(),
@@ -53,6 +58,8 @@ impl BaseTrainer {
             neutral: self.neutral.clone(),
             views: self.views.iter().map(|v| v.name.clone()).collect(),
             appearances: self.appearances.len(),
+            light: self.light,
+            digest: String::new(),
         };
         let codes: Vec<f32> = self.appearances.iter().flat_map(|a| a.code().to_vec()).collect();
         let vertex: Vec<u8> = self.grid.vertex[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -78,6 +85,8 @@ impl BaseTrainer {
         }
         tensors.push(("vertex", TensorView::new(Dtype::U32, vec![vertex.len() / 4], &vertex).map_err(bad)?));
         tensors.push(("occupancy", TensorView::new(Dtype::U64, vec![occupancy.len() / 8], &occupancy).map_err(bad)?));
+        let contents = tensors.iter().map(|(name, tensor)| (*name, tensor.data())).collect();
+        header.digest = digest(&header, contents);
         let json = serde_json::to_string(&header).map_err(|e| stored("checkpoint", e.to_string()))?;
         let metadata = std::collections::HashMap::from([("cairn".to_owned(), json)]);
         safetensors::serialize(tensors, Some(metadata)).map_err(bad)
@@ -101,12 +110,16 @@ impl BaseTrainer {
             ));
         }
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
+        let found = digest(&header, file.iter().map(|(name, tensor)| (name, tensor.data())).collect());
+        let sound = found == header.digest;
         let mut trainer = Self::new(views, header.frame, None, header.config, header.seed)?;
         let vertex = read_u32(&file, "vertex")?;
         if !crate::grid::fits(header.dims, &vertex) || header.level >= trainer.config.levels {
             return refuse("its grid and its vertices or level do not fit together".into());
         }
-        if header.appearances != trainer.appearances.len() {
+        let many = matches!(header.light, LightVerdict::ManyLights { .. });
+        let expected = if many { trainer.views.len() } else { trainer.appearances.len() };
+        if header.appearances != expected {
             return refuse(format!("{} appearances for {} views", header.appearances, trainer.views.len()));
         }
         let mut grid = Grid::with_vertices(header.dims, vertex);
@@ -144,10 +157,31 @@ impl BaseTrainer {
             steps: header.appearance_steps,
         };
         trainer.neutral = header.neutral;
+        trainer.light = header.light;
         trainer.step = header.step;
         trainer.level = header.level;
         trainer.lay_tiles();
         trainer.drawn = header.drawn;
+        // Last: what is wrong is better said by name.
+        if !sound {
+            return refuse("its SHA-256 is another than it says: the file was damaged; start the training anew".into());
+        }
         Ok(trainer)
     }
+}
+
+/// SHA-256 over where training stands and every tensor in order of name, each with its
+/// name's and its data's length.
+fn digest(header: &Header, mut tensors: Vec<(&str, &[u8])>) -> String {
+    let Header { seed, step, drawn, level, dims, adam_steps, appearance_steps, .. } = header;
+    let stand = format!("{seed} {step} {drawn} {level} {dims:?} {adam_steps} {appearance_steps}");
+    tensors.sort_unstable();
+    let mut hash = Sha256::new();
+    for (name, data) in [("", stand.as_bytes())].into_iter().chain(tensors) {
+        hash.update((name.len() as u64).to_le_bytes());
+        hash.update(name);
+        hash.update((data.len() as u64).to_le_bytes());
+        hash.update(data);
+    }
+    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AppearanceMode {
-    /// On for unbounded scenes, where days and cameras differ; off elsewhere.
+    /// Where the photographs turn out to differ in light ([`crate::LightVerdict`]).
     #[default]
     Auto,
     /// Always.

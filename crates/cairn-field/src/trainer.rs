@@ -10,6 +10,7 @@ use crate::error::FieldError;
 use crate::field::{Field, empty_density};
 use crate::frame::SceneFrame;
 use crate::grid::{DENSITY_SCALE, Grid, raw_of};
+use crate::light::LightVerdict;
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
 use crate::sampling::{Tile, Tiles};
@@ -67,6 +68,7 @@ pub struct BaseTrainer {
     /// One a view; empty where the scene needs none.
     pub(crate) appearances: Vec<Appearance>,
     pub(crate) appearance_adam: Adam,
+    pub(crate) light: LightVerdict,
 }
 
 impl BaseTrainer {
@@ -86,13 +88,10 @@ impl BaseTrainer {
         config.validate()?;
         let views = prepare(views)?;
         let background = background.unwrap_or_else(|| mean_colour(&views));
-        let with_appearance = match config.appearance {
-            AppearanceMode::On => true,
-            AppearanceMode::Off => false,
-            AppearanceMode::Auto => frame.is_unbounded() && views.len() > 1,
-        };
         let neutral = Appearance::neutral(background);
+        let with_appearance = config.appearance == AppearanceMode::On;
         let appearances = if with_appearance { vec![neutral.clone(); views.len()] } else { Vec::new() };
+        let open = config.appearance == AppearanceMode::Auto && views.len() > 1;
         let dims = dims_of_level(&config, &frame, 0);
         let density = -(1.0 - config.initial_opacity).ln() / DENSITY_SCALE;
         let raw = raw_of(density);
@@ -115,6 +114,7 @@ impl BaseTrainer {
             batch: Batch::default(),
             neutral,
             appearances,
+            light: if open { LightVerdict::Open } else { LightVerdict::Settled },
         })
     }
 
@@ -126,6 +126,11 @@ impl BaseTrainer {
     /// Steps in all.
     pub fn steps_total(&self) -> u64 {
         self.config.steps
+    }
+
+    /// Whether the photographs differ in light, as far as that is known yet.
+    pub fn light(&self) -> LightVerdict {
+        self.light
     }
 
     /// Whether views have appearances of their own in this scene.
@@ -145,6 +150,9 @@ impl BaseTrainer {
     pub fn step(&mut self) -> Result<StepStats, FieldError> {
         if self.step >= self.config.steps {
             return Ok(self.stats(0.0));
+        }
+        if self.light == LightVerdict::Open && self.step == light_step(&self.config) {
+            self.look_at_light();
         }
         self.change_level();
         let progress = self.step as f64 / self.config.steps as f64;
@@ -340,7 +348,7 @@ const SHOWS: f64 = 0.01;
 const WHOLE: ([f64; 3], [f64; 3]) = ([0.0; 3], [1.0; 3]);
 
 /// Numbers of an appearance code.
-const CODE: usize = 3 * FEATURES;
+pub(crate) const CODE: usize = 3 * FEATURES;
 
 /// What a batch owes the appearances.
 struct CodeGradient {
@@ -357,6 +365,12 @@ fn level_end(config: &FieldConfig, level: usize) -> u64 {
     }
     let share = 0.4 * ((level + 1) as f64 / (config.levels - 1) as f64).powf(1.6);
     (config.steps as f64 * share) as u64
+}
+
+/// Step before which it is found out whether the photographs differ in light: the end
+/// of the coarsest level.
+fn light_step(config: &FieldConfig) -> u64 {
+    if config.levels > 1 { level_end(config, 0) } else { config.steps / 8 }.max(1)
 }
 
 /// Side of the tiles drawn at `level`, pixels: neighbours in a coarse grid meet the

@@ -9,6 +9,7 @@ use cairn_field::{Appearance, BaseTrainer, Field, FieldConfig, FieldError, Train
 use common::{ball_box, ball_in_the_open, camera, field_of, random_grid, stored_field, stored_with, tiny, views};
 use glam::DVec3;
 use safetensors::tensor::{SafeTensors, TensorView};
+use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -171,8 +172,38 @@ fn altered(bytes: &[u8], change: impl Fn(&mut serde_json::Value), tensor: &str, 
         })
         .collect();
     let views = data.iter().map(|(n, t, s, d)| (n.as_str(), TensorView::new(*t, s.clone(), d).expect("as before")));
-    safetensors::serialize(views, Some(HashMap::from([("cairn".to_owned(), header.to_string())])))
-        .expect("plain tensors")
+    sealed(&safetensors::serialize(views, Some(metadata_of(&header))).expect("plain tensors"))
+}
+
+fn metadata_of(header: &serde_json::Value) -> HashMap<String, String> {
+    HashMap::from([("cairn".to_owned(), header.to_string())])
+}
+
+/// A checkpoint that says the SHA-256 it has: a forger would see to that. Each part
+/// comes with its name's and its own length; first where training stands.
+fn sealed(bytes: &[u8]) -> Vec<u8> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).expect("a checkpoint");
+    let text = &metadata.metadata().as_ref().expect("a header")["cairn"];
+    let mut header: serde_json::Value = serde_json::from_str(text).expect("a header");
+    let file = SafeTensors::deserialize(bytes).expect("a checkpoint");
+    let mut tensors = file.tensors();
+    tensors.sort_by(|a, b| a.0.cmp(&b.0));
+    let dims: Vec<String> = header["dims"].as_array().expect("a list").iter().map(ToString::to_string).collect();
+    let number = |key: &str| header[key].to_string();
+    let stand = ["seed", "step", "drawn", "level"].map(number).join(" ")
+        + &format!(" [{}] {} {}", dims.join(", "), number("adam_steps"), number("appearance_steps"));
+    let mut all = Vec::new();
+    let mut put = |name: &str, data: &[u8]| {
+        all.extend((name.len() as u64).to_le_bytes());
+        all.extend(name.as_bytes());
+        all.extend((data.len() as u64).to_le_bytes());
+        all.extend(data);
+    };
+    put("", stand.as_bytes());
+    tensors.iter().for_each(|(name, tensor)| put(name, tensor.data()));
+    let digest: Vec<String> = Sha256::digest(&all).iter().map(|b| format!("{b:02x}")).collect();
+    header["digest"] = digest.concat().into();
+    safetensors::serialize(tensors, Some(metadata_of(&header))).expect("plain tensors")
 }
 
 /// A file with one tensor's bytes replaced.
@@ -187,7 +218,7 @@ fn with_tensor(bytes: &[u8], name: &str, data: &[u8]) -> Vec<u8> {
             (n, TensorView::new(t.dtype(), t.shape().to_vec(), data).expect("as before"))
         })
         .collect();
-    safetensors::serialize(views, metadata.metadata().clone()).expect("plain tensors")
+    sealed(&safetensors::serialize(views, metadata.metadata().clone()).expect("plain tensors"))
 }
 
 #[test]

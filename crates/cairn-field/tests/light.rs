@@ -1,0 +1,97 @@
+//! Whether photographs differ in light is found out, and stays found out.
+
+mod common;
+
+use cairn_capture::Picture;
+use cairn_field::{AppearanceMode, BaseTrainer, FieldConfig, LightVerdict, TrainingView};
+use common::{ball_box, ball_in_the_open, tiny, views};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// Photographs of one ball; with `tints`, every one in another light.
+fn photographs(tints: bool) -> Vec<TrainingView> {
+    let mut all = views(8, 32, 1.0, DVec3::ZERO);
+    for (n, view) in all.iter_mut().enumerate().filter(|_| tints) {
+        let tint: [f32; 3] = std::array::from_fn(|c| 0.35 + 0.6 * (((n * (c + 2)) % 5) as f32) / 4.0);
+        let rgb = view.picture.rgb().iter().enumerate().map(|(i, v)| v * tint[i % 3]).collect();
+        view.picture = Arc::new(Picture::new(32, 32, rgb).expect("three numbers a pixel"));
+    }
+    all
+}
+
+fn trained(tints: bool, frame: &cairn_field::SceneFrame, appearance: AppearanceMode) -> BaseTrainer {
+    let config = FieldConfig { appearance, ..tiny(300) };
+    let mut trainer = BaseTrainer::new(photographs(tints), frame.clone(), Some([0.5; 3]), config, 3).expect("sound");
+    while trainer.steps_done() < trainer.steps_total() {
+        trainer.step().expect("finite numbers");
+    }
+    trainer
+}
+
+#[test]
+fn one_light_needs_no_appearances_and_many_do() {
+    for frame in [ball_box(), ball_in_the_open()] {
+        let one = trained(false, &frame, AppearanceMode::Auto);
+        assert!(matches!(one.light(), LightVerdict::OneLight { .. }), "{:?}", one.light());
+        assert!(!one.has_appearance());
+        let many = trained(true, &frame, AppearanceMode::Auto);
+        assert!(matches!(many.light(), LightVerdict::ManyLights { .. }), "{:?}", many.light());
+        assert!(many.has_appearance());
+        let field = many.finish();
+        assert_eq!(field.appearances().len(), 8);
+        let known = photographs(true);
+        let names: Vec<&String> = known.iter().map(|v| &v.name).collect();
+        assert!(field.appearances().iter().map(|(n, _)| n).eq(names));
+    }
+}
+
+#[test]
+fn the_settings_have_the_last_word() {
+    let off = trained(true, &ball_box(), AppearanceMode::Off);
+    assert_eq!((off.light(), off.has_appearance()), (LightVerdict::Settled, false));
+    let on = trained(false, &ball_box(), AppearanceMode::On);
+    assert_eq!((on.light(), on.has_appearance()), (LightVerdict::Settled, true));
+}
+
+#[test]
+fn a_resumed_training_knows_what_was_found() {
+    for tints in [false, true] {
+        let config = FieldConfig { appearance: AppearanceMode::Auto, ..tiny(60) };
+        let mut trainer =
+            BaseTrainer::new(photographs(tints), ball_box(), Some([0.5; 3]), config, 3).expect("sound settings");
+        let (mut saved, mut verdicts) = (Vec::new(), Vec::new());
+        for step in 0..60 {
+            if [3, 24, 25, 40].contains(&step) {
+                saved.push(trainer.checkpoint().expect("a checkpoint"));
+                verdicts.push(trainer.light());
+            }
+            trainer.step().expect("finite numbers");
+        }
+        assert!(verdicts[0] == LightVerdict::Open && verdicts[3] != LightVerdict::Open, "{verdicts:?}");
+        let expected = trainer.finish().to_bytes().expect("a field");
+        for bytes in &saved {
+            let mut resumed = BaseTrainer::resume(bytes, photographs(tints)).expect("a sound checkpoint");
+            assert!(resumed.checkpoint().expect("a checkpoint") == *bytes, "read as it was written");
+            while resumed.steps_done() < resumed.steps_total() {
+                resumed.step().expect("finite numbers");
+            }
+            assert!(resumed.finish().to_bytes().expect("a field") == expected);
+        }
+    }
+}
+
+#[test]
+fn a_flipped_bit_in_a_checkpoint_is_noticed() {
+    let mut trainer = BaseTrainer::new(photographs(false), ball_box(), None, tiny(10), 3).expect("sound settings");
+    trainer.step().expect("finite numbers");
+    let mut bytes = trainer.checkpoint().expect("a checkpoint");
+    // The lowest bits of numbers: still finite, and nobody would see.
+    let n = bytes.len();
+    for at in (n / 2..n).step_by(n / 8) {
+        bytes[at / 4 * 4] ^= 1;
+        let error = BaseTrainer::resume(&bytes, photographs(false)).err().expect("damaged").to_string();
+        assert!(error.contains("SHA-256") || error.contains("fit"), "{error}");
+        bytes[at / 4 * 4] ^= 1;
+    }
+    assert!(BaseTrainer::resume(&bytes, photographs(false)).is_ok());
+}
