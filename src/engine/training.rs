@@ -118,8 +118,10 @@ impl Training {
         if !self.drive((stages::BASE, clock), &mut trainer, &file, control)? {
             return Ok(None);
         }
+        let finishing = Instant::now();
         let bytes = Field::to_bytes(&trainer.finish())?;
         write_atomic(&done, &bytes)?;
+        control.spent(stages::BASE, finishing.elapsed().as_secs_f64())?;
         remove(&file)?;
         Ok(Some(bytes))
     }

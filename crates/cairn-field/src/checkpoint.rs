@@ -34,7 +34,7 @@ struct Header {
     views: Vec<String>,
     appearances: usize,
     light: LightVerdict,
-    /// SHA-256 of the tensors and of where training stands; see [`digest`].
+    /// SHA-256 of the rest of the file; see [`digest`].
     digest: String,
 }
 
@@ -85,9 +85,10 @@ impl BaseTrainer {
         }
         tensors.push(("vertex", TensorView::new(Dtype::U32, vec![vertex.len() / 4], &vertex).map_err(bad)?));
         tensors.push(("occupancy", TensorView::new(Dtype::U64, vec![occupancy.len() / 8], &occupancy).map_err(bad)?));
+        let json = |header: &Header| serde_json::to_string(header).map_err(|e| stored("checkpoint", e.to_string()));
         let contents = tensors.iter().map(|(name, tensor)| (*name, tensor.data())).collect();
-        header.digest = digest(&header, contents);
-        let json = serde_json::to_string(&header).map_err(|e| stored("checkpoint", e.to_string()))?;
+        header.digest = digest(&json(&header)?, contents);
+        let json = json(&header)?;
         let metadata = std::collections::HashMap::from([("cairn".to_owned(), json)]);
         safetensors::serialize(tensors, Some(metadata)).map_err(bad)
     }
@@ -110,8 +111,12 @@ impl BaseTrainer {
             ));
         }
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
-        let found = digest(&header, file.iter().map(|(name, tensor)| (name, tensor.data())).collect());
-        let sound = found == header.digest;
+        // No training gets there, and the next step would count on from it.
+        let counted = header.adam_steps.max(header.appearance_steps).max(header.step);
+        if counted > header.config.steps || header.drawn > u64::MAX / 2 {
+            return refuse("it counts more steps than its training has".into());
+        }
+        let sound = is_sound(bytes, &file, &header.digest);
         let mut trainer = Self::new(views, header.frame, None, header.config, header.seed)?;
         let vertex = read_u32(&file, "vertex")?;
         if !crate::grid::fits(header.dims, &vertex) || header.level >= trainer.config.levels {
@@ -170,14 +175,20 @@ impl BaseTrainer {
     }
 }
 
-/// SHA-256 over where training stands and every tensor in order of name, each with its
-/// name's and its data's length.
-fn digest(header: &Header, mut tensors: Vec<(&str, &[u8])>) -> String {
-    let Header { seed, step, drawn, level, dims, adam_steps, appearance_steps, .. } = header;
-    let stand = format!("{seed} {step} {drawn} {level} {dims:?} {adam_steps} {appearance_steps}");
+/// Whether a checkpoint's SHA-256 is `stated`.
+fn is_sound(bytes: &[u8], file: &SafeTensors<'_>, stated: &str) -> bool {
+    let metadata = SafeTensors::read_metadata(bytes).ok().and_then(|(_, m)| m.metadata().clone()).unwrap_or_default();
+    let json = metadata.get("cairn").map_or("", String::as_str);
+    let unsigned = json.replacen(&format!("\"digest\":\"{stated}\""), "\"digest\":\"\"", 1);
+    digest(&unsigned, file.iter().map(|(name, tensor)| (name, tensor.data())).collect()) == stated
+}
+
+/// SHA-256 over the header (with an empty digest) and every tensor in order of name,
+/// each with its name's and its own length, 64 bits little-endian.
+fn digest(header: &str, mut tensors: Vec<(&str, &[u8])>) -> String {
     tensors.sort_unstable();
     let mut hash = Sha256::new();
-    for (name, data) in [("", stand.as_bytes())].into_iter().chain(tensors) {
+    for (name, data) in [("", header.as_bytes())].into_iter().chain(tensors) {
         hash.update((name.len() as u64).to_le_bytes());
         hash.update(name);
         hash.update((data.len() as u64).to_le_bytes());

@@ -50,7 +50,8 @@ pub struct FieldConfig {
     /// less; 0 = plain squares. In colour units.
     pub huber: f64,
     /// A vertex is dropped when its largest weight in any picture stayed below
-    /// this; 0 to 1.
+    /// this, and at the end a cell that never has this share of a pixel (0.01 at
+    /// most); 0 to 1.
     pub prune_weight: f64,
     /// Light the fresh grid stops on the way across, 0 to 1: too little, and it is
     /// wiped out before it has explained anything; too much, and clouds form before

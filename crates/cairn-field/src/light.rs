@@ -34,7 +34,10 @@ pub enum LightVerdict {
 /// Gain from which on appearances are worth having, dB. One camera under one light
 /// gave -0.02 to -0.03 (fern, trex, lego), visitors' photographs 1.2 to 1.4 (liberty).
 const WORTH_DB: f32 = 0.2;
-/// Pixels of a view that are looked at; every other one fits, the rest judge.
+/// PSNR of pictures in one light from which on they are taken to show the scene, dB: a
+/// cloud would look like the mean of each photograph, which differs in any light.
+const TOLD_FROM_DB: f64 = 15.0;
+/// Pixels of a view that are looked at: about half of them fit, the others judge.
 const PIXELS: usize = 1024;
 
 /// What a view's pixels gathered, and what its photograph has there.
@@ -46,7 +49,8 @@ struct Sampled {
 impl BaseTrainer {
     /// Looks whether an appearance fitted to half of a view's pixels explains the
     /// other half better than one that all views share, and gives every view its own
-    /// if so.
+    /// if so. Decides nothing yet where the field explains too little to tell, or a
+    /// number is not finite.
     pub(crate) fn look_at_light(&mut self) {
         let halves: Vec<[Sampled; 2]> =
             self.views.par_iter().enumerate().map(|(n, view)| self.sampled(n as u64, view)).collect();
@@ -64,6 +68,13 @@ impl BaseTrainer {
         }
         // Perfect pictures need no appearance, and have none to divide by.
         let gain_db = (10.0 * ((shared + 1e-12) / (own + 1e-12)).log10()) as f32;
+        let judged: usize = halves.iter().map(|[_, judge]| 3 * judge.pixels.len()).sum();
+        if shared > 10f64.powf(-0.1 * TOLD_FROM_DB) * judged as f64 {
+            return;
+        }
+        if !(gain_db.is_finite() && codes.iter().all(|c| c.code().iter().all(|v| v.is_finite()))) {
+            return;
+        }
         if gain_db < WORTH_DB {
             self.light = LightVerdict::OneLight { gain_db };
         } else {
@@ -73,16 +84,20 @@ impl BaseTrainer {
         }
     }
 
-    /// Two interleaved samples of a view's pixels.
+    /// Two samples of a view's pixels, spread evenly over it.
     fn sampled(&self, n: u64, view: &Prepared) -> [Sampled; 2] {
-        let every = (view.lens.pixels() / PIXELS).max(1);
-        let first = mixed(self.seed ^ mixed(n)) as usize % every;
+        let all = view.lens.pixels();
+        let every = (all / PIXELS).max(1);
         let mut halves = [Sampled::none(), Sampled::none()];
         let mut tape: Vec<Kept<f32>> = Vec::new();
-        for (k, at) in (first..view.lens.pixels()).step_by(every).enumerate() {
+        for k in 0..all / every {
+            // Anywhere in its stretch, and to either half: an even lattice would fall
+            // into a few of the photograph's columns.
+            let chance = mixed(self.seed ^ mixed(n << 32 | k as u64));
+            let at = k * every + (chance >> 1) as usize % every;
             let (path, basis) = view.lens.ray(&view.camera, &self.frame, at);
             let gathered = see(&self.grid, &path, &basis, Thresholds::SHOWN, &mut tape);
-            let half = &mut halves[k % 2];
+            let half = &mut halves[(chance & 1) as usize];
             half.features.push(features(&gathered, &basis));
             half.pixels.push(std::array::from_fn(|c| f32::from(view.pixels[at * 3 + c]) / 255.0));
         }

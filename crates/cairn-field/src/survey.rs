@@ -7,6 +7,7 @@ use crate::rays::Lens;
 use crate::sampling::mixed;
 use cairn_capture::Camera;
 use rayon::prelude::*;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Rays that are looked along for every occupied cell, spread evenly over all cameras'
@@ -17,23 +18,31 @@ const MOST_RAYS: usize = 4_000_000;
 
 impl Field {
     /// The field without the cells that weigh less than `least` (a share of a pixel,
-    /// [0, 1]) in every picture that `cameras` take. Densities and colours of the
-    /// other cells stay as they are.
+    /// [0, 1]) in every pixel looked at of the pictures that `cameras` take: a sample
+    /// of four pixels for every occupied cell. Densities and colours of the other cells
+    /// stay as they are.
     #[must_use]
-    pub fn only_what_shows(mut self, cameras: &[Camera], least: f64) -> Self {
+    pub fn only_what_shows(self, cameras: &[Camera], least: f64) -> Self {
         let lenses = Lens::shared(cameras.iter().copied());
+        let views: Vec<(Camera, Arc<Lens>)> = cameras.iter().copied().zip(lenses).collect();
+        self.only_what_shows_in(&views, least)
+    }
+
+    /// As [`Field::only_what_shows`], with the cameras' lenses.
+    pub(crate) fn only_what_shows_in(mut self, views: &[(Camera, Arc<Lens>)], least: f64) -> Self {
         let occupancy = &self.grid.occupancy;
         let rays = (RAYS_A_CELL * occupancy.cells()).clamp(LEAST_RAYS, MOST_RAYS);
-        let every = lenses.iter().map(|l| l.pixels()).sum::<usize>().div_ceil(rays).max(1);
+        let every = (views.iter().map(|(_, l)| l.pixels()).sum::<usize>() / rays).max(1);
         let seen: Vec<AtomicU64> = occupancy.words().iter().map(|_| AtomicU64::new(0)).collect();
         let [nx, ny, _] = self.grid.dims;
         let rows: Vec<(usize, usize)> =
-            lenses.iter().enumerate().flat_map(|(n, l)| (0..l.size().1).map(move |y| (n, y))).collect();
+            views.iter().enumerate().flat_map(|(n, (_, l))| (0..l.size().1).map(move |y| (n, y))).collect();
         rows.into_par_iter().for_each_init(Vec::new, |tape: &mut Vec<Kept<f32>>, (n, y)| {
-            let (lens, width) = (&lenses[n], lenses[n].size().0);
+            let (camera, lens) = &views[n];
+            let width = lens.size().0;
             let first = mixed((n as u64) << 32 | y as u64) as usize % every;
             for x in (first..width).step_by(every) {
-                let (path, basis) = lens.ray(&cameras[n], &self.frame, y * width + x);
+                let (path, basis) = lens.ray(camera, &self.frame, y * width + x);
                 see(&self.grid, &path, &basis, Thresholds::SHOWN, tape);
                 for run in runs(tape) {
                     if run.iter().map(|kept| f64::from(kept.weight)).sum::<f64>() >= least {

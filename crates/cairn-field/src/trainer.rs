@@ -151,10 +151,6 @@ impl BaseTrainer {
         if self.step >= self.config.steps {
             return Ok(self.stats(0.0));
         }
-        if self.light == LightVerdict::Open && self.step == light_step(&self.config) {
-            self.look_at_light();
-        }
-        self.change_level();
         let progress = self.step as f64 / self.config.steps as f64;
         // A young field explains little yet: the price of density would wipe it out.
         let begun = ((progress - 0.02) / 0.1).clamp(0.0, 1.0);
@@ -208,6 +204,8 @@ impl BaseTrainer {
         self.drawn = drawn;
         let loss = batch.loss;
         self.batch = batch;
+        // Here, and not before the next step: that one may be refused.
+        self.make_ready();
         Ok(self.stats(loss))
     }
 
@@ -231,11 +229,12 @@ impl BaseTrainer {
 
     /// The trained field.
     pub fn finish(self) -> Field {
-        let cameras: Vec<Camera> = self.views.iter().map(|v| v.camera).collect();
+        let views: Vec<(Camera, Arc<Lens>)> = self.views.iter().map(|v| (v.camera, v.lens.clone())).collect();
+        let least = self.config.prune_weight.min(SHOWS);
         let names = self.views.into_iter().map(|v| v.name);
         let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
         let field = Field::new(self.frame, self.grid, canonical, names.zip(self.appearances).collect());
-        field.only_what_shows(&cameras, self.config.prune_weight.min(SHOWS))
+        if least > 0.0 { field.only_what_shows_in(&views, least) } else { field }
     }
 
     /// The steps at which this level began and is half done.
@@ -266,13 +265,28 @@ impl BaseTrainer {
         FieldError::NotFinite { step: self.step, place: place.into() }
     }
 
+    /// What is due between two steps.
+    fn make_ready(&mut self) {
+        if self.step >= self.config.steps {
+            return;
+        }
+        if let Some(since) = self.step.checked_sub(light_step(&self.config))
+            && self.light == LightVerdict::Open
+            && since.is_multiple_of((self.config.steps / 16).max(1))
+        {
+            self.look_at_light();
+        }
+        self.change_level();
+    }
+
     /// Moves to the next level when its time has come, and keeps occupancy and
     /// the record of what was seen fresh within one.
     fn change_level(&mut self) {
         let end = |level: usize| level_end(&self.config, level);
         if self.level + 1 < self.config.levels && self.step >= end(self.level) {
             // Coarse cells are kept whole: that is margin enough.
-            let keep: Vec<bool> = self.rows.seen.iter().map(|w| *w >= self.config.prune_weight as f32).collect();
+            let least = if self.knows_enough() { self.config.prune_weight as f32 } else { 0.0 };
+            let keep: Vec<bool> = self.rows.seen.iter().map(|w| *w >= least).collect();
             self.level += 1;
             let part = self.tighten(&keep);
             let dims = dims_of_level(&self.config, &self.frame, self.level);
@@ -364,13 +378,14 @@ fn level_end(config: &FieldConfig, level: usize) -> u64 {
         return config.steps;
     }
     let share = 0.4 * ((level + 1) as f64 / (config.levels - 1) as f64).powf(1.6);
-    (config.steps as f64 * share) as u64
+    // However short the training, every level has a step.
+    ((config.steps as f64 * share) as u64).max(level as u64 + 1)
 }
 
-/// Step before which it is found out whether the photographs differ in light: the end
-/// of the coarsest level.
+/// Step before which it is first asked whether the photographs differ in light: when the
+/// coarsest level is done, and after a quarter of all steps at the latest.
 fn light_step(config: &FieldConfig) -> u64 {
-    if config.levels > 1 { level_end(config, 0) } else { config.steps / 8 }.max(1)
+    level_end(config, 0).min(config.steps / 4).max(1)
 }
 
 /// Side of the tiles drawn at `level`, pixels: neighbours in a coarse grid meet the

@@ -6,6 +6,7 @@ use cairn_field::Field;
 use cairn_field::grid::Grid;
 use common::{ahead, ball_box, ball_in_the_open, field_of, random_appearance, random_grid, ring, rms, stored_with};
 use glam::DVec3;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 /// A ball of walls: nobody sees its inside.
 fn solid(dims: [usize; 3]) -> Grid<f32> {
@@ -59,6 +60,23 @@ fn nothing_in_sight_leaves_nothing_and_no_threshold_changes_no_picture() {
     let none = field.only_what_shows(&[], 0.01);
     assert_eq!((none.grid().rows(), none.grid().occupancy.cells()), (1, 0));
     assert!(none.render(&camera, &look).rgb().iter().all(|v| v.is_finite()));
+}
+
+#[test]
+fn cells_of_another_lattice_are_refused() {
+    let field = field_of(&ball_box(), &random_grid([8, 9, 10], 0.8, (-4.0, 0.0), 5), &random_appearance(2));
+    let bytes = field.to_bytes().expect("a file");
+    let (_, metadata) = SafeTensors::read_metadata(&bytes).expect("a field");
+    let file = SafeTensors::deserialize(&bytes).expect("a field");
+    for (dtype, words) in [(Dtype::U64, 7), (Dtype::U64, 0), (Dtype::I64, 12)] {
+        let data = vec![0xff; 8 * words];
+        let cells = TensorView::new(dtype, vec![words], &data).expect("whole numbers");
+        let others = file.tensors().into_iter().filter(|(name, _)| name != "cells");
+        let all: Vec<(String, TensorView<'_>)> = others.chain([("cells".to_owned(), cells)]).collect();
+        let forged = safetensors::serialize(all, metadata.metadata().clone()).expect("plain tensors");
+        let error = Field::from_bytes(&forged).expect_err("an error").to_string();
+        assert!(error.contains("cells"), "{error}");
+    }
 }
 
 #[test]

@@ -164,7 +164,7 @@ impl Run {
         let score = score::Task {
             source: self.source.clone(),
             field,
-            right_half: trained.has_appearance,
+            right_half: self.case.right_half,
             label: format!("{name}, scoring, {}", share.of_the_steps()),
         };
         Ok(Budget { share, scored: children.run(&score)?, trained })

@@ -40,8 +40,6 @@ pub struct Trained {
     pub rays_per_s: f64,
     /// Rows of the grid at the end.
     pub rows: usize,
-    /// Whether views had appearances of their own.
-    pub has_appearance: bool,
     /// The stored field, MiB.
     pub stored_mib: f64,
     /// The most memory held, photographs and storing included, MiB; `None` where
@@ -66,7 +64,7 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
         progress.at(stats.step, &format!("{:.1} dB, ", stats.psnr_db));
     }
     drop(progress);
-    let (steps, has_appearance) = (trainer.steps_done(), trainer.has_appearance());
+    let steps = trainer.steps_done();
     let field = trainer.finish();
     let seconds = begun.elapsed().as_secs_f64();
     let bytes = field.to_bytes()?;
@@ -77,7 +75,6 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
         rays_per_s: steps as f64 * rays as f64 / seconds.max(1e-9),
         // The first is the empty one.
         rows: field.grid().rows().saturating_sub(1),
-        has_appearance,
         stored_mib: bytes.len() as f64 / MIB,
         peak_mib: peak_mib(),
     })
