@@ -13,8 +13,8 @@ use super::super::{Engine, TrainingRequest};
 use super::*;
 use crate::config::Config;
 
-/// Both stages in a moment.
-const TINY: &str = "[field]\nsteps = 10\nrays_per_step = 128\nvoxels = 4096\nlevels = 1\n\
+/// Both stages in a moment, and the light to be found out.
+const TINY: &str = "[field]\nsteps = 10\nrays_per_step = 128\nvoxels = 4096\nlevels = 1\nappearance = \"auto\"\n\
     [mark]\nsteps = 4\nvirtual_views = 1\nlongest_side_px = 64\nclassify_until = 10.0\n\
     [mark.classifier]\nchannels = [4, 8]\n[mark.detector]\nsize = [32, 32]\nchannels = [4, 8]\n";
 
