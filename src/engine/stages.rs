@@ -67,11 +67,13 @@ impl Stage for BaseTrainer {
     fn note(&self) -> Option<String> {
         match self.light() {
             LightVerdict::Settled | LightVerdict::Open => None,
-            LightVerdict::OneLight { gain_db } => Some(format!(
-                "the photographs share one light: appearances of their own were left out (they would gain {gain_db:.2} dB)"
+            LightVerdict::OneLight { spread } => Some(format!(
+                "the photographs share one light: appearances of their own were left out (they would change colours by {:.1} % of the range, RMS)",
+                100.0 * spread
             )),
-            LightVerdict::ManyLights { gain_db } => Some(format!(
-                "the photographs differ in light: every view has an appearance of its own (a gain of {gain_db:.2} dB on the coarsest field)"
+            LightVerdict::ManyLights { spread } => Some(format!(
+                "the photographs differ in light: every view has an appearance of its own (colours differ by {:.1} % of the range, RMS)",
+                100.0 * spread
             )),
         }
     }

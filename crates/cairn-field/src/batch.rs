@@ -25,6 +25,8 @@ pub(crate) struct BatchSettings<'a> {
     pub(crate) appearances: &'a [Appearance],
     pub(crate) tiles: &'a [Tile],
     pub(crate) huber: f32,
+    /// The colour of pixels that show nothing, and the price of light stopped before one.
+    pub(crate) nothing: Option<([u8; 3], f32)>,
     pub(crate) regularise: Regularise<f32>,
     pub(crate) limits: Thresholds,
     /// Vertices that weigh less in their tile take their chance; see [`Roulette`].
@@ -138,7 +140,12 @@ impl Task {
             self.loss += f64::from(residual * residual);
             2.0 * if s.huber > 0.0 { residual.clamp(-s.huber, s.huber) } else { residual }
         });
-        let pulled = appearance.pull(slope, &basis);
+        let mut pulled = appearance.pull(slope, &basis);
+        if let Some((colour, price)) = s.nothing
+            && prepared.pixels[at * 3..at * 3 + 3] == colour
+        {
+            pulled.end -= price;
+        }
         push_back(patch, &self.tape, gathered.end, &pulled, &s.regularise);
         if !s.appearances.is_empty() {
             self.shaded.push(Shaded { view: view as u32, slope, features: f });

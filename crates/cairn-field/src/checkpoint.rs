@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/3";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/4";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -31,6 +31,7 @@ struct Header {
     adam_steps: u64,
     appearance_steps: u64,
     neutral: Appearance,
+    background: Option<[f32; 3]>,
     views: Vec<String>,
     appearances: usize,
     light: LightVerdict,
@@ -56,6 +57,7 @@ impl BaseTrainer {
             adam_steps: self.rows.adam.steps,
             appearance_steps: self.appearance_adam.steps,
             neutral: self.neutral.clone(),
+            background: self.background,
             views: self.views.iter().map(|v| v.name.clone()).collect(),
             appearances: self.appearances.len(),
             light: self.light,
@@ -117,13 +119,13 @@ impl BaseTrainer {
             return refuse("it counts more steps than its training has".into());
         }
         let sound = is_sound(bytes, &file, &header.digest);
-        let mut trainer = Self::new(views, header.frame, None, header.config, header.seed)?;
+        let mut trainer = Self::new(views, header.frame, header.background, header.config, header.seed)?;
         let vertex = read_u32(&file, "vertex")?;
         if !crate::grid::fits(header.dims, &vertex) || header.level >= trainer.config.levels {
             return refuse("its grid and its vertices or level do not fit together".into());
         }
-        let many = matches!(header.light, LightVerdict::ManyLights { .. });
-        let expected = if many { trainer.views.len() } else { trainer.appearances.len() };
+        let one_light = matches!(header.light, LightVerdict::OneLight { .. });
+        let expected = if one_light { 0 } else { trainer.appearances.len() };
         if header.appearances != expected {
             return refuse(format!("{} appearances for {} views", header.appearances, trainer.views.len()));
         }

@@ -136,6 +136,13 @@ pub fn see<T: Real>(
     sum
 }
 
+/// Fills `tape` with what a ray of a picture meets and what that weighs; places and
+/// colours stay zero.
+#[inline]
+pub(crate) fn weigh<T: Real>(grid: &Grid<T>, path: &RayPath, limits: Thresholds, tape: &mut Vec<Kept<T>>) {
+    record(grid, path, 0.5, limits, tape, |_| 0);
+}
+
 /// The tape's runs of samples in one cell and one part of space.
 pub fn runs<T: Real>(tape: &[Kept<T>]) -> impl DoubleEndedIterator<Item = &[Kept<T>]> {
     tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far)

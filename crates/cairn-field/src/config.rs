@@ -42,6 +42,11 @@ pub struct FieldConfig {
     pub distortion: f64,
     /// Weight of the sum of a ray's alphas, >= 0: clears haze and leaves walls alone.
     pub sparsity: f64,
+    /// Weight of the light stopped along rays whose pixel shows the background exactly,
+    /// >= 0 (the mask loss of NeuS, Wang et al. 2021, with masks that captures with a
+    /// known background bring along): what has the background's colour is cleared away
+    /// before it.
+    pub clear_background: f64,
     /// Weight of density's total variation, >= 0.
     pub smooth_density: f64,
     /// Weight of colour's total variation, >= 0.
@@ -87,6 +92,7 @@ impl Default for FieldConfig {
             final_rate: 0.3,
             distortion: 0.01,
             sparsity: 0.003,
+            clear_background: 0.05,
             smooth_density: 1e-5,
             smooth_colour: 1e-4,
             huber: 0.0,
@@ -140,6 +146,7 @@ impl FieldConfig {
         for (key, value) in [
             ("field.distortion", self.distortion),
             ("field.sparsity", self.sparsity),
+            ("field.clear_background", self.clear_background),
             ("field.smooth_density", self.smooth_density),
             ("field.smooth_colour", self.smooth_colour),
             ("field.huber", self.huber),

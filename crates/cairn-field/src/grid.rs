@@ -257,10 +257,11 @@ impl<T: Real> Grid<T> {
         }
     }
 
-    /// Allows no other cells than `words` has, and drops the rows that are then at no
-    /// corner of an occupied one.
+    /// Allows no other cells than `words` has (a bit each, as its occupancy), and drops
+    /// the rows that are then at no corner of an occupied one.
     pub(crate) fn keep_cells(&mut self, words: &[u64]) {
-        self.occupancy.allow_only(words);
+        let fits = self.occupancy.allow_only(words);
+        debug_assert!(fits, "the words are this grid's");
         let [nx, ny, nz] = self.dims;
         let near = |a: usize, n: usize| a.saturating_sub(1)..(a + 1).min(n - 1);
         let needed = |v: u32| {

@@ -1,7 +1,7 @@
 //! What the rays of one tile share. Neighbouring rays meet the same vertices again
 //! and again: each vertex's colour is worked out once a tile (seen along the tile's
 //! middle), and what its rays owe a vertex is summed before it goes to the grid.
-//! That leaves a fifth of the work with rows of coefficients, most of a step's time.
+//! Rows of coefficients lie far apart in memory; a tile goes to each once.
 
 use crate::grid::Grid;
 use crate::real::Real;

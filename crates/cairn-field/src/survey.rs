@@ -1,7 +1,7 @@
 //! What of a trained field shows. Training leaves thin haze and the inside of things
 //! behind, that no picture needs and every ray has to step through.
 
-use crate::composite::{Kept, Thresholds, runs, see};
+use crate::composite::{Kept, Thresholds, runs, weigh};
 use crate::field::Field;
 use crate::rays::Lens;
 use crate::sampling::mixed;
@@ -42,8 +42,8 @@ impl Field {
             let width = lens.size().0;
             let first = mixed((n as u64) << 32 | y as u64) as usize % every;
             for x in (first..width).step_by(every) {
-                let (path, basis) = lens.ray(camera, &self.frame, y * width + x);
-                see(&self.grid, &path, &basis, Thresholds::SHOWN, tape);
+                let (path, _) = lens.ray(camera, &self.frame, y * width + x);
+                weigh(&self.grid, &path, Thresholds::SHOWN, tape);
                 for run in runs(tape) {
                     if run.iter().map(|kept| f64::from(kept.weight)).sum::<f64>() >= least {
                         let cell = run[0].cell as usize;

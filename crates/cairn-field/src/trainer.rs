@@ -65,6 +65,8 @@ pub struct BaseTrainer {
     pub(crate) rows: RowState,
     batch: Batch,
     pub(crate) neutral: Appearance,
+    /// The colour of pixels that show nothing, where the capture has one.
+    pub(crate) background: Option<[f32; 3]>,
     /// One a view; empty where the scene needs none.
     pub(crate) appearances: Vec<Appearance>,
     pub(crate) appearance_adam: Adam,
@@ -87,11 +89,10 @@ impl BaseTrainer {
     ) -> Result<Self, FieldError> {
         config.validate()?;
         let views = prepare(views)?;
-        let background = background.unwrap_or_else(|| mean_colour(&views));
-        let neutral = Appearance::neutral(background);
-        let with_appearance = config.appearance == AppearanceMode::On;
-        let appearances = if with_appearance { vec![neutral.clone(); views.len()] } else { Vec::new() };
+        let neutral = Appearance::neutral(background.unwrap_or_else(|| mean_colour(&views)));
         let open = config.appearance == AppearanceMode::Auto && views.len() > 1;
+        let with_appearance = open || config.appearance == AppearanceMode::On;
+        let appearances = if with_appearance { vec![neutral.clone(); views.len()] } else { Vec::new() };
         let dims = dims_of_level(&config, &frame, 0);
         let density = -(1.0 - config.initial_opacity).ln() / DENSITY_SCALE;
         let raw = raw_of(density);
@@ -113,6 +114,7 @@ impl BaseTrainer {
             rows: RowState::zero(rows),
             batch: Batch::default(),
             neutral,
+            background,
             appearances,
             light: if open { LightVerdict::Open } else { LightVerdict::Settled },
         })
@@ -164,6 +166,7 @@ impl BaseTrainer {
             appearances: &self.appearances,
             tiles: &tiles,
             huber: self.config.huber as f32,
+            nothing: self.nothing(),
             regularise: Regularise {
                 distortion: (self.config.distortion * begun) as f32,
                 sparsity: (self.config.sparsity * begun) as f32,
@@ -207,6 +210,12 @@ impl BaseTrainer {
         // Here, and not before the next step: that one may be refused.
         self.make_ready();
         Ok(self.stats(loss))
+    }
+
+    /// The 8-bit colour of pixels that show nothing, and the price of what stands before them.
+    fn nothing(&self) -> Option<([u8; 3], f32)> {
+        let bits = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+        self.background.map(|rgb| (rgb.map(bits), self.config.clear_background as f32))
     }
 
     /// Begins to draw tiles of the level's size.
@@ -339,12 +348,12 @@ impl BaseTrainer {
     /// Moves the appearances of the views that had rays in the batch.
     fn move_appearances(&mut self, mut gradient: CodeGradient, rate: f32) {
         self.appearance_adam.tick();
+        let share = if self.light == LightVerdict::Open { PULL_OPEN } else { PULL };
         for (view, appearance) in self.appearances.iter_mut().enumerate() {
             if gradient.rays[view] == 0 {
                 continue;
             }
-            // A weak pull to neutral fixes what the photographs leave open.
-            let pull = 1e-3 * gradient.rays[view] as f32;
+            let pull = share * gradient.rays[view] as f32;
             let values = &mut gradient.values[view * CODE..][..CODE];
             for ((g, a), n) in values.iter_mut().zip(appearance.code()).zip(self.neutral.code()) {
                 *g += pull * (a - n);
@@ -357,6 +366,13 @@ impl BaseTrainer {
 /// A cell that never has this share of a pixel is not missed: dropping those changed
 /// held-out views by 0.02 dB, three times as much by 0.2 dB (fern).
 const SHOWS: f64 = 0.01;
+
+/// A weak pull of appearances to neutral, a share of each ray's: it settles what the
+/// photographs leave open.
+const PULL: f32 = 1e-3;
+/// A strong one until it is known whether photographs differ in light: in one light,
+/// what an appearance could explain as well as the field is then left to the field.
+const PULL_OPEN: f32 = 0.05;
 
 /// The whole unit cube.
 const WHOLE: ([f64; 3], [f64; 3]) = ([0.0; 3], [1.0; 3]);

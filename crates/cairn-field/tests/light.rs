@@ -25,7 +25,7 @@ fn pairs(size: usize, tint: [f32; 3]) -> Vec<TrainingView> {
 }
 
 fn trained(tints: bool, frame: &cairn_field::SceneFrame, appearance: AppearanceMode) -> BaseTrainer {
-    let config = FieldConfig { appearance, ..tiny(150) };
+    let config = FieldConfig { appearance, ..tiny(800) };
     let mut trainer = BaseTrainer::new(photographs(tints), frame.clone(), Some([0.5; 3]), config, 3).expect("sound");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
@@ -51,6 +51,25 @@ fn one_light_needs_no_appearances_and_many_do() {
 }
 
 #[test]
+fn visitors_who_stand_elsewhere_differ_in_light_too() {
+    // Half of the ring by one visitor, half by another under another sky: a field alone
+    // would paint each half of the ball in its visitor's light.
+    let mut all = common::photographs(&ring(12, 32, 1.0, DVec3::ZERO), 1.0, DVec3::ZERO);
+    for view in &mut all[6..] {
+        let rgb = view.picture.rgb().iter().enumerate().map(|(i, v)| v * [0.4, 0.7, 1.0][i % 3]).collect();
+        view.picture = Arc::new(Picture::new(32, 32, rgb).expect("three numbers a pixel"));
+    }
+    for frame in [ball_box(), ball_in_the_open()] {
+        let config = FieldConfig { appearance: AppearanceMode::Auto, ..tiny(150) };
+        let mut trainer = BaseTrainer::new(all.clone(), frame, Some([0.5; 3]), config, 3).expect("sound settings");
+        while trainer.steps_done() < trainer.steps_total() {
+            trainer.step().expect("finite numbers");
+        }
+        assert!(matches!(trainer.light(), LightVerdict::ManyLights { .. }), "{:?}", trainer.light());
+    }
+}
+
+#[test]
 fn the_look_spreads_over_larger_photographs_too() {
     // 64 columns and every fourth pixel: an even lattice would see sixteen of them.
     let all = pairs(64, [0.4, 0.7, 1.0]);
@@ -59,6 +78,22 @@ fn the_look_spreads_over_larger_photographs_too() {
         trainer.step().expect("finite numbers");
     }
     assert!(matches!(trainer.light(), LightVerdict::ManyLights { .. }), "{:?}", trainer.light());
+}
+
+#[test]
+fn photographs_that_nothing_explains_are_decided_on_too() {
+    let mut numbers = common::Numbers(5);
+    let mut all = photographs(false);
+    for view in &mut all {
+        let rgb = (0..3 * 32 * 32).map(|_| numbers.share() as f32).collect();
+        view.picture = Arc::new(Picture::new(32, 32, rgb).expect("three numbers a pixel"));
+    }
+    let mut trainer = BaseTrainer::new(all, ball_box(), Some([0.5; 3]), tiny(64), 3).expect("sound settings");
+    for step in 1..=40 {
+        trainer.step().expect("finite numbers");
+        assert!(step >= 32 || trainer.light() == LightVerdict::Open, "noise told anything after {step} steps");
+    }
+    assert_ne!(trainer.light(), LightVerdict::Open);
 }
 
 #[test]
