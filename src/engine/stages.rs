@@ -68,11 +68,11 @@ impl Stage for BaseTrainer {
         match self.light() {
             LightVerdict::Settled | LightVerdict::Open => None,
             LightVerdict::OneLight { spread } => Some(format!(
-                "the photographs share one light: appearances of their own were left out (they would change colours by {:.1} % of the range, RMS)",
+                "the photographs share one light: appearances of their own were left out (they would explain errors of {:.1} % of the range, RMS)",
                 100.0 * spread
             )),
             LightVerdict::ManyLights { spread } => Some(format!(
-                "the photographs differ in light: every view has an appearance of its own (colours differ by {:.1} % of the range, RMS)",
+                "the photographs differ in light: every view has an appearance of its own (they explain errors of {:.1} % of the range, RMS)",
                 100.0 * spread
             )),
         }

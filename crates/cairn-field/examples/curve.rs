@@ -26,6 +26,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let train = capture.training().map(view).collect::<Result<Vec<_>, _>>()?;
     let test = capture.held_out().take(12).map(view).collect::<Result<Vec<_>, _>>()?;
     let frame = SceneFrame::from_capture(&capture)?;
+    // Visitors' photographs: a held-out view's light is fitted on its left half.
+    let wild = frame.is_unbounded();
     println!("{} training and {} held-out views, {frame:?}", train.len(), test.len());
     let mut trainer = BaseTrainer::new(train.clone(), frame, capture.background, config, 1)?;
     let started = Instant::now();
@@ -39,7 +41,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("{:?}", trainer.light());
     let seconds = started.elapsed().as_secs_f64();
-    let wild = trainer.has_appearance();
     let field = trainer.finish();
     if let Some(file) = rest.get(1) {
         std::fs::write(file, field.to_bytes()?)?;

@@ -42,6 +42,10 @@ impl TryFrom<Stored> for Appearance {
 }
 
 impl Appearance {
+    /// How strongly a fit holds to its prior, for every pixel it has: enough to settle
+    /// what the pixels leave open.
+    pub const RIDGE: f64 = 1e-3;
+
     /// Colours as stored, in front of a `background` of one colour.
     pub fn neutral(background: [f32; 3]) -> Self {
         let mut code = vec![0.0; 3 * FEATURES];

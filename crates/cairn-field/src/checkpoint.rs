@@ -5,7 +5,7 @@
 use crate::appearance::Appearance;
 use crate::config::FieldConfig;
 use crate::error::FieldError;
-use crate::field::{read_f32, read_header, read_u32, stored};
+use crate::field::{read_f32, read_header, read_u32, read_u64, stored};
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
 use crate::light::LightVerdict;
@@ -124,6 +124,10 @@ impl BaseTrainer {
         if !crate::grid::fits(header.dims, &vertex) || header.level >= trainer.config.levels {
             return refuse("its grid and its vertices or level do not fit together".into());
         }
+        // What is settled is never looked into, and the other way round.
+        if (header.light == LightVerdict::Settled) != (trainer.light == LightVerdict::Settled) {
+            return refuse(format!("what it says of the light ({:?}) is not what its settings allow", header.light));
+        }
         let one_light = matches!(header.light, LightVerdict::OneLight { .. });
         let expected = if one_light { 0 } else { trainer.appearances.len() };
         if header.appearances != expected {
@@ -143,9 +147,7 @@ impl BaseTrainer {
         };
         grid.set_raw_rows(&read("raw", rows - 1)?);
         grid.colour = read("colour", rows * ROW)?;
-        let occupancy = file.tensor("occupancy").map_err(|e| stored("checkpoint", e.to_string()))?;
-        let words = occupancy.data().chunks_exact(8).map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes")));
-        if !grid.occupancy.restore(words.collect()) {
+        if !grid.occupancy.restore(read_u64(&file, "occupancy")?) {
             return refuse("its occupancy does not fit its grid".into());
         }
         let adam = Adam { first: read("first", rows)?, second: read("second", rows)?, steps: header.adam_steps };

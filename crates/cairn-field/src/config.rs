@@ -42,10 +42,10 @@ pub struct FieldConfig {
     pub distortion: f64,
     /// Weight of the sum of a ray's alphas, >= 0: clears haze and leaves walls alone.
     pub sparsity: f64,
-    /// Weight of the light stopped along rays whose pixel shows the background exactly,
-    /// >= 0 (the mask loss of NeuS, Wang et al. 2021, with masks that captures with a
-    /// known background bring along): what has the background's colour is cleared away
-    /// before it.
+    /// In bounded scenes with a known background: weight of the light stopped along rays
+    /// whose pixel shows exactly that colour, >= 0. It is a mask loss (as NeuS, Wang et
+    /// al. 2021, has one) in its linear form: thin haze of the background's colour goes;
+    /// what is opaque has no more to pay.
     pub clear_background: f64,
     /// Weight of density's total variation, >= 0.
     pub smooth_density: f64,

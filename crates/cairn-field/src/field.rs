@@ -176,7 +176,7 @@ impl Field {
                 pixels.push(photograph.pixel(x, y));
             }
         }
-        let ridge = 1e-3 * pixels.len() as f64;
+        let ridge = Appearance::RIDGE * pixels.len() as f64;
         Ok(Appearance::fit(&f, &pixels, &self.canonical, ridge))
     }
 
@@ -243,12 +243,8 @@ impl Field {
                 *v = f16::from_le_bytes([b[0], b[1]]).to_f32();
             }
         }
-        if let Ok(cells) = file.tensor("cells") {
-            let words: Vec<u64> =
-                cells.data().chunks_exact(8).map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes"))).collect();
-            if cells.dtype() != Dtype::U64 || !grid.occupancy.allow_only(&words) {
-                return Err(stored("field", "its cells do not fit its grid".into()));
-            }
+        if file.tensor("cells").is_ok() && !grid.occupancy.allow_only(&read_u64(&file, "cells")?) {
+            return Err(stored("field", "its cells do not fit its grid".into()));
         }
         if !(grid.raw.iter().all(|v| v.is_finite()) && grid.colour.iter().all(|v| v.is_finite())) {
             return Err(stored("field", "it holds numbers that are not finite".into()));
@@ -289,4 +285,13 @@ pub(crate) fn read_u32(file: &SafeTensors<'_>, name: &'static str) -> Result<Vec
         return Err(stored(name, format!("expected U32, got {:?}", t.dtype())));
     }
     Ok(t.data().chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+}
+
+/// A tensor of u64, whatever its shape.
+pub(crate) fn read_u64(file: &SafeTensors<'_>, name: &'static str) -> Result<Vec<u64>, FieldError> {
+    let t = file.tensor(name).map_err(|e| stored(name, e.to_string()))?;
+    if t.dtype() != Dtype::U64 {
+        return Err(stored(name, format!("expected U64, got {:?}", t.dtype())));
+    }
+    Ok(t.data().chunks_exact(8).map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes"))).collect())
 }

@@ -8,7 +8,7 @@ use crate::appearance::{Appearance, FEATURES, features};
 use crate::composite::{Kept, Thresholds, see};
 use crate::optimise::Adam;
 use crate::sampling::mixed;
-use crate::trainer::{BaseTrainer, Prepared};
+use crate::trainer::{BaseTrainer, CODE, Prepared};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +22,8 @@ pub enum LightVerdict {
     Open,
     /// The photographs differ so little that appearances are left out.
     OneLight {
-        /// How far what an appearance of its own explains lies from what one for all
-        /// views does: RMS over pixels and channels they were not fitted to, [0, 1].
+        /// The error (RMS, colours in [0, 1]) that appearances of their own explain and
+        /// one for all views does not, at pixels neither was fitted to.
         spread: f32,
     },
     /// They differ by this much (likewise).
@@ -34,14 +34,15 @@ pub enum LightVerdict {
 }
 
 /// Spread from which on appearances are worth having: five steps of an 8-bit colour.
-/// One camera under one light gave 0.011 at most (sparse captures most), visitors who
-/// stand elsewhere 0.031, a landmark's visitors 0.135.
+/// docs/limits/field.md has what captures of either sort gave.
 const WORTH: f32 = 0.02;
 /// PSNR in their own light from which on pictures are taken to show the scene, dB: a
 /// cloud would look like the mean of each photograph, which differs in any light.
 const TOLD_FROM_DB: f64 = 17.0;
-/// Pixels of a view that are looked at: about half of them fit, the others judge.
+/// Pixels of a view that are looked at, at most, and of all views together: about half
+/// of them fit, the others judge.
 const PIXELS: usize = 1024;
+const MOST_PIXELS: usize = 1 << 20;
 
 /// What a view's pixels gathered, and what its photograph has there.
 struct Sampled {
@@ -70,6 +71,9 @@ impl BaseTrainer {
             own += judge.error(code);
         }
         let judged = halves.iter().map(|[_, judge]| 3 * judge.pixels.len()).sum::<usize>() as f64;
+        if judged == 0.0 {
+            return;
+        }
         let told = own <= 10f64.powf(-0.1 * TOLD_FROM_DB) * judged || 2 * self.step >= self.config.steps;
         if !(told && own.is_finite() && shared.is_finite()) {
             return;
@@ -81,6 +85,8 @@ impl BaseTrainer {
             self.appearance_adam = Adam::zero(0);
         } else {
             self.light = LightVerdict::ManyLights { spread };
+            // The moments are those of codes that were held back.
+            self.appearance_adam = Adam::zero(codes.len() * CODE);
             self.appearances = codes;
         }
     }
@@ -88,7 +94,8 @@ impl BaseTrainer {
     /// Two samples of a view's pixels, spread evenly over it.
     fn sampled(&self, n: u64, view: &Prepared) -> [Sampled; 2] {
         let all = view.lens.pixels();
-        let every = (all / PIXELS).max(1);
+        let wanted = (MOST_PIXELS / self.views.len()).clamp(64, PIXELS);
+        let every = (all / wanted).max(1);
         let mut halves = [Sampled::none(), Sampled::none()];
         let mut tape: Vec<Kept<f32>> = Vec::new();
         for k in 0..all / every {
@@ -113,7 +120,7 @@ impl Sampled {
 
     /// The code that explains these pixels, near `prior` where they leave it open.
     fn fit(&self, prior: &Appearance) -> Appearance {
-        Appearance::fit(&self.features, &self.pixels, prior, 1e-3 * self.pixels.len().max(1) as f64)
+        Appearance::fit(&self.features, &self.pixels, prior, Appearance::RIDGE * self.pixels.len().max(1) as f64)
     }
 
     /// Sum of squared errors under `code`.

@@ -19,7 +19,7 @@ const MOST_RAYS: usize = 4_000_000;
 impl Field {
     /// The field without the cells that weigh less than `least` (a share of a pixel,
     /// [0, 1]) in every pixel looked at of the pictures that `cameras` take: a sample
-    /// of four pixels for every occupied cell. Densities and colours of the other cells
+    /// of four pixels for every occupied cell, four million at most. Densities and colours of the other cells
     /// stay as they are.
     #[must_use]
     pub fn only_what_shows(self, cameras: &[Camera], least: f64) -> Self {

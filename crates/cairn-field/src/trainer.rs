@@ -74,8 +74,10 @@ pub struct BaseTrainer {
 }
 
 impl BaseTrainer {
-    /// Prepares training of `views` in `frame`. `background` is the colour
-    /// behind everything in scenes that have one; `None` takes the photographs' mean.
+    /// Prepares training of `views` in `frame`. `background` is the colour behind
+    /// everything in scenes that have one, RGB in [0, 1], and pixels that have exactly
+    /// this colour are taken to show nothing else (see [`FieldConfig::clear_background`]);
+    /// `None` takes the photographs' mean and says nothing of pixels.
     ///
     /// # Errors
     /// [`FieldError`] for settings out of range, no views, or a picture whose
@@ -212,10 +214,13 @@ impl BaseTrainer {
         Ok(self.stats(loss))
     }
 
-    /// The 8-bit colour of pixels that show nothing, and the price of what stands before them.
+    /// The 8-bit colour of pixels that show nothing, and the price of what stands before
+    /// them. In the open there is always something: a white sky is no empty place.
     fn nothing(&self) -> Option<([u8; 3], f32)> {
         let bits = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
-        self.background.map(|rgb| (rgb.map(bits), self.config.clear_background as f32))
+        let price = self.config.clear_background as f32;
+        let bounded = matches!(self.frame, SceneFrame::Bounded { .. });
+        self.background.filter(|_| bounded && price > 0.0).map(|rgb| (rgb.map(bits), price))
     }
 
     /// Begins to draw tiles of the level's size.

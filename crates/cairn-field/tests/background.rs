@@ -2,13 +2,17 @@
 
 mod common;
 
-use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig};
-use common::{ball_box, photograph, ring, tiny, views};
+use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame};
+use common::{ball_box, ball_in_the_open, photograph, ring, tiny, views};
 use glam::DVec3;
 
 const BACKGROUND: [f32; 3] = [0.5; 3];
 
 fn trained(clear_background: f64, background: Option<[f32; 3]>) -> Field {
+    trained_in(&ball_box(), clear_background, background)
+}
+
+fn trained_in(frame: &SceneFrame, clear_background: f64, background: Option<[f32; 3]>) -> Field {
     let config = FieldConfig {
         clear_background,
         sparsity: 0.0,
@@ -18,7 +22,7 @@ fn trained(clear_background: f64, background: Option<[f32; 3]>) -> Field {
         ..tiny(200)
     };
     let all = views(12, 32, 1.0, DVec3::ZERO);
-    let mut trainer = BaseTrainer::new(all, ball_box(), background, config, 3).expect("sound settings");
+    let mut trainer = BaseTrainer::new(all, frame.clone(), background, config, 3).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }
@@ -50,6 +54,13 @@ fn nothing_is_left_before_a_known_background() {
 }
 
 #[test]
+fn in_the_open_a_pixel_of_that_colour_is_no_empty_place() {
+    let bytes = |price| trained_in(&ball_in_the_open(), price, Some(BACKGROUND)).to_bytes().expect("a field");
+    assert!(bytes(0.05) == bytes(0.0));
+}
+
+#[test]
 fn where_no_background_is_known_nothing_is_cleared() {
-    assert_eq!(trained(0.05, None).to_bytes().ok(), trained(0.0, None).to_bytes().ok());
+    let bytes = |price| trained(price, None).to_bytes().expect("a field");
+    assert!(bytes(0.05) == bytes(0.0));
 }

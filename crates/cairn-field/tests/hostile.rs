@@ -5,7 +5,7 @@ mod common;
 
 use cairn_capture::Picture;
 use cairn_field::grid::{Grid, ROW};
-use cairn_field::{Appearance, BaseTrainer, Field, FieldConfig, FieldError, TrainingView};
+use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, TrainingView};
 use common::{ball_box, ball_in_the_open, camera, field_of, random_grid, stored_field, stored_with, tiny, views};
 use glam::DVec3;
 use safetensors::tensor::{SafeTensors, TensorView};
@@ -237,6 +237,14 @@ fn checkpoints_that_do_not_fit_are_refused() {
         "a setting out of range"
     );
     assert!(resume(&altered(&bytes, |h| h["appearances"] = 1.into(), "", None)).is_some(), "an appearance too few");
+    let settled = altered(&bytes, |h| h["light"] = "settled".into(), "", None);
+    assert!(resume(&settled).expect("an error").contains("light"), "these settings leave it to be found out");
+    let config = FieldConfig { appearance: AppearanceMode::Off, ..tiny(20) };
+    let off = BaseTrainer::new(views(2, 12, 1.0, DVec3::ZERO), ball_box(), None, config, 1).expect("sound settings");
+    let bytes_of_off = off.checkpoint().expect("a checkpoint");
+    assert_eq!(resume(&bytes_of_off), None);
+    let open = altered(&bytes_of_off, |h| h["light"] = "open".into(), "", None);
+    assert!(resume(&open).expect("an error").contains("light"), "these settle it");
     for key in ["step", "adam_steps", "appearance_steps", "drawn"] {
         let text = resume(&altered(&bytes, |h| h[key] = u64::MAX.into(), "", None)).expect("an error");
         assert!(text.contains("steps"), "{key}: {text}");
@@ -303,7 +311,7 @@ fn a_poisoned_step_is_not_taken() {
 
 #[test]
 fn a_step_refused_when_something_is_due_changes_nothing() {
-    // The look at the light (step 2 of 20), the coarse level's half (4) and end (8), the
+    // The look at the light (step 5 of 20), the coarse level's half (4) and end (8), the
     // fine one's half (14).
     for at in 1..20 {
         let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
