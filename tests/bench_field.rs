@@ -74,6 +74,10 @@ fn the_suite_leaves_tables_charts_and_rows() {
     check_tables(&place.path("out"));
     let page = std::fs::read_to_string(place.path("l.md")).unwrap();
     assert!(page.contains("\n## field\n\nWhat limits it: *nothing but time*.\n\n| case |"), "{page}");
+    std::fs::write(place.path("limits/field.md"), "What limits it: memory.\n").unwrap();
+    place.cairn_ok(&["bench", "page", "--ledger", "l.json"]);
+    let again = std::fs::read_to_string(place.path("l.md")).unwrap();
+    assert_eq!(again, page.replace("*nothing but time*", "memory"));
 }
 
 fn check_rows(place: &Place, said: &str) {

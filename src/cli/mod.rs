@@ -15,7 +15,7 @@ mod scene;
 mod train;
 
 use std::io::IsTerminal as _;
-use std::path::PathBuf;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -141,7 +141,7 @@ fn read(path: &std::path::Path) -> anyhow::Result<Vec<u8>> {
 }
 
 /// Writes a file, naming it when that fails.
-fn write(path: &PathBuf, bytes: &[u8]) -> anyhow::Result<()> {
+fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     use anyhow::Context as _;
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -119,7 +119,7 @@ fn the_page_in_the_repository_is_the_ledgers() {
             let written = std::fs::read_to_string(&page).unwrap();
             assert!(
                 generated == written,
-                "docs/benchmarks.md is not what docs/benchmarks.json gives; generate it again"
+                "docs/benchmarks.md is not what docs/benchmarks.json and docs/limits give: run `cairn bench page`"
             );
         }
         (false, false) => eprintln!("SKIPPED the_page_in_the_repository_is_the_ledgers: no ledger yet"),

@@ -67,6 +67,8 @@ enum Suite {
     Liberty,
     /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
     Field,
+    /// Nothing: only write the ledger's page again, after its notes were changed
+    Page,
 }
 
 impl Suite {
@@ -76,6 +78,7 @@ impl Suite {
             Self::Demo => "demo",
             Self::Liberty => "liberty",
             Self::Field => "field",
+            Self::Page => "page",
         }
     }
 }
@@ -103,6 +106,10 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Demo => of_demo(place, &args, &mut rows).await?,
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
+        Suite::Page => {
+            let page = args.page.clone().unwrap_or_else(|| args.ledger.with_extension("md"));
+            return rows::write_page(&Ledger::load(&args.ledger)?, &page);
+        }
     }
     rows.save(&args)?;
     let ledger = Ledger::load(&args.ledger)?;

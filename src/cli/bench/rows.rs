@@ -69,8 +69,7 @@ impl Rows {
         }
         ledger.save(&args.ledger)?;
         if let Some(page) = &args.page {
-            let notes = Notes::read(&page.with_file_name("limits"))?;
-            super::super::write(page, ledger.to_markdown(&notes).as_bytes())?;
+            write_page(&ledger, page)?;
         }
         Ok(())
     }
@@ -117,6 +116,15 @@ impl Rows {
             self.add(case, &format!("forced on noise, {name}"), r.forced_noise_ssim, "", None);
         }
     }
+}
+
+/// Writes the ledger as a page, with the suites' notes from `limits` beside it.
+///
+/// # Errors
+/// For notes that cannot be read and a page that cannot be written.
+pub fn write_page(ledger: &Ledger, page: &Path) -> anyhow::Result<()> {
+    let notes = Notes::read(&page.with_file_name("limits"))?;
+    super::super::write(page, ledger.to_markdown(&notes).as_bytes())
 }
 
 /// A figure as the terminal shows it; a missed target is not to be overlooked.
