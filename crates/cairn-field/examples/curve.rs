@@ -1,12 +1,16 @@
 //! Trains a capture and prints seconds against held-out PSNR: the quickest way
 //! to see what a setting does.
 //!
-//! `cargo run --release -p cairn-field --example curve -- FOLDER SCALE [settings as JSON] [FILE for the field]`
+//! `cargo run --release -p cairn-field --example curve -- FOLDER SCALE [settings as JSON] [FILE for the field [FOLDER
+//! whose photographs are scored against]]`
 
 use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
 use cairn_field::{BaseTrainer, Field, FieldConfig, FieldError, SceneFrame, TrainingView};
 use std::sync::Arc;
 use std::time::Instant;
+
+/// Held-out views that are scored, at most.
+const MOST_SCORED: usize = 24;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();
@@ -16,15 +20,24 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scale: f64 = scale.parse()?;
     let config: FieldConfig = serde_json::from_str(rest.first().map_or("{}", String::as_str))?;
     let capture = Capture::read(folder.as_ref(), &ReadOptions::default())?;
-    let view = |i: usize| -> Result<TrainingView, Box<dyn std::error::Error>> {
+    let truth = rest.get(2).map(|f| Capture::read(f.as_ref(), &ReadOptions::default())).transpose()?;
+    let truth = truth.as_ref().unwrap_or(&capture);
+    if !truth.views.iter().map(|v| &v.name).eq(capture.views.iter().map(|v| &v.name)) {
+        return Err("the folder to score against has other views; bring the same ones".into());
+    }
+    let view = |capture: &Capture, i: usize| -> Result<TrainingView, Box<dyn std::error::Error>> {
         let view = &capture.views[i];
         let size = |v: usize| ((v as f64 * scale).round() as usize).max(1);
         let (w, h) = (size(view.camera.intrinsics.width), size(view.camera.intrinsics.height));
         let picture = Arc::new(capture.photograph(i)?.resized(w, h));
         Ok(TrainingView { name: view.name.clone(), camera: view.camera.resized(w, h), picture })
     };
-    let train = capture.training().map(view).collect::<Result<Vec<_>, _>>()?;
-    let test = capture.held_out().take(12).map(view).collect::<Result<Vec<_>, _>>()?;
+    let train = capture.training().map(|i| view(&capture, i)).collect::<Result<Vec<_>, _>>()?;
+    let test = capture
+        .held_out()
+        .step_by(capture.held_out().count().div_ceil(MOST_SCORED))
+        .map(|i| view(truth, i))
+        .collect::<Result<Vec<_>, _>>()?;
     let frame = SceneFrame::from_capture(&capture)?;
     // Visitors' photographs: a held-out view's light is fitted on its left half.
     let wild = frame.is_unbounded();

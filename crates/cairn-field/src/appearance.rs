@@ -5,7 +5,7 @@
 //!
 //! A pixel is linear in the code and linear in the field's colours. The first
 //! makes fitting a code to a new photograph a small least-squares problem with
-//! one exact answer; the second keeps stage 2 linear.
+//! one exact answer (see [`crate::prior`]); the second keeps stage 2 linear.
 
 use crate::composite::Gathered;
 use crate::real::Real;
@@ -16,6 +16,9 @@ use serde::{Deserialize, Serialize};
 /// weight, far colour (3), far weight, and the sky's basis (9) times what light
 /// is left.
 pub const FEATURES: usize = 8 + SH;
+
+/// Numbers of an appearance code.
+pub const CODE: usize = 3 * FEATURES;
 
 /// One appearance code: for each output channel the weights of the [`FEATURES`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,19 +39,14 @@ impl TryFrom<Stored> for Appearance {
 
     fn try_from(stored: Stored) -> Result<Self, String> {
         let got = stored.code.len();
-        Self::from_code(stored.code)
-            .ok_or_else(|| format!("an appearance has {} finite numbers, got {got}", 3 * FEATURES))
+        Self::from_code(stored.code).ok_or_else(|| format!("an appearance has {} finite numbers, got {got}", CODE))
     }
 }
 
 impl Appearance {
-    /// How strongly a fit holds to its prior, for every pixel it has: enough to settle
-    /// what the pixels leave open.
-    pub const RIDGE: f64 = 1e-3;
-
     /// Colours as stored, in front of a `background` of one colour.
     pub fn neutral(background: [f32; 3]) -> Self {
-        let mut code = vec![0.0; 3 * FEATURES];
+        let mut code = vec![0.0; CODE];
         for c in 0..3 {
             code[c * FEATURES + c] = 1.0;
             code[c * FEATURES + 4 + c] = 1.0;
@@ -59,7 +57,7 @@ impl Appearance {
 
     /// Wraps `3 x FEATURES` weights; `None` when the count is wrong or one is not finite.
     pub fn from_code(code: Vec<f32>) -> Option<Self> {
-        (code.len() == 3 * FEATURES && code.iter().all(|v| v.is_finite())).then_some(Self { code })
+        (code.len() == CODE && code.iter().all(|v| v.is_finite())).then_some(Self { code })
     }
 
     /// The weights, `3 x FEATURES`.
@@ -131,33 +129,6 @@ impl Appearance {
     pub fn far_matrix(&self) -> [[f32; 3]; 3] {
         std::array::from_fn(|c| std::array::from_fn(|k| self.code[c * FEATURES + 4 + k]))
     }
-
-    /// The code that best explains pixels, by ridge regression towards `prior`:
-    /// minimises `sum |code . f - pixel|^2 + ridge * |code - prior|^2` exactly.
-    /// `features` and `pixels` are of equal length; `ridge` > 0.
-    pub fn fit(features: &[[f32; FEATURES]], pixels: &[[f32; 3]], prior: &Self, ridge: f64) -> Self {
-        let mut gram = [[0.0f64; FEATURES]; FEATURES];
-        let mut right = [[0.0f64; FEATURES]; 3];
-        for (f, pixel) in features.iter().zip(pixels) {
-            for a in 0..FEATURES {
-                for b in 0..=a {
-                    gram[a][b] += f64::from(f[a]) * f64::from(f[b]);
-                }
-                for c in 0..3 {
-                    right[c][a] += f64::from(f[a]) * f64::from(pixel[c]);
-                }
-            }
-        }
-        for a in 0..FEATURES {
-            gram[a][a] += ridge;
-            for c in 0..3 {
-                right[c][a] += ridge * f64::from(prior.code[c * FEATURES + a]);
-            }
-        }
-        cholesky(&mut gram);
-        let code = right.iter().flat_map(|r| solve(&gram, r)).map(|v| v as f32).collect();
-        Self { code }
-    }
 }
 
 /// The features of a pixel from what its ray gathered.
@@ -171,65 +142,4 @@ pub fn features<T: Real>(gathered: &Gathered<T>, basis: &[T; SH]) -> [T; FEATURE
         f[8 + k] = gathered.end * basis[k];
     }
     f
-}
-
-/// In place, lower triangle; the matrix is positive definite by its ridge.
-fn cholesky(m: &mut [[f64; FEATURES]; FEATURES]) {
-    for j in 0..FEATURES {
-        for k in 0..j {
-            let v = m[j][k];
-            for i in j..FEATURES {
-                m[i][j] -= m[i][k] * v;
-            }
-        }
-        let d = m[j][j].max(1e-300).sqrt();
-        for row in m.iter_mut().skip(j) {
-            row[j] /= d;
-        }
-    }
-}
-
-fn solve(l: &[[f64; FEATURES]; FEATURES], b: &[f64; FEATURES]) -> [f64; FEATURES] {
-    let mut x = *b;
-    for i in 0..FEATURES {
-        for k in 0..i {
-            x[i] -= l[i][k] * x[k];
-        }
-        x[i] /= l[i][i];
-    }
-    for i in (0..FEATURES).rev() {
-        for k in i + 1..FEATURES {
-            x[i] -= l[k][i] * x[k];
-        }
-        x[i] /= l[i][i];
-    }
-    x
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_fit_finds_the_code_that_made_the_pixels() {
-        let truth = Appearance::from_code((0..3 * FEATURES).map(|i| (i as f32 * 0.7).sin()).collect()).unwrap();
-        let features: Vec<[f32; FEATURES]> = (0..400)
-            // A frequency of its own for each feature makes them independent.
-            .map(|i| std::array::from_fn(|k| (i as f32 * (0.31 + 0.17 * k as f32)).sin()))
-            .collect();
-        let pixels: Vec<[f32; 3]> = features.iter().map(|f| truth.shade(f)).collect();
-        let found = Appearance::fit(&features, &pixels, &Appearance::neutral([0.0; 3]), 1e-6);
-        for (a, b) in found.code().iter().zip(truth.code()) {
-            assert!((a - b).abs() < 1e-3, "{a} for {b}");
-        }
-    }
-
-    #[test]
-    fn without_pixels_the_fit_is_the_prior() {
-        let prior = Appearance::neutral([0.2, 0.4, 0.6]);
-        let found = Appearance::fit(&[], &[], &prior, 1.0);
-        for (a, b) in found.code().iter().zip(prior.code()) {
-            assert!((a - b).abs() < 1e-6);
-        }
-    }
 }

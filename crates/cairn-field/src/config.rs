@@ -40,7 +40,8 @@ pub struct FieldConfig {
     pub final_rate: f64,
     /// Weight of the distortion loss (mip-NeRF 360 eq. 15), >= 0.
     pub distortion: f64,
-    /// Weight of the sum of a ray's alphas, >= 0: clears haze and leaves walls alone.
+    /// Weight of the sum of a ray's alphas, >= 0: clears haze and leaves walls alone, but
+    /// wears away thin things and the ground, which is seen at a glancing angle.
     pub sparsity: f64,
     /// In bounded scenes with a known background: weight of the light stopped along rays
     /// whose pixel shows exactly that colour, >= 0. It is a mask loss (as NeuS, Wang et
@@ -91,7 +92,7 @@ impl Default for FieldConfig {
             learning_rate_appearance: 0.01,
             final_rate: 0.3,
             distortion: 0.01,
-            sparsity: 0.003,
+            sparsity: 0.0,
             clear_background: 0.05,
             smooth_density: 1e-5,
             smooth_colour: 1e-4,

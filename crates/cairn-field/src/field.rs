@@ -5,6 +5,7 @@ use crate::composite::{Gathered, Kept, Thresholds, see};
 use crate::error::FieldError;
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
+use crate::prior::Prior;
 use crate::rays::Lens;
 use crate::sh::SH;
 use cairn_capture::{Camera, Picture};
@@ -154,7 +155,8 @@ impl Field {
     }
 
     /// Fits an appearance to the left half of `photograph` (the NeRF-W
-    /// protocol: the right half is then fair to score). The field is not changed.
+    /// protocol: the right half is then fair to score), the likelier the more it is
+    /// like those of the views the field was trained with. The field is not changed.
     ///
     /// # Errors
     /// [`FieldError::Views`] when the photograph's size is not the camera's.
@@ -176,8 +178,8 @@ impl Field {
                 pixels.push(photograph.pixel(x, y));
             }
         }
-        let ridge = Appearance::RIDGE * pixels.len() as f64;
-        Ok(Appearance::fit(&f, &pixels, &self.canonical, ridge))
+        let seen: Vec<&Appearance> = self.appearances.iter().map(|(_, code)| code).collect();
+        Ok(Prior::of(&seen, self.canonical.clone()).fit(&f, &pixels))
     }
 
     /// The field as safetensors with a versioned header: rows' vertices, raw densities,

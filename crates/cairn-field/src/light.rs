@@ -4,11 +4,12 @@
 //! every view has one: a field without them paints each visitor's light onto the side
 //! that only this visitor saw, and then there is nothing left for them to explain.
 
-use crate::appearance::{Appearance, FEATURES, features};
+use crate::appearance::{Appearance, CODE, FEATURES, features};
 use crate::composite::{Kept, Thresholds, see};
 use crate::optimise::Adam;
+use crate::prior::Prior;
 use crate::sampling::mixed;
-use crate::trainer::{BaseTrainer, CODE, Prepared};
+use crate::trainer::{BaseTrainer, Prepared};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -63,8 +64,9 @@ impl BaseTrainer {
             features: fits.clone().flat_map(|s| s.features.iter().copied()).collect(),
             pixels: fits.flat_map(|s| s.pixels.iter().copied()).collect(),
         };
-        let common = all.fit(&self.neutral);
-        let codes: Vec<Appearance> = halves.par_iter().map(|[fit, _]| fit.fit(&common)).collect();
+        let common = all.fit(&Prior::around(self.neutral.clone()));
+        let near = Prior::around(common.clone());
+        let codes: Vec<Appearance> = halves.par_iter().map(|[fit, _]| fit.fit(&near)).collect();
         let (mut shared, mut own) = (0.0, 0.0);
         for ([_, judge], code) in halves.iter().zip(&codes) {
             shared += judge.error(&common);
@@ -118,9 +120,9 @@ impl Sampled {
         Self { features: Vec::new(), pixels: Vec::new() }
     }
 
-    /// The code that explains these pixels, near `prior` where they leave it open.
-    fn fit(&self, prior: &Appearance) -> Appearance {
-        Appearance::fit(&self.features, &self.pixels, prior, Appearance::RIDGE * self.pixels.len().max(1) as f64)
+    /// The code that explains these pixels, by `prior` where they leave it open.
+    fn fit(&self, prior: &Prior) -> Appearance {
+        prior.fit(&self.features, &self.pixels)
     }
 
     /// Sum of squared errors under `code`.

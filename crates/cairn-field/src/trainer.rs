@@ -2,7 +2,7 @@
 //! moves the touched rows; it reads no clock and no file and draws only from
 //! its seed, so that the same seed gives the same bytes.
 
-use crate::appearance::{Appearance, FEATURES};
+use crate::appearance::{Appearance, CODE};
 use crate::batch::{Batch, BatchSettings};
 use crate::composite::{Regularise, Thresholds};
 use crate::config::{AppearanceMode, FieldConfig};
@@ -381,9 +381,6 @@ const PULL_OPEN: f32 = 0.05;
 
 /// The whole unit cube.
 const WHOLE: ([f64; 3], [f64; 3]) = ([0.0; 3], [1.0; 3]);
-
-/// Numbers of an appearance code.
-pub(crate) const CODE: usize = 3 * FEATURES;
 
 /// What a batch owes the appearances.
 struct CodeGradient {

@@ -1,0 +1,195 @@
+//! What light to expect of a photograph, and the appearance that then explains its
+//! pixels best. A code of [`CODE`] numbers fitted to half of a photograph says
+//! something about the other half only as far as its numbers go together, and how they
+//! go together at a place is in the codes of the views that the field was trained with:
+//! their mean and covariance are the prior of a linear regression (Bishop 2006,
+//! section 3.3), whose maximum a posteriori is one small linear system.
+
+use crate::appearance::{Appearance, CODE, FEATURES};
+
+/// A normal distribution of appearance codes.
+#[derive(Clone, Debug)]
+pub struct Prior {
+    mean: Appearance,
+    /// `CODE x CODE`, symmetric: the inverse covariance, by [`NOISE`].
+    precision: Vec<f64>,
+}
+
+/// Variance of a pixel about its shade (0.07 in colour, squared) by the number of pixels
+/// that a photograph amounts to: neighbours err together, so that all of them together
+/// say what a few hundred would that do not.
+const NOISE: f64 = 2e-5;
+/// Where no view was seen, every number of a code has this variance.
+const SPREAD: f64 = 0.02;
+/// So many views' worth is that believed against the codes of those that were.
+const WORTH: f64 = 4.0;
+
+impl Prior {
+    /// Anything near `mean`, in no direction rather than another.
+    pub fn around(mean: Appearance) -> Self {
+        Self::of(&[], mean)
+    }
+
+    /// Codes like `seen`, whose mean is `mean`: their covariance, shrunk towards
+    /// what is believed where there are none.
+    pub fn of(seen: &[&Appearance], mean: Appearance) -> Self {
+        let mut covariance = vec![0.0; CODE * CODE];
+        for code in seen {
+            let off: Vec<f64> = code.code().iter().zip(mean.code()).map(|(a, b)| f64::from(a - b)).collect();
+            for (row, a) in covariance.chunks_exact_mut(CODE).zip(&off) {
+                row.iter_mut().zip(&off).for_each(|(sum, b)| *sum += a * b);
+            }
+        }
+        for k in 0..CODE {
+            covariance[k * CODE + k] += WORTH * SPREAD;
+        }
+        // The inverse of (covariance / count) times the noise, column by column.
+        let scale = NOISE * (seen.len() as f64 + WORTH);
+        factor(&mut covariance);
+        let mut precision = vec![0.0; CODE * CODE];
+        for (k, column) in precision.chunks_exact_mut(CODE).enumerate() {
+            column[k] = scale;
+            solve(&covariance, column);
+        }
+        Self { mean, precision }
+    }
+
+    /// The likeliest code given pixels: minimises the mean of `|code . f - pixel|^2` plus
+    /// `(code - mean)^T precision (code - mean)`, exactly; the mean where there are
+    /// none. `features` and `pixels` are of equal length.
+    pub fn fit(&self, features: &[[f32; FEATURES]], pixels: &[[f32; 3]]) -> Appearance {
+        let share = 1.0 / features.len().max(1) as f64;
+        let mut gram = [[0.0f64; FEATURES]; FEATURES];
+        let mut right = vec![0.0f64; CODE];
+        for (f, pixel) in features.iter().zip(pixels) {
+            let f = f.map(f64::from);
+            // From the mean on: what is solved for is how far the code is from it.
+            let shade = self.mean.shade(&f);
+            for a in 0..FEATURES {
+                for b in 0..=a {
+                    gram[a][b] += share * f[a] * f[b];
+                }
+                for c in 0..3 {
+                    right[c * FEATURES + a] += share * f[a] * (f64::from(pixel[c]) - shade[c]);
+                }
+            }
+        }
+        let mut normal = self.precision.clone();
+        for c in 0..3 {
+            for a in 0..FEATURES {
+                let row = &mut normal[(c * FEATURES + a) * CODE + c * FEATURES..][..FEATURES];
+                row.iter_mut().zip(&gram[a][..=a]).for_each(|(sum, g)| *sum += g);
+            }
+        }
+        factor(&mut normal);
+        solve(&normal, &mut right);
+        let mut code = self.mean.clone();
+        code.code_mut().iter_mut().zip(right).for_each(|(v, by)| *v += by as f32);
+        code
+    }
+}
+
+/// Cholesky's factor of a positive definite matrix, `CODE x CODE`, in place; only the
+/// lower triangle is read and written.
+fn factor(m: &mut [f64]) {
+    for j in 0..CODE {
+        for k in 0..j {
+            let v = m[j * CODE + k];
+            for i in j..CODE {
+                m[i * CODE + j] -= m[i * CODE + k] * v;
+            }
+        }
+        let d = m[j * CODE + j].max(1e-300).sqrt();
+        for i in j..CODE {
+            m[i * CODE + j] /= d;
+        }
+    }
+}
+
+/// Solves `L L^T x = b` in place.
+fn solve(l: &[f64], x: &mut [f64]) {
+    for i in 0..CODE {
+        for k in 0..i {
+            x[i] -= l[i * CODE + k] * x[k];
+        }
+        x[i] /= l[i * CODE + i];
+    }
+    for i in (0..CODE).rev() {
+        for k in i + 1..CODE {
+            x[i] -= l[k * CODE + i] * x[k];
+        }
+        x[i] /= l[i * CODE + i];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pixels_of(truth: &Appearance, count: usize, active: usize) -> (Vec<[f32; FEATURES]>, Vec<[f32; 3]>) {
+        let features: Vec<[f32; FEATURES]> = (0..count)
+            // A frequency of its own for each feature makes them independent.
+            .map(|i| {
+                std::array::from_fn(|k| if k < active { (i as f32 * (0.31 + 0.17 * k as f32)).sin() } else { 0.0 })
+            })
+            .collect();
+        let pixels = features.iter().map(|f| truth.shade(f)).collect();
+        (features, pixels)
+    }
+
+    fn code(of: impl Fn(usize) -> f32) -> Appearance {
+        Appearance::from_code((0..CODE).map(of).collect()).unwrap()
+    }
+
+    fn distance(a: &Appearance, b: &Appearance) -> f32 {
+        a.code().iter().zip(b.code()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn a_fit_finds_the_code_that_made_the_pixels() {
+        let truth = code(|i| 0.3 * (i as f32 * 0.7).sin());
+        let (features, pixels) = pixels_of(&truth, 400, FEATURES);
+        let found = Prior::around(Appearance::neutral([0.0; 3])).fit(&features, &pixels);
+        // Half a pixel's square is told, a thousandth is the prior's.
+        assert!(distance(&found, &truth) < 5e-3, "{}", distance(&found, &truth));
+        // And it is where the sum to be minimised has no slope.
+        let slope = |k: usize| {
+            let (c, a) = (k / FEATURES, k % FEATURES);
+            let residual = |(f, p): (&[f32; FEATURES], &[f32; 3])| f64::from((found.shade(f)[c] - p[c]) * f[a]);
+            let told = features.iter().zip(&pixels).map(residual).sum::<f64>() / features.len() as f64;
+            let mean = Appearance::neutral([0.0; 3]);
+            told + NOISE / SPREAD * f64::from(found.code()[k] - mean.code()[k])
+        };
+        assert!((0..CODE).all(|k| slope(k).abs() < 1e-6));
+    }
+
+    #[test]
+    fn without_pixels_the_fit_is_the_mean() {
+        let mean = Appearance::neutral([0.2, 0.4, 0.6]);
+        assert_eq!(Prior::around(mean.clone()).fit(&[], &[]), mean);
+    }
+
+    #[test]
+    fn what_the_pixels_leave_open_follows_what_they_tell_as_it_did_in_other_views() {
+        // In every view seen all numbers of a code rise and fall together; of a new one
+        // only the first four features show.
+        let light = |by: f32| code(|_| by);
+        let seen: Vec<Appearance> = (0..40).map(|n| light((n as f32 - 19.5) / 20.0)).collect();
+        let (features, pixels) = pixels_of(&light(0.6), 400, 4);
+        let prior = Prior::of(&seen.iter().collect::<Vec<_>>(), light(0.0));
+        let found = prior.fit(&features, &pixels);
+        assert!(distance(&found, &light(0.6)) < 0.02, "{:?}", found.code());
+        // Who saw none does not know: there what does not show stays as it was.
+        let found = Prior::around(light(0.0)).fit(&features, &pixels);
+        assert!(found.code()[FEATURES - 1].abs() < 1e-6 && (found.code()[0] - 0.6).abs() < 0.01);
+    }
+
+    #[test]
+    fn views_that_are_all_alike_leave_room_for_another() {
+        let same = Appearance::neutral([0.5; 3]);
+        let truth = code(|i| same.code()[i] + if i == 0 { 0.4 } else { 0.0 });
+        let (features, pixels) = pixels_of(&truth, 400, FEATURES);
+        let found = Prior::of(&[&same; 100], same.clone()).fit(&features, &pixels);
+        assert!(distance(&found, &truth) < 0.05, "{}", distance(&found, &truth));
+    }
+}
