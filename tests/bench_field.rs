@@ -78,6 +78,9 @@ fn the_suite_leaves_tables_charts_and_rows() {
     place.cairn_ok(&["bench", "page", "--ledger", "l.json"]);
     let again = std::fs::read_to_string(place.path("l.md")).unwrap();
     assert_eq!(again, page.replace("*nothing but time*", "memory"));
+    let refused = place.cairn(&["bench", "page", "--ledger", "typo.json", "--page", "l.md"]);
+    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("typo.json"));
+    assert_eq!(std::fs::read_to_string(place.path("l.md")).unwrap(), again, "the page is as it was");
 }
 
 fn check_rows(place: &Place, said: &str) {

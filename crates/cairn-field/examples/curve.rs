@@ -2,7 +2,8 @@
 //! to see what a setting does.
 //!
 //! `cargo run --release -p cairn-field --example curve -- FOLDER SCALE [settings as JSON] [FILE for the field [FOLDER
-//! whose photographs are scored against]]`
+//! whose photographs are scored against]]`. The last must have the same views and cameras; held-out light is fitted
+//! to its photographs, too.
 
 use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
 use cairn_field::{BaseTrainer, Field, FieldConfig, FieldError, SceneFrame, TrainingView};
@@ -15,7 +16,9 @@ const MOST_SCORED: usize = 24;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, scale, rest @ ..] = arguments.as_slice() else {
-        return Err("usage: curve FOLDER SCALE [settings as JSON] [FILE for the field]".into());
+        return Err(
+            "usage: curve FOLDER SCALE [settings as JSON] [FILE for the field [FOLDER to score against]]".into()
+        );
     };
     let scale: f64 = scale.parse()?;
     let config: FieldConfig = serde_json::from_str(rest.first().map_or("{}", String::as_str))?;
@@ -35,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let train = capture.training().map(|i| view(&capture, i)).collect::<Result<Vec<_>, _>>()?;
     let test = capture
         .held_out()
-        .step_by(capture.held_out().count().div_ceil(MOST_SCORED))
+        .step_by(capture.held_out().count().div_ceil(MOST_SCORED).max(1))
         .map(|i| view(truth, i))
         .collect::<Result<Vec<_>, _>>()?;
     let frame = SceneFrame::from_capture(&capture)?;

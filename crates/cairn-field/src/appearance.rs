@@ -5,7 +5,7 @@
 //!
 //! A pixel is linear in the code and linear in the field's colours. The first
 //! makes fitting a code to a new photograph a small least-squares problem with
-//! one exact answer (see [`crate::prior`]); the second keeps stage 2 linear.
+//! one exact answer (see `prior.rs`); the second keeps stage 2 linear.
 
 use crate::composite::Gathered;
 use crate::real::Real;
@@ -74,6 +74,16 @@ impl Appearance {
     pub fn mixed(&self, other: &Self, share: f32) -> Self {
         let code = self.code.iter().zip(&other.code).map(|(a, b)| a + (b - a) * share).collect();
         Self { code }
+    }
+
+    /// The mean of all; `None` of none, or where it is beyond f32.
+    pub(crate) fn mean(all: &[&Self]) -> Option<Self> {
+        let n = all.len() as f64;
+        let mut mean = vec![0.0; all.first()?.code.len()];
+        for a in all {
+            mean.iter_mut().zip(&a.code).for_each(|(m, v)| *m += f64::from(*v) / n);
+        }
+        Self::from_code(mean.into_iter().map(|v| v as f32).collect())
     }
 
     /// The weights of one output channel.

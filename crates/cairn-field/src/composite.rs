@@ -267,8 +267,8 @@ fn meet<T: Real>(
 pub struct Regularise<T> {
     /// Weight of mip-NeRF 360's distortion loss (eq. 15): draws a ray's weight together.
     pub distortion: T,
-    /// Weight of the sum of the ray's alphas: clears the haze that explains nothing and
-    /// leaves walls alone.
+    /// Weight of the sum of the ray's alphas: clears haze and leaves walls alone, but wears
+    /// away what is thin or seen at a glancing angle.
     pub sparsity: T,
 }
 

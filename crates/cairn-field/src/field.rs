@@ -155,11 +155,12 @@ impl Field {
     }
 
     /// Fits an appearance to the left half of `photograph` (the NeRF-W
-    /// protocol: the right half is then fair to score), the likelier the more it is
-    /// like those of the views the field was trained with. The field is not changed.
+    /// protocol: the right half is then fair to score): the likeliest one, where the
+    /// training views' appearances say what is likely. The field is not changed.
     ///
     /// # Errors
-    /// [`FieldError::Views`] when the photograph's size is not the camera's.
+    /// [`FieldError::Views`] when the photograph's size is not the camera's, or a number of it
+    /// is not finite.
     pub fn fit_appearance_left_half(&self, camera: &Camera, photograph: &Picture) -> Result<Appearance, FieldError> {
         let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
         if (w, h) != (photograph.width(), photograph.height()) {
@@ -179,7 +180,11 @@ impl Field {
             }
         }
         let seen: Vec<&Appearance> = self.appearances.iter().map(|(_, code)| code).collect();
-        Ok(Prior::of(&seen, self.canonical.clone()).fit(&f, &pixels))
+        let prior = Prior::of(&seen).unwrap_or_else(|| Prior::around(self.canonical.clone()));
+        prior.fit(&f, &pixels).ok_or_else(|| {
+            let why = "its left half has a number that is not finite, or is lit beyond all bounds; import it again";
+            FieldError::Views(format!("no light explains the photograph: {why}"))
+        })
     }
 
     /// The field as safetensors with a versioned header: rows' vertices, raw densities,

@@ -27,7 +27,7 @@ pub mod operator;
 mod optimise;
 mod overlay;
 pub mod patch;
-pub mod prior;
+mod prior;
 mod rays;
 mod real;
 mod sampling;

@@ -34,9 +34,9 @@ pub enum LightVerdict {
     },
 }
 
-/// Spread from which on appearances are worth having: five steps of an 8-bit colour.
+/// Spread from which on appearances are worth having: six steps of an 8-bit colour.
 /// docs/limits/field.md has what captures of either sort gave.
-const WORTH: f32 = 0.02;
+const WORTH: f32 = 0.025;
 /// PSNR in their own light from which on pictures are taken to show the scene, dB: a
 /// cloud would look like the mean of each photograph, which differs in any light.
 const TOLD_FROM_DB: f64 = 17.0;
@@ -64,9 +64,9 @@ impl BaseTrainer {
             features: fits.clone().flat_map(|s| s.features.iter().copied()).collect(),
             pixels: fits.flat_map(|s| s.pixels.iter().copied()).collect(),
         };
-        let common = all.fit(&Prior::around(self.neutral.clone()));
+        let Some(common) = all.fit(&Prior::around(self.neutral.clone())) else { return };
         let near = Prior::around(common.clone());
-        let codes: Vec<Appearance> = halves.par_iter().map(|[fit, _]| fit.fit(&near)).collect();
+        let Some(codes) = halves.par_iter().map(|[fit, _]| fit.fit(&near)).collect::<Option<Vec<_>>>() else { return };
         let (mut shared, mut own) = (0.0, 0.0);
         for ([_, judge], code) in halves.iter().zip(&codes) {
             shared += judge.error(&common);
@@ -121,7 +121,7 @@ impl Sampled {
     }
 
     /// The code that explains these pixels, by `prior` where they leave it open.
-    fn fit(&self, prior: &Prior) -> Appearance {
+    fn fit(&self, prior: &Prior) -> Option<Appearance> {
         prior.fit(&self.features, &self.pixels)
     }
 

@@ -4,60 +4,72 @@
 //! go together at a place is in the codes of the views that the field was trained with:
 //! their mean and covariance are the prior of a linear regression (Bishop 2006,
 //! section 3.3), whose maximum a posteriori is one small linear system.
+//!
+//! The codes seen are taken at their word: that training pulled them to neutral, and how
+//! sure each of their numbers is, is not made up for.
 
 use crate::appearance::{Appearance, CODE, FEATURES};
 
 /// A normal distribution of appearance codes.
 #[derive(Clone, Debug)]
-pub struct Prior {
+pub(crate) struct Prior {
     mean: Appearance,
-    /// `CODE x CODE`, symmetric: the inverse covariance, by [`NOISE`].
+    /// `CODE x CODE`, symmetric: [`NOISE`] times the inverse covariance.
     precision: Vec<f64>,
 }
 
-/// Variance of a pixel about its shade (0.07 in colour, squared) by the number of pixels
-/// that a photograph amounts to: neighbours err together, so that all of them together
-/// say what a few hundred would that do not.
+/// Variance of a pixel about its shade, 0.07^2 (colours in [0, 1]), by the number of
+/// pixels that a photograph amounts to: neighbours err together, so that all of them
+/// say what 245 would that do not.
 const NOISE: f64 = 2e-5;
 /// Where no view was seen, every number of a code has this variance.
-const SPREAD: f64 = 0.02;
+const VARIANCE: f64 = 0.02;
 /// So many views' worth is that believed against the codes of those that were.
-const WORTH: f64 = 4.0;
+const VIEWS: f64 = 4.0;
 
 impl Prior {
     /// Anything near `mean`, in no direction rather than another.
-    pub fn around(mean: Appearance) -> Self {
-        Self::of(&[], mean)
+    pub(crate) fn around(mean: Appearance) -> Self {
+        let mut precision = vec![0.0; CODE * CODE];
+        for k in 0..CODE {
+            precision[k * CODE + k] = NOISE / VARIANCE;
+        }
+        Self { mean, precision }
     }
 
-    /// Codes like `seen`, whose mean is `mean`: their covariance, shrunk towards
-    /// what is believed where there are none.
-    pub fn of(seen: &[&Appearance], mean: Appearance) -> Self {
+    /// Codes like `seen`: their mean and their covariance, shrunk towards what is
+    /// believed where there are none. `None` where there are none, or numbers so large that
+    /// their covariance has no inverse.
+    pub(crate) fn of(seen: &[&Appearance]) -> Option<Self> {
+        let mean = Appearance::mean(seen)?;
         let mut covariance = vec![0.0; CODE * CODE];
         for code in seen {
-            let off: Vec<f64> = code.code().iter().zip(mean.code()).map(|(a, b)| f64::from(a - b)).collect();
+            let pairs = code.code().iter().zip(mean.code());
+            let off: Vec<f64> = pairs.map(|(a, b)| f64::from(*a) - f64::from(*b)).collect();
             for (row, a) in covariance.chunks_exact_mut(CODE).zip(&off) {
                 row.iter_mut().zip(&off).for_each(|(sum, b)| *sum += a * b);
             }
         }
         for k in 0..CODE {
-            covariance[k * CODE + k] += WORTH * SPREAD;
+            covariance[k * CODE + k] += VIEWS * VARIANCE;
         }
-        // The inverse of (covariance / count) times the noise, column by column.
-        let scale = NOISE * (seen.len() as f64 + WORTH);
-        factor(&mut covariance);
+        // The mean took one view's worth of the spread about it.
+        let scale = NOISE * ((seen.len() - 1) as f64 + VIEWS);
+        factor(&mut covariance)?;
         let mut precision = vec![0.0; CODE * CODE];
         for (k, column) in precision.chunks_exact_mut(CODE).enumerate() {
             column[k] = scale;
             solve(&covariance, column);
         }
-        Self { mean, precision }
+        Some(Self { mean, precision })
     }
 
-    /// The likeliest code given pixels: minimises the mean of `|code . f - pixel|^2` plus
-    /// `(code - mean)^T precision (code - mean)`, exactly; the mean where there are
-    /// none. `features` and `pixels` are of equal length.
-    pub fn fit(&self, features: &[[f32; FEATURES]], pixels: &[[f32; 3]]) -> Appearance {
+    /// The likeliest code given `features` (n) and the RGB `pixels` (n, in [0, 1]) that show
+    /// them: minimises the mean of `|code . f - pixel|^2` plus
+    /// `(code - mean)^T precision (code - mean)`, exactly; the mean where n is 0.
+    /// `None` when a number is not finite, or the code would not be.
+    pub(crate) fn fit(&self, features: &[[f32; FEATURES]], pixels: &[[f32; 3]]) -> Option<Appearance> {
+        debug_assert_eq!(features.len(), pixels.len());
         let share = 1.0 / features.len().max(1) as f64;
         let mut gram = [[0.0f64; FEATURES]; FEATURES];
         let mut right = vec![0.0f64; CODE];
@@ -81,17 +93,15 @@ impl Prior {
                 row.iter_mut().zip(&gram[a][..=a]).for_each(|(sum, g)| *sum += g);
             }
         }
-        factor(&mut normal);
+        factor(&mut normal)?;
         solve(&normal, &mut right);
-        let mut code = self.mean.clone();
-        code.code_mut().iter_mut().zip(right).for_each(|(v, by)| *v += by as f32);
-        code
+        Appearance::from_code(self.mean.code().iter().zip(right).map(|(v, by)| (f64::from(*v) + by) as f32).collect())
     }
 }
 
 /// Cholesky's factor of a positive definite matrix, `CODE x CODE`, in place; only the
-/// lower triangle is read and written.
-fn factor(m: &mut [f64]) {
+/// lower triangle is read and written. `None` when it is not positive definite.
+fn factor(m: &mut [f64]) -> Option<()> {
     for j in 0..CODE {
         for k in 0..j {
             let v = m[j * CODE + k];
@@ -99,11 +109,15 @@ fn factor(m: &mut [f64]) {
                 m[i * CODE + j] -= m[i * CODE + k] * v;
             }
         }
-        let d = m[j * CODE + j].max(1e-300).sqrt();
+        let pivot = m[j * CODE + j];
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
+        }
         for i in j..CODE {
-            m[i * CODE + j] /= d;
+            m[i * CODE + j] /= pivot.sqrt();
         }
     }
+    Some(())
 }
 
 /// Solves `L L^T x = b` in place.
@@ -149,7 +163,7 @@ mod tests {
     fn a_fit_finds_the_code_that_made_the_pixels() {
         let truth = code(|i| 0.3 * (i as f32 * 0.7).sin());
         let (features, pixels) = pixels_of(&truth, 400, FEATURES);
-        let found = Prior::around(Appearance::neutral([0.0; 3])).fit(&features, &pixels);
+        let found = Prior::around(Appearance::neutral([0.0; 3])).fit(&features, &pixels).unwrap();
         // Half a pixel's square is told, a thousandth is the prior's.
         assert!(distance(&found, &truth) < 5e-3, "{}", distance(&found, &truth));
         // And it is where the sum to be minimised has no slope.
@@ -158,7 +172,7 @@ mod tests {
             let residual = |(f, p): (&[f32; FEATURES], &[f32; 3])| f64::from((found.shade(f)[c] - p[c]) * f[a]);
             let told = features.iter().zip(&pixels).map(residual).sum::<f64>() / features.len() as f64;
             let mean = Appearance::neutral([0.0; 3]);
-            told + NOISE / SPREAD * f64::from(found.code()[k] - mean.code()[k])
+            told + NOISE / VARIANCE * f64::from(found.code()[k] - mean.code()[k])
         };
         assert!((0..CODE).all(|k| slope(k).abs() < 1e-6));
     }
@@ -166,7 +180,7 @@ mod tests {
     #[test]
     fn without_pixels_the_fit_is_the_mean() {
         let mean = Appearance::neutral([0.2, 0.4, 0.6]);
-        assert_eq!(Prior::around(mean.clone()).fit(&[], &[]), mean);
+        assert_eq!(Prior::around(mean.clone()).fit(&[], &[]), Some(mean));
     }
 
     #[test]
@@ -176,11 +190,11 @@ mod tests {
         let light = |by: f32| code(|_| by);
         let seen: Vec<Appearance> = (0..40).map(|n| light((n as f32 - 19.5) / 20.0)).collect();
         let (features, pixels) = pixels_of(&light(0.6), 400, 4);
-        let prior = Prior::of(&seen.iter().collect::<Vec<_>>(), light(0.0));
-        let found = prior.fit(&features, &pixels);
+        let prior = Prior::of(&seen.iter().collect::<Vec<_>>()).unwrap();
+        let found = prior.fit(&features, &pixels).unwrap();
         assert!(distance(&found, &light(0.6)) < 0.02, "{:?}", found.code());
         // Who saw none does not know: there what does not show stays as it was.
-        let found = Prior::around(light(0.0)).fit(&features, &pixels);
+        let found = Prior::around(light(0.0)).fit(&features, &pixels).unwrap();
         assert!(found.code()[FEATURES - 1].abs() < 1e-6 && (found.code()[0] - 0.6).abs() < 0.01);
     }
 
@@ -189,7 +203,32 @@ mod tests {
         let same = Appearance::neutral([0.5; 3]);
         let truth = code(|i| same.code()[i] + if i == 0 { 0.4 } else { 0.0 });
         let (features, pixels) = pixels_of(&truth, 400, FEATURES);
-        let found = Prior::of(&[&same; 100], same.clone()).fit(&features, &pixels);
+        let found = Prior::of(&[&same; 100]).unwrap().fit(&features, &pixels).unwrap();
         assert!(distance(&found, &truth) < 0.05, "{}", distance(&found, &truth));
+    }
+
+    #[test]
+    fn one_view_says_nothing_of_how_views_differ() {
+        let only = Appearance::neutral([0.5; 3]);
+        let (one, none) = (Prior::of(&[&only]).unwrap(), Prior::around(only));
+        assert_eq!(one.mean, none.mean);
+        for (a, b) in one.precision.iter().zip(&none.precision) {
+            assert!((a - b).abs() < 1e-12, "{a} for {b}");
+        }
+        assert!(Prior::of(&[]).is_none());
+    }
+
+    #[test]
+    fn numbers_that_no_light_has_are_refused() {
+        let (vast, small) = (code(|k| if k % 2 == 0 { 3e38 } else { -3e38 }), code(|_| 0.1));
+        assert!(Prior::of(&[&vast, &small, &small]).is_none());
+        let around = Prior::around(small);
+        for pixel in [f32::NAN, f32::INFINITY] {
+            assert_eq!(around.fit(&[[1.0; FEATURES]], &[[pixel; 3]]), None);
+            assert_eq!(around.fit(&[[pixel; FEATURES]], &[[1.0; 3]]), None);
+        }
+        // What is finite but cannot be held in a code.
+        assert_eq!(around.fit(&[[1e-36; FEATURES]; 2], &[[f32::MAX; 3]; 2]).map(|_| ()), Some(()));
+        assert_eq!(around.fit(&[[0.02; FEATURES]; 2], &[[f32::MAX; 3]; 2]), None);
     }
 }

@@ -156,7 +156,7 @@ impl BaseTrainer {
             return Ok(self.stats(0.0));
         }
         let progress = self.step as f64 / self.config.steps as f64;
-        // A young field explains little yet: the price of density would wipe it out.
+        // A young field explains little yet: these two losses would wipe it out.
         let begun = ((progress - 0.02) / 0.1).clamp(0.0, 1.0);
         let (tiles, drawn) = self.draw_tiles();
         let mut batch = std::mem::take(&mut self.batch);
@@ -246,7 +246,7 @@ impl BaseTrainer {
         let views: Vec<(Camera, Arc<Lens>)> = self.views.iter().map(|v| (v.camera, v.lens.clone())).collect();
         let least = self.config.prune_weight.min(SHOWS);
         let names = self.views.into_iter().map(|v| v.name);
-        let canonical = mean_appearance(&self.appearances).unwrap_or(self.neutral);
+        let canonical = Appearance::mean(&self.appearances.iter().collect::<Vec<_>>()).unwrap_or(self.neutral);
         let field = Field::new(self.frame, self.grid, canonical, names.zip(self.appearances).collect());
         if least > 0.0 { field.only_what_shows_in(&views, least) } else { field }
     }
@@ -463,13 +463,4 @@ fn mean_colour(views: &[Prepared]) -> [f32; 3] {
         count += view.pixels.len() as u64 / 3;
     }
     sum.map(|s| (s as f64 / count.max(1) as f64 / 255.0) as f32)
-}
-
-fn mean_appearance(all: &[Appearance]) -> Option<Appearance> {
-    let n = all.len() as f32;
-    let mut mean = vec![0.0; all.first()?.code().len()];
-    for a in all {
-        mean.iter_mut().zip(a.code()).for_each(|(m, v)| *m += v / n);
-    }
-    Appearance::from_code(mean)
 }

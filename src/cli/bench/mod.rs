@@ -27,7 +27,8 @@ pub struct Args {
     /// The ledger, JSON; a row with the same suite, case, metric and seed is replaced
     #[arg(long, value_name = "FILE", default_value = "docs/benchmarks.json")]
     ledger: PathBuf,
-    /// Also write the ledger as a page of Markdown, with the suites' notes from `limits` beside it
+    /// Also write the ledger as a page of Markdown, with the suites' notes from `limits` beside it (suite
+    /// `page`: beside the ledger where not given)
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
     /// The seed of everything that is drawn
@@ -106,14 +107,21 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Demo => of_demo(place, &args, &mut rows).await?,
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
-        Suite::Page => {
-            let page = args.page.clone().unwrap_or_else(|| args.ledger.with_extension("md"));
-            return rows::write_page(&Ledger::load(&args.ledger)?, &page);
-        }
+        Suite::Page => return write_page_again(&args),
     }
     rows.save(&args)?;
     let ledger = Ledger::load(&args.ledger)?;
     println!("in {}; {} targets missed", args.ledger.display(), ledger.missed().count());
+    Ok(())
+}
+
+/// The page of a ledger that is there; an absent one would give an empty page.
+fn write_page_again(args: &Args) -> anyhow::Result<()> {
+    let ledger = &args.ledger;
+    anyhow::ensure!(ledger.is_file(), "there is no ledger {}; name the one to show (--ledger FILE)", ledger.display());
+    let page = args.page.clone().unwrap_or_else(|| ledger.with_extension("md"));
+    rows::write_page(&Ledger::load(ledger)?, &page)?;
+    println!("in {}", page.display());
     Ok(())
 }
 

@@ -1,0 +1,68 @@
+//! The light of a photograph that the field was not trained with.
+
+mod common;
+
+use cairn_capture::Picture;
+use cairn_field::appearance::FEATURES;
+use cairn_field::{Appearance, Field, FieldError};
+use common::{Numbers, ball_box, random_grid, ring, stored_with};
+use glam::DVec3;
+
+/// All numbers of an appearance, by `1 + more`.
+fn lit(more: f32) -> Appearance {
+    let code = Appearance::neutral([0.3, 0.5, 0.7]).code().iter().map(|v| v * (1.0 + more)).collect();
+    Appearance::from_code(code).expect("finite numbers")
+}
+
+/// A field in a box, whose views were brighter and darker in everything at once.
+fn field(views: usize) -> Field {
+    let more = |n: usize| (n as f32 + 0.5) / views as f32 - 0.5;
+    let appearances: Vec<(String, Appearance)> = (0..views).map(|n| (format!("{n:03}.png"), lit(more(n)))).collect();
+    let grid = random_grid([12; 3], 0.6, (-6.0, 0.0), 7);
+    let header = serde_json::json!({
+        "format": cairn_field::FIELD_FORMAT, "frame": ball_box(), "dims": grid.dims, "canonical": lit(0.0),
+        "appearances": appearances,
+    });
+    Field::from_bytes(&stored_with(&header, &grid)).expect("a sound field")
+}
+
+#[test]
+fn what_does_not_show_is_lit_like_what_does() {
+    let camera = ring(5, 32, 1.0, DVec3::ZERO)[0];
+    // A box has no surroundings: their colours are open to anything.
+    let far = 4;
+    for (views, expected) in [(40, 1.4), (0, 1.0)] {
+        let field = field(views);
+        let photograph = field.render(&camera, &lit(0.4));
+        let found = field.fit_appearance_left_half(&camera, &photograph).expect("a sound photograph");
+        assert!((found.code()[0] - 1.4).abs() < 0.15, "{} after {views} views", found.code()[0]);
+        assert!((found.code()[far] - expected).abs() < 0.03, "{} after {views} views", found.code()[far]);
+        assert_eq!(found.code().len(), 3 * FEATURES);
+    }
+}
+
+#[test]
+fn the_right_half_has_no_say() {
+    let camera = ring(5, 32, 1.0, DVec3::ZERO)[0];
+    let field = field(10);
+    let photograph = field.render(&camera, &lit(0.2));
+    let mut numbers = Numbers(3);
+    let mut changed = |half: fn(usize) -> bool| {
+        let pixel = |(i, v): (usize, &f32)| if half(i / 3 % 32) { numbers.share() as f32 } else { *v };
+        Picture::new(32, 32, photograph.rgb().iter().enumerate().map(pixel).collect()).expect("three numbers a pixel")
+    };
+    let fit = |picture: &Picture| field.fit_appearance_left_half(&camera, picture).expect("a sound photograph");
+    assert_eq!(fit(&photograph), fit(&changed(|x| x >= 16)));
+    assert_ne!(fit(&photograph), fit(&changed(|x| x < 16)));
+}
+
+#[test]
+fn a_photograph_that_no_light_explains_is_refused() {
+    let camera = ring(5, 32, 1.0, DVec3::ZERO)[0];
+    for broken in [f32::NAN, f32::INFINITY] {
+        let mut photograph = field(3).render(&camera, &lit(0.0));
+        photograph.rgb_mut()[300] = broken;
+        let error = field(3).fit_appearance_left_half(&camera, &photograph).expect_err("not finite");
+        assert!(matches!(&error, FieldError::Views(why) if why.contains("photograph")), "{error}");
+    }
+}
