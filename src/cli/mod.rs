@@ -135,7 +135,7 @@ fn start_log(config: &Config, daemon: bool) {
 }
 
 /// Reads a file, naming it when that fails.
-fn read(path: &std::path::Path) -> anyhow::Result<Vec<u8>> {
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     use anyhow::Context as _;
     std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }

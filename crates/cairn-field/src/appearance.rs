@@ -39,7 +39,7 @@ impl TryFrom<Stored> for Appearance {
 
     fn try_from(stored: Stored) -> Result<Self, String> {
         let got = stored.code.len();
-        Self::from_code(stored.code).ok_or_else(|| format!("an appearance has {} finite numbers, got {got}", CODE))
+        Self::from_code(stored.code).ok_or_else(|| format!("an appearance has {CODE} finite numbers, got {got}"))
     }
 }
 

@@ -160,7 +160,8 @@ impl Field {
     ///
     /// # Errors
     /// [`FieldError::Views`] when the photograph's size is not the camera's, or a number of it
-    /// is not finite.
+    /// is not finite; [`FieldError::Stored`] when the training views' appearances are such as
+    /// no photograph has.
     pub fn fit_appearance_left_half(&self, camera: &Camera, photograph: &Picture) -> Result<Appearance, FieldError> {
         let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
         if (w, h) != (photograph.width(), photograph.height()) {
@@ -180,7 +181,11 @@ impl Field {
             }
         }
         let seen: Vec<&Appearance> = self.appearances.iter().map(|(_, code)| code).collect();
-        let prior = Prior::of(&seen).unwrap_or_else(|| Prior::around(self.canonical.clone()));
+        let prior = if seen.is_empty() {
+            Prior::around(self.canonical.clone())
+        } else {
+            Prior::of(&seen).ok_or_else(|| stored("field", "its appearances are beyond all bounds".into()))?
+        };
         prior.fit(&f, &pixels).ok_or_else(|| {
             let why = "its left half has a number that is not finite, or is lit beyond all bounds; import it again";
             FieldError::Views(format!("no light explains the photograph: {why}"))

@@ -38,8 +38,8 @@ impl Prior {
     }
 
     /// Codes like `seen`: their mean and their covariance, shrunk towards what is
-    /// believed where there are none. `None` where there are none, or numbers so large that
-    /// their covariance has no inverse.
+    /// believed where there are none. `None` where there are none, or their numbers are so
+    /// large that rounding leaves their covariance no inverse.
     pub(crate) fn of(seen: &[&Appearance]) -> Option<Self> {
         let mean = Appearance::mean(seen)?;
         let mut covariance = vec![0.0; CODE * CODE];
@@ -164,7 +164,7 @@ mod tests {
         let truth = code(|i| 0.3 * (i as f32 * 0.7).sin());
         let (features, pixels) = pixels_of(&truth, 400, FEATURES);
         let found = Prior::around(Appearance::neutral([0.0; 3])).fit(&features, &pixels).unwrap();
-        // Half a pixel's square is told, a thousandth is the prior's.
+        // A feature's mean square is a half, and the prior's share a thousandth.
         assert!(distance(&found, &truth) < 5e-3, "{}", distance(&found, &truth));
         // And it is where the sum to be minimised has no slope.
         let slope = |k: usize| {

@@ -156,7 +156,7 @@ impl BaseTrainer {
             return Ok(self.stats(0.0));
         }
         let progress = self.step as f64 / self.config.steps as f64;
-        // A young field explains little yet: these two losses would wipe it out.
+        // A young field explains little yet: a price on it from the first step wiped it out.
         let begun = ((progress - 0.02) / 0.1).clamp(0.0, 1.0);
         let (tiles, drawn) = self.draw_tiles();
         let mut batch = std::mem::take(&mut self.batch);

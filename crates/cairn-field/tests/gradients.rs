@@ -4,7 +4,7 @@
 
 mod common;
 
-use cairn_field::appearance::{FEATURES, features};
+use cairn_field::appearance::{CODE, FEATURES, features};
 use cairn_field::composite::{Gathered, Regularise, Thresholds, gather, push_back};
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::patch::{Debts, Patch, Roulette};
@@ -190,11 +190,11 @@ fn an_appearance_code() {
     let gathered = gather(&grid, &mut patch, &rays[0].0, OFFSET, Thresholds::EXACT, &mut Vec::new());
     let f = features(&gathered, &rays[0].1);
     let shade = look.shade(&f);
-    let mut found = [0.0f64; common::CODE];
+    let mut found = [0.0f64; CODE];
     Appearance::add_code_gradient(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), &f, &mut found);
     // A power of two, so that the code's f32 takes the step exactly.
     let h = 2.0f32.powi(-12);
-    for k in 0..common::CODE {
+    for k in 0..CODE {
         let at = |step: f32| {
             let mut code = look.code().to_vec();
             code[k] += step;

@@ -4,7 +4,6 @@
 #![allow(dead_code)]
 
 use cairn_capture::{Camera, Capture, Distortion, Intrinsics, Picture, Pose, SceneKind, View};
-use cairn_field::appearance::FEATURES;
 use cairn_field::grid::{DENSITY_SCALE, Grid, ROW};
 use cairn_field::sh::SH;
 use cairn_field::{Appearance, Field, FieldConfig, Real, SceneFrame, TrainingView};
@@ -225,6 +224,3 @@ pub fn rms(a: &[f32], b: &[f32]) -> f64 {
     assert_eq!(a.len(), b.len());
     (a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
 }
-
-/// Numbers an appearance code has.
-pub const CODE: usize = 3 * FEATURES;
