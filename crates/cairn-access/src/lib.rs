@@ -1,0 +1,1 @@
+//! Who may do what on a daemon: registration by proof of possession, roles, short-lived signed tokens, quotas.
