@@ -11,10 +11,13 @@
 pub mod checkpoint;
 pub mod digest;
 pub mod dsse;
+#[cfg(feature = "store")]
+pub mod files;
 pub mod keys;
 pub mod leaf;
 pub mod merkle;
 pub mod note;
+pub mod packs;
 pub mod proof;
 pub mod record;
 #[cfg(feature = "store")]
@@ -34,4 +37,4 @@ pub use note::{Note, NoteError, NoteVerifier};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
 #[cfg(feature = "store")]
-pub use registry::{Receipt, Registry, RegistryError, StoredRecord};
+pub use registry::{LogEntry, Published, Receipt, Registry, RegistryError, StoredRecord};

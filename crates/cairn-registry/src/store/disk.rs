@@ -18,7 +18,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Entry, Store, StoreError};
+use super::{Change, Entry, Store, StoreError};
 
 /// Sled gives up its own file lock a moment after the last handle is dropped, from another thread.
 const OPEN_TRIES: u32 = 50;
@@ -94,7 +94,7 @@ impl DiskStore {
 }
 
 /// A new name in a folder survives a power cut only once the folder is synced.
-fn sync_folder(folder: &Path) -> io::Result<()> {
+pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
@@ -107,10 +107,13 @@ impl Store for DiskStore {
         Ok(self.db.get(key).map_err(|e| self.error("get", &e))?.map(|value| value.to_vec()))
     }
 
-    fn put(&self, entries: Vec<Entry>) -> Result<(), StoreError> {
+    fn put(&self, changes: Vec<Change>) -> Result<(), StoreError> {
         let mut batch = sled::Batch::default();
-        for (key, value) in entries {
-            batch.insert(key, value);
+        for (key, value) in changes {
+            match value {
+                Some(value) => batch.insert(key, value),
+                None => batch.remove(key),
+            }
         }
         self.db.apply_batch(batch).map_err(|e| self.error("put", &e))
     }
