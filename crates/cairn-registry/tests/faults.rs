@@ -92,7 +92,10 @@ fn every_operation_of_a_submission_may_fail() {
     let before = store.operations();
     registry.submit(&envelope).unwrap();
     let operations = store.operations() - before;
-    assert!(operations >= 7, "at least a look-up, a pack written, flushed and named, a put, a flush and a reading back, counted {operations}");
+    assert!(
+        operations >= 7,
+        "at least a look-up, a pack written, flushed and named, a put, a flush and a reading back, counted {operations}"
+    );
     for power_lost in [false, true] {
         for fault in FAULTS {
             for nth in 0..operations {

@@ -11,11 +11,12 @@ use common::*;
 
 fn in_memory() -> (FaultyStore, Registry) {
     let store = FaultyStore::new();
-    let registry = Registry::open_store(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN).unwrap();
+    let registry =
+        Registry::open_store(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN).unwrap();
     (store, registry)
 }
 
-fn again(store: &FaultyStore) -> Registry {
+fn reopened(store: &FaultyStore) -> Registry {
     Registry::open_store(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN).unwrap()
 }
 
@@ -92,7 +93,7 @@ fn the_same_record_again_gives_its_old_index() {
     // Also the countersigned envelope, also with foreign signatures around, also after a restart.
     let mut noisy = first.envelope.clone();
     noisy.sign(&owner(77));
-    let registry = again(&store.crash());
+    let registry = reopened(&store.crash());
     let again = registry.submit(&noisy).unwrap();
     assert_eq!((again.index, &again.envelope, registry.size()), (0, &first.envelope, 4));
 }
@@ -199,7 +200,7 @@ fn a_revoked_key_signs_no_more_also_after_a_restart() {
     let mut revocation = record(&registry, &owner(1), "fern", "end");
     revocation.kind = RecordKind::Revocation;
     registry.submit(&revocation.seal(&owner(1)).unwrap()).unwrap();
-    let registry = again(&store.crash());
+    let registry = reopened(&store.crash());
     let refused = submit(&registry, &owner(1), "trex", "b").unwrap_err();
     assert!(matches!(refused, RegistryError::OwnerRetired { index: 2, .. }), "{refused}");
     submit(&registry, &owner(2), "trex", "b").unwrap();
@@ -233,4 +234,3 @@ fn submissions_at_once_share_flushes_and_each_gets_its_own_place() {
     assert!(store.flushes() - flushes_before <= 160);
     assert!(registry.check().unwrap().is_empty());
 }
-

@@ -206,7 +206,7 @@ impl Registry {
         writer.used.extend(batch.planned.nonces);
         writer.used.retain(|_, index| new_size - *index <= NONCE_LIFETIME);
         let mut state = self.write();
-        state.map.apply(staged);
+        state.map.apply(&staged);
         state.size = new_size;
         state.checkpoint = note.to_string();
         Ok(())
@@ -224,7 +224,7 @@ impl Registry {
         }
         for (bucket, bytes, top) in &staged.rows {
             batch.entries.push((layout::bucket(*bucket), Some(bytes.clone())));
-            batch.entries.push((layout::top(*bucket), Some(top.encode())));
+            batch.entries.push((layout::top(*bucket), Some(top.encode().to_vec())));
         }
         let index = size + batch.leaves.len() as u64;
         let leaf = MapLeaf::sign(&self.origin, index, staged.root, &self.key).encode().to_vec();
@@ -337,7 +337,6 @@ mod tests {
         let key = OwnerKey::from_seed(&[200; 32]);
         Registry::open_store(Box::new(store.clone()), Box::new(found.clone()), key, "cairn.example/log").unwrap()
     }
-
 
     /// Holds the first flush after arming until it is let go; counts flushes.
     #[derive(Clone, Default)]

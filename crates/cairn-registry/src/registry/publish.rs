@@ -117,7 +117,8 @@ impl Registry {
             TilePath::in_tree(TileKind::Hashes(level), index, size).is_some_and(|held| held.width == TILE_WIDTH)
         };
         // Tiles that a batch on its way has filled hold leaves that are not durable yet.
-        let full: Vec<_> = state.tree.fresh().into_iter().filter(|((level, index), _)| within(*level, *index)).collect();
+        let full: Vec<_> =
+            state.tree.fresh().into_iter().filter(|((level, index), _)| within(*level, *index)).collect();
         let mut partial = BTreeMap::new();
         for level in 0..=crate::tile::MAX_LEVEL {
             let count = size.checked_shr(8 * u32::from(level)).unwrap_or(0);

@@ -265,7 +265,8 @@ impl Registry {
         let leaf = match self.decoded_leaf(index)? {
             Entry::Record(leaf) => leaf,
             Entry::Map(leaf) => {
-                leaf.verify(&self.origin, index, &self.key.public()).map_err(|e| inconsistent(&place, e.to_string()))?;
+                leaf.verify(&self.origin, index, &self.key.public())
+                    .map_err(|e| inconsistent(&place, e.to_string()))?;
                 return Ok(LogEntry::Map { index, leaf });
             }
         };

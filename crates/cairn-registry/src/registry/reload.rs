@@ -6,7 +6,14 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use super::{RegistryError, State, commit::Writer, layout, nonce::NONCE_LIFETIME, publish::{Publisher, is_cosigned}, tiles::TileTree};
+use super::{
+    RegistryError, State,
+    commit::Writer,
+    layout,
+    nonce::NONCE_LIFETIME,
+    publish::{Publisher, is_cosigned},
+    tiles::TileTree,
+};
 use crate::{
     checkpoint::Checkpoint,
     digest::Digest,
@@ -170,11 +177,11 @@ fn read_map(store: &dyn Store) -> Result<BucketMap, RegistryError> {
         for (key, value) in page {
             let bucket = key[layout::TOPS.len()..].try_into().map(u32::from_be_bytes);
             let bucket = bucket.map_err(|_| inconsistent("map", format!("key {key:?}")))?;
-            let top = BucketTop::decode(&value);
+            let top = BucketTop::decode(bucket, &value);
             tops.push((bucket, top.map_err(|e| inconsistent(&format!("map, bucket {bucket}"), e.to_string()))?));
         }
     }
-    Ok(BucketMap::from_tops(tops)?)
+    Ok(BucketMap::from_tops(tops.into_iter()))
 }
 
 /// The log's last leaf must be this registry's word on the very map that the store holds.

@@ -7,7 +7,7 @@
 
 use std::{
     fs::{self, File},
-    io,
+    io::{self, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -79,6 +79,18 @@ impl Drop for Seal {
     }
 }
 
+fn digest(file: &mut File) -> io::Result<(u64, Digest)> {
+    let (mut hasher, mut size, mut piece) = (Sha256::new(), 0, vec![0; 1 << 16]);
+    loop {
+        let count = file.read(&mut piece)?;
+        if count == 0 {
+            return Ok((size, Digest::from_bytes(hasher.finalize().into())));
+        }
+        hasher.update(&piece[..count]);
+        size += count as u64;
+    }
+}
+
 fn list(root: &Path, folder: &str, files: &mut Vec<SealedFile>) -> io::Result<()> {
     for entry in fs::read_dir(root.join(folder))? {
         let entry = entry?;
@@ -86,9 +98,8 @@ fn list(root: &Path, folder: &str, files: &mut Vec<SealedFile>) -> io::Result<()
         if entry.file_type()?.is_dir() {
             list(root, &path, files)?;
         } else {
-            let mut hasher = Sha256::new();
-            let size = io::copy(&mut File::open(root.join(&path))?, &mut hasher)?;
-            files.push(SealedFile { path, size, sha256: Digest::from_bytes(hasher.finalize().into()) });
+            let (size, sha256) = digest(&mut File::open(root.join(&path))?)?;
+            files.push(SealedFile { path, size, sha256 });
         }
     }
     Ok(())

@@ -49,8 +49,13 @@ impl TileTree {
     /// # Errors
     /// [`RegistryError::Inconsistent`] names the tile that is missing or damaged.
     pub(super) fn load(files: Arc<Files>, filed: u64) -> Result<Self, RegistryError> {
-        let mut tree =
-            Self { size: filed, edge: Vec::new(), fresh: BTreeMap::new(), cache: Mutex::new(LruCache::new(CACHED)), files };
+        let mut tree = Self {
+            size: filed,
+            edge: Vec::new(),
+            fresh: BTreeMap::new(),
+            cache: Mutex::new(LruCache::new(CACHED)),
+            files,
+        };
         for level in 1.. {
             let count = filed.checked_shr(LEVELS * u32::from(level)).unwrap_or(0);
             if count == 0 {
@@ -225,7 +230,7 @@ mod tests {
         let compare = |tiles: &TileTree| {
             for size in [1, 2, 3, 255, 256, 257, 300, 512, 513, 65_535, 65_536, 65_537, 65_999, 66_000] {
                 assert_eq!(root_at(tiles, size).unwrap(), plain.root_at(size).unwrap(), "{size}");
-                for index in [0, 1, size / 3, size / 2, size - 1] {
+                for index in [0, 1.min(size - 1), size / 3, size / 2, size - 1] {
                     let proof = prove_inclusion(tiles, index, size).unwrap();
                     assert_eq!(proof, plain.prove_inclusion(index, size).unwrap(), "{index} of {size}");
                     if index > 0 {

@@ -10,8 +10,8 @@ mod disk;
 mod lock;
 mod memory;
 
-pub(crate) use disk::sync_folder;
 pub use disk::DiskStore;
+pub(crate) use disk::sync_folder;
 pub use lock::{Holder, StoreLock};
 pub use memory::{Fault, FaultyStore};
 
