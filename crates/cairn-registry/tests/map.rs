@@ -305,6 +305,7 @@ fn spoilt_buckets_are_named_and_no_proof_comes_out_of_them() {
                 }
                 other => panic!("byte {at}: {other:?}"),
             }
+            assert!(map.stage(&stored, &BTreeMap::from([(key, vec![entry(99)])])).is_err(), "byte {at}");
         }
         stored.buckets.insert(bucket, good[..good.len() - 1].to_vec());
         assert!(matches!(map.prove(&stored, &key), Err(MapError::Bucket { .. })));

@@ -5,8 +5,10 @@
 //! version 1 | for each key, ascending: key 32 | count u64 BE | one hash of 32 bytes for each binary one of the count
 //! ```
 
+use std::collections::BTreeMap;
+
 use super::{
-    EMPTY, ListError, ListState, MapKey, MapProof, ProofEnd,
+    EMPTY, ListError, ListState, MapEntry, MapKey, MapProof, ProofEnd,
     buckets::{BUCKET_BITS, bucket_of},
     leaf_hash, node_hash,
 };
@@ -79,8 +81,24 @@ pub enum BucketError {
 pub(super) struct Bucket(Vec<(MapKey, ListState)>);
 
 impl Bucket {
+    /// Appends entries to lists; gives the bucket's root before and after.
+    pub(super) fn append<'a>(
+        &mut self,
+        changes: impl Iterator<Item = (&'a MapKey, &'a Vec<MapEntry>)>,
+    ) -> (Node, Node) {
+        let values = self.0.iter().map(|(key, list)| (*key, list.root()));
+        let mut values: BTreeMap<MapKey, Change> = values.map(|(key, value)| (key, (Some(value), value))).collect();
+        for (key, entries) in changes {
+            let list = self.list_mut(key);
+            entries.iter().for_each(|entry| list.append(entry));
+            values.entry(*key).or_insert((None, EMPTY)).1 = list.root();
+        }
+        let rows: Vec<(MapKey, Change)> = values.into_iter().collect();
+        both(&rows, BUCKET_BITS)
+    }
+
     /// The list of `key`, made where there is none.
-    pub(super) fn list_mut(&mut self, key: &MapKey) -> &mut ListState {
+    fn list_mut(&mut self, key: &MapKey) -> &mut ListState {
         let at = match self.0.binary_search_by_key(key, |row| row.0) {
             Ok(at) => at,
             Err(at) => {
@@ -133,14 +151,13 @@ impl Bucket {
 /// A key and its value.
 type Row = (MapKey, Digest);
 
+/// A key's value before a change, if it had one, and after.
+type Change = (Option<Digest>, Digest);
+
 /// A bucket's keys and values.
 pub(super) struct Subtree(Vec<Row>);
 
 impl Subtree {
-    pub(super) fn top(&self) -> Node {
-        node(&self.0, BUCKET_BITS)
-    }
-
     /// The one key and value of a bucket that has no more.
     pub(super) fn only(&self) -> Option<Row> {
         if let [one] = self.0.as_slice() { Some(*one) } else { None }
@@ -180,6 +197,32 @@ fn node(rows: &[Row], depth: usize) -> Node {
     }
 }
 
-fn split(rows: &[Row], depth: usize) -> (&[Row], &[Row]) {
+/// The subtree before and after a change; what did not change is hashed once.
+fn both(rows: &[(MapKey, Change)], depth: usize) -> (Node, Node) {
+    match rows {
+        [] => (Node::Empty, Node::Empty),
+        [(key, (before, after))] => {
+            let top = Node::Leaf(leaf_hash(key, after));
+            match before {
+                Some(before) if before == after => (top, top),
+                Some(before) => (Node::Leaf(leaf_hash(key, before)), top),
+                None => (Node::Empty, top),
+            }
+        }
+        _ => {
+            let (left, right) = split(rows, depth);
+            let (left, right) = (both(left, depth + 1), both(right, depth + 1));
+            let after = Node::over(left.1, right.1);
+            let same = (left.0, right.0) == (left.1, right.1);
+            (if same { after } else { Node::over(left.0, right.0) }, after)
+        }
+    }
+}
+
+/// Rows on the left of a node, and on its right.
+type Sides<'a, T> = (&'a [(MapKey, T)], &'a [(MapKey, T)]);
+
+/// Parts rows at bit `depth` of their keys.
+fn split<T>(rows: &[(MapKey, T)], depth: usize) -> Sides<'_, T> {
     rows.split_at(rows.partition_point(|(key, _)| !key.bit(depth)))
 }

@@ -160,11 +160,12 @@ impl BucketMap {
             let number = bucket_of(key);
             let mut bucket = self.load(buckets, number)?;
             // Keys are in order, so those of one bucket are neighbours.
-            while let Some((key, entries)) = changes.next_if(|(key, _)| bucket_of(key) == number) {
-                let list = bucket.list_mut(key);
-                entries.iter().for_each(|entry| list.append(entry));
+            let of_bucket = std::iter::from_fn(|| changes.next_if(|(key, _)| bucket_of(key) == number));
+            let (before, top) = bucket.append(of_bucket);
+            // A bucket that was changed in the store must not find its way under a new signature.
+            if before != self.node(BUCKETS + number) {
+                return Err(MapError::Inconsistent { bucket: number });
             }
-            let top = bucket.subtree().top();
             nodes.insert(BUCKETS + number, top);
             rows.push((number, bucket.encode(), BucketTop(top)));
         }
