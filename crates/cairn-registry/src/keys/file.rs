@@ -13,6 +13,9 @@ use super::KeyError;
 /// A file with a key is some lines of text; more than this is something else.
 pub(super) const LIMIT: u64 = 4096;
 
+/// First line of a sealed key's file.
+pub(super) const SEALED: &str = "-----BEGIN CAIRN SEALED KEY-----\n";
+
 /// Reads a secret's file as text, refusing one that others may read.
 ///
 /// `what` is what a wrong file is not, for the error.

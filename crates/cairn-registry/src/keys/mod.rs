@@ -1,8 +1,8 @@
 //! Ed25519 keys of owners, of the registry and of those who verify.
 //!
 //! Verification and the public half: [`PublicKey`]. The secret half: [`OwnerKey`], wiped from memory when dropped and
-//! never printed. On disk a key is plain PEM where that is asked for, and else sealed ([`SealedKey`]) by a passphrase or
-//! by the key in another file ([`load_key`], [`save_key`]); every such file is its owner's alone to read.
+//! never printed. On disk a key is plain PEM where that is asked for, and else sealed (`SealedKey`) by a passphrase or
+//! by the key in another file (`load_key`, `save_key`); every such file is its owner's alone to read.
 
 mod file;
 mod owner;
@@ -90,7 +90,11 @@ pub enum KeyError {
         source: io::Error,
     },
     /// The key is sealed, and nothing was brought to open it.
-    #[error("{path}: the key in it is sealed by a {by}; give that (--passphrase-file or --key-file)", path = .path.display())]
+    #[error(
+        "{path}: the key in it is sealed by a {by}; give that (--passphrase-file or --key-file, for a daemon \
+         `registry.key_file` in its settings)",
+        path = .path.display()
+    )]
     Sealed {
         /// The key's file.
         path: PathBuf,

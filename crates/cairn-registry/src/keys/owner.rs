@@ -86,7 +86,11 @@ impl OwnerKey {
     /// # Errors
     /// [`KeyError::TooOpen`] where group or others may read it, [`KeyError::NotAKey`], [`KeyError::Io`].
     pub fn load(path: &Path) -> Result<Self, KeyError> {
-        Self::from_pem(&file::read(path, PLAIN)?).map_err(|e| e.at(path))
+        let text = file::read(path, PLAIN)?;
+        if text.starts_with(file::SEALED) {
+            return Err(KeyError::NotAKey { path: path.into(), what: PLAIN, cause: "it is a sealed key".into() });
+        }
+        Self::from_pem(&text).map_err(|e| e.at(path))
     }
 
     /// The 32-byte secret seed (RFC 8032).

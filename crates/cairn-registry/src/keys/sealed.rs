@@ -27,10 +27,8 @@ use chacha20poly1305::{
 };
 use zeroize::Zeroizing;
 
-use super::{KeyError, OwnerKey, Passphrase, PublicKey, SealingKey};
+use super::{KeyError, OwnerKey, Passphrase, PublicKey, SealingKey, file::SEALED as BEGIN};
 
-/// First line of a sealed key's file.
-pub(super) const BEGIN: &str = "-----BEGIN CAIRN SEALED KEY-----\n";
 const END: &str = "-----END CAIRN SEALED KEY-----\n";
 const HEADER: &str = "Public-Key: ";
 /// Base64 characters on a line.

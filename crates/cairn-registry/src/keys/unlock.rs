@@ -10,7 +10,7 @@ use zeroize::Zeroizing;
 use super::{
     KeyError, OwnerKey, PublicKey,
     file::{self, There},
-    sealed::{self, SealedBy, SealedKey, Secret},
+    sealed::{SealedBy, SealedKey, Secret},
 };
 
 /// A passphrase: 8 (NIST SP 800-63B, 5.1.1) to 1024 characters on one line. Wiped when dropped, never printed.
@@ -181,7 +181,7 @@ impl StoredKey {
     /// [`KeyError::TooOpen`], [`KeyError::NotAKey`], [`KeyError::Seal`], [`KeyError::Io`].
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let text = file::read(path, super::owner::PLAIN)?;
-        if text.starts_with(sealed::BEGIN) {
+        if text.starts_with(file::SEALED) {
             let sealed = SealedKey::parse(&text).map_err(|error| KeyError::Seal { path: path.into(), error })?;
             return Ok(Self::Sealed(sealed));
         }
