@@ -112,6 +112,7 @@ pub async fn show(line: &Connection, index: u64) -> anyhow::Result<()> {
     ] {
         facts.extend(digest.map(|digest| (name, digest.to_string())));
     }
+    facts.extend(record.views.as_ref().map(|views| ("views", format!("{} photographs, listed", views.len()))));
     facts.extend(record.seed.map(|seed| ("seed", seed.to_string())));
     for (name, fact) in facts {
         println!("  {name:14} {fact}");

@@ -52,6 +52,7 @@ impl Ground {
             digests: Digests::default(),
             seed: None,
             replaces: Some(earlier.digest),
+            views: None,
             ..self.anew(earlier, key, purpose)?
         })
     }

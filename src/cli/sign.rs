@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_proto::v1;
-use cairn_registry::record::{Digests, Identity, hidden_signal_commitment, photographs_root, random_salt};
+use cairn_registry::record::{Digests, Identity, MAX_VIEWS, hidden_signal_commitment, photographs_root, random_salt};
 use cairn_registry::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::VERSION;
@@ -91,6 +91,7 @@ fn record(
         Kind::Training => RecordKind::Training,
     };
     let photographs = photographs(material)?;
+    let of_photographs = matches!(args.kind, Kind::Claim | Kind::Contribution);
     Ok(OwnerRecord {
         version: cairn_registry::record::VERSION,
         kind,
@@ -105,7 +106,27 @@ fn record(
         nonce: ground.nonce,
         seen: ground.seen,
         replaces: None,
+        views: if of_photographs { views(&photographs) } else { None },
     })
+}
+
+/// The photographs one by one, so that the record answers for single views; `None`, and a note, where the format has no
+/// room for them.
+fn views(photographs: &[Digest]) -> Option<Vec<Digest>> {
+    let mut views = photographs.to_vec();
+    views.sort_unstable();
+    views.dedup();
+    let why = if views.len() > MAX_VIEWS {
+        format!("{} photographs, at most {MAX_VIEWS} are listed", views.len())
+    } else if views.len() < photographs.len() {
+        "some photographs are the same file".to_owned()
+    } else if views.is_empty() {
+        "no photographs".to_owned()
+    } else {
+        return Some(views);
+    };
+    eprintln!("note: the record lists no single views ({why}); it still binds all photographs by their root");
+    None
 }
 
 fn photographs(material: &v1::MaterialResponse) -> anyhow::Result<Vec<Digest>> {
@@ -166,4 +187,23 @@ pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::
         signed.push(Signed { identity: identity.number, index, bundle: args.out });
     }
     Ok(signed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_are_listed_as_the_format_wants_them_or_not_at_all() {
+        let some = [Digest::of("b"), Digest::of("a"), Digest::of("c")];
+        let listed = views(&some).unwrap();
+        assert!(listed.is_sorted() && listed.len() == 3);
+        assert_eq!(photographs_root(&listed), photographs_root(&some));
+        // A photograph twice changes the root: listed once, the record would be refused.
+        assert_eq!(views(&[some[0], some[1], some[0]]), None);
+        assert_eq!(views(&[]), None);
+        let many: Vec<Digest> = (0..=MAX_VIEWS).map(|i| Digest::of(i.to_string())).collect();
+        assert_eq!(views(&many), None);
+        assert_eq!(views(&many[1..]).map(|v| v.len()), Some(MAX_VIEWS));
+    }
 }
