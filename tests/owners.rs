@@ -254,7 +254,7 @@ async fn verify_all(url: &str, pinned: &NoteVerifier, acknowledged: &HashMap<u64
     let size = Checkpoint::verify(&checkpoint(url).await.checkpoint, pinned).unwrap().size;
     let log = LogView { size, records: vec![] };
     let mut client = OwnerServiceClient::connect(url.to_owned()).await.unwrap();
-    let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into() };
+    let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into(), ..Default::default() };
     let records = client.list(request).await.unwrap().into_inner().records;
     assert_eq!(records.len() as u64, size);
     for (index, wanted) in acknowledged {

@@ -11,6 +11,7 @@
 pub mod checkpoint;
 pub mod digest;
 pub mod dsse;
+pub mod erasure;
 #[cfg(feature = "store")]
 pub mod files;
 pub mod keys;
@@ -32,6 +33,7 @@ mod tree;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use digest::{Digest, DigestError};
 pub use dsse::{DsseError, Envelope};
+pub use erasure::{Erasure, ErasureError, ErasureRequest};
 pub use keys::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
 pub use map::{MapEntry, MapKey, MapProof, MapTree};
