@@ -25,9 +25,9 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     let tiny = place.text("tiny.toml");
     place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
     let (key, bundle) = (place.text("ada.key"), place.text("bundle"));
-    place.cairn_ok(&["keys", "new", &key]);
+    place.cairn_ok(&["keys", "new", &key, "--plain"]);
     // A key is never replaced, and its file is its owner's alone.
-    assert!(!place.cairn(&["keys", "new", &key]).status.success());
+    assert!(!place.cairn(&["keys", "new", &key, "--plain"]).status.success());
 
     let daemon = Daemon::start(&place.path("data"), "");
     let connect = ["--connect", daemon.url.as_str()];
@@ -93,7 +93,7 @@ fn the_key_to_pin_comes_from_the_registry_and_not_from_the_bundle() {
     let (data, tiny, key) = (place.text("data"), place.text("tiny.toml"), place.text("ada.key"));
     place.import("town", ["--data", &data]);
     place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
-    place.cairn_ok(&["keys", "new", &key]);
+    place.cairn_ok(&["keys", "new", &key, "--plain"]);
     // Whoever has the photographs and the model can draw up a log of their own, with a bundle that agrees with itself.
     for part in ["scenes", "models"] {
         copy(&place.path("data").join(part), &place.path("forged-data").join(part));

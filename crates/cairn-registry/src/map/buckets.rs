@@ -133,11 +133,13 @@ impl BucketMap {
         for (bucket, top) in tops.filter(|(bucket, _)| *bucket < BUCKETS) {
             map.set(BUCKETS + bucket, top.0);
         }
-        for id in (1..BUCKETS).rev() {
-            // Chunks without a node in use are not made for the sake of an empty one.
-            match Node::over(map.node(2 * id), map.node(2 * id + 1)) {
-                Node::Empty => {}
-                node => map.set(id, node),
+        for chunk in (0..BUCKETS as usize / CHUNK).rev() {
+            // Where nothing stands below, nothing is made for the sake of empty nodes.
+            if map.chunks[2 * chunk].is_none() && map.chunks[2 * chunk + 1].is_none() {
+                continue;
+            }
+            for id in (chunk * CHUNK..(chunk + 1) * CHUNK).rev().map(|id| id as u32).filter(|id| *id > 0) {
+                map.set(id, Node::over(map.node(2 * id), map.node(2 * id + 1)));
             }
         }
         map
