@@ -4,7 +4,8 @@
 //! JSON, so that it can be kept, mailed and read with any tool. The rule of what it holds is public, so that
 //! a verifier can tell what is missing:
 //!
-//! 1. the list of the asked key: the view's ([`MapKey::view`]) or the scene's ([`MapKey::scene`]);
+//! 1. the list of the asked key: the view's ([`MapKey::view`]) or the scene's ([`MapKey::scene`]); for a view
+//!    these are the records whose `views` list it;
 //! 2. for each record of that list, the lists of [`keys_about`] its leaf: who replaced, disputed or took
 //!    back the record, and what ended its owner's key;
 //! 3. each record of any of these lists, once. Those that only a list of the second step names have no lists
@@ -33,7 +34,7 @@ use crate::{
 };
 
 /// Largest answer that is read, in bytes.
-pub const MAX_ANSWER_BYTES: usize = 256 << 20;
+pub const MAX_ANSWER_BYTES: usize = 64 << 20;
 
 /// Most records in an answer, and most entries in one of its lists.
 pub const MAX_RECORDS: usize = 65_536;
@@ -201,7 +202,7 @@ impl Answer {
         Ok(answer)
     }
 
-    /// The answer as compact JSON.
+    /// The answer as compact JSON. Beyond [`MAX_ANSWER_BYTES`] nobody reads it: then a view is to be asked about.
     pub fn to_json(&self) -> String {
         // Strings, numbers and lists only: there is nothing that could fail to serialise.
         serde_json::to_string(self).unwrap_or_default()

@@ -3,7 +3,8 @@
 //! A batch touches the buckets of its keys and the paths above them, so its cost does
 //! not grow with the map but for the buckets' own size (10 million keys: 38 a bucket). Nothing is changed before the caller
 //! has stored what [`BucketMap::stage`] gives: a batch that fails leaves the
-//! map as it was.
+//! map as it was. Keys are hashes of what contributors choose, so somebody may aim many at one
+//! bucket; that makes dear only the batches that touch this one of 2^18.
 
 use std::collections::BTreeMap;
 
