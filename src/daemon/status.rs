@@ -110,6 +110,7 @@ fn registry(error: &RegistryError) -> Code {
             Code::NotFound
         }
         RegistryError::Proof(_) => Code::InvalidArgument,
+        RegistryError::Answer(_) => Code::ResourceExhausted,
         RegistryError::Locked { .. } | RegistryError::Halted { .. } => Code::Unavailable,
         RegistryError::WrongStore { .. } | RegistryError::Origin(_) => Code::FailedPrecondition,
         RegistryError::Inconsistent { .. } | RegistryError::Map(_) => Code::DataLoss,

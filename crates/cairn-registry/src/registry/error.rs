@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 
 use crate::{
+    answer::AnswerGap,
     digest::Digest,
     keys::{KeyError, PublicKey},
     map::MapError,
@@ -135,6 +136,9 @@ pub enum RegistryError {
     /// The stored map contradicts itself.
     #[error("store, map: {0}; restore a backup that holds at least the last signed checkpoint")]
     Map(#[from] MapError),
+    /// The answer would hold too much.
+    #[error(transparent)]
+    Answer(#[from] AnswerGap),
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),

@@ -13,6 +13,7 @@
 //! When a write fails it is unknown what the disk holds; the registry then halts: it
 //! still reads and proves, and writes again only after a new start has re-read everything.
 
+mod answer;
 mod commit;
 mod erase;
 mod error;

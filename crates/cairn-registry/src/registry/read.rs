@@ -153,7 +153,17 @@ impl Registry {
     /// # Errors
     /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
     pub fn listed(&self, key: &MapKey, from: u64, limit: usize) -> Result<Vec<MapEntry>, RegistryError> {
-        let size = self.size();
+        self.entries_below(key, self.size(), from, limit)
+    }
+
+    /// As [`Registry::listed`], for the log's first `size` entries.
+    pub(super) fn entries_below(
+        &self,
+        key: &MapKey,
+        size: u64,
+        from: u64,
+        limit: usize,
+    ) -> Result<Vec<MapEntry>, RegistryError> {
         let prefix = layout::map_entries(key);
         let rows = self.store.scan(&prefix, &from.to_be_bytes(), limit)?;
         let entries = rows.iter().map(|(row, value)| {
@@ -329,7 +339,7 @@ impl Registry {
         Entry::decode(&self.leaf_bytes(index)?).map_err(|e| inconsistent(&format!("leaf {index}"), e.to_string()))
     }
 
-    fn leaf_bytes(&self, index: u64) -> Result<Vec<u8>, RegistryError> {
+    pub(super) fn leaf_bytes(&self, index: u64) -> Result<Vec<u8>, RegistryError> {
         reload::leaf_bytes(self.store.as_ref(), &self.files, index)
     }
 
