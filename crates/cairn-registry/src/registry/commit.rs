@@ -24,6 +24,7 @@ use crate::{
     checkpoint::Checkpoint,
     digest::Digest,
     dsse::Envelope,
+    leaf::Leaf,
     map::{Buckets, MapEntry, MapKey, Staged, keys_of},
     map_leaf::MapLeaf,
     merkle::{self, leaf_hash},
@@ -63,11 +64,11 @@ struct Placed {
 
 /// What a round writes.
 #[derive(Default)]
-struct Batch {
+pub(super) struct Batch {
     entries: Vec<Change>,
     /// Leaves and what their packs hold, in order.
-    leaves: Vec<(Vec<u8>, Slot)>,
-    map: BTreeMap<MapKey, Vec<MapEntry>>,
+    pub(super) leaves: Vec<(Vec<u8>, Slot)>,
+    pub(super) map: BTreeMap<MapKey, Vec<MapEntry>>,
     planned: Planned,
     kept: Vec<Envelope>,
 }
@@ -182,7 +183,7 @@ impl Registry {
     }
 
     /// Writes, flushes, and only then signs.
-    fn write_batch(&self, size: u64, writer: &mut Writer, batch: Batch) -> Result<(), RegistryError> {
+    pub(super) fn write_batch(&self, size: u64, writer: &mut Writer, batch: Batch) -> Result<(), RegistryError> {
         self.commit(size, writer, batch).inspect_err(|e| drop(self.halt(&e.to_string())))
     }
 
@@ -295,12 +296,8 @@ impl Batch {
     fn add(&mut self, index: u64, candidate: &Candidate, admitted: &Admitted) {
         let (record, leaf) = (&candidate.record, candidate.leaf.encode().to_vec());
         let digest = candidate.leaf.record;
-        let place = index.to_be_bytes().to_vec();
-        self.entries.extend([
-            (layout::leaf(index), Some(leaf.clone())),
-            (layout::index_of(&digest), Some(place.clone())),
-            (layout::nonce(index), Some(record.nonce.as_bytes().to_vec())),
-        ]);
+        self.index(index, &candidate.leaf);
+        self.entries.push((layout::nonce(index), Some(record.nonce.as_bytes().to_vec())));
         for key in keys_of(record, admitted.replaced_owner) {
             self.map.entry(key).or_default().push(MapEntry { index, leaf_hash: leaf_hash(&leaf) });
         }
@@ -308,10 +305,16 @@ impl Batch {
         self.planned.records.insert(digest, (index, record.owner_key));
         self.planned.nonces.insert(record.nonce, index);
         if let Some(ended) = admitted.retires {
-            self.entries.push((layout::retired(&ended), Some(place)));
+            self.entries.push((layout::retired(&ended), Some(index.to_be_bytes().to_vec())));
             self.planned.retired.insert(ended, index);
         }
         self.kept.push(admitted.envelope.clone());
+    }
+
+    /// The rows of a record's leaf and of its index by digest.
+    pub(super) fn index(&mut self, index: u64, leaf: &Leaf) {
+        self.entries.push((layout::leaf(index), Some(leaf.encode().to_vec())));
+        self.entries.push((layout::index_of(&leaf.record), Some(index.to_be_bytes().to_vec())));
     }
 }
 

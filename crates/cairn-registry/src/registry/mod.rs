@@ -17,6 +17,7 @@ mod answer;
 mod commit;
 mod erase;
 mod error;
+mod fill;
 mod layout;
 mod nonce;
 mod publish;
@@ -46,6 +47,7 @@ use crate::{
 };
 
 pub use error::RegistryError;
+pub use fill::ORIGIN_PREFIX as BENCH_ORIGIN_PREFIX;
 pub use nonce::NONCE_LIFETIME;
 pub use publish::Published;
 pub use read::{LogEntry, StoredRecord};
