@@ -33,7 +33,7 @@ pub use dsse::{DsseError, Envelope};
 pub use keys::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
 pub use merkle::ProofError;
-pub use note::{Note, NoteError, NoteVerifier};
+pub use note::{Note, NoteError, NoteSignature, NoteVerifier};
 pub use policy::{Policy, PolicyError, PolicyVerdict, Quorum};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
