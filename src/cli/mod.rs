@@ -13,6 +13,7 @@ mod poses;
 mod progress;
 mod scene;
 mod train;
+mod witness;
 
 use std::io::IsTerminal as _;
 use std::path::Path;
@@ -63,6 +64,9 @@ enum Command {
     /// Sign, list and verify owner records
     #[command(subcommand)]
     Owners(owners::Command),
+    /// Cosign the checkpoints of logs, as a witness
+    #[command(subcommand)]
+    Witness(witness::Command),
     /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
     Demo(demo::Args),
     /// Measure run time and quality, into a ledger
@@ -79,7 +83,7 @@ impl Cli {
     /// Whatever went wrong, for people to read.
     pub fn run(self) -> anyhow::Result<ExitCode> {
         let config = Config::load(self.place.config.as_deref())?;
-        start_log(&config, matches!(self.command, Command::Serve));
+        start_log(&config, matches!(self.command, Command::Serve | Command::Witness(_)));
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
         runtime.block_on(self.answer(config))
     }
@@ -89,6 +93,7 @@ impl Cli {
         match self.command {
             Command::Serve => crate::daemon::serve::serve(config, &place.data).await?,
             Command::Keys(command) => keys::run(&command)?,
+            Command::Witness(command) => witness::run(&command).await?,
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
@@ -116,7 +121,12 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Detect(args) => look::detect(line, args).await,
         Command::Evaluate(args) => look::evaluate(line, args).await,
         Command::Owners(command) => owners::run(line, command).await,
-        Command::Serve | Command::Keys(_) | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
+        Command::Serve
+        | Command::Keys(_)
+        | Command::Witness(_)
+        | Command::Demo(_)
+        | Command::Bench(_)
+        | Command::BenchPart => Ok(()),
     }
 }
 
