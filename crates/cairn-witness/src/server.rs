@@ -1,17 +1,17 @@
 //! A witness on HTTP (C2SP tlog-witness, "HTTP Interface"): `POST /add-checkpoint` for logs and
 //! `GET /<SHA-256 of the origin, hex>/checkpoint` for monitors, both under one prefix.
 
-use std::{future::Future, io, sync::Arc};
+use std::{future::Future, io, sync::Arc, time::Duration};
 
 use axum::{
     Router,
-    body::Bytes,
-    extract::{DefaultBodyLimit, Path, State},
+    body::{Body, HttpBody as _, to_bytes},
+    extract::{Path, State},
     http::{StatusCode, header},
     response::{IntoResponse, Response},
     routing::{get, post},
 };
-use tokio::net::TcpListener;
+use tokio::{net::TcpListener, time::timeout};
 
 use crate::{
     plain_http::{self, Limits},
@@ -19,13 +19,14 @@ use crate::{
     witness::{self, Witness},
 };
 
+/// Time for a request's body to come.
+const BODY_TIME: Duration = Duration::from_secs(10);
+
 /// The routes of a witness, to be put under any prefix.
 pub fn router(witness: Arc<Witness>) -> Router {
     Router::new()
         .route("/add-checkpoint", post(add_checkpoint))
         .route("/{origin}/checkpoint", get(checkpoint))
-        // Larger bodies are answered 413 before they are read.
-        .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
         .with_state(witness)
 }
 
@@ -42,7 +43,17 @@ pub async fn serve(
     plain_http::serve(listener, router(witness), limits, stop).await
 }
 
-async fn add_checkpoint(State(witness): State<Arc<Witness>>, body: Bytes) -> Response {
+async fn add_checkpoint(State(witness): State<Arc<Witness>>, body: Body) -> Response {
+    // What announces itself as too large is not even read.
+    if body.size_hint().lower() > MAX_BODY_BYTES as u64 {
+        return StatusCode::PAYLOAD_TOO_LARGE.into_response();
+    }
+    let body = match timeout(BODY_TIME, to_bytes(body, MAX_BODY_BYTES)).await {
+        Ok(Ok(body)) => body,
+        // Too large without saying so, or torn off, when nobody reads the answer.
+        Ok(Err(_)) => return StatusCode::PAYLOAD_TOO_LARGE.into_response(),
+        Err(_) => return StatusCode::REQUEST_TIMEOUT.into_response(),
+    };
     // It waits for the disk.
     match tokio::task::spawn_blocking(move || witness.add_checkpoint(&body)).await {
         Ok(answer) => answer.into_response(),

@@ -240,3 +240,29 @@ fn whatever_fails_nothing_is_cosigned_twice() {
     // A fault while evidence is kept refuses nothing; all the others do.
     assert!(refused >= 9 * 4 * 5, "only {refused} lives saw a fault");
 }
+
+#[test]
+fn after_a_failure_the_file_decides() {
+    let (log, hands, storage) = (Log::new(40, 0), Hands::new(), Double::default());
+    let witness = over(Box::new(storage.clone()), &hands).unwrap();
+    let fail_next = |at: usize| {
+        let mut disk = storage.0.lock().unwrap();
+        disk.fails = Some((disk.steps + at, Fault::All));
+    };
+    assert_eq!(ask(&witness, &log.request(0, 4)).status, 200);
+    // The folder's sync reports a failure: the new file is there, though nothing left.
+    fail_next(3);
+    assert_eq!(ask(&witness, &log.request(4, 6)).status, 500);
+    let answer = ask(&witness, &log.request(4, 7));
+    assert_eq!((answer.status, answer.body.as_str()), (409, "6\n"));
+    assert_eq!(ask(&witness, &log.request(6, 7)).status, 200);
+    // A file that has gone back meanwhile is not believed.
+    let old = storage.0.lock().unwrap().clone();
+    assert_eq!(ask(&witness, &log.request(7, 9)).status, 200);
+    fail_next(0);
+    assert_eq!(ask(&witness, &log.request(9, 10)).status, 500);
+    *storage.0.lock().unwrap() = old;
+    for _ in 0..2 {
+        assert_eq!(ask(&witness, &log.request(7, 8)).status, 500);
+    }
+}
