@@ -31,6 +31,7 @@ fn code(error: &EngineError) -> Code {
         EngineError::NotTrained { .. }
         | EngineError::WrongState { .. }
         | EngineError::KeyMissing { .. }
+        | EngineError::Witness(_)
         | EngineError::SealingKeyMissing { .. }
         | EngineError::ErasesOther { .. }
         | EngineError::Path(_) => Code::FailedPrecondition,

@@ -148,6 +148,9 @@ pub enum EngineError {
         /// What is wrong.
         problem: String,
     },
+    /// A witness saw more of the log than there is, or another log; or it cannot be asked.
+    #[error("{0}; restore the newest backup of the log, and never let it go on from an older one")]
+    Witness(#[from] cairn_witness::WitnessError),
     /// A thread of the engine died; its message.
     #[error("internal failure: {0}; please report it")]
     Internal(String),

@@ -87,9 +87,8 @@ impl Engine {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
         let registry = Arc::new(Registry::open(&folder.registry(), key, &config.origin)?);
-        let last = folder.last_checkpoint();
-        publisher::hold_to_last(&registry, &last)?;
-        let publisher = Publisher::start(registry.clone(), last)?;
+        let witnesses = config.witnesses.iter().map(|w| w.client()).collect::<Result<_, _>>()?;
+        let publisher = Publisher::start(registry.clone(), folder.last_checkpoint(), witnesses)?;
         let work = training::Training {
             scenes: folder.scenes(),
             models: folder.models(),

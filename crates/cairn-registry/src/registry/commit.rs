@@ -277,6 +277,11 @@ impl Registry {
         })
     }
 
+    /// Stops all writing for good: somebody outside knows better what this log is. It goes on reading and proving.
+    pub fn stop_writing(&self, cause: &str) {
+        self.halt(cause);
+    }
+
     /// Stops all writing; the first cause stays.
     pub(super) fn halt(&self, cause: &str) -> String {
         self.write().halted.get_or_insert_with(|| cause.to_owned()).clone()

@@ -70,7 +70,7 @@ pub fn run(task: &Task) -> anyhow::Result<Loaded> {
     let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
     let made = (0..task.records).map(|number| Ok(made::record(&registry, task.seed, number, task.views)?.0));
     let envelopes = made.collect::<anyhow::Result<Vec<Envelope>>>()?;
-    let publisher = Publisher::start(registry.clone(), task.folder.join("registry.checkpoint"))?;
+    let publisher = Publisher::start(registry.clone(), task.folder.join("registry.checkpoint"), vec![])?;
     let (begun, ended) = (Instant::now(), AtomicBool::new(false));
     let (acknowledged, publications) = std::thread::scope(|scope| {
         let watcher = scope.spawn(|| watch(&registry, begun, &ended));

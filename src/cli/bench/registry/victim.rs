@@ -52,7 +52,7 @@ pub struct Survived {
 /// The registry's.
 pub fn run(task: &Task) -> anyhow::Result<()> {
     let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
-    let publisher = Publisher::start(registry.clone(), task.folder.join("registry.checkpoint"))?;
+    let publisher = Publisher::start(registry.clone(), task.folder.join("registry.checkpoint"), vec![])?;
     let (log, count) = (registry.verifier()?, AtomicU64::new(0));
     std::thread::scope(|scope| {
         let clients: Vec<_> = (0..CLIENTS)
