@@ -150,3 +150,23 @@ fn what_cannot_be_opened_is_named() {
     let refused = cairn_registry::Registry::open(&path, cairn_registry::OwnerKey::from_seed(&[1; 32]), "log");
     assert!(refused.is_err());
 }
+
+/// Found by injecting faults into a start: sled takes what it had half written for its own, and opens no more.
+#[test]
+fn a_start_that_was_cut_short_leaves_a_store_that_opens() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("store");
+    // A new database that never was one.
+    std::fs::create_dir(folder.path().join("store.new")).unwrap();
+    std::fs::write(folder.path().join("store.new/conf"), "half").unwrap();
+    let store = DiskStore::open(&path).unwrap();
+    store.put(vec![entry("key", "value")]).unwrap();
+    store.flush().unwrap();
+    drop(store);
+    assert!(!folder.path().join("store.new").exists());
+    let half = path.join("snap.00000000FFFFFFFF.generating");
+    std::fs::write(&half, "a\0\0").unwrap();
+    let store = DiskStore::open(&path).unwrap();
+    assert_eq!(store.get(b"key").unwrap().as_deref(), Some(&b"value"[..]));
+    assert!(!half.exists());
+}
