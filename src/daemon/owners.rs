@@ -1,9 +1,10 @@
 //! `OwnerService`.
 
 use cairn_proto::v1::{self, owner_service_server::OwnerService};
-use cairn_registry::{OwnerRecord, RegistryError};
+use cairn_registry::{Envelope, OwnerRecord, RecordError, RegistryError};
 use tonic::{Request, Response, Status};
 
+use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 
@@ -13,9 +14,9 @@ type Answer<T> = Result<Response<T>, Status>;
 impl OwnerService for Shared {
     async fn nonce(&self, request: Request<v1::NonceRequest>) -> Answer<v1::NonceResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
-        let v1::NonceRequest { scene, owner_key, .. } = request.into_inner();
-        let owner = from_proto::bytes32("owner_key", &owner_key).map_err(status)?;
+        let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key).map_err(status)?;
+        self.authorise(request.extensions(), About::Record(&request.get_ref().scene, &owner))?;
+        let (scene, owner) = (request.into_inner().scene, owner.to_bytes());
         let answer = self
             .run(move |engine| {
                 Ok(v1::NonceResponse {
@@ -32,7 +33,7 @@ impl OwnerService for Shared {
 
     async fn material(&self, request: Request<v1::MaterialRequest>) -> Answer<v1::MaterialResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::MaterialRequest { scene, identity, .. } = request.into_inner();
         let found = self.run(move |engine| engine.material(&scene, identity)).await?;
         let model = to_proto::model(&found.info);
@@ -50,7 +51,11 @@ impl OwnerService for Shared {
 
     async fn submit(&self, request: Request<v1::SubmitRecordRequest>) -> Answer<v1::SubmitRecordResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        // Read before it is verified, to know what it is about; what it says is believed by the registry alone.
+        let claimed = Envelope::parse(&request.get_ref().envelope).map_err(RecordError::from);
+        let claimed = claimed.and_then(|e| OwnerRecord::parse(&e.payload));
+        let claimed = claimed.map_err(|e| status(RegistryError::from(e).into()))?;
+        self.authorise(request.extensions(), About::Record(&claimed.scene, &claimed.owner_key))?;
         let envelope = request.into_inner().envelope;
         let answer = self
             .run(move |engine| {

@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use cairn_proto::v1;
+use cairn_proto::v1::access_service_server::AccessServiceServer;
 use cairn_proto::v1::detection_service_server::DetectionServiceServer;
 use cairn_proto::v1::owner_service_server::OwnerServiceServer;
 use cairn_proto::v1::query_service_server::QueryServiceServer;
@@ -27,11 +28,12 @@ use tonic::transport::Server;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-use super::Shared;
+use super::gate::GateLayer;
+use super::{Shared, tls};
 use crate::config::{Config, Limits};
 use crate::engine::Engine;
 
-/// The six services with the configured message limits.
+/// The seven services with the configured message limits.
 fn routes(shared: &Shared, limits: &Limits) -> Routes {
     let most = limits.max_message_bytes;
     let mut routes = Routes::default();
@@ -48,7 +50,8 @@ fn routes(shared: &Shared, limits: &Limits) -> Routes {
         RenderServiceServer,
         QueryServiceServer,
         DetectionServiceServer,
-        OwnerServiceServer
+        OwnerServiceServer,
+        AccessServiceServer
     );
     routes
 }
@@ -63,14 +66,15 @@ async fn tell(health: &HealthReporter, status: ServingStatus) {
         QueryServiceServer::<Shared>::NAME,
         DetectionServiceServer::<Shared>::NAME,
         OwnerServiceServer::<Shared>::NAME,
+        AccessServiceServer::<Shared>::NAME,
     ];
     for service in services {
         health.set_service_status(service, status).await;
     }
 }
 
-/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` on
-/// standard output once it serves.
+/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` (or https)
+/// on standard output once it serves.
 ///
 /// # Errors
 /// When the address or the data folder is taken, or what lies in the folder cannot be read.
@@ -87,8 +91,9 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
     let (stop, stopped) = oneshot::channel::<()>();
-    let server = Server::builder()
+    let server = tls::secured(Server::builder(), config.tls.as_ref())?
         .concurrency_limit_per_connection(config.limits.concurrent_requests)
+        .layer(GateLayer(shared.clone()))
         .add_routes(routes(&shared, &config.limits))
         .add_service(health)
         .add_service(reflection)
@@ -99,9 +104,9 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     let mut server = tokio::spawn(server);
 
     let engine = load(&config, data).await?;
-    shared.loaded(engine.clone());
+    shared.loaded(engine.clone())?;
     tell(&reporter, ServingStatus::Serving).await;
-    announce(address);
+    announce(if config.tls.is_some() { "https" } else { "http" }, address);
     tokio::select! {
         ended = &mut server => return Ok(ended??),
         signal = signal() => tracing::info!(signal = signal?, "shutting down"),
@@ -126,11 +131,11 @@ async fn load(config: &Config, data: &Path) -> anyhow::Result<Arc<Engine>> {
     Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config)).await??))
 }
 
-fn announce(address: SocketAddr) {
+fn announce(scheme: &str, address: SocketAddr) {
     use std::io::Write;
     // For people and for programs that started us on port 0. A closed output is no reason to stop.
     let mut out = std::io::stdout().lock();
-    let _ = writeln!(out, "cairn listens at http://{address}").and_then(|()| out.flush());
+    let _ = writeln!(out, "cairn listens at {scheme}://{address}").and_then(|()| out.flush());
     tracing::info!(%address, "serving");
 }
 
@@ -163,10 +168,11 @@ impl InProcess {
     pub async fn start(config: &Config, data: &Path) -> anyhow::Result<Self> {
         let engine = load(config, data).await?;
         // Nobody else can call: a token would only lock the owner out.
-        let shared = Shared::new(&Config { token: None, ..config.clone() });
-        shared.loaded(engine.clone());
+        let shared = Shared::in_process(config);
+        shared.loaded(engine.clone())?;
         let (connections, incoming) = tokio::sync::mpsc::unbounded_channel();
         let server = Server::builder()
+            .layer(GateLayer(shared.clone()))
             .add_routes(routes(&shared, &config.limits))
             .serve_with_incoming(UnboundedReceiverStream::new(incoming));
         tokio::spawn(server);

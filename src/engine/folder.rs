@@ -10,6 +10,8 @@
 //! DIR/models/NAME/JOB/          base.field, marked.field, detector, model.json, ...
 //! DIR/jobs/JOB/                 job.json, signals, checkpoints
 //! DIR/registry/                 the log of owner records (cairn-registry's format)
+//! DIR/access/                   accounts.json, usage.json (cairn-access's formats)
+//! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
@@ -103,6 +105,21 @@ impl DataFolder {
     /// The registry's signing key.
     pub fn registry_key(&self) -> PathBuf {
         self.root.join("registry.key")
+    }
+
+    /// The accounts.
+    pub fn accounts(&self) -> PathBuf {
+        self.root.join("access/accounts.json")
+    }
+
+    /// What the accounts use.
+    pub fn usage(&self) -> PathBuf {
+        self.root.join("access/usage.json")
+    }
+
+    /// Who imported which scene.
+    pub fn owners(&self) -> PathBuf {
+        self.root.join("owners")
     }
 
     /// Imports under way.

@@ -93,6 +93,12 @@ pub enum AccountError {
         /// SHA-256 of the public key.
         key: Digest,
     },
+    /// There is none to change.
+    #[error("there is no account with the public key {key}; see `cairn access list`")]
+    NoSuch {
+        /// The key.
+        key: PublicKey,
+    },
     /// Not yet approved.
     #[error("the account {name:?} waits for an operator's approval (cairn access approve)")]
     Waiting {
@@ -299,7 +305,7 @@ impl Accounts {
     ) -> Result<Account, AccessError> {
         self.change(|all| {
             let operators = all.values().filter(|a| a.role == Role::Operator && a.standing == Standing::Active).count();
-            let account = all.get_mut(&key.id()).ok_or(AccountError::Unknown { key: key.id() })?;
+            let account = all.get_mut(&key.id()).ok_or(AccountError::NoSuch { key: *key })?;
             edit(account, operators)?;
             Ok(account.clone())
         })
@@ -386,7 +392,7 @@ mod tests {
         let bob = accounts.approve(&bob.key, None).unwrap();
         assert_eq!((bob.role, bob.standing), (Role::Curator, Standing::Active));
         assert!(matches!(refused(accounts.approve(&bob.key, None)), AccountError::NotWaiting { .. }));
-        assert!(matches!(refused(accounts.approve(&key(3), None)), AccountError::Unknown { .. }));
+        assert!(matches!(refused(accounts.approve(&key(3), None)), AccountError::NoSuch { .. }));
         assert_eq!(open(&dir).list(), accounts.list(), "it is all in the file");
         assert_eq!(accounts.list(), [ada, bob]);
     }
