@@ -1,9 +1,11 @@
 //! The command line: what can be asked for, and which file answers it.
 
+mod access;
 mod against;
 mod animation;
 mod bench;
 mod connect;
+mod credential;
 mod demo;
 mod keys;
 mod look;
@@ -60,6 +62,9 @@ enum Command {
     /// Make and show owners' keys (they stay on this machine)
     #[command(subcommand)]
     Keys(keys::Command),
+    /// Who may do what on a daemon: register, approve, roles, quotas
+    #[command(subcommand)]
+    Access(access::Command),
     /// Sign, list and verify owner records
     #[command(subcommand)]
     Owners(owners::Command),
@@ -89,6 +94,7 @@ impl Cli {
         match self.command {
             Command::Serve => crate::daemon::serve::serve(config, &place.data).await?,
             Command::Keys(command) => keys::run(&command)?,
+            Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
@@ -115,6 +121,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Who(args) => look::who(line, args).await,
         Command::Detect(args) => look::detect(line, args).await,
         Command::Evaluate(args) => look::evaluate(line, args).await,
+        Command::Access(command) => access::run(line, command).await,
         Command::Owners(command) => owners::run(line, command).await,
         Command::Serve | Command::Keys(_) | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
     }

@@ -122,7 +122,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
 pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
     let key = OwnerKey::load(&args.key)?;
     std::fs::create_dir(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
-    let mut client = line.owners();
+    let mut client = line.about(&args.name).owners();
     let request = v1::MaterialRequest { format_version: VERSION, scene: args.name.clone(), identity: args.identity };
     let material = client.material(request).await.map_err(refused)?.into_inner();
     let owner_key = key.public().to_bytes().to_vec().into();

@@ -8,7 +8,7 @@
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
-use cairn_access::{Account, Call, Claims, Denied, Need, Reach, TokenError, roles};
+use cairn_access::{Account, Call, Claims, Denied, Need, Reach, Role, TokenError, roles};
 use cairn_registry::{Digest, PublicKey};
 use sha2::{Digest as _, Sha256};
 use tonic::codegen::http::{self, HeaderMap};
@@ -138,10 +138,10 @@ impl Shared {
         };
         claims.about(scene).map_err(refuse)?;
         let id = account.id();
-        let (reach, contributes) = (account.role.reach(need), account.role == cairn_access::Role::Contributor);
+        let (reach, contributor) = (account.role.reach(need), account.role == Role::Contributor);
         let theirs = match about {
             // Their own records are all that a contributor submits, whatever scene they are about.
-            About::Record(_, key) => !contributes || *key == account.key,
+            About::Record(_, key) => !contributor || *key == account.key,
             About::Nothing => true,
             _ if reach != Reach::Own => true,
             About::Job(_) => job.as_ref().is_some_and(|job| job.owner == Some(id)),

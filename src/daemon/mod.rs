@@ -18,7 +18,7 @@ mod renders;
 mod scenes;
 pub mod serve;
 mod status;
-mod tls;
+pub mod tls;
 pub mod to_proto;
 mod training;
 

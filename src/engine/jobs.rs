@@ -51,8 +51,21 @@ pub struct Control<'a> {
     path: PathBuf,
     /// Who pays, and where that is kept.
     owner: Option<(&'a Access, Digest)>,
+    meter: Mutex<Meter>,
+}
+
+/// The clock of a job that somebody pays for.
+struct Meter {
+    /// Charged until then.
+    since: Instant,
     /// When the owner's seconds are used up.
-    until: Mutex<Option<Instant>>,
+    until: Option<Instant>,
+}
+
+impl Meter {
+    fn new() -> Mutex<Self> {
+        Mutex::new(Self { since: Instant::now(), until: None })
+    }
 }
 
 impl<'a> Control<'a> {
@@ -60,12 +73,12 @@ impl<'a> Control<'a> {
     #[cfg(test)]
     pub(super) fn stopping(stop: &'a AtomicU8, sender: &'a watch::Sender<Job>, path: PathBuf) -> Self {
         stop.store(CANCEL, Ordering::Release);
-        Self { stop, sender, path, owner: None, until: Mutex::default() }
+        Self { stop, sender, path, owner: None, meter: Meter::new() }
     }
 
     /// Whether the job has to stop at its next step.
     pub fn stop_requested(&self) -> bool {
-        let until = *self.until.lock().unwrap_or_else(PoisonError::into_inner);
+        let until = self.meter.lock().unwrap_or_else(PoisonError::into_inner).until;
         if until.is_some_and(|until| Instant::now() >= until) {
             // Whoever cancelled it, or shuts down, was first.
             let _ = self.stop.compare_exchange(GO_ON, USED_UP, Ordering::AcqRel, Ordering::Acquire);
@@ -80,12 +93,18 @@ impl<'a> Control<'a> {
         format!("its owner's seconds of training ran out, and it was put down at a checkpoint: {why}; then resume it")
     }
 
-    /// Works out anew when the owner's seconds are used up.
-    fn renew(&self) {
-        let left = self.owner.as_ref().and_then(|(access, owner)| access.seconds_left(owner));
-        let left = left.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    /// Charges the owner with all the time since the last charge, whatever it went into, and works out anew when
+    /// their seconds are used up.
+    fn charge(&self) -> Result<(), EngineError> {
+        let Some((access, owner)) = &self.owner else { return Ok(()) };
+        let mut meter = self.meter.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = Instant::now();
+        access.spend(owner, now.duration_since(meter.since).as_secs_f64())?;
+        meter.since = now;
+        let left = access.seconds_left(owner).and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
         // More than a clock can say is no limit.
-        *self.until.lock().unwrap_or_else(PoisonError::into_inner) = left.and_then(|l| Instant::now().checked_add(l));
+        meter.until = left.and_then(|left| now.checked_add(left));
+        Ok(())
     }
 
     /// Tells the watchers.
@@ -104,13 +123,10 @@ impl<'a> Control<'a> {
         });
     }
 
-    /// Adds seconds of computing to a stage, charges the owner with them and writes
-    /// the job down: called with every checkpoint.
+    /// Adds seconds of computing to a stage, charges the owner and writes the job
+    /// down: called with every checkpoint.
     pub fn spent(&self, stage: &str, seconds: f64) -> Result<(), EngineError> {
-        if let Some((access, owner)) = &self.owner {
-            access.spend(owner, seconds)?;
-            self.renew();
-        }
+        self.charge()?;
         self.sender.send_modify(|job| match job.stages.iter_mut().find(|s| s.stage == stage) {
             Some(known) => known.seconds += seconds,
             None => job.stages.push(StageSeconds { stage: stage.to_owned(), seconds }),
@@ -369,11 +385,11 @@ impl Shared {
     fn work(&self, mut work: impl Work) {
         while let Some((id, sender, stop)) = self.next() {
             let job = sender.borrow().clone();
-            let (path, until) = (self.file(&id), Mutex::default());
+            let path = self.file(&id);
             let owner = self.access.as_deref().zip(job.owner);
-            let control = Control { stop: &stop, sender: &sender, path, owner, until };
-            control.renew();
+            let control = Control { stop: &stop, sender: &sender, path, owner, meter: Meter::new() };
             let run = || {
+                control.charge()?;
                 write_json(&control.path, &job)?;
                 work.run(&job, &control)
             };
@@ -382,6 +398,10 @@ impl Shared {
                 let said = said.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
                 Err(EngineError::Internal(format!("the training panicked: {said}")))
             });
+            // Also where it failed: whoever brings what fails pays for the time it took.
+            if let Err(error) = control.charge() {
+                tracing::error!(job = id, %error, "what the job took last is not charged");
+            }
             let mut inner = self.lock();
             inner.running = None;
             let Some(entry) = inner.jobs.get(&id) else { continue };
