@@ -45,7 +45,7 @@ impl Ground {
     pub async fn ask(line: &Connection, scene: &str, key: &PublicKey) -> anyhow::Result<Self> {
         let owner_key = key.to_bytes().to_vec().into();
         let request = v1::NonceRequest { format_version: VERSION, scene: scene.to_owned(), owner_key };
-        let nonce = line.owners().nonce(request).await.map_err(refused)?.into_inner();
+        let nonce = line.about(scene).owners().nonce(request).await.map_err(refused)?.into_inner();
         let checkpoint = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint)?.text)?;
         Ok(Self {
             origin: nonce.origin,
@@ -148,7 +148,7 @@ pub async fn enter(
         envelope.sign(other);
     }
     let request = v1::SubmitRecordRequest { format_version: VERSION, envelope: envelope.to_json().into_bytes().into() };
-    let answer = line.owners().submit(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&record.scene).owners().submit(request).await.map_err(refused)?.into_inner();
     let entered = answer.record.context("the daemon's answer names no record")?;
     // What came back must be what was signed, or the bundle would speak for somebody else.
     let returned = Envelope::parse(&entered.envelope)?;

@@ -192,3 +192,37 @@ fn kind(kind: RecordKind) -> String {
 pub fn stored_record(stored: &StoredRecord) -> v1::Record {
     record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)
 }
+
+/// A role.
+pub fn role(role: cairn_access::Role) -> v1::Role {
+    match role {
+        cairn_access::Role::Contributor => v1::Role::Contributor,
+        cairn_access::Role::Curator => v1::Role::Curator,
+        cairn_access::Role::Auditor => v1::Role::Auditor,
+        cairn_access::Role::Operator => v1::Role::Operator,
+    }
+}
+
+/// Quotas.
+pub fn quota(limits: &cairn_access::Limits) -> v1::QuotaLimits {
+    let cairn_access::Limits { bytes, views, training_seconds, queued_jobs } = *limits;
+    v1::QuotaLimits { bytes, views, training_seconds, queued_jobs }
+}
+
+/// An account.
+pub fn account(account: &cairn_access::Account) -> v1::Account {
+    let standing = match account.standing {
+        cairn_access::Standing::Waiting => v1::AccountStanding::Waiting,
+        cairn_access::Standing::Active => v1::AccountStanding::Active,
+        cairn_access::Standing::Disabled => v1::AccountStanding::Disabled,
+    };
+    v1::Account {
+        public_key: account.key.to_bytes().to_vec().into(),
+        name: account.name.clone(),
+        role: role(account.role).into(),
+        asked: role(account.asked).into(),
+        standing: standing.into(),
+        since_unix_s: account.since,
+        quota: account.quota.as_ref().map(quota),
+    }
+}

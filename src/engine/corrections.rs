@@ -39,6 +39,16 @@ impl Engine {
         Ok(standing)
     }
 
+    /// The scene of the record that a request to erase names, and the request as it was signed.
+    ///
+    /// # Errors
+    /// [`EngineError::Erasure`], the registry's.
+    pub fn erasure_asked(&self, request: &[u8]) -> Result<(String, Envelope), EngineError> {
+        let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+        let index = Erasure::open(&envelope)?.request().index;
+        Ok((self.registry().record(index)?.record.scene, envelope))
+    }
+
     /// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
     ///
     /// # Errors

@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use cairn_access::AccessError;
 use cairn_capture::CaptureError;
 use cairn_cluster::ClusterError;
 use cairn_field::FieldError;
@@ -178,6 +179,15 @@ pub enum EngineError {
     /// The log of owner records. Boxed: it is much larger than the others.
     #[error(transparent)]
     Registry(Box<RegistryError>),
+    /// Accounts, tokens, roles and quotas. Boxed likewise.
+    #[error(transparent)]
+    Access(Box<AccessError>),
+}
+
+impl From<AccessError> for EngineError {
+    fn from(error: AccessError) -> Self {
+        Self::Access(Box::new(error))
+    }
 }
 
 impl From<RegistryError> for EngineError {

@@ -3,6 +3,7 @@
 //!
 //! All calls block, some for long; the edge puts them on threads of their own.
 
+pub mod access;
 pub mod corrections;
 pub mod crowd;
 pub mod drawing;
@@ -33,9 +34,10 @@ use std::time::Duration;
 
 use cairn_capture::{Capture, SceneFolder};
 use cairn_cluster::Grouping;
-use cairn_registry::Registry;
+use cairn_registry::{Digest, Registry};
 
 use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, training_settings};
+use access::Access;
 use error::EngineError;
 use folder::DataFolder;
 use job::{Job, JobSpec};
@@ -49,6 +51,7 @@ pub struct Engine {
     /// Before the registry: it publishes a last time when it is dropped.
     publisher: Publisher,
     registry: Arc<Registry>,
+    access: Arc<Access>,
     limits: Limits,
     training: TrainingSettings,
     /// The model used last: loading one takes seconds, and queries come in rows.
@@ -74,6 +77,8 @@ pub struct TrainingRequest {
     pub quick: bool,
     /// Whether to stop after stage 1.
     pub base_only: bool,
+    /// Who pays: the id of an account's key; `None` for nobody.
+    pub owner: Option<Digest>,
 }
 
 impl Engine {
@@ -95,12 +100,14 @@ impl Engine {
             jobs: folder.jobs(),
             checkpoint_every: Duration::from_secs(config.checkpoint_every_s),
         };
-        let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, work)?;
+        let access = Arc::new(Access::open(&folder, config.access.quota)?);
+        let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
         Ok(Self {
             folder,
             jobs,
             registry,
             publisher,
+            access,
             limits: config.limits.clone(),
             training: config.training.clone(),
             cache: Mutex::new(None),
@@ -117,20 +124,42 @@ impl Engine {
         &self.registry
     }
 
-    /// Begins an import.
+    /// Accounts, quotas and owners.
+    pub fn access(&self) -> &Access {
+        &self.access
+    }
+
+    /// Begins an import, which `owner` is charged with from now on.
     ///
     /// # Errors
-    /// As [`scenes::Import::begin`].
-    pub fn begin_import(&self, plan: scenes::ImportPlan) -> Result<scenes::Import, EngineError> {
-        scenes::Import::begin(plan, &self.limits, &self.folder.scenes(), &self.folder.staging())
+    /// As [`scenes::Import::begin`]; the quota's.
+    pub fn begin_import(&self, plan: scenes::ImportPlan, owner: Option<Digest>) -> Result<scenes::Import, EngineError> {
+        let mut import = scenes::Import::begin(plan, &self.limits, &self.folder.scenes(), &self.folder.staging())?;
+        if let Some(owner) = owner {
+            import.owned = Some(self.access.reserve(owner, &import.id(), import.takes())?);
+        }
+        Ok(import)
     }
 
     /// Ends an import; the scene is durable on return.
     ///
     /// # Errors
     /// As [`scenes::Import::finish`].
-    pub fn finish_import(&self, import: scenes::Import) -> Result<SceneFolder, EngineError> {
-        import.finish(&self.folder.scenes())
+    pub fn finish_import(&self, mut import: scenes::Import) -> Result<SceneFolder, EngineError> {
+        let place = self.access.place(import.scene(), self.folder.scenes().join(import.scene()))?;
+        let owned = import.owned.take();
+        self.access.announce(&place, owned.as_ref())?;
+        match import.finish(&self.folder.scenes()) {
+            Ok(scene) => {
+                self.access.became(&place, owned);
+                Ok(scene)
+            }
+            Err(error) => {
+                // The first error is the one to tell; what is left of the second is cleared at the next start.
+                let _ = self.access.announce(&place, None);
+                Err(error)
+            }
+        }
     }
 
     /// Names of all scenes, sorted.
@@ -177,6 +206,7 @@ impl Engine {
         folder::remove(&gone)?;
         std::fs::rename(&path, &gone).map_err(EngineError::io("delete", &path))?;
         folder::sync_folder(&self.folder.scenes())?;
+        self.access.forget(name)?;
         folder::remove(&self.folder.models().join(name))?;
         *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
         folder::remove(&gone)
@@ -215,7 +245,7 @@ impl Engine {
             signals: signals.len(),
             base_only: request.base_only,
         };
-        self.jobs.submit(spec, |folder| {
+        self.jobs.submit(request.owner, spec, |folder| {
             for (i, signal) in signals.iter().enumerate() {
                 cairn_capture::save_png(&folder.join(format!("signal-{}.png", i + 1)), signal)?;
             }

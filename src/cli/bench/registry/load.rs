@@ -71,10 +71,9 @@ pub fn run(task: &Task) -> anyhow::Result<Loaded> {
     let made = (0..task.records).map(|number| Ok(made::record(&registry, task.seed, number, task.views)?.0));
     let envelopes = made.collect::<anyhow::Result<Vec<Envelope>>>()?;
     let publisher = Publisher::start(registry.clone(), task.folder.join("registry.checkpoint"), vec![])?;
-    let (begun, ended) = (Instant::now(), AtomicBool::new(false));
+    let (begun, ended, next) = (Instant::now(), AtomicBool::new(false), AtomicUsize::new(0));
     let (acknowledged, publications) = std::thread::scope(|scope| {
         let watcher = scope.spawn(|| watch(&registry, begun, &ended));
-        let next = AtomicUsize::new(0);
         let clients: Vec<_> = (0..task.clients)
             .map(|_| scope.spawn(|| submit(task, &registry, &publisher, &envelopes, &next, begun)))
             .collect();
