@@ -18,6 +18,7 @@ use tonic::Status;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
 
 use super::credential::{Credential, Speaking};
+use super::unlock::UnlockArgs;
 use crate::config::{Config, Token};
 use crate::daemon::serve::InProcess;
 use crate::daemon::tls::pem;
@@ -43,6 +44,9 @@ pub struct Where {
     /// The key file of your account with the daemon; every call is signed with it (see `cairn access`)
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "token_file")]
     pub account: Option<PathBuf>,
+    /// The file with that key's passphrase; without it a sealed key's is asked for
+    #[arg(long, global = true, value_name = "FILE", requires = "account")]
+    pub account_passphrase_file: Option<PathBuf>,
     /// The daemon's public key (vkey), pinned: calls are signed for no other daemon (see `cairn owners vkey`)
     #[arg(long, global = true, value_name = "FILE")]
     pub daemon_vkey: Option<PathBuf>,
@@ -120,7 +124,8 @@ impl Connection {
     /// When there is no daemon at the address, the data folder is taken, or a file of the credentials is no good.
     pub async fn open(place: &Where) -> anyhow::Result<Self> {
         let config = Config::load(place.config.as_deref())?;
-        let account = place.account.as_deref().map(OwnerKey::load).transpose()?;
+        let unlock = UnlockArgs { passphrase_file: place.account_passphrase_file.clone(), key_file: None };
+        let account = place.account.as_deref().map(|path| unlock.load(path)).transpose()?;
         let most = config.limits.max_message_bytes;
         let (channel, in_process) = match &place.connect {
             Some(url) => {

@@ -110,6 +110,10 @@ pub struct Training {
 #[serde(deny_unknown_fields)]
 pub struct Registry {
     pub origin: String,
+    pub key_file: String,
+    pub http_bind: String,
+    pub http_prefix: String,
+    pub witnesses: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -154,10 +158,22 @@ impl Default for Raw {
             },
             limits: Limits::default(),
             training: Training { checkpoint_every_s: 30 },
-            registry: Registry { origin: "cairn.localhost/owners".into() },
+            registry: Registry::default(),
             log: Log { filter: "info".into(), format: LogFormat::Text },
             field: FieldConfig::default(),
             mark: MarkConfig::default(),
+        }
+    }
+}
+
+impl Default for Registry {
+    fn default() -> Self {
+        Self {
+            origin: "cairn.localhost/owners".into(),
+            key_file: String::new(),
+            http_bind: String::new(),
+            http_prefix: String::new(),
+            witnesses: Vec::new(),
         }
     }
 }

@@ -12,6 +12,7 @@
 mod access;
 pub mod from_proto;
 mod gate;
+pub mod http;
 mod owners;
 mod queries;
 mod renders;

@@ -12,6 +12,7 @@
 //! DIR/registry/                 the log of owner records (cairn-registry's format)
 //! DIR/access/                   accounts.json, usage.json (cairn-access's formats)
 //! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
+//! DIR/registry.checkpoint       the checkpoint that it published last
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
@@ -120,6 +121,11 @@ impl DataFolder {
     /// Who imported which scene.
     pub fn owners(&self) -> PathBuf {
         self.root.join("owners")
+    }
+
+    /// What the registry published last, outside its own folder: one that is restored from an old backup is found out.
+    pub fn last_checkpoint(&self) -> PathBuf {
+        self.root.join("registry.checkpoint")
     }
 
     /// Imports under way.

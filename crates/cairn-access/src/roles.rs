@@ -152,6 +152,7 @@ pub const METHODS: &[(&str, Need)] = &[
     ("/cairn.v1.OwnerService/Nonce", Need::Contribute),
     ("/cairn.v1.OwnerService/Material", Need::Account),
     ("/cairn.v1.OwnerService/Submit", Need::Contribute),
+    ("/cairn.v1.OwnerService/Erase", Need::Contribute),
     ("/cairn.v1.OwnerService/List", Need::Read),
     ("/cairn.v1.OwnerService/Get", Need::Read),
     ("/cairn.v1.OwnerService/Checkpoint", Need::Read),
