@@ -165,7 +165,9 @@ async fn every_method_answers_hostile_requests_and_the_daemon_goes_on() {
         println!("{path}: {codes:?}");
     }
     let reached = answers.values().filter(|codes| codes.contains_key("Ok")).count();
-    assert!(2 * reached > methods.len(), "only {reached} methods ever did their work: the messages are too bad");
+    // A daemon that asks nobody who they are keeps no accounts: all that changes or lists them is refused.
+    let working = methods.iter().filter(|method| !method.path.contains("AccessService")).count();
+    assert!(2 * reached > working, "only {reached} methods ever did their work: the messages are too bad");
     serves(&channel).await;
     assert_memory_is_bounded(daemon.pid());
     assert!(daemon.terminate().success());

@@ -44,9 +44,12 @@ pub struct Where {
     /// The key file of your account with the daemon; every call is signed with it (see `cairn access`)
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "token_file")]
     pub account: Option<PathBuf>,
-    /// The key file that --account is sealed with; where it is sealed by a passphrase, that is asked for
-    #[arg(long, global = true, value_name = "FILE", requires = "account")]
+    /// The key file that --account is sealed with
+    #[arg(long, global = true, value_name = "FILE", requires = "account", conflicts_with = "account_passphrase_file")]
     pub account_key_file: Option<PathBuf>,
+    /// The file with that key's passphrase; without it a sealed key's is asked for
+    #[arg(long, global = true, value_name = "FILE", requires = "account")]
+    pub account_passphrase_file: Option<PathBuf>,
     /// The daemon's public key (vkey), pinned: calls are signed for no other daemon (see `cairn owners vkey`)
     #[arg(long, global = true, value_name = "FILE")]
     pub daemon_vkey: Option<PathBuf>,
@@ -124,7 +127,8 @@ impl Connection {
     /// When there is no daemon at the address, the data folder is taken, or a file of the credentials is no good.
     pub async fn open(place: &Where) -> anyhow::Result<Self> {
         let config = Config::load(place.config.as_deref())?;
-        let unlock = UnlockArgs { passphrase_file: None, key_file: place.account_key_file.clone() };
+        let (passphrase_file, key_file) = (place.account_passphrase_file.clone(), place.account_key_file.clone());
+        let unlock = UnlockArgs { passphrase_file, key_file };
         let account = place.account.as_deref().map(|path| unlock.load(path)).transpose()?;
         let most = config.limits.max_message_bytes;
         let (channel, in_process) = match &place.connect {

@@ -5,7 +5,6 @@
 //! the running training MUST reach its checkpoint before the process ends; requests
 //! under way get the configured grace.
 
-use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -105,8 +104,8 @@ impl PublicFiles {
     }
 }
 
-/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` (or https) on standard output once it serves, and
-/// a second line with the address of the log's public files where these are served.
+/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` (or https) on standard output once it
+/// serves, and a second line with the address of the log's public files where these are served.
 ///
 /// # Errors
 /// When the address or the data folder is taken, or what lies in the folder cannot be read.
@@ -140,7 +139,7 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     shared.loaded(engine.clone())?;
     tell(&reporter, ServingStatus::Serving).await;
     let scheme = if config.tls.is_some() { "https" } else { "http" };
-    announce(scheme, address, public.as_ref().map(|public| public.url.as_str()));
+    announce(&format!("{scheme}://{address}"), public.as_ref().map(|public| public.url.as_str()));
     tokio::select! {
         ended = &mut server => return Ok(ended??),
         signal = signal() => tracing::info!(signal = signal?, "shutting down"),
@@ -168,13 +167,13 @@ async fn load(config: &Config, data: &Path) -> anyhow::Result<Arc<Engine>> {
     Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config)).await??))
 }
 
-fn announce(scheme: &str, address: SocketAddr, public: Option<&str>) {
+fn announce(url: &str, public: Option<&str>) {
     use std::io::Write;
     // For people and for programs that started us on port 0. A closed output is no reason to stop.
     let mut out = std::io::stdout().lock();
     let public_line = public.map_or(String::new(), |url| format!("public log at {url}\n"));
-    let _ = write!(out, "cairn listens at {scheme}://{address}\n{public_line}").and_then(|()| out.flush());
-    tracing::info!(%address, public, "serving");
+    let _ = write!(out, "cairn listens at {url}\n{public_line}").and_then(|()| out.flush());
+    tracing::info!(url, public, "serving");
 }
 
 /// Waits for SIGINT or SIGTERM; gives its name.
