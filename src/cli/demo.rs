@@ -12,7 +12,7 @@ use cairn_proto::v1;
 use serde::Serialize;
 
 use super::connect::{Connection, Where, refused};
-use super::{VERSION, look, owners, scene, train, write};
+use super::{VERSION, audit, look, owners, scene, train, write};
 use crate::engine::report::{Report, Right};
 
 /// The demo's scene.
@@ -184,8 +184,8 @@ fn trusted(signed: &[owners::Signed], data: &Path) -> anyhow::Result<Right> {
     let mut trusted = Right::default();
     for owners::Signed { bundle, .. } in signed {
         let (bundle, vkey) = (bundle.clone(), Some(bundle.join("log.vkey")));
-        let verify = owners::VerifyArgs { bundle, vkey, against: Some(data.into()), log: None, json: false };
-        trusted.count(owners::audit(&verify)?.outcome == Outcome::Trusted);
+        let verify = audit::bundle::Args { bundle, vkey, against: Some(data.into()), log: None, json: false };
+        trusted.count(audit::bundle::report(&verify)?.outcome == Outcome::Trusted);
     }
     Ok(trusted)
 }

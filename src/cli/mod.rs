@@ -1,7 +1,7 @@
 //! The command line: what can be asked for, and which file answers it.
 
-mod against;
 mod animation;
+mod audit;
 mod bench;
 mod connect;
 mod demo;
@@ -60,9 +60,12 @@ enum Command {
     /// Make and show owners' keys (they stay on this machine)
     #[command(subcommand)]
     Keys(keys::Command),
-    /// Sign, list and verify owner records
+    /// Sign and list owner records
     #[command(subcommand)]
     Owners(owners::Command),
+    /// Verify bundles, stores and logs, trusting nobody
+    #[command(subcommand)]
+    Audit(audit::Command),
     /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
     Demo(demo::Args),
     /// Measure run time and quality, into a ledger
@@ -73,7 +76,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command. The exit code is 1 where a verification says `invalid`.
+    /// Runs the command. The exit code is 1 where a verification says `invalid`, and `cairn audit` has more.
     ///
     /// # Errors
     /// Whatever went wrong, for people to read.
@@ -92,7 +95,7 @@ impl Cli {
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
-            Command::Owners(owners::Command::Verify(args)) => return owners::verify(&args),
+            Command::Audit(command) => return audit::run(&command),
             command => {
                 let line = Connection::open(&place).await?;
                 let answer = over(&line, command).await;
@@ -116,7 +119,12 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Detect(args) => look::detect(line, args).await,
         Command::Evaluate(args) => look::evaluate(line, args).await,
         Command::Owners(command) => owners::run(line, command).await,
-        Command::Serve | Command::Keys(_) | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
+        Command::Serve
+        | Command::Keys(_)
+        | Command::Audit(_)
+        | Command::Demo(_)
+        | Command::Bench(_)
+        | Command::BenchPart => Ok(()),
     }
 }
 
