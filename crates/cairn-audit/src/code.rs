@@ -141,8 +141,6 @@ codes! {
     StoreKeyUnpinned = "store.key.unpinned", Warning, "pin the log's verifier key, obtained from somewhere other than this folder";
     /// A signature line of the checkpoint that nobody known made.
     StoreCosignatureUnknown = "store.cosignature.unknown", Info, "name the witness in the policy to have its line verified";
-    /// A file of the registry cannot be read.
-    StoreFileUnreadable = "store.file.unreadable", Error, "look at the disk and at the file's permissions, or restore it from a copy";
     /// An entry bundle is missing, cut off, or holds another leaf than its record makes.
     StoreEntry = "store.entry", Error, "restore the file from a copy, or have the registry write it anew from the envelopes";
     /// A tile of hashes is missing.
@@ -163,6 +161,8 @@ codes! {
     StoreEnvelope = "store.envelope", Error, "restore the file from a copy: the registry cannot make records anew";
     /// A record that its owner or the log did not sign.
     StoreRecordSignature = "store.record.signature", Error, "restore the file from a copy: the registry cannot make records anew";
+    /// The signature of a replaced record's owner, who cannot be known any more.
+    StorePredecessorUnknown = "store.record.predecessor.unknown", Info, "";
     /// A record that the log's rules do not let in.
     StoreRecordRule = "store.record.rule", Error, "ask the registry why it took the record; until then do not rely on it";
     /// A record that says it had seen what the log never was.

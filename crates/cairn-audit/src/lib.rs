@@ -11,7 +11,9 @@ mod check;
 mod code;
 mod evidence;
 mod later;
+mod map;
 mod report;
+mod store;
 
 pub use check::audit;
 pub use code::Code;
@@ -19,3 +21,4 @@ pub use evidence::{
     Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
 };
 pub use report::{Finding, Freshness, Outcome, Report, Severity};
+pub use store::{Class, Manifest, ManifestFile, Stock, StoreError, StoreOptions, StoreReport, audit_store};

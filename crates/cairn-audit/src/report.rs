@@ -114,6 +114,15 @@ impl Findings {
         self.0.iter().any(|f| f.code == code)
     }
 
+    pub(crate) fn append(&mut self, other: Self) {
+        self.0.extend(other.0);
+    }
+
+    /// Whether a failed check of this class is there.
+    pub(crate) fn has_class(&self, class: crate::Class) -> bool {
+        self.0.iter().any(|f| f.severity == Severity::Error && crate::Class::of(f.code) == Some(class))
+    }
+
     pub(crate) fn failed(&self) -> bool {
         self.0.iter().any(|f| f.severity == Severity::Error)
     }
