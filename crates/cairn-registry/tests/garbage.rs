@@ -47,6 +47,7 @@ fn envelope() -> Envelope {
         nonce: Digest::of("nonce"),
         seen: Seen { size: 3, root: Digest::of("root") },
         replaces: None,
+        views: None,
     };
     record.seal(&key).unwrap()
 }

@@ -296,6 +296,7 @@ mod tests {
             nonce: registry.nonce("fern", &owner.public()).unwrap(),
             seen: Seen { size: head.size, root: head.root },
             replaces: None,
+            views: None,
         };
         record.seal(&owner).unwrap()
     }
