@@ -12,6 +12,7 @@ mod code;
 mod evidence;
 mod later;
 mod map;
+mod policy;
 mod report;
 mod store;
 

@@ -58,7 +58,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 #[test]
 fn a_byte_changed_anywhere_is_found_and_its_file_named() {
-    let log = Log::small();
+    let log = Log::tiny();
     let dir = written(&log);
     let paths = files(dir.path());
     assert!(paths.len() >= 10, "{paths:?}");

@@ -2,13 +2,15 @@
 //!
 //! The formats are public ones, so that anybody's tools can check a log of ours:
 //! DSSE envelopes ([`dsse`]), RFC 6962 Merkle trees ([`merkle`]), C2SP signed
-//! notes, checkpoints, proofs and tiles ([`note`], [`checkpoint`], [`proof`], [`tile`]). Ours are only the owner
-//! record ([`record`]), the leaf ([`leaf`]) and the verifiable map over them ([`map`], [`map_leaf`]).
+//! notes, checkpoints, proofs and tiles ([`note`], [`checkpoint`], [`proof`], [`tile`]), cosignatures and trust policies
+//! ([`cosignature`], [`policy`]). Ours are only the owner record ([`record`]), the leaf ([`leaf`]) and the verifiable
+//! map over them ([`map`], [`map_leaf`]).
 //!
 //! Those build without the feature `store`, which adds the writing half: the
 //! registry proper and its store on sled, the only code here that knows sled.
 
 pub mod checkpoint;
+pub mod cosignature;
 pub mod digest;
 pub mod dsse;
 pub mod keys;
@@ -17,6 +19,7 @@ pub mod map;
 pub mod map_leaf;
 pub mod merkle;
 pub mod note;
+pub mod policy;
 pub mod proof;
 pub mod record;
 #[cfg(feature = "store")]
@@ -27,6 +30,7 @@ pub mod tile;
 mod tree;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
+pub use cosignature::{Cosignature, CosignatureError, WitnessVerifier, cosign};
 pub use digest::{Digest, DigestError};
 pub use dsse::{DsseError, Envelope};
 pub use keys::{KeyError, OwnerKey, PublicKey};
@@ -35,6 +39,7 @@ pub use map::{MapEntry, MapKey, MapProof, MapTree};
 pub use map_leaf::{Entry, MapLeaf};
 pub use merkle::ProofError;
 pub use note::{Note, NoteError, NoteVerifier};
+pub use policy::{Policy, PolicyError, PolicyVerdict, Quorum};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
 #[cfg(feature = "store")]

@@ -70,7 +70,7 @@ pub enum NoteError {
     },
 }
 
-/// One signature line.
+/// One signature line, whatever kind of signature it carries.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NoteSignature {
     /// The signer's name.
@@ -119,19 +119,13 @@ impl NoteVerifier {
 
     /// The key id that its signature lines carry.
     pub fn key_id(&self) -> [u8; 4] {
-        key_id(&self.name, &self.typed_key())
-    }
-
-    fn typed_key(&self) -> Vec<u8> {
-        let mut bytes = vec![ED25519];
-        bytes.extend_from_slice(&self.key.to_bytes());
-        bytes
+        key_id(&self.name, &typed_key(ED25519, &self.key))
     }
 }
 
 impl fmt::Display for NoteVerifier {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}+{}+{}", self.name, hex::encode(self.key_id()), STANDARD.encode(self.typed_key()))
+        f.write_str(&vkey_text(&self.name, ED25519, &self.key))
     }
 }
 
@@ -139,26 +133,44 @@ impl FromStr for NoteVerifier {
     type Err = NoteError;
 
     fn from_str(vkey: &str) -> Result<Self, NoteError> {
-        let refuse = |what: String| NoteError::Vkey { got: clip(vkey), what };
-        let mut parts = vkey.splitn(3, '+');
-        let (Some(name), Some(hash), Some(key)) = (parts.next(), parts.next(), parts.next()) else {
-            return Err(refuse("not three parts".into()));
-        };
-        check_name(name)?;
-        let mut stated = [0; 4];
-        hex::decode_to_slice(hash, &mut stated).map_err(|_| refuse("the key id is not 8 hexadecimal digits".into()))?;
-        let typed = STANDARD.decode(key).map_err(|_| refuse("the key is not base64".into()))?;
-        if key_id(name, &typed) != stated {
-            let computed = hex::encode(key_id(name, &typed));
-            return Err(refuse(format!("its key id is {computed}, it states {hash}")));
-        }
-        let [ED25519, key @ ..] = typed.as_slice() else {
-            return Err(refuse(format!("key type {:?} is not supported, 1 (Ed25519) is", typed.first())));
-        };
-        let bytes: &[u8; 32] = key.try_into().map_err(|_| refuse(format!("an Ed25519 key of {} bytes", key.len())))?;
-        let key = PublicKey::from_bytes(bytes).map_err(|e: KeyError| refuse(e.to_string()))?;
-        Self::new(name, key)
+        let (name, key) = parse_vkey(vkey, ED25519, "1 (Ed25519)")?;
+        Ok(Self { name, key })
     }
+}
+
+/// `type | public key`: what key ids and vkeys are made of.
+pub(crate) fn typed_key(kind: u8, key: &PublicKey) -> Vec<u8> {
+    [&[kind], key.to_bytes().as_slice()].concat()
+}
+
+/// A vkey line.
+pub(crate) fn vkey_text(name: &str, kind: u8, key: &PublicKey) -> String {
+    let typed = typed_key(kind, key);
+    format!("{name}+{}+{}", hex::encode(key_id(name, &typed)), STANDARD.encode(&typed))
+}
+
+/// Reads a vkey whose type byte is `wanted`; `called` says in errors which one that is.
+pub(crate) fn parse_vkey(vkey: &str, wanted: u8, called: &str) -> Result<(String, PublicKey), NoteError> {
+    let refuse = |what: String| NoteError::Vkey { got: clip(vkey), what };
+    let mut parts = vkey.splitn(3, '+');
+    let (Some(name), Some(hash), Some(key)) = (parts.next(), parts.next(), parts.next()) else {
+        return Err(refuse("not three parts".into()));
+    };
+    check_name(name)?;
+    let mut stated = [0; 4];
+    hex::decode_to_slice(hash, &mut stated).map_err(|_| refuse("the key id is not 8 hexadecimal digits".into()))?;
+    let typed = STANDARD.decode(key).map_err(|_| refuse("the key is not base64".into()))?;
+    if key_id(name, &typed) != stated {
+        let computed = hex::encode(key_id(name, &typed));
+        return Err(refuse(format!("its key id is {computed}, it states {hash}")));
+    }
+    let key = match typed.split_first() {
+        Some((kind, key)) if *kind == wanted => key,
+        other => return Err(refuse(format!("key type {:?} does not fit here, {called} does", other.map(|o| o.0)))),
+    };
+    let bytes: &[u8; 32] = key.try_into().map_err(|_| refuse(format!("an Ed25519 key of {} bytes", key.len())))?;
+    let key = PublicKey::from_bytes(bytes).map_err(|e: KeyError| refuse(e.to_string()))?;
+    Ok((name.to_owned(), key))
 }
 
 impl Note {
@@ -198,7 +210,7 @@ impl Note {
         let Some(lines) = lines.strip_suffix('\n') else {
             return Err(malformed("the last signature line does not end in a newline, or there is none"));
         };
-        let signatures = lines.split('\n').map(parse_line).collect::<Result<Vec<_>, _>>()?;
+        let signatures = lines.split('\n').map(str::parse).collect::<Result<Vec<_>, _>>()?;
         if signatures.len() > MAX_NOTE_SIGNATURES {
             return Err(malformed(&format!("{} signatures, at most {MAX_NOTE_SIGNATURES}", signatures.len())));
         }
@@ -236,28 +248,35 @@ impl Note {
 impl fmt::Display for Note {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}", self.text)?;
-        for line in &self.signatures {
-            let mut blob = line.key_id.to_vec();
-            blob.extend_from_slice(&line.signature);
-            writeln!(f, "{DASH}{} {}", line.name, STANDARD.encode(blob))?;
-        }
-        Ok(())
+        self.signatures.iter().try_for_each(|line| writeln!(f, "{line}"))
     }
 }
 
-fn parse_line(line: &str) -> Result<NoteSignature, NoteError> {
-    let refuse = |what: &str| malformed(&format!("signature line {:?}: {what}", clip(line)));
-    let rest = line.strip_prefix(DASH).ok_or_else(|| refuse("does not begin with an em dash and a blank"))?;
-    let (name, blob) = rest.split_once(' ').ok_or_else(|| refuse("no blank behind the name"))?;
-    check_name(name)?;
-    let blob = STANDARD.decode(blob).map_err(|_| refuse("not base64"))?;
-    let Some((key_id, signature)) = blob.split_first_chunk::<4>() else {
-        return Err(refuse("shorter than a key id"));
-    };
-    if signature.is_empty() {
-        return Err(refuse("a key id without a signature"));
+/// The line without its newline.
+impl fmt::Display for NoteSignature {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let blob = [self.key_id.as_slice(), &self.signature].concat();
+        write!(f, "{DASH}{} {}", self.name, STANDARD.encode(blob))
     }
-    Ok(NoteSignature { name: name.to_owned(), key_id: *key_id, signature: signature.to_vec() })
+}
+
+impl FromStr for NoteSignature {
+    type Err = NoteError;
+
+    fn from_str(line: &str) -> Result<Self, NoteError> {
+        let refuse = |what: &str| malformed(&format!("signature line {:?}: {what}", clip(line)));
+        let rest = line.strip_prefix(DASH).ok_or_else(|| refuse("does not begin with an em dash and a blank"))?;
+        let (name, blob) = rest.split_once(' ').ok_or_else(|| refuse("no blank behind the name"))?;
+        check_name(name)?;
+        let blob = STANDARD.decode(blob).map_err(|_| refuse("not base64"))?;
+        let Some((key_id, signature)) = blob.split_first_chunk::<4>() else {
+            return Err(refuse("shorter than a key id"));
+        };
+        if signature.is_empty() {
+            return Err(refuse("a key id without a signature"));
+        }
+        Ok(Self { name: name.to_owned(), key_id: *key_id, signature: signature.to_vec() })
+    }
 }
 
 /// First 4 bytes of SHA-256(name | 0x0A | type | public key).

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     code::Code,
-    map::{Key, keys_of, statement},
+    map::{Frontier, Key, keys_of, statement},
     report::Findings,
 };
 
@@ -36,8 +36,12 @@ pub(super) struct Context<'a> {
     pub(super) stock: Option<&'a Stock>,
     /// Record replaced by a rotation -> key id of its owner.
     pub(super) rotated: HashMap<Digest, Digest>,
+    /// The tree over all chunks before the one in which the published tree ends; empty until that one's turn.
+    pub(super) before: Frontier,
     /// Size of the published tree.
     pub(super) size: u64,
+    /// Root of the published tree.
+    pub(super) root: Option<Digest>,
     /// Entries that are there; at least the published ones where none is lost.
     pub(super) extent: u64,
 }
@@ -183,16 +187,25 @@ fn one(
     }
 }
 
-/// Whether, of a tile and a bundle that contradict each other about leaf `at`, the tile above holds with the tile.
-/// Where there is none above (the tile is not full) the bundle is believed, and the root tells.
+/// Whether, of a tile and a bundle that contradict each other about leaf `at`, the tile is right: the tile above tells,
+/// and in the chunk where the published tree ends its root.
 fn tile_is_right(context: &Context<'_>, chunk: &Chunk, at: usize, candidates: &Candidates, tile: &[Digest]) -> bool {
     let Some(entry) = candidates.entry else { return true };
+    let mut other = tile.to_vec();
+    other[at] = merkle::leaf_hash(&entry);
+    if (chunk.index + 1) * CHUNK > context.size {
+        let published = context.size.saturating_sub(chunk.index * CHUNK) as usize;
+        let leads_to_root = |hashes: &[Digest]| {
+            let mut tree = context.before.clone();
+            hashes.iter().take(published).for_each(|hash| tree.push(*hash));
+            Some(tree.root()) == context.root
+        };
+        return leads_to_root(tile) && !leads_to_root(&other);
+    }
     let (above, position) = (chunk.index / CHUNK, (chunk.index % CHUNK) as usize);
     let parent = tiles::widest(context.files, TileKind::Hashes(1), above, 32);
     let parent = parent.as_ref().and_then(|(_, bytes)| bytes.as_chunks::<32>().0.get(position));
     let (Some(parent), true) = (parent, tile.len() == CHUNK as usize) else { return false };
-    let mut other = tile.to_vec();
-    other[at] = merkle::leaf_hash(&entry);
     *merkle::root(tile).as_bytes() == *parent && *merkle::root(&other).as_bytes() != *parent
 }
 

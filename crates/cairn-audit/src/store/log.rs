@@ -36,18 +36,34 @@ pub(super) fn check(
     let key = options.pinned.or(options.found);
     let origin = checkpoint.map(|c| c.origin.as_str()).or(key.map(|key| key.name()));
     let extent = extent(files, size);
-    let mut context = Context { files, origin, key, stock: options.stock, rotated: HashMap::new(), size, extent };
+    let mut context = Context {
+        files,
+        origin,
+        key,
+        stock: options.stock,
+        rotated: HashMap::new(),
+        before: Frontier::default(),
+        size,
+        root: checkpoint.map(|c| c.root),
+        extent,
+    };
     context.rotated = owners_of(&context, &rotated(&context)).into_iter().map(|(r, (_, o))| (r, o)).collect();
     let mut pass = Pass { size, ..Pass::default() };
     // Enough at a time to keep every core busy, few enough to fit: a chunk is 17 MB at the very most.
     let window = 2 * rayon::current_num_threads() as u64;
-    let chunks = extent.div_ceil(CHUNK);
-    for first in (0..chunks).step_by(window as usize) {
-        let last = (first + window).min(chunks);
+    let (chunks, mut first) = (extent.div_ceil(CHUNK), 0);
+    // The chunk in which the published tree ends has a window of its own: the root decides what is right there.
+    let end = size / CHUNK;
+    while first < chunks {
+        let last = if first < end { (first + window).min(chunks).min(end) } else { (first + 1).min(chunks) };
+        if first == end {
+            context.before = pass.tree.clone();
+        }
         let checked: Vec<Chunk> = (first..last).into_par_iter().map(|at| chunk::check(&context, at)).collect();
         for chunk in checked {
             pass.take(&context, chunk, tally, findings);
         }
+        first = last;
     }
     pass.stack.finish(files, size, findings);
     pass.finish(&context, checkpoint, tally, findings);

@@ -25,14 +25,14 @@ mod tiles;
 
 use std::path::Path;
 
-use cairn_registry::{Checkpoint, Digest, NoteVerifier, merkle};
+use cairn_registry::{Checkpoint, Digest, NoteVerifier, Policy, merkle};
 
 pub use class::Class;
 pub use files::StoreError;
 pub use report::StoreReport;
 pub use seal::{Manifest, ManifestFile};
 
-use crate::{code::Code, report::Findings};
+use crate::{code::Code, policy, report::Findings};
 use files::Files;
 use report::Tally;
 
@@ -43,6 +43,8 @@ pub struct StoreOptions<'a> {
     pub pinned: Option<&'a NoteVerifier>,
     /// The log's key as it lies in the folder: good for telling damage, not for trust.
     pub found: Option<&'a NoteVerifier>,
+    /// Whose cosignatures the published checkpoint must carry.
+    pub policy: Option<&'a Policy>,
     /// The models that lie in the folder, to be held to the records about them.
     pub stock: Option<&'a Stock>,
 }
@@ -112,7 +114,12 @@ fn published(files: &Files, options: &StoreOptions<'_>, findings: &mut Findings)
             findings.add(Code::StoreCheckpointVerified, place.clone(), "", got);
         }
     }
-    for line in note.signatures.iter().filter(|s| s.name != key.name()) {
+    let known = options.policy.map_or(&[][..], Policy::witnesses);
+    if let Some(policy) = options.policy {
+        policy::check(policy, key, &text, &place, findings);
+    }
+    let strangers = note.signatures.iter().filter(|line| !known.iter().any(|w| w.verifier.claims(line)));
+    for line in strangers.filter(|line| line.key_id != key.key_id() || line.name != key.name()) {
         findings.add(Code::StoreCosignatureUnknown, place.clone(), "", format!("a line by {:?}", line.name));
     }
     if checkpoint.size == 0 && checkpoint.root != merkle::empty_root() {

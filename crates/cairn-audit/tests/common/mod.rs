@@ -71,6 +71,20 @@ impl Log {
         log
     }
 
+    /// Two batches, three records: one replaced, one erased, one signed by three keys.
+    pub fn tiny() -> Self {
+        let mut log = Self::default();
+        let first = log.add(&log.record(RecordKind::Contribution, 1, "a"), &[]);
+        log.add(&log.record(RecordKind::Contribution, 2, "b"), &[]);
+        log.end_batch();
+        let mut rotation = log.record(RecordKind::Rotation, 3, "a");
+        rotation.replaces = Some(first);
+        log.add(&rotation, &[1]);
+        log.end_batch();
+        log.erase(1);
+        log
+    }
+
     pub fn verifier(&self) -> NoteVerifier {
         NoteVerifier::new(&self.origin, self.signer.public()).unwrap()
     }
