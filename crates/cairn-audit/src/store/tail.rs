@@ -62,7 +62,7 @@ fn behind(context: &Context<'_>, index: u64, findings: &mut Findings) {
     let from = context.extent.saturating_sub(index * CHUNK).min(CHUNK) as usize;
     let place = context.files.name_envelopes(index);
     let more = frames.slots.len().saturating_sub(from);
-    if more > 0 || (frames.broken.is_some() && from < CHUNK as usize) {
+    if more > 0 || (frames.broken.is_some() && from < CHUNK as usize && frames.slots.len() >= from) {
         let torn = frames.broken.as_ref().map_or_else(String::new, |cause| format!("; {cause}"));
         findings.add(Code::StoreTail, place.clone(), "", format!("{more} frames behind the last entry{torn}"));
     }
