@@ -221,6 +221,12 @@ codes! {
     FollowContradiction = "follow.contradiction", Error, "keep the evidence, send it to the log's witnesses and users, and stop relying on the log";
     /// What the log serves does not make the tree that it signed.
     FollowTiles = "follow.tiles", Error, "try again; if it stays so, the log serves other data than it signed";
+    /// The evidence proves that the log signed two histories.
+    EvidenceProven = "evidence.proven", Passed, "";
+    /// Both checkpoints are signed, and whether they exclude each other cannot be told.
+    EvidenceUntold = "evidence.untold", Warning, "get the tiles of the larger tree; a log that only steps back shows an old state, which its witnesses' times can tell";
+    /// The evidence shows no contradiction.
+    EvidenceNone = "evidence.none", Error, "look for the files that were kept when the contradiction was found";
     /// The new entries are those of the tree.
     FollowEntries = "follow.entries.verified", Passed, "";
     /// The newest leaf of a log must be a map leaf, and every map leaf signed by the log.

@@ -10,6 +10,7 @@
 mod check;
 mod code;
 mod evidence;
+mod follow;
 mod later;
 mod map;
 mod policy;
@@ -20,6 +21,10 @@ pub use check::audit;
 pub use code::Code;
 pub use evidence::{
     Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
+};
+pub use follow::{
+    CONTRADICTION, Contradiction, EvidenceReport, Fetch, FollowError, FollowOptions, FollowReport, Followed,
+    MAX_NEW_ENTRIES, audit_evidence, follow,
 };
 pub use report::{Finding, Freshness, Outcome, Report, Severity};
 pub use store::{Class, Manifest, ManifestFile, Stock, StoreError, StoreOptions, StoreReport, audit_store};

@@ -70,6 +70,11 @@ pub(crate) struct Frontier {
 }
 
 impl Frontier {
+    /// A tree of `size` leaves, of which these are the full subtrees' roots.
+    pub(crate) fn of(size: u64, peaks: Vec<Digest>) -> Self {
+        Self { size, peaks }
+    }
+
     pub(crate) fn push(&mut self, leaf: Digest) {
         let mut hash = leaf;
         for _ in 0..self.size.trailing_ones() {

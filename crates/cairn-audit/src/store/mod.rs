@@ -27,6 +27,7 @@ use std::path::Path;
 
 use cairn_registry::{Checkpoint, Digest, NoteVerifier, Policy, merkle};
 
+pub(crate) use chunk::check_map_leaf;
 pub use class::Class;
 pub use files::StoreError;
 pub use report::StoreReport;
