@@ -81,8 +81,17 @@ impl OwnerService for Shared {
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
         let v1::GetRecordRequest { format_version, index } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
-        let record = self.run(move |engine| Ok(to_proto::stored_record(&engine.registry().record(index)?))).await?;
-        Ok(Response::new(v1::GetRecordResponse { format_version: to_proto::VERSION, record: Some(record) }))
+        let answer = self
+            .run(move |engine| {
+                let stored = engine.registry().record(index)?;
+                Ok(v1::GetRecordResponse {
+                    format_version: to_proto::VERSION,
+                    record: Some(to_proto::stored_record(&stored)),
+                    standing: Some(to_proto::standing(engine.standing(&stored)?)),
+                })
+            })
+            .await?;
+        Ok(Response::new(answer))
     }
 
     async fn checkpoint(&self, request: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {
@@ -97,5 +106,13 @@ impl OwnerService for Shared {
         from_proto::version(format_version).map_err(status)?;
         let tlog_proof = self.run(move |engine| engine.tlog_proof(index)).await?;
         Ok(Response::new(v1::ProofResponse { format_version: to_proto::VERSION, tlog_proof }))
+    }
+
+    async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        self.authorise(request.metadata())?;
+        let request = request.into_inner().request;
+        let index = self.run(move |engine| engine.erase_record(&request)).await?;
+        Ok(Response::new(v1::EraseRecordResponse { format_version: to_proto::VERSION, index }))
     }
 }

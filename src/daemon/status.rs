@@ -22,11 +22,17 @@ pub fn status(error: EngineError) -> Status {
 
 fn code(error: &EngineError) -> Code {
     match error {
-        EngineError::Invalid { .. } | EngineError::OverLimit { .. } | EngineError::Config(_) => Code::InvalidArgument,
+        EngineError::Invalid { .. }
+        | EngineError::OverLimit { .. }
+        | EngineError::Config(_)
+        | EngineError::Erasure(_) => Code::InvalidArgument,
+        EngineError::NotYours { .. } => Code::PermissionDenied,
         EngineError::NotFound { .. } => Code::NotFound,
         EngineError::NotTrained { .. }
         | EngineError::WrongState { .. }
         | EngineError::KeyMissing { .. }
+        | EngineError::SealingKeyMissing { .. }
+        | EngineError::ErasesOther { .. }
         | EngineError::Path(_) => Code::FailedPrecondition,
         EngineError::QueueFull { .. } => Code::ResourceExhausted,
         EngineError::ShuttingDown | EngineError::Locked { .. } => Code::Unavailable,

@@ -4,6 +4,7 @@ use cairn_capture::{Camera, SceneFolder, SceneKind};
 use cairn_proto::v1;
 use cairn_registry::{Envelope, OwnerRecord, StoredRecord};
 
+use crate::engine::corrections::Standing;
 use crate::engine::job::{Job, JobState};
 use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
 use crate::engine::query::Who;
@@ -33,6 +34,12 @@ pub fn camera(camera: &Camera) -> v1::Camera {
             position: camera.pose.position.to_array().to_vec(),
         }),
     }
+}
+
+/// What later records say of one.
+pub fn standing(standing: Standing) -> v1::Standing {
+    let Standing { replaced_by, taken_back_by, disputed_by, key_ended_by } = standing;
+    v1::Standing { replaced_by, taken_back_by, disputed_by, key_ended_by }
 }
 
 /// A scene kind.

@@ -10,6 +10,7 @@
 //! DIR/models/NAME/JOB/          base.field, marked.field, detector, model.json, ...
 //! DIR/jobs/JOB/                 job.json, signals, checkpoints
 //! DIR/registry/                 the log of owner records (cairn-registry's format)
+//! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 

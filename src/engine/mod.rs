@@ -3,6 +3,7 @@
 //!
 //! All calls block, some for long; the edge puts them on threads of their own.
 
+pub mod corrections;
 pub mod crowd;
 pub mod drawing;
 pub mod error;
@@ -18,6 +19,7 @@ pub mod owners;
 pub mod paths;
 pub mod poses;
 pub mod query;
+mod registry_key;
 pub mod report;
 pub mod scenes;
 pub mod stages;
@@ -30,7 +32,7 @@ use std::time::Duration;
 
 use cairn_capture::{Capture, SceneFolder};
 use cairn_cluster::Grouping;
-use cairn_registry::{OwnerKey, Registry};
+use cairn_registry::Registry;
 
 use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, training_settings};
 use error::EngineError;
@@ -75,18 +77,10 @@ impl Engine {
     ///
     /// # Errors
     /// [`EngineError::Locked`] while another process has the folder;
-    /// [`EngineError::KeyMissing`]; what the stored files say.
+    /// [`EngineError::KeyMissing`], [`EngineError::SealingKeyMissing`]; what the stored files say.
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
-        let key = folder.registry_key();
-        if !key.exists() {
-            // A new key cannot go on with an old log; made all the same, it would only hide that the old one is lost.
-            if !folder.registry_is_empty()? {
-                return Err(EngineError::KeyMissing { key, log: folder.registry() });
-            }
-            OwnerKey::generate().and_then(|new| new.save(&key)).map_err(cairn_registry::RegistryError::from)?;
-        }
-        let key = OwnerKey::load(&key).map_err(cairn_registry::RegistryError::from)?;
+        let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
         let registry = Registry::open(&folder.registry(), key, &config.origin)?;
         let work = training::Training {
             scenes: folder.scenes(),

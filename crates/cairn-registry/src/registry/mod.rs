@@ -329,6 +329,17 @@ impl Registry {
         Ok(reload::index_of(self.store.as_ref(), record)?.filter(|index| *index < size))
     }
 
+    /// Forgets the envelope of a record; its leaf, and so every proof, stays.
+    ///
+    /// PLACEHOLDER of the branch that brings requests: to be replaced by the one that really erases. This one finds no
+    /// record to erase.
+    ///
+    /// # Errors
+    /// [`RegistryError::NoSuchRecord`].
+    pub fn erase(&self, request: &crate::erasure::Erasure) -> Result<u64, RegistryError> {
+        Err(RegistryError::NoSuchRecord { index: request.request().index, size: self.size() })
+    }
+
     /// Index of the revocation or rotation that ended the key `owner`, if one is published.
     ///
     /// # Errors
