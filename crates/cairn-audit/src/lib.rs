@@ -4,12 +4,15 @@
 //! what admits or stores records. [`audit`] takes what is in hand, an
 //! envelope at least, and answers with a [`Report`]: findings with stable codes, each naming the
 //! thing, what was expected, what was found and what to do, and one of three outcomes.
+//! [`audit_store`] and [`audit_folders`] do the same for a whole data folder, [`follow`] for a log
+//! that is reached over any [`Fetch`].
 //! Never a bare yes or no: "the signature is good" and "this is who you think it is"
 //! are different answers.
 
 mod check;
 mod code;
 mod evidence;
+mod folders;
 mod follow;
 mod later;
 mod map;
@@ -22,6 +25,7 @@ pub use code::Code;
 pub use evidence::{
     Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
 };
+pub use folders::audit_folders;
 pub use follow::{
     CONTRADICTION, Contradiction, EvidenceReport, Fetch, FollowError, FollowOptions, FollowReport, Followed,
     MAX_NEW_ENTRIES, audit_evidence, follow,

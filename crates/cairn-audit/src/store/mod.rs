@@ -31,6 +31,7 @@ pub(crate) use chunk::check_map_leaf;
 pub use class::Class;
 pub use files::StoreError;
 pub use report::StoreReport;
+pub(crate) use seal::read_manifest;
 pub use seal::{Manifest, ManifestFile};
 
 use crate::{code::Code, policy, report::Findings};
