@@ -5,10 +5,11 @@
 //! envelope at least, and answers with a [`Report`]: findings with stable codes, each naming the
 //! thing, what was expected, what was found and what to do, and one of three outcomes.
 //! [`audit_store`] and [`audit_folders`] do the same for a whole data folder, [`follow`] for a log
-//! that is reached over any [`Fetch`].
+//! that is reached over any [`Fetch`], [`audit_answer`] for a complete answer of the registry's.
 //! Never a bare yes or no: "the signature is good" and "this is who you think it is"
 //! are different answers.
 
+mod answer;
 mod check;
 mod code;
 mod evidence;
@@ -20,6 +21,7 @@ mod policy;
 mod report;
 mod store;
 
+pub use answer::{AnswerReport, RecordWorth, Standing, audit_answer};
 pub use check::audit;
 pub use code::Code;
 pub use evidence::{

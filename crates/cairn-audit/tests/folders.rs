@@ -1,12 +1,12 @@
 //! Scenes, models and jobs made by hand: every byte of every file changed in turn.
 
-mod common;
+mod handmade;
 
 use std::path::{Path, PathBuf};
 
 use cairn_audit::{Code, Finding, Severity, audit_folders};
 use cairn_registry::Digest;
-use common::{put, seal};
+use handmade::{put, seal};
 
 /// A data folder with a scene, its model and an ended job.
 fn written(dir: &Path) {

@@ -9,6 +9,7 @@
 //! Those build without the feature `store`, which adds the writing half: the
 //! registry proper and its store on sled, the only code here that knows sled.
 
+pub mod answer;
 pub mod checkpoint;
 pub mod cosignature;
 pub mod digest;
@@ -25,11 +26,13 @@ pub mod proof;
 pub mod record;
 #[cfg(feature = "store")]
 pub mod registry;
+mod serial;
 #[cfg(feature = "store")]
 pub mod store;
 pub mod tile;
 mod tree;
 
+pub use answer::{Answer, AnswerError};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use cosignature::{Cosignature, CosignatureError, WitnessVerifier, cosign};
 pub use digest::{Digest, DigestError};

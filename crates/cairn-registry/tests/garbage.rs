@@ -2,7 +2,10 @@
 //! back to something that it reads the same. None may panic.
 
 use cairn_registry::{
-    Checkpoint, Digest, Envelope, Leaf, Note, NoteVerifier, OwnerKey, OwnerRecord, PublicKey, TlogProof,
+    Answer, Checkpoint, Digest, Entry, Envelope, Leaf, MapEntry, MapKey, MapLeaf, MapProof, MapTree, Note,
+    NoteVerifier, OwnerKey, OwnerRecord, PublicKey, TlogProof,
+    answer::{AnswerError, AsOf, Format, List, ListedRecord, MAX_ANSWER_BYTES, MapPart},
+    map::ListState,
     record::{Digests, Identity, RecordKind, Seen, VERSION},
     tile::{TilePath, decode_entries, encode_entries},
 };
@@ -93,6 +96,54 @@ fn no_reader_panics_and_each_reads_what_it_writes() {
     feed(b"tile/3/x001/234.p/17", |b| Some(text(b)?.parse::<TilePath>().ok()?.to_string().into_bytes()));
     feed(&Leaf::of(&envelope).unwrap().encode(), |b| Some(Leaf::decode(b).ok()?.encode().to_vec()));
     feed(&entries, |b| encode_entries(decode_entries(b).ok()?).ok());
+}
+
+/// An answer with one of everything, in which nothing is true.
+fn answer() -> Answer {
+    let (envelope, hashes) = (envelope(), vec![Digest::of("a"); 2]);
+    let leaf = Leaf::of(&envelope).unwrap();
+    let entry = MapEntry { index: 3, leaf_hash: leaf.hash() };
+    let mut map = MapTree::new();
+    (0..5_u8).for_each(|i| map.append(MapKey::about(&Digest::of([i])), &entry));
+    let mut lists: Vec<List> = (0..8_u8)
+        .map(|i| MapKey::about(&Digest::of([i])))
+        .map(|key| List { key, entries: vec![entry; usize::from(map.get(&key).is_some())], proof: map.prove(&key) })
+        .collect();
+    lists.sort_by_key(|list| list.key);
+    let map_leaf = MapLeaf::sign("log", 9, map.root(), &OwnerKey::from_seed(&[1; 32])).encode();
+    Answer {
+        format: Format::V1,
+        origin: "log".into(),
+        scene: "fern".into(),
+        view: Some(Digest::of("photograph")),
+        checkpoint: "checkpoint\n".into(),
+        as_of: Some(AsOf { checkpoint: "older\n".into(), consistency: hashes.clone() }),
+        map: Some(MapPart { index: 9, leaf: map_leaf, inclusion: hashes.clone() }),
+        lists,
+        records: vec![ListedRecord { index: 3, leaf: leaf.encode(), inclusion: hashes, envelope: Some(envelope) }],
+    }
+}
+
+#[test]
+fn answers_and_maps_are_read_as_strictly() {
+    let answer = answer();
+    feed(answer.to_json().as_bytes(), |b| Some(Answer::parse(b).ok()?.to_json().into_bytes()));
+    for list in &answer.lists {
+        let proof = serde_json::to_vec(&list.proof).unwrap();
+        feed(&proof, |b| serde_json::to_vec(&serde_json::from_slice::<MapProof>(b).ok()?).ok());
+    }
+    feed(&answer.map.as_ref().unwrap().leaf, |b| Some(Entry::decode(b).ok()?.encode().to_vec()));
+    let mut list = ListState::default();
+    (0..11).for_each(|index| list.append(&MapEntry { index, leaf_hash: Digest::of("leaf") }));
+    let mut bytes = Vec::new();
+    list.encode(&mut bytes);
+    feed(&bytes, |b| {
+        let mut written = Vec::new();
+        ListState::decode(b).ok()?.0.encode(&mut written);
+        Some(written)
+    });
+    let large = vec![b' '; MAX_ANSWER_BYTES + 1];
+    assert_eq!(Answer::parse(&large), Err(AnswerError::TooLarge { got: MAX_ANSWER_BYTES + 1 }));
 }
 
 #[test]

@@ -1,283 +1,183 @@
-//! A log made by hand, from the formats alone: written as a data folder, or served from
-//! memory. Its map is computed word for word by the definition, which the audit's is not.
-#![allow(dead_code)] // Every test file uses its own part of this.
+//! A log and its map made by hand, with the answers that an honest registry would give.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    path::Path,
-};
+use std::{cell::RefCell, collections::BTreeMap};
 
+use cairn_audit::{AnswerReport, Outcome, Severity, audit_answer};
 use cairn_registry::{
-    Checkpoint, Digest, Envelope, Leaf, NoteVerifier, OwnerKey, OwnerRecord, RecordKind,
-    dsse::pae,
-    leaf::LEAF_LEN,
-    merkle::{self, Tree, leaf_hash},
+    Answer, Checkpoint, Digest, Entry, Envelope, Leaf, MapEntry, MapKey, MapLeaf, MapTree, NoteVerifier, OwnerKey,
+    OwnerRecord, RecordKind,
+    answer::{AnswerGap, Format, List, ListedRecord, MapPart, Source, asked_key, collect},
+    map::keys_of,
+    merkle::{Tree, empty_root},
     record::{self, Digests, Identity, Seen, photographs_root},
-    tile::{TileKind, TilePath, encode_entries},
 };
 
 pub const ORIGIN: &str = "cairn.example/log";
+pub const SCENE: &str = "liberty";
 
 pub fn key(number: u8) -> OwnerKey {
     OwnerKey::from_seed(&[number; 32])
 }
 
-/// A log that grows batch by batch.
-#[derive(Clone)]
-pub struct Log {
-    pub origin: String,
-    pub signer: OwnerKey,
-    /// Leaves, 162 bytes each.
-    pub entries: Vec<Vec<u8>>,
-    /// Slots, as `envelopes/` has them.
-    pub slots: Vec<Vec<u8>>,
-    pub tree: Tree,
-    /// Sizes at which a checkpoint was signed.
-    pub sizes: Vec<u64>,
-    map: BTreeMap<[u8; 32], Vec<(u64, Digest)>>,
+pub fn registry() -> OwnerKey {
+    key(200)
 }
 
-impl Default for Log {
-    fn default() -> Self {
-        Self {
-            origin: ORIGIN.into(),
-            signer: key(200),
-            entries: vec![],
-            slots: vec![],
-            tree: Tree::new(),
-            sizes: vec![],
-            map: BTreeMap::new(),
-        }
+pub fn pinned() -> NoteVerifier {
+    NoteVerifier::new(ORIGIN, registry().public()).unwrap()
+}
+
+pub fn view(name: &str) -> Digest {
+    Digest::of(name)
+}
+
+pub fn record(kind: RecordKind, by: u8, views: &[&str], replaces: Option<Digest>) -> OwnerRecord {
+    let mut views: Vec<_> = views.iter().map(|name| view(name)).collect();
+    views.sort_unstable();
+    OwnerRecord {
+        version: record::VERSION,
+        kind,
+        origin: ORIGIN.into(),
+        scene: SCENE.into(),
+        scene_salt: Digest::of([by]),
+        identity: Identity { number: u32::from(by), contributor: format!("contributor {by}") },
+        owner_key: key(by).public(),
+        digests: Digests { photographs: Some(photographs_root(&views)), ..Digests::default() },
+        seed: None,
+        purpose: "credit".into(),
+        nonce: Digest::of("nonce"),
+        seen: Seen { size: 0, root: empty_root() },
+        replaces,
+        views: (!views.is_empty()).then_some(views),
     }
+}
+
+pub fn sealed(kind: RecordKind, by: u8, views: &[&str], replaces: Option<Digest>) -> Envelope {
+    record(kind, by, views, replaces).seal(&key(by)).unwrap()
+}
+
+/// A log and its map, as a registry would keep them.
+#[derive(Default)]
+pub struct Log {
+    pub tree: Tree,
+    pub entries: Vec<(Entry, Option<Envelope>)>,
+    pub map: RefCell<MapTree>,
+    pub lists: BTreeMap<MapKey, Vec<MapEntry>>,
 }
 
 impl Log {
-    /// Three batches: claims of two owners, a rotation, a dispute, a revocation, and one record erased.
-    pub fn small() -> Self {
-        let mut log = Self::default();
-        let first = log.add(&log.record(RecordKind::Claim, 1, "liberty"), &[]);
-        let other = log.add(&log.record(RecordKind::Contribution, 2, "town"), &[]);
-        log.end_batch();
-        let mut rotation = log.record(RecordKind::Rotation, 3, "liberty");
-        rotation.replaces = Some(first);
-        log.add(&rotation, &[1]);
-        let mut dispute = log.record(RecordKind::Dispute, 4, "town");
-        dispute.replaces = Some(other);
-        log.add(&dispute, &[]);
-        log.end_batch();
-        log.add(&log.record(RecordKind::Revocation, 2, "town"), &[]);
-        log.end_batch();
-        log.erase(1);
-        log
+    pub fn add(&mut self, envelope: Envelope) -> Digest {
+        let (leaf, record) = Leaf::open(&envelope).unwrap();
+        let owner = record.replaces.and_then(|digest| {
+            self.entries.iter().find_map(|(entry, _)| match entry {
+                Entry::Record(leaf) if leaf.record == digest => Some(leaf.owner),
+                _ => None,
+            })
+        });
+        self.add_under(envelope, leaf, &keys_of(&record, owner))
     }
 
-    /// Two batches, three records: one replaced, one erased, one signed by three keys.
-    pub fn tiny() -> Self {
-        let mut log = Self::default();
-        let first = log.add(&log.record(RecordKind::Contribution, 1, "a"), &[]);
-        log.add(&log.record(RecordKind::Contribution, 2, "b"), &[]);
-        log.end_batch();
-        let mut rotation = log.record(RecordKind::Rotation, 3, "a");
-        rotation.replaces = Some(first);
-        log.add(&rotation, &[1]);
-        log.end_batch();
-        log.erase(1);
-        log
-    }
-
-    pub fn verifier(&self) -> NoteVerifier {
-        NoteVerifier::new(&self.origin, self.signer.public()).unwrap()
-    }
-
-    pub fn size(&self) -> u64 {
-        self.tree.size()
-    }
-
-    /// A record as this log takes it now.
-    pub fn record(&self, kind: RecordKind, owner: u8, scene: &str) -> OwnerRecord {
-        let size = self.sizes.last().copied().unwrap_or(0);
-        let mut views = ["one", "two"].map(|v| Digest::of(format!("{scene} {v}"))).to_vec();
-        views.sort_unstable();
-        OwnerRecord {
-            version: record::VERSION,
-            kind,
-            origin: self.origin.clone(),
-            scene: scene.into(),
-            scene_salt: Digest::of(self.size().to_be_bytes()),
-            identity: Identity { number: 1, contributor: "Ada".into() },
-            owner_key: key(owner).public(),
-            digests: Digests {
-                marked_field: Some(Digest::of("field")),
-                detector: Some(Digest::of("detector")),
-                hidden_signal: Some(Digest::of("signal")),
-                photographs: Some(photographs_root(&views)),
-                training_configuration: None,
-            },
-            seed: None,
-            purpose: "credit".into(),
-            nonce: Digest::of(self.size().to_be_bytes()),
-            seen: Seen { size, root: self.tree.root_at(size).unwrap() },
-            replaces: None,
-            views: Some(views),
+    pub fn add_under(&mut self, envelope: Envelope, leaf: Leaf, keys: &[MapKey]) -> Digest {
+        let entry = MapEntry { index: self.tree.push(leaf.hash()), leaf_hash: leaf.hash() };
+        for key in keys {
+            self.map.borrow_mut().append(*key, &entry);
+            self.lists.entry(*key).or_default().push(entry);
         }
+        let digest = leaf.record;
+        self.entries.push((Entry::Record(leaf), Some(envelope)));
+        digest
     }
 
-    /// Seals and appends a record, with signatures of `also` between owner and registry; its digest.
-    pub fn add(&mut self, record: &OwnerRecord, also: &[u8]) -> Digest {
-        let owner = (1..=255).map(key).find(|key| key.public() == record.owner_key).unwrap();
-        let mut envelope = record.seal(&owner).unwrap();
-        also.iter().for_each(|other| envelope.sign(&key(*other)));
-        envelope.sign(&self.signer);
-        self.add_sealed(record, &envelope);
-        envelope.digest()
+    /// Ends a batch with its map leaf; gives the checkpoint.
+    pub fn close(&mut self) -> String {
+        let leaf = MapLeaf::sign(ORIGIN, self.tree.size(), self.map.borrow_mut().root(), &registry());
+        self.tree.push(leaf.hash());
+        self.entries.push((Entry::Map(leaf), None));
+        self.checkpoint(&registry())
     }
 
-    /// Appends a record as it is sealed, whatever a registry would say.
-    pub fn add_sealed(&mut self, record: &OwnerRecord, envelope: &Envelope) {
-        let leaf = Leaf::of(envelope).unwrap();
-        let (index, hash) = (self.size(), leaf.hash());
-        for key in self.keys_of(record) {
-            self.map.entry(key).or_default().push((index, hash));
+    pub fn checkpoint(&self, key: &OwnerKey) -> String {
+        Checkpoint::new(ORIGIN, self.tree.size(), self.tree.root()).sign(key).unwrap().to_string()
+    }
+
+    pub fn inclusion(&self, index: u64) -> Vec<Digest> {
+        self.tree.prove_inclusion(index, self.tree.size()).unwrap()
+    }
+
+    pub fn map_part(&self, index: u64) -> MapPart {
+        let leaf = self.entries[index as usize].0.encode();
+        MapPart { index, leaf, inclusion: self.inclusion(index) }
+    }
+
+    pub fn answer(&self, asked: Option<&str>) -> Answer {
+        let view = asked.map(view);
+        let (lists, records) = collect(&asked_key(SCENE, view.as_ref()), self).unwrap();
+        Answer {
+            format: Format::V1,
+            origin: ORIGIN.into(),
+            scene: SCENE.into(),
+            view,
+            checkpoint: self.checkpoint(&registry()),
+            as_of: None,
+            map: self.tree.size().checked_sub(1).map(|last| self.map_part(last)),
+            lists,
+            records,
         }
-        self.push(leaf.encode().to_vec(), [&[1], envelope.to_json().as_bytes()].concat());
-    }
-
-    pub fn push(&mut self, entry: Vec<u8>, slot: Vec<u8>) {
-        self.tree.push(leaf_hash(&entry));
-        self.entries.push(entry);
-        self.slots.push(slot);
-    }
-
-    /// Appends the map leaf and counts as signed what is there.
-    pub fn end_batch(&mut self) {
-        let root = by_definition(&self.map.iter().collect::<Vec<_>>(), 0);
-        self.push_map_leaf(root);
-    }
-
-    /// Appends a map leaf with a root of one's own.
-    pub fn push_map_leaf(&mut self, root: Digest) {
-        let statement = format!(
-            r#"{{"version":1,"kind":"map","origin":"{}","size":{},"root":"{root}"}}"#,
-            self.origin,
-            self.size()
-        );
-        let signed = pae("application/vnd.cairn.map-root.v1+json", statement.as_bytes());
-        let mut entry = vec![1, 7];
-        entry.extend_from_slice(Digest::of(&signed).as_bytes());
-        entry.extend_from_slice(self.signer.public().id().as_bytes());
-        entry.extend_from_slice(root.as_bytes());
-        entry.extend_from_slice(&self.signer.sign(&signed));
-        assert_eq!(entry.len(), LEAF_LEN);
-        self.push(entry, vec![]);
-        self.sizes.push(self.size());
-    }
-
-    fn keys_of(&self, record: &OwnerRecord) -> BTreeSet<[u8; 32]> {
-        let field = |bytes: &[u8]| [&(bytes.len() as u64).to_be_bytes()[..], bytes].concat();
-        let key = |label: &str, fields: Vec<u8>| *Digest::of([label.as_bytes(), &[0], &fields].concat()).as_bytes();
-        let scene = field(record.scene.as_bytes());
-        let mut keys = BTreeSet::from([key("cairn map scene v1", scene.clone())]);
-        for view in record.views.iter().flatten() {
-            keys.insert(key("cairn map view v1", [scene.clone(), field(view.as_bytes())].concat()));
-        }
-        if record.kind == RecordKind::Revocation {
-            keys.insert(key("cairn map ended v1", field(record.owner_key.id().as_bytes())));
-        }
-        if let Some(replaces) = record.replaces {
-            keys.insert(key("cairn map about v1", field(replaces.as_bytes())));
-            if record.kind == RecordKind::Rotation {
-                let leaf = self.entries.iter().filter_map(|e| Leaf::decode(e).ok()).find(|l| l.record == replaces);
-                keys.insert(key("cairn map ended v1", field(leaf.unwrap().owner.as_bytes())));
-            }
-        }
-        keys
-    }
-
-    /// Leaves only the map keys of record `index`.
-    pub fn erase(&mut self, index: usize) {
-        let hash = leaf_hash(&self.entries[index]);
-        let keys = self.map.iter().filter(|(_, entries)| entries.contains(&(index as u64, hash)));
-        self.slots[index] = keys.fold(vec![2], |slot, (key, _)| [&slot[..], key].concat());
-    }
-
-    /// The signed checkpoint at a size.
-    pub fn checkpoint(&self, size: u64) -> String {
-        let root = self.tree.root_at(size).unwrap();
-        Checkpoint::new(self.origin.clone(), size, root).sign(&self.signer).unwrap().to_string()
-    }
-
-    /// The bytes at a path below `public/`, as they are at a size.
-    pub fn file(&self, path: &str, size: u64) -> Option<Vec<u8>> {
-        if path == "checkpoint" {
-            return Some(self.checkpoint(size).into_bytes());
-        }
-        let tile: TilePath = path.parse().ok()?;
-        match tile.kind {
-            TileKind::Hashes(_) => tile.cut(&self.tree, size),
-            TileKind::Entries => {
-                let first = tile.first()? as usize;
-                let entries = self.entries[..size as usize].get(first..first + usize::from(tile.width))?;
-                encode_entries(entries.iter().map(Vec::as_slice)).ok()
-            }
-        }
-    }
-
-    /// Writes the data folder as the registry would have, stale partial tiles included.
-    pub fn write(&self, dir: &Path) {
-        let public = dir.join("registry/public");
-        for size in &self.sizes {
-            let bundles = (0..size.div_ceil(256)).filter_map(|i| TilePath::in_tree(TileKind::Entries, i, *size));
-            for tile in TilePath::all(*size).chain(bundles) {
-                put(&public.join(tile.to_string()), &self.file(&tile.to_string(), *size).unwrap());
-            }
-            put(&public.join("checkpoint"), self.checkpoint(*size).as_bytes());
-        }
-        for (index, slots) in (0..).zip(self.slots.chunks(256)) {
-            let path = TilePath { kind: TileKind::Entries, index, width: 256 }.to_string();
-            let path = path.replace("tile/entries", "registry/envelopes");
-            put(&dir.join(path), &slots.iter().flat_map(|slot| frame(slot)).collect::<Vec<_>>());
-        }
-        put(&dir.join("registry/working/db"), b"private state");
-        put(&dir.join("registry/working/blobs/1"), b"more of it");
-        seal(&dir.join("registry/working"), &["blobs/1", "db"], &dir.join("registry/working.seal"));
     }
 }
 
-pub fn frame(slot: &[u8]) -> Vec<u8> {
-    [&(slot.len() as u32).to_be_bytes()[..], slot].concat()
-}
+impl Source for Log {
+    type Error = AnswerGap;
 
-pub fn put(path: &Path, bytes: &[u8]) {
-    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    std::fs::write(path, bytes).unwrap();
-}
-
-/// Writes a manifest of `paths` in `folder`.
-pub fn seal(folder: &Path, paths: &[&str], to: &Path) {
-    let row = |path: &&str| {
-        let bytes = std::fs::read(folder.join(path)).unwrap();
-        format!(r#"{{"path":"{path}","size":{},"sha256":"{}"}}"#, bytes.len(), Digest::of(&bytes))
-    };
-    let rows: Vec<String> = paths.iter().map(row).collect();
-    put(to, format!(r#"{{"format_version":1,"files":[{}]}}"#, rows.join(",")).as_bytes());
-}
-
-type Entries<'a> = (&'a [u8; 32], &'a Vec<(u64, Digest)>);
-
-/// The map's root, word for word.
-fn by_definition(map: &[Entries<'_>], depth: usize) -> Digest {
-    match map {
-        [] => Digest::from_bytes([0; 32]),
-        [(key, entries)] => {
-            let leaf = |(i, h): &(u64, Digest)| leaf_hash(&[&i.to_be_bytes()[..], h.as_bytes()].concat());
-            let value = merkle::root(&entries.iter().map(leaf).collect::<Vec<_>>());
-            Digest::of([&[2], &key[..], value.as_bytes()].concat())
-        }
-        _ => {
-            let (left, right): (Vec<_>, Vec<_>) =
-                map.iter().partition(|(key, _)| key[depth / 8] >> (7 - depth % 8) & 1 == 0);
-            let (left, right) = (by_definition(&left, depth + 1), by_definition(&right, depth + 1));
-            Digest::of([&[3], &left.as_bytes()[..], right.as_bytes()].concat())
-        }
+    fn list(&self, key: &MapKey) -> Result<List, AnswerGap> {
+        let entries = self.lists.get(key).cloned().unwrap_or_default();
+        Ok(List { key: *key, entries, proof: self.map.borrow_mut().prove(key) })
     }
+
+    fn record(&self, index: u64) -> Result<ListedRecord, AnswerGap> {
+        let (entry, envelope) = &self.entries[index as usize];
+        let (leaf, inclusion) = (entry.encode(), self.inclusion(index));
+        Ok(ListedRecord { index, leaf, inclusion, envelope: envelope.clone() })
+    }
+}
+
+/// The log of most tests, and its checkpoint C of size 3.
+///
+/// 0 and 1 contributions, 2 map | 3 contribution without views, 4 dispute of 1, 5 contribution, 6 map | 7 revocation that
+/// takes 5 back, 8 rotation of 0's owner, 9 a contribution to another scene, 10 replacement of 3 by its owner, 11 map.
+pub fn log() -> (Log, String) {
+    use RecordKind::{Contribution, Dispute, Revocation, Rotation};
+    let mut log = Log::default();
+    let first = log.add(sealed(Contribution, 1, &["one", "two"], None));
+    let second = log.add(sealed(Contribution, 2, &["two", "three"], None));
+    let older = log.close();
+    let third = log.add(sealed(Contribution, 3, &[], None));
+    log.add(sealed(Dispute, 5, &[], Some(second)));
+    let fifth = log.add(sealed(Contribution, 4, &["two"], None));
+    log.close();
+    log.add(sealed(Revocation, 4, &[], Some(fifth)));
+    let mut rotation = sealed(Rotation, 6, &[], Some(first));
+    rotation.sign(&key(1));
+    log.add(rotation);
+    let mut elsewhere = record(Contribution, 2, &["two"], None);
+    elsewhere.scene = "fern".into();
+    log.add(elsewhere.seal(&key(2)).unwrap());
+    log.add(sealed(Contribution, 3, &[], Some(third)));
+    log.close();
+    (log, older)
+}
+
+pub fn audited(answer: &Answer) -> AnswerReport {
+    audit_answer(answer.to_json().as_bytes(), Some(&pinned()))
+}
+
+/// The codes of the errors, each once.
+pub fn errors(report: &AnswerReport) -> Vec<&'static str> {
+    let failed = report.findings.iter().filter(|f| f.severity == Severity::Error);
+    let mut codes: Vec<_> = failed.map(|f| f.code.as_str()).collect();
+    codes.sort_unstable();
+    codes.dedup();
+    assert_eq!(report.outcome == Outcome::Invalid, !codes.is_empty(), "{report}");
+    assert!(codes.is_empty() || report.records.is_empty(), "an invalid answer credits nobody");
+    codes
 }
