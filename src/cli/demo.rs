@@ -184,8 +184,9 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
 fn trusted(signed: &[sign::Signed], data: &Path) -> anyhow::Result<Right> {
     let mut trusted = Right::default();
     for sign::Signed { bundle, .. } in signed {
-        let (bundle, vkey) = (bundle.clone(), Some(bundle.join("log.vkey")));
-        let verify = audit::bundle::Args { bundle, vkey, against: Some(data.into()), log: None, json: false };
+        let trust = audit::Trust { vkey: Some(bundle.join("log.vkey")), policy: None };
+        let verify =
+            audit::bundle::Args { bundle: bundle.clone(), trust, against: Some(data.into()), log: None, json: false };
         trusted.count(audit::bundle::report(&verify)?.outcome == Outcome::Trusted);
     }
     Ok(trusted)

@@ -17,6 +17,7 @@ mod scene;
 mod sign;
 mod train;
 mod unlock;
+mod witness;
 
 use std::io::IsTerminal as _;
 use std::path::Path;
@@ -71,6 +72,9 @@ enum Command {
     /// Verify bundles, stores and logs, trusting nobody
     #[command(subcommand)]
     Audit(audit::Command),
+    /// Cosign the checkpoints of logs, as a witness
+    #[command(subcommand)]
+    Witness(witness::Command),
     /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
     Demo(demo::Args),
     /// Measure run time and quality, into a ledger
@@ -91,7 +95,7 @@ impl Cli {
             crate::secrets::keep_out_of_dumps().context("cannot forbid core dumps, which would hold secret keys")?;
         }
         let config = Config::load(self.place.config.as_deref())?;
-        start_log(&config, matches!(self.command, Command::Serve));
+        start_log(&config, matches!(self.command, Command::Serve | Command::Witness(_)));
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
         runtime.block_on(self.answer(config))
     }
@@ -101,6 +105,7 @@ impl Cli {
         match self.command {
             Command::Serve => crate::daemon::serve::serve(config, &place.data).await?,
             Command::Keys(command) if command.is_local() => keys::local(&command)?,
+            Command::Witness(command) => witness::run(&command).await?,
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
@@ -129,7 +134,12 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Evaluate(args) => look::evaluate(line, args).await,
         Command::Owners(command) => owners::run(line, command).await,
         Command::Keys(command) => keys::run(line, &command).await,
-        Command::Serve | Command::Audit(_) | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
+        Command::Serve
+        | Command::Audit(_)
+        | Command::Witness(_)
+        | Command::Demo(_)
+        | Command::Bench(_)
+        | Command::BenchPart => Ok(()),
     }
 }
 

@@ -7,6 +7,7 @@
 
 mod overlay;
 mod raw;
+mod registry;
 #[cfg(test)]
 mod tests;
 
@@ -20,6 +21,7 @@ use thiserror::Error;
 pub use overlay::{TrainingSettings, training_settings};
 use raw::Raw;
 pub use raw::{Limits, LogFormat};
+pub use registry::{PublicHttp, WitnessSetting};
 
 /// The commented default file.
 pub const DEFAULT_TOML: &str = include_str!("../../configs/default.toml");
@@ -57,6 +59,10 @@ pub struct Config {
     pub origin: String,
     /// What the registry's signing key is sealed with; `None` where it lies in plain PEM. Read when the log is opened.
     pub registry_key_file: Option<PathBuf>,
+    /// Where the log's public files are served, and what stands in front of their paths.
+    pub public_http: Option<PublicHttp>,
+    /// Who cosigns the log's checkpoints.
+    pub witnesses: Vec<WitnessSetting>,
     /// `tracing` filter.
     pub log_filter: String,
     /// How log lines look.
@@ -192,13 +198,7 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
     within("server.shutdown_grace_s", raw.server.shutdown_grace_s, 0..=600)?;
     check_limits(&raw.limits)?;
     within("training.checkpoint_every_s", raw.training.checkpoint_every_s, 0..=86_400)?;
-    let origin = &raw.registry.origin;
-    if origin.is_empty()
-        || origin.len() > 256
-        || origin.chars().any(|c| c.is_whitespace() || c.is_control() || c == '+')
-    {
-        return Err(out_of_range("registry.origin", origin, "1 to 256 bytes without spaces or plus signs"));
-    }
+    registry::check_origin(&raw.registry.origin)?;
     if let Err(e) = tracing_subscriber::EnvFilter::try_new(&raw.log.filter) {
         return Err(out_of_range("log.filter", &raw.log.filter, format!("a tracing filter ({e})")));
     }
@@ -217,6 +217,8 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
         token,
         limits: raw.limits,
         checkpoint_every_s: raw.training.checkpoint_every_s,
+        public_http: registry::public_http(&raw.registry)?,
+        witnesses: registry::witnesses(&raw.registry.witnesses)?,
         origin: raw.registry.origin,
         registry_key_file: Some(raw.registry.key_file).filter(|path| !path.is_empty()).map(PathBuf::from),
         log_filter: raw.log.filter,

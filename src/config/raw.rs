@@ -70,6 +70,9 @@ pub struct Training {
 pub struct Registry {
     pub origin: String,
     pub key_file: String,
+    pub http_bind: String,
+    pub http_prefix: String,
+    pub witnesses: Vec<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,10 +100,22 @@ impl Default for Raw {
             access: Access { token_file: String::new() },
             limits: Limits::default(),
             training: Training { checkpoint_every_s: 30 },
-            registry: Registry { origin: "cairn.localhost/owners".into(), key_file: String::new() },
+            registry: Registry::default(),
             log: Log { filter: "info".into(), format: LogFormat::Text },
             field: FieldConfig::default(),
             mark: MarkConfig::default(),
+        }
+    }
+}
+
+impl Default for Registry {
+    fn default() -> Self {
+        Self {
+            origin: "cairn.localhost/owners".into(),
+            key_file: String::new(),
+            http_bind: String::new(),
+            http_prefix: String::new(),
+            witnesses: Vec::new(),
         }
     }
 }

@@ -78,6 +78,12 @@ fn refusals_name_key_value_and_what_is_allowed() {
         ("[server]\nbind = \"0.0.0.0:1\"", ["`server.bind` = 0.0.0.0:1", "loopback"]),
         ("[server]\nbind = \"home\"", ["`server.bind` = home", "an IP address"]),
         ("[registry]\norigin = \"a b\"", ["`registry.origin` = a b", "without spaces"]),
+        ("[registry]\nhttp_bind = \"home\"", ["`registry.http_bind` = home", "an IP address"]),
+        ("[registry]\nhttp_prefix = \"log\"", ["`registry.http_prefix` = log", "as /log"]),
+        ("[registry]\nhttp_prefix = \"/a/../b\"", ["`registry.http_prefix` = /a/../b", "segments"]),
+        ("[registry]\nwitnesses = [\"x\"]", ["`registry.witnesses` = x", "VKEY URL"]),
+        ("[registry]\nwitnesses = [\"x http://w\"]", ["`registry.witnesses` = x", "verifier key"]),
+        ("[registry]\nwitnesses = \"x\"", ["`registry.witnesses`", "array"]),
         ("[log]\nformat = \"xml\"", ["xml", "text"]),
         ("colour = true", ["`colour` = true", "limits"]),
     ] {
@@ -93,6 +99,23 @@ fn a_whole_number_is_a_fraction_but_not_the_other_way_round() {
     let config = Config::from_toml("[field]\nhuber = 1", "test").unwrap();
     assert_eq!(config.training.field.huber, 1.0);
     assert!(Config::from_toml("[field]\nsteps = 1.5", "test").is_err());
+}
+
+#[test]
+fn witnesses_and_public_files_are_read() {
+    let vkey = "remora.n621.de+da77ade7+BOvN63jn/bLvkieywe8R6UYAtVtNbZpXh34x7onlmtw2";
+    let settings = |witnesses: &[String]| format!("[registry]\nhttp_bind = \"0.0.0.0:80\"\nwitnesses = {witnesses:?}");
+    let entry = format!("{vkey} https://witness.example/prefix/");
+    let config = Config::from_toml(&settings(std::slice::from_ref(&entry)), "test").unwrap();
+    assert_eq!(config.public_http.unwrap().bind.to_string(), "0.0.0.0:80", "public: any address");
+    assert_eq!(config.witnesses[0].verifier.to_string(), vkey);
+    assert_eq!(config.witnesses[0].client().unwrap().url(), "https://witness.example/prefix");
+    let twice = Config::from_toml(&settings(&[entry.clone(), entry]), "test").unwrap_err();
+    assert!(twice.to_string().contains("another entry has this key"), "{twice}");
+    let odd = Config::from_toml(&settings(&[format!("{vkey} ftp://witness.example")]), "test").unwrap_err();
+    assert!(odd.to_string().contains("expected http://"), "{odd}");
+    let none = Config::from_toml("", "test").unwrap();
+    assert!(none.public_http.is_none() && none.witnesses.is_empty());
 }
 
 #[test]

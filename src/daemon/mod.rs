@@ -6,6 +6,7 @@
 //! that; renders and the like queue for a limited number of places.
 
 pub mod from_proto;
+pub mod http;
 mod owners;
 mod queries;
 mod renders;

@@ -20,6 +20,7 @@ use cairn_proto::v1::scene_service_server::SceneServiceServer;
 use cairn_proto::v1::training_service_server::TrainingServiceServer;
 use tokio::io::DuplexStream;
 use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 use tokio_stream::wrappers::{TcpListenerStream, UnboundedReceiverStream};
 use tonic::server::NamedService;
 use tonic::service::Routes;
@@ -27,7 +28,7 @@ use tonic::transport::Server;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-use super::Shared;
+use super::{Shared, http};
 use crate::config::{Config, Limits};
 use crate::engine::Engine;
 
@@ -69,8 +70,39 @@ async fn tell(health: &HealthReporter, status: ServingStatus) {
     }
 }
 
-/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` on
-/// standard output once it serves.
+/// The log's public files on an address of their own.
+struct PublicFiles {
+    url: String,
+    stop: oneshot::Sender<()>,
+    server: JoinHandle<std::io::Result<()>>,
+}
+
+impl PublicFiles {
+    /// Starts serving them where the settings say so.
+    async fn start(config: &Config, data: &Path) -> anyhow::Result<Option<Self>> {
+        let Some(public) = &config.public_http else { return Ok(None) };
+        let listener = tokio::net::TcpListener::bind(public.bind)
+            .await
+            .with_context(|| format!("cannot listen at {} (registry.http_bind)", public.bind))?;
+        let url = format!("http://{}{}", listener.local_addr()?, public.prefix);
+        let (folder, prefix) = (data.join("registry").join("public"), public.prefix.clone());
+        let (stop, stopped) = oneshot::channel::<()>();
+        let server = tokio::spawn(async move {
+            // An error means that the sender is gone: stop as well.
+            http::serve(listener, folder, &prefix, async { drop(stopped.await) }).await
+        });
+        Ok(Some(Self { url, stop, server }))
+    }
+
+    async fn end(self) {
+        let _ = self.stop.send(());
+        // Every connection has its grace there; a panic was reported on its own thread.
+        let _ = self.server.await;
+    }
+}
+
+/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` on standard output once it serves, and
+/// a second line with the address of the log's public files where these are served.
 ///
 /// # Errors
 /// When the address or the data folder is taken, or what lies in the folder cannot be read.
@@ -99,9 +131,10 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     let mut server = tokio::spawn(server);
 
     let engine = load(&config, data).await?;
+    let public = PublicFiles::start(&config, data).await?;
     shared.loaded(engine.clone());
     tell(&reporter, ServingStatus::Serving).await;
-    announce(address);
+    announce(address, public.as_ref().map(|public| public.url.as_str()));
     tokio::select! {
         ended = &mut server => return Ok(ended??),
         signal = signal() => tracing::info!(signal = signal?, "shutting down"),
@@ -117,6 +150,9 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     } else {
         server.abort();
     }
+    if let Some(public) = public {
+        public.end().await;
+    }
     tracing::info!("stopped");
     Ok(())
 }
@@ -126,15 +162,17 @@ async fn load(config: &Config, data: &Path) -> anyhow::Result<Arc<Engine>> {
     Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config)).await??))
 }
 
-fn announce(address: SocketAddr) {
+fn announce(address: SocketAddr, public: Option<&str>) {
     use std::io::Write;
     // For people and for programs that started us on port 0. A closed output is no reason to stop.
     let mut out = std::io::stdout().lock();
-    let _ = writeln!(out, "cairn listens at http://{address}").and_then(|()| out.flush());
-    tracing::info!(%address, "serving");
+    let public_line = public.map_or(String::new(), |url| format!("public log at {url}\n"));
+    let _ = write!(out, "cairn listens at http://{address}\n{public_line}").and_then(|()| out.flush());
+    tracing::info!(%address, public, "serving");
 }
 
-async fn signal() -> std::io::Result<&'static str> {
+/// Waits for SIGINT or SIGTERM; gives its name.
+pub async fn signal() -> std::io::Result<&'static str> {
     #[cfg(unix)]
     {
         let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;

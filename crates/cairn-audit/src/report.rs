@@ -78,6 +78,14 @@ pub struct Report {
     pub findings: Vec<Finding>,
 }
 
+impl Finding {
+    /// A finding of one's own: of what this crate does not look at.
+    pub fn of(code: Code, place: &str, expected: &str, got: &str) -> Self {
+        let (expected, got) = (expected.to_owned(), got.to_owned());
+        Self { code, severity: code.severity(), place: place.to_owned(), expected, got, remedy: code.remedy() }
+    }
+}
+
 impl Report {
     /// The version of the JSON form.
     pub const VERSION: u32 = 1;
@@ -100,14 +108,7 @@ pub(crate) struct Findings(pub(crate) Vec<Finding>);
 
 impl Findings {
     pub(crate) fn add(&mut self, code: Code, place: impl Into<String>, expected: impl ToString, got: impl ToString) {
-        self.0.push(Finding {
-            code,
-            severity: code.severity(),
-            place: place.into(),
-            expected: expected.to_string(),
-            got: got.to_string(),
-            remedy: code.remedy(),
-        });
+        self.0.push(Finding::of(code, &place.into(), &expected.to_string(), &got.to_string()));
     }
 
     pub(crate) fn has(&self, code: Code) -> bool {

@@ -43,7 +43,7 @@ pub use leaf::Leaf;
 pub use map::{MapEntry, MapKey, MapProof, MapTree};
 pub use map_leaf::{Entry, MapLeaf};
 pub use merkle::ProofError;
-pub use note::{Note, NoteError, NoteVerifier};
+pub use note::{Note, NoteError, NoteSignature, NoteVerifier};
 pub use policy::{Policy, PolicyError, PolicyVerdict, Quorum};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};

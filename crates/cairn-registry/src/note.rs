@@ -121,6 +121,11 @@ impl NoteVerifier {
     pub fn key_id(&self) -> [u8; 4] {
         key_id(&self.name, &typed_key(ED25519, &self.key))
     }
+
+    /// Whether a line claims to be this signer's: same name and key id.
+    pub fn claims(&self, line: &NoteSignature) -> bool {
+        line.name == self.name && line.key_id == self.key_id()
+    }
 }
 
 impl fmt::Display for NoteVerifier {
@@ -224,7 +229,7 @@ impl Note {
     pub fn verify<'a>(&self, known: &'a [NoteVerifier]) -> Result<Vec<&'a NoteVerifier>, NoteError> {
         let mut signers: Vec<&NoteVerifier> = Vec::new();
         for line in &self.signatures {
-            let Some(verifier) = known.iter().find(|v| v.name == line.name && v.key_id() == line.key_id) else {
+            let Some(verifier) = known.iter().find(|v| v.claims(line)) else {
                 continue;
             };
             if verifier.key.verify(self.text.as_bytes(), &line.signature).is_err() {

@@ -6,9 +6,9 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use cairn_audit::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
-use cairn_registry::{Digest, Envelope, OwnerRecord};
+use cairn_registry::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
 
-use super::against;
+use super::{Trust, against};
 use crate::cli::owners::LogFile;
 use crate::cli::read;
 use crate::engine::folder::read_limited;
@@ -22,9 +22,8 @@ pub struct Args {
     /// The bundle: its folder, or the common start of its two files, `F.dsse.json` and `F.tlog-proof`
     #[arg(value_name = "F")]
     pub bundle: PathBuf,
-    /// The log's public key (see `cairn owners vkey`), obtained elsewhere than the bundle; without it nothing is trusted
-    #[arg(long, value_name = "FILE")]
-    pub vkey: Option<PathBuf>,
+    #[command(flatten)]
+    pub trust: Trust,
     /// A data folder whose photographs, settings, marked field and detector, of the record's own training, are held to it
     #[arg(long, value_name = "DIR")]
     pub against: Option<PathBuf>,
@@ -44,7 +43,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     } else {
         print!("{report}");
     }
-    Ok(if report.outcome == Outcome::Invalid { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    Ok(super::exit(report.outcome))
 }
 
 /// Recomputes everything from the files that are there.
@@ -54,11 +53,13 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
 /// record's report comes all the same.
 pub fn report(args: &Args) -> anyhow::Result<cairn_audit::Report> {
     let (envelope, proof) = files(&args.bundle)?;
-    let pinned = args.vkey.as_deref().map(super::pinned).transpose()?;
+    let policy = args.trust.policy()?;
+    let pinned = args.trust.pinned(policy.as_ref(), proof.as_deref().and_then(origin).as_deref())?;
     let log = args.log.as_deref().map(log_view).transpose()?;
     let mut evidence = Evidence {
         envelope: &envelope,
         pinned: pinned.as_ref(),
+        policy: policy.as_ref(),
         proof: proof.as_deref(),
         hidden_signal: hidden_signal(&args.bundle)?,
         log: log.as_ref(),
@@ -78,6 +79,12 @@ pub fn report(args: &Args) -> anyhow::Result<cairn_audit::Report> {
         against::all_compared(&report, data)?;
     }
     Ok(report)
+}
+
+/// The log that a proof speaks of, to find its key in a policy.
+fn origin(proof: &str) -> Option<String> {
+    let note = Note::parse(&TlogProof::parse(proof).ok()?.checkpoint).ok()?;
+    Some(Checkpoint::parse_text(&note.text).ok()?.origin)
 }
 
 /// Envelope and proof. A folder may lack the proof, which the report then says; two files side by side are both there.
