@@ -63,7 +63,7 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
 
     assert!(daemon.terminate().success());
     let (bundle, vkey) = (place.text("owners/1"), place.text("owners/1/log.vkey"));
-    let verify = ["owners", "verify", &bundle, "--vkey", &vkey, "--against", &data];
+    let verify = ["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &data];
     assert!(place.cairn_ok(&verify).starts_with("trusted"));
 
     // Another picture in the place of the hidden one.
@@ -94,13 +94,13 @@ fn a_record_outlives_the_next_training_and_speaks_for_its_own_alone() {
     assert!(who().ends_with(&format!("\nowner records at index: {}\n", number + 1)), "{}", who());
     for keys in ["first", "second"] {
         let (bundle, vkey) = (place.text(&format!("{keys}/1")), place.text(&format!("{keys}/1/log.vkey")));
-        let report = place.cairn_ok(&["owners", "verify", &bundle, "--vkey", &vkey, "--against", &data]);
+        let report = place.cairn_ok(&["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &data]);
         assert!(report.starts_with("trusted") && report.contains("marked_field.match"), "{keys}: {report}");
     }
 
     // A file that is not there any more cannot have been compared; a marked field that was altered is told from the record's.
     let (bundle, vkey) = (place.text("first/1"), place.text("first/1/log.vkey"));
-    let verify = ["owners", "verify", &bundle, "--vkey", &vkey, "--against", &data];
+    let verify = ["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &data];
     let field = place.path("data/models/town/job-000001/marked.field");
     std::fs::write(&field, b"another").unwrap();
     assert_eq!(place.cairn(&verify).status.code(), Some(1));

@@ -45,13 +45,13 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
 
     // The daemon is gone; the files speak.
     let vkey = place.text("bundle/log.vkey");
-    let verify = ["owners", "verify", &bundle, "--vkey", &vkey, "--against", &data, "--log", &list];
+    let verify = ["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &data, "--log", &list];
     let report = place.cairn_ok(&verify);
     assert!(report.starts_with("trusted"), "{report}");
-    assert!(place.cairn_ok(&["owners", "verify", &bundle]).starts_with("valid"));
+    assert!(place.cairn_ok(&["audit", "bundle", &bundle]).starts_with("valid"));
 
     // A folder that has nothing to compare with: neither trusted nor invalid, but a mistake.
-    let empty = place.cairn(&["owners", "verify", &bundle, "--vkey", &vkey, "--against", &place.text("tada")]);
+    let empty = place.cairn(&["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &place.text("tada")]);
     let said = String::from_utf8_lossy(&empty.stderr).into_owned();
     assert_eq!((empty.status.code(), empty.stdout.len()), (Some(2), 0), "{said}");
     for part in ["tada", "\"town\"", "nothing was compared", "give --against the data folder"] {
@@ -78,7 +78,7 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
         if payload.starts_with('e') { payload.replacen('e', "f", 1) } else { payload.replacen(&payload[..1], "e", 1) };
     json["payload"] = swapped.into();
     std::fs::write(&record, json.to_string()).unwrap();
-    assert_eq!(place.cairn(&["owners", "verify", &bundle]).status.code(), Some(1));
+    assert_eq!(place.cairn(&["audit", "bundle", &bundle]).status.code(), Some(1));
 }
 
 /// A view of identity 1's cluster.
@@ -106,7 +106,7 @@ fn the_key_to_pin_comes_from_the_registry_and_not_from_the_bundle() {
         place.cairn_ok(&[&sign[..], &["--out", out, "--data", data]].concat());
     }
     let own = place.text("forged/log.vkey");
-    assert!(place.cairn_ok(&["owners", "verify", &forged, "--vkey", &own]).starts_with("trusted"));
+    assert!(place.cairn_ok(&["audit", "bundle", &forged, "--vkey", &own]).starts_with("trusted"));
 
     let pinned = place.text("pinned.vkey");
     place.cairn_ok(&["owners", "vkey", "--data", &data, "--out", &pinned]);
@@ -116,11 +116,11 @@ fn the_key_to_pin_comes_from_the_registry_and_not_from_the_bundle() {
     assert_eq!(place.cairn_ok(&["owners", "vkey", "--connect", &daemon.url]), written);
     assert!(daemon.terminate().success());
     assert_eq!(std::fs::read_to_string(place.path("bundle/log.vkey")).unwrap(), written);
-    assert_eq!(place.cairn(&["owners", "verify", &forged, "--vkey", &pinned]).status.code(), Some(1));
+    assert_eq!(place.cairn(&["audit", "bundle", &forged, "--vkey", &pinned]).status.code(), Some(1));
     // Nor does it matter what a bundle brings along.
     std::fs::copy(&own, place.path("bundle/log.vkey")).unwrap();
-    assert!(place.cairn_ok(&["owners", "verify", &bundle, "--vkey", &pinned]).starts_with("trusted"));
-    assert_eq!(place.cairn(&["owners", "verify", &bundle, "--vkey", &own]).status.code(), Some(1));
+    assert!(place.cairn_ok(&["audit", "bundle", &bundle, "--vkey", &pinned]).starts_with("trusted"));
+    assert_eq!(place.cairn(&["audit", "bundle", &bundle, "--vkey", &own]).status.code(), Some(1));
 }
 
 fn copy(from: &Path, to: &Path) {

@@ -12,7 +12,7 @@ use cairn_proto::v1;
 use serde::Serialize;
 
 use super::connect::{Connection, Where, refused};
-use super::{VERSION, look, owners, scene, sign, train, write};
+use super::{VERSION, audit, look, scene, sign, train, write};
 use crate::engine::report::{Report, Right};
 
 /// The demo's scene.
@@ -184,9 +184,10 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
 fn trusted(signed: &[sign::Signed], data: &Path) -> anyhow::Result<Right> {
     let mut trusted = Right::default();
     for sign::Signed { bundle, .. } in signed {
-        let (bundle, vkey) = (bundle.clone(), Some(bundle.join("log.vkey")));
-        let verify = owners::VerifyArgs { bundle, vkey, against: Some(data.into()), log: None, json: false };
-        trusted.count(owners::audit(&verify)?.outcome == Outcome::Trusted);
+        let trust = audit::Trust { vkey: Some(bundle.join("log.vkey")), policy: None };
+        let verify =
+            audit::bundle::Args { bundle: bundle.clone(), trust, against: Some(data.into()), log: None, json: false };
+        trusted.count(audit::bundle::report(&verify)?.outcome == Outcome::Trusted);
     }
     Ok(trusted)
 }

@@ -1,8 +1,8 @@
 //! The command line: what can be asked for, and which file answers it.
 
 mod access;
-mod against;
 mod animation;
+mod audit;
 mod bench;
 mod connect;
 mod corrections;
@@ -71,9 +71,12 @@ enum Command {
     /// Who may do what on a daemon: register, approve, roles, quotas
     #[command(subcommand)]
     Access(access::Command),
-    /// Sign, correct, list and verify owner records
+    /// Sign, correct and list owner records
     #[command(subcommand)]
     Owners(owners::Command),
+    /// Verify bundles, stores and logs, trusting nobody
+    #[command(subcommand)]
+    Audit(audit::Command),
     /// Cosign the checkpoints of logs, as a witness
     #[command(subcommand)]
     Witness(witness::Command),
@@ -87,7 +90,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command. The exit code is 1 where a verification says `invalid`.
+    /// Runs the command. The exit code is 1 where a verification says `invalid`, and `cairn audit` has more.
     ///
     /// # Errors
     /// Whatever went wrong, for people to read.
@@ -112,7 +115,7 @@ impl Cli {
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
-            Command::Owners(owners::Command::Verify(args)) => return owners::verify(&args),
+            Command::Audit(command) => return audit::run(&command),
             command => {
                 let line = Connection::open(&place).await?;
                 let answer = over(&line, command).await;
@@ -138,7 +141,12 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Access(command) => access::run(line, command).await,
         Command::Owners(command) => owners::run(line, command).await,
         Command::Keys(command) => keys::run(line, &command).await,
-        Command::Serve | Command::Witness(_) | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
+        Command::Serve
+        | Command::Audit(_)
+        | Command::Witness(_)
+        | Command::Demo(_)
+        | Command::Bench(_)
+        | Command::BenchPart => Ok(()),
     }
 }
 

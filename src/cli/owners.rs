@@ -1,23 +1,21 @@
 //! `cairn owners`: signing records at the owner's side, correcting and listing
-//! them, and verifying them from files alone.
+//! them. Verifying them is `cairn audit`'s.
 //!
 //! An auditor pins the key that `vkey` prints, not the bundle's copy: whoever
 //! forges a bundle forges that too.
 
-use std::path::{Path, PathBuf};
-use std::process::ExitCode;
+use std::path::PathBuf;
 
 use anyhow::Context as _;
-use cairn_audit::{Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
 use cairn_proto::v1;
-use cairn_registry::{Checkpoint, Digest, Envelope, Note, NoteVerifier, OwnerRecord};
+use cairn_registry::{Checkpoint, Digest, Note};
 use serde::{Deserialize, Serialize};
 
 use super::connect::{Connection, refused};
 use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::records::vkey;
 use super::sign::{SignArgs, sign};
-use super::{VERSION, against, read, records, write};
+use super::{VERSION, records, write};
 
 /// What to do with owner records.
 #[derive(Debug, clap::Subcommand)]
@@ -37,7 +35,7 @@ pub enum Command {
     List {
         /// The scene
         name: Option<String>,
-        /// Also keep them in a file, for `verify --log`
+        /// Also keep them in a file, for `cairn audit bundle --log`
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
@@ -47,30 +45,9 @@ pub enum Command {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Verify a bundle from its files; exit code 0 for valid and trusted, 1 for invalid
-    Verify(VerifyArgs),
 }
 
-/// `cairn owners verify`.
-#[derive(Clone, Debug, clap::Args)]
-pub struct VerifyArgs {
-    /// The bundle's folder
-    pub bundle: PathBuf,
-    /// The log's public key (see `cairn owners vkey`), obtained elsewhere than the bundle; without it nothing is trusted
-    #[arg(long, value_name = "FILE")]
-    pub vkey: Option<PathBuf>,
-    /// A data folder whose photographs, settings, marked field and detector, of the record's own training, are held to it
-    #[arg(long, value_name = "DIR")]
-    pub against: Option<PathBuf>,
-    /// The log's records, from `cairn owners list --out`: tells of revocations and disputes
-    #[arg(long, value_name = "FILE")]
-    pub log: Option<PathBuf>,
-    /// Print the report as JSON
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Answers every `cairn owners` but `verify`.
+/// Answers `cairn owners`.
 pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Sign(args) => {
@@ -96,25 +73,24 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
                 }
             }
         }
-        Command::Verify(args) => verify(&args).map(drop),
     }
 }
 
 /// The records of a log as `list --out` keeps them.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct LogFile {
-    format_version: u32,
+pub(super) struct LogFile {
+    pub(super) format_version: u32,
     /// Records below this were there.
-    size: u64,
-    records: Vec<LogEntry>,
+    pub(super) size: u64,
+    pub(super) records: Vec<LogEntry>,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct LogEntry {
-    index: u64,
-    envelope: String,
+pub(super) struct LogEntry {
+    pub(super) index: u64,
+    pub(super) envelope: String,
 }
 
 async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) -> anyhow::Result<()> {
@@ -135,78 +111,4 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) ->
         write(path, &serde_json::to_vec_pretty(&LogFile { format_version: 1, size, records })?)?;
     }
     Ok(())
-}
-
-/// Answers `cairn owners verify`.
-pub fn verify(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
-    let report = audit(args)?;
-    if args.json {
-        println!("{}", report.to_json());
-    } else {
-        print!("{report}");
-    }
-    Ok(if report.outcome == Outcome::Invalid { ExitCode::FAILURE } else { ExitCode::SUCCESS })
-}
-
-/// Recomputes everything from the files that are there.
-///
-/// # Errors
-/// For a file that cannot be read, and for a data folder that has not what the record binds; an invalid
-/// record's report comes all the same.
-pub fn audit(args: &VerifyArgs) -> anyhow::Result<cairn_audit::Report> {
-    let envelope = read(&args.bundle.join("record.json"))?;
-    let proof = text(&args.bundle.join("record.tlog-proof"))?;
-    let pinned: Option<NoteVerifier> = match &args.vkey {
-        None => None,
-        Some(path) => {
-            let vkey = String::from_utf8(read(path)?)?;
-            Some(vkey.trim().parse().with_context(|| format!("{} is no vkey", path.display()))?)
-        }
-    };
-    let log = args.log.as_deref().map(log_view).transpose()?;
-    let mut evidence = Evidence {
-        envelope: &envelope,
-        pinned: pinned.as_ref(),
-        proof: proof.as_deref(),
-        hidden_signal: hidden_signal(&args.bundle)?,
-        log: log.as_ref(),
-        ..Evidence::default()
-    };
-    let mut gathered = Ok(());
-    if let Some(data) = &args.against {
-        // The record says which files to look at; whether it may be believed is the audit's to say.
-        let parsed = Envelope::parse(&envelope).ok().and_then(|e| OwnerRecord::parse(&e.payload).ok());
-        if let Some(record) = parsed {
-            gathered = against::gather(&mut evidence, data, &record);
-        }
-    }
-    let report = cairn_audit::audit(&evidence);
-    if let Some(data) = args.against.as_ref().filter(|_| report.outcome != Outcome::Invalid) {
-        gathered?;
-        against::all_compared(&report, data)?;
-    }
-    Ok(report)
-}
-
-fn text(path: &Path) -> anyhow::Result<Option<String>> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    Ok(Some(String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?))
-}
-
-fn hidden_signal(bundle: &Path) -> anyhow::Result<Option<HiddenSignalInHand>> {
-    let (signal, salt) = (bundle.join("signal.png"), text(&bundle.join("signal.salt"))?);
-    let Some(salt) = salt.filter(|_| signal.exists()) else { return Ok(None) };
-    let salt: Digest = salt.trim().parse().context("signal.salt is not 32 bytes in hexadecimal")?;
-    Ok(Some(HiddenSignalInHand::of(signal.display().to_string(), &salt, &read(&signal)?)))
-}
-
-fn log_view(path: &Path) -> anyhow::Result<LogView> {
-    let file: LogFile =
-        serde_json::from_slice(&read(path)?).with_context(|| format!("{} is no list of records", path.display()))?;
-    anyhow::ensure!(file.format_version == 1, "{}: format version {}, 1 is read", path.display(), file.format_version);
-    let records = file.records.into_iter();
-    let records = records.map(|r| RecordInHand { index: r.index, envelope: r.envelope.into_bytes() }).collect();
-    Ok(LogView { size: file.size, records })
 }

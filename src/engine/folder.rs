@@ -13,6 +13,7 @@
 //! DIR/registry.checkpoint       the checkpoint that it published last
 //! DIR/access/                   accounts.json, usage.json (cairn-access's formats)
 //! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
+//! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 

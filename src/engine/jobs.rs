@@ -255,6 +255,7 @@ impl Jobs {
         job.state = JobState::Accepted;
         job.error.clear();
         job.ended_unix_s = 0;
+        remove(&self.shared.folder.join(id).join(cairn_capture::MANIFEST))?;
         write_json(&self.shared.file(id), &job)?;
         entry.stop.store(GO_ON, Ordering::Release);
         entry.sender.send_replace(job.clone());
@@ -377,7 +378,9 @@ impl Shared {
     fn end(&self, entry: &Entry, id: &str, state: JobState, error: String) -> Result<(), EngineError> {
         let mut job = entry.sender.borrow().clone();
         (job.state, job.error, job.ended_unix_s) = (state, error, unix_s());
-        let written = write_json(&self.file(id), &job);
+        let file = self.file(id);
+        // The manifest comes last: a crash in between leaves a job without one, which only cannot be told from rot.
+        let written = write_json(&file, &job).and_then(|()| seal(&file));
         entry.sender.send_replace(job);
         written
     }
@@ -438,6 +441,14 @@ impl Shared {
             }
             inner = self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner);
         }
+    }
+}
+
+/// Writes the manifest of an ended job's folder; `file`: its `job.json`.
+fn seal(file: &std::path::Path) -> Result<(), EngineError> {
+    match file.parent() {
+        Some(folder) => cairn_capture::write_manifest(folder).map(drop).map_err(EngineError::from),
+        None => Ok(()),
     }
 }
 

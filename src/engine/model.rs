@@ -1,5 +1,5 @@
 //! What a training leaves behind: fields, detector, and `model.json`, which says
-//! what belongs together and under which digests. A model appears whole: its
+//! what belongs together and under which digests, and `manifest.json` over them all. A model appears whole: its
 //! folder is filled under another name, flushed, renamed, and only then named in
 //! `current.json`.
 
@@ -137,6 +137,9 @@ pub struct Mark {
 struct Current {
     format_version: u32,
     job: String,
+    /// SHA-256 of the model's `manifest.json`; none in folders of before there were manifests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    manifest: Option<Digest>,
 }
 
 /// Puts a model in its place and makes it the scene's newest. Durable on return.
@@ -157,10 +160,11 @@ pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Resul
         }
     }
     write_json(&filling.join("model.json"), info)?;
+    let manifest = Some(Digest::from_bytes(cairn_capture::write_manifest(&filling)?));
     std::fs::rename(&filling, &folder).map_err(EngineError::io("create", &folder))?;
     sync_folder(&of_scene)?;
     sync_folder(models)?;
-    write_json(&of_scene.join("current.json"), &Current { format_version: 1, job: info.job.clone() })
+    write_json(&of_scene.join("current.json"), &Current { format_version: 1, job: info.job.clone(), manifest })
 }
 
 /// What the newest model of `scene` says of itself; `None` before the first.

@@ -9,7 +9,7 @@ use cairn_registry::{
 use crate::{
     code::Code,
     evidence::{Evidence, FileInHand},
-    later,
+    later, policy,
     report::{Findings, Freshness, Outcome, Report},
 };
 
@@ -20,7 +20,7 @@ use crate::{
 /// pinned key, includes it.
 pub fn audit(evidence: &Evidence<'_>) -> Report {
     let mut findings = Findings::default();
-    let proof = evidence.proof.and_then(|text| check_proof(text, evidence.pinned, &mut findings));
+    let proof = evidence.proof.and_then(|text| check_proof(text, evidence, &mut findings));
     let mut digest = None;
     let mut freshness = Freshness::CannotTell;
     if let Some((envelope, record)) = check_envelope(evidence.envelope, &mut digest, &mut findings) {
@@ -56,7 +56,7 @@ struct Checked {
     checkpoint: Checkpoint,
 }
 
-fn check_proof(text: &str, pinned: Option<&NoteVerifier>, findings: &mut Findings) -> Option<Checked> {
+fn check_proof(text: &str, evidence: &Evidence<'_>, findings: &mut Findings) -> Option<Checked> {
     let proof = match TlogProof::parse(text) {
         Ok(proof) => proof,
         Err(e) => {
@@ -64,7 +64,10 @@ fn check_proof(text: &str, pinned: Option<&NoteVerifier>, findings: &mut Finding
             return None;
         }
     };
-    let checkpoint = check_checkpoint(&proof.checkpoint, pinned, "checkpoint", findings)?;
+    let checkpoint = check_checkpoint(&proof.checkpoint, evidence.pinned, "checkpoint", findings)?;
+    if let (Some(policy), Some(pinned)) = (evidence.policy, evidence.pinned) {
+        policy::check(policy, pinned, &proof.checkpoint, "checkpoint", findings);
+    }
     Some(Checked { proof, checkpoint })
 }
 
@@ -214,7 +217,14 @@ fn check_inclusion(envelope: &Envelope, record: &OwnerRecord, checked: &Checked,
         findings.add(Code::RecordOriginMismatch, "record, field origin", &checkpoint.origin, &record.origin);
     }
     match merkle::verify_inclusion(&leaf_hash, index, size, &proof.hashes, &checkpoint.root) {
-        Ok(()) => findings.add(Code::InclusionProven, place, "", format!("leaf hash {leaf_hash}")),
+        Ok(()) => {
+            findings.add(Code::InclusionProven, place, "", format!("leaf hash {leaf_hash}"));
+            // The owner could not have named a root that was not there yet.
+            if record.seen.size > 0 && record.seen.size <= index && findings.has(Code::CheckpointVerified) {
+                let got = format!("the checkpoint of size {}, root {}", record.seen.size, record.seen.root);
+                findings.add(Code::TimeNotEarlierThan, "record, field seen", "", got);
+            }
+        }
         Err(e) => findings.add(Code::InclusionFailed, place, format!("root {}", checkpoint.root), e),
     }
 }

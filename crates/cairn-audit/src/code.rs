@@ -127,6 +127,110 @@ codes! {
     KeyEndedLater = "key.ended_later", Info, "";
     /// Somebody contests the record.
     RecordDisputed = "record.disputed", Warning, "read the dispute before you rely on the record";
+    /// There is no published checkpoint.
+    StoreCheckpointMissing = "store.checkpoint.missing", Error, "restore public/checkpoint from a copy; the registry writes it when it starts";
+    /// The published checkpoint cannot be read.
+    StoreCheckpointMalformed = "store.checkpoint.malformed", Error, "restore public/checkpoint from a copy; the registry writes it when it starts";
+    /// The published checkpoint is not one that the log's key signed.
+    StoreCheckpointSignature = "store.checkpoint.signature", Error, "check the pinned key; if it is right, do not trust this copy of the log";
+    /// The published checkpoint is the pinned log's.
+    StoreCheckpointVerified = "store.checkpoint.verified", Passed, "";
+    /// No key of the log was given or found, so none of its signatures were verified.
+    StoreKeyMissing = "store.key.missing", Warning, "pin the log's verifier key: without it a changed signature cannot be told";
+    /// The log's key was found beside the log and not pinned.
+    StoreKeyUnpinned = "store.key.unpinned", Warning, "pin the log's verifier key, obtained from somewhere other than this folder";
+    /// A signature line of the checkpoint that nobody known made.
+    StoreCosignatureUnknown = "store.cosignature.unknown", Info, "name the witness in the policy to have its line verified";
+    /// An entry bundle is missing, cut off, or holds another leaf than its record makes.
+    StoreEntry = "store.entry", Error, "restore the file from a copy, or have the registry write it anew from the envelopes";
+    /// A tile of hashes is missing.
+    StoreTileMissing = "store.tile.missing", Error, "restore the file from a copy, or have the registry write it anew";
+    /// A tile of hashes is not what the log's leaves make.
+    StoreTileMismatch = "store.tile.mismatch", Error, "restore the file from a copy, or have the registry write it anew";
+    /// The log's leaves lead to another root than the one signed.
+    StoreRoot = "store.root", Error, "restore the files named beside it; where none is, the registry broke its word: keep this copy";
+    /// The log's leaves lead to the root that was signed.
+    StoreRootVerified = "store.root.verified", Passed, "";
+    /// A file that does not belong there.
+    StoreFileUnknown = "store.file.unknown", Error, "find out who put it there; nothing reads it";
+    /// Entries behind the published checkpoint.
+    StoreTail = "store.tail", Info, "they were on their way when the registry stopped; it publishes them when it starts";
+    /// A file of envelopes is missing, cut off, or framed wrongly.
+    StoreEnvelopeFile = "store.envelope.file", Error, "restore the file from a copy: the registry cannot make records anew";
+    /// An envelope that is not exactly as the registry writes it.
+    StoreEnvelope = "store.envelope", Error, "restore the file from a copy: the registry cannot make records anew";
+    /// A record that its owner or the log did not sign.
+    StoreRecordSignature = "store.record.signature", Error, "restore the file from a copy: the registry cannot make records anew";
+    /// The signature of a replaced record's owner, who cannot be known any more.
+    StorePredecessorUnknown = "store.record.predecessor.unknown", Info, "";
+    /// A record that the log's rules do not let in.
+    StoreRecordRule = "store.record.rule", Error, "ask the registry why it took the record; until then do not rely on it";
+    /// A record that says it had seen what the log never was.
+    StoreRecordSeen = "store.record.seen", Error, "ask the registry why it took the record; its time bound is void";
+    /// All records hold.
+    StoreRecordsVerified = "store.records.verified", Passed, "";
+    /// A map leaf that is misplaced, malformed or not signed by the log.
+    StoreMapLeaf = "store.map.leaf", Error, "keep this copy: the log signed, or holds, what it must not";
+    /// The map that follows from the records has another root than the one logged.
+    StoreMapRoot = "store.map.root", Error, "restore the files named; where all records hold, the log's answers leave something out";
+    /// Map roots that could not be recomputed, for want of a record's keys.
+    StoreMapUnchecked = "store.map.unchecked", Warning, "restore the records named, then audit again";
+    /// Every map root is the one that follows from the records.
+    StoreMapVerified = "store.map.verified", Passed, "";
+    /// The working state is not sealed, so its files were not compared.
+    WorkingUnsealed = "working.unsealed", Info, "stop the registry cleanly to have it sealed; everything public is checked all the same";
+    /// The seal of the working state cannot be read.
+    WorkingSeal = "working.seal", Error, "remove working.seal and working/ and let the registry rebuild them from the public files";
+    /// A file of the working state is missing, changed, or not in the seal.
+    WorkingMismatch = "working.mismatch", Error, "remove working.seal and working/ and let the registry rebuild them from the public files";
+    /// The working state is as it was sealed.
+    WorkingVerified = "working.verified", Passed, "";
+    /// A manifest cannot be read, or is not as it is written.
+    ManifestMalformed = "manifest.malformed", Error, "restore the folder from a copy";
+    /// A folder without a manifest: files that no digest names were not compared.
+    ManifestMissing = "manifest.missing", Info, "it was written before manifests were, or is still being worked on";
+    /// A file is missing, or is not the one that its manifest, record or table names.
+    FileMismatch = "file.mismatch", Error, "restore the file from a copy";
+    /// A file that no manifest names.
+    FileUnknown = "file.unknown", Error, "find out who put it there; nothing reads it";
+    /// A folder's files are those of its manifest.
+    FolderVerified = "folder.verified", Passed, "";
+    /// A file whose bytes nothing can vouch for.
+    FileUncovered = "file.uncovered", Info, "nothing rests on it";
+    /// A stored view or model cannot be rendered.
+    RenderFailed = "render.failed", Error, "restore the scene's and the model's files from a copy";
+    /// In none of the sampled renders was the cluster's identity found.
+    RenderMarkLost = "render.mark.lost", Warning, "score the scene with `cairn evaluate`; a model trained too briefly marks nothing";
+    /// Renders of the marked field lead to the cluster's identity.
+    RenderMarkFound = "render.mark.found", Passed, "";
+    /// The witnesses' quorum cosigned the checkpoint.
+    PolicyQuorumMet = "policy.quorum.met", Passed, "";
+    /// Fewer witnesses than the policy asks for cosigned the checkpoint.
+    PolicyQuorumMissing = "policy.quorum.missing", Error, "get a proof with the witnesses' cosignatures; without them a forked log cannot be told";
+    /// A witness of the policy signed this line, and the signature does not hold.
+    PolicySignatureInvalid = "policy.signature.invalid", Error, "get the proof again; if it stays so, do not trust this copy";
+    /// The record is not younger than this.
+    TimeNotLaterThan = "time.not_later_than", Passed, "";
+    /// The record is not older than this.
+    TimeNotEarlierThan = "time.not_earlier_than", Passed, "";
+    /// The log is the one last seen, grown or not.
+    FollowConsistent = "follow.consistent", Passed, "";
+    /// The first look at a log: there is nothing to compare with.
+    FollowFirst = "follow.first", Info, "keep the state: the next look is held to this one";
+    /// Two signed checkpoints of one log contradict each other.
+    FollowContradiction = "follow.contradiction", Error, "keep the evidence, send it to the log's witnesses and users, and stop relying on the log";
+    /// What the log serves does not make the tree that it signed.
+    FollowTiles = "follow.tiles", Error, "try again; if it stays so, the log serves other data than it signed";
+    /// The evidence proves that the log signed two histories.
+    EvidenceProven = "evidence.proven", Passed, "";
+    /// Both checkpoints are signed, and whether they exclude each other cannot be told.
+    EvidenceUntold = "evidence.untold", Warning, "get the tiles of the larger tree; a log that only steps back shows an old state, which its witnesses' times can tell";
+    /// The evidence shows no contradiction.
+    EvidenceNone = "evidence.none", Error, "look for the files that were kept when the contradiction was found";
+    /// The new entries are those of the tree.
+    FollowEntries = "follow.entries.verified", Passed, "";
+    /// The newest leaf of a log must be a map leaf, and every map leaf signed by the log.
+    FollowMapLeaf = "follow.map.leaf", Error, "keep the answer: the log holds what it must not";
     /// The answer cannot be read.
     AnswerMalformed = "answer.malformed", Error, "get the answer again from the registry";
     /// An answer of a format that this release does not know.

@@ -7,7 +7,7 @@ use std::{
 };
 
 use cairn_registry::{
-    Digest, NoteVerifier,
+    Digest, NoteVerifier, Policy,
     record::{hidden_signal_commitment, photographs_root},
 };
 use sha2::{Digest as _, Sha256};
@@ -127,6 +127,8 @@ pub struct Evidence<'a> {
     pub envelope: &'a [u8],
     /// The log's verifier key (vkey), obtained from elsewhere. Without it nothing is trusted.
     pub pinned: Option<&'a NoteVerifier>,
+    /// Whose cosignatures the checkpoint must carry. A policy is a demand: what does not meet it is invalid.
+    pub policy: Option<&'a Policy>,
     /// The text of the record's `.tlog-proof`: index, inclusion proof and checkpoint.
     pub proof: Option<&'a str>,
     /// The marked field's file.

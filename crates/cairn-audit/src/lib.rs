@@ -4,7 +4,8 @@
 //! what admits or stores records. [`audit`] takes what is in hand, an
 //! envelope at least, and answers with a [`Report`]: findings with stable codes, each naming the
 //! thing, what was expected, what was found and what to do, and one of three outcomes.
-//! [`audit_answer`] does the same for a complete answer of the registry's.
+//! [`audit_store`] and [`audit_folders`] do the same for a whole data folder, [`follow`] for a log
+//! that is reached over any [`Fetch`], [`audit_answer`] for a complete answer of the registry's.
 //! Never a bare yes or no: "the signature is good" and "this is who you think it is"
 //! are different answers.
 
@@ -12,8 +13,13 @@ mod answer;
 mod check;
 mod code;
 mod evidence;
+mod folders;
+mod follow;
 mod later;
+mod map;
+mod policy;
 mod report;
+mod store;
 
 pub use answer::{AnswerReport, RecordWorth, Standing, audit_answer};
 pub use check::audit;
@@ -21,4 +27,10 @@ pub use code::Code;
 pub use evidence::{
     Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
 };
+pub use folders::audit_folders;
+pub use follow::{
+    CONTRADICTION, Contradiction, EvidenceReport, Fetch, FollowError, FollowOptions, FollowReport, Followed,
+    MAX_NEW_ENTRIES, audit_evidence, follow,
+};
 pub use report::{Finding, Freshness, Outcome, Report, Severity};
+pub use store::{Class, Manifest, ManifestFile, Stock, StoreError, StoreOptions, StoreReport, audit_store};

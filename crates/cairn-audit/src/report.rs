@@ -78,6 +78,14 @@ pub struct Report {
     pub findings: Vec<Finding>,
 }
 
+impl Finding {
+    /// A finding of one's own: of what this crate does not look at.
+    pub fn of(code: Code, place: &str, expected: &str, got: &str) -> Self {
+        let (expected, got) = (expected.to_owned(), got.to_owned());
+        Self { code, severity: code.severity(), place: place.to_owned(), expected, got, remedy: code.remedy() }
+    }
+}
+
 impl Report {
     /// The version of the JSON form.
     pub const VERSION: u32 = 1;
@@ -100,18 +108,20 @@ pub(crate) struct Findings(pub(crate) Vec<Finding>);
 
 impl Findings {
     pub(crate) fn add(&mut self, code: Code, place: impl Into<String>, expected: impl ToString, got: impl ToString) {
-        self.0.push(Finding {
-            code,
-            severity: code.severity(),
-            place: place.into(),
-            expected: expected.to_string(),
-            got: got.to_string(),
-            remedy: code.remedy(),
-        });
+        self.0.push(Finding::of(code, &place.into(), &expected.to_string(), &got.to_string()));
     }
 
     pub(crate) fn has(&self, code: Code) -> bool {
         self.0.iter().any(|f| f.code == code)
+    }
+
+    pub(crate) fn append(&mut self, other: Self) {
+        self.0.extend(other.0);
+    }
+
+    /// Whether a failed check of this class is there.
+    pub(crate) fn has_class(&self, class: crate::Class) -> bool {
+        self.0.iter().any(|f| f.severity == Severity::Error && crate::Class::of(f.code) == Some(class))
     }
 
     pub(crate) fn failed(&self) -> bool {

@@ -113,6 +113,7 @@ impl Whole {
         Evidence {
             envelope: &self.envelope,
             pinned: Some(&self.pinned),
+            policy: None,
             proof: Some(&self.proof),
             marked_field: Some(FileInHand::of("field.safetensors", &self.field)),
             detector: Some(FileInHand::of("detector.safetensors", &self.detector)),

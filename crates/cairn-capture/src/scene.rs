@@ -1,5 +1,5 @@
-//! A scene on disk: the table `scene.json`, the sparse points `points.bin`, and
-//! the contributors' photographs as they brought them, byte for byte.
+//! A scene on disk: the table `scene.json`, the sparse points `points.bin`, the
+//! contributors' photographs as they brought them, byte for byte, and `manifest.json` over them all.
 //!
 //! A scene appears whole or not at all: everything is checked and written into a
 //! staging folder beside it, synced, and renamed. What is left of an import that
@@ -14,6 +14,7 @@ use sha2::{Digest, Sha256};
 
 use crate::capture::Capture;
 use crate::error::CaptureError;
+use crate::manifest::write_manifest;
 use crate::photograph::{read_limited, write_synced};
 use crate::picture::Picture;
 use crate::scene_file::{FORMAT, PHOTOGRAPHS, PointsRow, SceneFile, VERSION, ViewRow, digest_from_hex, hex};
@@ -209,6 +210,8 @@ fn fill(folder: &Path, capture: &Capture) -> Result<(), CaptureError> {
     let path = folder.join(TABLE);
     let json = serde_json::to_vec_pretty(&table).map_err(|e| CaptureError::io("write", &path)(e.into()))?;
     write_synced(&path, &json)?;
+    // Last, over all that was written: it tells a changed byte also in the table itself.
+    write_manifest(folder)?;
     sync_folder(folder)
 }
 

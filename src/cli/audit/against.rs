@@ -1,4 +1,4 @@
-//! `cairn owners verify --against DIR`: the files of a data folder that a record
+//! `cairn audit bundle --against DIR`: the files of a data folder that a record
 //! binds, hashed anew from their bytes. Nothing to compare is an error: a report
 //! that compared nothing must not read as one that did.
 

@@ -1,0 +1,124 @@
+//! `cairn audit bundle`: a record, its proof and whatever else is in hand, recomputed
+//! from the files alone.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use cairn_audit::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
+use cairn_registry::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
+
+use super::{Trust, against};
+use crate::cli::owners::LogFile;
+use crate::cli::read;
+use crate::engine::folder::read_limited;
+
+/// Largest envelope or proof that is read, bytes; both are a few kilobytes.
+const MAX_FILE: u64 = 1 << 20;
+
+/// `cairn audit bundle`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Args {
+    /// The bundle: its folder, or the common start of its two files, `F.dsse.json` and `F.tlog-proof`
+    #[arg(value_name = "F")]
+    pub bundle: PathBuf,
+    #[command(flatten)]
+    pub trust: Trust,
+    /// A data folder whose photographs, settings, marked field and detector, of the record's own training, are held to it
+    #[arg(long, value_name = "DIR")]
+    pub against: Option<PathBuf>,
+    /// The log's records, from `cairn owners list --out`: tells of revocations and disputes
+    #[arg(long, value_name = "FILE")]
+    pub log: Option<PathBuf>,
+    /// Print the report as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Answers `cairn audit bundle`.
+pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let report = report(args)?;
+    if args.json {
+        println!("{}", report.to_json());
+    } else {
+        print!("{report}");
+    }
+    Ok(super::exit(report.outcome))
+}
+
+/// Recomputes everything from the files that are there.
+///
+/// # Errors
+/// For a file that cannot be read, and for a data folder that has not what the record binds; an invalid
+/// record's report comes all the same.
+pub fn report(args: &Args) -> anyhow::Result<cairn_audit::Report> {
+    let (envelope, proof) = files(&args.bundle)?;
+    let policy = args.trust.policy()?;
+    let pinned = args.trust.pinned(policy.as_ref(), proof.as_deref().and_then(origin).as_deref())?;
+    let log = args.log.as_deref().map(log_view).transpose()?;
+    let mut evidence = Evidence {
+        envelope: &envelope,
+        pinned: pinned.as_ref(),
+        policy: policy.as_ref(),
+        proof: proof.as_deref(),
+        hidden_signal: hidden_signal(&args.bundle)?,
+        log: log.as_ref(),
+        ..Evidence::default()
+    };
+    let mut gathered = Ok(());
+    if let Some(data) = &args.against {
+        // The record says which files to look at; whether it may be believed is the audit's to say.
+        let parsed = Envelope::parse(&envelope).ok().and_then(|e| OwnerRecord::parse(&e.payload).ok());
+        if let Some(record) = parsed {
+            gathered = against::gather(&mut evidence, data, &record);
+        }
+    }
+    let report = cairn_audit::audit(&evidence);
+    if let Some(data) = args.against.as_ref().filter(|_| report.outcome != Outcome::Invalid) {
+        gathered?;
+        against::all_compared(&report, data)?;
+    }
+    Ok(report)
+}
+
+/// The log that a proof speaks of, to find its key in a policy.
+fn origin(proof: &str) -> Option<String> {
+    let note = Note::parse(&TlogProof::parse(proof).ok()?.checkpoint).ok()?;
+    Some(Checkpoint::parse_text(&note.text).ok()?.origin)
+}
+
+/// Envelope and proof. A folder may lack the proof, which the report then says; two files side by side are both there.
+fn files(bundle: &Path) -> anyhow::Result<(Vec<u8>, Option<String>)> {
+    if bundle.is_dir() {
+        let (envelope, proof) = (bundle.join("record.json"), bundle.join("record.tlog-proof"));
+        let envelope = read_limited(&envelope, MAX_FILE)?;
+        let proof = if proof.exists() { Some(read_limited(&proof, MAX_FILE)?) } else { None };
+        // What is no text stays no proof: no check lets U+FFFD pass.
+        return Ok((envelope, proof.map(|bytes| String::from_utf8_lossy(&bytes).into_owned())));
+    }
+    let Bundle { envelope, proof } = Bundle::read(bundle)?;
+    Ok((envelope, Some(proof)))
+}
+
+fn text(path: &Path) -> anyhow::Result<Option<String>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    Ok(Some(String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?))
+}
+
+fn hidden_signal(bundle: &Path) -> anyhow::Result<Option<HiddenSignalInHand>> {
+    let (signal, salt) = (bundle.join("signal.png"), text(&bundle.join("signal.salt"))?);
+    let Some(salt) = salt.filter(|_| signal.exists()) else { return Ok(None) };
+    let salt: Digest = salt.trim().parse().context("signal.salt is not 32 bytes in hexadecimal")?;
+    Ok(Some(HiddenSignalInHand::of(signal.display().to_string(), &salt, &read(&signal)?)))
+}
+
+fn log_view(path: &Path) -> anyhow::Result<LogView> {
+    let file: LogFile =
+        serde_json::from_slice(&read(path)?).with_context(|| format!("{} is no list of records", path.display()))?;
+    anyhow::ensure!(file.format_version == 1, "{}: format version {}, 1 is read", path.display(), file.format_version);
+    let records = file.records.into_iter();
+    let records = records.map(|r| RecordInHand { index: r.index, envelope: r.envelope.into_bytes() }).collect();
+    Ok(LogView { size: file.size, records })
+}

@@ -1,0 +1,161 @@
+//! `cairn audit` through the real binary: a data folder made by hand from the formats
+//! alone, a log served over plain HTTP that forks, and the evidence of it.
+
+mod common;
+#[path = "../crates/cairn-audit/tests/handmade/mod.rs"]
+mod handmade;
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::{Arc, Mutex};
+
+use cairn_registry::{RecordKind, WitnessVerifier, cosign};
+use handmade::{Log, key, put};
+
+fn cairn(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_cairn")).args(arguments).output().unwrap()
+}
+
+/// Exit code and standard output.
+fn audit(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = cairn(&[&["audit"], arguments].concat());
+    let said = [output.stdout, output.stderr].concat();
+    (output.status.code(), String::from_utf8_lossy(&said).into_owned())
+}
+
+/// A folder with a log's data and its key to pin.
+fn place(log: &Log) -> (tempfile::TempDir, String, String) {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, vkey) = (dir.path().join("data"), dir.path().join("log.vkey"));
+    log.write(&data);
+    put(&vkey, format!("{}\n", log.verifier()).as_bytes());
+    (dir, data.display().to_string(), vkey.display().to_string())
+}
+
+#[test]
+fn a_store_is_audited_and_each_fault_has_its_exit_code() {
+    let log = Log::small();
+    let (dir, data, vkey) = place(&log);
+    let (code, said) = audit(&["store", &data, "--vkey", &vkey]);
+    assert_eq!((code, said.lines().next()), (Some(0), Some("trusted")), "{said}");
+    let (code, said) = audit(&["store", &data, "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&said).unwrap();
+    assert_eq!((code, json["outcome"].as_str(), json["records"].as_u64()), (Some(0), Some("valid"), Some(5)), "{said}");
+    // The folder's own key is found, and compared with the one that is pinned.
+    log.signer.save(&dir.path().join("data/registry.key")).unwrap();
+    let (code, said) = audit(&["store", &data]);
+    assert!(code == Some(0) && said.contains("store.key.unpinned"), "{said}");
+    std::fs::remove_file(dir.path().join("data/registry.key")).unwrap();
+    key(7).save(&dir.path().join("data/registry.key")).unwrap();
+    let (code, said) = audit(&["store", &data, "--vkey", &vkey]);
+    assert!(code == Some(15) && said.contains("registry.key"), "{said}");
+    std::fs::remove_file(dir.path().join("data/registry.key")).unwrap();
+
+    let spoil = |name: &str| {
+        let path = dir.path().join("data").join(name);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let at = bytes.len() / 2;
+        bytes[at] ^= 1;
+        std::fs::write(path, bytes).unwrap();
+    };
+    for (name, exit) in [
+        ("registry/working/db", 14),
+        ("registry/envelopes/000", 12),
+        ("registry/public/tile/0/000.p/8", 11),
+        ("registry/public/checkpoint", 10),
+    ] {
+        spoil(name);
+        let (code, said) = audit(&["store", &data, "--vkey", &vkey]);
+        // Each fault comes on top of those before it, and is of a class that goes first.
+        assert!(code == Some(exit) && said.contains(name), "{name}: {said}");
+    }
+    let (code, said) = audit(&["store", &vkey]);
+    assert!(code == Some(2) && said.contains("log.vkey"), "{said}");
+}
+
+#[test]
+fn a_policy_names_the_log_and_asks_for_its_witnesses() {
+    let log = Log::small();
+    let (dir, data, _) = place(&log);
+    let witness = WitnessVerifier::new("w.example", key(90).public()).unwrap();
+    let policy = dir.path().join("policy");
+    put(&policy, format!("log {}\nwitness w {witness}\nquorum w\n", log.verifier()).as_bytes());
+    let policy = policy.display().to_string();
+    let (code, said) = audit(&["store", &data, "--policy", &policy]);
+    assert!(code == Some(10) && said.contains("policy.quorum.missing"), "{said}");
+    let mut note = cairn_registry::Note::parse(&log.checkpoint(8)).unwrap();
+    note.signatures.push(cosign(&note.text, 1_700_000_000, "w.example", &key(90)).unwrap());
+    put(&dir.path().join("data/registry/public/checkpoint"), note.to_string().as_bytes());
+    let (code, said) = audit(&["store", &data, "--policy", &policy]);
+    assert!(code == Some(0) && said.starts_with("trusted") && said.contains("2023-11-14T22:13:20Z"), "{said}");
+}
+
+/// Serves the files of a folder, which may change, over HTTP; gives the address.
+fn serve(folder: Arc<Mutex<PathBuf>>) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        for stream in listener.incoming().flatten() {
+            answer(stream, &folder.lock().unwrap());
+        }
+    });
+    format!("http://{address}")
+}
+
+fn answer(mut stream: TcpStream, folder: &Path) {
+    let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
+    let request = lines.next().unwrap().unwrap();
+    while lines.next().is_some_and(|line| line.is_ok_and(|line| !line.is_empty())) {}
+    let path = request.split(' ').nth(1).unwrap().trim_start_matches('/').to_owned();
+    let (status, body) = match std::fs::read(folder.join(path)) {
+        Ok(body) => ("200 OK", body),
+        Err(_) => ("404 Not Found", Vec::new()),
+    };
+    let head = format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
+    stream.write_all(&[head.as_bytes(), &body].concat()).unwrap();
+}
+
+#[test]
+fn a_log_is_followed_until_it_forks_and_the_evidence_is_kept() {
+    let mut log = Log::small();
+    let (dir, data, vkey) = place(&log);
+    let folder = Arc::new(Mutex::new(PathBuf::from(&data).join("registry/public")));
+    let url = serve(folder.clone());
+    let state = dir.path().join("state");
+    let state_text = state.display().to_string();
+    let follow = ["follow", &url, "--vkey", &vkey, "--state", &state_text, "--once"];
+    let (code, said) = audit(&follow);
+    assert!(code == Some(0) && said.contains("follow.first"), "{said}");
+    let mut fork = log.clone();
+    log.add(&log.record(RecordKind::Claim, 5, "town"), &[]);
+    log.end_batch();
+    log.write(Path::new(&data));
+    let (code, said) = audit(&follow);
+    assert!(code == Some(0) && said.contains("from size 8 to 10"), "{said}");
+    let kept = std::fs::read_to_string(state.join("checkpoint")).unwrap();
+    assert_eq!(kept, log.checkpoint(10));
+
+    fork.add(&fork.record(RecordKind::Claim, 6, "elsewhere"), &[]);
+    fork.end_batch();
+    fork.end_batch();
+    let forged = dir.path().join("forged");
+    fork.write(&forged);
+    *folder.lock().unwrap() = forged.join("registry/public");
+    for _ in 0..2 {
+        let (code, said) = audit(&follow);
+        assert!(code == Some(20) && said.starts_with("contradiction"), "{said}");
+    }
+    assert_eq!(std::fs::read_to_string(state.join("checkpoint")).unwrap(), kept, "the first stays");
+    let evidence = state.join("evidence/1").display().to_string();
+    assert!(!state.join("evidence/2").exists());
+    let (code, said) = audit(&["evidence", &evidence, "--vkey", &vkey]);
+    assert!(code == Some(0) && said.starts_with("proven"), "{said}");
+    put(&state.join("evidence/1/first"), b"x");
+    assert_eq!(audit(&["evidence", &evidence, "--vkey", &vkey]).0, Some(1));
+    // Out of reach is no verdict, and neither is a log without a key.
+    let (code, said) = audit(&["follow", "http://127.0.0.1:1", "--vkey", &vkey, "--state", &state_text, "--once"]);
+    assert_eq!(code, Some(2), "{said}");
+    assert_eq!(audit(&["follow", &url, "--state", &state_text, "--once"]).0, Some(2));
+}
