@@ -132,6 +132,9 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
 
     let engine = load(&config, data).await?;
     let public = PublicFiles::start(&config, data).await?;
+    for witness in &config.witnesses {
+        tracing::info!(witness = %witness.verifier, url = witness.url, "configured witness");
+    }
     shared.loaded(engine.clone());
     tell(&reporter, ServingStatus::Serving).await;
     announce(address, public.as_ref().map(|public| public.url.as_str()));
