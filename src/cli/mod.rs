@@ -2,6 +2,7 @@
 
 mod access;
 mod animation;
+mod answers;
 mod audit;
 mod bench;
 mod connect;

@@ -11,6 +11,7 @@ use cairn_proto::v1;
 use cairn_registry::{Checkpoint, Digest, Note};
 use serde::{Deserialize, Serialize};
 
+use super::answers::{self, AnswerArgs};
 use super::connect::{Connection, refused};
 use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::records::vkey;
@@ -22,6 +23,8 @@ use super::{VERSION, records, write};
 pub enum Command {
     /// Sign a record about an identity of a scene, and enter it into the log
     Sign(SignArgs),
+    /// Who contributed to a scene or a view, as a file that proves that nobody is left out
+    Answer(AnswerArgs),
     /// Contest somebody's record: a record that says so
     Dispute(DisputeArgs),
     /// Have a record's envelope erased, and with it all that is personal; its place in the log stays
@@ -62,6 +65,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         }
         Command::Erase(args) => corrections::erase(line, &args).await,
         Command::Show { index } => corrections::show(line, index).await,
+        Command::Answer(args) => answers::run(line, &args).await,
         Command::List { name, out } => list(line, name, out.as_ref()).await,
         Command::Vkey { out } => {
             let vkey = vkey(line).await?;

@@ -38,14 +38,6 @@ impl WitnessSetting {
         WitnessClient::new(verifier.clone(), url).map_err(|e| format!("an address ({e})"))?;
         Ok(Self { verifier, url: url.to_owned() })
     }
-
-    /// A client of this witness.
-    ///
-    /// # Errors
-    /// None: the address was checked.
-    pub fn client(&self) -> Result<WitnessClient, cairn_witness::WitnessError> {
-        WitnessClient::new(self.verifier.clone(), &self.url)
-    }
 }
 
 pub(super) fn check_origin(origin: &str) -> Result<(), ConfigError> {

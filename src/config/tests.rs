@@ -121,7 +121,7 @@ fn witnesses_and_public_files_are_read() {
     let config = Config::from_toml(&settings(std::slice::from_ref(&entry)), "test").unwrap();
     assert_eq!(config.public_http.unwrap().bind.to_string(), "0.0.0.0:80", "public: any address");
     assert_eq!(config.witnesses[0].verifier.to_string(), vkey);
-    assert_eq!(config.witnesses[0].client().unwrap().url(), "https://witness.example/prefix");
+    assert_eq!(config.witnesses[0].url, "https://witness.example/prefix/");
     let twice = Config::from_toml(&settings(&[entry.clone(), entry]), "test").unwrap_err();
     assert!(twice.to_string().contains("another entry has this key"), "{twice}");
     let odd = Config::from_toml(&settings(&[format!("{vkey} ftp://witness.example")]), "test").unwrap_err();

@@ -5,11 +5,12 @@ use cairn_access::Role;
 use cairn_capture::{Camera, Distortion, Intrinsics, Pose, SceneKind};
 use cairn_cluster::{ClusterConfig, Grouping};
 use cairn_proto::v1;
-use cairn_registry::{PublicKey, RegistryError};
+use cairn_registry::{Digest, PublicKey, RegistryError};
 use glam::{DMat3, DVec3};
 
 use crate::engine::TrainingRequest;
 use crate::engine::error::EngineError;
+use crate::engine::owners::AskedView;
 use crate::engine::query::{FieldKind, Light, Viewpoint};
 use crate::engine::scenes::{ImportPlan, PlannedView};
 use crate::engine::tour::{PathKind, PathRequest};
@@ -53,6 +54,18 @@ pub fn bytes32(what: &str, bytes: &[u8]) -> Result<[u8; 32], EngineError> {
 /// An Ed25519 public key, none of small order.
 pub fn public_key(what: &str, bytes: &[u8]) -> Result<PublicKey, EngineError> {
     Ok(PublicKey::from_bytes(&bytes32(what, bytes)?).map_err(RegistryError::from)?)
+}
+
+/// Which view a complete answer is about; `None` for the whole scene.
+pub fn asked_view(of: Option<v1::answer_request::Of>) -> Result<Option<AskedView>, EngineError> {
+    use v1::answer_request::Of;
+    Ok(match of {
+        None => None,
+        Some(Of::ViewName(name)) => Some(AskedView::Named(name)),
+        Some(Of::PhotographSha256(digest)) => {
+            Some(AskedView::Photograph(Digest::from_bytes(bytes32("photograph_sha256", &digest)?)))
+        }
+    })
 }
 
 /// A role; `None` where none is named.

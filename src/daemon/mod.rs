@@ -44,6 +44,8 @@ pub struct Shared {
     /// Whether nobody but this very process can call.
     in_process: bool,
     renders: Arc<Semaphore>,
+    /// Largest message that goes out.
+    most_bytes: usize,
 }
 
 /// What is there once the data folder was read.
@@ -61,6 +63,7 @@ impl Shared {
             token: config.token.clone().map(Arc::new),
             access: Arc::new(config.access.clone()),
             in_process: false,
+            most_bytes: config.limits.max_message_bytes,
             renders: Arc::new(Semaphore::new(config.limits.concurrent_renders)),
         }
     }

@@ -107,6 +107,17 @@ impl OwnerService for Shared {
         Ok(Response::new(answer))
     }
 
+    async fn answer(&self, request: Request<v1::AnswerRequest>) -> Answer<v1::AnswerResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        let v1::AnswerRequest { scene, of, as_of, .. } = request.into_inner();
+        let view = from_proto::asked_view(of).map_err(status)?;
+        let most = self.most_bytes;
+        let answer = self
+            .run(move |engine| engine.complete_answer(&scene, view, (!as_of.is_empty()).then_some(&as_of), most))
+            .await?;
+        Ok(Response::new(v1::AnswerResponse { format_version: to_proto::VERSION, answer: answer.into() }))
+    }
+
     async fn checkpoint(&self, request: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
         let vkey = self.run(|engine| Ok(engine.registry().verifier()?.to_string())).await?;

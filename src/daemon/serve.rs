@@ -136,6 +136,9 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
 
     let engine = load(&config, data).await?;
     let public = PublicFiles::start(&config, data).await?;
+    for witness in &config.witnesses {
+        tracing::info!(witness = %witness.verifier, url = witness.url, "configured witness");
+    }
     shared.loaded(engine.clone())?;
     tell(&reporter, ServingStatus::Serving).await;
     let scheme = if config.tls.is_some() { "https" } else { "http" };

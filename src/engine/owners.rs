@@ -19,6 +19,15 @@ pub struct Material {
     pub signal: Vec<u8>,
 }
 
+/// Which view of a scene a complete answer is about.
+#[derive(Clone, Debug)]
+pub enum AskedView {
+    /// The view of this name.
+    Named(String),
+    /// The view with this photograph, by its SHA-256; it need not be here any more.
+    Photograph(Digest),
+}
+
 impl Engine {
     /// What a record about an identity of the newest model has to state.
     ///
@@ -66,8 +75,37 @@ impl Engine {
         bearing_on(self.registry(), &info.scene, marked_field, identity)
     }
 
+    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/1`) of at most `most` bytes.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] for a view's name; [`EngineError::OverLimit`]; the registry's.
+    pub fn complete_answer(
+        &self,
+        scene: &str,
+        view: Option<AskedView>,
+        as_of: Option<&String>,
+        most: usize,
+    ) -> Result<Vec<u8>, EngineError> {
+        let photograph = match view {
+            None => None,
+            Some(AskedView::Photograph(digest)) => Some(digest),
+            Some(AskedView::Named(name)) => {
+                let folder = self.scene(scene)?;
+                let view = super::view_index(folder.capture(), &name)?;
+                Some(Digest::from_bytes(folder.photograph_digest(view)))
+            }
+        };
+        let answer = self.registry().answer(scene, photograph.as_ref(), as_of.map(String::as_str))?.to_json();
+        let limit = most.min(cairn_registry::answer::MAX_ANSWER_BYTES);
+        if answer.len() > limit {
+            let (what, key) = ("the complete answer in bytes (ask about a view)".into(), "limits.max_message_bytes");
+            return Err(EngineError::OverLimit { what, key, limit: limit as u64, got: answer.len() as u64 });
+        }
+        Ok(answer.into_bytes())
+    }
+
     /// The offline proof of a record (C2SP tlog-proof): index, inclusion hashes,
-    /// the newest checkpoint.
+    /// the newest checkpoint, or the newest one that witnesses cosigned.
     ///
     /// # Errors
     /// [`RegistryError::NoSuchRecord`].
@@ -76,6 +114,7 @@ impl Engine {
         if index >= size {
             return Err(RegistryError::NoSuchRecord { index, size }.into());
         }
+        self.publisher.await_cosigned(self.registry(), index);
         Ok(self.registry().tlog_proof(index)?.to_text())
     }
 }

@@ -9,7 +9,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cairn_registry::{Checkpoint, Note, Registry};
 use cairn_witness::{WitnessClient, WitnessError, client::collect};
@@ -21,6 +21,8 @@ use super::folder::{read_limited, write_atomic};
 const PAUSE: Duration = Duration::from_millis(200);
 /// After a failure, until the next attempt.
 const RETRY: Duration = Duration::from_secs(2);
+/// Longest that a proof waits for cosignatures.
+const PATIENCE: Duration = Duration::from_secs(3);
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT: u64 = 1 << 16;
 
@@ -34,6 +36,7 @@ struct Asked {
 pub struct Publisher {
     asked: Arc<(Mutex<Asked>, Condvar)>,
     thread: Mutex<Option<JoinHandle<()>>>,
+    witnessed: bool,
 }
 
 /// What a publication needs.
@@ -53,6 +56,7 @@ impl Publisher {
     /// was published or cosigned; where the system has no thread to give. A witness that cannot be reached is logged.
     pub fn start(registry: Arc<Registry>, last: PathBuf, witnesses: Vec<WitnessClient>) -> Result<Self, EngineError> {
         hold_to_last(&registry, &last)?;
+        let witnessed = !witnesses.is_empty();
         let publication = Publication { registry, last, witnesses };
         publication.publish()?;
         publication.ask_witnesses()?;
@@ -62,13 +66,22 @@ impl Publisher {
             .name("publisher".into())
             .spawn(move || publication.run(&of_thread))
             .map_err(|e| EngineError::Internal(format!("the publisher's thread cannot start: {e}")))?;
-        Ok(Self { asked, thread: Mutex::new(Some(thread)) })
+        Ok(Self { asked, thread: Mutex::new(Some(thread)), witnessed })
     }
 
     /// Something became durable.
     pub fn wake(&self) {
         lock(&self.asked.0).publish = true;
         self.asked.1.notify_one();
+    }
+
+    /// Waits, but not for long, until witnesses cosigned a checkpoint that covers entry `index`. Returns at once where
+    /// there are none to ask.
+    pub fn await_cosigned(&self, registry: &Registry, index: u64) {
+        let begun = Instant::now();
+        while self.witnessed && registry.cosigned_size() <= index && begun.elapsed() < PATIENCE {
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 
     /// Publishes what is left and ends the thread. Once is enough.

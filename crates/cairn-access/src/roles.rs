@@ -155,6 +155,7 @@ pub const METHODS: &[(&str, Need)] = &[
     ("/cairn.v1.OwnerService/Erase", Need::Contribute),
     ("/cairn.v1.OwnerService/List", Need::Read),
     ("/cairn.v1.OwnerService/Get", Need::Read),
+    ("/cairn.v1.OwnerService/Answer", Need::Read),
     ("/cairn.v1.OwnerService/Checkpoint", Need::Read),
     ("/cairn.v1.OwnerService/Proof", Need::Read),
 ];

@@ -1,6 +1,6 @@
 //! What a witness remembers, on disk: small files that are replaced whole.
 //!
-//! [`replace`] writes beside, syncs, renames and syncs the folder: after a crash at any moment the file is the old one
+//! Replacing writes beside, syncs, renames and syncs the folder: after a crash at any moment the file is the old one
 //! or the new one, and once it has returned it is the new one. Each step is a method of [`Storage`], so that tests
 //! can make each fail.
 

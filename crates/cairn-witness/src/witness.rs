@@ -28,6 +28,9 @@ use crate::{
 pub const SIZE_TYPE: &str = "text/x.tlog.size";
 const TEXT_TYPE: &str = "text/plain; charset=utf-8";
 
+/// Longest answer for people, characters.
+const MAX_TEXT: usize = 400;
+
 /// How far the clock may step back, seconds: it is then held at the last cosignature's time. Further, and nothing is cosigned.
 const MAX_STEP_BACK_S: u64 = 60;
 
@@ -313,6 +316,8 @@ fn recall(storage: &dyn Storage, origin: &str, witness: &WitnessVerifier) -> Res
     json.map(|json| Remembered::from_json(&json, origin, witness)).transpose()
 }
 
+/// An answer for people; what it quotes of the request is cut.
 fn text(status: u16, what: impl ToString) -> Response {
-    Response { status, content_type: TEXT_TYPE, body: format!("{}\n", what.to_string()) }
+    let what: String = what.to_string().chars().take(MAX_TEXT).collect();
+    Response { status, content_type: TEXT_TYPE, body: format!("{what}\n") }
 }

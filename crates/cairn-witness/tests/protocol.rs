@@ -55,6 +55,8 @@ fn each_refusal_has_its_status() {
     assert_eq!(witness.add_checkpoint(&vec![b'x'; MAX_BODY_BYTES + 1]).status, 413);
     // Unknown log; nobody trusted signed; a trusted key's signature that does not hold, beside one that does.
     assert_eq!(status(&signed(Checkpoint::new("other", 10, log.root(10)), 1)), 404);
+    let long = ask(&witness, &signed(Checkpoint::new("x".repeat(100_000), 10, log.root(10)), 1));
+    assert!(long.status == 404 && long.body.len() < 1000, "an answer does not echo without end");
     assert_eq!(status(&signed(ten(), 9)), 403);
     let mut twice = Note::parse(&good.note).unwrap();
     twice.signatures.push(twice.signatures[0].clone());

@@ -11,6 +11,9 @@ use crate::{
     note::{NoteError, NoteVerifier},
 };
 
+/// Longest error, characters: a line may be long.
+const MAX_ERROR: usize = 400;
+
 /// What the lines so far defined.
 #[derive(Default)]
 struct Reader {
@@ -35,7 +38,8 @@ pub(super) fn parse(text: &[u8]) -> Result<Policy, PolicyError> {
     }
     let mut reader = Reader::default();
     for (number, line) in (1..).zip(text.split(|b| *b == b'\n')) {
-        reader.line(line).map_err(|what| PolicyError::Line { line: number, what })?;
+        let refused = |what: String| PolicyError::Line { line: number, what: what.chars().take(MAX_ERROR).collect() };
+        reader.line(line).map_err(refused)?;
     }
     let quorum = reader.quorum.ok_or(PolicyError::NoQuorum)?;
     Ok(Policy { logs: reader.logs, witnesses: reader.witnesses, groups: reader.groups, quorum })

@@ -150,6 +150,8 @@ fn refusals_name_the_line() {
             other => panic!("{text} gave {other:?}"),
         }
     }
+    let long = Policy::parse("x".repeat(100_000)).unwrap_err().to_string();
+    assert!(long.len() < 1000, "an error of {} bytes", long.len());
     assert_eq!(Policy::parse(&two), Err(PolicyError::NoQuorum));
     let large = vec![b'\n'; MAX_POLICY_BYTES + 1];
     assert_eq!(Policy::parse(&large), Err(PolicyError::TooLarge { got: large.len() }));

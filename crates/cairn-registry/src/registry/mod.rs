@@ -224,6 +224,11 @@ impl Registry {
         self.read().cosigned.as_ref().map(|(_, note)| note.clone())
     }
 
+    /// How many entries the newest cosigned checkpoint covers; 0 where there is none.
+    pub fn cosigned_size(&self) -> u64 {
+        self.read().cosigned.as_ref().map_or(0, |(size, _)| *size)
+    }
+
     /// Size and root of the newest checkpoint, unsigned: what a signer puts into `seen`.
     ///
     /// # Errors

@@ -1,0 +1,47 @@
+//! `cairn owners answer`: who contributed to a scene or to one view of it, as a file that proves it leaves nobody out.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use cairn_proto::v1;
+use cairn_registry::Answer;
+
+use super::connect::{Connection, refused};
+use super::{VERSION, read, write};
+
+/// `cairn owners answer`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct AnswerArgs {
+    /// The scene
+    pub name: String,
+    /// Ask about one of its views; without it, about the whole scene
+    #[arg(long, value_name = "NAME")]
+    pub view: Option<String>,
+    /// A checkpoint of this log that you kept: the answer proves that the log went on from it
+    #[arg(long, value_name = "FILE")]
+    pub as_of: Option<PathBuf>,
+    /// Where the answer goes, JSON, for `cairn audit answer`
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
+/// Fetches an answer and keeps it. What it is worth is for `cairn audit answer` to say.
+pub async fn run(line: &Connection, args: &AnswerArgs) -> anyhow::Result<()> {
+    let as_of = match &args.as_of {
+        None => String::new(),
+        Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no checkpoint", path.display()))?,
+    };
+    let request = v1::AnswerRequest {
+        format_version: VERSION,
+        scene: args.name.clone(),
+        of: args.view.clone().map(v1::answer_request::Of::ViewName),
+        as_of,
+    };
+    let json = line.owners().answer(request).await.map_err(refused)?.into_inner().answer;
+    let answer = Answer::parse(&json).context("the daemon's answer")?;
+    let asked = answer.lists.iter().find(|list| list.key == answer.asked());
+    let named = asked.map_or(0, |list| list.entries.len());
+    write(&args.out, &json)?;
+    println!("{named} records named, with their proofs, in {}; check it with `cairn audit answer`", args.out.display());
+    Ok(())
+}
