@@ -113,7 +113,9 @@ impl OwnerService for Shared {
         let view = from_proto::asked_view(of).map_err(status)?;
         let most = self.most_bytes;
         let answer = self
-            .run(move |engine| engine.complete_answer(&scene, view, (!as_of.is_empty()).then_some(&as_of), most))
+            .run(move |engine| {
+                engine.complete_answer(&scene, view, (!as_of.is_empty()).then_some(as_of.as_str()), most)
+            })
             .await?;
         Ok(Response::new(v1::AnswerResponse { format_version: to_proto::VERSION, answer: answer.into() }))
     }

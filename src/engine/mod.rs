@@ -35,6 +35,7 @@ use std::time::Duration;
 use cairn_capture::{Capture, SceneFolder};
 use cairn_cluster::Grouping;
 use cairn_registry::{Digest, Registry};
+use cairn_witness::WitnessClient;
 
 use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, training_settings};
 use access::Access;
@@ -92,7 +93,11 @@ impl Engine {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
         let registry = Arc::new(Registry::open(&folder.registry(), key, &config.origin)?);
-        let witnesses = config.witnesses.iter().map(|w| w.client()).collect::<Result<_, _>>()?;
+        let witnesses = config
+            .witnesses
+            .iter()
+            .map(|w| WitnessClient::new(w.verifier.clone(), &w.url))
+            .collect::<Result<_, _>>()?;
         let publisher = Publisher::start(registry.clone(), folder.last_checkpoint(), witnesses)?;
         let work = training::Training {
             scenes: folder.scenes(),

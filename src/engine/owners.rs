@@ -83,7 +83,7 @@ impl Engine {
         &self,
         scene: &str,
         view: Option<AskedView>,
-        as_of: Option<&String>,
+        as_of: Option<&str>,
         most: usize,
     ) -> Result<Vec<u8>, EngineError> {
         let photograph = match view {
@@ -95,7 +95,7 @@ impl Engine {
                 Some(Digest::from_bytes(folder.photograph_digest(view)))
             }
         };
-        let answer = self.registry().answer(scene, photograph.as_ref(), as_of.map(String::as_str))?.to_json();
+        let answer = self.registry().answer(scene, photograph.as_ref(), as_of)?.to_json();
         let limit = most.min(cairn_registry::answer::MAX_ANSWER_BYTES);
         if answer.len() > limit {
             let (what, key) = ("the complete answer in bytes (ask about a view)".into(), "limits.max_message_bytes");
