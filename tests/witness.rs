@@ -84,7 +84,7 @@ impl Drop for Running {
 /// A folder with a witness's key and the log's vkey.
 fn place() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
-    let made = cairn().args(["keys", "new"]).arg(dir.path().join("witness.key")).output().unwrap();
+    let made = cairn().args(["keys", "new", "--plain"]).arg(dir.path().join("witness.key")).output().unwrap();
     assert!(made.status.success(), "{made:?}");
     let log = NoteVerifier::new(ORIGIN, log_key().public()).unwrap();
     std::fs::write(dir.path().join("log.vkey"), format!("# the log\n{log}\n")).unwrap();

@@ -1,0 +1,153 @@
+//! A log at work, through real processes: cosigned by a witness, served over HTTP, followed, asked completely; and an
+//! older backup of it that is refused at the start, whoever notices.
+
+mod common;
+
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use cairn_proto::v1;
+use cairn_proto::v1::owner_service_client::OwnerServiceClient;
+use cairn_registry::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
+use cairn_registry::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
+use common::{Daemon, Place};
+use tonic::transport::Channel;
+
+/// A running `cairn witness serve`; ends with the test.
+struct Witness {
+    child: Child,
+    url: String,
+    vkey: String,
+}
+
+impl Witness {
+    fn start(place: &Place, log: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+            .args(["witness", "serve", "--listen", "127.0.0.1:0", "--name", "witness.example/w"])
+            .args(["--key", &place.text("witness.key"), "--folder", &place.text("witness")])
+            .args(["--log", &log.display().to_string()])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+        let url = lines.next().unwrap().rsplit(' ').next().unwrap().to_owned();
+        Self { child, url, vkey: lines.next().unwrap() }
+    }
+}
+
+impl Drop for Witness {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn photographs(numbers: std::ops::Range<u32>) -> Vec<Digest> {
+    let mut digests: Vec<_> = numbers.map(|number| Digest::of(number.to_be_bytes())).collect();
+    digests.sort_unstable();
+    digests
+}
+
+/// Enters a contribution of photographs of the town; its index.
+async fn contribute(client: &mut OwnerServiceClient<Channel>, by: u8, of: std::ops::Range<u32>) -> u64 {
+    let key = OwnerKey::from_seed(&[by; 32]);
+    let owner_key = key.public().to_bytes().to_vec().into();
+    let request = v1::NonceRequest { format_version: 1, scene: "town".into(), owner_key };
+    let nonce = client.nonce(request).await.unwrap().into_inner();
+    let seen = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint).unwrap().text).unwrap();
+    let views = photographs(of);
+    let record = OwnerRecord {
+        version: record::VERSION,
+        kind: RecordKind::Contribution,
+        origin: nonce.origin,
+        scene: "town".into(),
+        scene_salt: random_salt().unwrap(),
+        identity: Identity { number: 1, contributor: format!("contributor {by}") },
+        owner_key: key.public(),
+        digests: Digests { photographs: Some(photographs_root(&views)), ..Digests::default() },
+        seed: None,
+        purpose: "credit".into(),
+        nonce: nonce.nonce.parse().unwrap(),
+        seen: Seen { size: seen.size, root: seen.root },
+        replaces: None,
+        views: Some(views),
+    };
+    let envelope = record.seal(&key).unwrap().to_json().into_bytes().into();
+    let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await.unwrap();
+    answer.into_inner().record.unwrap().index
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let to = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy(&entry.path(), &to);
+        } else {
+            std::fs::copy(entry.path(), &to).unwrap();
+        }
+    }
+}
+
+/// A start that has to fail; what it says.
+fn refused(place: &Place, data: &str, config: &str) -> String {
+    std::fs::write(place.path("refused.toml"), config).unwrap();
+    let said = place.cairn(&["serve", "--data", &place.text(data), "--config", &place.text("refused.toml")]);
+    assert!(!said.status.success());
+    String::from_utf8_lossy(&said.stderr).into_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refused() {
+    let place = Place::new();
+    place.cairn_ok(&["keys", "new", "--plain", &place.text("witness.key")]);
+    place.cairn_ok(&["owners", "vkey", "--data", &place.text("data"), "--out", &place.text("log.vkey")]);
+    let witness = Witness::start(&place, &place.path("log.vkey"));
+    let settings =
+        format!("[registry]\nhttp_bind = \"127.0.0.1:0\"\nwitnesses = [\"{} {}\"]\n", witness.vkey, witness.url);
+    let daemon = Daemon::start(&place.path("data"), &settings);
+    let mut client = OwnerServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let one = contribute(&mut client, 1, 0..4).await;
+    let two = contribute(&mut client, 2, 2..6).await;
+
+    // A proof comes with the witness's cosignature, which a policy asks for.
+    let proof = client.proof(v1::ProofRequest { format_version: 1, index: one }).await.unwrap().into_inner().tlog_proof;
+    let log = std::fs::read_to_string(place.path("log.vkey")).unwrap();
+    let policy = format!("log {}\nwitness w {}\nquorum w\n", log.trim(), witness.vkey);
+    let (_, note) = proof.split_once("\n\n").unwrap();
+    let verdict = Policy::parse(&policy).unwrap().check(note).unwrap();
+    assert!(verdict.quorum.holds(), "{verdict:?}");
+    std::fs::write(place.path("policy"), policy).unwrap();
+
+    // Who contributed to a photograph: nobody is left out, and an older checkpoint is gone on from.
+    let asked = |number: u32| v1::AnswerRequest {
+        format_version: 1,
+        scene: "town".into(),
+        of: Some(v1::answer_request::Of::PhotographSha256(Digest::of(number.to_be_bytes()).as_bytes().to_vec().into())),
+        as_of: note.to_owned(),
+    };
+    for (number, wanted) in [(0, vec![one]), (3, vec![one, two]), (5, vec![two]), (9, vec![])] {
+        let answer = client.answer(asked(number)).await.unwrap().into_inner().answer;
+        let report = cairn_audit::audit_answer(&answer, Some(&log.trim().parse().unwrap()));
+        assert_eq!(report.outcome, cairn_audit::Outcome::Trusted, "{report}");
+        assert_eq!(report.credited().map(|r| r.index).collect::<Vec<_>>(), wanted, "{report}");
+    }
+
+    // A backup, and then the log goes on.
+    copy(&place.path("data"), &place.path("backup"));
+    let three = contribute(&mut client, 3, 0..4).await;
+    client.proof(v1::ProofRequest { format_version: 1, index: three }).await.unwrap();
+    assert!(daemon.terminate().success());
+    let (vkey, data) = (place.text("log.vkey"), place.text("data"));
+    place.cairn_ok(&["audit", "store", &data, "--vkey", &vkey, "--policy", &place.text("policy")]);
+    let said = refused(&place, "backup", &settings);
+    assert!(said.contains("witness.example/w") && said.contains("backup"), "{said}");
+    // Without a witness, the checkpoint that was published last speaks, as long as it was not restored as well.
+    std::fs::copy(place.path("data/registry.checkpoint"), place.path("backup/registry.checkpoint")).unwrap();
+    let said = refused(&place, "backup", "");
+    assert!(said.contains("known is a checkpoint over"), "{said}");
+    // The log itself starts again.
+    assert!(Daemon::start(&place.path("data"), &settings).terminate().success());
+}
