@@ -6,10 +6,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use cairn_registry::{NoteVerifier, OwnerKey, WitnessVerifier};
+use cairn_registry::{NoteVerifier, WitnessVerifier};
 use cairn_witness::Witness;
 use cairn_witness::plain_http::Limits;
 
+use super::unlock::UnlockArgs;
 use crate::daemon::serve::signal;
 
 /// What a witness does.
@@ -30,6 +31,8 @@ pub struct Who {
     /// The witness's name, as witness.example/w1: no blanks, no plus signs
     #[arg(long)]
     name: String,
+    #[command(flatten)]
+    unlock: UnlockArgs,
 }
 
 /// Settings of `cairn witness serve`.
@@ -53,7 +56,7 @@ pub async fn run(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::Serve(args) => serve(args).await,
         Command::Vkey(who) => {
-            println!("{}", WitnessVerifier::new(&who.name, OwnerKey::load(&who.key)?.public())?);
+            println!("{}", WitnessVerifier::new(&who.name, who.unlock.load(&who.key)?.public())?);
             Ok(())
         }
     }
@@ -64,7 +67,7 @@ async fn serve(args: &ServeArgs) -> anyhow::Result<()> {
     for file in &args.logs {
         logs.extend(vkeys(file)?);
     }
-    let key = OwnerKey::load(&args.who.key)?;
+    let key = args.who.unlock.load(&args.who.key)?;
     let witness = Arc::new(Witness::open(&args.folder, &args.who.name, key, logs)?);
     let listener = tokio::net::TcpListener::bind(args.listen)
         .await
