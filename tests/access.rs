@@ -223,6 +223,7 @@ async fn no_method_of_the_contract_is_forgotten() {
         "QueryService/WhoByPose",
         "QueryService/WhoByPicture",
         "DetectionService/Detect",
+        "OwnerService/Answer",
         "OwnerService/List",
         "OwnerService/Get",
         "OwnerService/Checkpoint",
@@ -302,7 +303,7 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
         let out_folder = world.place.text(out);
         let sign =
             ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", key, "--out", &out_folder];
-        if out == "taken" { drop(world.ok("bob", &sign)) } else { world.refused("bob", &sign, "the owner's key") }
+        if out == "taken" { drop(world.ok("bob", &sign)) } else { world.refused("bob", &sign, "did not sign") }
     }
     let view = "images/none.png";
     let base = ["render", "town", "--view", view, "--base", "--out", "x.png"];
