@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use prost::Message;
 
 /// One file a service, and what they share.
-const FILES: [&str; 7] = ["common", "scene", "training", "render", "query", "detection", "owner"];
+const FILES: [&str; 8] = ["common", "scene", "training", "render", "query", "detection", "owner", "access"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../proto");
@@ -18,6 +18,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let descriptors = protox::compile(&files, [&root])?;
     let out = PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(out.join("cairn_descriptors.bin"), descriptors.encode_to_vec())?;
+    let mut methods = Vec::new();
+    for file in &descriptors.file {
+        for service in &file.service {
+            let path = |method: &str| format!("/{}.{}/{method}", file.package(), service.name());
+            methods.extend(service.method.iter().map(|m| path(m.name())));
+        }
+    }
+    std::fs::write(out.join("cairn_methods.rs"), format!("&{methods:?}"))?;
     tonic_prost_build::configure().bytes(".").compile_fds(descriptors)?;
     Ok(())
 }

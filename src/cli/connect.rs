@@ -5,21 +5,23 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
+use cairn_proto::v1::access_service_client::AccessServiceClient;
 use cairn_proto::v1::detection_service_client::DetectionServiceClient;
 use cairn_proto::v1::owner_service_client::OwnerServiceClient;
 use cairn_proto::v1::query_service_client::QueryServiceClient;
 use cairn_proto::v1::render_service_client::RenderServiceClient;
 use cairn_proto::v1::scene_service_client::SceneServiceClient;
 use cairn_proto::v1::training_service_client::TrainingServiceClient;
+use cairn_registry::{NoteVerifier, OwnerKey};
 use hyper_util::rt::TokioIo;
-use tonic::metadata::{Ascii, MetadataValue};
-use tonic::service::Interceptor;
-use tonic::service::interceptor::InterceptedService;
-use tonic::transport::{Channel, Endpoint, Uri};
-use tonic::{Request, Status};
+use tonic::Status;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
 
+use super::credential::{Credential, Speaking};
+use super::unlock::UnlockArgs;
 use crate::config::{Config, Token};
 use crate::daemon::serve::InProcess;
+use crate::daemon::tls::pem;
 
 /// Bytes of pipe between client and services in this process.
 const PIPE_BYTES: usize = 1 << 20;
@@ -39,39 +41,60 @@ pub struct Where {
     /// The file with the daemon's token, where it asks for one
     #[arg(long, global = true, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
+    /// The key file of your account with the daemon; every call is signed with it (see `cairn access`)
+    #[arg(long, global = true, value_name = "FILE", conflicts_with = "token_file")]
+    pub account: Option<PathBuf>,
+    /// The key file that --account is sealed with; where it is sealed by a passphrase, that is asked for
+    #[arg(long, global = true, value_name = "FILE", requires = "account")]
+    pub account_key_file: Option<PathBuf>,
+    /// The daemon's public key (vkey), pinned: calls are signed for no other daemon (see `cairn owners vkey`)
+    #[arg(long, global = true, value_name = "FILE")]
+    pub daemon_vkey: Option<PathBuf>,
+    /// Certificates that vouch for the daemon, PEM: needed for an https URL
+    #[arg(long, global = true, value_name = "FILE")]
+    pub tls_ca: Option<PathBuf>,
+    /// Your own certificate, PEM, where the daemon asks clients for one
+    #[arg(long, global = true, value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// The private key of --tls-cert, PEM
+    #[arg(long, global = true, value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
 }
-
-/// Adds the token to every call.
-#[derive(Clone)]
-pub struct AddToken(Option<MetadataValue<Ascii>>);
-
-impl Interceptor for AddToken {
-    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
-        if let Some(token) = &self.0 {
-            request.metadata_mut().insert("authorization", token.clone());
-        }
-        Ok(request)
-    }
-}
-
-type Service = InterceptedService<Channel, AddToken>;
 
 /// A line to the services.
 pub struct Connection {
     channel: Channel,
-    token: AddToken,
+    credential: Credential,
+    account: Option<OwnerKey>,
     most: usize,
     in_process: Option<InProcess>,
 }
 
+/// A line whose calls are about one scene: what a signed call has to name.
+pub struct Line<'a> {
+    connection: &'a Connection,
+    scene: &'a str,
+}
+
 macro_rules! clients {
     ($($(#[$doc:meta])* $name:ident: $client:ident,)*) => {
+        impl Line<'_> {
+            $($(#[$doc])*
+            pub fn $name(&self) -> $client<Speaking> {
+                let Connection { channel, credential, most, .. } = self.connection;
+                $client::new(Speaking::new(channel.clone(), credential.clone(), self.scene))
+                    .max_decoding_message_size(*most)
+                    .max_encoding_message_size(*most)
+            })*
+        }
+
+        #[allow(dead_code)] // All services are there, whether or not a command only reads from each.
         impl Connection {
             $($(#[$doc])*
-            pub fn $name(&self) -> $client<Service> {
-                $client::with_interceptor(self.channel.clone(), self.token.clone())
-                    .max_decoding_message_size(self.most)
-                    .max_encoding_message_size(self.most)
+            ///
+            /// For calls about no scene, and for those that only read; others go through [`Connection::about`].
+            pub fn $name(&self) -> $client<Speaking> {
+                self.about("").$name()
             })*
         }
     };
@@ -90,29 +113,23 @@ clients! {
     detection: DetectionServiceClient,
     /// Owner records.
     owners: OwnerServiceClient,
+    /// Accounts.
+    access: AccessServiceClient,
 }
 
 impl Connection {
     /// Connects, or opens the data folder in this process.
     ///
     /// # Errors
-    /// When there is no daemon at the address, or the data folder is taken.
+    /// When there is no daemon at the address, the data folder is taken, or a file of the credentials is no good.
     pub async fn open(place: &Where) -> anyhow::Result<Self> {
         let config = Config::load(place.config.as_deref())?;
-        let token = match &place.token_file {
-            None => None,
-            Some(path) => {
-                let mut value: MetadataValue<Ascii> = format!("Bearer {}", Token::load(path)?.secret()).parse()?;
-                value.set_sensitive(true);
-                Some(value)
-            }
-        };
+        let unlock = UnlockArgs { passphrase_file: None, key_file: place.account_key_file.clone() };
+        let account = place.account.as_deref().map(|path| unlock.load(path)).transpose()?;
         let most = config.limits.max_message_bytes;
         let (channel, in_process) = match &place.connect {
             Some(url) => {
-                let endpoint =
-                    Endpoint::from_shared(url.clone()).with_context(|| format!("--connect {url} is no URL"))?;
-                let channel = endpoint.connect().await;
+                let channel = endpoint(url, place)?.connect().await;
                 (channel.with_context(|| format!("no daemon answers at {url}; start one with `cairn serve`"))?, None)
             }
             None => {
@@ -120,7 +137,24 @@ impl Connection {
                 (in_process(&services).await?, Some(services))
             }
         };
-        Ok(Self { channel, token: AddToken(token), most, in_process })
+        let credential = match (&place.token_file, &account) {
+            // Whoever has the data folder in hand needs none.
+            _ if in_process.is_some() => Credential::Nothing,
+            (Some(path), _) => Credential::bearer(Token::load(path)?.secret())?,
+            (None, Some(key)) => Credential::account(key.clone(), &channel, pinned(place)?.as_ref()).await?,
+            (None, None) => Credential::Nothing,
+        };
+        Ok(Self { channel, credential, account, most, in_process })
+    }
+
+    /// The same line for calls about `scene`.
+    pub fn about<'a>(&'a self, scene: &'a str) -> Line<'a> {
+        Line { connection: self, scene }
+    }
+
+    /// The key of --account.
+    pub fn account_key(&self) -> Option<&OwnerKey> {
+        self.account.as_ref()
     }
 
     /// Ends cleanly: a training in this process reaches its checkpoint.
@@ -129,6 +163,30 @@ impl Connection {
             services.shut_down().await;
         }
     }
+}
+
+/// The vkey that --daemon-vkey pins.
+fn pinned(place: &Where) -> anyhow::Result<Option<NoteVerifier>> {
+    let Some(path) = &place.daemon_vkey else { return Ok(None) };
+    let text = String::from_utf8(super::read(path)?).with_context(|| format!("{} is no text", path.display()))?;
+    Ok(Some(text.trim().parse().with_context(|| format!("{} is no vkey", path.display()))?))
+}
+
+/// Where the daemon is, and how the line to it is secured.
+fn endpoint(url: &str, place: &Where) -> anyhow::Result<Endpoint> {
+    let endpoint = Endpoint::from_shared(url.to_owned()).with_context(|| format!("--connect {url} is no URL"))?;
+    let secured = endpoint.uri().scheme_str() == Some("https");
+    let Some(ca) = &place.tls_ca else {
+        anyhow::ensure!(!secured, "--connect {url} needs --tls-ca FILE: the certificates that vouch for the daemon");
+        anyhow::ensure!(place.tls_cert.is_none(), "--tls-cert is for an https URL with --tls-ca; {url} is not secured");
+        return Ok(endpoint);
+    };
+    anyhow::ensure!(secured, "--tls-ca is for an https URL; --connect {url} is not secured");
+    let mut tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(pem(ca, "CERTIFICATE")?));
+    if let (Some(certificate), Some(key)) = (&place.tls_cert, &place.tls_key) {
+        tls = tls.identity(Identity::from_pem(pem(certificate, "CERTIFICATE")?, pem(key, "PRIVATE KEY")?));
+    }
+    endpoint.tls_config(tls).context("TLS does not start with the files of --tls-ca, --tls-cert and --tls-key")
 }
 
 async fn in_process(services: &InProcess) -> anyhow::Result<Channel> {

@@ -7,8 +7,7 @@ use cairn_proto::v1;
 use cairn_registry::keys::{Seal, SealingKey, StoredKey, reseal_key, save_key};
 use cairn_registry::{OwnerKey, OwnerRecord, RecordKind};
 
-use super::VERSION;
-use super::connect::{Connection, refused};
+use super::connect::Connection;
 use super::records::{self, Bundle, Ground, Stored};
 use super::unlock::UnlockArgs;
 
@@ -232,8 +231,7 @@ async fn revoke(line: &Connection, args: &RevokeArgs) -> anyhow::Result<()> {
 
 /// The newest record of a key about a scene: a revocation names an identity, and this one's it takes.
 async fn newest_of(line: &Connection, scene: &str, key: &OwnerKey) -> anyhow::Result<u64> {
-    let request = v1::ListRecordsRequest { format_version: VERSION, scene: scene.to_owned() };
-    let records = line.owners().list(request).await.map_err(refused)?.into_inner().records;
+    let records = records::list(line, scene).await?;
     let id = key.public().id();
     let own = |r: &&v1::Record| r.owner_key_sha256.as_ref() == id.as_bytes() && !r.envelope.is_empty();
     let newest = records.iter().rev().find(own).map(|r| r.index);

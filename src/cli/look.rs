@@ -158,7 +158,7 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
     let field = if args.base { v1::FieldKind::Base } else { v1::FieldKind::Marked };
     let request = v1::RenderRequest {
         format_version: VERSION,
-        scene: args.name,
+        scene: args.name.clone(),
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),
         field: field.into(),
         appearance: Some(v1::Appearance { choice }),
@@ -166,7 +166,7 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
         depth: args.depth.is_some(),
         depth_colours: args.depth_colours.is_some(),
     };
-    let answer = line.render().render(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&args.name).render().render(request).await.map_err(refused)?.into_inner();
     write(&args.out, &answer.png)?;
     println!("{} x {} px in {}", answer.width, answer.height, args.out.display());
     if let Some(path) = &args.depth {
@@ -258,7 +258,7 @@ pub async fn report(
 ) -> anyhow::Result<crate::engine::report::Report> {
     let contact_sheet = sheet.is_some();
     let request = v1::EvaluateRequest { format_version: VERSION, scene: scene.to_owned(), contact_sheet };
-    let answer = line.query().evaluate(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(scene).query().evaluate(request).await.map_err(refused)?.into_inner();
     if let Some(path) = json {
         write(path, answer.report_json.as_bytes())?;
     }

@@ -1,10 +1,12 @@
 //! The command line: what can be asked for, and which file answers it.
 
+mod access;
 mod animation;
 mod audit;
 mod bench;
 mod connect;
 mod corrections;
+mod credential;
 mod demo;
 mod keys;
 mod look;
@@ -66,6 +68,9 @@ enum Command {
     /// Make, seal, show, rotate and revoke owners' keys (they stay on this machine)
     #[command(subcommand)]
     Keys(keys::Command),
+    /// Who may do what on a daemon: register, approve, roles, quotas
+    #[command(subcommand)]
+    Access(access::Command),
     /// Sign, correct and list owner records
     #[command(subcommand)]
     Owners(owners::Command),
@@ -106,6 +111,7 @@ impl Cli {
             Command::Serve => crate::daemon::serve::serve(config, &place.data).await?,
             Command::Keys(command) if command.is_local() => keys::local(&command)?,
             Command::Witness(command) => witness::run(&command).await?,
+            Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
@@ -132,6 +138,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Who(args) => look::who(line, args).await,
         Command::Detect(args) => look::detect(line, args).await,
         Command::Evaluate(args) => look::evaluate(line, args).await,
+        Command::Access(command) => access::run(line, command).await,
         Command::Owners(command) => owners::run(line, command).await,
         Command::Keys(command) => keys::run(line, &command).await,
         Command::Serve

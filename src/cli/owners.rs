@@ -15,7 +15,7 @@ use super::connect::{Connection, refused};
 use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::records::vkey;
 use super::sign::{SignArgs, sign};
-use super::{VERSION, write};
+use super::{VERSION, records, write};
 
 /// What to do with owner records.
 #[derive(Debug, clap::Subcommand)]
@@ -97,17 +97,17 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) ->
     let checkpoint = line.owners().checkpoint(v1::CheckpointRequest { format_version: VERSION }).await;
     let note = Note::parse(&checkpoint.map_err(refused)?.into_inner().checkpoint)?;
     let size = Checkpoint::parse_text(&note.text)?.size;
-    let request = v1::ListRecordsRequest { format_version: VERSION, scene: name.unwrap_or_default() };
-    let records = line.owners().list(request).await.map_err(refused)?.into_inner().records;
+    let records = records::list(line, &name.unwrap_or_default()).await?;
     for r in &records {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;
-        println!("{}  {}  {}  identity {}  by key {}", r.index, r.kind, r.scene, r.identity, Digest::from_bytes(owner));
+        let identity = if r.envelope.is_empty() { "erased".to_owned() } else { format!("identity {}", r.identity) };
+        println!("{}  {}  {}  {identity}  by key {}", r.index, r.kind, r.scene, Digest::from_bytes(owner));
     }
     if let Some(path) = out {
         let entry = |r: &v1::Record| -> anyhow::Result<LogEntry> {
             Ok(LogEntry { index: r.index, envelope: String::from_utf8(r.envelope.to_vec())? })
         };
-        let records = records.iter().map(entry).collect::<Result<_, _>>()?;
+        let records = records.iter().filter(|r| !r.envelope.is_empty()).map(entry).collect::<Result<_, _>>()?;
         write(path, &serde_json::to_vec_pretty(&LogFile { format_version: 1, size, records })?)?;
     }
     Ok(())

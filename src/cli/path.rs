@@ -142,7 +142,8 @@ impl<'a> Flight<'a> {
         let (first, total) = (request.first_frame, self.args.frames);
         // Listens from now on, whatever is being done when it comes.
         let mut interrupt = tokio::spawn(tokio::signal::ctrl_c());
-        let mut stream = line.render().render_path(request).await.map_err(refused)?.into_inner();
+        let scene = request.scene.clone();
+        let mut stream = line.about(&scene).render().render_path(request).await.map_err(refused)?.into_inner();
         let (mut shown, begun) = (Progress::new(true), Instant::now());
         shown.draw("frames", (first.into(), total.into()), "", -1.0);
         loop {

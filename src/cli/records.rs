@@ -25,12 +25,27 @@ pub struct Ground {
     pub seen: Seen,
 }
 
+/// All records of a scene, or of the log where that is empty, by index.
+pub async fn list(line: &Connection, scene: &str) -> anyhow::Result<Vec<v1::Record>> {
+    let (mut records, mut from) = (Vec::new(), 0);
+    loop {
+        let request = v1::ListRecordsRequest { format_version: VERSION, scene: scene.to_owned(), from, limit: 0 };
+        let page = line.owners().list(request).await.map_err(refused)?.into_inner();
+        records.extend(page.records);
+        match page.next {
+            Some(next) if next > from => from = next,
+            Some(next) => anyhow::bail!("the daemon says to go on at record {next}, behind {from}"),
+            None => return Ok(records),
+        }
+    }
+}
+
 impl Ground {
     /// Asks for it.
     pub async fn ask(line: &Connection, scene: &str, key: &PublicKey) -> anyhow::Result<Self> {
         let owner_key = key.to_bytes().to_vec().into();
         let request = v1::NonceRequest { format_version: VERSION, scene: scene.to_owned(), owner_key };
-        let nonce = line.owners().nonce(request).await.map_err(refused)?.into_inner();
+        let nonce = line.about(scene).owners().nonce(request).await.map_err(refused)?.into_inner();
         let checkpoint = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint)?.text)?;
         Ok(Self {
             origin: nonce.origin,
@@ -133,7 +148,7 @@ pub async fn enter(
         envelope.sign(other);
     }
     let request = v1::SubmitRecordRequest { format_version: VERSION, envelope: envelope.to_json().into_bytes().into() };
-    let answer = line.owners().submit(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&record.scene).owners().submit(request).await.map_err(refused)?.into_inner();
     let entered = answer.record.context("the daemon's answer names no record")?;
     // What came back must be what was signed, or the bundle would speak for somebody else.
     let returned = Envelope::parse(&entered.envelope)?;

@@ -97,7 +97,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Poses(args) => super::poses::run(line, args).await,
         Command::Delete { name } => {
             let request = v1::DeleteSceneRequest { format_version: VERSION, scene: name.clone() };
-            line.scenes().delete(request).await.map_err(refused)?;
+            line.about(&name).scenes().delete(request).await.map_err(refused)?;
             println!("deleted {name}");
             Ok(())
         }
@@ -167,7 +167,8 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     let points: Vec<_> = capture.points.chunks(POINTS_A_CHUNK).map(point_chunk).collect();
     let trouble = Arc::new(Mutex::new(None));
     let chunks = chunks(photographs, trouble.clone());
-    let answer = line.scenes().import(tokio_stream::iter(std::iter::once(first).chain(points).chain(chunks))).await;
+    let messages = tokio_stream::iter(std::iter::once(first).chain(points).chain(chunks));
+    let answer = line.about(&args.name).scenes().import(messages).await;
     // A file that could not be read ended the stream early; that is the error to tell.
     if let Some(error) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);

@@ -65,7 +65,7 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
         }
     };
     let request = v1::MaterialRequest { format_version: VERSION, scene: args.name.clone(), identity: args.identity };
-    let material = line.owners().material(request).await.map_err(refused)?.into_inner();
+    let material = line.about(&args.name).owners().material(request).await.map_err(refused)?.into_inner();
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let salt = random_salt()?;
     let record = OwnerRecord { replaces: replaced, ..record(args, &key, &material, ground, &salt)? };

@@ -57,9 +57,9 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     let job = match &args.resume {
         Some(id) => {
             let request = v1::ResumeTrainingRequest { format_version: VERSION, job_id: id.clone() };
-            line.training().resume(request).await.map_err(refused)?.into_inner().job
+            line.about(&args.name).training().resume(request).await.map_err(refused)?.into_inner().job
         }
-        None => line.training().start(request(&args)?).await.map_err(refused)?.into_inner().job,
+        None => line.about(&args.name).training().start(request(&args)?).await.map_err(refused)?.into_inner().job,
     };
     let job = job.context("the daemon's answer names no job")?;
     println!("{} accepted for {}", job.id, job.scene);
@@ -78,7 +78,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
 
 /// Starts a training and watches it to its good end.
 pub async fn run_to_end(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
-    let answer = line.training().start(request(args)?).await.map_err(refused)?.into_inner();
+    let answer = line.about(&args.name).training().start(request(args)?).await.map_err(refused)?.into_inner();
     let job = watch(line, &answer.job.context("the services' answer names no job")?.id, true).await?;
     anyhow::ensure!(job.state() == JobState::Done, "{} {} {}", job.id, state_name(job.state()), job.error);
     Ok(job)
@@ -147,7 +147,8 @@ pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1:
                 interrupt?;
                 shown.say("cancelling after this step");
                 let request = v1::CancelTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
-                line.training().cancel(request).await.map_err(refused)?;
+                let scene = last.as_ref().map_or("", |job| job.scene.as_str());
+                line.about(scene).training().cancel(request).await.map_err(refused)?;
             }
         }
     }

@@ -5,6 +5,7 @@
 //! is laid over it, so a key that it does not have is unknown, and is refused
 //! with its name, its value and what is allowed there.
 
+mod access;
 mod overlay;
 mod raw;
 mod registry;
@@ -18,6 +19,7 @@ use std::path::{Path, PathBuf};
 use cairn_capture::SceneKind;
 use thiserror::Error;
 
+pub use access::{Access, Mode, TlsFiles};
 pub use overlay::{TrainingSettings, training_settings};
 use raw::Raw;
 pub use raw::{Limits, LogFormat};
@@ -49,8 +51,12 @@ pub struct Config {
     pub bind: SocketAddr,
     /// Seconds for requests under way at the end.
     pub shutdown_grace_s: u64,
-    /// What callers that change something must bring; `None` asks for nothing.
+    /// TLS; `None` serves without.
+    pub tls: Option<TlsFiles>,
+    /// What callers that change something must bring; `None` asks for no bearer token.
     pub token: Option<Token>,
+    /// Who may do what.
+    pub access: Access,
     /// What is accepted at most.
     pub limits: Limits,
     /// Seconds between a training's checkpoints.
@@ -202,19 +208,17 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
     if let Err(e) = tracing_subscriber::EnvFilter::try_new(&raw.log.filter) {
         return Err(out_of_range("log.filter", &raw.log.filter, format!("a tracing filter ({e})")));
     }
-    let token = match raw.access.token_file.as_str() {
-        "" => None,
-        path => Some(Token::load(Path::new(path))?),
-    };
-    if token.is_none() && !bind.ip().is_loopback() {
-        return Err(out_of_range("server.bind", bind, "a loopback address while access.token_file is empty"));
-    }
+    let (access, token) = access::checked(&raw.access)?;
+    let tls = access::tls(&raw.server.tls)?;
+    access::check_bind(bind, access.mode, tls.is_some() || raw.server.plaintext)?;
     let training = TrainingSettings { field: raw.field, mark: raw.mark };
     training.check()?;
     Ok(Config {
         bind,
         shutdown_grace_s: raw.server.shutdown_grace_s,
+        tls,
         token,
+        access,
         limits: raw.limits,
         checkpoint_every_s: raw.training.checkpoint_every_s,
         public_http: registry::public_http(&raw.registry)?,

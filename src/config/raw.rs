@@ -1,6 +1,7 @@
 //! What a settings file says, before anybody believed it. Defaults stand here a
 //! second time, in code; a test holds them and the default file to each other.
 
+use cairn_access::Policy;
 use cairn_field::FieldConfig;
 use cairn_stega::MarkConfig;
 use serde::{Deserialize, Serialize};
@@ -24,13 +25,53 @@ pub struct Raw {
 #[serde(deny_unknown_fields)]
 pub struct Server {
     pub bind: String,
+    pub plaintext: bool,
     pub shutdown_grace_s: u64,
+    pub tls: Tls,
+}
+
+/// Files of TLS, empty where there are none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tls {
+    pub certificate: String,
+    pub key: String,
+    pub client_ca: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Access {
+    pub mode: AccessMode,
+    pub read: Reading,
     pub token_file: String,
+    pub registration: Policy,
+    pub token_lifetime_s: u64,
+    pub quota: cairn_access::Limits,
+}
+
+/// How callers are let in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AccessMode {
+    /// `token` where there is a token file, else `open`.
+    Auto,
+    /// Everybody.
+    Open,
+    /// Who brings the daemon's one token.
+    Token,
+    /// Who has an account.
+    Accounts,
+}
+
+/// Whether reading needs a token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reading {
+    /// It needs none.
+    Open,
+    /// It needs one, anybody's.
+    Closed,
 }
 
 /// What is accepted at most.
@@ -96,8 +137,25 @@ impl Default for Raw {
     fn default() -> Self {
         Self {
             format_version: 1,
-            server: Server { bind: "127.0.0.1:7341".into(), shutdown_grace_s: 10 },
-            access: Access { token_file: String::new() },
+            server: Server {
+                bind: "127.0.0.1:7341".into(),
+                plaintext: false,
+                shutdown_grace_s: 10,
+                tls: Tls::default(),
+            },
+            access: Access {
+                mode: AccessMode::Auto,
+                read: Reading::Open,
+                token_file: String::new(),
+                registration: Policy::Approval,
+                token_lifetime_s: cairn_access::token::MAX_LIFETIME_S,
+                quota: cairn_access::Limits {
+                    bytes: 16 << 30,
+                    views: 10_000,
+                    training_seconds: 28_800,
+                    queued_jobs: 4,
+                },
+            },
             limits: Limits::default(),
             training: Training { checkpoint_every_s: 30 },
             registry: Registry::default(),

@@ -76,6 +76,18 @@ fn refusals_name_key_value_and_what_is_allowed() {
         ("[field]\nstepz = 1", ["`field.stepz` = 1", "steps"]),
         ("format_version = 2", ["`format_version` = 2", "1 to 1"]),
         ("[server]\nbind = \"0.0.0.0:1\"", ["`server.bind` = 0.0.0.0:1", "loopback"]),
+        (
+            "[access]\nmode = \"accounts\"\n[server]\nbind = \"0.0.0.0:1\"",
+            ["`server.bind` = 0.0.0.0:1", "server.plaintext"],
+        ),
+        ("[access]\nmode = \"token\"", ["`access.token_file`", "a token's file"]),
+        ("[access]\nmode = \"all\"", ["all", "accounts"]),
+        ("[access]\nread = \"closed\"", ["`access.read` = closed", "nobody has a token"]),
+        ("[access]\nmode = \"accounts\"\ntoken_file = \"t\"", ["`access.token_file` = t", "no other mode"]),
+        ("[access]\ntoken_lifetime_s = 301", ["`access.token_lifetime_s` = 301", "10 to 300"]),
+        ("[access.quota]\nviews = -1", ["views", "-1"]),
+        ("[server.tls]\ncertificate = \"c\"", ["`server.tls.key`", "PEM"]),
+        ("[server.tls]\nclient_ca = \"c\"", ["`server.tls.certificate`", "PEM"]),
         ("[server]\nbind = \"home\"", ["`server.bind` = home", "an IP address"]),
         ("[registry]\norigin = \"a b\"", ["`registry.origin` = a b", "without spaces"]),
         ("[registry]\nhttp_bind = \"home\"", ["`registry.http_bind` = home", "an IP address"]),
@@ -125,7 +137,10 @@ fn a_token_is_read_from_its_file_and_never_printed() {
     std::fs::write(&path, "short\n").unwrap();
     assert!(Token::load(&path).unwrap_err().to_string().contains("5 bytes"));
     std::fs::write(&path, "0123456789abcdef\n").unwrap();
-    let text = format!("[server]\nbind = \"0.0.0.0:7341\"\n[access]\ntoken_file = {:?}", path.display().to_string());
+    let text = format!(
+        "[server]\nbind = \"0.0.0.0:7341\"\nplaintext = true\n[access]\ntoken_file = {:?}",
+        path.display().to_string()
+    );
     let config = Config::from_toml(&text, "test").unwrap();
     assert_eq!(config.token.as_ref().unwrap().secret(), "0123456789abcdef");
     assert!(!format!("{config:?}").contains("0123456789abcdef"));

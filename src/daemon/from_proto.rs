@@ -1,9 +1,11 @@
 //! From messages to the engine's own types: the only place where a message's
 //! fields are believed, and only after they were checked.
 
+use cairn_access::Role;
 use cairn_capture::{Camera, Distortion, Intrinsics, Pose, SceneKind};
 use cairn_cluster::{ClusterConfig, Grouping};
 use cairn_proto::v1;
+use cairn_registry::{PublicKey, RegistryError};
 use glam::{DMat3, DVec3};
 
 use crate::engine::TrainingRequest;
@@ -46,6 +48,23 @@ fn text(what: &str, value: String) -> Result<String, EngineError> {
 /// 32 bytes.
 pub fn bytes32(what: &str, bytes: &[u8]) -> Result<[u8; 32], EngineError> {
     bytes.try_into().map_err(|_| EngineError::invalid(what, format!("{} bytes", bytes.len()), "32 bytes"))
+}
+
+/// An Ed25519 public key, none of small order.
+pub fn public_key(what: &str, bytes: &[u8]) -> Result<PublicKey, EngineError> {
+    Ok(PublicKey::from_bytes(&bytes32(what, bytes)?).map_err(RegistryError::from)?)
+}
+
+/// A role; `None` where none is named.
+pub fn role(number: i32) -> Result<Option<Role>, EngineError> {
+    match v1::Role::try_from(number) {
+        Ok(v1::Role::Unspecified) => Ok(None),
+        Ok(v1::Role::Contributor) => Ok(Some(Role::Contributor)),
+        Ok(v1::Role::Curator) => Ok(Some(Role::Curator)),
+        Ok(v1::Role::Auditor) => Ok(Some(Role::Auditor)),
+        Ok(v1::Role::Operator) => Ok(Some(Role::Operator)),
+        Err(_) => Err(EngineError::invalid("role", number, "a Role that this release knows")),
+    }
 }
 
 fn intrinsics(what: &str, i: &v1::Intrinsics) -> Result<Intrinsics, EngineError> {
@@ -180,6 +199,7 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
         signals: request.signals.into_iter().map(|s| s.picture.to_vec()).collect(),
         quick: request.quick,
         base_only: request.base_only,
+        owner: None,
     })
 }
 

@@ -1,11 +1,17 @@
 //! The daemon: gRPC services over one engine. Only this folder and `cairn-proto`
 //! know the wire.
 //!
+//! Before every handler stands the gate, which knows each method's row in
+//! cairn-access's table and lets nobody in whom it does not allow; a handler's own
+//! `authorise` then holds the caller to what the call is about.
+//!
 //! Every handler has one rhythm: validate (version and fields), authorise,
 //! convert, do, answer. What it does blocks, so it is done on a thread made for
 //! that; renders and the like queue for a limited number of places.
 
+mod access;
 pub mod from_proto;
+mod gate;
 pub mod http;
 mod owners;
 mod queries;
@@ -13,17 +19,17 @@ mod renders;
 mod scenes;
 pub mod serve;
 mod status;
+pub mod tls;
 pub mod to_proto;
 mod training;
 
 use std::sync::{Arc, OnceLock};
 
-use sha2::{Digest, Sha256};
+use cairn_access::{AccessError, Daemon, Nonces, Verifier};
 use tokio::sync::Semaphore;
 use tonic::Status;
-use tonic::metadata::MetadataMap;
 
-use crate::config::{Config, Token};
+use crate::config::{Access, Config, Mode, Token};
 use crate::engine::Engine;
 use crate::engine::error::EngineError;
 use status::status;
@@ -32,44 +38,59 @@ use status::status;
 #[derive(Clone)]
 pub struct Shared {
     /// Empty until everything is loaded.
-    engine: Arc<OnceLock<Arc<Engine>>>,
+    loaded: Arc<OnceLock<Loaded>>,
     token: Option<Arc<Token>>,
+    access: Arc<Access>,
+    /// Whether nobody but this very process can call.
+    in_process: bool,
     renders: Arc<Semaphore>,
+}
+
+/// What is there once the data folder was read.
+struct Loaded {
+    engine: Arc<Engine>,
+    verifier: Verifier,
+    nonces: Nonces,
 }
 
 impl Shared {
     /// Services without an engine yet; they answer UNAVAILABLE until [`Shared::loaded`].
     pub fn new(config: &Config) -> Self {
         Self {
-            engine: Arc::default(),
+            loaded: Arc::default(),
             token: config.token.clone().map(Arc::new),
+            access: Arc::new(config.access.clone()),
+            in_process: false,
             renders: Arc::new(Semaphore::new(config.limits.concurrent_renders)),
         }
     }
 
+    /// As [`Shared::new`], for this process alone: whoever has the data folder in hand is its operator.
+    pub fn in_process(config: &Config) -> Self {
+        let access = Access { mode: Mode::Open, read_closed: false, ..config.access.clone() };
+        Self { token: None, access: Arc::new(access), in_process: true, ..Self::new(config) }
+    }
+
     /// Puts the services to work.
-    pub fn loaded(&self, engine: Arc<Engine>) {
+    ///
+    /// # Errors
+    /// Where the system has no random bytes to tell this run from others.
+    pub fn loaded(&self, engine: Arc<Engine>) -> Result<(), AccessError> {
+        let registry = engine.registry();
+        let daemon = Daemon::starting(registry.origin(), &registry.public_key())?;
+        let verifier = Verifier::new(daemon, self.access.token_lifetime_s);
+        let nonces = Nonces::new(registry.origin())?;
         // A second engine has no place; there is one caller, and it has one.
-        let _ = self.engine.set(engine);
+        let _ = self.loaded.set(Loaded { engine, verifier, nonces });
+        Ok(())
+    }
+
+    fn at_work(&self) -> Result<&Loaded, Status> {
+        self.loaded.get().ok_or_else(|| Status::unavailable("the daemon is still loading; try again soon"))
     }
 
     fn engine(&self) -> Result<Arc<Engine>, Status> {
-        self.engine.get().cloned().ok_or_else(|| Status::unavailable("the daemon is still loading; try again soon"))
-    }
-
-    /// Whether the caller may change or spend something.
-    fn authorise(&self, metadata: &MetadataMap) -> Result<(), Status> {
-        let Some(token) = &self.token else { return Ok(()) };
-        let remedy = "send `authorization: Bearer <token>` (--token-file) with the daemon's token";
-        let Some(given) = metadata.get("authorization").and_then(|v| v.to_str().ok()) else {
-            return Err(Status::unauthenticated(format!("this call needs a token; {remedy}")));
-        };
-        let given = given.strip_prefix("Bearer ").unwrap_or_default();
-        // Compared by digest: how long that takes says nothing of the secret.
-        if Sha256::digest(given) != Sha256::digest(token.secret()) {
-            return Err(Status::unauthenticated(format!("the token is not the daemon's; {remedy}")));
-        }
-        Ok(())
+        Ok(self.at_work()?.engine.clone())
     }
 
     /// Does something that blocks, off the async runtime.

@@ -1,11 +1,15 @@
 //! `OwnerService`.
 
 use cairn_proto::v1::{self, owner_service_server::OwnerService};
-use cairn_registry::{OwnerRecord, RegistryError};
+use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordError, RegistryError};
 use tonic::{Request, Response, Status};
 
+use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
+
+/// Most records in one answer.
+const MAX_LISTED: u32 = 1000;
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -13,9 +17,9 @@ type Answer<T> = Result<Response<T>, Status>;
 impl OwnerService for Shared {
     async fn nonce(&self, request: Request<v1::NonceRequest>) -> Answer<v1::NonceResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
-        let v1::NonceRequest { scene, owner_key, .. } = request.into_inner();
-        let owner = from_proto::bytes32("owner_key", &owner_key).map_err(status)?;
+        let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key).map_err(status)?;
+        self.authorise(request.extensions(), About::Place(&request.get_ref().scene))?;
+        let (scene, owner) = (request.into_inner().scene, owner.to_bytes());
         let answer = self
             .run(move |engine| {
                 Ok(v1::NonceResponse {
@@ -32,7 +36,7 @@ impl OwnerService for Shared {
 
     async fn material(&self, request: Request<v1::MaterialRequest>) -> Answer<v1::MaterialResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::MaterialRequest { scene, identity, .. } = request.into_inner();
         let found = self.run(move |engine| engine.material(&scene, identity)).await?;
         let model = to_proto::model(&found.info);
@@ -50,7 +54,11 @@ impl OwnerService for Shared {
 
     async fn submit(&self, request: Request<v1::SubmitRecordRequest>) -> Answer<v1::SubmitRecordResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        // Read before it is verified, to know what it is about; what it says is believed by the registry alone.
+        let refuse = |e: RecordError| status(RegistryError::from(e).into());
+        let claimed = Envelope::parse(&request.get_ref().envelope).map_err(|e| refuse(e.into()))?;
+        let scene = OwnerRecord::parse(&claimed.payload).map_err(refuse)?.scene;
+        self.authorise(request.extensions(), About::Signed(&scene, &claimed))?;
         let envelope = request.into_inner().envelope;
         let answer = self
             .run(move |engine| {
@@ -67,15 +75,18 @@ impl OwnerService for Shared {
     }
 
     async fn list(&self, request: Request<v1::ListRecordsRequest>) -> Answer<v1::ListRecordsResponse> {
-        let v1::ListRecordsRequest { format_version, scene } = request.into_inner();
+        let v1::ListRecordsRequest { format_version, scene, from, limit } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
-        let records = self
+        let limit = if limit == 0 { MAX_LISTED } else { limit.min(MAX_LISTED) } as usize;
+        let (records, next) = self
             .run(move |engine| {
-                let scene = (!scene.is_empty()).then_some(scene.as_str());
-                Ok(engine.registry().records(scene)?.iter().map(to_proto::stored_record).collect())
+                let of = (!scene.is_empty()).then_some(scene.as_str());
+                let page = engine.registry().page(of, from, limit)?;
+                let next = page.last().filter(|_| page.len() == limit).map(|last| last.index() + 1);
+                Ok((page.iter().filter_map(|entry| to_proto::entry(entry, &scene)).collect(), next))
             })
             .await?;
-        Ok(Response::new(v1::ListRecordsResponse { format_version: to_proto::VERSION, records }))
+        Ok(Response::new(v1::ListRecordsResponse { format_version: to_proto::VERSION, records, next }))
     }
 
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
@@ -83,12 +94,14 @@ impl OwnerService for Shared {
         from_proto::version(format_version).map_err(status)?;
         let answer = self
             .run(move |engine| {
-                let stored = engine.registry().record(index)?;
-                Ok(v1::GetRecordResponse {
-                    format_version: to_proto::VERSION,
-                    record: Some(to_proto::stored_record(&stored)),
-                    standing: Some(to_proto::standing(engine.standing(&stored)?)),
-                })
+                let entry = engine.registry().entry(index)?;
+                let standing = match &entry {
+                    LogEntry::Record(stored) => Some(to_proto::standing(engine.standing(stored)?)),
+                    LogEntry::Erased { .. } => None,
+                    LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
+                };
+                let record = to_proto::entry(&entry, "");
+                Ok(v1::GetRecordResponse { format_version: to_proto::VERSION, record, standing })
             })
             .await?;
         Ok(Response::new(answer))
@@ -110,7 +123,8 @@ impl OwnerService for Shared {
 
     async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        let (scene, asked) = self.engine()?.erasure_asked(&request.get_ref().request).map_err(status)?;
+        self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
         let request = request.into_inner().request;
         let index = self.run(move |engine| engine.erase_record(&request)).await?;
         Ok(Response::new(v1::EraseRecordResponse { format_version: to_proto::VERSION, index }))

@@ -4,6 +4,7 @@ use cairn_capture::encode_png;
 use cairn_proto::v1::{self, detection_service_server::DetectionService, query_service_server::QueryService};
 use tonic::{Request, Response, Status};
 
+use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 
@@ -28,7 +29,7 @@ impl QueryService for Shared {
 
     async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::EvaluateRequest { scene, contact_sheet, .. } = request.into_inner();
         let answer = self
             .compute(move |engine| {

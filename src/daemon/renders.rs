@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 
+use cairn_access::Need;
 use cairn_capture::encode_png;
 use cairn_proto::v1::{self, render_service_server::RenderService};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
+use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
@@ -23,7 +25,7 @@ impl RenderService for Shared {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
         let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
         if field == FieldKind::Base {
-            self.authorise(request.metadata())?;
+            self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&request.get_ref().scene))?;
         }
         let v1::RenderRequest { scene, viewpoint, appearance, accumulation, depth, depth_colours, .. } =
             request.into_inner();
@@ -62,7 +64,7 @@ impl RenderService for Shared {
     async fn render_path(&self, request: Request<v1::RenderPathRequest>) -> Answer<Self::RenderPathStream> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
         if from_proto::field_kind(request.get_ref().field).map_err(status)? == FieldKind::Base {
-            self.authorise(request.metadata())?;
+            self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&request.get_ref().scene))?;
         }
         let (plan, first) = from_proto::path(request.into_inner()).map_err(status)?;
         let tour = Arc::new(self.run(move |engine| engine.tour(&plan)).await?);

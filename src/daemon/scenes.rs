@@ -4,6 +4,7 @@ use cairn_capture::encode_png;
 use cairn_proto::v1::{self, import_scene_request::Part, scene_service_server::SceneService};
 use tonic::{Request, Response, Status, Streaming};
 
+use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
@@ -15,16 +16,16 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl SceneService for Shared {
     async fn import(&self, request: Request<Streaming<v1::ImportSceneRequest>>) -> Answer<v1::ImportSceneResponse> {
-        self.authorise(request.metadata())?;
-        let mut stream = request.into_inner();
+        let (_, extensions, mut stream) = request.into_parts();
         let first = stream.message().await?.unwrap_or_default();
         from_proto::version(first.format_version).map_err(status)?;
         let Some(Part::Header(header)) = first.part else {
             return Err(status(EngineError::invalid("the stream's first message", "no header", "the header")));
         };
         let name = header.scene.clone();
+        let owner = self.authorise(&extensions, About::Scene(&name))?;
         let plan = from_proto::import_plan(header).map_err(status)?;
-        let mut import = self.run(move |engine| engine.begin_import(plan)).await?;
+        let mut import = self.run(move |engine| engine.begin_import(plan, owner)).await?;
         // A stream that breaks off drops the import, and with it what it had written.
         while let Some(message) = stream.message().await? {
             from_proto::version(message.format_version).map_err(status)?;
@@ -101,7 +102,7 @@ impl SceneService for Shared {
 
     async fn delete(&self, request: Request<v1::DeleteSceneRequest>) -> Answer<v1::DeleteSceneResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let scene = request.into_inner().scene;
         self.run(move |engine| engine.delete_scene(&scene)).await?;
         Ok(Response::new(v1::DeleteSceneResponse { format_version: to_proto::VERSION }))

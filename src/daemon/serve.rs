@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use cairn_proto::v1;
+use cairn_proto::v1::access_service_server::AccessServiceServer;
 use cairn_proto::v1::detection_service_server::DetectionServiceServer;
 use cairn_proto::v1::owner_service_server::OwnerServiceServer;
 use cairn_proto::v1::query_service_server::QueryServiceServer;
@@ -28,11 +29,12 @@ use tonic::transport::Server;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
-use super::{Shared, http};
+use super::gate::GateLayer;
+use super::{Shared, http, tls};
 use crate::config::{Config, Limits};
 use crate::engine::Engine;
 
-/// The six services with the configured message limits.
+/// The seven services with the configured message limits.
 fn routes(shared: &Shared, limits: &Limits) -> Routes {
     let most = limits.max_message_bytes;
     let mut routes = Routes::default();
@@ -49,7 +51,8 @@ fn routes(shared: &Shared, limits: &Limits) -> Routes {
         RenderServiceServer,
         QueryServiceServer,
         DetectionServiceServer,
-        OwnerServiceServer
+        OwnerServiceServer,
+        AccessServiceServer
     );
     routes
 }
@@ -64,6 +67,7 @@ async fn tell(health: &HealthReporter, status: ServingStatus) {
         QueryServiceServer::<Shared>::NAME,
         DetectionServiceServer::<Shared>::NAME,
         OwnerServiceServer::<Shared>::NAME,
+        AccessServiceServer::<Shared>::NAME,
     ];
     for service in services {
         health.set_service_status(service, status).await;
@@ -101,7 +105,7 @@ impl PublicFiles {
     }
 }
 
-/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` on standard output once it serves, and
+/// Runs the daemon until a signal. Prints `cairn listens at http://ADDRESS` (or https) on standard output once it serves, and
 /// a second line with the address of the log's public files where these are served.
 ///
 /// # Errors
@@ -119,8 +123,9 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
     let (stop, stopped) = oneshot::channel::<()>();
-    let server = Server::builder()
+    let server = tls::secured(Server::builder(), config.tls.as_ref())?
         .concurrency_limit_per_connection(config.limits.concurrent_requests)
+        .layer(GateLayer(shared.clone()))
         .add_routes(routes(&shared, &config.limits))
         .add_service(health)
         .add_service(reflection)
@@ -132,9 +137,10 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
 
     let engine = load(&config, data).await?;
     let public = PublicFiles::start(&config, data).await?;
-    shared.loaded(engine.clone());
+    shared.loaded(engine.clone())?;
     tell(&reporter, ServingStatus::Serving).await;
-    announce(address, public.as_ref().map(|public| public.url.as_str()));
+    let scheme = if config.tls.is_some() { "https" } else { "http" };
+    announce(scheme, address, public.as_ref().map(|public| public.url.as_str()));
     tokio::select! {
         ended = &mut server => return Ok(ended??),
         signal = signal() => tracing::info!(signal = signal?, "shutting down"),
@@ -162,12 +168,12 @@ async fn load(config: &Config, data: &Path) -> anyhow::Result<Arc<Engine>> {
     Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config)).await??))
 }
 
-fn announce(address: SocketAddr, public: Option<&str>) {
+fn announce(scheme: &str, address: SocketAddr, public: Option<&str>) {
     use std::io::Write;
     // For people and for programs that started us on port 0. A closed output is no reason to stop.
     let mut out = std::io::stdout().lock();
     let public_line = public.map_or(String::new(), |url| format!("public log at {url}\n"));
-    let _ = write!(out, "cairn listens at http://{address}\n{public_line}").and_then(|()| out.flush());
+    let _ = write!(out, "cairn listens at {scheme}://{address}\n{public_line}").and_then(|()| out.flush());
     tracing::info!(%address, public, "serving");
 }
 
@@ -201,10 +207,11 @@ impl InProcess {
     pub async fn start(config: &Config, data: &Path) -> anyhow::Result<Self> {
         let engine = load(config, data).await?;
         // Nobody else can call: a token would only lock the owner out.
-        let shared = Shared::new(&Config { token: None, ..config.clone() });
-        shared.loaded(engine.clone());
+        let shared = Shared::in_process(config);
+        shared.loaded(engine.clone())?;
         let (connections, incoming) = tokio::sync::mpsc::unbounded_channel();
         let server = Server::builder()
+            .layer(GateLayer(shared.clone()))
             .add_routes(routes(&shared, &config.limits))
             .serve_with_incoming(UnboundedReceiverStream::new(incoming));
         tokio::spawn(server);

@@ -1,6 +1,10 @@
 //! One place where errors become gRPC codes. The matches are exhaustive without
 //! `_`, so that a new error cannot slip through with a code that nobody chose.
 
+use cairn_access::accounts::AccountError;
+use cairn_access::error::FileError;
+use cairn_access::registration::RegistrationError;
+use cairn_access::{AccessError, TokenError};
 use cairn_capture::CaptureError;
 use cairn_cluster::ClusterError;
 use cairn_field::FieldError;
@@ -31,6 +35,7 @@ fn code(error: &EngineError) -> Code {
         EngineError::NotTrained { .. }
         | EngineError::WrongState { .. }
         | EngineError::KeyMissing { .. }
+        | EngineError::Witness(_)
         | EngineError::SealingKeyMissing { .. }
         | EngineError::ErasesOther { .. }
         | EngineError::Path(_) => Code::FailedPrecondition,
@@ -43,6 +48,49 @@ fn code(error: &EngineError) -> Code {
         EngineError::Field(error) => field(error),
         EngineError::Mark(error) => mark(error),
         EngineError::Registry(error) => registry(error),
+        EngineError::Access(error) => access(error),
+    }
+}
+
+/// Unauthenticated: nobody known says so. Permission denied: somebody known, who may not.
+fn access(error: &AccessError) -> Code {
+    match error {
+        AccessError::Token(error) => match error {
+            TokenError::Missing { .. }
+            | TokenError::Malformed { .. }
+            | TokenError::Version { .. }
+            | TokenError::BadSignature { .. }
+            | TokenError::WrongMethod { .. }
+            | TokenError::WrongScene { .. }
+            | TokenError::WrongDaemon { .. }
+            | TokenError::NotYet { .. }
+            | TokenError::Expired { .. }
+            | TokenError::Lifetime { .. }
+            | TokenError::Replayed => Code::Unauthenticated,
+            TokenError::TooLong { .. } => Code::InvalidArgument,
+            TokenError::Random(_) => Code::Internal,
+            TokenError::MemoryFull { .. } => Code::ResourceExhausted,
+        },
+        AccessError::Account(error) => match error {
+            AccountError::Unknown { .. } => Code::Unauthenticated,
+            AccountError::NoSuch { .. } => Code::NotFound,
+            AccountError::Waiting { .. } | AccountError::Disabled { .. } | AccountError::Closed => {
+                Code::PermissionDenied
+            }
+            AccountError::TooMany { .. } => Code::ResourceExhausted,
+            AccountError::Name { .. } => Code::InvalidArgument,
+            AccountError::Exists { .. } => Code::AlreadyExists,
+            AccountError::NotWaiting { .. } | AccountError::LastOperator { .. } => Code::FailedPrecondition,
+        },
+        AccessError::Registration(error) => match error {
+            RegistrationError::Random(_) => Code::Internal,
+            RegistrationError::ForeignNonce | RegistrationError::ExpiredNonce { .. } => Code::FailedPrecondition,
+            RegistrationError::BadSignature { .. } => Code::Unauthenticated,
+        },
+        AccessError::Denied(_) => Code::PermissionDenied,
+        AccessError::Quota(_) => Code::ResourceExhausted,
+        AccessError::File(FileError::Io { .. }) => Code::Internal,
+        AccessError::File(FileError::Stored { .. }) => Code::DataLoss,
     }
 }
 
@@ -106,11 +154,14 @@ fn registry(error: &RegistryError) -> Code {
         | RegistryError::OwnerRetired { .. }
         | RegistryError::ReplacesUnknown { .. } => Code::FailedPrecondition,
         RegistryError::ReplacesForeign { .. } => Code::PermissionDenied,
-        RegistryError::NoSuchRecord { .. } => Code::NotFound,
+        RegistryError::NoSuchRecord { .. } | RegistryError::NotARecord { .. } | RegistryError::Erased { .. } => {
+            Code::NotFound
+        }
         RegistryError::Proof(_) => Code::InvalidArgument,
+        RegistryError::Answer(_) => Code::ResourceExhausted,
         RegistryError::Locked { .. } | RegistryError::Halted { .. } => Code::Unavailable,
         RegistryError::WrongStore { .. } | RegistryError::Origin(_) => Code::FailedPrecondition,
-        RegistryError::Inconsistent { .. } => Code::DataLoss,
+        RegistryError::Inconsistent { .. } | RegistryError::Map(_) => Code::DataLoss,
         RegistryError::Store(_) => Code::Internal,
     }
 }

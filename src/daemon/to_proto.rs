@@ -2,7 +2,7 @@
 
 use cairn_capture::{Camera, SceneFolder, SceneKind};
 use cairn_proto::v1;
-use cairn_registry::{Envelope, OwnerRecord, StoredRecord};
+use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
 
 use crate::engine::corrections::Standing;
 use crate::engine::job::{Job, JobState};
@@ -155,7 +155,6 @@ pub fn who(who: Who) -> v1::WhoResponse {
 
 /// A record of the log.
 pub fn record(index: u64, leaf_hash: &cairn_registry::Digest, envelope: &Envelope, record: &OwnerRecord) -> v1::Record {
-    let kind = serde_json::to_value(record.kind).ok().and_then(|v| v.as_str().map(str::to_owned));
     v1::Record {
         index,
         envelope: envelope.to_json().into_bytes().into(),
@@ -163,11 +162,67 @@ pub fn record(index: u64, leaf_hash: &cairn_registry::Digest, envelope: &Envelop
         scene: record.scene.clone(),
         identity: record.identity.number,
         owner_key_sha256: record.owner_key.id().as_bytes().to_vec().into(),
-        kind: kind.unwrap_or_default(),
+        kind: kind(record.kind),
     }
+}
+
+/// A log entry as a record, `scene` being what it was asked for under; none for a map leaf.
+pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
+    match entry {
+        LogEntry::Record(stored) => Some(stored_record(stored)),
+        LogEntry::Erased { index, leaf, .. } => Some(v1::Record {
+            index: *index,
+            envelope: Default::default(),
+            leaf_hash: leaf.hash().as_bytes().to_vec().into(),
+            scene: scene.to_owned(),
+            identity: 0,
+            owner_key_sha256: leaf.owner.as_bytes().to_vec().into(),
+            kind: kind(leaf.kind),
+        }),
+        LogEntry::Map { .. } => None,
+    }
+}
+
+fn kind(kind: RecordKind) -> String {
+    let name = serde_json::to_value(kind).ok().and_then(|v| v.as_str().map(str::to_owned));
+    name.unwrap_or_default()
 }
 
 /// A record as the log keeps it.
 pub fn stored_record(stored: &StoredRecord) -> v1::Record {
     record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)
+}
+
+/// A role.
+pub fn role(role: cairn_access::Role) -> v1::Role {
+    match role {
+        cairn_access::Role::Contributor => v1::Role::Contributor,
+        cairn_access::Role::Curator => v1::Role::Curator,
+        cairn_access::Role::Auditor => v1::Role::Auditor,
+        cairn_access::Role::Operator => v1::Role::Operator,
+    }
+}
+
+/// Quotas.
+pub fn quota(limits: &cairn_access::Limits) -> v1::QuotaLimits {
+    let cairn_access::Limits { bytes, views, training_seconds, queued_jobs } = *limits;
+    v1::QuotaLimits { bytes, views, training_seconds, queued_jobs }
+}
+
+/// An account.
+pub fn account(account: &cairn_access::Account) -> v1::Account {
+    let standing = match account.standing {
+        cairn_access::Standing::Waiting => v1::AccountStanding::Waiting,
+        cairn_access::Standing::Active => v1::AccountStanding::Active,
+        cairn_access::Standing::Disabled => v1::AccountStanding::Disabled,
+    };
+    v1::Account {
+        public_key: account.key.to_bytes().to_vec().into(),
+        name: account.name.clone(),
+        role: role(account.role).into(),
+        asked: role(account.asked).into(),
+        standing: standing.into(),
+        since_unix_s: account.since,
+        quota: account.quota.as_ref().map(quota),
+    }
 }

@@ -5,6 +5,7 @@ use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
+use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 
@@ -14,8 +15,9 @@ type Answer<T> = Result<Response<T>, Status>;
 impl TrainingService for Shared {
     async fn start(&self, request: Request<v1::StartTrainingRequest>) -> Answer<v1::StartTrainingResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
-        let wanted = from_proto::training(request.into_inner()).map_err(status)?;
+        let owner = self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
+        let mut wanted = from_proto::training(request.into_inner()).map_err(status)?;
+        wanted.owner = owner;
         let job = self.run(move |engine| engine.train(wanted)).await?;
         tracing::info!(job = job.id, scene = job.spec.scene, "training accepted");
         Ok(Response::new(v1::StartTrainingResponse {
@@ -48,7 +50,7 @@ impl TrainingService for Shared {
 
     async fn cancel(&self, request: Request<v1::CancelTrainingRequest>) -> Answer<v1::CancelTrainingResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        self.authorise(request.extensions(), About::Job(&request.get_ref().job_id))?;
         let id = request.into_inner().job_id;
         let mut watch = self.engine()?.jobs().watch(&id).map_err(status)?;
         self.run(move |engine| engine.jobs().cancel(&id)).await?;
@@ -60,7 +62,7 @@ impl TrainingService for Shared {
 
     async fn resume(&self, request: Request<v1::ResumeTrainingRequest>) -> Answer<v1::ResumeTrainingResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        self.authorise(request.metadata())?;
+        self.authorise(request.extensions(), About::Job(&request.get_ref().job_id))?;
         let id = request.into_inner().job_id;
         let job = self
             .run(move |engine| {

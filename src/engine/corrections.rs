@@ -1,7 +1,7 @@
 //! What becomes of a record after it was entered: disputes, replacements and ends of keys as the log has them, and
 //! erasure at its owner's request.
 
-use cairn_registry::{Envelope, Erasure, ErasureError, PublicKey, RecordKind, RegistryError, StoredRecord};
+use cairn_registry::{Digest, Envelope, Erasure, ErasureError, RecordKind, RegistryError, StoredRecord};
 
 use super::Engine;
 use super::error::EngineError;
@@ -27,21 +27,26 @@ impl Engine {
     pub fn standing(&self, stored: &StoredRecord) -> Result<Standing, EngineError> {
         let registry = self.registry();
         let mut standing = Standing { key_ended_by: registry.ended(&stored.record.owner_key)?, ..Standing::default() };
-        let mut later = registry.records(Some(&stored.record.scene))?;
-        // The record that ends a key may be about another scene, and still name the one that it takes back.
-        if let Some(end) = standing.key_ended_by {
-            later.push(registry.record(end)?);
-        }
-        for about in later.iter().filter(|r| r.record.replaces == Some(stored.leaf.record)) {
-            match about.record.kind {
-                RecordKind::Dispute => standing.disputed_by.push(about.index),
-                RecordKind::Revocation => standing.taken_back_by = Some(about.index),
+        for (index, kind) in registry.about(&stored.leaf.record)? {
+            match kind {
+                RecordKind::Dispute => standing.disputed_by.push(index),
+                RecordKind::Revocation => standing.taken_back_by = Some(index),
                 RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Rotation => {
-                    standing.replaced_by.get_or_insert(about.index);
+                    standing.replaced_by.get_or_insert(index);
                 }
             }
         }
         Ok(standing)
+    }
+
+    /// The scene of the record that a request to erase names, and the request as it was signed.
+    ///
+    /// # Errors
+    /// [`EngineError::Erasure`], the registry's.
+    pub fn erasure_asked(&self, request: &[u8]) -> Result<(String, Envelope), EngineError> {
+        let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+        let index = Erasure::open(&envelope)?.request().index;
+        Ok((self.registry().record(index)?.record.scene, envelope))
     }
 
     /// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
@@ -63,9 +68,11 @@ impl Engine {
             let (expected, got) = (stored.leaf.record, request.record);
             return Err(EngineError::ErasesOther { index, expected, got });
         }
-        match self.heir(stored.record.owner_key)? {
-            Heir::Key(heir) if heir == key => Ok(registry.erase(&erasure)?),
-            Heir::Key(heir) => Err(EngineError::NotYours { index, key, why: format!("it is key {heir}'s") }),
+        match self.heir(stored.leaf.owner)? {
+            Heir::Key(heir) if heir == key.id() => Ok(registry.erase(&erasure)?),
+            Heir::Key(heir) => {
+                Err(EngineError::NotYours { index, key, why: format!("it belongs to the key with id {heir}") })
+            }
             Heir::Nobody { revoked_by } => {
                 let why = format!("its owner's key was revoked by record {revoked_by}; ask who runs this registry");
                 Err(EngineError::NotYours { index, key, why })
@@ -73,16 +80,16 @@ impl Engine {
         }
     }
 
-    /// The key that speaks for `owner` today: itself, or what rotations put in its place.
-    fn heir(&self, owner: PublicKey) -> Result<Heir, EngineError> {
+    /// Id of the key that speaks for `owner` (a key id) today: itself, or what rotations put in its place.
+    fn heir(&self, owner: Digest) -> Result<Heir, EngineError> {
         let mut key = owner;
         // Each rotation stands behind the last and leads to a key that was good then, so this comes to an end.
-        while let Some(end) = self.registry().ended(&key)? {
-            let ended = self.registry().record(end)?.record;
+        while let Some(end) = self.registry().ended_id(&key)? {
+            let ended = self.registry().leaf(end)?;
             if ended.kind != RecordKind::Rotation {
                 return Ok(Heir::Nobody { revoked_by: end });
             }
-            key = ended.owner_key;
+            key = ended.owner;
         }
         Ok(Heir::Key(key))
     }
@@ -90,8 +97,8 @@ impl Engine {
 
 /// Who speaks for a key.
 enum Heir {
-    /// This key.
-    Key(PublicKey),
+    /// The key with this id.
+    Key(Digest),
     /// Nobody: a revoked key may be in other hands.
     Nobody { revoked_by: u64 },
 }

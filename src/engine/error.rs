@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use cairn_access::AccessError;
 use cairn_capture::CaptureError;
 use cairn_cluster::ClusterError;
 use cairn_field::FieldError;
@@ -148,6 +149,9 @@ pub enum EngineError {
         /// What is wrong.
         problem: String,
     },
+    /// A witness saw more of the log than there is, or another log; or it cannot be asked.
+    #[error("{0}; restore the newest backup of the log, and never let it go on from an older one")]
+    Witness(#[from] cairn_witness::WitnessError),
     /// A thread of the engine died; its message.
     #[error("internal failure: {0}; please report it")]
     Internal(String),
@@ -175,6 +179,15 @@ pub enum EngineError {
     /// The log of owner records. Boxed: it is much larger than the others.
     #[error(transparent)]
     Registry(Box<RegistryError>),
+    /// Accounts, tokens, roles and quotas. Boxed likewise.
+    #[error(transparent)]
+    Access(Box<AccessError>),
+}
+
+impl From<AccessError> for EngineError {
+    fn from(error: AccessError) -> Self {
+        Self::Access(Box::new(error))
+    }
 }
 
 impl From<RegistryError> for EngineError {

@@ -10,6 +10,9 @@
 //! DIR/models/NAME/JOB/          base.field, marked.field, detector, model.json, ...
 //! DIR/jobs/JOB/                 job.json, signals, checkpoints
 //! DIR/registry/                 the log of owner records (cairn-registry's format)
+//! DIR/registry.checkpoint       the checkpoint that it published last
+//! DIR/access/                   accounts.json, usage.json (cairn-access's formats)
+//! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
 //! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
@@ -104,6 +107,26 @@ impl DataFolder {
     /// The registry's signing key.
     pub fn registry_key(&self) -> PathBuf {
         self.root.join("registry.key")
+    }
+
+    /// What the registry published last, outside its own folder: one that is restored from an old backup is found out.
+    pub fn last_checkpoint(&self) -> PathBuf {
+        self.root.join("registry.checkpoint")
+    }
+
+    /// The accounts.
+    pub fn accounts(&self) -> PathBuf {
+        self.root.join("access/accounts.json")
+    }
+
+    /// What the accounts use.
+    pub fn usage(&self) -> PathBuf {
+        self.root.join("access/usage.json")
+    }
+
+    /// Who imported which scene.
+    pub fn owners(&self) -> PathBuf {
+        self.root.join("owners")
     }
 
     /// Imports under way.

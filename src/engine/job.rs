@@ -1,6 +1,7 @@
 //! What a training job is, as it is kept in `job.json`.
 
 use cairn_cluster::Grouping;
+use cairn_registry::Digest;
 use serde::{Deserialize, Serialize};
 
 use crate::config::TrainingSettings;
@@ -50,6 +51,9 @@ pub struct Job {
     /// What training found out about the scene, a sentence each.
     #[serde(default)]
     pub notes: Vec<String>,
+    /// Who pays for it: the id of the account's key; absent where nobody does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub owner: Option<Digest>,
 }
 
 impl Job {
@@ -66,6 +70,7 @@ impl Job {
             ended_unix_s: 0,
             stages: Vec::new(),
             notes: Vec::new(),
+            owner: None,
         }
     }
 }

@@ -12,10 +12,12 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
+use cairn_registry::Digest;
 use tokio::sync::watch;
 
+use super::access::{Access, unix_s};
 use super::error::EngineError;
 use super::folder::{read_json, remove, write_json};
 use super::job::{Job, JobSpec, JobState, Progress, StageSeconds};
@@ -39,12 +41,31 @@ pub enum Outcome {
 const GO_ON: u8 = 0;
 const CANCEL: u8 = 1;
 const SHUT_DOWN: u8 = 2;
+/// Its owner's seconds of training are used up.
+const USED_UP: u8 = 3;
 
 /// The line between a running job and those who watch or stop it.
 pub struct Control<'a> {
     stop: &'a AtomicU8,
     sender: &'a watch::Sender<Job>,
     path: PathBuf,
+    /// Who pays, and where that is kept.
+    owner: Option<(&'a Access, Digest)>,
+    meter: Mutex<Meter>,
+}
+
+/// The clock of a job that somebody pays for.
+struct Meter {
+    /// Charged until then.
+    since: Instant,
+    /// When the owner's seconds are used up.
+    until: Option<Instant>,
+}
+
+impl Meter {
+    fn new() -> Mutex<Self> {
+        Mutex::new(Self { since: Instant::now(), until: None })
+    }
 }
 
 impl<'a> Control<'a> {
@@ -52,12 +73,38 @@ impl<'a> Control<'a> {
     #[cfg(test)]
     pub(super) fn stopping(stop: &'a AtomicU8, sender: &'a watch::Sender<Job>, path: PathBuf) -> Self {
         stop.store(CANCEL, Ordering::Release);
-        Self { stop, sender, path }
+        Self { stop, sender, path, owner: None, meter: Meter::new() }
     }
 
     /// Whether the job has to stop at its next step.
     pub fn stop_requested(&self) -> bool {
+        let until = self.meter.lock().unwrap_or_else(PoisonError::into_inner).until;
+        if until.is_some_and(|until| Instant::now() >= until) {
+            // Whoever cancelled it, or shuts down, was first.
+            let _ = self.stop.compare_exchange(GO_ON, USED_UP, Ordering::AcqRel, Ordering::Acquire);
+        }
         self.stop.load(Ordering::Acquire) != GO_ON
+    }
+
+    /// Why a job was put down.
+    fn used_up(&self) -> String {
+        let why = self.owner.as_ref().and_then(|(access, owner)| access.check_training(owner, 0).err());
+        let why = why.map_or("they are free again by now".to_owned(), |why| why.to_string());
+        format!("its owner's seconds of training ran out, and it was put down at a checkpoint: {why}; then resume it")
+    }
+
+    /// Charges the owner with all the time since the last charge, whatever it went into, and works out anew when
+    /// their seconds are used up.
+    fn charge(&self) -> Result<(), EngineError> {
+        let Some((access, owner)) = &self.owner else { return Ok(()) };
+        let mut meter = self.meter.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = Instant::now();
+        access.spend(owner, now.duration_since(meter.since).as_secs_f64())?;
+        meter.since = now;
+        let left = access.seconds_left(owner).and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+        // More than a clock can say is no limit.
+        meter.until = left.and_then(|left| now.checked_add(left));
+        Ok(())
     }
 
     /// Tells the watchers.
@@ -76,9 +123,10 @@ impl<'a> Control<'a> {
         });
     }
 
-    /// Adds seconds of computing to a stage and writes the job down: called with
-    /// every checkpoint.
+    /// Adds seconds of computing to a stage, charges the owner and writes the job
+    /// down: called with every checkpoint.
     pub fn spent(&self, stage: &str, seconds: f64) -> Result<(), EngineError> {
+        self.charge()?;
         self.sender.send_modify(|job| match job.stages.iter_mut().find(|s| s.stage == stage) {
             Some(known) => known.seconds += seconds,
             None => job.stages.push(StageSeconds { stage: stage.to_owned(), seconds }),
@@ -105,6 +153,7 @@ struct Shared {
     folder: PathBuf,
     inner: Mutex<Inner>,
     wake: Condvar,
+    access: Option<Arc<Access>>,
 }
 
 /// The queue and its worker.
@@ -115,11 +164,17 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Reads the jobs in `folder`, queues those that were cut off, and starts the worker.
+    /// Reads the jobs in `folder`, queues those that were cut off, and starts the worker. Jobs with an owner
+    /// are held to the quotas in `access`.
     ///
     /// # Errors
     /// [`EngineError::Stored`] for a job file that is damaged, and the file system's.
-    pub fn open(folder: PathBuf, capacity: usize, work: impl Work) -> Result<Self, EngineError> {
+    pub fn open(
+        folder: PathBuf,
+        capacity: usize,
+        access: Option<Arc<Access>>,
+        work: impl Work,
+    ) -> Result<Self, EngineError> {
         let mut inner = Inner::default();
         let io = |e| EngineError::io("list", &folder)(e);
         for entry in std::fs::read_dir(&folder).map_err(io)? {
@@ -139,7 +194,7 @@ impl Jobs {
         }
         let waiting = |(id, e): (&String, &Entry)| (!e.sender.borrow().state.has_ended()).then(|| id.clone());
         inner.queue = inner.jobs.iter().filter_map(waiting).collect();
-        let shared = Arc::new(Shared { folder, inner: Mutex::new(inner), wake: Condvar::new() });
+        let shared = Arc::new(Shared { folder, inner: Mutex::new(inner), wake: Condvar::new(), access });
         let of_worker = shared.clone();
         let worker = std::thread::Builder::new()
             .name("cairn-training".into())
@@ -148,22 +203,24 @@ impl Jobs {
         Ok(Self { shared, capacity, worker: Mutex::new(Some(worker)) })
     }
 
-    /// Queues a job. `prepare` puts what the job needs into its folder before
-    /// the job counts.
+    /// Queues a job that `owner` pays for. `prepare` puts what the job needs into its
+    /// folder before the job counts.
     ///
     /// # Errors
-    /// [`EngineError::QueueFull`], [`EngineError::ShuttingDown`], and the file system's.
+    /// [`EngineError::QueueFull`], [`EngineError::ShuttingDown`], the owner's quotas', and the file system's.
     pub fn submit(
         &self,
+        owner: Option<Digest>,
         spec: JobSpec,
         prepare: impl FnOnce(&std::path::Path) -> Result<(), EngineError>,
     ) -> Result<Job, EngineError> {
         let mut inner = self.shared.lock();
         self.check_room(&inner)?;
+        self.check_owner(&inner, owner)?;
         let last = inner.jobs.keys().next_back().and_then(|id| id.strip_prefix("job-")?.parse::<u64>().ok());
         let id = format!("job-{:06}", last.unwrap_or(0) + 1);
         let folder = self.shared.folder.join(&id);
-        let job = Job::accepted(id.clone(), spec, unix_s());
+        let job = Job { owner, ..Job::accepted(id.clone(), spec, unix_s()) };
         let write = || {
             std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
             prepare(&folder)?;
@@ -194,6 +251,7 @@ impl Jobs {
             let why = format!("it is {}; only a cancelled or failed one can", job.state.name());
             return Err(EngineError::WrongState { what: format!("job {id}"), operation: "resumed", why });
         }
+        self.check_owner(&inner, job.owner)?;
         job.state = JobState::Accepted;
         job.error.clear();
         job.ended_unix_s = 0;
@@ -277,9 +335,28 @@ impl Jobs {
         Ok(())
     }
 
+    /// How many of an owner's jobs have not ended.
+    pub fn open_of(&self, owner: &Digest) -> u64 {
+        open_of(&self.shared.lock(), owner)
+    }
+
+    /// Counted where they are: there is nothing to free when one ends.
+    fn check_owner(&self, inner: &Inner, owner: Option<Digest>) -> Result<(), EngineError> {
+        let (Some(access), Some(owner)) = (&self.shared.access, owner) else { return Ok(()) };
+        access.check_training(&owner, open_of(inner, &owner))
+    }
+
     fn unknown(&self, inner: &Inner, id: &str) -> EngineError {
         EngineError::not_found("job", id, inner.jobs.keys().rev().map(String::as_str))
     }
+}
+
+fn open_of(inner: &Inner, owner: &Digest) -> u64 {
+    let open = |e: &&Entry| {
+        let job = e.sender.borrow();
+        job.owner == Some(*owner) && !job.state.has_ended()
+    };
+    inner.jobs.values().filter(open).count() as u64
 }
 
 impl Drop for Jobs {
@@ -310,9 +387,12 @@ impl Shared {
 
     fn work(&self, mut work: impl Work) {
         while let Some((id, sender, stop)) = self.next() {
-            let control = Control { stop: &stop, sender: &sender, path: self.file(&id) };
             let job = sender.borrow().clone();
+            let path = self.file(&id);
+            let owner = self.access.as_deref().zip(job.owner);
+            let control = Control { stop: &stop, sender: &sender, path, owner, meter: Meter::new() };
             let run = || {
+                control.charge()?;
                 write_json(&control.path, &job)?;
                 work.run(&job, &control)
             };
@@ -321,6 +401,10 @@ impl Shared {
                 let said = said.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
                 Err(EngineError::Internal(format!("the training panicked: {said}")))
             });
+            // Also where it failed: whoever brings what fails pays for the time it took.
+            if let Err(error) = control.charge() {
+                tracing::error!(job = id, %error, "what the job took last is not charged");
+            }
             let mut inner = self.lock();
             inner.running = None;
             let Some(entry) = inner.jobs.get(&id) else { continue };
@@ -328,6 +412,9 @@ impl Shared {
                 Ok(Outcome::Finished) => (JobState::Done, String::new()),
                 // Left as it is on the disk: the next start finds it and goes on.
                 Ok(Outcome::Stopped) if stop.load(Ordering::Acquire) == SHUT_DOWN => continue,
+                Ok(Outcome::Stopped) if stop.load(Ordering::Acquire) == USED_UP => {
+                    (JobState::Failed, control.used_up())
+                }
                 Ok(Outcome::Stopped) => (JobState::Cancelled, String::new()),
                 Err(error) => (JobState::Failed, error.to_string()),
             };
@@ -363,10 +450,6 @@ fn seal(file: &std::path::Path) -> Result<(), EngineError> {
         Some(folder) => cairn_capture::write_manifest(folder).map(drop).map_err(EngineError::from),
         None => Ok(()),
     }
-}
-
-fn unix_s() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }
 
 #[cfg(test)]

@@ -57,18 +57,18 @@ fn wait_for(jobs: &Jobs, id: &str, wanted: impl Fn(&Job) -> bool) -> Job {
 }
 
 fn submit(jobs: &Jobs) -> String {
-    jobs.submit(spec(), |_| Ok(())).unwrap().id
+    jobs.submit(None, spec(), |_| Ok(())).unwrap().id
 }
 
 #[test]
 fn jobs_run_in_turn_and_the_queue_has_an_end() {
     let dir = tempfile::tempdir().unwrap();
     let (tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 1, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 1, None, work).unwrap();
     let first = submit(&jobs);
     wait_for(&jobs, &first, |j| j.state == JobState::Running);
     let second = submit(&jobs);
-    assert!(matches!(jobs.submit(spec(), |_| Ok(())), Err(EngineError::QueueFull { limit: 1 })));
+    assert!(matches!(jobs.submit(None, spec(), |_| Ok(())), Err(EngineError::QueueFull { limit: 1 })));
     tick.send(()).unwrap();
     wait_for(&jobs, &first, |j| j.state == JobState::Done);
     wait_for(&jobs, &second, |j| j.state == JobState::Running);
@@ -81,7 +81,7 @@ fn jobs_run_in_turn_and_the_queue_has_an_end() {
 fn a_cancelled_job_lets_go_and_can_be_resumed() {
     let dir = tempfile::tempdir().unwrap();
     let (tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
     let (running, waiting) = (submit(&jobs), submit(&jobs));
     wait_for(&jobs, &running, |j| j.progress.step > 0);
     jobs.cancel(&waiting).unwrap();
@@ -100,16 +100,16 @@ fn a_cancelled_job_lets_go_and_can_be_resumed() {
 fn what_was_cut_off_is_found_again_and_what_was_not_durable_is_not() {
     let dir = tempfile::tempdir().unwrap();
     let (_tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
     let (first, second) = (submit(&jobs), submit(&jobs));
     wait_for(&jobs, &first, |j| j.progress.step > 0);
     jobs.shut_down();
-    assert!(matches!(jobs.submit(spec(), |_| Ok(())), Err(EngineError::ShuttingDown)));
+    assert!(matches!(jobs.submit(None, spec(), |_| Ok(())), Err(EngineError::ShuttingDown)));
     drop(jobs);
     std::fs::create_dir(dir.path().join("job-000003")).unwrap();
 
     let (tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
     assert_eq!(jobs.list().len(), 2);
     assert_eq!(jobs.get(&first).unwrap().spec, spec());
     for id in [&first, &second] {
@@ -123,7 +123,7 @@ fn a_panic_fails_its_job_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let (_tick, mut work) = counting();
     work.panics = true;
-    let jobs = Jobs::open(dir.path().into(), 4, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
     let (first, second) = (submit(&jobs), submit(&jobs));
     for id in [&first, &second] {
         let job = wait_for(&jobs, id, |j| j.state.has_ended());
@@ -136,8 +136,8 @@ fn a_panic_fails_its_job_and_nothing_else() {
 fn a_job_that_cannot_be_prepared_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let (_tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, work).unwrap();
-    let refused = jobs.submit(spec(), |_| Err(EngineError::ShuttingDown));
+    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
+    let refused = jobs.submit(None, spec(), |_| Err(EngineError::ShuttingDown));
     assert!(refused.is_err());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
 }

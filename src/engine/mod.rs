@@ -3,6 +3,7 @@
 //!
 //! All calls block, some for long; the edge puts them on threads of their own.
 
+pub mod access;
 pub mod corrections;
 pub mod crowd;
 pub mod drawing;
@@ -18,6 +19,7 @@ pub mod model;
 pub mod owners;
 pub mod paths;
 pub mod poses;
+pub mod publisher;
 pub mod query;
 mod registry_key;
 pub mod report;
@@ -32,24 +34,30 @@ use std::time::Duration;
 
 use cairn_capture::{Capture, SceneFolder};
 use cairn_cluster::Grouping;
-use cairn_registry::Registry;
+use cairn_registry::{Digest, Registry};
 
 use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, training_settings};
+use access::Access;
 use error::EngineError;
 use folder::DataFolder;
 use job::{Job, JobSpec};
 use jobs::Jobs;
 use model::{Model, ModelInfo};
+use publisher::Publisher;
 
 /// One data folder at work.
 pub struct Engine {
-    folder: DataFolder,
     jobs: Jobs,
-    registry: Registry,
+    /// Before the registry: it publishes a last time when it is dropped.
+    publisher: Publisher,
+    registry: Arc<Registry>,
+    access: Arc<Access>,
     limits: Limits,
     training: TrainingSettings,
     /// The model used last: loading one takes seconds, and queries come in rows.
     cache: Mutex<Option<Arc<Model>>>,
+    // Last, so that the folder is let go when all else in it is closed.
+    folder: DataFolder,
 }
 
 /// What to train, as it is asked for.
@@ -69,6 +77,8 @@ pub struct TrainingRequest {
     pub quick: bool,
     /// Whether to stop after stage 1.
     pub base_only: bool,
+    /// Who pays: the id of an account's key; `None` for nobody.
+    pub owner: Option<Digest>,
 }
 
 impl Engine {
@@ -81,18 +91,23 @@ impl Engine {
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
-        let registry = Registry::open(&folder.registry(), key, &config.origin)?;
+        let registry = Arc::new(Registry::open(&folder.registry(), key, &config.origin)?);
+        let witnesses = config.witnesses.iter().map(|w| w.client()).collect::<Result<_, _>>()?;
+        let publisher = Publisher::start(registry.clone(), folder.last_checkpoint(), witnesses)?;
         let work = training::Training {
             scenes: folder.scenes(),
             models: folder.models(),
             jobs: folder.jobs(),
             checkpoint_every: Duration::from_secs(config.checkpoint_every_s),
         };
-        let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, work)?;
+        let access = Arc::new(Access::open(&folder, config.access.quota)?);
+        let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
         Ok(Self {
             folder,
             jobs,
             registry,
+            publisher,
+            access,
             limits: config.limits.clone(),
             training: config.training.clone(),
             cache: Mutex::new(None),
@@ -109,20 +124,42 @@ impl Engine {
         &self.registry
     }
 
-    /// Begins an import.
+    /// Accounts, quotas and owners.
+    pub fn access(&self) -> &Access {
+        &self.access
+    }
+
+    /// Begins an import, which `owner` is charged with from now on.
     ///
     /// # Errors
-    /// As [`scenes::Import::begin`].
-    pub fn begin_import(&self, plan: scenes::ImportPlan) -> Result<scenes::Import, EngineError> {
-        scenes::Import::begin(plan, &self.limits, &self.folder.scenes(), &self.folder.staging())
+    /// As [`scenes::Import::begin`]; the quota's.
+    pub fn begin_import(&self, plan: scenes::ImportPlan, owner: Option<Digest>) -> Result<scenes::Import, EngineError> {
+        let mut import = scenes::Import::begin(plan, &self.limits, &self.folder.scenes(), &self.folder.staging())?;
+        if let Some(owner) = owner {
+            import.owned = Some(self.access.reserve(owner, &import.id(), import.takes())?);
+        }
+        Ok(import)
     }
 
     /// Ends an import; the scene is durable on return.
     ///
     /// # Errors
     /// As [`scenes::Import::finish`].
-    pub fn finish_import(&self, import: scenes::Import) -> Result<SceneFolder, EngineError> {
-        import.finish(&self.folder.scenes())
+    pub fn finish_import(&self, mut import: scenes::Import) -> Result<SceneFolder, EngineError> {
+        let place = self.access.place(import.scene(), self.folder.scenes().join(import.scene()))?;
+        let owned = import.owned.take();
+        self.access.announce(&place, owned.as_ref())?;
+        match import.finish(&self.folder.scenes()) {
+            Ok(scene) => {
+                self.access.became(&place, owned);
+                Ok(scene)
+            }
+            Err(error) => {
+                // The first error is the one to tell; what is left of the second is cleared at the next start.
+                let _ = self.access.announce(&place, None);
+                Err(error)
+            }
+        }
     }
 
     /// Names of all scenes, sorted.
@@ -169,6 +206,7 @@ impl Engine {
         folder::remove(&gone)?;
         std::fs::rename(&path, &gone).map_err(EngineError::io("delete", &path))?;
         folder::sync_folder(&self.folder.scenes())?;
+        self.access.forget(name)?;
         folder::remove(&self.folder.models().join(name))?;
         *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
         folder::remove(&gone)
@@ -207,7 +245,7 @@ impl Engine {
             signals: signals.len(),
             base_only: request.base_only,
         };
-        self.jobs.submit(spec, |folder| {
+        self.jobs.submit(request.owner, spec, |folder| {
             for (i, signal) in signals.iter().enumerate() {
                 cairn_capture::save_png(&folder.join(format!("signal-{}.png", i + 1)), signal)?;
             }
@@ -243,9 +281,10 @@ impl Engine {
         info.signal(&self.folder.models(), identity)
     }
 
-    /// Checkpoints and stops training, and lets the folder go when dropped. Blocks.
+    /// Checkpoints and stops training, publishes what is left, and lets the folder go when dropped. Blocks.
     pub fn shut_down(&self) {
         self.jobs.shut_down();
+        self.publisher.stop();
     }
 }
 

@@ -5,11 +5,13 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use cairn_access::Charge;
 use cairn_capture::{Camera, Capture, SceneFolder, SceneKind, View};
 use cairn_registry::Digest;
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
 
+use super::access::Owned;
 use super::error::EngineError;
 use crate::config::Limits;
 
@@ -53,6 +55,8 @@ pub struct PlannedView {
 pub struct Import {
     plan: ImportPlan,
     points: Vec<DVec3>,
+    /// Who is charged with it; charged no longer when dropped.
+    pub(super) owned: Option<Owned>,
     folder: tempfile::TempDir,
     /// The photograph being written: its file, bytes so far, and their hash.
     current: Option<(File, u64, Sha256)>,
@@ -87,7 +91,23 @@ impl Import {
             .prefix("import-")
             .tempdir_in(staging)
             .map_err(EngineError::io("create a folder in", staging))?;
-        Ok(Self { plan, points: Vec::new(), folder, current: None, next: 0 })
+        Ok(Self { plan, points: Vec::new(), owned: None, folder, current: None, next: 0 })
+    }
+
+    /// The new scene's name.
+    pub fn scene(&self) -> &str {
+        &self.plan.scene
+    }
+
+    /// What the plan says that the photographs take.
+    pub fn takes(&self) -> Charge {
+        let bytes = self.plan.views.iter().fold(0_u64, |sum, v| sum.saturating_add(v.photograph_bytes));
+        Charge { bytes, views: self.plan.views.len() as u64 }
+    }
+
+    /// A name like no other import's.
+    pub fn id(&self) -> String {
+        self.folder.path().file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 
     /// Takes points of the surface, capture's unit.

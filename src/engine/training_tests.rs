@@ -57,6 +57,7 @@ impl Trained {
             signals: Vec::new(),
             quick: false,
             base_only: false,
+            owner: None,
         };
         let id = engine.train(request).unwrap().id;
         let job = end_of(&engine, &id);

@@ -85,19 +85,38 @@ pub struct Daemon {
 impl Daemon {
     /// Starts `cairn serve` on a free port; `settings` is TOML over the defaults.
     pub fn start(data: &Path, settings: &str) -> Self {
+        Self::start_logging(data, settings, Stdio::inherit())
+    }
+
+    /// As [`Daemon::start`], with its standard error somewhere else.
+    pub fn start_logging(data: &Path, settings: &str, log: impl Into<Stdio>) -> Self {
         let config = data.with_extension("toml");
         let settings = format!("{settings}\n[server]\nbind = \"127.0.0.1:0\"\nshutdown_grace_s = 1\n");
         std::fs::write(&config, settings).unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
             .args(["serve", "--data", data.to_str().unwrap(), "--config", config.to_str().unwrap()])
             .stdout(Stdio::piped())
+            .stderr(log)
             .spawn()
             .unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let url = line.trim().rsplit(' ').next().unwrap().to_owned();
-        assert!(url.starts_with("http://127.0.0.1:"), "the daemon said {line:?}");
+        assert!(url.contains("://127.0.0.1:"), "the daemon said {line:?}");
         Self { child, url }
+    }
+
+    /// Starts a daemon on settings that were written before, and kills it `after` that, however far it came.
+    pub fn start_and_kill(data: &Path, after: std::time::Duration) {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+            .args(["serve", "--data", data.to_str().unwrap(), "--config"])
+            .arg(data.with_extension("toml"))
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(after);
+        child.kill().unwrap();
+        child.wait().unwrap();
     }
 
     pub fn pid(&self) -> u32 {

@@ -41,6 +41,9 @@ impl Default for Limits {
     }
 }
 
+/// The most that a PNG's chunks before its pixels may take, bytes; a colour profile that unpacks to more is left out.
+const MAX_HEADER_BYTES: u64 = 16 << 20;
+
 /// What a photograph's header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Header {
@@ -208,9 +211,13 @@ fn open_decoder<'a, R: BufRead + Seek + 'a>(
     limits: &Limits,
     name: &str,
 ) -> Result<impl ImageDecoder + 'a, CaptureError> {
-    let reader = ImageReader::new(reader)
+    let mut reader = ImageReader::new(reader)
         .with_guessed_format()
         .map_err(|e| CaptureError::NotAPicture { photograph: name.to_owned(), reason: e.to_string() })?;
+    // Before the first byte: a PNG's compressed colour profile is unpacked along with the header.
+    let mut of_header = image::Limits::no_limits();
+    of_header.max_alloc = Some(MAX_HEADER_BYTES);
+    reader.limits(of_header);
     let mut decoder = reader.into_decoder().map_err(|e| refused(name, &e))?;
     let (w, h) = decoder.dimensions();
     check("longest side in pixels", name, u64::from(w.max(h)), limits.max_side_px as u64)?;

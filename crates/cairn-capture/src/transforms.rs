@@ -5,10 +5,15 @@
 //! All three state camera-to-world matrices in OpenGL axes (y up, looking along
 //! -z); Cairn's are OpenCV's, so the second and third column change their sign.
 
+use std::collections::HashSet;
+use std::fmt;
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, SeqAccess, Visitor};
+use serde_json::value::RawValue;
 
 use crate::assemble::{self, Entry, Guess, Model, check_count};
 use crate::camera::{Distortion, Intrinsics, Pose};
@@ -42,22 +47,67 @@ struct Lens {
     p2: Option<f64>,
 }
 
+/// A frame beside its [`Lens`]. Lists are kept as text until somebody counts them: JSON's `[[],[],...` takes eight
+/// times its length as vectors, and what a reader does not know it need not keep at all.
 #[derive(Deserialize)]
-struct Frame {
+struct Frame<'a> {
     file_path: String,
-    transform_matrix: Vec<Vec<f64>>,
-    #[serde(flatten)]
-    lens: Lens,
+    #[serde(borrow)]
+    transform_matrix: &'a RawValue,
 }
 
+/// The whole file beside its [`Lens`].
 #[derive(Deserialize)]
-struct Document {
-    #[serde(flatten)]
-    lens: Lens,
+struct Document<'a> {
     aabb_scale: Option<f64>,
-    frames: Vec<Frame>,
+    #[serde(borrow)]
+    frames: &'a RawValue,
     /// nerfstudio's own split, where it brings one.
-    test_filenames: Option<Vec<String>>,
+    #[serde(borrow)]
+    test_filenames: Option<&'a RawValue>,
+}
+
+/// What a file says of the kind of scene, and its views.
+struct Read {
+    bounded: bool,
+    entries: Vec<Entry>,
+}
+
+/// A list of which at most `most` elements are kept, however many there are.
+struct AtMost<T> {
+    most: usize,
+    of: PhantomData<T>,
+}
+
+impl<'de, T: Deserialize<'de>> DeserializeSeed<'de> for AtMost<T> {
+    type Value = (Vec<T>, u64);
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for AtMost<T> {
+    type Value = (Vec<T>, u64);
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+        let mut kept = Vec::new();
+        while kept.len() < self.most {
+            let Some(element) = list.next_element()? else { break };
+            kept.push(element);
+        }
+        let mut count = kept.len() as u64;
+        if kept.len() == self.most {
+            while list.next_element::<IgnoredAny>()?.is_some() {
+                count += 1;
+            }
+        }
+        Ok((kept, count))
+    }
 }
 
 /// Reads the transforms of `folder`; `None` where there are none.
@@ -68,10 +118,10 @@ struct Document {
 pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>, CaptureError> {
     let train = folder.join("transforms_train.json");
     if train.is_file() {
-        let mut entries = read_file(folder, &train, options, Some(false))?.1;
+        let mut entries = read_file(folder, &train, options, Some(false))?.entries;
         let held = ["transforms_test.json", "transforms_val.json"].map(|name| folder.join(name));
         if let Some(held) = held.iter().find(|file| file.is_file()) {
-            entries.extend(read_file(folder, held, options, Some(true))?.1);
+            entries.extend(read_file(folder, held, options, Some(true))?.entries);
         } else {
             entries.iter_mut().for_each(|e| e.held_out = None);
         }
@@ -81,44 +131,50 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
     if !file.is_file() {
         return Ok(None);
     }
-    let (document, mut entries) = read_file(folder, &file, options, None)?;
-    if let Some(test) = &document.test_filenames {
-        let test: Vec<PathBuf> = test.iter().filter_map(|path| assemble::inside(path)).collect();
-        for entry in &mut entries {
-            entry.held_out = Some(test.contains(&entry.photograph));
-        }
-    }
-    let bounded = document.aabb_scale.is_none_or(|scale| scale <= 1.0);
+    let Read { bounded, entries } = read_file(folder, &file, options, None)?;
     let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
     Ok(Some(Model { file, kind, entries, points: Vec::new() }))
 }
 
-fn read_file(
-    folder: &Path,
-    file: &Path,
-    options: &ReadOptions,
-    held_out: Option<bool>,
-) -> Result<(Document, Vec<Entry>), CaptureError> {
-    let bytes = read_limited(file, options.limits.max_file_bytes)?;
-    let document: Document = serde_json::from_slice(&bytes).map_err(|e| {
+fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option<bool>) -> Result<Read, CaptureError> {
+    let garbled = |e: serde_json::Error| {
         CaptureError::malformed(file, "the JSON", "transforms with frames and finite numbers", e.to_string(), REMEDY)
-    })?;
-    check_count(file, document.frames.len() as u64, options.limits.max_views)?;
-    let entries = document
-        .frames
-        .iter()
-        .enumerate()
-        .map(|(index, frame)| {
+    };
+    let most = options.limits.max_views;
+    let bytes = read_limited(file, options.limits.max_file_bytes)?;
+    let (document, all): (Document<'_>, Lens) = twice(&bytes).map_err(garbled)?;
+    let (frames, count) = list::<&RawValue>(document.frames, most).map_err(garbled)?;
+    check_count(file, count, most)?;
+    let test = document.test_filenames.map(|names| list::<String>(names, most)).transpose().map_err(garbled)?;
+    let test: Option<HashSet<PathBuf>> =
+        test.map(|(names, _)| names.iter().filter_map(|path| assemble::inside(path)).collect());
+    let entries = (frames.into_iter().enumerate())
+        .map(|(index, raw)| {
+            let (frame, own): (Frame<'_>, Lens) = twice(raw.get().as_bytes()).map_err(|e| {
+                let expected = "a file_path, a transform_matrix and finite numbers";
+                CaptureError::malformed(file, format!("frame {index}"), expected, e.to_string(), REMEDY)
+            })?;
             let source = Source { folder, file, label: format!("frame {index} ({})", frame.file_path) };
             let photograph = source.photograph(&frame.file_path, options)?;
-            let pose = source.pose(&frame.transform_matrix)?;
-            let lens = frame.lens.clone().or(&document.lens);
-            let intrinsics = source.intrinsics(&lens, &photograph, &options.limits)?;
+            let pose = source.pose(&source.matrix(frame.transform_matrix)?)?;
+            let intrinsics = source.intrinsics(&own.or(&all), &photograph, &options.limits)?;
             let name = photograph.to_string_lossy().replace('\\', "/");
+            let held_out = held_out.or_else(|| Some(test.as_ref()?.contains(&photograph)));
             Ok(Entry { name, label: source.label, intrinsics, pose, photograph, bounds: None, held_out })
         })
         .collect::<Result<Vec<_>, CaptureError>>()?;
-    Ok((document, entries))
+    Ok(Read { bounded: document.aabb_scale.is_none_or(|scale| scale <= 1.0), entries })
+}
+
+/// One JSON object as two structures that each take their own fields of it. Serde's `flatten` would do so as well, but
+/// keeps everything that neither knows as a tree of many times its size.
+fn twice<'a, A: Deserialize<'a>, B: Deserialize<'a>>(json: &'a [u8]) -> Result<(A, B), serde_json::Error> {
+    Ok((serde_json::from_slice(json)?, serde_json::from_slice(json)?))
+}
+
+/// The first `most` elements of a list, and how many it has.
+fn list<'a, T: Deserialize<'a>>(raw: &'a RawValue, most: usize) -> Result<(Vec<T>, u64), serde_json::Error> {
+    AtMost { most, of: PhantomData }.deserialize(&mut serde_json::Deserializer::from_str(raw.get()))
 }
 
 impl Lens {
@@ -192,6 +248,15 @@ impl Source<'_> {
             let (file, entry) = (self.file.to_path_buf(), self.label.clone());
             CaptureError::PhotographMissing { file, entry, photograph: self.folder.join(&stem) }
         })
+    }
+
+    /// The rows of a matrix; of one that is too large as many as show it.
+    fn matrix(&self, raw: &RawValue) -> Result<Vec<Vec<f64>>, CaptureError> {
+        let read = || {
+            let rows = list::<&RawValue>(raw, 5)?.0;
+            rows.into_iter().map(|row| Ok(list(row, 5)?.0)).collect::<Result<_, serde_json::Error>>()
+        };
+        read().map_err(|e| self.wrong("a transform_matrix of finite numbers", e.to_string()))
     }
 
     /// From a 4 x 4 (or 3 x 4) camera-to-world matrix in OpenGL axes.

@@ -85,10 +85,12 @@ impl Checkpoint {
         let root_line = lines.next();
         let root = (root_line.and_then(|l| Digest::from_base64(l).ok()))
             .ok_or_else(|| refuse(3, "a root of 32 bytes in base64", root_line))?;
-        let extensions: Vec<String> = lines.map(str::to_owned).collect();
-        if let Some(at) = extensions.iter().position(String::is_empty) {
-            return Err(refuse(4 + at, "an extension line that is not empty", None));
-        }
+        // Refused where it stands: a text of nothing but newlines would fill a list before anybody looked at it.
+        let extensions = (4..).zip(lines).map(|(at, line)| {
+            let what = "an extension line that is not empty";
+            if line.is_empty() { Err(refuse(at, what, None)) } else { Ok(line.to_owned()) }
+        });
+        let extensions = extensions.collect::<Result<_, _>>()?;
         Ok(Self { origin: origin.to_owned(), size, root, extensions })
     }
 

@@ -3,8 +3,8 @@
 //! The formats are public ones, so that anybody's tools can check a log of ours:
 //! DSSE envelopes ([`dsse`]), RFC 6962 Merkle trees ([`merkle`]), C2SP signed
 //! notes, checkpoints, proofs and tiles ([`note`], [`checkpoint`], [`proof`], [`tile`]), cosignatures and trust policies
-//! ([`cosignature`], [`policy`]). Ours are only the owner record ([`record`]), the leaf ([`leaf`]) and the verifiable
-//! map over them ([`map`], [`map_leaf`]).
+//! ([`cosignature`], [`policy`]). Ours are only the owner record ([`record`]), the leaf ([`leaf`]), the verifiable
+//! map over them ([`map`], [`map_leaf`]) and how envelopes lie beside the log ([`packs`]).
 //!
 //! Those build without the feature `store`, which adds the writing half: the
 //! registry proper and its store on sled, the only code here that knows sled.
@@ -15,12 +15,15 @@ pub mod cosignature;
 pub mod digest;
 pub mod dsse;
 pub mod erasure;
+#[cfg(feature = "store")]
+pub mod files;
 pub mod keys;
 pub mod leaf;
 pub mod map;
 pub mod map_leaf;
 pub mod merkle;
 pub mod note;
+pub mod packs;
 pub mod policy;
 pub mod proof;
 pub mod record;
@@ -48,4 +51,4 @@ pub use policy::{Policy, PolicyError, PolicyVerdict, Quorum};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
 #[cfg(feature = "store")]
-pub use registry::{Receipt, Registry, RegistryError, StoredRecord};
+pub use registry::{LogEntry, Published, Receipt, Registry, RegistryError, StoredRecord};

@@ -215,10 +215,12 @@ impl Note {
         let Some(lines) = lines.strip_suffix('\n') else {
             return Err(malformed("the last signature line does not end in a newline, or there is none"));
         };
-        let signatures = lines.split('\n').map(str::parse).collect::<Result<Vec<_>, _>>()?;
-        if signatures.len() > MAX_NOTE_SIGNATURES {
-            return Err(malformed(&format!("{} signatures, at most {MAX_NOTE_SIGNATURES}", signatures.len())));
+        // Counted before one is decoded.
+        let count = lines.split('\n').count();
+        if count > MAX_NOTE_SIGNATURES {
+            return Err(malformed(&format!("{count} signatures, at most {MAX_NOTE_SIGNATURES}")));
         }
+        let signatures = lines.split('\n').map(str::parse).collect::<Result<Vec<_>, _>>()?;
         Ok(Self { text: text.to_owned(), signatures })
     }
 

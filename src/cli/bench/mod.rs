@@ -1,8 +1,12 @@
 //! `cairn bench`: a suite's measurements, one row each, into the ledger, with the
 //! command, seed, commit and machine that they come from.
 
+mod children;
 mod field;
 mod liberty;
+mod memory;
+mod parts;
+mod registry;
 mod rows;
 
 use std::path::{Path, PathBuf};
@@ -12,7 +16,7 @@ use cairn_bench::{Ledger, Target};
 
 use super::connect::Where;
 use super::demo;
-pub use field::part;
+pub use parts::part;
 use rows::Rows;
 
 /// `cairn bench`.
@@ -68,6 +72,8 @@ enum Suite {
     Liberty,
     /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
     Field,
+    /// The log of owner records: throughput, waits, cost by size up to ten million records, and two hundred kills
+    Registry,
     /// Nothing: only write the ledger's page again, after its notes were changed
     Page,
 }
@@ -79,6 +85,7 @@ impl Suite {
             Self::Demo => "demo",
             Self::Liberty => "liberty",
             Self::Field => "field",
+            Self::Registry => "registry",
             Self::Page => "page",
         }
     }
@@ -107,12 +114,26 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Demo => of_demo(place, &args, &mut rows).await?,
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
+        Suite::Registry => tokio::task::block_in_place(|| registry::measure(&args, &mut rows))?,
         Suite::Page => return write_page_again(&args),
     }
     rows.save(&args)?;
     let ledger = Ledger::load(&args.ledger)?;
     println!("in {}; {} targets missed", args.ledger.display(), ledger.missed().count());
     Ok(())
+}
+
+/// A count with thousands apart.
+fn with_units(count: u64) -> String {
+    let digits = count.to_string();
+    let mut grouped = String::new();
+    for (at, digit) in digits.chars().enumerate() {
+        if at > 0 && (digits.len() - at).is_multiple_of(3) {
+            grouped.push(' ');
+        }
+        grouped.push(digit);
+    }
+    grouped
 }
 
 /// The page of a ledger that is there; an absent one would give an empty page.

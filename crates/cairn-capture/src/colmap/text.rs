@@ -1,7 +1,7 @@
 //! COLMAP's text files: one entry a line (images: two), `#` starts a comment.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Lines};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -11,23 +11,40 @@ use super::{Cameras, Image, REMEDY, check_point, insert, intrinsics, model_numbe
 use crate::assemble::check_count;
 use crate::error::CaptureError;
 
+/// Longest line that is accepted, bytes: an image's observations, some 30 bytes each. A file without line ends is
+/// not taken into memory whole.
+const MAX_LINE_BYTES: u64 = 16 << 20;
+
+/// Most parameters that are read of a camera: one more than any model has ([`super::MODELS`]).
+const MAX_PARAMETERS: usize = 17;
+
 /// Lines of a file with their numbers.
 struct Reader {
     file: PathBuf,
-    lines: Lines<BufReader<File>>,
+    bytes: BufReader<File>,
     number: usize,
 }
 
 impl Reader {
     fn open(path: &Path) -> Result<Self, CaptureError> {
         let file = File::open(path).map_err(CaptureError::io("open", path))?;
-        Ok(Self { file: path.to_path_buf(), lines: BufReader::new(file).lines(), number: 0 })
+        Ok(Self { file: path.to_path_buf(), bytes: BufReader::new(file), number: 0 })
     }
 
     /// The next line, whatever it holds; `None` at the end.
     fn any(&mut self) -> Result<Option<String>, CaptureError> {
         self.number += 1;
-        self.lines.next().transpose().map_err(CaptureError::io("read", &self.file))
+        let mut line = Vec::new();
+        let read = (&mut self.bytes).take(MAX_LINE_BYTES + 1).read_until(b'\n', &mut line);
+        let read = read.map_err(CaptureError::io("read", &self.file))?;
+        if read as u64 > MAX_LINE_BYTES {
+            return Err(self.wrong("a line of at most 16 MiB", "a longer one".to_owned()));
+        }
+        if read == 0 {
+            return Ok(None);
+        }
+        let line = String::from_utf8(line).map_err(|e| self.wrong("a line in UTF-8", e.to_string()))?;
+        Ok(Some(line.trim_end_matches(['\n', '\r']).to_owned()))
     }
 
     /// The next line that is neither empty nor a comment; `None` at the end.
@@ -45,9 +62,8 @@ impl Reader {
     /// lines out, every other image would be taken for one and lost.
     fn observations(&mut self) -> Result<(), CaptureError> {
         let Some(line) = self.any()? else { return Ok(()) };
-        let fields: Vec<&str> = line.split_ascii_whitespace().collect();
-        let numbers = fields.iter().all(|f| f.parse::<f64>().is_ok());
-        if numbers && fields.len().is_multiple_of(3) {
+        let numbers = line.split_ascii_whitespace().all(|f| f.parse::<f64>().is_ok());
+        if numbers && line.split_ascii_whitespace().count().is_multiple_of(3) {
             return Ok(());
         }
         let got: String = line.chars().take(40).collect();
@@ -88,6 +104,7 @@ pub(super) fn cameras(path: &Path) -> Result<Cameras, CaptureError> {
         let model = model_number(path, id, model)?;
         let size = (reader.field(&mut fields, "a width in pixels")?, reader.field(&mut fields, "a height in pixels")?);
         let parameters = fields
+            .take(MAX_PARAMETERS)
             .map(|text| reader.field(&mut [text].into_iter(), "a camera parameter"))
             .collect::<Result<Vec<f64>, _>>()?;
         insert(path, &mut cameras, id, intrinsics(path, id, model, size, &parameters)?)?;

@@ -4,8 +4,10 @@
 use std::path::PathBuf;
 
 use crate::{
+    answer::AnswerGap,
     digest::Digest,
     keys::{KeyError, PublicKey},
+    map::MapError,
     merkle::ProofError,
     note::NoteError,
     record::RecordError,
@@ -78,7 +80,7 @@ pub enum RegistryError {
     #[error("key {owner} was ended by record {index}; sign with the key that follows it, or a new one")]
     OwnerRetired {
         /// The key.
-        owner: PublicKey,
+        owner: String,
         /// The revocation or rotation; where it stands in the same batch, the index that it gets.
         index: u64,
     },
@@ -89,6 +91,18 @@ pub enum RegistryError {
         index: u64,
         /// The log's size.
         size: u64,
+    },
+    /// A map leaf stands there, which is the registry's own.
+    #[error("log entry {index} is a map leaf, not a record; ask for one of the records before it")]
+    NotARecord {
+        /// The index asked for.
+        index: u64,
+    },
+    /// The record was erased at its owner's wish.
+    #[error("record {index} was erased; its leaf and every proof of it stay, its contents do not")]
+    Erased {
+        /// The index asked for.
+        index: u64,
     },
     /// No such proof.
     #[error("cannot prove that: {0}")]
@@ -119,6 +133,12 @@ pub enum RegistryError {
         /// What is wrong, with expected and got.
         what: String,
     },
+    /// The stored map contradicts itself.
+    #[error("store, map: {0}; restore a backup that holds at least the last signed checkpoint")]
+    Map(#[from] MapError),
+    /// The answer would hold too much.
+    #[error(transparent)]
+    Answer(#[from] AnswerGap),
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),

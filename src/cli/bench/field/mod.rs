@@ -2,24 +2,21 @@
 //! views that no training saw, seconds, rays a second, memory, and two curves:
 //! what a smaller or larger budget gives, and what each limit of a render costs.
 //!
-//! Every training, scoring and timing runs in a process of its own (`part`), so
+//! Every training, scoring and timing runs in a process of its own (`parts`), so
 //! that peak memory is that work's alone, and ends with this one (`children`).
 //! Rows reach the ledger a case at a time, when it is whole.
 
 mod adapter;
 mod case;
-mod children;
-mod memory;
 mod outcome;
-mod parts;
 mod progress;
 mod report;
-mod score;
-mod serve;
+pub(super) mod score;
+pub(super) mod serve;
 mod source;
 mod tables;
-mod tradeoff;
-mod train;
+pub(super) mod tradeoff;
+pub(super) mod train;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -30,13 +27,12 @@ use cairn_field::FieldConfig;
 use super::super::connect::Where;
 use super::super::read;
 use super::Args;
+use super::children::Children;
 use super::rows::Rows;
 use crate::config::{Config, overlay_for, training_settings};
 pub use case::Name;
 use case::{CASES, Case};
-use children::Children;
 use outcome::{Budget, Outcome, Share};
-pub use parts::part;
 use source::Source;
 
 /// What `--quick` lays over a kind's settings here: everything runs, nothing is good.

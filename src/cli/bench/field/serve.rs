@@ -8,7 +8,7 @@ use cairn_capture::Camera;
 use cairn_field::Field;
 use serde::{Deserialize, Serialize};
 
-use super::memory::peak_mib;
+use super::super::memory::peak_mib;
 use super::progress::Progress;
 
 /// Renders of a view that are timed at most, and seconds after which no more are.

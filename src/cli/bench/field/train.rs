@@ -6,7 +6,7 @@ use std::time::Instant;
 use cairn_field::{BaseTrainer, FieldConfig};
 use serde::{Deserialize, Serialize};
 
-use super::memory::peak_mib;
+use super::super::memory::peak_mib;
 use super::progress::Progress;
 use super::source::Source;
 

@@ -7,7 +7,8 @@ use anyhow::Context as _;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::{score, serve, tradeoff, train};
+use super::field::{score, serve, tradeoff, train};
+use super::registry;
 
 /// A piece of the suite's work.
 #[derive(Serialize, Deserialize)]
@@ -21,6 +22,14 @@ pub enum Part {
     Serve(serve::Task),
     /// What each limit of a render costs.
     Tradeoff(tradeoff::Task),
+    /// Submissions to a log under load.
+    Load(registry::Load),
+    /// A log grown to some size.
+    Grow(registry::Growth),
+    /// A log of some size, started and asked.
+    Log(registry::Serve),
+    /// Submissions to a log until the process is killed.
+    Victim(registry::Victim),
 }
 
 /// What [`super::children::Children::run`] takes.
@@ -34,8 +43,8 @@ pub trait Work: Clone + Serialize {
 }
 
 macro_rules! work {
-    ($($module:ident: $part:ident -> $result:ty,)*) => {
-        $(impl Work for $module::Task {
+    ($($task:ty: $part:ident -> $result:ty,)*) => {
+        $(impl Work for $task {
             type Result = $result;
             fn label(&self) -> &str {
                 &self.label
@@ -48,10 +57,13 @@ macro_rules! work {
 }
 
 work! {
-    train: Train -> train::Trained,
-    score: Score -> score::Scored,
-    serve: Serve -> serve::Served,
-    tradeoff: Tradeoff -> Vec<tradeoff::Tradeoff>,
+    train::Task: Train -> train::Trained,
+    score::Task: Score -> score::Scored,
+    serve::Task: Serve -> serve::Served,
+    tradeoff::Task: Tradeoff -> Vec<tradeoff::Tradeoff>,
+    registry::Load: Load -> registry::Loaded,
+    registry::Growth: Grow -> f64,
+    registry::Serve: Log -> registry::Served,
 }
 
 /// Answers `cairn bench-part`.
@@ -62,13 +74,17 @@ pub fn part() -> anyhow::Result<()> {
     let mut line = String::new();
     std::io::stdin().lock().read_line(&mut line).context("cannot read the task")?;
     let part: Part = serde_json::from_str(&line)
-        .context("standard input holds no task: `cairn bench field` starts this command, people do not")?;
+        .context("standard input holds no task: `cairn bench` starts this command, people do not")?;
     std::thread::spawn(end_with_the_line);
     let answer = match part {
         Part::Train(task) => serde_json::to_string(&train::run(&task)?)?,
         Part::Score(task) => serde_json::to_string(&score::run(&task)?)?,
         Part::Serve(task) => serde_json::to_string(&serve::run(&task)?)?,
         Part::Tradeoff(task) => serde_json::to_string(&tradeoff::run(&task)?)?,
+        Part::Load(task) => serde_json::to_string(&registry::load(&task)?)?,
+        Part::Grow(task) => serde_json::to_string(&registry::grow(&task)?)?,
+        Part::Log(task) => serde_json::to_string(&registry::serve(&task)?)?,
+        Part::Victim(task) => serde_json::to_string(&registry::victim(&task)?)?,
     };
     println!("{answer}");
     Ok(())

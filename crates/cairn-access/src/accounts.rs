@@ -1,0 +1,459 @@
+//! Accounts: a public key, a name, a role. Kept in one JSON file that is written
+//! anew, durably, at every change.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use cairn_registry::{Digest, PublicKey};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{AccessError, FileError};
+use crate::file;
+use crate::quota::Limits;
+use crate::registration::Registration;
+use crate::roles::Role;
+
+/// Most accounts of one daemon. Anybody may ask for one, and the file is read whole.
+pub const MAX_ACCOUNTS: usize = 50_000;
+/// Most accounts that wait for approval at the same time.
+pub const MAX_WAITING: usize = 1_000;
+/// Longest name, bytes.
+pub const MAX_NAME: usize = 128;
+
+/// Where an account stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Standing {
+    /// Registered, and not yet approved by an operator.
+    Waiting,
+    /// In use.
+    Active,
+    /// Shut out by an operator.
+    Disabled,
+}
+
+impl Standing {
+    /// Its word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Active => "active",
+            Self::Disabled => "disabled",
+        }
+    }
+}
+
+/// An account.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Account {
+    /// Signs the account's tokens. Never of small order.
+    pub key: PublicKey,
+    /// What people call it; two accounts may have the same.
+    pub name: String,
+    /// What it may do.
+    pub role: Role,
+    /// The role that its owner asked for.
+    pub asked: Role,
+    /// Whether it may do anything at all.
+    pub standing: Standing,
+    /// When it was registered, seconds since 1970 by the daemon's clock.
+    pub since: u64,
+    /// Quotas of its own instead of the daemon's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quota: Option<Limits>,
+}
+
+impl Account {
+    /// What tokens and quotas know it by.
+    pub fn id(&self) -> Digest {
+        self.key.id()
+    }
+}
+
+/// Who gets an account.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Policy {
+    /// Everybody, as contributor, at once.
+    Open,
+    /// Whom an operator approves.
+    Approval,
+    /// Nobody who is not there already.
+    Closed,
+}
+
+/// Why an account is refused, or something is refused it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AccountError {
+    /// Nobody with this key is known.
+    #[error("there is no account with the key id {key}; register its key first (cairn access register)")]
+    Unknown {
+        /// SHA-256 of the public key.
+        key: Digest,
+    },
+    /// There is none to change.
+    #[error("there is no account with the public key {key}; see `cairn access list`")]
+    NoSuch {
+        /// The key.
+        key: PublicKey,
+    },
+    /// Not yet approved.
+    #[error("the account {name:?} waits for an operator's approval (cairn access approve)")]
+    Waiting {
+        /// Its name.
+        name: String,
+    },
+    /// Shut out.
+    #[error("the account {name:?} is disabled; ask the daemon's operator")]
+    Disabled {
+        /// Its name.
+        name: String,
+    },
+    /// Nobody is taken in.
+    #[error(
+        "this daemon takes no registrations (access.registration = \"closed\"); ask its operator to add your public key"
+    )]
+    Closed,
+    /// There are too many.
+    #[error("{got} accounts {what}, the most that this daemon keeps; ask its operator")]
+    TooMany {
+        /// `are there` or `wait for approval`.
+        what: &'static str,
+        /// How many.
+        got: usize,
+    },
+    /// The name cannot be taken.
+    #[error("the account's name has {bytes} bytes{more}; allowed are 1 to {MAX_NAME} without control characters")]
+    Name {
+        /// Its length.
+        bytes: usize,
+        /// What else is wrong.
+        more: &'static str,
+    },
+    /// The key has an account already, made otherwise.
+    #[error("the key {key} has an account already: {name:?}, {role}; change its role instead (cairn access role)")]
+    Exists {
+        /// The key.
+        key: PublicKey,
+        /// The account's name.
+        name: String,
+        /// Its role.
+        role: Role,
+    },
+    /// It is approved already.
+    #[error("the account {name:?} is {standing}, not waiting; change its role or enable it instead")]
+    NotWaiting {
+        /// Its name.
+        name: String,
+        /// Where it stands.
+        standing: &'static str,
+    },
+    /// Nobody could undo it from afar.
+    #[error("{name:?} is the last active operator; make another one first")]
+    LastOperator {
+        /// Its name.
+        name: String,
+    },
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    format_version: u64,
+    accounts: Vec<Account>,
+}
+
+/// All accounts of a daemon.
+#[derive(Debug)]
+pub struct Accounts {
+    path: PathBuf,
+    by_id: Mutex<BTreeMap<Digest, Account>>,
+}
+
+type Map = BTreeMap<Digest, Account>;
+
+impl Accounts {
+    /// Reads the file at `path`; none there is no accounts.
+    ///
+    /// # Errors
+    /// [`FileError`], also where a key stands there twice.
+    pub fn open(path: PathBuf) -> Result<Self, FileError> {
+        let mut by_id = Map::new();
+        let stored: Option<Stored> = file::read(&path)?;
+        for account in stored.into_iter().flat_map(|s| s.accounts) {
+            if let Some(twice) = by_id.insert(account.id(), account) {
+                return Err(FileError::Stored { path, problem: format!("the key {} stands there twice", twice.key) });
+            }
+        }
+        Ok(Self { path, by_id: Mutex::new(by_id) })
+    }
+
+    /// The account whose key has this id.
+    pub fn get(&self, id: &Digest) -> Option<Account> {
+        self.lock().get(id).cloned()
+    }
+
+    /// All accounts, oldest first, then by name.
+    pub fn list(&self) -> Vec<Account> {
+        let mut all: Vec<Account> = self.lock().values().cloned().collect();
+        all.sort_by(|a, b| (a.since, &a.name).cmp(&(b.since, &b.name)));
+        all
+    }
+
+    /// Takes in a registration whose proof was verified ([`crate::Nonces::verify`]). A key that has an account
+    /// keeps it as it is.
+    ///
+    /// # Errors
+    /// [`AccountError`], [`FileError`].
+    pub fn register(&self, asked: &Registration, policy: Policy, now: u64) -> Result<Account, AccessError> {
+        self.change(|all| {
+            if let Some(known) = all.get(&asked.key.id()) {
+                return Ok(known.clone());
+            }
+            let standing = match policy {
+                Policy::Open => Standing::Active,
+                Policy::Approval => Standing::Waiting,
+                Policy::Closed => return Err(AccountError::Closed),
+            };
+            let waiting = all.values().filter(|a| a.standing == Standing::Waiting).count();
+            if standing == Standing::Waiting && waiting >= MAX_WAITING {
+                return Err(AccountError::TooMany { what: "wait for approval", got: waiting });
+            }
+            // Whatever was asked for: more than a contributor is an operator's to give.
+            let (name, role) = (asked.name.clone(), Role::Contributor);
+            insert(all, Account { key: asked.key, name, role, asked: asked.role, standing, since: now, quota: None })
+        })
+    }
+
+    /// Adds an active account without a proof: for the daemon's own machine.
+    ///
+    /// # Errors
+    /// [`AccountError`], [`FileError`].
+    pub fn add(&self, key: PublicKey, name: &str, role: Role, now: u64) -> Result<Account, AccessError> {
+        self.change(|all| {
+            if let Some(known) = all.get(&key.id()) {
+                return Err(AccountError::Exists { key, name: known.name.clone(), role: known.role });
+            }
+            let name = name.to_owned();
+            insert(all, Account { key, name, role, asked: role, standing: Standing::Active, since: now, quota: None })
+        })
+    }
+
+    /// Approves a waiting account, with `role` or the one that was asked for.
+    ///
+    /// # Errors
+    /// [`AccountError`], [`FileError`].
+    pub fn approve(&self, key: &PublicKey, role: Option<Role>) -> Result<Account, AccessError> {
+        self.edit(key, |account, _| {
+            if account.standing != Standing::Waiting {
+                let standing = account.standing.name();
+                return Err(AccountError::NotWaiting { name: account.name.clone(), standing });
+            }
+            account.standing = Standing::Active;
+            account.role = role.unwrap_or(account.asked);
+            Ok(())
+        })
+    }
+
+    /// Gives an account another role.
+    ///
+    /// # Errors
+    /// [`AccountError`], [`FileError`].
+    pub fn set_role(&self, key: &PublicKey, role: Role) -> Result<Account, AccessError> {
+        self.edit(key, |account, operators| {
+            if role != Role::Operator {
+                not_the_last(account, operators)?;
+            }
+            account.role = role;
+            Ok(())
+        })
+    }
+
+    /// Shuts an account out, or lets it in again.
+    ///
+    /// # Errors
+    /// [`AccountError`], [`FileError`].
+    pub fn set_disabled(&self, key: &PublicKey, disabled: bool) -> Result<Account, AccessError> {
+        self.edit(key, |account, operators| {
+            if disabled {
+                not_the_last(account, operators)?;
+            } else if account.standing == Standing::Waiting {
+                return Err(AccountError::Waiting { name: account.name.clone() });
+            }
+            account.standing = if disabled { Standing::Disabled } else { Standing::Active };
+            Ok(())
+        })
+    }
+
+    /// Gives an account quotas of its own, or (`None`) the daemon's again.
+    ///
+    /// # Errors
+    /// [`AccountError`], [`FileError`].
+    pub fn set_quota(&self, key: &PublicKey, quota: Option<Limits>) -> Result<Account, AccessError> {
+        self.edit(key, |account, _| {
+            account.quota = quota;
+            Ok(())
+        })
+    }
+
+    fn edit(
+        &self,
+        key: &PublicKey,
+        edit: impl FnOnce(&mut Account, usize) -> Result<(), AccountError>,
+    ) -> Result<Account, AccessError> {
+        self.change(|all| {
+            let operators = all.values().filter(|a| a.role == Role::Operator && a.standing == Standing::Active).count();
+            let account = all.get_mut(&key.id()).ok_or(AccountError::NoSuch { key: *key })?;
+            edit(account, operators)?;
+            Ok(account.clone())
+        })
+    }
+
+    /// Changes a copy, writes that down, and only then lets it count.
+    fn change(&self, change: impl FnOnce(&mut Map) -> Result<Account, AccountError>) -> Result<Account, AccessError> {
+        let mut by_id = self.lock();
+        let mut next = by_id.clone();
+        let changed = change(&mut next)?;
+        if next != *by_id {
+            let accounts = next.values().cloned().collect();
+            file::write(&self.path, &Stored { format_version: file::FORMAT_VERSION, accounts })?;
+            *by_id = next;
+        }
+        Ok(changed)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Map> {
+        self.by_id.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn insert(all: &mut Map, account: Account) -> Result<Account, AccountError> {
+    let bytes = account.name.len();
+    let control = account.name.chars().any(char::is_control);
+    if !(1..=MAX_NAME).contains(&bytes) || control {
+        return Err(AccountError::Name { bytes, more: if control { " and control characters" } else { "" } });
+    }
+    if all.len() >= MAX_ACCOUNTS {
+        return Err(AccountError::TooMany { what: "are there", got: all.len() });
+    }
+    all.insert(account.id(), account.clone());
+    Ok(account)
+}
+
+fn not_the_last(account: &Account, operators: usize) -> Result<(), AccountError> {
+    if account.role == Role::Operator && account.standing == Standing::Active && operators == 1 {
+        return Err(AccountError::LastOperator { name: account.name.clone() });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use cairn_registry::OwnerKey;
+
+    use super::*;
+
+    fn key(seed: u8) -> PublicKey {
+        OwnerKey::from_seed(&[seed; 32]).public()
+    }
+
+    fn asking(seed: u8, name: &str, role: Role) -> Registration {
+        Registration { nonce: Digest::of("n"), origin: "log".into(), key: key(seed), name: name.into(), role }
+    }
+
+    fn open(dir: &tempfile::TempDir) -> Accounts {
+        Accounts::open(dir.path().join("access/accounts.json")).unwrap()
+    }
+
+    fn refused(result: Result<Account, AccessError>) -> AccountError {
+        match result {
+            Err(AccessError::Account(error)) => error,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn policies_decide_and_nobody_makes_themselves_more_than_a_contributor() {
+        let dir = tempfile::tempdir().unwrap();
+        let accounts = open(&dir);
+        let ada = accounts.register(&asking(1, "ada", Role::Operator), Policy::Open, 5).unwrap();
+        assert_eq!((ada.role, ada.asked, ada.standing), (Role::Contributor, Role::Operator, Standing::Active));
+        let bob = accounts.register(&asking(2, "bob", Role::Curator), Policy::Approval, 6).unwrap();
+        assert_eq!((bob.role, bob.standing), (Role::Contributor, Standing::Waiting));
+        assert_eq!(
+            refused(accounts.register(&asking(3, "eve", Role::Curator), Policy::Closed, 7)),
+            AccountError::Closed
+        );
+        // Again, under any name and policy: it stays what it was.
+        assert_eq!(accounts.register(&asking(2, "robert", Role::Operator), Policy::Open, 9).unwrap(), bob);
+
+        let bob = accounts.approve(&bob.key, None).unwrap();
+        assert_eq!((bob.role, bob.standing), (Role::Curator, Standing::Active));
+        assert!(matches!(refused(accounts.approve(&bob.key, None)), AccountError::NotWaiting { .. }));
+        assert!(matches!(refused(accounts.approve(&key(3), None)), AccountError::NoSuch { .. }));
+        assert_eq!(open(&dir).list(), accounts.list(), "it is all in the file");
+        assert_eq!(accounts.list(), [ada, bob]);
+    }
+
+    #[test]
+    fn the_last_operator_stays() {
+        let dir = tempfile::tempdir().unwrap();
+        let accounts = open(&dir);
+        accounts.add(key(1), "root", Role::Operator, 1).unwrap();
+        let last = AccountError::LastOperator { name: "root".into() };
+        assert_eq!(refused(accounts.set_disabled(&key(1), true)), last);
+        assert_eq!(refused(accounts.set_role(&key(1), Role::Auditor)), last);
+        assert!(matches!(refused(accounts.add(key(1), "again", Role::Curator, 2)), AccountError::Exists { .. }));
+        accounts.add(key(2), "second", Role::Operator, 2).unwrap();
+        assert_eq!(accounts.set_disabled(&key(1), true).unwrap().standing, Standing::Disabled);
+        assert_eq!(
+            refused(accounts.set_role(&key(2), Role::Curator)),
+            AccountError::LastOperator { name: "second".into() }
+        );
+        assert_eq!(accounts.set_disabled(&key(1), false).unwrap().standing, Standing::Active);
+    }
+
+    #[test]
+    fn names_are_bounded_and_so_is_the_waiting_room() {
+        let dir = tempfile::tempdir().unwrap();
+        let accounts = open(&dir);
+        for name in ["", "a\nb", &"x".repeat(MAX_NAME + 1)] {
+            assert!(matches!(refused(accounts.add(key(1), name, Role::Auditor, 1)), AccountError::Name { .. }));
+        }
+        // As many as fit, put there at once: a thousand registrations are a thousand flushed files.
+        let many: Map = (0..MAX_WAITING)
+            .map(|n| {
+                let key = OwnerKey::from_seed(Digest::of(n.to_be_bytes()).as_bytes()).public();
+                let (role, standing) = (Role::Contributor, Standing::Waiting);
+                (key.id(), Account { key, name: "n".into(), role, asked: role, standing, since: 0, quota: None })
+            })
+            .collect();
+        *accounts.lock() = many;
+        let full = accounts.register(&asking(1, "late", Role::Contributor), Policy::Approval, 1);
+        assert_eq!(refused(full), AccountError::TooMany { what: "wait for approval", got: MAX_WAITING });
+        assert!(accounts.register(&asking(1, "late", Role::Contributor), Policy::Open, 1).is_ok());
+    }
+
+    #[test]
+    fn another_version_and_damage_are_refused_by_name() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("accounts.json");
+        let small_order = format!("{}{}", "01", "00".repeat(31));
+        let weak = format!(
+            r#"{{"format_version": 1, "accounts": [{{"key": "{small_order}", "name": "x", "role": "curator",
+            "asked": "curator", "standing": "active", "since": 1}}]}}"#
+        );
+        for (text, says) in [
+            (r#"{"format_version": 2, "accounts": []}"#, "format version 2"),
+            (r#"{"accounts": []}"#, "no format version"),
+            ("{", "no JSON"),
+            (weak.as_str(), "small order"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let error = Accounts::open(path.clone()).unwrap_err().to_string();
+            assert!(error.contains(says) && error.contains("accounts.json"), "{error}");
+        }
+    }
+}

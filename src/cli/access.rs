@@ -1,0 +1,216 @@
+//! `cairn access`: accounts, their roles and quotas.
+//!
+//! Without --connect these commands work on a data folder that no daemon has open, as
+//! its operator: whoever can write there needs no account.
+
+use anyhow::Context as _;
+use cairn_access::{Registration, Role};
+use cairn_proto::v1;
+use cairn_registry::{Digest, PublicKey};
+
+use super::VERSION;
+use super::connect::{Connection, Where, refused};
+
+/// What to do with accounts.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// Ask a daemon for an account with the key of --account
+    Register {
+        /// What to call it
+        #[arg(long, value_name = "NAME")]
+        name: String,
+        /// The role to ask for; more than contributor is an operator's to give
+        #[arg(long, default_value_t = Role::Contributor)]
+        role: Role,
+    },
+    /// Approve an account that waits (operators)
+    Approve {
+        /// Its public key, 64 hexadecimal digits
+        key: PublicKey,
+        /// Another role than it asked for
+        #[arg(long)]
+        role: Option<Role>,
+    },
+    /// All accounts, oldest first (auditors and operators)
+    List,
+    /// Give an account another role: contributor, curator, auditor or operator (operators)
+    Role {
+        /// Its public key
+        key: PublicKey,
+        /// The role
+        role: Role,
+    },
+    /// Shut an account out (operators)
+    Disable {
+        /// Its public key
+        key: PublicKey,
+        /// Let it in again instead
+        #[arg(long)]
+        enable: bool,
+    },
+    /// What an account uses and may use: your own, or anybody's; with limits, set them (operators)
+    Quota(QuotaArgs),
+    /// Add an account to the data folder of a daemon that is not running: how the first operator is made
+    Add(AddArgs),
+}
+
+/// `cairn access quota`.
+#[derive(Debug, clap::Args)]
+pub struct QuotaArgs {
+    /// A public key; your own where not given
+    pub key: Option<PublicKey>,
+    /// Bytes of photographs stored, 0 for no limit
+    #[arg(long, value_name = "N", requires = "key")]
+    pub bytes: Option<u64>,
+    /// Views stored, 0 for no limit
+    #[arg(long, value_name = "N", requires = "key")]
+    pub views: Option<u64>,
+    /// Seconds of training within a rolling day, 0 for no limit
+    #[arg(long, value_name = "N", requires = "key")]
+    pub training_seconds: Option<u64>,
+    /// Trainings accepted or running, 0 for no limit
+    #[arg(long, value_name = "N", requires = "key")]
+    pub queued_jobs: Option<u64>,
+    /// The daemon's own limits again
+    #[arg(long, requires = "key", conflicts_with_all = ["bytes", "views", "training_seconds", "queued_jobs"])]
+    pub default: bool,
+}
+
+/// `cairn access add`.
+#[derive(Debug, clap::Args)]
+pub struct AddArgs {
+    /// Its public key, 64 hexadecimal digits (see `cairn keys show`)
+    #[arg(long, value_name = "PUBLIC")]
+    pub key: PublicKey,
+    /// Its role: contributor, curator, auditor or operator
+    #[arg(long)]
+    pub role: Role,
+    /// What to call it; its role where not given
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
+}
+
+/// Answers `cairn access add`.
+pub fn add(place: &Where, args: &AddArgs) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        place.connect.is_none(),
+        "accounts are added on the daemon's machine, without --connect; over the network they register"
+    );
+    let name = args.name.as_deref().unwrap_or(args.role.name());
+    let account = crate::engine::access::add_account(&place.data, args.key, name, args.role)?;
+    println!("added {}, {}", account.name, account.role);
+    Ok(())
+}
+
+/// Answers `cairn access`.
+pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
+    let mut client = line.access();
+    let bytes = |key: &PublicKey| key.to_bytes().to_vec().into();
+    let changed = match command {
+        Command::Register { name, role } => return register(line, name, role).await,
+        Command::Approve { key, role } => {
+            let role = role.map_or(v1::Role::Unspecified, crate::daemon::to_proto::role).into();
+            let request = v1::ApproveAccountRequest { format_version: VERSION, public_key: bytes(&key), role };
+            client.approve(request).await.map_err(refused)?.into_inner().account
+        }
+        Command::List => {
+            let request = v1::ListAccountsRequest { format_version: VERSION };
+            let accounts = client.list(request).await.map_err(refused)?.into_inner().accounts;
+            accounts.iter().for_each(|account| println!("{}", one_line(account)));
+            return Ok(());
+        }
+        Command::Role { key, role } => {
+            let role = crate::daemon::to_proto::role(role).into();
+            let request = v1::SetRoleRequest { format_version: VERSION, public_key: bytes(&key), role };
+            client.set_role(request).await.map_err(refused)?.into_inner().account
+        }
+        Command::Disable { key, enable } => {
+            let request = v1::DisableAccountRequest { format_version: VERSION, public_key: bytes(&key), enable };
+            client.disable(request).await.map_err(refused)?.into_inner().account
+        }
+        Command::Quota(args) => return quota(line, &args).await,
+        // It needs no line, and was answered before there was one.
+        Command::Add(_) => return Ok(()),
+    };
+    println!("{}", one_line(&changed.context("the daemon's answer names no account")?));
+    Ok(())
+}
+
+fn one_line(account: &v1::Account) -> String {
+    let standing = match account.standing() {
+        v1::AccountStanding::Unspecified => "in an unknown state",
+        v1::AccountStanding::Waiting => "waiting",
+        v1::AccountStanding::Active => "active",
+        v1::AccountStanding::Disabled => "disabled",
+    };
+    let asked = match account.asked() {
+        asked if asked == account.role() => String::new(),
+        asked => format!(", asked for {}", word(asked)),
+    };
+    let key = <[u8; 32]>::try_from(account.public_key.as_ref()).map_or_else(
+        |_| "a key that is not 32 bytes".into(),
+        // Written as every public key is; it need not be a digest for that.
+        |bytes| Digest::from_bytes(bytes).to_string(),
+    );
+    format!("{key}  {}  {}{asked}  {standing}", account.name, word(account.role()))
+}
+
+fn word(role: v1::Role) -> &'static str {
+    match role {
+        v1::Role::Unspecified => "no role",
+        v1::Role::Contributor => "contributor",
+        v1::Role::Curator => "curator",
+        v1::Role::Auditor => "auditor",
+        v1::Role::Operator => "operator",
+    }
+}
+
+async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result<()> {
+    let key = line.account_key().context("say whose account it is to be: --account FILE (see `cairn keys new`)")?;
+    let mut client = line.access();
+    let public_key = key.public().to_bytes().to_vec();
+    let request = v1::RegistrationNonceRequest { format_version: VERSION, public_key: public_key.clone().into() };
+    let given = client.nonce(request).await.map_err(refused)?.into_inner();
+    let nonce: [u8; 32] = given.nonce.as_ref().try_into().context("the daemon's nonce is not 32 bytes")?;
+    let nonce = Digest::from_bytes(nonce);
+    let registration = Registration { nonce, origin: given.origin, key: key.public(), name, role };
+    let request = v1::RegisterRequest {
+        format_version: VERSION,
+        public_key: public_key.into(),
+        signature: registration.sign(key).to_vec().into(),
+        name: registration.name,
+        role: crate::daemon::to_proto::role(role).into(),
+        nonce: given.nonce,
+    };
+    let account = client.register(request).await.map_err(refused)?.into_inner().account;
+    println!("{}", one_line(&account.context("the daemon's answer names no account")?));
+    Ok(())
+}
+
+async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
+    let mut client = line.access();
+    let public_key = || args.key.map(|key| key.to_bytes().to_vec()).unwrap_or_default().into();
+    let ask = || v1::QuotaRequest { format_version: VERSION, public_key: public_key() };
+    let mut now = client.quota(ask()).await.map_err(refused)?.into_inner();
+    let given = [args.bytes, args.views, args.training_seconds, args.queued_jobs];
+    if args.default || given.iter().any(Option::is_some) {
+        let old = now.limits.unwrap_or_default();
+        let quota = v1::QuotaLimits {
+            bytes: args.bytes.unwrap_or(old.bytes),
+            views: args.views.unwrap_or(old.views),
+            training_seconds: args.training_seconds.unwrap_or(old.training_seconds),
+            queued_jobs: args.queued_jobs.unwrap_or(old.queued_jobs),
+        };
+        let quota = (!args.default).then_some(quota);
+        let request = v1::SetQuotaRequest { format_version: VERSION, public_key: public_key(), quota };
+        client.set_quota(request).await.map_err(refused)?;
+        now = client.quota(ask()).await.map_err(refused)?.into_inner();
+    }
+    let (limits, used) = (now.limits.unwrap_or_default(), now.used.unwrap_or_default());
+    let of = |limit: u64| if limit == 0 { "no limit".to_owned() } else { format!("of {limit}") };
+    println!("bytes             {} {}", used.bytes, of(limits.bytes));
+    println!("views             {} {}", used.views, of(limits.views));
+    println!("training seconds  {} {} in a day", used.training_seconds, of(limits.training_seconds));
+    println!("queued jobs       {} {}", used.queued_jobs, of(limits.queued_jobs));
+    Ok(())
+}

@@ -1,0 +1,246 @@
+//! The gate: every call of every service comes through here before its handler.
+//!
+//! Contract. A method that stands in no row of cairn-access's table is refused. Where its
+//! row wants a token, the token MUST be verified here, whatever the handler does or
+//! forgets. What the call is about is known to its handler alone, which MUST hold the
+//! caller to it with [`Shared::authorise`] before it changes or stores anything.
+
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use cairn_access::{Account, Call, Claims, Denied, Need, Reach, Role, TokenError, roles};
+use cairn_registry::{Digest, Envelope};
+use sha2::{Digest as _, Sha256};
+use tonic::codegen::http::{self, HeaderMap};
+use tonic::{Extensions, Status};
+
+use super::Shared;
+use super::status::status;
+use crate::config::Mode;
+use crate::engine::access::unix_s;
+
+/// What the gate found out about a call.
+#[derive(Clone, Debug)]
+pub struct Admitted {
+    method: String,
+    need: Need,
+    caller: Caller,
+}
+
+/// Who calls.
+#[derive(Clone, Debug)]
+enum Caller {
+    /// Whoever it is, they may: no mode, or a shared token, that tells callers apart.
+    Everybody,
+    /// Somebody without a token, on a call that needs none so far.
+    Nobody,
+    /// An account, and what its token says.
+    Account(Box<(Account, Claims)>),
+}
+
+/// What a call is about.
+#[derive(Clone, Copy, Debug)]
+pub enum About<'a> {
+    /// No scene.
+    Nothing,
+    /// A scene, there or new.
+    Scene(&'a str),
+    /// A training, and so its scene.
+    Job(&'a str),
+    /// A scene that is only named: nothing of it is touched.
+    Place(&'a str),
+    /// A record about a scene, or a request about one, as somebody signed it.
+    Signed(&'a str, &'a Envelope),
+}
+
+impl Shared {
+    /// Whether a call may go on to its handler; `None` for services that are not Cairn's (health, reflection).
+    fn admit(&self, path: &str, headers: &HeaderMap) -> Result<Option<Admitted>, Status> {
+        let Some(need) = roles::need(path) else {
+            if path.starts_with("/cairn.") {
+                return Err(Status::unimplemented("there is no such method, or nobody may call it"));
+            }
+            return Ok(None);
+        };
+        let wanted = need.is_guarded() || (need == Need::Read && self.access.read_closed);
+        let given = headers.get("authorization").and_then(|value| value.to_str().ok());
+        let caller = match self.access.mode {
+            Mode::Open => Caller::Everybody,
+            Mode::Token => match self.check_bearer(given) {
+                Ok(()) => Caller::Everybody,
+                Err(refused) if wanted => return Err(refused),
+                Err(_) => Caller::Nobody,
+            },
+            Mode::Accounts => match given.and_then(|text| text.strip_prefix("Cairn ")) {
+                Some(token) if need != Need::Anyone => self.verify(path, need, token)?,
+                None if wanted => return Err(missing(path)),
+                Some(_) | None => Caller::Nobody,
+            },
+        };
+        Ok(Some(Admitted { method: path.to_owned(), need, caller }))
+    }
+
+    fn verify(&self, method: &str, need: Need, token: &str) -> Result<Caller, Status> {
+        let loaded = self.at_work()?;
+        let call = Call { method, need, now: unix_s() };
+        let verified = loaded.verifier.verify(token, call, loaded.engine.access().accounts());
+        Ok(Caller::Account(Box::new(verified.map_err(|e| status(e.into()))?)))
+    }
+
+    /// Whether the caller brings the daemon's one token.
+    fn check_bearer(&self, given: Option<&str>) -> Result<(), Status> {
+        let Some(token) = &self.token else { return Ok(()) };
+        let remedy = "send `authorization: Bearer <token>` (--token-file) with the daemon's token";
+        let Some(given) = given else {
+            return Err(Status::unauthenticated(format!("this call needs a token; {remedy}")));
+        };
+        let given = given.strip_prefix("Bearer ").unwrap_or_default();
+        // Compared by digest: how long that takes says nothing of the secret.
+        if Sha256::digest(given) != Sha256::digest(token.secret()) {
+            return Err(Status::unauthenticated(format!("the token is not the daemon's; {remedy}")));
+        }
+        Ok(())
+    }
+
+    /// Holds the caller to what the call is about: the token's scene is the call's, and contributors keep to
+    /// what is theirs. The id of the account that pays; `None` where none does.
+    pub(super) fn authorise(&self, extensions: &Extensions, about: About<'_>) -> Result<Option<Digest>, Status> {
+        let need = extensions.get::<Admitted>().map_or(Need::Operate, |admitted| admitted.need);
+        self.authorise_as(extensions, need, about)
+    }
+
+    /// As [`Shared::authorise`], for a call that turned out to need more than its method's row says.
+    pub(super) fn authorise_as(
+        &self,
+        extensions: &Extensions,
+        need: Need,
+        about: About<'_>,
+    ) -> Result<Option<Digest>, Status> {
+        let Some(Admitted { method, caller, .. }) = extensions.get() else {
+            return Err(Status::internal("the call did not come through the gate"));
+        };
+        let (account, claims) = match caller {
+            Caller::Everybody => return Ok(None),
+            Caller::Nobody if self.access.mode == Mode::Token => {
+                self.check_bearer(None)?;
+                return Ok(None);
+            }
+            Caller::Nobody => return Err(missing(method)),
+            Caller::Account(verified) => &**verified,
+        };
+        let engine = self.engine()?;
+        let job = match about {
+            About::Job(id) => Some(engine.jobs().get(id).map_err(status)?),
+            _ => None,
+        };
+        let scene = match about {
+            About::Nothing => "",
+            About::Scene(scene) | About::Place(scene) | About::Signed(scene, _) => scene,
+            About::Job(_) => job.as_ref().map_or("", |job| job.spec.scene.as_str()),
+        };
+        claims.about(scene).map_err(refuse)?;
+        let id = account.id();
+        let (reach, contributor) = (account.role.reach(need), account.role == Role::Contributor);
+        let theirs = match about {
+            // What they signed themselves is all that a contributor submits, whatever scene it is about: a record under
+            // their key, or the rotation that leads from it to another.
+            About::Signed(_, envelope) => !contributor || envelope.signature_by(&account.key).is_some(),
+            About::Nothing | About::Place(_) => true,
+            _ if reach != Reach::Own => true,
+            About::Job(_) => job.as_ref().is_some_and(|job| job.owner == Some(id)),
+            // What is not there is nobody's: its handler says so.
+            About::Scene(scene) => {
+                let owner = engine.access().owner_of(scene).map_err(status)?;
+                owner == Some(id) || (owner.is_none() && engine.scene(scene).is_err())
+            }
+        };
+        if reach == Reach::None {
+            let (name, needed) = (account.name.clone(), need.roles());
+            return Err(refuse(Denied::Role { name, role: account.role, method: method.clone(), needed }));
+        }
+        if !theirs {
+            return Err(refuse(Denied::NotYours { what: what(about) }));
+        }
+        Ok(Some(id))
+    }
+}
+
+fn what(about: About<'_>) -> String {
+    match about {
+        About::Nothing => "this".into(),
+        About::Scene(scene) | About::Place(scene) => format!("the scene {scene:?}"),
+        About::Job(id) => format!("the training {id}"),
+        About::Signed(..) => "a record that your account's key did not sign".into(),
+    }
+}
+
+fn missing(method: &str) -> Status {
+    refuse(TokenError::Missing { method: method.to_owned() })
+}
+
+fn refuse(error: impl Into<cairn_access::AccessError>) -> Status {
+    status(error.into().into())
+}
+
+/// Puts [`Gate`] before services.
+#[derive(Clone)]
+pub struct GateLayer(pub Shared);
+
+impl<S> tower::Layer<S> for GateLayer {
+    type Service = Gate<S>;
+
+    fn layer(&self, inner: S) -> Gate<S> {
+        Gate { inner, shared: self.0.clone() }
+    }
+}
+
+/// Services that only those reach who may.
+#[derive(Clone)]
+pub struct Gate<S> {
+    inner: S,
+    shared: Shared,
+}
+
+impl<S, In, Out> tower::Service<http::Request<In>> for Gate<S>
+where
+    S: tower::Service<http::Request<In>, Response = http::Response<Out>>,
+    S::Future: Send + 'static,
+    S::Error: Send + 'static,
+    Out: Default + Send + 'static,
+{
+    type Response = http::Response<Out>;
+    type Error = S::Error;
+    type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Self::Error>> + Send>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Self::Error>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, mut request: http::Request<In>) -> Self::Future {
+        match self.shared.admit(request.uri().path(), request.headers()) {
+            Ok(admitted) => {
+                if let Some(admitted) = admitted {
+                    request.extensions_mut().insert(admitted);
+                }
+                Box::pin(self.inner.call(request))
+            }
+            Err(refused) => Box::pin(std::future::ready(Ok(refused.into_http()))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_method_has_its_row_in_the_table() {
+        let rows: BTreeSet<&str> = cairn_access::roles::METHODS.iter().map(|(path, _)| *path).collect();
+        let methods: BTreeSet<&str> = cairn_proto::v1::METHODS.iter().copied().collect();
+        assert!(methods.len() > 20, "{methods:?}");
+        let missing: Vec<_> = methods.difference(&rows).collect();
+        assert!(missing.is_empty(), "crates/cairn-access/src/roles.rs has no row for {missing:?}");
+        let stale: Vec<_> = rows.difference(&methods).collect();
+        assert!(stale.is_empty(), "crates/cairn-access/src/roles.rs has rows for methods that are gone: {stale:?}");
+    }
+}

@@ -1,0 +1,84 @@
+//! Owners of scenes, and what a crash leaves of them.
+
+use super::*;
+
+const LIMITS: Limits = Limits { bytes: 100, views: 10, training_seconds: 10, queued_jobs: 1 };
+
+fn open(dir: &Path) -> (DataFolder, Access) {
+    let folder = DataFolder::open(dir).unwrap();
+    let access = Access::open(&folder, LIMITS).unwrap();
+    (folder, access)
+}
+
+fn charge(bytes: u64) -> Charge {
+    Charge { bytes, views: 2 }
+}
+
+#[test]
+fn a_scene_has_its_owner_from_before_it_is_there_until_after_it_is_gone() {
+    let dir = tempfile::tempdir().unwrap();
+    let (folder, access) = open(dir.path());
+    let ada = Digest::of("ada");
+    let town = folder.scenes().join("town");
+    let owned = access.reserve(ada, "a", charge(60)).unwrap();
+    assert!(access.reserve(ada, "b", charge(60)).is_err(), "two imports cannot both have the last of it");
+    let place = access.place("town", town.clone()).unwrap();
+    assert!(access.place("town", town.clone()).is_err(), "nobody else finishes an import under this name");
+    access.announce(&place, Some(&owned)).unwrap();
+    assert_eq!(access.owner_of("town").unwrap(), Some(ada));
+    std::fs::create_dir(&town).unwrap();
+    access.became(&place, Some(owned));
+    drop(place);
+    assert!(access.place("town", town.clone()).is_err(), "it is there");
+    drop((folder, access));
+
+    let (folder, access) = open(dir.path());
+    assert_eq!((access.owner_of("town").unwrap(), access.usage(&ada).bytes), (Some(ada), 60));
+    assert_eq!(access.owner_of("../town").unwrap(), None);
+    std::fs::remove_dir(&town).unwrap();
+    access.forget("town").unwrap();
+    access.forget("town").unwrap();
+    assert_eq!((access.owner_of("town").unwrap(), access.usage(&ada).bytes), (None, 0));
+    drop((folder, access));
+}
+
+#[test]
+fn whatever_a_crash_leaves_is_set_right_at_the_start() {
+    let dir = tempfile::tempdir().unwrap();
+    let ada = Digest::of("ada");
+    {
+        let (folder, access) = open(dir.path());
+        // Dies with one import announced, and another one finished but not yet charged under its name.
+        let owned = access.reserve(ada, "a", charge(40)).unwrap();
+        let place = access.place("announced", folder.scenes().join("announced")).unwrap();
+        access.announce(&place, Some(&owned)).unwrap();
+        let other = access.reserve(ada, "b", charge(50)).unwrap();
+        let town = access.place("town", folder.scenes().join("town")).unwrap();
+        access.announce(&town, Some(&other)).unwrap();
+        std::fs::create_dir(folder.scenes().join("town")).unwrap();
+        std::mem::forget((owned, other));
+    }
+    let (_folder, access) = open(dir.path());
+    assert_eq!(access.owner_of("announced").unwrap(), None);
+    assert_eq!(access.owner_of("town").unwrap(), Some(ada));
+    assert_eq!(access.usage(&ada).bytes, 50);
+}
+
+#[test]
+fn accounts_may_have_quotas_of_their_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let key = cairn_registry::OwnerKey::from_seed(&[1; 32]).public();
+    add_account(dir.path(), key, "ada", Role::Curator).unwrap();
+    let (_folder, access) = open(dir.path());
+    assert_eq!(access.limits(&key.id()), LIMITS);
+    assert!(add_account(dir.path(), key, "ada", Role::Curator).unwrap_err().to_string().contains("in use"));
+    let own = Limits { bytes: 7, ..LIMITS };
+    access.accounts().set_quota(&key, Some(own)).unwrap();
+    assert_eq!(access.limits(&key.id()), own);
+    access.check_training(&key.id(), 0).unwrap();
+    assert!(access.check_training(&key.id(), 1).is_err());
+    access.spend(&key.id(), 10.0).unwrap();
+    assert_eq!(access.seconds_left(&key.id()), Some(0.0));
+    let refused = access.check_training(&key.id(), 0).unwrap_err().to_string();
+    assert!(refused.contains("`training_seconds` is 10: 10 used"), "{refused}");
+}

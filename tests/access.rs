@@ -1,0 +1,357 @@
+//! Who may do what, through the real daemon: accounts, tokens, roles, quotas.
+
+mod common;
+
+use std::collections::BTreeSet;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use cairn_access::roles::{Need, need};
+use cairn_access::{Daemon as Identity, sign};
+use cairn_proto::v1;
+use cairn_proto::v1::access_service_client::AccessServiceClient;
+use cairn_proto::v1::scene_service_client::SceneServiceClient;
+use cairn_proto::v1::training_service_client::TrainingServiceClient;
+use cairn_registry::{OwnerKey, PublicKey};
+use common::{Daemon, Place, TINY, base_only};
+use tonic::client::Grpc;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Request, Status};
+
+const ACCOUNTS: &str = "[access]\nmode = \"accounts\"\n";
+const CLOSED: &str = "[access]\nmode = \"accounts\"\nread = \"closed\"\n";
+const DELETE: &str = "/cairn.v1.SceneService/Delete";
+const START: &str = "/cairn.v1.TrainingService/Start";
+/// Steps that nobody waits for.
+const ENDLESS: &str = "[field]\nsteps = 1000000\nrays_per_step = 64\nvoxels = 4096\nlevels = 1";
+
+/// A daemon with an operator, and people with keys.
+struct World {
+    place: Place,
+    daemon: Daemon,
+}
+
+impl World {
+    fn new(settings: &str) -> Self {
+        let place = Place::new();
+        let root = key(&place, "root");
+        let data = place.text("data");
+        place.cairn_ok(&["access", "add", "--role", "operator", "--key", &root.to_string(), "--data", &data]);
+        let daemon = Daemon::start(&place.path("data"), settings);
+        Self { place, daemon }
+    }
+
+    /// Somebody with an account of this role.
+    fn with(&self, name: &str, role: &str) -> PublicKey {
+        let public = key(&self.place, name);
+        self.ok(name, &["access", "register", "--name", name]);
+        self.ok("root", &["access", "approve", &public.to_string(), "--role", role]);
+        public
+    }
+
+    fn run(&self, who: &str, arguments: &[&str]) -> Result<String, String> {
+        let key = self.place.text(&format!("{who}.key"));
+        let line = ["--connect", &self.daemon.url, "--account", &key];
+        let output = self.place.cairn(&[arguments, &line].concat());
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        if output.status.success() { Ok(text(&output.stdout)) } else { Err(text(&output.stderr)) }
+    }
+
+    fn ok(&self, who: &str, arguments: &[&str]) -> String {
+        self.run(who, arguments).unwrap_or_else(|e| panic!("{who}: cairn {arguments:?}: {e}"))
+    }
+
+    fn refused(&self, who: &str, arguments: &[&str], says: &str) {
+        let said = self.run(who, arguments).expect_err(&format!("{who} may cairn {arguments:?}"));
+        assert!(said.contains(says), "{who}: cairn {arguments:?} was refused, but not for {says:?}: {said}");
+    }
+
+    fn import(&self, who: &str, scene: &str) -> Result<String, String> {
+        let capture = self.place.text("capture");
+        self.run(who, &["scene", "import", scene, "--from", &capture, "--contributors", "contributors.csv"])
+    }
+
+    async fn channel(&self) -> Channel {
+        Endpoint::from_shared(self.daemon.url.clone()).unwrap().connect().await.unwrap()
+    }
+
+    /// What tokens for this run of the daemon name.
+    async fn identity(&self) -> Identity {
+        let mut client = AccessServiceClient::new(self.channel().await);
+        let about = client.about(v1::AboutRequest { format_version: 1 }).await.unwrap().into_inner();
+        let registry: [u8; 32] = about.registry_key.as_ref().try_into().unwrap();
+        let registry = PublicKey::from_bytes(&registry).unwrap().id();
+        Identity { origin: about.origin, registry, run: about.run.as_ref().try_into().unwrap() }
+    }
+
+    fn key(&self, who: &str) -> OwnerKey {
+        OwnerKey::load(&self.place.path(&format!("{who}.key"))).unwrap()
+    }
+}
+
+/// A new key in `NAME.key`.
+fn key(place: &Place, name: &str) -> PublicKey {
+    let key = OwnerKey::generate().unwrap();
+    key.save(&place.path(&format!("{name}.key"))).unwrap();
+    key.public()
+}
+
+fn now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs()
+}
+
+fn bearing<T>(message: T, token: &str) -> Request<T> {
+    let mut request = Request::new(message);
+    request.metadata_mut().insert("authorization", format!("Cairn {token}").parse().unwrap());
+    request
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_account_is_registered_approved_and_held_to_its_role() {
+    let world = World::new(ACCOUNTS);
+    key(&world.place, "ada");
+    let asked = world.ok("ada", &["access", "register", "--name", "ada", "--role", "curator"]);
+    assert!(asked.contains("ada  contributor, asked for curator  waiting"), "{asked}");
+    let said = world.import("ada", "town").unwrap_err();
+    assert!(said.contains("waits for an operator's approval") && said.contains("PermissionDenied"), "{said}");
+    key(&world.place, "eve");
+    world.refused("eve", &["scene", "delete", "town"], "register its key first");
+    let ada = world.key("ada").public().to_string();
+    world.refused("ada", &["access", "approve", &ada], "waits for");
+    let approved = world.ok("root", &["access", "approve", &ada, "--role", "contributor"]);
+    assert!(approved.contains("active"), "{approved}");
+    let (bob, _) = (world.with("bob", "contributor"), world.with("cara", "curator"));
+    world.with("dan", "auditor");
+
+    assert!(world.import("ada", "town").unwrap().contains("12 views"));
+    for who in ["bob", "dan"] {
+        let train = ["train", "town", "--by-contributor", "--base-only", "--detach"];
+        let why = if who == "bob" { "the scene \"town\" belongs to another account" } else { "is auditor" };
+        world.refused(who, &["scene", "delete", "town"], why);
+        world.refused(who, &train, why);
+    }
+    assert!(world.import("dan", "fern").unwrap_err().contains("needs the role contributor or curator or operator"));
+    world.refused("bob", &["scene", "delete", "none"], "there is no scene \"none\"");
+    world.ok("cara", &["scene", "delete", "town"]);
+    assert!(world.import("ada", "town").is_ok());
+    world.ok("ada", &["scene", "delete", "town"]);
+
+    world.refused("cara", &["access", "list"], "needs the role auditor or operator");
+    let listed = world.ok("dan", &["access", "list"]);
+    assert!(listed.contains(&world.key("root").public().to_string()) && listed.lines().count() == 5, "{listed}");
+    world.refused("bob", &["access", "role", &bob.to_string(), "operator"], "needs the role operator");
+    world.refused("bob", &["access", "quota", &ada], "needs the role auditor or operator");
+    let root = world.key("root").public().to_string();
+    world.refused("root", &["access", "disable", &root], "the last active operator");
+    world.ok("root", &["access", "disable", &bob.to_string()]);
+    assert!(world.import("bob", "fern").unwrap_err().contains("\"bob\" is disabled"));
+    world.ok("root", &["access", "disable", "--enable", &bob.to_string()]);
+
+    // While the daemon runs, nobody adds accounts behind its back.
+    let data = world.place.text("data");
+    let add = ["access", "add", "--role", "operator", "--key", &ada, "--data", &data];
+    let said = String::from_utf8_lossy(&world.place.cairn(&add).stderr).into_owned();
+    assert!(said.contains(&format!("process {}", world.daemon.pid())), "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_token_is_good_for_one_call_of_one_run() {
+    let mut world = World::new(ACCOUNTS);
+    world.with("cara", "curator");
+    let (cara, here) = (world.key("cara"), world.identity().await);
+    let signed =
+        |here: &Identity, method: &str, scene: &str, at: u64| sign(&cara, here, method, scene, at, 60).unwrap();
+    let delete = || v1::DeleteSceneRequest { format_version: 1, scene: "town".into() };
+    let mut scenes = SceneServiceClient::new(world.channel().await);
+
+    let good = signed(&here, DELETE, "town", now());
+    assert_eq!(scenes.delete(bearing(delete(), &good)).await.unwrap_err().code(), Code::NotFound);
+    for (token, says) in [
+        (good.clone(), "used already"),
+        (signed(&here, DELETE, "town", now() - 1000), "expired"),
+        (signed(&here, DELETE, "town", now() + 1000), "issued at"),
+        (signed(&here, DELETE, "fern", now()), "about scene \"fern\""),
+        (signed(&here, START, "town", now()), "sign one for this call"),
+        ("x".repeat(40), "cannot be read"),
+    ] {
+        let refused = scenes.delete(bearing(delete(), &token)).await.unwrap_err();
+        assert_eq!(refused.code(), Code::Unauthenticated, "{refused}");
+        assert!(refused.message().contains(says), "{refused} does not say {says:?}");
+    }
+
+    let early = signed(&here, DELETE, "town", now());
+    world.daemon.kill();
+    world.daemon = Daemon::start(&world.place.path("data"), ACCOUNTS);
+    let mut scenes = SceneServiceClient::new(world.channel().await);
+    for token in [early, good] {
+        let refused = scenes.delete(bearing(delete(), &token)).await.unwrap_err();
+        assert!(refused.message().contains("an earlier run of this daemon"), "{refused}");
+    }
+    // Pinned, the command signs for no other daemon.
+    let (vkey, other) = (world.place.text("vkey"), world.place.text("other.vkey"));
+    world.ok("cara", &["owners", "vkey", "--out", &vkey]);
+    world.place.cairn_ok(&["owners", "vkey", "--data", &world.place.text("other"), "--out", &other]);
+    world.refused("cara", &["scene", "delete", "town", "--daemon-vkey", &vkey], "no scene \"town\"");
+    world.refused("cara", &["scene", "delete", "town", "--daemon-vkey", &other], "and the pinned one");
+}
+
+/// Calls a method by its path with a message that holds its version and nothing else: all have that field.
+async fn call(channel: &Channel, path: &'static str, token: Option<&str>) -> Result<(), Status> {
+    let mut client = Grpc::new(channel.clone());
+    client.ready().await.unwrap();
+    let codec = tonic_prost::ProstCodec::<v1::ListScenesRequest, ()>::default();
+    let message = v1::ListScenesRequest { format_version: 1 };
+    let request = token.map_or_else(|| Request::new(message), |token| bearing(message, token));
+    let path = tonic::codegen::http::uri::PathAndQuery::from_static(path);
+    client.server_streaming(request, path, codec).await?.into_inner().message().await.map(drop)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_method_of_the_contract_is_forgotten() {
+    // What needs no token where reading is open. Whoever adds a method decides, here and in the table of roles.
+    let open: BTreeSet<&str> = [
+        "AccessService/About",
+        "AccessService/Nonce",
+        "AccessService/Register",
+        "SceneService/List",
+        "SceneService/Get",
+        "SceneService/DrawPoses",
+        "TrainingService/Watch",
+        "TrainingService/Get",
+        "TrainingService/List",
+        "RenderService/Render",
+        "RenderService/RenderPath",
+        "QueryService/WhoByPose",
+        "QueryService/WhoByPicture",
+        "DetectionService/Detect",
+        "OwnerService/List",
+        "OwnerService/Get",
+        "OwnerService/Checkpoint",
+        "OwnerService/Proof",
+    ]
+    .into();
+    for (settings, closed) in [(ACCOUNTS, false), (CLOSED, true)] {
+        let world = World::new(settings);
+        let (channel, root, here) = (world.channel().await, world.key("root"), world.identity().await);
+        for path in v1::METHODS.iter().copied() {
+            let anyone = need(path) == Some(Need::Anyone);
+            let free = open.contains(path.trim_start_matches("/cairn.v1.")) && (anyone || !closed);
+            let code = call(&channel, path, None).await.err().map(|status| status.code());
+            assert_eq!(code == Some(Code::Unauthenticated), !free, "{path} without a token: {code:?}");
+            if !free {
+                // Nor does a token of the operator's help that is for another call, or for another scene.
+                let elsewhere = if path == DELETE { START } else { DELETE };
+                let token = sign(&root, &here, elsewhere, "", now(), 60).unwrap();
+                let refused = call(&channel, path, Some(&token)).await.unwrap_err();
+                assert_eq!(refused.code(), Code::Unauthenticated, "{path}: {refused}");
+                let token = sign(&root, &here, path, "elsewhere", now(), 60).unwrap();
+                let with_scene = call(&channel, path, Some(&token)).await;
+                let guarded = need(path).is_some_and(Need::is_guarded);
+                assert!(with_scene.is_err() || !guarded, "{path} took a token about another scene");
+            }
+        }
+        let mut health = tonic_health::pb::health_client::HealthClient::new(channel.clone());
+        health.check(tonic_health::pb::HealthCheckRequest::default()).await.unwrap();
+        let unknown = call(&channel, "/cairn.v1.SceneService/Rename", None).await.unwrap_err();
+        assert_eq!(unknown.code(), Code::Unimplemented, "{unknown}");
+
+        // Any account reads.
+        world.with("dan", "auditor");
+        world.ok("dan", &["scene", "list"]);
+        let anybody = world.place.cairn(&["scene", "list", "--connect", &world.daemon.url]);
+        assert_eq!(anybody.status.success(), !closed, "{anybody:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_quota_of_views_refuses_an_import_and_leaves_nothing() {
+    let world = World::new(&format!("{ACCOUNTS}[access.quota]\nviews = 20\n"));
+    let ada = world.with("ada", "contributor").to_string();
+    world.ok("root", &["access", "quota", &ada, "--views", "3"]);
+    let said = world.import("ada", "town").unwrap_err();
+    assert!(
+        said.contains("quota `views` is 3: 0 used, 12 more asked for") && said.contains("ResourceExhausted"),
+        "{said}"
+    );
+    for folder in ["scenes", "staging", "owners"] {
+        let left = std::fs::read_dir(world.place.path("data").join(folder)).unwrap().count();
+        assert_eq!(left, 0, "{folder}");
+    }
+    assert!(world.ok("ada", &["access", "quota"]).contains("views             0 of 3"));
+    world.ok("root", &["access", "quota", &ada, "--default"]);
+    world.import("ada", "town").unwrap();
+    assert!(world.ok("ada", &["access", "quota"]).contains("views             12 of 20"));
+    assert!(world.import("ada", "fern").unwrap_err().contains("12 used, 12 more asked for; deleting a scene"));
+    assert!(world.import("root", "fern").is_ok(), "others have their own");
+    world.ok("ada", &["scene", "delete", "town"]);
+    assert!(world.ok("ada", &["access", "quota"]).contains("views             0 of 20"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
+    let world = World::new(&format!("{ACCOUNTS}[access.quota]\nqueued_jobs = 1\n"));
+    let (ada, _) = (world.with("ada", "contributor").to_string(), world.with("bob", "contributor"));
+    world.import("ada", "town").unwrap();
+    let tiny = world.place.text("tiny.toml");
+    assert_eq!(std::fs::read_to_string(&tiny).unwrap(), TINY);
+    let train = ["train", "town", "--by-contributor", "--base-only", "--settings", &tiny];
+    assert!(world.ok("ada", &train).contains("done"));
+
+    // Records: under one's own key, whoever imported the scene.
+    let (own, other) = (world.place.text("bob.key"), world.place.text("ada.key"));
+    for (key, out) in [(&other, "refused"), (&own, "taken")] {
+        let out_folder = world.place.text(out);
+        let sign =
+            ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", key, "--out", &out_folder];
+        if out == "taken" { drop(world.ok("bob", &sign)) } else { world.refused("bob", &sign, "the owner's key") }
+    }
+    let view = "images/none.png";
+    let base = ["render", "town", "--view", view, "--base", "--out", "x.png"];
+    world.refused("bob", &base, "belongs to another account");
+    world.refused("ada", &base, "there is no view");
+    world.refused("bob", &["evaluate", "town"], "belongs to another account");
+
+    // One at a time; cancelling frees it. Nobody but its owner or a curator cancels it.
+    let (key, here) = (world.key("ada"), world.identity().await);
+    let mut training = TrainingServiceClient::new(world.channel().await);
+    let token = |who: &OwnerKey, method: &str| sign(who, &here, method, "town", now(), 60).unwrap();
+    let start = || bearing(base_only("town", 1, ENDLESS), &token(&key, START));
+    let job = training.start(start()).await.unwrap().into_inner().job.unwrap();
+    let full = training.start(start()).await.unwrap_err();
+    assert_eq!(full.code(), Code::ResourceExhausted, "{full}");
+    assert!(full.message().contains("`queued_jobs` is 1: 1 used"), "{full}");
+    let path = "/cairn.v1.TrainingService/Cancel";
+    let cancel = |who: &OwnerKey| {
+        let request = v1::CancelTrainingRequest { format_version: 1, job_id: job.id.clone() };
+        bearing(request, &token(who, path))
+    };
+    let refused = training.cancel(cancel(&world.key("bob"))).await.unwrap_err();
+    assert_eq!(refused.code(), Code::PermissionDenied, "{refused}");
+    training.cancel(cancel(&key)).await.unwrap();
+    assert!(world.ok("ada", &["access", "quota"]).contains("queued jobs       0 of 1"));
+
+    // A training that uses up its owner's seconds is put down at a checkpoint, and says so.
+    let used = world.ok("ada", &["access", "quota"]);
+    let used: u64 = used.lines().nth(2).unwrap().split_whitespace().nth(2).unwrap().parse().unwrap();
+    assert!(used >= 1);
+    world.ok("root", &["access", "quota", &ada, "--training-seconds", &(used + 1).to_string()]);
+    let job = training.start(start()).await.unwrap().into_inner().job.unwrap();
+    let watch = v1::WatchTrainingRequest { format_version: 1, job_id: job.id.clone() };
+    let mut line = training.watch(watch).await.unwrap().into_inner();
+    let mut last = None;
+    while let Some(message) = line.message().await.unwrap() {
+        last = message.job;
+    }
+    let last = last.unwrap();
+    assert_eq!(last.state(), v1::JobState::Failed);
+    assert!(
+        last.error.contains("put down at a checkpoint") && last.error.contains("`training_seconds`"),
+        "{}",
+        last.error
+    );
+    assert!(world.place.path("data/jobs").join(&job.id).join("base.checkpoint").exists());
+    let spent = training.start(start()).await.unwrap_err();
+    assert_eq!(spent.code(), Code::ResourceExhausted, "{spent}");
+    world.refused("ada", &["train", "town", "--resume", &job.id], "`training_seconds`");
+    world.ok("root", &["access", "quota", &ada, "--training-seconds", "0"]);
+    world.ok("ada", &["train", "town", "--resume", &job.id, "--detach"]);
+}
