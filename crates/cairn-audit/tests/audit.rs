@@ -477,17 +477,6 @@ fn codes_are_unique_and_every_failure_has_a_remedy() {
 }
 
 #[test]
-fn files_on_disk_are_read_in_pieces() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("large.bin");
-    let bytes: Vec<u8> = (0..200_000_u32).map(|i| i.to_le_bytes()[0]).collect();
-    std::fs::write(&path, &bytes).unwrap();
-    assert_eq!(FileInHand::read(&path).unwrap().digest, Digest::of(&bytes));
-    let absent = FileInHand::read(&folder.path().join("absent.bin")).unwrap_err();
-    assert!(absent.to_string().contains("absent.bin"));
-}
-
-#[test]
 fn a_bundle_is_two_small_files_side_by_side() {
     let folder = tempfile::tempdir().unwrap();
     let whole = whole();
