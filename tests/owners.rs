@@ -50,6 +50,15 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     assert!(report.starts_with("trusted"), "{report}");
     assert!(place.cairn_ok(&["audit", "bundle", &bundle]).starts_with("valid"));
 
+    // The whole folder, byte by byte: the log that the registry wrote, scenes, models and jobs.
+    let store = place.cairn_ok(&["audit", "store", &data, "--vkey", &vkey]);
+    assert!(store.starts_with("trusted"), "{store}");
+    for part in
+        ["store.map.verified", "working.verified", "folder.verified  scenes/town", "folder.verified  models/town"]
+    {
+        assert!(store.contains(part), "{part}: {store}");
+    }
+
     // A folder that has nothing to compare with: neither trusted nor invalid, but a mistake.
     let empty = place.cairn(&["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &place.text("tada")]);
     let said = String::from_utf8_lossy(&empty.stderr).into_owned();
@@ -69,6 +78,9 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     let forged = place.cairn(&verify);
     assert_eq!(forged.status.code(), Some(1), "{}", String::from_utf8_lossy(&forged.stdout));
     assert!(String::from_utf8_lossy(&forged.stdout).starts_with("invalid"));
+    let store = place.cairn(&["audit", "store", &data, "--vkey", &vkey]);
+    let said = String::from_utf8_lossy(&store.stdout).into_owned();
+    assert!(store.status.code() == Some(15) && said.contains("file.mismatch  scenes/town/photographs/"), "{said}");
 
     // A changed word in the record itself.
     let record = place.path("bundle/record.json");

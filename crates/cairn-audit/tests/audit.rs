@@ -5,7 +5,8 @@ use cairn_audit::{
     RecordInHand, Report, Severity, audit,
 };
 use cairn_registry::{
-    Checkpoint, Digest, Envelope, Leaf, NoteVerifier, OwnerKey, OwnerRecord, RecordKind, TlogProof,
+    Checkpoint, Digest, Envelope, Leaf, Note, NoteVerifier, OwnerKey, OwnerRecord, Policy, RecordKind, TlogProof,
+    WitnessVerifier, cosign,
     merkle::{Tree, empty_root, leaf_hash},
     record::{self, Digests, Identity, PAYLOAD_TYPE, Seen, hidden_signal_commitment, photographs_root},
 };
@@ -354,6 +355,36 @@ fn extra_signatures_and_fields_are_named_and_do_no_harm() {
     assert_eq!(report.outcome, Outcome::Trusted);
 }
 
+#[test]
+fn a_policy_bounds_the_time_from_above_and_the_record_from_below() {
+    let witness = WitnessVerifier::new("w.example", key(90).public()).unwrap();
+    let policy = Policy::parse(format!("log {}\nwitness w {witness}\nquorum w\n", pinned())).unwrap();
+    let mut record = owner_record();
+    record.seen.size = 3;
+    let mut envelope = record.seal(&key(1)).unwrap();
+    envelope.sign(&registry());
+    let mut whole = whole();
+    whole.envelope = envelope.to_json().into_bytes();
+    whole.proof = proof_of(&envelope, &registry(), ORIGIN);
+    let report = |whole: &Whole| audit(&Evidence { policy: Some(&policy), ..whole.evidence() });
+    let missing = report(&whole);
+    assert_eq!(errors(&missing), ["policy.quorum.missing"]);
+    assert!(missing.has(Code::TimeNotEarlierThan) && !missing.has(Code::TimeNotLaterThan), "{missing}");
+
+    let mut proof = TlogProof::parse(&whole.proof).unwrap();
+    let mut note = Note::parse(&proof.checkpoint).unwrap();
+    note.signatures.push(cosign(&note.text, 1_700_000_000, "w.example", &key(90)).unwrap());
+    proof.checkpoint = note.to_string();
+    whole.proof = proof.to_text();
+    let met = report(&whole);
+    assert_eq!(met.outcome, Outcome::Trusted, "{met}");
+    assert!(met.has(Code::PolicyQuorumMet) && met.to_string().contains("2023-11-14T22:13:20Z"), "{met}");
+    note.signatures[1].signature[30] ^= 1;
+    proof.checkpoint = note.to_string();
+    whole.proof = proof.to_text();
+    assert_eq!(errors(&report(&whole)), ["policy.signature.invalid"]);
+}
+
 fn later(kind: RecordKind, by: u8, also: Option<u8>, names: bool) -> Vec<u8> {
     let mut record = owner_record();
     record.kind = kind;
@@ -443,17 +474,6 @@ fn codes_are_unique_and_every_failure_has_a_remedy() {
             assert!(!code.remedy().is_empty(), "{name}");
         }
     }
-}
-
-#[test]
-fn files_on_disk_are_read_in_pieces() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("large.bin");
-    let bytes: Vec<u8> = (0..200_000_u32).map(|i| i.to_le_bytes()[0]).collect();
-    std::fs::write(&path, &bytes).unwrap();
-    assert_eq!(FileInHand::read(&path).unwrap().digest, Digest::of(&bytes));
-    let absent = FileInHand::read(&folder.path().join("absent.bin")).unwrap_err();
-    assert!(absent.to_string().contains("absent.bin"));
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod handmade;
 
 use std::path::{Path, PathBuf};
 
-use cairn_audit::{Code, Finding, Severity, audit_folders};
+use cairn_audit::{Code, FileInHand, Finding, Severity, audit_folders};
 use cairn_registry::Digest;
 use handmade::{put, seal};
 
@@ -105,4 +105,15 @@ fn what_is_missing_or_strange_is_named_and_what_cannot_be_covered_is_told() {
     let uncovered: Vec<_> =
         findings.iter().filter(|f| f.code == Code::FileUncovered).map(|f| f.place.as_str()).collect();
     assert_eq!(uncovered, ["lock", "scenes/.staging-x"]);
+}
+
+#[test]
+fn files_on_disk_are_read_in_pieces() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("large.bin");
+    let bytes: Vec<u8> = (0..200_000_u32).map(|i| i.to_le_bytes()[0]).collect();
+    std::fs::write(&path, &bytes).unwrap();
+    assert_eq!(FileInHand::read(&path).unwrap().digest, Digest::of(&bytes));
+    let absent = FileInHand::read(&folder.path().join("absent.bin")).unwrap_err();
+    assert!(absent.to_string().contains("absent.bin"));
 }

@@ -69,7 +69,7 @@ fn a_log_that_goes_on_is_followed() {
         assert!(look(&again, last.as_deref()).report.has(Code::FollowConsistent));
     }
     assert!(log.size() > 300);
-    // Partial tiles may be gone once the full one is there.
+    // A tile that is not served is no verdict.
     let mut gone = served(&log);
     gone.size = log.sizes[log.sizes.len() - 3];
     let earlier = look(&gone, None).keep.unwrap();
@@ -147,25 +147,20 @@ fn a_step_back_and_another_root_are_contradictions() {
     let report = audit_evidence(&kept.first, &kept.second, &tiles, &log.verifier());
     assert_eq!(report.outcome, Outcome::Valid, "an old state alone excludes nothing: {report}");
 
-    let mut other = Log::default();
-    other.add(&other.record(RecordKind::Claim, 5, "x"), &[]);
-    grow(&mut other, 99);
-    let other_seen = look(&served(&other), None).keep.unwrap();
-    let mut same = grown(99);
-    same.add(&same.record(RecordKind::Claim, 6, "y"), &[]);
-    same.end_batch();
-    while same.size() < other.size() {
-        same.end_batch();
-    }
-    while other.size() < same.size() {
-        other.end_batch();
-    }
-    let other_seen = if same.size() == 103 { other_seen } else { look(&served(&other), None).keep.unwrap() };
-    let followed = look(&served(&same), Some(&other_seen));
+    // Two logs of one size that differ in their first record.
+    let of = |scene: &str| {
+        let mut log = Log::default();
+        log.add(&log.record(RecordKind::Claim, 5, scene), &[]);
+        grow(&mut log, 99);
+        log
+    };
+    let (one, other) = (of("x"), of("y"));
+    let one_seen = look(&served(&one), None).keep.unwrap();
+    let followed = look(&served(&other), Some(&one_seen));
     assert_eq!(followed.report.exit_code(), CONTRADICTION, "{}", followed.report);
     let kept = followed.contradiction.unwrap();
     let report = audit_evidence(&kept.first, &kept.second, &Kept(BTreeMap::new()), &log.verifier());
-    assert_eq!(report.outcome == Outcome::Trusted, same.size() == other.size(), "{report}");
+    assert_eq!(report.outcome, Outcome::Trusted, "{report}");
     // The same note twice shows nothing.
     let report = audit_evidence(&seen, &seen, &Kept(BTreeMap::new()), &log.verifier());
     assert!(report.outcome == Outcome::Invalid && report.has(Code::EvidenceNone), "{report}");

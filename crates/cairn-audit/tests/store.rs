@@ -245,6 +245,9 @@ fn what_was_on_its_way_when_the_registry_was_killed_is_no_fault() {
     log.write(dir.path());
     let report = audit(dir.path(), &log);
     assert!(report.exit_code() == 0 && report.has(Code::StoreTail), "{report}");
+    put(&dir.path().join("registry/public/checkpoint.new"), b"half a check");
+    let report = audit(dir.path(), &log);
+    assert!(report.exit_code() == 0 && report.has(Code::FileUncovered), "{report}");
     // Entries and tiles are written before the checkpoint; the newest envelope may be torn.
     log.end_batch();
     log.write(dir.path());

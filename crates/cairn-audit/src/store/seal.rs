@@ -127,7 +127,17 @@ pub(super) fn check(files: &Files, findings: &mut Findings) -> Result<(), StoreE
     };
     match Manifest::parse(&json) {
         Err(cause) => findings.add(Code::WorkingSeal, place, "a seal of version 1", cause),
-        Ok(manifest) => {
+        Ok(mut manifest) => {
+            // The seal's paths begin where it lies.
+            for file in &mut manifest.files {
+                match file.path.strip_prefix("working/") {
+                    Some(path) => file.path = path.to_owned(),
+                    None => {
+                        findings.add(Code::WorkingSeal, place, "files of working/", &file.path);
+                        return Ok(());
+                    }
+                }
+            }
             let codes = [Code::WorkingMismatch, Code::WorkingMismatch];
             if manifest.compare(&working, "registry/working", &[], codes, findings)? == 0 {
                 findings.add(Code::WorkingVerified, place, "", format!("{} files", manifest.files.len()));

@@ -12,6 +12,9 @@ use super::{
 };
 use crate::{code::Code, report::Findings};
 
+/// How the names end that files have until they are complete; nothing reads them.
+const UNFINISHED: &str = ".new";
+
 /// Checks the envelopes behind the last entry, and names every file that the registry does not write.
 pub(super) fn check(context: &Context<'_>, chunks: u64, findings: &mut Findings) -> Result<(), StoreError> {
     let files = context.files;
@@ -27,6 +30,10 @@ pub(super) fn check(context: &Context<'_>, chunks: u64, findings: &mut Findings)
         }
     })?;
     for place in unknown {
+        if place.ends_with(UNFINISHED) {
+            findings.add(Code::FileUncovered, place, "", "left of a write that was cut off");
+            continue;
+        }
         findings.add(Code::StoreFileUnknown, place, "checkpoint, or a tile of this log", "another file");
     }
     let last = context.extent / CHUNK;
@@ -43,6 +50,10 @@ pub(super) fn check(context: &Context<'_>, chunks: u64, findings: &mut Findings)
     })?;
     for name in strangers {
         let place = format!("registry/envelopes/{name}");
+        if name.ends_with(UNFINISHED) {
+            findings.add(Code::FileUncovered, place, "", "left of a write that was cut off");
+            continue;
+        }
         findings.add(Code::StoreEnvelopeFile, place, "a file of 256 envelopes", "another file");
     }
     tail.sort_unstable();

@@ -239,7 +239,7 @@ impl Log {
         }
         put(&dir.join("registry/working/db"), b"private state");
         put(&dir.join("registry/working/blobs/1"), b"more of it");
-        seal(&dir.join("registry/working"), &["blobs/1", "db"], &dir.join("registry/working.seal"));
+        seal(&dir.join("registry"), &["working/blobs/1", "working/db"], &dir.join("registry/working.seal"));
     }
 }
 
