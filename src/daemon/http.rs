@@ -66,7 +66,7 @@ async fn answer(State(files): State<Arc<Files>>, uri: Uri) -> Response {
         Some(tile) => tile_bytes(&files.folder, tile),
         None => read(&files.folder.join("checkpoint"), MAX_CHECKPOINT_BYTES),
     });
-    match read.await.map_err(io::Error::other).flatten() {
+    match read.await.map_err(io::Error::other).and_then(|read| read) {
         Ok(Some(bytes)) => ([(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, caching)], bytes).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
         Err(e) => {
