@@ -78,12 +78,11 @@ impl OwnerService for Shared {
         let v1::ListRecordsRequest { format_version, scene, from, limit } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
         let limit = if limit == 0 { MAX_LISTED } else { limit.min(MAX_LISTED) } as usize;
+        let most = self.most_bytes / 2;
         let (records, next) = self
             .run(move |engine| {
                 let of = (!scene.is_empty()).then_some(scene.as_str());
-                let page = engine.registry().page(of, from, limit)?;
-                let next = page.last().filter(|_| page.len() == limit).map(|last| last.index() + 1);
-                Ok((page.iter().filter_map(|entry| to_proto::entry(entry, &scene)).collect(), next))
+                engine.page_of_records(of, from, limit, most, |entry| to_proto::entry(entry, &scene))
             })
             .await?;
         Ok(Response::new(v1::ListRecordsResponse { format_version: to_proto::VERSION, records, next }))
@@ -113,7 +112,7 @@ impl OwnerService for Shared {
         let view = from_proto::asked_view(of).map_err(status)?;
         let most = self.most_bytes;
         let answer = self
-            .run(move |engine| {
+            .compute(move |engine| {
                 engine.complete_answer(&scene, view, (!as_of.is_empty()).then_some(as_of.as_str()), most)
             })
             .await?;
@@ -122,8 +121,8 @@ impl OwnerService for Shared {
 
     async fn checkpoint(&self, request: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        let vkey = self.run(|engine| Ok(engine.registry().verifier()?.to_string())).await?;
-        let checkpoint = self.engine()?.registry().checkpoint();
+        let (vkey, checkpoint) =
+            self.run(|engine| Ok((engine.registry().verifier()?.to_string(), engine.registry().checkpoint()))).await?;
         Ok(Response::new(v1::CheckpointResponse { format_version: to_proto::VERSION, checkpoint, vkey }))
     }
 
@@ -136,7 +135,8 @@ impl OwnerService for Shared {
 
     async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        let (scene, asked) = self.engine()?.erasure_asked(&request.get_ref().request).map_err(status)?;
+        let asked = request.get_ref().request.clone();
+        let (scene, asked) = self.run(move |engine| engine.erasure_asked(&asked)).await?;
         self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
         let request = request.into_inner().request;
         let index = self.run(move |engine| engine.erase_record(&request)).await?;

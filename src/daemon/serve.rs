@@ -161,6 +161,7 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     if let Some(public) = public {
         public.end().await;
     }
+    tokio::task::spawn_blocking(move || engine.close()).await?;
     tracing::info!("stopped");
     Ok(())
 }
@@ -223,6 +224,10 @@ impl InProcess {
     /// Stops a running training after its checkpoint. Call before the process ends.
     pub async fn shut_down(self) {
         // A panic in there was reported on its own thread.
-        let _ = tokio::task::spawn_blocking(move || self.engine.shut_down()).await;
+        let _ = tokio::task::spawn_blocking(move || {
+            self.engine.shut_down();
+            self.engine.close();
+        })
+        .await;
     }
 }

@@ -286,9 +286,13 @@ impl Engine {
         info.signal(&self.folder.models(), identity)
     }
 
-    /// Checkpoints and stops training, publishes what is left, and lets the folder go when dropped. Blocks.
+    /// Checkpoints and stops training, and lets the folder go when dropped. Blocks.
     pub fn shut_down(&self) {
         self.jobs.shut_down();
+    }
+
+    /// Publishes what is left. After the last request: what comes in later is published at the next start.
+    pub fn close(&self) {
         self.publisher.stop();
     }
 }

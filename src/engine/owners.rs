@@ -3,7 +3,7 @@
 
 use std::collections::HashSet;
 
-use cairn_registry::{Digest, Envelope, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError};
+use cairn_registry::{Digest, Envelope, LogEntry, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError};
 
 use super::Engine;
 use super::error::EngineError;
@@ -18,6 +18,9 @@ pub struct Material {
     /// The hidden signal's file; empty where nothing is hidden.
     pub signal: Vec<u8>,
 }
+
+/// Log entries read at a time.
+const PAGE: usize = 64;
 
 /// Which view of a scene a complete answer is about.
 #[derive(Clone, Debug)]
@@ -75,6 +78,38 @@ impl Engine {
         bearing_on(self.registry(), &info.scene, marked_field, identity)
     }
 
+    /// A page of log entries, each as `convert` makes it: at most `limit` of them, and no more than about `most` bytes of
+    /// envelopes, but one at least; and where to go on, if anywhere.
+    ///
+    /// # Errors
+    /// The registry's.
+    pub fn page_of_records<T>(
+        &self,
+        scene: Option<&str>,
+        from: u64,
+        limit: usize,
+        most: usize,
+        convert: impl Fn(&LogEntry) -> Option<T>,
+    ) -> Result<(Vec<T>, Option<u64>), EngineError> {
+        let (mut taken, mut bytes, mut looked_at, mut next) = (Vec::new(), 0, 0, from);
+        while looked_at < limit {
+            let page = self.registry().page(scene, next, PAGE.min(limit - looked_at))?;
+            let Some(last) = page.last() else { return Ok((taken, None)) };
+            next = last.index() + 1;
+            looked_at += page.len();
+            for entry in &page {
+                if bytes > most {
+                    return Ok((taken, Some(entry.index())));
+                }
+                if let LogEntry::Record(stored) = entry {
+                    bytes += stored.envelope.payload.len() * 4 / 3 + 1024;
+                }
+                taken.extend(convert(entry));
+            }
+        }
+        Ok((taken, Some(next)))
+    }
+
     /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/1`) of at most `most` bytes.
     ///
     /// # Errors
@@ -95,8 +130,8 @@ impl Engine {
                 Some(Digest::from_bytes(folder.photograph_digest(view)))
             }
         };
-        let answer = self.registry().answer(scene, photograph.as_ref(), as_of)?.to_json();
         let limit = most.min(cairn_registry::answer::MAX_ANSWER_BYTES);
+        let answer = self.registry().answer(scene, photograph.as_ref(), as_of, limit)?.to_json();
         if answer.len() > limit {
             let (what, key) = ("the complete answer in bytes (ask about a view)".into(), "limits.max_message_bytes");
             return Err(EngineError::OverLimit { what, key, limit: limit as u64, got: answer.len() as u64 });
@@ -128,17 +163,24 @@ fn bearing_on(
 ) -> Result<Vec<u64>, EngineError> {
     let mut related = HashSet::new();
     let mut indices = Vec::new();
-    for stored in registry.records(Some(scene))? {
-        let record = &stored.record;
-        let of_one = record.replaces.is_some_and(|replaced| related.contains(&replaced));
-        if !(is_about(record, marked_field, identity) || (record.kind == RecordKind::Rotation && of_one)) {
-            continue;
+    let mut page = registry.page(Some(scene), 0, PAGE)?;
+    // A page at a time: what a scene's records take is up to whoever submits them.
+    while let Some(last) = page.last() {
+        let next = last.index() + 1;
+        for entry in &page {
+            let LogEntry::Record(stored) = entry else { continue };
+            let record = &stored.record;
+            let of_one = record.replaces.is_some_and(|replaced| related.contains(&replaced));
+            if !(is_about(record, marked_field, identity) || (record.kind == RecordKind::Rotation && of_one)) {
+                continue;
+            }
+            related.insert(stored.leaf.record);
+            // Whoever may say `replaces` is the registry's to decide; a dispute alone is anybody's.
+            if registry.about(&stored.leaf.record)?.iter().all(|(_, kind)| *kind == RecordKind::Dispute) {
+                indices.push(stored.index);
+            }
         }
-        related.insert(stored.leaf.record);
-        // Whoever may say `replaces` is the registry's to decide; a dispute alone is anybody's.
-        if registry.about(&stored.leaf.record)?.iter().all(|(_, kind)| *kind == RecordKind::Dispute) {
-            indices.push(stored.index);
-        }
+        page = registry.page(Some(scene), next, PAGE)?;
     }
     Ok(indices)
 }

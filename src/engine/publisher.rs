@@ -1,12 +1,13 @@
-//! The thread that publishes: what is durable goes into the files that monitors read, soon after, and out of
-//! the submitters' way; then the witnesses are asked for their cosignatures.
+//! The threads that publish: what is durable goes into the files that monitors read, soon after, and out of
+//! the submitters' way; another then asks the witnesses for their cosignatures, however slow they are.
 //!
 //! One publication covers all that came in since the last. A failure is logged and tried again: nothing
 //! is lost by it, since what was acknowledged is durable already. But a witness that saw more of this log than there
 //! is, or another tree, says that the folder was restored from an old backup or forked: then the log does not start,
-//! or stops writing.
+//! or, where the witness shows the log's own signature on it, stops writing.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -23,20 +24,27 @@ const PAUSE: Duration = Duration::from_millis(200);
 const RETRY: Duration = Duration::from_secs(2);
 /// Longest that a proof waits for cosignatures.
 const PATIENCE: Duration = Duration::from_secs(3);
+/// After a witness that did not answer, until it is asked again.
+const ASK_AGAIN: Duration = Duration::from_secs(30);
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT: u64 = 1 << 16;
 
 #[derive(Default)]
 struct Asked {
-    publish: bool,
+    work: bool,
     stop: bool,
 }
 
-/// The thread's handle. Dropping it publishes a last time.
+/// What a thread waits for.
+type Bell = (Mutex<Asked>, Condvar);
+
+/// The threads' handle. Dropping it publishes a last time.
 pub struct Publisher {
-    asked: Arc<(Mutex<Asked>, Condvar)>,
-    thread: Mutex<Option<JoinHandle<()>>>,
-    witnessed: bool,
+    publish: Arc<Bell>,
+    cosign: Arc<Bell>,
+    threads: Mutex<Vec<JoinHandle<()>>>,
+    /// Whether there are witnesses, and they answered the last time.
+    witnessed: Arc<AtomicBool>,
 }
 
 /// What a publication needs.
@@ -46,49 +54,55 @@ struct Publication {
     /// found out.
     last: PathBuf,
     witnesses: Vec<WitnessClient>,
+    witnessed: Arc<AtomicBool>,
 }
 
 impl Publisher {
-    /// Holds the log to the checkpoint that it published last and to its witnesses, publishes, and starts the thread.
+    /// Holds the log to the checkpoint that it published last and to its witnesses, publishes, and starts the threads.
     ///
     /// # Errors
     /// [`cairn_registry::RegistryError::Inconsistent`], [`EngineError::Witness`] for a log that does not go on from what
     /// was published or cosigned; where the system has no thread to give. A witness that cannot be reached is logged.
     pub fn start(registry: Arc<Registry>, last: PathBuf, witnesses: Vec<WitnessClient>) -> Result<Self, EngineError> {
         hold_to_last(&registry, &last)?;
-        let witnessed = !witnesses.is_empty();
-        let publication = Publication { registry, last, witnesses };
+        let witnessed = Arc::new(AtomicBool::new(false));
+        let publication = Arc::new(Publication { registry, last, witnesses, witnessed: witnessed.clone() });
         publication.publish()?;
+        // At a start a witness is taken at its word: whoever knows better names it no more.
         publication.ask_witnesses()?;
-        let asked = Arc::<(Mutex<Asked>, Condvar)>::default();
-        let of_thread = asked.clone();
-        let thread = std::thread::Builder::new()
-            .name("publisher".into())
-            .spawn(move || publication.run(&of_thread))
-            .map_err(|e| EngineError::Internal(format!("the publisher's thread cannot start: {e}")))?;
-        Ok(Self { asked, thread: Mutex::new(Some(thread)), witnessed })
+        let (publish, cosign) = (Arc::<Bell>::default(), Arc::<Bell>::default());
+        let mut threads = Vec::new();
+        let (of_publisher, bell, next) = (publication.clone(), publish.clone(), cosign.clone());
+        threads.push(spawn("publisher", move || of_publisher.publish_again(&bell, &next))?);
+        if !publication.witnesses.is_empty() {
+            let bell = cosign.clone();
+            threads.push(spawn("witnesses", move || publication.ask_again(&bell))?);
+        }
+        Ok(Self { publish, cosign, threads: Mutex::new(threads), witnessed })
     }
 
     /// Something became durable.
     pub fn wake(&self) {
-        lock(&self.asked.0).publish = true;
-        self.asked.1.notify_one();
+        ring(&self.publish);
     }
 
     /// Waits, but not for long, until witnesses cosigned a checkpoint that covers entry `index`. Returns at once where
-    /// there are none to ask.
+    /// there are none, or none that answer.
     pub fn await_cosigned(&self, registry: &Registry, index: u64) {
         let begun = Instant::now();
-        while self.witnessed && registry.cosigned_size() <= index && begun.elapsed() < PATIENCE {
+        let waiting = || self.witnessed.load(Ordering::Relaxed) && begun.elapsed() < PATIENCE;
+        while registry.cosigned_size() <= index && waiting() {
             std::thread::sleep(Duration::from_millis(20));
         }
     }
 
-    /// Publishes what is left and ends the thread. Once is enough.
+    /// Publishes what is left and ends the threads. Once is enough.
     pub fn stop(&self) {
-        lock(&self.asked.0).stop = true;
-        self.asked.1.notify_one();
-        if let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        for bell in [&self.publish, &self.cosign] {
+            lock(&bell.0).stop = true;
+            bell.1.notify_one();
+        }
+        for thread in self.threads.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
             // A panic in there was reported on its own thread.
             let _ = thread.join();
         }
@@ -102,34 +116,42 @@ impl Drop for Publisher {
 }
 
 impl Publication {
-    fn run(&self, asked: &(Mutex<Asked>, Condvar)) {
+    /// The publisher's thread: a round for all that came in since the last, and one at the end.
+    fn publish_again(&self, bell: &Bell, next: &Bell) {
         let mut pause = Duration::ZERO;
         loop {
-            let guard = lock(&asked.0);
-            // A pause is cut short by the end, and by nothing else.
-            let waited = asked.1.wait_timeout_while(guard, pause, |asked| !asked.stop);
-            let (guard, _) = waited.unwrap_or_else(PoisonError::into_inner);
-            let waited = asked.1.wait_while(guard, |asked| !asked.publish && !asked.stop);
-            let mut guard = waited.unwrap_or_else(PoisonError::into_inner);
-            let stop = guard.stop;
-            guard.publish = false;
-            drop(guard);
-            pause = match self.publish().and_then(|()| self.ask_witnesses()) {
-                Ok(()) => PAUSE,
-                Err(EngineError::Witness(error)) => {
-                    tracing::error!(%error, "the log stops writing: it does not go on from what was cosigned");
-                    self.registry.stop_writing(&error.to_string());
-                    RETRY
-                }
+            let stop = wait(bell, pause, None);
+            pause = PAUSE;
+            match self.publish() {
+                Ok(()) => ring(next),
                 Err(error) => {
                     tracing::error!(%error, "publishing failed; what was acknowledged is durable, and is published later");
-                    lock(&asked.0).publish = true;
-                    RETRY
+                    ring(bell);
+                    pause = RETRY;
                 }
-            };
+            }
             if stop {
                 return;
             }
+        }
+    }
+
+    /// The witnesses' thread: asks for what is published, and again later where one did not answer.
+    fn ask_again(&self, bell: &Bell) {
+        let mut later = (!self.witnessed.load(Ordering::Relaxed)).then_some(ASK_AGAIN);
+        while !wait(bell, PAUSE, later) {
+            later = match self.ask_witnesses() {
+                Ok(true) => None,
+                Ok(false) => Some(ASK_AGAIN),
+                Err(error) => {
+                    tracing::error!(%error, "no cosignatures; asked again later");
+                    if self.is_proven() {
+                        tracing::error!("the log stops writing: it does not go on from what was cosigned");
+                        self.registry.stop_writing(&error.to_string());
+                    }
+                    Some(ASK_AGAIN)
+                }
+            };
         }
     }
 
@@ -138,29 +160,66 @@ impl Publication {
         write_atomic(&self.last, published.checkpoint.as_bytes())
     }
 
-    /// Has what is published cosigned, by whoever answers.
-    fn ask_witnesses(&self) -> Result<(), EngineError> {
-        let Some(published) = self.registry.published().filter(|_| !self.witnesses.is_empty()) else { return Ok(()) };
+    /// Has what is published cosigned; whether every witness did. One that saw more of the log, or another log, is an error.
+    fn ask_witnesses(&self) -> Result<bool, EngineError> {
+        let Some(published) = self.registry.published().filter(|_| !self.witnesses.is_empty()) else {
+            return Ok(true);
+        };
         let prove = |from, to| self.registry.prove_consistency(from, to).map_err(|e| e.to_string());
         let log = Note::parse(&published.checkpoint).map_err(cairn_registry::CheckpointError::from);
         let mut note = log.map_err(|e| EngineError::Internal(format!("the log's own checkpoint: {e}")))?;
         // The log's own signature stands first; cosignatures of an earlier round are replaced.
         note.signatures.truncate(1);
+        let mut contradiction = None;
         for answer in collect(&self.witnesses, &note.to_string(), &prove) {
             match answer {
                 Ok(cosignature) => note.signatures.push(cosignature.line),
                 Err(error @ (WitnessError::Ahead { .. } | WitnessError::Inconsistent { .. })) => {
-                    return Err(error.into());
+                    contradiction = Some(error);
                 }
                 Err(error) => tracing::warn!(%error, "no cosignature"),
             }
         }
+        let all = note.signatures.len() == self.witnesses.len() + 1;
+        self.witnessed.store(note.signatures.len() > 1, Ordering::Relaxed);
         if note.signatures.len() > 1 {
             self.registry.cosign(&note.to_string())?;
-            write_atomic(&self.last, note.to_string().as_bytes())?;
         }
-        Ok(())
+        contradiction.map_or(Ok(all), |error| Err(error.into()))
     }
+
+    /// Whether a witness can show the log's own signature on what contradicts it: a refusal alone is nobody's word.
+    fn is_proven(&self) -> bool {
+        let Ok(verifier) = self.registry.verifier() else { return false };
+        self.witnesses.iter().any(|witness| match witness.latest(&verifier) {
+            Ok(Some(witnessed)) => self.registry.must_extend(&witnessed.checkpoint).is_err(),
+            Ok(None) | Err(_) => false,
+        })
+    }
+}
+
+fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, EngineError> {
+    let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+    thread.map_err(|e| EngineError::Internal(format!("the {name} thread cannot start: {e}")))
+}
+
+fn ring(bell: &Bell) {
+    lock(&bell.0).work = true;
+    bell.1.notify_one();
+}
+
+/// Waits out a pause, which only the end cuts short, and then for work, or for `later`; whether it is the end.
+fn wait(bell: &Bell, pause: Duration, later: Option<Duration>) -> bool {
+    let guard = lock(&bell.0);
+    let paused = bell.1.wait_timeout_while(guard, pause, |asked| !asked.stop);
+    let (guard, _) = paused.unwrap_or_else(PoisonError::into_inner);
+    let idle = |asked: &mut Asked| !asked.work && !asked.stop;
+    let mut guard = match later {
+        None => bell.1.wait_while(guard, idle).unwrap_or_else(PoisonError::into_inner),
+        Some(later) => bell.1.wait_timeout_while(guard, later, idle).unwrap_or_else(PoisonError::into_inner).0,
+    };
+    guard.work = false;
+    guard.stop
 }
 
 fn lock(asked: &Mutex<Asked>) -> MutexGuard<'_, Asked> {

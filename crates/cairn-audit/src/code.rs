@@ -180,9 +180,9 @@ codes! {
     /// The working state is not sealed, so its files were not compared.
     WorkingUnsealed = "working.unsealed", Info, "stop the registry cleanly to have it sealed; everything public is checked all the same";
     /// The seal of the working state cannot be read.
-    WorkingSeal = "working.seal", Error, "remove working.seal and working/ and let the registry rebuild them from the public files";
+    WorkingSeal = "working.seal", Error, "restore working/ with its seal from a backup that is as new as the published checkpoint; the public files are what counts for others";
     /// A file of the working state is missing, changed, or not in the seal.
-    WorkingMismatch = "working.mismatch", Error, "remove working.seal and working/ and let the registry rebuild them from the public files";
+    WorkingMismatch = "working.mismatch", Error, "restore working/ with its seal from a backup that is as new as the published checkpoint; the public files are what counts for others";
     /// The working state is as it was sealed.
     WorkingVerified = "working.verified", Passed, "";
     /// A manifest cannot be read, or is not as it is written.

@@ -260,6 +260,12 @@ pub enum AnswerGap {
     /// More than an answer may hold.
     #[error("more than {limit} records would be in the answer; ask about a view instead of the scene", limit = MAX_RECORDS)]
     TooMany,
+    /// More bytes than the asker takes.
+    #[error("the answer is larger than {limit} bytes; ask about a view instead of the scene")]
+    TooLarge {
+        /// The limit.
+        limit: usize,
+    },
     /// A list names what is no owner record.
     #[error("the map lists index {index}, which holds no owner record: {source}")]
     NoRecord {

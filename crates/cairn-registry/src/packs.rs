@@ -99,22 +99,43 @@ pub fn parse(pack: &[u8], most: usize) -> Result<(Vec<Slot>, usize), PackError> 
     Ok((slots, at))
 }
 
-/// Slot `number` alone, counted from 0; none where the pack ends before it.
+/// Slot `number` alone, counted from 0, read through `read_at` (offset, length) without the rest of the pack; none where the
+/// pack ends before it.
 ///
 /// # Errors
-/// [`PackError`] names the slot.
-pub fn nth(pack: &[u8], number: usize) -> Result<Option<Slot>, PackError> {
+/// [`PackError`] names the slot; `read_at`'s.
+pub fn nth<E: From<PackError>>(
+    number: usize,
+    read_at: impl Fn(u64, usize) -> Result<Vec<u8>, E>,
+) -> Result<Option<Slot>, E> {
     let mut at = 0;
-    for slot in 0..number {
-        if at >= pack.len() {
+    for slot in 0..=number {
+        let head = read_at(at, 4)?;
+        if head.is_empty() {
             return Ok(None);
         }
-        at += 4 + frame(pack, at, slot)?.len();
+        let length = match head.first_chunk::<4>() {
+            Some(length) => u32::from_be_bytes(*length) as usize,
+            None => return Err(PackError::Truncated { size: at as usize + head.len(), slot }.into()),
+        };
+        if length > MAX_SLOT {
+            return Err(too_long(slot, length).into());
+        }
+        at += 4;
+        if slot == number {
+            let bytes = read_at(at, length)?;
+            if bytes.len() != length {
+                return Err(PackError::Truncated { size: at as usize + bytes.len(), slot }.into());
+            }
+            return Ok(Some(Slot::parse(&bytes, slot)?));
+        }
+        at += length as u64;
     }
-    if at >= pack.len() {
-        return Ok(None);
-    }
-    Slot::parse(frame(pack, at, number)?, number).map(Some)
+    Ok(None)
+}
+
+fn too_long(slot: usize, length: usize) -> PackError {
+    PackError::Slot { slot, what: format!("{length} bytes, at most {MAX_SLOT} are allowed") }
 }
 
 /// The bytes of slot `slot`, whose frame begins at `at`.
@@ -123,7 +144,7 @@ fn frame(pack: &[u8], at: usize, slot: usize) -> Result<&[u8], PackError> {
     let Some((length, rest)) = pack[at..].split_first_chunk::<4>() else { return Err(truncated) };
     let length = u32::from_be_bytes(*length) as usize;
     if length > MAX_SLOT {
-        return Err(PackError::Slot { slot, what: format!("{length} bytes, at most {MAX_SLOT} are allowed") });
+        return Err(too_long(slot, length));
     }
     rest.get(..length).ok_or(truncated)
 }
@@ -143,10 +164,13 @@ mod tests {
         assert_eq!(pack[..7], *b"\x00\x00\x00\x03\x01{}");
         assert_eq!(parse(&pack, 256), Ok((slots(), pack.len())));
         assert_eq!(parse(&pack, 2), Ok((slots()[..2].to_vec(), 11)));
+        let read_at = |offset: u64, length: usize| -> Result<Vec<u8>, PackError> {
+            Ok(pack.iter().skip(offset as usize).take(length).copied().collect())
+        };
         for (number, slot) in slots().into_iter().enumerate() {
-            assert_eq!(nth(&pack, number), Ok(Some(slot)));
+            assert_eq!(nth(number, read_at), Ok(Some(slot)));
         }
-        assert_eq!((nth(&pack, 4), nth(&pack, 9)), (Ok(None), Ok(None)));
+        assert_eq!((nth(4, read_at), nth(9, read_at)), (Ok(None), Ok(None)));
         let ends = [0, 7, 11, 11 + 4 + 65];
         for end in 0..pack.len() {
             assert_eq!(parse(&pack[..end], 256).is_ok(), ends.contains(&end), "cut at {end}");

@@ -36,7 +36,7 @@ fn with_views(registry: &Registry, by: u8, scene: &str, views: std::ops::Range<u
 
 /// Holds an answer to the public rule, and gives the indices of the asked list.
 fn held_to_the_rule(registry: &Registry, scene: &str, view: Option<&Digest>) -> Vec<u64> {
-    let answer = registry.answer(scene, view, None).unwrap();
+    let answer = registry.answer(scene, view, None, usize::MAX).unwrap();
     assert_eq!(Answer::parse(answer.to_json().as_bytes()).unwrap(), answer, "through its JSON");
     let checkpoint = Checkpoint::verify(&answer.checkpoint, &registry.verifier().unwrap()).unwrap();
     let map = answer.map.as_ref().unwrap();
@@ -66,7 +66,7 @@ fn held_to_the_rule(registry: &Registry, scene: &str, view: Option<&Digest>) -> 
 fn an_answer_holds_what_the_rule_asks_for_as_the_log_grows_and_after_a_restart() {
     let store = FaultyStore::new();
     let mut registry = open(&store);
-    assert!(registry.answer("fern", None, None).unwrap().map.is_none(), "an empty log has no map leaf");
+    assert!(registry.answer("fern", None, None, usize::MAX).unwrap().map.is_none(), "an empty log has no map leaf");
     let one = with_views(&registry, 1, "fern", 0..20);
     let two = with_views(&registry, 2, "fern", 10..30);
     let other = with_views(&registry, 2, "trex", 10..30);
@@ -93,7 +93,7 @@ fn an_erased_record_stays_in_the_answer_without_its_envelope() {
     let one = with_views(&registry, 1, "fern", 0..3);
     registry.erase_index(one).unwrap();
     assert_eq!(held_to_the_rule(&registry, "fern", Some(&photograph(1))), [one]);
-    let answer = registry.answer("fern", None, None).unwrap();
+    let answer = registry.answer("fern", None, None, usize::MAX).unwrap();
     assert!(answer.records.iter().all(|record| record.envelope.is_none()));
 }
 
@@ -104,7 +104,7 @@ fn an_answer_as_of_an_older_checkpoint_proves_that_the_newer_goes_on_from_it() {
     with_views(&registry, 1, "fern", 0..3);
     let old = registry.checkpoint();
     with_views(&registry, 2, "fern", 0..3);
-    let answer = registry.answer("fern", None, Some(&old)).unwrap();
+    let answer = registry.answer("fern", None, Some(&old), usize::MAX).unwrap();
     let verifier = registry.verifier().unwrap();
     let (old, new) =
         (Checkpoint::verify(&old, &verifier).unwrap(), Checkpoint::verify(&answer.checkpoint, &verifier).unwrap());
@@ -113,6 +113,6 @@ fn an_answer_as_of_an_older_checkpoint_proves_that_the_newer_goes_on_from_it() {
     // Another history of the same log, signed by the same key.
     let forked = open(&FaultyStore::new());
     with_views(&forked, 7, "fern", 0..3);
-    assert!(registry.answer("fern", None, Some(&forked.checkpoint())).is_err());
-    assert!(registry.answer("fern", None, Some("no note")).is_err());
+    assert!(registry.answer("fern", None, Some(&forked.checkpoint()), usize::MAX).is_err());
+    assert!(registry.answer("fern", None, Some("no note"), usize::MAX).is_err());
 }

@@ -24,6 +24,12 @@ pub trait Disk: Send + Sync {
     /// [`StoreError`], also for a file of more than `limit` bytes, before it is read.
     fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError>;
 
+    /// At most `length` bytes from `offset` on, fewer where the file ends before; none where there is no such file.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError>;
+
     /// Cuts the file off at `offset`, or makes it where it is absent, folders included, and writes behind that.
     ///
     /// # Errors
@@ -72,6 +78,14 @@ impl Files {
     /// [`StoreError`].
     pub fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
         self.disk.read(path, limit)
+    }
+
+    /// As [`Disk::read_at`].
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError> {
+        self.disk.read_at(path, offset, length)
     }
 
     /// Replaces files, durably on return; after a crash each is the old one or the new one, whole.

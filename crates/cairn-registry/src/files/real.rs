@@ -75,6 +75,19 @@ impl Disk for RealDisk {
         Ok(Some(bytes))
     }
 
+    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError> {
+        let failed = self.failed("read", path);
+        let mut file = match File::open(self.at(path)) {
+            Ok(file) => file,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(failed(e)),
+        };
+        file.seek(SeekFrom::Start(offset)).map_err(&failed)?;
+        let mut bytes = Vec::with_capacity(length);
+        file.take(length as u64).read_to_end(&mut bytes).map_err(&failed)?;
+        Ok(Some(bytes))
+    }
+
     fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
         let failed = self.failed("write", path);
         let mut file = self.open_for_writing(&self.at(path)).map_err(&failed)?;

@@ -46,7 +46,7 @@ pub enum MapError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// Stored bytes are not this bucket.
-    #[error("map bucket {bucket}: {source}; rebuild the working state from the published log")]
+    #[error("map bucket {bucket}: {source}; restore the newest backup")]
     Bucket {
         /// The bucket's number.
         bucket: u32,
@@ -54,15 +54,13 @@ pub enum MapError {
         source: BucketError,
     },
     /// The bucket is not the one that the tree above it was made over.
-    #[error(
-        "map bucket {bucket} is not the one under the map's root; rebuild the working state from the published log"
-    )]
+    #[error("map bucket {bucket} is not the one under the map's root; restore the newest backup")]
     Inconsistent {
         /// The bucket's number.
         bucket: u32,
     },
     /// The stored top of a bucket cannot be read.
-    #[error("map bucket {bucket}, stored root: {got} bytes or an unknown version; rebuild the working state")]
+    #[error("map bucket {bucket}, stored root: {got} bytes or an unknown version; restore the newest backup")]
     Top {
         /// The bucket's number.
         bucket: u32,

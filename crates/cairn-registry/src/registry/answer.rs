@@ -15,23 +15,47 @@ impl Registry {
     /// log and none is left out. Under the newest checkpoint; where `as_of` names an older one of this log (a signed
     /// note), with the proof that the one goes on from the other.
     ///
-    /// Nothing is written while it is put together: log and map have to be of one moment.
+    /// Nothing is written while the lists are put together: log and map have to be of one moment. Envelopes and proofs are
+    /// fetched afterwards, since what stands in the log stays there.
     ///
     /// # Errors
     /// [`RegistryError::Inconsistent`] for an `as_of` that is none of this log's; [`RegistryError::Answer`] for more
-    /// records than an answer holds.
-    pub fn answer(&self, scene: &str, view: Option<&Digest>, as_of: Option<&str>) -> Result<Answer, RegistryError> {
+    /// records than an answer holds, or more than about `most` bytes of them.
+    pub fn answer(
+        &self,
+        scene: &str,
+        view: Option<&Digest>,
+        as_of: Option<&str>,
+        most: usize,
+    ) -> Result<Answer, RegistryError> {
+        let mut answer = self.outline(scene, view, as_of)?;
+        let Some(size) = answer.map.as_ref().map(|map| map.index + 1) else { return Ok(answer) };
+        let mut bytes = 0;
+        for record in &mut answer.records {
+            record.envelope = match self.stored(record.index) {
+                Ok(stored) => Some(stored.envelope),
+                Err(RegistryError::Erased { .. }) => None,
+                Err(e) => return Err(e),
+            };
+            record.inclusion = self.prove_inclusion(record.index, size)?;
+            // Base64 and what stands around it: what it will be, and not much more.
+            bytes += 2048 + record.envelope.as_ref().map_or(0, |e| e.payload.len() * 4 / 3);
+            if bytes > most {
+                return Err(answer::AnswerGap::TooLarge { limit: most }.into());
+            }
+        }
+        Ok(answer)
+    }
+
+    /// The answer without the records' envelopes and proofs.
+    fn outline(&self, scene: &str, view: Option<&Digest>, as_of: Option<&str>) -> Result<Answer, RegistryError> {
         let _turn = self.turn();
         let state = self.read();
         let size = state.size;
         let as_of = as_of.map(|note| self.going_on_from(&state, note)).transpose()?;
         let map = match size.checked_sub(1) {
             None => None,
-            Some(index) => Some(MapPart {
-                index,
-                leaf: self.leaf_of(index)?,
-                inclusion: merkle::prove_inclusion(&state.tree, index, size)?,
-            }),
+            Some(index) => Some(MapPart { index, leaf: self.leaf_of(index)?, inclusion: state.proven(index, size)? }),
         };
         let source = AtOneMoment { registry: self, state: &state };
         let (lists, records) = answer::collect(&answer::asked_key(scene, view), &source)?;
@@ -89,12 +113,6 @@ impl Source for AtOneMoment<'_> {
     }
 
     fn record(&self, index: u64) -> Result<ListedRecord, RegistryError> {
-        let envelope = match self.registry.stored(index) {
-            Ok(stored) => Some(stored.envelope),
-            Err(RegistryError::Erased { .. }) => None,
-            Err(e) => return Err(e),
-        };
-        let inclusion = merkle::prove_inclusion(&self.state.tree, index, self.state.size)?;
-        Ok(ListedRecord { index, leaf: self.registry.leaf_of(index)?, inclusion, envelope })
+        Ok(ListedRecord { index, leaf: self.registry.leaf_of(index)?, inclusion: Vec::new(), envelope: None })
     }
 }

@@ -81,6 +81,9 @@ pub(super) struct Turn<'a> {
 
 impl Drop for Turn<'_> {
     fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.registry.halt("the writer panicked");
+        }
         for waiting in &self.batch {
             let mut slot = lock(&waiting.slot);
             if slot.is_none() {
@@ -198,6 +201,10 @@ impl Registry {
             (new_size, merkle::root_at(&state.tree, new_size)?)
         };
         let pack_length = self.append_to_packs(size, writer.pack_length, &batch.leaves)?;
+        // Somebody may have stopped the log meanwhile, who knows better what it is.
+        if let Some(cause) = self.halted() {
+            return Err(RegistryError::Halted { cause });
+        }
         batch.entries.push((layout::SIGNED.to_vec(), Some(layout::signed(new_size, &root))));
         self.store.put(batch.entries)?;
         self.store.flush()?;
@@ -209,6 +216,7 @@ impl Registry {
         let mut state = self.write();
         state.map.apply(&staged);
         state.size = new_size;
+        state.root = root;
         state.checkpoint = note.to_string();
         Ok(())
     }
@@ -272,7 +280,7 @@ impl Registry {
             resubmitted: placed.resubmitted,
             checkpoint: state.checkpoint.clone(),
             size: state.size,
-            inclusion: merkle::prove_inclusion(&state.tree, placed.index, state.size)?,
+            inclusion: state.proven(placed.index, state.size)?,
             envelope: placed.envelope,
         })
     }

@@ -10,6 +10,7 @@ use crate::{
     map::MapError,
     merkle::ProofError,
     note::NoteError,
+    packs::PackError,
     record::RecordError,
     store::StoreError,
 };
@@ -136,6 +137,9 @@ pub enum RegistryError {
     /// The stored map contradicts itself.
     #[error("store, map: {0}; restore a backup that holds at least the last signed checkpoint")]
     Map(#[from] MapError),
+    /// A pack of envelopes is damaged.
+    #[error(transparent)]
+    Pack(#[from] PackError),
     /// The answer would hold too much.
     #[error(transparent)]
     Answer(#[from] AnswerGap),

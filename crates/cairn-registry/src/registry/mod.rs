@@ -93,7 +93,9 @@ struct State {
     map: BucketMap,
     /// Leaves that are durable and signed for.
     size: u64,
-    /// Signed checkpoint over `size` leaves.
+    /// Root over them.
+    root: Digest,
+    /// Signed checkpoint over them.
     checkpoint: String,
     /// The newest checkpoint that witnesses cosigned, and its size.
     cosigned: Option<(u64, String)>,
@@ -118,7 +120,7 @@ pub struct Registry {
     files: Arc<Files>,
     store: Box<dyn Store>,
     // After the store, which must be closed to be sealed, and before the lock, under which that has to happen.
-    _seal: Option<seal::Seal>,
+    seal: Option<seal::Seal>,
     _lock: Option<StoreLock>,
 }
 
@@ -150,7 +152,8 @@ impl Registry {
         let seal = seal::Seal::break_open(path)?;
         let store = DiskStore::open(&path.join(layout::WORKING))?;
         let mut registry = Self::open_store(Box::new(store), Box::new(RealDisk::new(path)), key, origin)?;
-        (registry._seal, registry._lock) = (Some(seal), Some(lock));
+        // Only now: a start that is refused must not seal what it was refused for.
+        (registry.seal, registry._lock) = (Some(seal.armed()), Some(lock));
         Ok(registry)
     }
 
@@ -177,7 +180,7 @@ impl Registry {
             publisher: Mutex::new(loaded.publisher),
             files,
             store,
-            _seal: None,
+            seal: None,
             _lock: None,
         })
     }
@@ -265,5 +268,16 @@ impl Registry {
 
     fn write(&self) -> RwLockWriteGuard<'_, State> {
         self.state.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Registry {
+    fn drop(&mut self) {
+        // What a halted registry's store holds is unknown: nobody is to vouch for it.
+        if self.halted().is_some()
+            && let Some(seal) = &mut self.seal
+        {
+            seal.disarm();
+        }
     }
 }

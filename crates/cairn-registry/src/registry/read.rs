@@ -69,7 +69,7 @@ impl Registry {
     pub fn prove_inclusion(&self, index: u64, size: u64) -> Result<Vec<Digest>, RegistryError> {
         let state = self.read();
         reached(size, &state)?;
-        merkle::prove_inclusion(&state.tree, index, size)
+        state.proven(index, size)
     }
 
     /// The evidence that entry `index` is in the log, under the newest checkpoint, or the newest cosigned one where that
@@ -84,7 +84,7 @@ impl Registry {
             Some((size, note)) => (*size, note.clone()),
             None => (state.size, state.checkpoint.clone()),
         };
-        let hashes = merkle::prove_inclusion(&state.tree, index, size)?;
+        let hashes = state.proven(index, size)?;
         Ok(TlogProof { extra: None, index, hashes, checkpoint })
     }
 
@@ -95,7 +95,11 @@ impl Registry {
     pub fn prove_consistency(&self, from: u64, to: u64) -> Result<Vec<Digest>, RegistryError> {
         let state = self.read();
         reached(to, &state)?;
-        merkle::prove_consistency(&state.tree, from, to)
+        let proof = merkle::prove_consistency(&state.tree, from, to)?;
+        let (first, second) = (merkle::root_at(&state.tree, from)?, merkle::root_at(&state.tree, to)?);
+        state.hold_to_signed(to, &second)?;
+        merkle::verify_consistency(from, to, &proof, &first, &second).map_err(|e| rotten(&e))?;
+        Ok(proof)
     }
 
     /// Record `index`, its envelope re-verified.
@@ -346,11 +350,42 @@ impl Registry {
     fn slot(&self, index: u64) -> Result<Slot, RegistryError> {
         let width = u64::from(TILE_WIDTH);
         let (path, at) = (layout::pack(index / width), (index % width) as usize);
-        let pack = self.files.read(&path, packs::MAX_PACK)?;
-        let pack = pack.ok_or_else(|| inconsistent(&path, "the file is missing".into()))?;
-        let slot = packs::nth(&pack, at).map_err(|e| inconsistent(&path, e.to_string()))?;
+        let read_at = |offset, length| -> Result<Vec<u8>, RegistryError> {
+            let bytes = self.files.read_at(&path, offset, length)?;
+            bytes.ok_or_else(|| inconsistent(&path, "the file is missing".into()))
+        };
+        let slot = packs::nth(at, read_at).map_err(|e| match e {
+            RegistryError::Pack(e) => inconsistent(&path, e.to_string()),
+            other => other,
+        })?;
         slot.ok_or_else(|| inconsistent(&path, format!("it ends before its entry {at}")))
     }
+}
+
+impl State {
+    /// A proof of inclusion that was verified: hashes come from files, and a proof made of rotten ones would speak against
+    /// this log in its own name.
+    pub(super) fn proven(&self, index: u64, size: u64) -> Result<Vec<Digest>, RegistryError> {
+        let proof = merkle::prove_inclusion(&self.tree, index, size)?;
+        let root = merkle::root_at(&self.tree, size)?;
+        self.hold_to_signed(size, &root)?;
+        merkle::verify_inclusion(&self.tree.leaf(index)?, index, size, &proof, &root).map_err(|e| rotten(&e))?;
+        Ok(proof)
+    }
+
+    fn hold_to_signed(&self, size: u64, root: &Digest) -> Result<(), RegistryError> {
+        if size == self.size && *root != self.root {
+            return Err(inconsistent(
+                "tiles",
+                format!("they give root {root} at size {size}, {} was signed", self.root),
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn rotten(e: &ProofError) -> RegistryError {
+    inconsistent("tiles", format!("a proof made of them does not verify: {e}"))
 }
 
 fn reached(size: u64, state: &State) -> Result<(), RegistryError> {

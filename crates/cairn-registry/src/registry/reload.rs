@@ -32,8 +32,8 @@ use crate::{
 /// Entries of the store read at a time.
 const PAGE: usize = 4096;
 
-/// Largest bundle of leaves that is read, bytes.
-const MAX_ENTRIES: u64 = (TILE_WIDTH as u64) * (2 + LEAF_LEN as u64);
+/// Bytes of a leaf in its bundle.
+const ENTRY: usize = 2 + LEAF_LEN;
 
 /// Largest checkpoint file that is read, bytes: it has a line for every witness.
 const MAX_CHECKPOINT: u64 = 1 << 16;
@@ -78,7 +78,7 @@ pub(super) fn reload(
     let cosigned = published.as_ref().filter(|(note, _)| is_cosigned(note));
     let cosigned = cosigned.map(|(note, known)| (known.size, note.clone()));
     Ok(Loaded {
-        state: State { tree, map, size, checkpoint, cosigned, halted: None },
+        state: State { tree, map, size, root, checkpoint, cosigned, halted: None },
         writer,
         publisher: Publisher::new(filed, published.map(|(note, known)| (known.size, note))),
     })
@@ -213,10 +213,15 @@ pub(super) fn leaf_bytes(store: &dyn Store, files: &Files, index: u64) -> Result
     }
     let width = u64::from(TILE_WIDTH);
     let path = layout::public(&TilePath { kind: TileKind::Entries, index: index / width, width: TILE_WIDTH });
+    // Every leaf has the same length, and so a place of its own.
+    let (at, length) = ((index % width) * ENTRY as u64, ENTRY);
+    let entry = files.read_at(&path, at, length)?.filter(|entry| entry.len() == length);
     let missing = || inconsistent(&format!("leaf {index}"), format!("neither in the store nor in {path}"));
-    let bundle = files.read(&path, MAX_ENTRIES)?.ok_or_else(missing)?;
-    let leaves = decode_entries(&bundle).map_err(|e| inconsistent(&path, e.to_string()))?;
-    leaves.get((index % width) as usize).map(|leaf| leaf.to_vec()).ok_or_else(missing)
+    let entry = entry.ok_or_else(missing)?;
+    match decode_entries(&entry).map_err(|e| inconsistent(&path, e.to_string()))?.as_slice() {
+        [leaf] => Ok(leaf.to_vec()),
+        _ => Err(inconsistent(&path, format!("no leaf of {LEAF_LEN} bytes at its entry {}", index % width))),
+    }
 }
 
 /// Nonces that are used and would still be good otherwise.

@@ -9,8 +9,10 @@ use std::{
     fs::{self, File},
     io::{self, Read as _},
     path::{Path, PathBuf},
+    time::Duration,
 };
 
+use fs4::{FileExt, TryLockError};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -40,9 +42,10 @@ struct SealedFile {
     sha256: Digest,
 }
 
-/// Seals the store's folder when dropped.
+/// Seals the store's folder when dropped, if armed.
 pub(super) struct Seal {
     root: PathBuf,
+    armed: bool,
 }
 
 impl Seal {
@@ -59,10 +62,21 @@ impl Seal {
             place: path.display().to_string(),
             cause: e.to_string(),
         })?;
-        Ok(Self { root: root.to_path_buf() })
+        Ok(Self { root: root.to_path_buf(), armed: false })
+    }
+
+    /// The store was found good.
+    pub(super) fn armed(self) -> Self {
+        Self { root: self.root.clone(), armed: true }
+    }
+
+    /// The store is not known to be good any more.
+    pub(super) const fn disarm(&mut self) {
+        self.armed = false;
     }
 
     fn write(&self) -> io::Result<()> {
+        await_closed(&self.root.join(layout::WORKING).join("db"))?;
         let mut files = Vec::new();
         list(&self.root, layout::WORKING, &mut files)?;
         files.sort_by(|a, b| a.path.cmp(&b.path));
@@ -74,9 +88,24 @@ impl Seal {
 
 impl Drop for Seal {
     fn drop(&mut self) {
-        // Without a seal an auditor says that it cannot be told, which is the truth.
-        let _ = self.write();
+        if self.armed {
+            // Without a seal an auditor says that it cannot be told, which is the truth.
+            let _ = self.write();
+        }
     }
+}
+
+/// Sled writes for a moment after its last handle is dropped, and holds its lock until then.
+fn await_closed(db: &Path) -> io::Result<()> {
+    let file = File::open(db)?;
+    for _ in 0..250 {
+        match FileExt::try_lock(&file) {
+            Ok(()) => return FileExt::unlock(&file),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(20)),
+            Err(TryLockError::Error(e)) => return Err(e),
+        }
+    }
+    Err(io::Error::new(io::ErrorKind::TimedOut, "the store does not close"))
 }
 
 fn digest(file: &mut File) -> io::Result<(u64, Digest)> {

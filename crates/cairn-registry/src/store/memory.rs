@@ -186,6 +186,11 @@ impl Disk for FaultyStore {
         }
     }
 
+    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError> {
+        let read = self.read(path, u64::MAX)?;
+        Ok(read.map(|bytes| bytes.into_iter().skip(offset as usize).take(length).collect()))
+    }
+
     fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
         self.perform("write", |inner| {
             let next = inner.inodes.len();
