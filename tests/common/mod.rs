@@ -85,12 +85,18 @@ pub struct Daemon {
 impl Daemon {
     /// Starts `cairn serve` on a free port; `settings` is TOML over the defaults.
     pub fn start(data: &Path, settings: &str) -> Self {
+        Self::start_logging(data, settings, Stdio::inherit())
+    }
+
+    /// As [`Daemon::start`], with its standard error somewhere else.
+    pub fn start_logging(data: &Path, settings: &str, log: impl Into<Stdio>) -> Self {
         let config = data.with_extension("toml");
         let settings = format!("{settings}\n[server]\nbind = \"127.0.0.1:0\"\nshutdown_grace_s = 1\n");
         std::fs::write(&config, settings).unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
             .args(["serve", "--data", data.to_str().unwrap(), "--config", config.to_str().unwrap()])
             .stdout(Stdio::piped())
+            .stderr(log)
             .spawn()
             .unwrap();
         let mut line = String::new();

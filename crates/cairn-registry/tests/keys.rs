@@ -1,5 +1,8 @@
 //! Ed25519 keys and signatures: known answers, the edge cases where verifiers disagree, and key files.
 
+mod common;
+mod edges;
+
 use std::fs;
 
 use cairn_registry::{KeyError, OwnerKey, PublicKey};
@@ -151,4 +154,48 @@ fn secrets_are_not_printed() {
     let shown = format!("{key:?} {key:#?}");
     assert!(!shown.contains("abab") && !shown.contains("171"), "{shown}");
     assert!(shown.contains(&key.public().to_string()));
+}
+
+/// The verdict on one signature, by key and signature as they are read from outside.
+fn taken(key: &[u8; 32], message: &[u8], signature: &[u8]) -> char {
+    let verified = PublicKey::from_bytes(key).and_then(|key| key.verify(message, signature));
+    if verified.is_ok() { 'V' } else { 'X' }
+}
+
+#[test]
+fn signatures_that_verifiers_disagree_on_are_refused() {
+    let edges = edges::edges();
+    let verdicts: String = edges.iter().map(|e| taken(&e.key, &e.message, &e.signature)).collect();
+    let names: Vec<_> = edges.iter().map(|e| e.name).collect();
+    assert_eq!(verdicts, edges::STRICT, "{names:#?}");
+    // They are what they say: most hold by an equation of RFC 8032, so that it is strictness that refuses them.
+    let spelling =
+        |e: &edges::Edge| edges::is_canonical(e.key) && edges::is_canonical(e.signature[..32].try_into().unwrap());
+    let holds: Vec<_> = edges.iter().map(|e| (e.holds, spelling(e))).collect();
+    let (both, with, never) = ((true, true), (false, true), (false, false));
+    let expected = [both, both, both, both, with, with, both, both, both, never, both, with];
+    let spellings = [true, true, true, true, true, true, true, true, false, false, false, false];
+    assert_eq!(holds, expected.into_iter().zip(spellings).collect::<Vec<_>>());
+}
+
+/// The same with the paper's own vectors, where `ed25519-speccheck/cases.json` lies among the vectors.
+#[test]
+fn published_edge_cases_get_the_strict_verdicts() {
+    let test = "published_edge_cases_get_the_strict_verdicts";
+    let Some(folder) = common::vectors(test).and_then(|merkle| Some(merkle.parent()?.join("ed25519-speccheck"))) else {
+        return;
+    };
+    let Ok(text) = fs::read(folder.join("cases.json")) else {
+        eprintln!("SKIPPED {test}: no {}/cases.json (github.com/novifinancial/ed25519-speccheck)", folder.display());
+        return;
+    };
+    let cases: Vec<serde_json::Value> = serde_json::from_slice(&text).unwrap();
+    let part = |case: &serde_json::Value, name: &str| hex::decode(case[name].as_str().unwrap()).unwrap();
+    let verdict = |case| {
+        let key = part(case, "pub_key").try_into().unwrap();
+        taken(&key, &part(case, "message"), &part(case, "signature"))
+    };
+    let verdicts: String = cases.iter().map(verdict).collect();
+    assert!(cases.len() >= 10, "{}", cases.len());
+    assert_eq!(verdicts, edges::STRICT[..cases.len()]);
 }
