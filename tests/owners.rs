@@ -237,6 +237,7 @@ async fn submit(
         nonce: nonce.nonce.parse().unwrap(),
         seen: Seen { size: seen.size, root: seen.root },
         replaces: None,
+        views: None,
     };
     let envelope = record.seal(key).unwrap().to_json().into_bytes().into();
     let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await?;

@@ -138,6 +138,7 @@ mod tests {
             nonce: Digest::of("nonce"),
             seen: Seen { size: 0, root: merkle::empty_root() },
             replaces: None,
+            views: None,
         };
         let envelope = record.seal(&key).unwrap().to_json().into_bytes();
         (record, envelope)

@@ -232,6 +232,7 @@ fn record(
         nonce: nonce.nonce.parse().context("the daemon's nonce is not 32 bytes in hexadecimal")?,
         seen: Seen { size: checkpoint.size, root: checkpoint.root },
         replaces: None,
+        views: None,
     })
 }
 

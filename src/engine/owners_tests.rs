@@ -50,6 +50,7 @@ fn about(registry: &Registry, kind: RecordKind, by: u8) -> OwnerRecord {
         nonce: registry.nonce("town", &key(by).public()).unwrap(),
         seen: Seen { size: head.size, root: head.root },
         replaces: None,
+        views: None,
     }
 }
 

@@ -84,7 +84,7 @@ impl Contract {
         match field.r#type() {
             Type::Message => delimited(&self.message(field.type_name(), pool, random), out),
             Type::String => delimited(pool.text(name, random).as_bytes(), out),
-            Type::Bytes => delimited(pool.bytes(name, random), out),
+            Type::Bytes => delimited(pool.bytes(random), out),
             Type::Double => {
                 varint(number << 3 | 1, out);
                 out.extend_from_slice(&pool.number(random).to_le_bytes());
@@ -129,8 +129,8 @@ impl Pool {
         }
     }
 
-    fn bytes(&self, _name: &str, random: &mut ChaCha8Rng) -> &[u8] {
-        pick(&self.bytes, random)
+    fn bytes(&self, random: &mut ChaCha8Rng) -> &[u8] {
+        pick::<Vec<u8>>(&self.bytes, random)
     }
 
     fn number(&self, random: &mut ChaCha8Rng) -> f64 {

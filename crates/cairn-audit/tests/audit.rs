@@ -57,6 +57,7 @@ fn owner_record() -> OwnerRecord {
         nonce: Digest::of("nonce"),
         seen: Seen { size: 0, root: empty_root() },
         replaces: None,
+        views: None,
     }
 }
 

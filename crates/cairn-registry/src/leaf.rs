@@ -20,6 +20,9 @@ pub const LEAF_LEN: usize = 2 + 3 * Digest::LEN + SIGNATURE_LEN;
 /// The leaf format's version.
 pub const LEAF_VERSION: u8 = 1;
 
+/// The kind byte of the registry's own leaves: see [`crate::map_leaf`].
+pub const MAP_KIND: u8 = 7;
+
 /// One leaf.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Leaf {
@@ -51,8 +54,19 @@ pub enum LeafError {
         got: u8,
     },
     /// A kind that version 1 does not have.
-    #[error("leaf of kind {got}, 1 to 6 expected")]
+    #[error("leaf of kind {got}, 1 to 7 expected")]
     Kind {
+        /// The kind byte.
+        got: u8,
+    },
+    /// The registry's own leaf, where an owner record's is read.
+    #[error(
+        "leaf of kind 7 is a map leaf of the registry and belongs to no owner record; read it as `map_leaf::Entry`"
+    )]
+    IsMap,
+    /// An owner record's leaf, where the registry's own is read.
+    #[error("leaf of kind {got} belongs to an owner record and is no map leaf; read it as `map_leaf::Entry`")]
+    IsRecord {
         /// The kind byte.
         got: u8,
     },
@@ -83,38 +97,52 @@ impl Leaf {
 
     /// The 162 bytes.
     pub fn encode(&self) -> [u8; LEAF_LEN] {
-        let mut out = [0; LEAF_LEN];
-        out[0] = LEAF_VERSION;
-        out[1] = self.kind.code();
-        out[2..34].copy_from_slice(self.record.as_bytes());
-        out[34..66].copy_from_slice(self.owner.as_bytes());
-        out[66..98].copy_from_slice(self.scene.as_bytes());
-        out[98..].copy_from_slice(&self.signature);
-        out
+        join(self.kind.code(), [&self.record, &self.owner, &self.scene], &self.signature)
     }
 
     /// Reads 162 bytes.
     ///
     /// # Errors
-    /// [`LeafError`] for another length, an unknown version or kind.
+    /// [`LeafError`] for another length, an unknown version or kind, and for a map leaf (kind 7).
     pub fn decode(bytes: &[u8]) -> Result<Self, LeafError> {
-        let bytes: &[u8; LEAF_LEN] = bytes.try_into().map_err(|_| LeafError::Length { got: bytes.len() })?;
-        if bytes[0] != LEAF_VERSION {
-            return Err(LeafError::Version { got: bytes[0] });
+        let (kind, [record, owner, scene], signature) = split(bytes)?;
+        if kind == MAP_KIND {
+            return Err(LeafError::IsMap);
         }
-        let kind = RecordKind::from_code(bytes[1]).ok_or(LeafError::Kind { got: bytes[1] })?;
-        let part = |at: usize| {
-            let mut digest = [0; 32];
-            digest.copy_from_slice(&bytes[at..at + 32]);
-            Digest::from_bytes(digest)
-        };
-        let mut signature = [0; SIGNATURE_LEN];
-        signature.copy_from_slice(&bytes[98..]);
-        Ok(Self { kind, record: part(2), owner: part(34), scene: part(66), signature })
+        let kind = RecordKind::from_code(kind).ok_or(LeafError::Kind { got: kind })?;
+        Ok(Self { kind, record, owner, scene, signature })
     }
 
     /// The leaf's hash in the log, `H(0x00 | leaf)`.
     pub fn hash(&self) -> Digest {
         merkle::leaf_hash(&self.encode())
     }
+}
+
+/// Lays out the 162 bytes that leaves of every kind share.
+pub(crate) fn join(kind: u8, digests: [&Digest; 3], signature: &[u8; SIGNATURE_LEN]) -> [u8; LEAF_LEN] {
+    let mut out = [0; LEAF_LEN];
+    out[0] = LEAF_VERSION;
+    out[1] = kind;
+    for (part, digest) in out[2..98].chunks_exact_mut(Digest::LEN).zip(digests) {
+        part.copy_from_slice(digest.as_bytes());
+    }
+    out[98..].copy_from_slice(signature);
+    out
+}
+
+/// Takes the 162 bytes apart: kind byte, three digests, signature.
+pub(crate) fn split(bytes: &[u8]) -> Result<(u8, [Digest; 3], [u8; SIGNATURE_LEN]), LeafError> {
+    let bytes: &[u8; LEAF_LEN] = bytes.try_into().map_err(|_| LeafError::Length { got: bytes.len() })?;
+    if bytes[0] != LEAF_VERSION {
+        return Err(LeafError::Version { got: bytes[0] });
+    }
+    let part = |at: usize| {
+        let mut digest = [0; Digest::LEN];
+        digest.copy_from_slice(&bytes[at..at + Digest::LEN]);
+        Digest::from_bytes(digest)
+    };
+    let mut signature = [0; SIGNATURE_LEN];
+    signature.copy_from_slice(&bytes[98..]);
+    Ok((bytes[1], [part(2), part(34), part(66)], signature))
 }

@@ -3,7 +3,7 @@
 //! The formats are public ones, so that anybody's tools can check a log of ours:
 //! DSSE envelopes ([`dsse`]), RFC 6962 Merkle trees ([`merkle`]), C2SP signed
 //! notes, checkpoints, proofs and tiles ([`note`], [`checkpoint`], [`proof`], [`tile`]). Ours are only the owner
-//! record ([`record`]) and the leaf ([`leaf`]).
+//! record ([`record`]), the leaf ([`leaf`]) and the verifiable map over them ([`map`], [`map_leaf`]).
 //!
 //! Those build without the feature `store`, which adds the writing half: the
 //! registry proper and its store on sled, the only code here that knows sled.
@@ -11,10 +11,15 @@
 pub mod checkpoint;
 pub mod digest;
 pub mod dsse;
+#[cfg(feature = "store")]
+pub mod files;
 pub mod keys;
 pub mod leaf;
+pub mod map;
+pub mod map_leaf;
 pub mod merkle;
 pub mod note;
+pub mod packs;
 pub mod proof;
 pub mod record;
 #[cfg(feature = "store")]
@@ -29,9 +34,11 @@ pub use digest::{Digest, DigestError};
 pub use dsse::{DsseError, Envelope};
 pub use keys::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
+pub use map::{MapEntry, MapKey, MapProof, MapTree};
+pub use map_leaf::{Entry, MapLeaf};
 pub use merkle::ProofError;
 pub use note::{Note, NoteError, NoteVerifier};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
 #[cfg(feature = "store")]
-pub use registry::{Receipt, Registry, RegistryError, StoredRecord};
+pub use registry::{LogEntry, Published, Receipt, Registry, RegistryError, StoredRecord};

@@ -7,7 +7,7 @@
 
 use crate::digest::{Digest, DigestError};
 
-pub use crate::tree::Tree;
+pub use crate::tree::{Subtrees, Tree, prove_consistency, prove_inclusion, root_at};
 
 /// Why a proof proves nothing.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

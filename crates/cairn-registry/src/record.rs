@@ -25,6 +25,9 @@ pub const VERSION: u32 = 1;
 /// Longest scene, contributor, origin or purpose, in bytes.
 pub const MAX_TEXT_BYTES: usize = 256;
 
+/// Most photographs that [`OwnerRecord::views`] may list: their digests still fit into an envelope.
+pub const MAX_VIEWS: usize = 512;
+
 /// Numbers at or above this are rounded by readers that keep JSON numbers as floats.
 const EXACT_IN_JSON: u64 = 1 << 53;
 
@@ -149,6 +152,10 @@ pub struct OwnerRecord {
     /// Digest (SHA-256 of the PAE) of the record that this one is about or replaces.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub replaces: Option<Digest>,
+    /// SHA-256 digests of the cluster's photographs (hex), ascending, each once, 1 to [`MAX_VIEWS`]: what makes the
+    /// record answer for single views. They must be the photographs under `digests.photographs`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub views: Option<Vec<Digest>>,
 }
 
 /// Why a body is no owner record.
@@ -279,8 +286,26 @@ impl OwnerRecord {
         };
         match needs.iter().find(|(_, there)| !there) {
             Some((name, _)) => Err(field(name, "a value, for a record of this kind", "nothing")),
-            None => Ok(()),
+            None => self.check_views(),
         }
+    }
+
+    fn check_views(&self) -> Result<(), RecordError> {
+        let Some(views) = &self.views else { return Ok(()) };
+        if views.is_empty() || views.len() > MAX_VIEWS {
+            return Err(field("views", "1 to 512 digests of photographs, or no such field", views.len()));
+        }
+        if let Some(pair) = views.windows(2).find(|pair| pair[0] >= pair[1]) {
+            let got = format!("{} before {}", pair[0], pair[1]);
+            return Err(field("views", "digests in ascending order, each once", got));
+        }
+        let root = photographs_root(views);
+        if self.digests.photographs != Some(root) {
+            let named = self.digests.photographs.map_or_else(|| "none".to_owned(), |d| d.to_string());
+            let got = format!("digests with root {root}, where digests.photographs is {named}");
+            return Err(field("views", "the photographs under digests.photographs, all of them", got));
+        }
+        Ok(())
     }
 }
 

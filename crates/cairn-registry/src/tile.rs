@@ -141,12 +141,7 @@ impl fmt::Display for TilePath {
             TileKind::Hashes(level) => write!(f, "tile/{level}")?,
             TileKind::Entries => write!(f, "tile/entries")?,
         }
-        let digits = self.index.to_string();
-        let padded = format!("{digits:0>width$}", width = digits.len().div_ceil(3) * 3);
-        for at in (0..padded.len()).step_by(3) {
-            let more = if at + 3 < padded.len() { "x" } else { "" };
-            write!(f, "/{more}{}", &padded[at..at + 3])?;
-        }
+        write!(f, "/{}", index_path(self.index))?;
         if self.width < TILE_WIDTH { write!(f, ".p/{}", self.width) } else { Ok(()) }
     }
 }
@@ -176,6 +171,18 @@ impl FromStr for TilePath {
         // One spelling: this refuses groups that only pad.
         if path.to_string() == text { Ok(path) } else { Err(refuse("the index has needless groups")) }
     }
+}
+
+/// 1234067 -> `x001/x234/067`: groups of three digits, all but the last behind an `x`.
+pub fn index_path(index: u64) -> String {
+    let digits = index.to_string();
+    let padded = format!("{digits:0>width$}", width = digits.len().div_ceil(3) * 3);
+    let mut path = String::with_capacity(padded.len() * 5 / 3);
+    for at in (0..padded.len()).step_by(3) {
+        let (before, behind) = if at + 3 < padded.len() { ("x", "/") } else { ("", "") };
+        path.extend([before, &padded[at..at + 3], behind]);
+    }
+    path
 }
 
 /// `x001/x234/067` -> 1234067.

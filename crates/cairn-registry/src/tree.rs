@@ -1,8 +1,8 @@
-//! The log's Merkle tree in memory: every full subtree's hash, so that a root
+//! Proofs about RFC 6962 trees, made from the hashes of full subtrees, so that a root
 //! at any past size and any proof costs a logarithm, not a walk over the log.
 //!
-//! 64 bytes a leaf. Nothing here is stored: leaves are the truth, and the tree
-//! is recomputed from them on each start, which checks them as well.
+//! Where those hashes are kept is the source's business ([`Subtrees`]): a registry has them in
+//! tiles on disk; [`Tree`] has them in memory, 64 bytes a leaf.
 
 use crate::{
     digest::Digest,
@@ -57,7 +57,8 @@ impl Tree {
 
     /// Root over all leaves.
     pub fn root(&self) -> Digest {
-        self.subtree(0, self.size())
+        // All of the tree's own subtrees are there.
+        self.root_at(self.size()).unwrap_or_else(|_| empty_root())
     }
 
     /// Root of the tree when it had `size` leaves.
@@ -65,90 +66,142 @@ impl Tree {
     /// # Errors
     /// [`ProofError::IndexBeyondSize`] for a size that it has not reached.
     pub fn root_at(&self, size: u64) -> Result<Digest, ProofError> {
-        self.reached(size)?;
-        Ok(self.subtree(0, size))
+        root_at(self, size)
     }
 
-    /// Proof that leaf `index` lies in the tree of `size` leaves (RFC 6962, 2.1.1).
+    /// As [`prove_inclusion`].
     ///
     /// # Errors
     /// [`ProofError`] for an empty tree, an index beyond `size`, or a size not reached.
     pub fn prove_inclusion(&self, index: u64, size: u64) -> Result<Vec<Digest>, ProofError> {
-        self.reached(size)?;
-        if size == 0 {
-            return Err(ProofError::EmptyTree);
-        }
-        if index >= size {
-            return Err(ProofError::IndexBeyondSize { index, size });
-        }
-        let (mut lo, mut hi) = (0, size);
-        let mut proof = Vec::new();
-        while hi - lo > 1 {
-            let middle = lo + split(hi - lo);
-            if index < middle {
-                proof.push(self.subtree(middle, hi));
-                hi = middle;
-            } else {
-                proof.push(self.subtree(lo, middle));
-                lo = middle;
-            }
-        }
-        proof.reverse();
-        Ok(proof)
+        prove_inclusion(self, index, size)
     }
 
-    /// Proof that the tree of `to` leaves begins with the tree of `from` leaves (RFC 6962, 2.1.2).
+    /// As [`prove_consistency`].
     ///
     /// # Errors
     /// [`ProofError`] for `from` 0 or beyond `to`, or a size not reached.
     pub fn prove_consistency(&self, from: u64, to: u64) -> Result<Vec<Digest>, ProofError> {
-        self.reached(to)?;
-        if from > to {
-            return Err(ProofError::Backwards { from, to });
-        }
-        if from == 0 {
-            return Err(ProofError::FromEmpty { to });
-        }
-        let (mut lo, mut hi) = (0, to);
-        let mut proof = Vec::new();
-        while hi != from {
-            let middle = lo + split(hi - lo);
-            if from <= middle {
-                proof.push(self.subtree(middle, hi));
-                hi = middle;
-            } else {
-                proof.push(self.subtree(lo, middle));
-                lo = middle;
-            }
-        }
-        // The first tree itself, unless it is what the verifier holds already.
-        if lo != 0 {
-            proof.push(self.subtree(lo, hi));
-        }
-        proof.reverse();
-        Ok(proof)
+        prove_consistency(self, from, to)
+    }
+}
+
+impl Subtrees for Tree {
+    type Error = ProofError;
+
+    fn size(&self) -> u64 {
+        Self::size(self)
     }
 
-    fn reached(&self, size: u64) -> Result<(), ProofError> {
-        if size > self.size() {
-            return Err(ProofError::IndexBeyondSize { index: size, size: self.size() });
-        }
-        Ok(())
+    fn node(&self, level: u32, index: u64) -> Result<Digest, ProofError> {
+        let found = usize::try_from(index).ok().and_then(|at| self.level(level as usize).get(at));
+        found.copied().ok_or(ProofError::IndexBeyondSize { index, size: self.size() })
     }
+}
 
-    /// Root over leaves `lo..hi`, which a split of RFC 6962 gave: `lo` is a multiple of the next power of two.
-    fn subtree(&self, lo: u64, hi: u64) -> Digest {
-        let count = hi - lo;
-        if count == 0 {
-            return empty_root();
-        }
-        if count.is_power_of_two() {
-            let level = count.trailing_zeros();
-            return self.levels[level as usize][(lo >> level) as usize];
-        }
-        let middle = lo + split(count);
-        node_hash(&self.subtree(lo, middle), &self.subtree(middle, hi))
+/// What proofs are made of: the hashes of a tree's full subtrees, wherever they are kept.
+pub trait Subtrees {
+    /// What may go wrong with fetching one.
+    type Error: From<ProofError>;
+
+    /// How many leaves there are.
+    fn size(&self) -> u64;
+
+    /// Hash of the full subtree over leaves `index * 2^level .. (index + 1) * 2^level`.
+    ///
+    /// # Errors
+    /// Where it cannot be had.
+    fn node(&self, level: u32, index: u64) -> Result<Digest, Self::Error>;
+}
+
+/// Root of the tree when it had `size` leaves.
+///
+/// # Errors
+/// [`ProofError::IndexBeyondSize`] for a size that it has not reached, and the source's.
+pub fn root_at<S: Subtrees>(tree: &S, size: u64) -> Result<Digest, S::Error> {
+    reached(tree, size)?;
+    subtree(tree, 0, size)
+}
+
+/// Proof that leaf `index` lies in the tree of `size` leaves (RFC 6962, 2.1.1).
+///
+/// # Errors
+/// [`ProofError`] for an empty tree, an index beyond `size`, or a size not reached, and the source's.
+pub fn prove_inclusion<S: Subtrees>(tree: &S, index: u64, size: u64) -> Result<Vec<Digest>, S::Error> {
+    reached(tree, size)?;
+    if size == 0 {
+        return Err(ProofError::EmptyTree.into());
     }
+    if index >= size {
+        return Err(ProofError::IndexBeyondSize { index, size }.into());
+    }
+    let (mut lo, mut hi) = (0, size);
+    let mut proof = Vec::new();
+    while hi - lo > 1 {
+        let middle = lo + split(hi - lo);
+        if index < middle {
+            proof.push(subtree(tree, middle, hi)?);
+            hi = middle;
+        } else {
+            proof.push(subtree(tree, lo, middle)?);
+            lo = middle;
+        }
+    }
+    proof.reverse();
+    Ok(proof)
+}
+
+/// Proof that the tree of `to` leaves begins with the tree of `from` leaves (RFC 6962, 2.1.2).
+///
+/// # Errors
+/// [`ProofError`] for `from` 0 or beyond `to`, or a size not reached, and the source's.
+pub fn prove_consistency<S: Subtrees>(tree: &S, from: u64, to: u64) -> Result<Vec<Digest>, S::Error> {
+    reached(tree, to)?;
+    if from > to {
+        return Err(ProofError::Backwards { from, to }.into());
+    }
+    if from == 0 {
+        return Err(ProofError::FromEmpty { to }.into());
+    }
+    let (mut lo, mut hi) = (0, to);
+    let mut proof = Vec::new();
+    while hi != from {
+        let middle = lo + split(hi - lo);
+        if from <= middle {
+            proof.push(subtree(tree, middle, hi)?);
+            hi = middle;
+        } else {
+            proof.push(subtree(tree, lo, middle)?);
+            lo = middle;
+        }
+    }
+    // The first tree itself, unless it is what the verifier holds already.
+    if lo != 0 {
+        proof.push(subtree(tree, lo, hi)?);
+    }
+    proof.reverse();
+    Ok(proof)
+}
+
+fn reached<S: Subtrees>(tree: &S, size: u64) -> Result<(), ProofError> {
+    if size > tree.size() {
+        return Err(ProofError::IndexBeyondSize { index: size, size: tree.size() });
+    }
+    Ok(())
+}
+
+/// Root over leaves `lo..hi`, which a split of RFC 6962 gave: `lo` is a multiple of the next power of two.
+fn subtree<S: Subtrees>(tree: &S, lo: u64, hi: u64) -> Result<Digest, S::Error> {
+    let count = hi - lo;
+    if count == 0 {
+        return Ok(empty_root());
+    }
+    if count.is_power_of_two() {
+        let level = count.trailing_zeros();
+        return tree.node(level, lo >> level);
+    }
+    let middle = lo + split(count);
+    Ok(node_hash(&subtree(tree, lo, middle)?, &subtree(tree, middle, hi)?))
 }
 
 /// Largest power of two below `count`, for `count` of at least 2.

@@ -48,6 +48,8 @@ attacked! {
     vkeys: "vkey",
     public_keys: "public key",
     key_files: "key file",
+    packs: "pack",
+    map_proofs: "map proof",
 }
 
 /// Not a multiple any more but a bound: beyond the largest input that is read, nothing is allocated for it.

@@ -25,6 +25,7 @@ fn record() -> OwnerRecord {
         nonce: Digest::of("nonce"),
         seen: Seen { size: 0, root: merkle::empty_root() },
         replaces: None,
+        views: None,
     }
 }
 

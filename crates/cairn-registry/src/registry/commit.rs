@@ -3,18 +3,34 @@
 //! There is no writer thread. The first submitter who finds nobody writing takes
 //! all that waits and writes it; those who come meanwhile wait for the next round. A flush
 //! costs milliseconds, so under load a round carries many records.
+//!
+//! A round's order is what a crash at any moment leaves right: envelopes into their pack, flushed; then leaves,
+//! indices, the map's rows and the size and root that are about to be signed, all in one write of the store, flushed;
+//! only then the signature. Envelopes that no leaf speaks of are overwritten by the next round.
 
 use std::{
+    collections::{BTreeMap, HashMap},
     mem,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use super::{
-    Receipt, Registry, RegistryError, layout,
-    reload::{inconsistent, index_of, stored},
+    Receipt, Registry, RegistryError, State, layout,
+    nonce::NONCE_LIFETIME,
+    reload::inconsistent,
     submit::{Admitted, Candidate, Planned},
 };
-use crate::{checkpoint::Checkpoint, digest::Digest, dsse::Envelope, store::Entry};
+use crate::{
+    checkpoint::Checkpoint,
+    digest::Digest,
+    dsse::Envelope,
+    map::{Buckets, MapEntry, MapKey, Staged, keys_of},
+    map_leaf::MapLeaf,
+    merkle::{self, leaf_hash},
+    packs::Slot,
+    store::{Change, Store, StoreError},
+    tile::TILE_WIDTH,
+};
 
 type Outcome = Result<Receipt, RegistryError>;
 
@@ -23,6 +39,14 @@ type Outcome = Result<Receipt, RegistryError>;
 pub(super) struct Queue {
     waiting: Vec<Waiting>,
     busy: bool,
+}
+
+/// What only the one who writes needs to know.
+pub(super) struct Writer {
+    /// Bytes of the pack that the next entry goes into.
+    pub(super) pack_length: u64,
+    /// Nonces that are used and would still be good otherwise, and the records that used them.
+    pub(super) used: HashMap<Digest, u64>,
 }
 
 struct Waiting {
@@ -40,14 +64,16 @@ struct Placed {
 /// What a round writes.
 #[derive(Default)]
 struct Batch {
-    entries: Vec<Entry>,
-    leaves: Vec<(u64, Vec<u8>)>,
+    entries: Vec<Change>,
+    /// Leaves and what their packs hold, in order.
+    leaves: Vec<(Vec<u8>, Slot)>,
+    map: BTreeMap<MapKey, Vec<MapEntry>>,
     planned: Planned,
     kept: Vec<Envelope>,
 }
 
 /// One writer's turn. However it ends, nobody is left waiting.
-struct Turn<'a> {
+pub(super) struct Turn<'a> {
     registry: &'a Registry,
     batch: Vec<Waiting>,
 }
@@ -67,7 +93,7 @@ impl Drop for Turn<'_> {
 }
 
 impl Registry {
-    /// Takes a record into the log. Blocks until it is durable and published.
+    /// Takes a record into the log. Blocks until it is durable.
     ///
     /// The same record again gives its old index, so a submitter whose connection broke asks again. A record that was refused
     /// or failed left no trace, except after [`RegistryError::Store`] and [`RegistryError::Halted`]: then it may be in the log
@@ -100,14 +126,26 @@ impl Registry {
         }
     }
 
+    /// The turn to write, taken for something that no submission waits for.
+    pub(super) fn turn(&self) -> Turn<'_> {
+        let mut queue = lock(&self.queue);
+        while queue.busy {
+            queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+        queue.busy = true;
+        Turn { registry: self, batch: Vec::new() }
+    }
+
     fn write_round(&self, round: &[Waiting]) -> Vec<Outcome> {
         if let Some(cause) = self.halted() {
             return round.iter().map(|_| Err(RegistryError::Halted { cause: cause.clone() })).collect();
         }
         let size = self.size();
+        let mut writer = lock(&self.writer);
         let mut batch = Batch::default();
-        let placed: Vec<_> = round.iter().map(|w| self.place(&w.candidate, size, &mut batch)).collect();
-        let written = if batch.leaves.is_empty() { Ok(()) } else { self.write_batch(size, batch) };
+        let placed: Vec<_> = round.iter().map(|w| self.place(&w.candidate, size, &writer, &mut batch)).collect();
+        let written = if batch.leaves.is_empty() { Ok(()) } else { self.write_batch(size, &mut writer, batch) };
+        drop(writer);
         let outcomes = placed.into_iter().map(|placed| {
             let placed = placed?;
             match &written {
@@ -121,78 +159,135 @@ impl Registry {
     }
 
     /// Finds the record's place in the log, old or new.
-    fn place(&self, candidate: &Candidate, size: u64, batch: &mut Batch) -> Result<Placed, RegistryError> {
+    fn place(
+        &self,
+        candidate: &Candidate,
+        size: u64,
+        writer: &Writer,
+        batch: &mut Batch,
+    ) -> Result<Placed, RegistryError> {
         let digest = candidate.leaf.record;
         if let Some((index, _)) = batch.planned.records.get(&digest) {
             let envelope = batch.kept[(index - size) as usize].clone();
             return Ok(Placed { index: *index, resubmitted: true, envelope });
         }
-        if let Some(index) = index_of(self.store.as_ref(), &digest)? {
-            let envelope = stored(self.store.as_ref(), index)?.envelope;
+        if let Some(index) = self.index_of(&digest)? {
+            let envelope = self.stored(index)?.envelope;
             return Ok(Placed { index, resubmitted: true, envelope });
         }
-        let admitted = self.admit(candidate, &self.read().tree, size, &batch.planned)?;
+        let admitted = self.admit(candidate, &self.read().tree, size, writer, &batch.planned)?;
         let index = size + batch.leaves.len() as u64;
         batch.add(index, candidate, &admitted);
         Ok(Placed { index, resubmitted: false, envelope: admitted.envelope })
     }
 
     /// Writes, flushes, and only then signs.
-    fn write_batch(&self, size: u64, batch: Batch) -> Result<(), RegistryError> {
-        let result = self.make_durable(size, batch).and_then(|(new_size, root)| {
-            let note = Checkpoint::new(&self.origin, new_size, root).sign(&self.key)?;
-            let mut state = self.write();
-            state.size = new_size;
-            state.checkpoint = note.to_string();
-            Ok(())
-        });
-        result.inspect_err(|e| drop(self.halt(&e.to_string())))
+    fn write_batch(&self, size: u64, writer: &mut Writer, batch: Batch) -> Result<(), RegistryError> {
+        self.commit(size, writer, batch).inspect_err(|e| drop(self.halt(&e.to_string())))
     }
 
-    fn make_durable(&self, size: u64, mut batch: Batch) -> Result<(u64, Digest), RegistryError> {
+    fn commit(&self, size: u64, writer: &mut Writer, mut batch: Batch) -> Result<(), RegistryError> {
+        let staged = self.close_with_the_map(size, &mut batch)?;
         let (new_size, root) = {
             let mut state = self.write();
-            for (_, leaf) in &batch.leaves {
-                state.tree.push(crate::merkle::leaf_hash(leaf));
+            for (leaf, _) in &batch.leaves {
+                state.tree.push(leaf_hash(leaf));
             }
-            (state.tree.size(), state.tree.root())
+            let new_size = size + batch.leaves.len() as u64;
+            (new_size, merkle::root_at(&state.tree, new_size)?)
         };
-        debug_assert_eq!(new_size, size + batch.leaves.len() as u64);
-        batch.entries.push((layout::SIGNED.to_vec(), layout::signed(new_size, &root)));
+        let pack_length = self.append_to_packs(size, writer.pack_length, &batch.leaves)?;
+        batch.entries.push((layout::SIGNED.to_vec(), Some(layout::signed(new_size, &root))));
         self.store.put(batch.entries)?;
         self.store.flush()?;
-        // Read again before signing: a signature over leaves that the store does not give back could never be honoured.
-        for (index, leaf) in &batch.leaves {
-            if self.store.get(&layout::leaf(*index))?.as_ref() != Some(leaf) {
-                return Err(inconsistent(
-                    &format!("leaf {index}"),
-                    "reads back differently from what was written".into(),
-                ));
+        self.read_back(size, &batch.leaves)?;
+        let note = Checkpoint::new(&self.origin, new_size, root).sign(&self.key)?;
+        writer.pack_length = pack_length;
+        writer.used.extend(batch.planned.nonces);
+        writer.used.retain(|_, index| new_size - *index <= NONCE_LIFETIME);
+        let mut state = self.write();
+        state.map.apply(&staged);
+        state.size = new_size;
+        state.checkpoint = note.to_string();
+        Ok(())
+    }
+
+    /// Works out the map with the batch's records in it, and appends its leaf.
+    fn close_with_the_map(&self, size: u64, batch: &mut Batch) -> Result<Staged, RegistryError> {
+        let staged = self.read().map.stage(&StoredBuckets(self.store.as_ref()), &batch.map)?;
+        for (key, entries) in &batch.map {
+            let prefix = layout::map_entries(key);
+            batch.entries.extend(entries.iter().map(|entry| {
+                let row = [&prefix[..], &entry.index.to_be_bytes()].concat();
+                (row, Some(entry.leaf_hash.as_bytes().to_vec()))
+            }));
+        }
+        for (bucket, bytes, top) in &staged.rows {
+            batch.entries.push((layout::bucket(*bucket), Some(bytes.clone())));
+            batch.entries.push((layout::top(*bucket), Some(top.encode().to_vec())));
+        }
+        let index = size + batch.leaves.len() as u64;
+        let leaf = MapLeaf::sign(&self.origin, index, staged.root, &self.key).encode().to_vec();
+        batch.entries.push((layout::leaf(index), Some(leaf.clone())));
+        batch.leaves.push((leaf, Slot::MapLeaf));
+        Ok(staged)
+    }
+
+    /// Appends frames to one pack or several; gives the length of the pack that the next entry goes into.
+    fn append_to_packs(&self, size: u64, length: u64, leaves: &[(Vec<u8>, Slot)]) -> Result<u64, RegistryError> {
+        let width = u64::from(TILE_WIDTH);
+        let (mut index, mut offset, mut rest) = (size, length, leaves);
+        while !rest.is_empty() {
+            let room = (width - index % width) as usize;
+            let (here, behind) = rest.split_at(room.min(rest.len()));
+            let frames: Vec<u8> = here.iter().flat_map(|(_, slot)| slot.to_frame()).collect();
+            self.files.append(&layout::pack(index / width), offset, &frames)?;
+            index += here.len() as u64;
+            offset = if index.is_multiple_of(width) { 0 } else { offset + frames.len() as u64 };
+            rest = behind;
+        }
+        Ok(offset)
+    }
+
+    /// A signature over leaves that the store does not give back could never be honoured.
+    fn read_back(&self, size: u64, leaves: &[(Vec<u8>, Slot)]) -> Result<(), RegistryError> {
+        let read = self.store.scan(layout::LEAVES, &size.to_be_bytes(), leaves.len())?;
+        for (at, (leaf, _)) in leaves.iter().enumerate() {
+            let index = size + at as u64;
+            if read.get(at).is_none_or(|(key, value)| *key != layout::leaf(index) || value != leaf) {
+                let what = "reads back differently from what was written".into();
+                return Err(inconsistent(&format!("leaf {index}"), what));
             }
         }
-        Ok((new_size, root))
+        Ok(())
     }
 
     fn receipt(&self, placed: Placed) -> Outcome {
-        let state = self.read();
-        let inclusion = state.tree.prove_inclusion(placed.index, state.size)?;
-        let leaf_hash = state.tree.leaf(placed.index);
-        let no_such = RegistryError::NoSuchRecord { index: placed.index, size: state.size };
+        let state: &State = &self.read();
         Ok(Receipt {
             index: placed.index,
-            leaf_hash: leaf_hash.ok_or(no_such)?,
+            leaf_hash: state.tree.leaf(placed.index)?,
             durable: true,
             resubmitted: placed.resubmitted,
             checkpoint: state.checkpoint.clone(),
             size: state.size,
-            inclusion,
+            inclusion: merkle::prove_inclusion(&state.tree, placed.index, state.size)?,
             envelope: placed.envelope,
         })
     }
 
     /// Stops all writing; the first cause stays.
-    fn halt(&self, cause: &str) -> String {
+    pub(super) fn halt(&self, cause: &str) -> String {
         self.write().halted.get_or_insert_with(|| cause.to_owned()).clone()
+    }
+}
+
+/// The map's buckets as the store keeps them.
+pub(super) struct StoredBuckets<'a>(pub(super) &'a dyn Store);
+
+impl Buckets for StoredBuckets<'_> {
+    fn load(&self, bucket: u32) -> Result<Option<Vec<u8>>, StoreError> {
+        self.0.get(&layout::bucket(bucket))
     }
 }
 
@@ -202,24 +297,25 @@ impl Batch {
         let digest = candidate.leaf.record;
         let place = index.to_be_bytes().to_vec();
         self.entries.extend([
-            (layout::leaf(index), leaf.clone()),
-            (layout::envelope(&digest), admitted.envelope.to_json().into_bytes()),
-            (layout::index_of(&digest), place.clone()),
-            (layout::nonce(&record.nonce), place.clone()),
-            ([layout::scene(&record.scene), place.clone()].concat(), Vec::new()),
+            (layout::leaf(index), Some(leaf.clone())),
+            (layout::index_of(&digest), Some(place.clone())),
+            (layout::nonce(index), Some(record.nonce.as_bytes().to_vec())),
         ]);
-        self.leaves.push((index, leaf));
+        for key in keys_of(record, admitted.replaced_owner) {
+            self.map.entry(key).or_default().push(MapEntry { index, leaf_hash: leaf_hash(&leaf) });
+        }
+        self.leaves.push((leaf, Slot::Record(admitted.envelope.to_json().into_bytes())));
         self.planned.records.insert(digest, (index, record.owner_key));
         self.planned.nonces.insert(record.nonce, index);
-        if let Some(ended) = admitted.retires.map(|owner| owner.id()) {
-            self.entries.push((layout::retired(&ended), place));
+        if let Some(ended) = admitted.retires {
+            self.entries.push((layout::retired(&ended), Some(place)));
             self.planned.retired.insert(ended, index);
         }
         self.kept.push(admitted.envelope.clone());
     }
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -234,8 +330,13 @@ mod tests {
     use crate::{
         keys::OwnerKey,
         record::{Digests, Identity, OwnerRecord, RecordKind, Seen, VERSION},
-        store::{FaultyStore, Store, StoreError},
+        store::{Entry, FaultyStore, Store, StoreError},
     };
+
+    fn open(store: &Gated, found: &FaultyStore) -> Registry {
+        let key = OwnerKey::from_seed(&[200; 32]);
+        Registry::open_store(Box::new(store.clone()), Box::new(found.clone()), key, "cairn.example/log").unwrap()
+    }
 
     /// Holds the first flush after arming until it is let go; counts flushes.
     #[derive(Clone, Default)]
@@ -260,7 +361,7 @@ mod tests {
             self.inner.get(key)
         }
 
-        fn put(&self, batch: Vec<Entry>) -> Result<(), StoreError> {
+        fn put(&self, batch: Vec<Change>) -> Result<(), StoreError> {
             assert!(!self.panics.load(Ordering::SeqCst), "a store that panics");
             self.inner.put(batch)
         }
@@ -296,6 +397,7 @@ mod tests {
             nonce: registry.nonce("fern", &owner.public()).unwrap(),
             seen: Seen { size: head.size, root: head.root },
             replaces: None,
+            views: None,
         };
         record.seal(&owner).unwrap()
     }
@@ -303,8 +405,7 @@ mod tests {
     #[test]
     fn a_writer_that_panics_leaves_nobody_waiting() {
         let store = Gated::default();
-        let key = OwnerKey::from_seed(&[200; 32]);
-        let registry = Registry::open_store(Box::new(store.clone()), key.clone(), "cairn.example/log").unwrap();
+        let registry = open(&store, &store.inner);
         registry.submit(&sealed(&registry, 1)).unwrap();
         store.panics.store(true, Ordering::SeqCst);
         std::thread::scope(|scope| {
@@ -321,18 +422,17 @@ mod tests {
         store.panics.store(false, Ordering::SeqCst);
         let refused = registry.submit(&sealed(&registry, 5)).unwrap_err();
         assert!(matches!(refused, RegistryError::Halted { .. }), "{refused}");
-        assert_eq!(registry.size(), 1);
+        assert_eq!(registry.size(), 2);
         drop(registry);
-        let registry = Registry::open_store(Box::new(store.inner.crash()), key, "cairn.example/log").unwrap();
-        assert_eq!(registry.submit(&sealed(&registry, 5)).unwrap().index, 1);
+        let found = Gated { inner: store.inner.crash(), ..Gated::default() };
+        let registry = open(&found, &found.inner);
+        assert_eq!(registry.submit(&sealed(&registry, 5)).unwrap().index, 2);
     }
 
     #[test]
     fn those_who_wait_during_a_flush_share_the_next() {
         let store = Gated::default();
-        let registry =
-            Registry::open_store(Box::new(store.clone()), OwnerKey::from_seed(&[200; 32]), "cairn.example/log")
-                .unwrap();
+        let registry = open(&store, &store.inner);
         let before = store.flushes.load(Ordering::SeqCst);
         store.armed.store(true, Ordering::SeqCst);
         std::thread::scope(|scope| {
@@ -353,12 +453,13 @@ mod tests {
             // Not published while its flush has not returned.
             assert_eq!(registry.size(), 0);
             store.entered.1.wait();
-            assert_eq!(first.join().unwrap().size, 1);
+            assert_eq!(first.join().unwrap().size, 2);
             let mut indices: Vec<_> =
                 others.into_iter().map(|t| t.join().unwrap()).map(|r| (r.index, r.size)).collect();
             indices.sort_unstable();
             indices.dedup();
-            assert_eq!(indices, (1..=8).map(|index| (index, 9)).collect::<Vec<_>>());
+            // Two map leaves: behind the first record, and behind the eight that shared a round.
+            assert_eq!(indices, (2..=9).map(|index| (index, 11)).collect::<Vec<_>>());
         });
         assert_eq!(store.flushes.load(Ordering::SeqCst) - before, 2);
     }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use crate::{
     digest::Digest,
     keys::{KeyError, PublicKey},
+    map::MapError,
     merkle::ProofError,
     note::NoteError,
     record::RecordError,
@@ -78,7 +79,7 @@ pub enum RegistryError {
     #[error("key {owner} was ended by record {index}; sign with the key that follows it, or a new one")]
     OwnerRetired {
         /// The key.
-        owner: PublicKey,
+        owner: String,
         /// The revocation or rotation; where it stands in the same batch, the index that it gets.
         index: u64,
     },
@@ -89,6 +90,18 @@ pub enum RegistryError {
         index: u64,
         /// The log's size.
         size: u64,
+    },
+    /// A map leaf stands there, which is the registry's own.
+    #[error("log entry {index} is a map leaf, not a record; ask for one of the records before it")]
+    NotARecord {
+        /// The index asked for.
+        index: u64,
+    },
+    /// The record was erased at its owner's wish.
+    #[error("record {index} was erased; its leaf and every proof of it stay, its contents do not")]
+    Erased {
+        /// The index asked for.
+        index: u64,
     },
     /// No such proof.
     #[error("cannot prove that: {0}")]
@@ -119,6 +132,9 @@ pub enum RegistryError {
         /// What is wrong, with expected and got.
         what: String,
     },
+    /// The stored map contradicts itself.
+    #[error("store, map: {0}; restore a backup that holds at least the last signed checkpoint")]
+    Map(#[from] MapError),
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),

@@ -1,29 +1,51 @@
-//! How the registry's store is laid out: keys by prefix, numbers big-endian so
-//! that they sort, and a format version that is checked before anything is read.
+//! How the registry's folder is laid out: the store's keys by prefix, numbers big-endian so
+//! that they sort; the files' paths; and a format version that is checked before anything is read.
+//!
+//! ```text
+//! working/            the store (sled): what cannot be fetched anew, and indices into the rest
+//! working.seal        digests of the store's files, while nobody has it open
+//! public/checkpoint   what monitors read: checkpoint, tiles, bundles of leaves (C2SP tlog-tiles)
+//! public/tile/...
+//! envelopes/<N>       the records themselves, 256 log entries a file (`packs`)
+//! ```
+//!
+//! A leaf stands in the store until the tile and the bundle that hold it are full and in files.
 
-use crate::digest::Digest;
+use crate::{
+    digest::Digest,
+    map::MapKey,
+    tile::{TilePath, index_path},
+};
 
 /// Value of [`FORMAT`] that this release reads and writes.
-pub(super) const FORMAT_VERSION: &str = "cairn-registry-store/1";
+pub(super) const FORMAT_VERSION: &str = "cairn-registry-store/2";
+
+/// The store's folder.
+pub(super) const WORKING: &str = "working";
+/// Digests of the store's files.
+pub(super) const SEAL: &str = "working.seal";
+/// Where releases before this format had their store.
+pub(super) const FORMER_STORE: &str = "log.sled";
+/// The published checkpoint.
+pub(super) const CHECKPOINT: &str = "public/checkpoint";
 
 pub(super) const FORMAT: &[u8] = b"meta/format";
 pub(super) const ORIGIN: &[u8] = b"meta/origin";
 pub(super) const REGISTRY_KEY: &[u8] = b"meta/key";
 /// Size (u64) and root of the last tree that was, or was about to be, signed.
 pub(super) const SIGNED: &[u8] = b"meta/signed";
+/// Leaves (u64, a multiple of 256) that are in full tiles and bundles on disk.
+pub(super) const FILED: &[u8] = b"meta/filed";
 
-/// index -> leaf, 162 bytes.
+/// index -> leaf, 162 bytes, from [`FILED`] on.
 pub(super) const LEAVES: &[u8] = b"leaf/";
-/// SHA-256 of the scene's name, index -> nothing.
-pub(super) const SCENES: &[u8] = b"scene/";
+/// index -> nonce that the record there used.
+pub(super) const NONCES: &[u8] = b"nonce/";
+/// bucket (u32) -> what stands at its root.
+pub(super) const TOPS: &[u8] = b"map/top/";
 
 pub(super) fn leaf(index: u64) -> Vec<u8> {
     [LEAVES, &index.to_be_bytes()].concat()
-}
-
-/// SHA-256(PAE) -> envelope JSON, countersigned.
-pub(super) fn envelope(record: &Digest) -> Vec<u8> {
-    [b"envelope/", &record.as_bytes()[..]].concat()
 }
 
 /// SHA-256(PAE) -> index.
@@ -31,9 +53,8 @@ pub(super) fn index_of(record: &Digest) -> Vec<u8> {
     [b"index/", &record.as_bytes()[..]].concat()
 }
 
-/// nonce -> index of the record that used it.
-pub(super) fn nonce(nonce: &Digest) -> Vec<u8> {
-    [b"nonce/", &nonce.as_bytes()[..]].concat()
+pub(super) fn nonce(index: u64) -> Vec<u8> {
+    [NONCES, &index.to_be_bytes()].concat()
 }
 
 /// Key id -> index of the revocation or rotation that ended it.
@@ -41,9 +62,27 @@ pub(super) fn retired(owner: &Digest) -> Vec<u8> {
     [b"retired/", &owner.as_bytes()[..]].concat()
 }
 
-/// Prefix of a scene's entries.
-pub(super) fn scene(scene: &str) -> Vec<u8> {
-    [SCENES, Digest::of(scene).as_bytes()].concat()
+pub(super) fn bucket(bucket: u32) -> Vec<u8> {
+    [b"map/bucket/", &bucket.to_be_bytes()[..]].concat()
+}
+
+pub(super) fn top(bucket: u32) -> Vec<u8> {
+    [TOPS, &bucket.to_be_bytes()].concat()
+}
+
+/// Prefix of a map key's entries: then index -> leaf hash.
+pub(super) fn map_entries(key: &MapKey) -> Vec<u8> {
+    [b"map/entry/", &key.as_bytes()[..]].concat()
+}
+
+/// A tile's or bundle's file.
+pub(super) fn public(path: &TilePath) -> String {
+    format!("public/{path}")
+}
+
+/// The file of the envelopes of 256 log entries.
+pub(super) fn pack(number: u64) -> String {
+    format!("envelopes/{}", index_path(number))
 }
 
 pub(super) fn number(bytes: &[u8]) -> Option<u64> {

@@ -1,45 +1,55 @@
 //! The registry: takes owner records into an append-only log and vouches for it.
 //!
 //! Life of a record: **accepted** (its envelope and rules hold), **durable** (flushed
-//! to the store), **published** (covered by a signed checkpoint). Nothing is
+//! to the store, and then acknowledged under a signed checkpoint), **published** (that checkpoint, and the tiles
+//! under it, are in the files that monitors read). Nothing is
 //! acknowledged before it is durable, and no signature leaves before the size
 //! and root it is over are flushed, so that after any crash the log can only go on from
 //! what it signed. Submissions that wait at the same time share one flush.
+//!
+//! Every batch ends in a map leaf: the root of the verifiable map over all that stands before it, so that whoever
+//! has a checkpoint can be shown that an answer leaves nothing out ([`crate::map`]).
 //!
 //! When a write fails it is unknown what the disk holds; the registry then halts: it
 //! still reads and proves, and writes again only after a new start has re-read everything.
 
 mod commit;
+mod erase;
 mod error;
 mod layout;
 mod nonce;
+mod publish;
+mod read;
 mod reload;
+mod seal;
 mod submit;
+mod tiles;
 
 use std::{
     fs,
     path::Path,
-    sync::{Condvar, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
+    sync::{Arc, Condvar, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
 };
 
 use crate::{
     checkpoint::Checkpoint,
     digest::Digest,
     dsse::Envelope,
+    files::{Disk, Files, RealDisk},
     keys::{OwnerKey, PublicKey},
-    leaf::Leaf,
-    merkle::Tree,
+    map::BucketMap,
+    merkle,
     note::NoteVerifier,
     proof::TlogProof,
-    record::OwnerRecord,
     store::{DiskStore, Store, StoreError, StoreLock},
-    tile::{TileKind, TilePath, encode_entries},
 };
 
 pub use error::RegistryError;
 pub use nonce::NONCE_LIFETIME;
+pub use publish::Published;
+pub use read::{LogEntry, StoredRecord};
 
-/// What a submitter gets, after the record is durable and published.
+/// What a submitter gets once the record is durable.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
     /// The record's place in the log.
@@ -72,34 +82,26 @@ impl Receipt {
     }
 }
 
-/// A record as the log keeps it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct StoredRecord {
-    /// Its place in the log.
-    pub index: u64,
-    /// Its leaf.
-    pub leaf: Leaf,
-    /// Its envelope with the registry's signature.
-    pub envelope: Envelope,
-    /// What the envelope says, its owner's signature verified.
-    pub record: OwnerRecord,
-}
-
 /// What the log is, as its readers see it.
 struct State {
     /// May hold leaves beyond `size` while they are being written; readers never look past `size`.
-    tree: Tree,
-    /// Leaves that are durable and published.
+    tree: tiles::TileTree,
+    /// The map over the leaves before the last one.
+    map: BucketMap,
+    /// Leaves that are durable and signed for.
     size: u64,
     /// Signed checkpoint over `size` leaves.
     checkpoint: String,
+    /// The newest checkpoint that witnesses cosigned, and its size.
+    cosigned: Option<(u64, String)>,
     /// Why nothing is written any more.
     halted: Option<String>,
 }
 
 /// The registry over one store, `Send` and `Sync`: shared between threads by reference.
 ///
-/// Its calls block on the disk; an asynchronous caller gives them a thread.
+/// Its calls block on the disk; an asynchronous caller gives them a thread. Whoever owns it calls
+/// [`Registry::publish`] now and then: submitting alone writes nothing that monitors read.
 pub struct Registry {
     origin: String,
     key: OwnerKey,
@@ -107,16 +109,22 @@ pub struct Registry {
     state: RwLock<State>,
     queue: Mutex<commit::Queue>,
     wake: Condvar,
+    /// Whoever holds the turn locks it, and nobody else.
+    writer: Mutex<commit::Writer>,
+    publisher: Mutex<publish::Publisher>,
+    files: Arc<Files>,
     store: Box<dyn Store>,
-    // After the store, so that it is let go last.
+    // After the store, which must be closed to be sealed, and before the lock, under which that has to happen.
+    _seal: Option<seal::Seal>,
     _lock: Option<StoreLock>,
 }
 
 impl Registry {
     /// Opens the log in the folder `path`, made where absent, as its only writer.
     ///
-    /// `key` signs checkpoints and countersigns records; `origin` names the log. Both stay the log's for good. Every leaf
-    /// is read and the root recomputed.
+    /// `key` signs checkpoints and countersigns records; `origin` names the log. Both stay the log's for good. The
+    /// tiles along the tree's right edge and the leaves that are in no full tile yet are read, and their root is
+    /// held to what was signed last and to the published checkpoint.
     ///
     /// # Errors
     /// [`RegistryError::Locked`] where another writer holds it, [`RegistryError::WrongStore`],
@@ -132,34 +140,42 @@ impl Registry {
             Ok(lock) => lock,
             Err(holder) => return Err(RegistryError::Locked { path: holder.path, pid: holder.pid }),
         };
-        let store = DiskStore::open(&path.join("log.sled"))?;
-        Self::start(Box::new(store), Some(lock), key, origin)
+        if path.join(layout::FORMER_STORE).exists() {
+            let got = format!("cairn-registry-store/1 ({})", path.join(layout::FORMER_STORE).display());
+            return Err(RegistryError::WrongStore { what: "format", expected: layout::FORMAT_VERSION.into(), got });
+        }
+        let seal = seal::Seal::break_open(path)?;
+        let store = DiskStore::open(&path.join(layout::WORKING))?;
+        let mut registry = Self::open_store(Box::new(store), Box::new(RealDisk::new(path)), key, origin)?;
+        (registry._seal, registry._lock) = (Some(seal), Some(lock));
+        Ok(registry)
     }
 
-    /// Opens the log in a store of the caller's, who sees to it that there is one writer.
+    /// Opens the log in a store and on a disk of the caller's, who sees to it that there is one writer.
     ///
     /// # Errors
     /// As [`Registry::open`], without [`RegistryError::Locked`].
-    pub fn open_store(store: Box<dyn Store>, key: OwnerKey, origin: &str) -> Result<Self, RegistryError> {
-        Self::start(store, None, key, origin)
-    }
-
-    fn start(
+    pub fn open_store(
         store: Box<dyn Store>,
-        lock: Option<StoreLock>,
+        disk: Box<dyn Disk>,
         key: OwnerKey,
         origin: &str,
     ) -> Result<Self, RegistryError> {
-        let state = reload::reload(store.as_ref(), &key, origin)?;
+        let files = Arc::new(Files::new(disk));
+        let loaded = reload::reload(store.as_ref(), &files, &key, origin)?;
         Ok(Self {
             nonces: nonce::Nonces::new(&key, origin),
             origin: origin.to_owned(),
             key,
-            state: RwLock::new(state),
+            state: RwLock::new(loaded.state),
             queue: Mutex::default(),
             wake: Condvar::new(),
+            writer: Mutex::new(loaded.writer),
+            publisher: Mutex::new(loaded.publisher),
+            files,
             store,
-            _lock: lock,
+            _seal: None,
+            _lock: None,
         })
     }
 
@@ -181,7 +197,7 @@ impl Registry {
         Ok(NoteVerifier::new(&self.origin, self.key.public())?)
     }
 
-    /// A nonce for a record of `owner` about `scene`: good for one record, for [`NONCE_LIFETIME`] records of growth,
+    /// A nonce for a record of `owner` about `scene`: good for one record, for [`NONCE_LIFETIME`] log entries of growth,
     /// also after a restart.
     ///
     /// # Errors
@@ -190,7 +206,7 @@ impl Registry {
         Ok(self.nonces.issue(self.size(), scene, owner)?)
     }
 
-    /// How many records are published.
+    /// How many entries are durable and signed for: records and map leaves.
     pub fn size(&self) -> u64 {
         self.read().size
     }
@@ -200,13 +216,18 @@ impl Registry {
         self.read().checkpoint.clone()
     }
 
+    /// The newest checkpoint that carries witnesses' cosignatures, where there is one.
+    pub fn cosigned(&self) -> Option<String> {
+        self.read().cosigned.as_ref().map(|(_, note)| note.clone())
+    }
+
     /// Size and root of the newest checkpoint, unsigned: what a signer puts into `seen`.
     ///
     /// # Errors
-    /// None once the registry is open.
+    /// [`RegistryError::Inconsistent`] for a damaged tile.
     pub fn head(&self) -> Result<Checkpoint, RegistryError> {
         let state = self.read();
-        Ok(Checkpoint::new(&self.origin, state.size, state.tree.root_at(state.size)?))
+        Ok(Checkpoint::new(&self.origin, state.size, merkle::root_at(&state.tree, state.size)?))
     }
 
     /// Why the registry writes no more, if it halted.
@@ -225,154 +246,9 @@ impl Registry {
             return Err(RegistryError::WrongOrigin { expected: self.origin.clone(), got: known.origin.clone() });
         }
         let mut state = self.write();
-        let root = (known.size <= state.size).then(|| state.tree.root_at(known.size)).transpose()?;
-        let what = match root {
-            Some(root) if root == known.root => return Ok(()),
-            Some(root) => format!("root at size {} is {root}, known is {}", known.size, known.root),
-            None => format!("{} leaves, known is a checkpoint over {}", state.size, known.size),
-        };
-        state.halted.get_or_insert_with(|| what.clone());
-        Err(reload::inconsistent("leaves", what))
-    }
-
-    /// Proof that record `index` lies in the tree of `size` records.
-    ///
-    /// # Errors
-    /// [`RegistryError::Proof`] for an index or size that is not published.
-    pub fn prove_inclusion(&self, index: u64, size: u64) -> Result<Vec<Digest>, RegistryError> {
-        let state = self.read();
-        published(size, state.size)?;
-        Ok(state.tree.prove_inclusion(index, size)?)
-    }
-
-    /// The evidence that record `index` is in the log, under the newest checkpoint.
-    ///
-    /// # Errors
-    /// [`RegistryError::Proof`] for an index that is not published.
-    pub fn tlog_proof(&self, index: u64) -> Result<TlogProof, RegistryError> {
-        let state = self.read();
-        let hashes = state.tree.prove_inclusion(index, state.size)?;
-        Ok(TlogProof { extra: None, index, hashes, checkpoint: state.checkpoint.clone() })
-    }
-
-    /// Proof that the tree of `to` records begins with the tree of `from` records.
-    ///
-    /// # Errors
-    /// [`RegistryError::Proof`] for `from` 0 or beyond `to`, or a size that is not published.
-    pub fn prove_consistency(&self, from: u64, to: u64) -> Result<Vec<Digest>, RegistryError> {
-        let state = self.read();
-        published(to, state.size)?;
-        Ok(state.tree.prove_consistency(from, to)?)
-    }
-
-    /// Record `index`, its envelope re-verified.
-    ///
-    /// # Errors
-    /// [`RegistryError::NoSuchRecord`]; [`RegistryError::Inconsistent`] where leaf and envelope do not belong together.
-    pub fn record(&self, index: u64) -> Result<StoredRecord, RegistryError> {
-        let size = self.size();
-        if index >= size {
-            return Err(RegistryError::NoSuchRecord { index, size });
-        }
-        reload::stored(self.store.as_ref(), index)
-    }
-
-    /// The published records, of one scene or all, in the log's order.
-    ///
-    /// # Errors
-    /// As [`Registry::record`].
-    pub fn records(&self, scene: Option<&str>) -> Result<Vec<StoredRecord>, RegistryError> {
-        self.page(scene, 0, usize::MAX)
-    }
-
-    /// At most `limit` of the published records with index `from` or more, of one scene or all.
-    ///
-    /// # Errors
-    /// As [`Registry::record`].
-    pub fn page(&self, scene: Option<&str>, from: u64, limit: usize) -> Result<Vec<StoredRecord>, RegistryError> {
-        let size = self.size();
-        let Some(scene) = scene else {
-            return (from..size).take(limit).map(|index| self.record(index)).collect();
-        };
-        let prefix = layout::scene(scene);
-        let entries = self.store.scan(&prefix, &from.to_be_bytes(), limit)?;
-        let indices = entries.iter().filter_map(|(key, _)| layout::number(key.strip_prefix(prefix.as_slice())?));
-        indices.take_while(|index| *index < size).map(|index| self.record(index)).collect()
-    }
-
-    /// The bytes of a tile or of a bundle of entries (leaves), as monitors fetch them; none where the published log does not
-    /// hold all of it.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`]; [`RegistryError::Inconsistent`] where a leaf is missing.
-    pub fn tile(&self, path: &TilePath) -> Result<Option<Vec<u8>>, RegistryError> {
-        let (size, hashes) = {
-            let state = self.read();
-            (state.size, path.cut(&state.tree, state.size))
-        };
-        if path.kind != TileKind::Entries {
-            return Ok(hashes);
-        }
-        let held = TilePath::in_tree(path.kind, path.index, size).filter(|held| path.width <= held.width);
-        let Some(first) = held.and_then(|held| held.first()) else { return Ok(None) };
-        let leaves = reload::leaves(self.store.as_ref(), first, path.width.into())?;
-        let bundle = encode_entries(leaves.iter().map(Vec::as_slice));
-        bundle.map(Some).map_err(|e| reload::inconsistent(&path.to_string(), e.to_string()))
-    }
-
-    /// Index of the record with this digest (SHA-256 of its PAE), if it is published.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn find(&self, record: &Digest) -> Result<Option<u64>, RegistryError> {
-        let size = self.size();
-        Ok(reload::index_of(self.store.as_ref(), record)?.filter(|index| *index < size))
-    }
-
-    /// Index of the revocation or rotation that ended the key `owner`, if one is published.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn ended(&self, owner: &PublicKey) -> Result<Option<u64>, RegistryError> {
-        let size = self.size();
-        let key = layout::retired(&owner.id());
-        let index = reload::number_at(self.store.as_ref(), &key, || format!("end of key {owner}"))?;
-        Ok(index.filter(|index| *index < size))
-    }
-
-    /// Re-reads everything: each leaf, its hash in the tree, its envelope, both signatures, its indices. Gives what is wrong,
-    /// nothing where all is well.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`] where the store cannot be read.
-    pub fn check(&self) -> Result<Vec<RegistryError>, RegistryError> {
-        let size = self.size();
-        let mut faults = Vec::new();
-        for index in 0..size {
-            match self.check_record(index) {
-                Ok(()) => {}
-                Err(RegistryError::Store(e)) => return Err(e.into()),
-                Err(fault) => faults.push(fault),
-            }
-        }
-        Ok(faults)
-    }
-
-    fn check_record(&self, index: u64) -> Result<(), RegistryError> {
-        let stored = reload::stored(self.store.as_ref(), index)?;
-        let fault = |what: String| RegistryError::Inconsistent { place: format!("record {index}"), what };
-        let (expected, got) = (self.read().tree.leaf(index), stored.leaf.hash());
-        if expected != Some(got) {
-            return Err(fault(format!("leaf hash {got}, the tree holds {expected:?}")));
-        }
-        if stored.envelope.signature_by(&self.key.public()).is_none() {
-            return Err(fault("the registry's signature is missing or does not verify".into()));
-        }
-        let found = reload::index_of(self.store.as_ref(), &stored.leaf.record)?;
-        if found != Some(index) {
-            return Err(fault(format!("the index by digest says {found:?}")));
-        }
-        Ok(())
+        reload::extends(&state.tree, state.size, known).inspect_err(|e| {
+            state.halted.get_or_insert_with(|| e.to_string());
+        })
     }
 
     fn read(&self) -> RwLockReadGuard<'_, State> {
@@ -382,11 +258,4 @@ impl Registry {
     fn write(&self) -> RwLockWriteGuard<'_, State> {
         self.state.write().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn published(size: u64, published: u64) -> Result<(), RegistryError> {
-    if size > published {
-        return Err(crate::merkle::ProofError::IndexBeyondSize { index: size, size: published }.into());
-    }
-    Ok(())
 }

@@ -1,23 +1,57 @@
-//! Reading the store: at the start all of it that the root rests on, later single records.
+//! Reading at the start: what the root rests on, and what the last stop may have left half done.
+//!
+//! A start costs the tiles along the right edge, the leaves that are in no full tile yet, and the tops of
+//! the map's buckets; not a walk over the log. What lies further in was signed for when it was written, and whoever
+//! reads it checks it then ([`super::Registry::check`] and auditors read all).
 
-use super::{RegistryError, State, StoredRecord, layout};
+use std::{collections::HashMap, sync::Arc};
+
+use super::{
+    RegistryError, State,
+    commit::Writer,
+    layout,
+    nonce::NONCE_LIFETIME,
+    publish::{Publisher, is_cosigned},
+    tiles::TileTree,
+};
 use crate::{
     checkpoint::Checkpoint,
     digest::Digest,
-    dsse::Envelope,
+    files::Files,
     keys::OwnerKey,
-    leaf::{LEAF_LEN, Leaf},
-    merkle::{Tree, leaf_hash},
-    note::check_name,
-    record::OwnerRecord,
+    leaf::LEAF_LEN,
+    map::{BucketMap, BucketTop},
+    map_leaf::Entry,
+    merkle::{self, leaf_hash},
+    note::{NoteVerifier, check_name},
+    packs,
     store::Store,
+    tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
 };
 
-/// Leaves read at a time.
+/// Entries of the store read at a time.
 const PAGE: usize = 4096;
 
+/// Largest bundle of leaves that is read, bytes.
+const MAX_ENTRIES: u64 = (TILE_WIDTH as u64) * (2 + LEAF_LEN as u64);
+
+/// Largest checkpoint file that is read, bytes: it has a line for every witness.
+const MAX_CHECKPOINT: u64 = 1 << 16;
+
+/// What was found.
+pub(super) struct Loaded {
+    pub(super) state: State,
+    pub(super) writer: Writer,
+    pub(super) publisher: Publisher,
+}
+
 /// Reads the log and refuses it where it contradicts what was signed; makes an empty one in an empty store.
-pub(super) fn reload(store: &dyn Store, key: &OwnerKey, origin: &str) -> Result<State, RegistryError> {
+pub(super) fn reload(
+    store: &dyn Store,
+    files: &Arc<Files>,
+    key: &OwnerKey,
+    origin: &str,
+) -> Result<Loaded, RegistryError> {
     check_name(origin)?;
     match store.get(layout::FORMAT)? {
         Some(format) => {
@@ -27,28 +61,27 @@ pub(super) fn reload(store: &dyn Store, key: &OwnerKey, origin: &str) -> Result<
         }
         None => create(store, key, origin)?,
     }
-    let tree = read_leaves(store)?;
-    let (size, root) = (tree.size(), tree.root());
-    let signed = store.get(layout::SIGNED)?.as_deref().and_then(layout::parse_signed);
-    let Some((signed_size, signed_root)) = signed else {
-        return Err(inconsistent("last signed checkpoint", "missing or not 40 bytes".into()));
-    };
-    if signed_size > size {
-        let what = format!("{size} leaves, a checkpoint over {signed_size} was signed");
-        return Err(inconsistent("leaves", what));
+    let filed = number_at(store, layout::FILED, || "filed leaves".into())?.unwrap_or(0);
+    let mut tree = TileTree::load(files.clone(), filed)?;
+    read_tail(store, &mut tree)?;
+    let (size, root) = hold_to_signed(store, &tree)?;
+    let published = published(files, key, origin)?;
+    if let Some((_, known)) = &published {
+        extends(&tree, size, known)?;
     }
-    let root_then = tree.root_at(signed_size)?;
-    if root_then != signed_root {
-        let what = format!("root over the first {signed_size} is {root_then}, {signed_root} was signed");
-        return Err(inconsistent("leaves", what));
-    }
-    if signed_size != size {
-        store.put(vec![(layout::SIGNED.to_vec(), layout::signed(size, &root))])?;
-    }
+    let map = read_map(store)?;
+    hold_to_map_leaf(store, files, size, &map, key, origin)?;
+    let writer = Writer { pack_length: pack_length(files, size)?, used: read_nonces(store, size)? };
     // Also where nothing changed: what was read may be written and not yet durable.
     store.flush()?;
     let checkpoint = Checkpoint::new(origin, size, root).sign(key)?.to_string();
-    Ok(State { tree, size, checkpoint, halted: None })
+    let cosigned = published.as_ref().filter(|(note, _)| is_cosigned(note));
+    let cosigned = cosigned.map(|(note, known)| (known.size, note.clone()));
+    Ok(Loaded {
+        state: State { tree, map, size, checkpoint, cosigned, halted: None },
+        writer,
+        publisher: Publisher::new(filed, published.map(|(note, known)| (known.size, note))),
+    })
 }
 
 fn create(store: &dyn Store, key: &OwnerKey, origin: &str) -> Result<(), RegistryError> {
@@ -56,70 +89,170 @@ fn create(store: &dyn Store, key: &OwnerKey, origin: &str) -> Result<(), Registr
         let what = format!("begins with {key:?}, but no format version is there");
         return Err(inconsistent("first entry", what));
     }
-    let empty = Tree::new().root();
+    let put = |key: &[u8], value: Vec<u8>| (key.to_vec(), Some(value));
     store.put(vec![
-        (layout::FORMAT.to_vec(), layout::FORMAT_VERSION.into()),
-        (layout::ORIGIN.to_vec(), origin.into()),
-        (layout::REGISTRY_KEY.to_vec(), key.public().to_string().into()),
-        (layout::SIGNED.to_vec(), layout::signed(0, &empty)),
+        put(layout::FORMAT, layout::FORMAT_VERSION.into()),
+        put(layout::ORIGIN, origin.into()),
+        put(layout::REGISTRY_KEY, key.public().to_string().into()),
+        put(layout::SIGNED, layout::signed(0, &merkle::empty_root())),
     ])?;
     store.flush()?;
     Ok(())
 }
 
-fn read_leaves(store: &dyn Store) -> Result<Tree, RegistryError> {
-    let mut tree = Tree::new();
+/// Pushes the leaves that are in no full tile yet.
+fn read_tail(store: &dyn Store, tree: &mut TileTree) -> Result<(), RegistryError> {
     loop {
-        let page = store.scan(layout::LEAVES, &tree.size().to_be_bytes(), PAGE)?;
+        let page = store.scan(layout::LEAVES, &merkle::Subtrees::size(tree).to_be_bytes(), PAGE)?;
         if page.is_empty() {
-            return Ok(tree);
+            return Ok(());
         }
         for (key, leaf) in page {
-            let index = key.strip_prefix(layout::LEAVES).and_then(layout::number);
-            if index != Some(tree.size()) {
-                return Err(inconsistent(&format!("leaf {}", tree.size()), format!("missing, {index:?} follows")));
+            let index = merkle::Subtrees::size(tree);
+            let found = key.strip_prefix(layout::LEAVES).and_then(layout::number);
+            if found != Some(index) {
+                return Err(inconsistent(&format!("leaf {index}"), format!("missing, {found:?} follows")));
             }
             if leaf.len() != LEAF_LEN {
                 let what = format!("{} bytes, expected {LEAF_LEN}", leaf.len());
-                return Err(inconsistent(&format!("leaf {}", tree.size()), what));
+                return Err(inconsistent(&format!("leaf {index}"), what));
             }
             tree.push(leaf_hash(&leaf));
         }
     }
 }
 
-/// `count` leaves from `first` on, which must be there.
-pub(super) fn leaves(store: &dyn Store, first: u64, count: usize) -> Result<Vec<Vec<u8>>, RegistryError> {
-    let entries = store.scan(layout::LEAVES, &first.to_be_bytes(), count)?;
-    let leaves: Vec<_> =
-        (first..).zip(entries).map_while(|(index, (key, leaf))| (key == layout::leaf(index)).then_some(leaf)).collect();
-    if leaves.len() != count {
-        return Err(inconsistent(&format!("leaf {}", first + leaves.len() as u64), "missing".into()));
+/// Size and root, which must be what was signed last or was about to be.
+fn hold_to_signed(store: &dyn Store, tree: &TileTree) -> Result<(u64, Digest), RegistryError> {
+    let size = merkle::Subtrees::size(tree);
+    let root = merkle::root_at(tree, size)?;
+    let signed = store.get(layout::SIGNED)?.as_deref().and_then(layout::parse_signed);
+    let Some((signed_size, signed_root)) = signed else {
+        return Err(inconsistent("last signed checkpoint", "missing or not 40 bytes".into()));
+    };
+    if signed_size != size {
+        let what = format!("{size} leaves, a checkpoint over {signed_size} was signed");
+        return Err(inconsistent("leaves", what));
     }
-    Ok(leaves)
+    if root != signed_root {
+        let what = format!("root over the first {size} is {root}, {signed_root} was signed");
+        return Err(inconsistent("leaves", what));
+    }
+    Ok((size, root))
 }
 
-/// Record `index` with everything that one record can tell about itself verified.
-pub(super) fn stored(store: &dyn Store, index: u64) -> Result<StoredRecord, RegistryError> {
-    let place = format!("record {index}");
-    let bytes = store.get(&layout::leaf(index))?.ok_or_else(|| inconsistent(&place, "its leaf is missing".into()))?;
-    let leaf = Leaf::decode(&bytes).map_err(|e| inconsistent(&place, e.to_string()))?;
-    let json = store.get(&layout::envelope(&leaf.record))?;
-    let json = json.ok_or_else(|| inconsistent(&place, "its envelope is missing".into()))?;
-    let envelope = Envelope::parse(&json).map_err(|e| inconsistent(&place, e.to_string()))?;
-    let opened = OwnerRecord::open(&envelope).and_then(|(record, signature)| {
-        let again = Leaf::of_opened(&envelope, &record, &signature.sig)?;
-        Ok((record, again))
-    });
-    let (record, again) = opened.map_err(|e| inconsistent(&place, e.to_string()))?;
-    if again != leaf {
-        return Err(inconsistent(&place, "the leaf is not this envelope's".into()));
-    }
-    Ok(StoredRecord { index, leaf, envelope, record })
+/// The checkpoint that monitors were shown last: this log's own word, also where the store forgot it.
+fn published(files: &Files, key: &OwnerKey, origin: &str) -> Result<Option<(String, Checkpoint)>, RegistryError> {
+    let Some(bytes) = files.read(layout::CHECKPOINT, MAX_CHECKPOINT)? else { return Ok(None) };
+    let refuse = |what: String| inconsistent(layout::CHECKPOINT, what);
+    let note = String::from_utf8(bytes).map_err(|e| refuse(e.to_string()))?;
+    let verifier = NoteVerifier::new(origin, key.public())?;
+    let checkpoint = Checkpoint::verify(&note, &verifier).map_err(|e| refuse(e.to_string()))?;
+    Ok(Some((note, checkpoint)))
 }
 
-pub(super) fn index_of(store: &dyn Store, record: &Digest) -> Result<Option<u64>, RegistryError> {
-    number_at(store, &layout::index_of(record), || format!("index of {record}"))
+/// Whether a tree of `size` leaves goes on from a known checkpoint.
+pub(super) fn extends(tree: &TileTree, size: u64, known: &Checkpoint) -> Result<(), RegistryError> {
+    let what = if known.size > size {
+        format!("{size} leaves, known is a checkpoint over {}", known.size)
+    } else {
+        let root = merkle::root_at(tree, known.size)?;
+        if root == known.root {
+            return Ok(());
+        }
+        format!("root at size {} is {root}, known is {}", known.size, known.root)
+    };
+    Err(inconsistent("leaves", what))
+}
+
+/// The map, from what stands at the roots of its buckets.
+fn read_map(store: &dyn Store) -> Result<BucketMap, RegistryError> {
+    let mut tops = Vec::new();
+    let mut from = Vec::new();
+    loop {
+        let page = store.scan(layout::TOPS, &from, PAGE)?;
+        let Some((key, _)) = page.last() else { break };
+        // The next key behind the last one.
+        from = [&key[layout::TOPS.len()..], &[0]].concat();
+        for (key, value) in page {
+            let bucket = key[layout::TOPS.len()..].try_into().map(u32::from_be_bytes);
+            let bucket = bucket.map_err(|_| inconsistent("map", format!("key {key:?}")))?;
+            let top = BucketTop::decode(bucket, &value);
+            tops.push((bucket, top.map_err(|e| inconsistent(&format!("map, bucket {bucket}"), e.to_string()))?));
+        }
+    }
+    Ok(BucketMap::from_tops(tops.into_iter()))
+}
+
+/// The log's last leaf must be this registry's word on the very map that the store holds.
+fn hold_to_map_leaf(
+    store: &dyn Store,
+    files: &Files,
+    size: u64,
+    map: &BucketMap,
+    key: &OwnerKey,
+    origin: &str,
+) -> Result<(), RegistryError> {
+    let Some(index) = size.checked_sub(1) else { return Ok(()) };
+    let refuse = |what: String| inconsistent(&format!("leaf {index}"), what);
+    let leaf = match Entry::decode(&leaf_bytes(store, files, index)?).map_err(|e| refuse(e.to_string()))? {
+        Entry::Map(leaf) => leaf,
+        Entry::Record(_) => return Err(refuse("the log's last one is no map leaf".into())),
+    };
+    leaf.verify(origin, index, &key.public()).map_err(|e| refuse(e.to_string()))?;
+    if leaf.root != map.root() {
+        return Err(inconsistent("map", format!("root {}, the log's last leaf says {}", map.root(), leaf.root)));
+    }
+    Ok(())
+}
+
+/// A leaf from the store, or from its bundle once that is full.
+pub(super) fn leaf_bytes(store: &dyn Store, files: &Files, index: u64) -> Result<Vec<u8>, RegistryError> {
+    if let Some(leaf) = store.get(&layout::leaf(index))? {
+        return Ok(leaf);
+    }
+    let width = u64::from(TILE_WIDTH);
+    let path = layout::public(&TilePath { kind: TileKind::Entries, index: index / width, width: TILE_WIDTH });
+    let missing = || inconsistent(&format!("leaf {index}"), format!("neither in the store nor in {path}"));
+    let bundle = files.read(&path, MAX_ENTRIES)?.ok_or_else(missing)?;
+    let leaves = decode_entries(&bundle).map_err(|e| inconsistent(&path, e.to_string()))?;
+    leaves.get((index % width) as usize).map(|leaf| leaf.to_vec()).ok_or_else(missing)
+}
+
+/// Nonces that are used and would still be good otherwise.
+fn read_nonces(store: &dyn Store, size: u64) -> Result<HashMap<Digest, u64>, RegistryError> {
+    let mut used = HashMap::new();
+    let mut from = size.saturating_sub(NONCE_LIFETIME);
+    loop {
+        let page = store.scan(layout::NONCES, &from.to_be_bytes(), PAGE)?;
+        if page.is_empty() {
+            return Ok(used);
+        }
+        for (key, value) in page {
+            let index = key.strip_prefix(layout::NONCES).and_then(layout::number);
+            let nonce = Digest::try_from(value.as_slice());
+            let (Some(index), Ok(nonce)) = (index, nonce) else {
+                return Err(inconsistent("nonces", format!("entry {key:?} of {} bytes", value.len())));
+            };
+            used.insert(nonce, index);
+            from = index + 1;
+        }
+    }
+}
+
+/// Bytes of the pack that the next entry goes into; what a crash left behind them is overwritten.
+fn pack_length(files: &Files, size: u64) -> Result<u64, RegistryError> {
+    let (number, held) = (size / u64::from(TILE_WIDTH), (size % u64::from(TILE_WIDTH)) as usize);
+    if held == 0 {
+        return Ok(0);
+    }
+    let path = layout::pack(number);
+    let pack = files.read(&path, packs::MAX_PACK)?.ok_or_else(|| inconsistent(&path, "the file is missing".into()))?;
+    let (slots, length) = packs::parse(&pack, held).map_err(|e| inconsistent(&path, e.to_string()))?;
+    if slots.len() != held {
+        return Err(inconsistent(&path, format!("{} entries, {held} expected", slots.len())));
+    }
+    Ok(length as u64)
 }
 
 pub(super) fn number_at(

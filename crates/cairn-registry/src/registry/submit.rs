@@ -2,13 +2,13 @@
 
 use std::collections::HashMap;
 
-use super::{Registry, RegistryError, layout, nonce::BadNonce, reload};
+use super::{Registry, RegistryError, commit::Writer, layout, nonce::BadNonce, reload, tiles::TileTree};
 use crate::{
     digest::Digest,
-    dsse::{Envelope, EnvelopeSignature},
+    dsse::{Envelope, EnvelopeSignature, MAX_ENVELOPE_BYTES},
     keys::PublicKey,
     leaf::Leaf,
-    merkle::Tree,
+    merkle,
     record::{OwnerRecord, RecordError, RecordKind},
 };
 
@@ -46,8 +46,10 @@ pub(super) struct Planned {
 pub(super) struct Admitted {
     /// With the signatures that mean something here, and the registry's.
     pub(super) envelope: Envelope,
-    /// The key that the record ends, if it is a revocation or rotation.
-    pub(super) retires: Option<PublicKey>,
+    /// Id of the key that the record ends, if it is a revocation or rotation.
+    pub(super) retires: Option<Digest>,
+    /// Key id of the owner of the record named in `replaces`.
+    pub(super) replaced_owner: Option<Digest>,
 }
 
 impl Registry {
@@ -55,83 +57,136 @@ impl Registry {
     pub(super) fn admit(
         &self,
         candidate: &Candidate,
-        tree: &Tree,
+        tree: &TileTree,
         size: u64,
+        writer: &Writer,
         planned: &Planned,
     ) -> Result<Admitted, RegistryError> {
         let record = &candidate.record;
-        self.check_not_retired(&record.owner_key, planned)?;
-        self.check_nonce(record, size, planned)?;
-        if record.seen.size > size || tree.root_at(record.seen.size)? != record.seen.root {
+        self.check_not_retired(&candidate.leaf.owner, &record.owner_key.to_string(), planned)?;
+        self.check_nonce(record, size, writer, planned)?;
+        if record.seen.size > size || merkle::root_at(tree, record.seen.size)? != record.seen.root {
             return Err(RegistryError::SeenForeign { size: record.seen.size, root: record.seen.root });
         }
         let mut signers = vec![record.owner_key];
+        let mut replaced_owner = None;
         if let Some(replaces) = &record.replaces {
             let owner = self.owner_of(replaces, planned)?;
-            if record.kind == RecordKind::Rotation && owner == record.owner_key {
-                let expected = "for a rotation, another key than that of the record named in `replaces`";
-                return Err(RecordError::Field { field: "owner_key", expected, got: owner.to_string() }.into());
-            }
-            if record.kind != RecordKind::Dispute && owner != record.owner_key {
-                if candidate.envelope.signature_by(&owner).is_none() {
-                    return Err(RegistryError::ReplacesForeign { replaces: *replaces, owner });
-                }
-                self.check_not_retired(&owner, planned)?;
-                signers.push(owner);
-            }
+            replaced_owner = Some(owner);
+            signers.extend(self.consent_of(candidate, replaces, &owner, planned)?);
         }
         let retires = match record.kind {
-            RecordKind::Revocation => Some(record.owner_key),
-            RecordKind::Rotation => signers.get(1).copied(),
+            RecordKind::Revocation => Some(candidate.leaf.owner),
+            RecordKind::Rotation => replaced_owner,
             RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Dispute => None,
         };
+        let envelope = self.countersigned(candidate, &signers)?;
+        Ok(Admitted { envelope, retires, replaced_owner })
+    }
+
+    /// The other owner's key, where the record needs that owner's signature: what is replaced may be somebody else's
+    /// only for disputes, and a rotation goes from one key to another.
+    fn consent_of(
+        &self,
+        candidate: &Candidate,
+        replaces: &Digest,
+        owner: &Digest,
+        planned: &Planned,
+    ) -> Result<Option<PublicKey>, RegistryError> {
+        let record = &candidate.record;
+        if *owner == candidate.leaf.owner {
+            if record.kind != RecordKind::Rotation {
+                return Ok(None);
+            }
+            let expected = "for a rotation, another key than that of the record named in `replaces`";
+            return Err(RecordError::Field { field: "owner_key", expected, got: record.owner_key.to_string() }.into());
+        }
+        if record.kind == RecordKind::Dispute {
+            return Ok(None);
+        }
+        // The old key itself is known from the record that it signed, or, where that is erased, not at all.
+        let old = self.key_of(replaces, planned)?;
+        if candidate.envelope.signature_by(&old).is_none() {
+            return Err(RegistryError::ReplacesForeign { replaces: *replaces, owner: old });
+        }
+        self.check_not_retired(owner, &old.to_string(), planned)?;
+        Ok(Some(old))
+    }
+
+    /// The envelope with the signatures that mean something here, and the registry's.
+    fn countersigned(&self, candidate: &Candidate, signers: &[PublicKey]) -> Result<Envelope, RegistryError> {
         let mut kept = Envelope::new(&candidate.envelope.payload_type, candidate.envelope.payload.as_slice());
         for signer in signers {
             let keyid = signer.id().to_string();
             // Each was found above or, the owner's, on the way in.
-            let signature = candidate.envelope.signature_by(&signer);
+            let signature = candidate.envelope.signature_by(signer);
             kept.signatures.extend(signature.map(|s| EnvelopeSignature { keyid, sig: s.sig.clone() }));
         }
         kept.sign(&self.key);
-        Ok(Admitted { envelope: kept, retires })
+        let length = kept.to_json().len();
+        if length > MAX_ENVELOPE_BYTES {
+            // It would be kept and could not be read again.
+            let expected = "an envelope of at most 65536 bytes with the registry's signature; list fewer views";
+            return Err(RecordError::Field { field: "views", expected, got: format!("{length} bytes") }.into());
+        }
+        Ok(kept)
     }
 
-    fn check_not_retired(&self, owner: &PublicKey, planned: &Planned) -> Result<(), RegistryError> {
-        let id = owner.id();
-        let ended = match planned.retired.get(&id) {
+    fn check_not_retired(&self, id: &Digest, owner: &str, planned: &Planned) -> Result<(), RegistryError> {
+        let ended = match planned.retired.get(id) {
             Some(index) => Some(*index),
-            None => reload::number_at(self.store.as_ref(), &layout::retired(&id), || format!("end of key {owner}"))?,
+            None => reload::number_at(self.store.as_ref(), &layout::retired(id), || format!("end of key {owner}"))?,
         };
         match ended {
-            Some(index) => Err(RegistryError::OwnerRetired { owner: *owner, index }),
+            Some(index) => Err(RegistryError::OwnerRetired { owner: owner.to_owned(), index }),
             None => Ok(()),
         }
     }
 
-    fn check_nonce(&self, record: &OwnerRecord, size: u64, planned: &Planned) -> Result<(), RegistryError> {
+    fn check_nonce(
+        &self,
+        record: &OwnerRecord,
+        size: u64,
+        writer: &Writer,
+        planned: &Planned,
+    ) -> Result<(), RegistryError> {
         let nonce = record.nonce;
-        match self.nonces.check(&nonce, size, &record.scene, &record.owner_key) {
-            Ok(()) => {}
-            Err(BadNonce::Foreign) => return Err(RegistryError::NonceForeign { nonce, scene: record.scene.clone() }),
-            Err(BadNonce::Expired { issued }) => return Err(RegistryError::NonceExpired { issued, size }),
-        }
-        let key = layout::nonce(&nonce);
-        let used = match planned.nonces.get(&nonce) {
-            Some(index) => Some(*index),
-            None => reload::number_at(self.store.as_ref(), &key, || format!("nonce {nonce}"))?,
-        };
-        match used {
-            Some(index) => Err(RegistryError::NonceUsed { nonce, index }),
+        self.check_issued(&nonce, size, &record.scene, &record.owner_key)?;
+        match planned.nonces.get(&nonce).or_else(|| writer.used.get(&nonce)) {
+            Some(index) => Err(RegistryError::NonceUsed { nonce, index: *index }),
             None => Ok(()),
         }
     }
 
-    fn owner_of(&self, record: &Digest, planned: &Planned) -> Result<PublicKey, RegistryError> {
+    /// Whether this registry issued a nonce for a scene and an owner, lately.
+    pub(super) fn check_issued(
+        &self,
+        nonce: &Digest,
+        size: u64,
+        scene: &str,
+        owner: &PublicKey,
+    ) -> Result<(), RegistryError> {
+        match self.nonces.check(nonce, size, scene, owner) {
+            Ok(()) => Ok(()),
+            Err(BadNonce::Foreign) => Err(RegistryError::NonceForeign { nonce: *nonce, scene: scene.to_owned() }),
+            Err(BadNonce::Expired { issued }) => Err(RegistryError::NonceExpired { issued, size }),
+        }
+    }
+
+    /// Key id of a record's owner, from its leaf: known also where the record is erased.
+    fn owner_of(&self, record: &Digest, planned: &Planned) -> Result<Digest, RegistryError> {
+        if let Some((_, owner)) = planned.records.get(record) {
+            return Ok(owner.id());
+        }
+        let index = self.index_of(record)?.ok_or(RegistryError::ReplacesUnknown { replaces: *record })?;
+        Ok(self.record_leaf(index)?.owner)
+    }
+
+    fn key_of(&self, record: &Digest, planned: &Planned) -> Result<PublicKey, RegistryError> {
         if let Some((_, owner)) = planned.records.get(record) {
             return Ok(*owner);
         }
-        let index = reload::index_of(self.store.as_ref(), record)?;
-        let index = index.ok_or(RegistryError::ReplacesUnknown { replaces: *record })?;
-        Ok(reload::stored(self.store.as_ref(), index)?.record.owner_key)
+        let index = self.index_of(record)?.ok_or(RegistryError::ReplacesUnknown { replaces: *record })?;
+        Ok(self.stored(index)?.record.owner_key)
     }
 }

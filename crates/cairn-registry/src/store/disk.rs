@@ -18,7 +18,9 @@ use std::{
     time::Duration,
 };
 
-use super::{Entry, Store, StoreError};
+use fs4::FileExt;
+
+use super::{Change, Entry, Store, StoreError};
 
 /// Sled gives up its own file lock a moment after the last handle is dropped, from another thread.
 const OPEN_TRIES: u32 = 50;
@@ -38,30 +40,62 @@ pub struct DiskStore {
 impl DiskStore {
     /// Opens the database in `folder`, made where absent.
     ///
+    /// A new one is made under another name and renamed once it is whole: sled writes a new database in several steps, and
+    /// does not open one again whose making was cut short.
+    ///
     /// # Errors
     /// [`StoreError`].
     pub fn open(folder: &Path) -> Result<Self, StoreError> {
+        if !folder.try_exists().map_err(|e| error("open", folder, &e))? {
+            Self::make(folder)?;
+        }
+        Self::opened(Self::open_sled(folder)?, folder).map_err(|e| error("open", folder, &e))
+    }
+
+    fn make(folder: &Path) -> Result<(), StoreError> {
+        let mut name = folder.as_os_str().to_owned();
+        name.push(".new");
+        let new = PathBuf::from(name);
+        let failed = |e: io::Error| error("make", &new, &e);
+        match fs::remove_dir_all(&new) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed(e)),
+            _ => {}
+        }
+        drop(Self::opened(Self::open_sled(&new)?, &new).map_err(failed)?);
+        // Sled writes for a moment after the last handle is dropped, and by name: it must be through before the rename.
+        let log = File::open(new.join("db")).map_err(failed)?;
+        let mut tries = 1;
+        while let Err(e) = FileExt::try_lock(&log) {
+            if tries == OPEN_TRIES {
+                return Err(failed(io::Error::other(format!("sled does not let go of it: {e}"))));
+            }
+            tries += 1;
+            thread::sleep(OPEN_PAUSE);
+        }
+        fs::rename(&new, folder).and_then(|()| folder.parent().map_or(Ok(()), sync_folder)).map_err(failed)
+    }
+
+    fn open_sled(folder: &Path) -> Result<sled::Db, StoreError> {
+        remove_half_snapshots(folder).map_err(|e| error("open", folder, &e))?;
         let config = sled::Config::new().path(folder).flush_every_ms(None).cache_capacity(64 << 20);
         let mut tries = 1;
         loop {
             match config.open() {
-                Ok(db) => return Self::opened(db, folder),
                 Err(sled::Error::Io(e)) if tries < OPEN_TRIES && e.to_string().contains("lock") => {
                     tries += 1;
                     thread::sleep(OPEN_PAUSE);
                 }
-                Err(e) => return Err(error("open", folder, &e)),
+                opened => return opened.map_err(|e| error("open", folder, &e)),
             }
         }
     }
 
-    fn opened(db: sled::Db, folder: &Path) -> Result<Self, StoreError> {
-        let failed = |e: io::Error| error("open", folder, &e);
-        let log = File::options().read(true).write(true).open(folder.join("db")).map_err(failed)?;
+    fn opened(db: sled::Db, folder: &Path) -> io::Result<Self> {
+        let log = File::options().read(true).write(true).open(folder.join("db"))?;
         let store = Self { db, folder: folder.into(), log, synced_blobs: Mutex::default() };
-        store.sync_files().map_err(failed)?;
+        store.sync_files()?;
         // The names of the folder and of what sled made in it.
-        sync_folder(folder).and_then(|()| folder.parent().map_or(Ok(()), sync_folder)).map_err(failed)?;
+        sync_folder(folder).and_then(|()| folder.parent().map_or(Ok(()), sync_folder))?;
         Ok(store)
     }
 
@@ -93,8 +127,27 @@ impl DiskStore {
     }
 }
 
+/// Sled writes a snapshot of its page table at each start as `snap.<lsn>.generating`, and renames it once it is whole. One
+/// that was cut short it takes for a snapshot, finds it corrupt and never opens the database again (sled 0.34.7, config.rs,
+/// `get_snapshot_files`). Without it sled goes on from the one before, or from the log.
+fn remove_half_snapshots(folder: &Path) -> io::Result<()> {
+    let entries = match fs::read_dir(folder) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if name.starts_with("snap.") && name.ends_with(".generating") {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
 /// A new name in a folder survives a power cut only once the folder is synced.
-fn sync_folder(folder: &Path) -> io::Result<()> {
+pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
@@ -107,10 +160,13 @@ impl Store for DiskStore {
         Ok(self.db.get(key).map_err(|e| self.error("get", &e))?.map(|value| value.to_vec()))
     }
 
-    fn put(&self, entries: Vec<Entry>) -> Result<(), StoreError> {
+    fn put(&self, changes: Vec<Change>) -> Result<(), StoreError> {
         let mut batch = sled::Batch::default();
-        for (key, value) in entries {
-            batch.insert(key, value);
+        for (key, value) in changes {
+            match value {
+                Some(value) => batch.insert(key, value),
+                None => batch.remove(key),
+            }
         }
         self.db.apply_batch(batch).map_err(|e| self.error("put", &e))
     }

@@ -1,14 +1,16 @@
-//! A store in memory that fails on demand, for tests of whoever keeps something in a store.
+//! A store and a disk in memory that fail on demand, for tests of whoever keeps something there.
 //!
 //! It tells written from durable: [`FaultyStore::crash`] gives what a machine
-//! would find again after losing power, which no real disk shows so readily.
+//! would find again after losing power, which no real disk shows so readily. Files are
+//! kept as a file system keeps them, bytes and names apart, so that a rename without a flush shows.
 
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use super::{Entry, Store, StoreError};
+use super::{Change, Entry, Store, StoreError};
+use crate::files::Disk;
 
 /// How an operation fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,16 +21,26 @@ pub enum Fault {
     After,
 }
 
+/// A file's bytes, whatever its name.
+#[derive(Debug, Clone, Default)]
+struct Inode {
+    written: Vec<u8>,
+    durable: Vec<u8>,
+}
+
 #[derive(Debug, Default)]
 struct Inner {
     written: BTreeMap<Vec<u8>, Vec<u8>>,
     durable: BTreeMap<Vec<u8>, Vec<u8>>,
+    inodes: Vec<Inode>,
+    names: BTreeMap<String, usize>,
+    durable_names: BTreeMap<String, usize>,
     operations: u64,
     flushes: u64,
     fail: Option<(u64, Fault)>,
 }
 
-/// The store. Clones share one content, so a test keeps a handle on what it gave away.
+/// The store and its files. Clones share one content, so a test keeps a handle on what it gave away.
 #[derive(Debug, Clone, Default)]
 pub struct FaultyStore(Arc<Mutex<Inner>>);
 
@@ -38,7 +50,7 @@ impl FaultyStore {
         Self::default()
     }
 
-    /// Makes the `nth` operation from now (0: the next) fail.
+    /// Makes the `nth` operation from now (0: the next), of the store or on a file, fail.
     pub fn fail_at(&self, nth: u64, fault: Fault) {
         let mut inner = self.inner();
         inner.fail = Some((inner.operations + nth, fault));
@@ -54,15 +66,23 @@ impl FaultyStore {
         self.inner().operations
     }
 
-    /// Flushes so far.
+    /// Flushes of the store so far.
     pub fn flushes(&self) -> u64 {
         self.inner().flushes
     }
 
     /// A store with what was durable: what is found after a crash.
     pub fn crash(&self) -> Self {
-        let durable = self.inner().durable.clone();
-        Self(Arc::new(Mutex::new(Inner { written: durable.clone(), durable, ..Inner::default() })))
+        let inner = self.inner();
+        let inodes = inner.inodes.iter().map(|i| Inode { written: i.durable.clone(), durable: i.durable.clone() });
+        Self(Arc::new(Mutex::new(Inner {
+            written: inner.durable.clone(),
+            durable: inner.durable.clone(),
+            inodes: inodes.collect(),
+            names: inner.durable_names.clone(),
+            durable_names: inner.durable_names.clone(),
+            ..Inner::default()
+        })))
     }
 
     /// Changes a stored value behind the owner's back; tells whether the key was there.
@@ -75,8 +95,18 @@ impl FaultyStore {
         true
     }
 
+    /// Changes a file behind the owner's back; tells whether it was there.
+    pub fn tamper_file(&self, path: &str, change: impl FnOnce(&mut Vec<u8>)) -> bool {
+        let mut inner = self.inner();
+        let Some(inode) = inner.names.get(path).copied() else { return false };
+        let inode = &mut inner.inodes[inode];
+        change(&mut inode.written);
+        inode.durable = inode.written.clone();
+        true
+    }
+
     /// Removes an entry behind the owner's back; tells whether it was there.
-    pub fn remove(&self, key: &[u8]) -> bool {
+    pub fn remove_entry(&self, key: &[u8]) -> bool {
         let mut inner = self.inner();
         inner.durable.remove(key);
         inner.written.remove(key).is_some()
@@ -87,6 +117,11 @@ impl FaultyStore {
         self.inner().written.keys().cloned().collect()
     }
 
+    /// All files' paths.
+    pub fn paths(&self) -> Vec<String> {
+        self.inner().names.keys().cloned().collect()
+    }
+
     fn inner(&self) -> MutexGuard<'_, Inner> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -95,13 +130,16 @@ impl FaultyStore {
         let mut inner = self.inner();
         let due = inner.fail.filter(|(at, _)| *at == inner.operations).map(|(_, fault)| fault);
         inner.operations += 1;
-        let failed = || StoreError { operation, place: "memory".into(), cause: "injected".into() };
         if due == Some(Fault::Before) {
-            return Err(failed());
+            return Err(error(operation, "injected"));
         }
         let result = act(&mut inner);
-        if due == Some(Fault::After) { Err(failed()) } else { Ok(result) }
+        if due == Some(Fault::After) { Err(error(operation, "injected")) } else { Ok(result) }
     }
+}
+
+fn error(operation: &'static str, cause: &str) -> StoreError {
+    StoreError { operation, place: "memory".into(), cause: cause.into() }
 }
 
 impl Store for FaultyStore {
@@ -109,8 +147,15 @@ impl Store for FaultyStore {
         self.perform("get", |inner| inner.written.get(key).cloned())
     }
 
-    fn put(&self, batch: Vec<Entry>) -> Result<(), StoreError> {
-        self.perform("put", |inner| inner.written.extend(batch))
+    fn put(&self, batch: Vec<Change>) -> Result<(), StoreError> {
+        self.perform("put", |inner| {
+            for (key, value) in batch {
+                match value {
+                    Some(value) => inner.written.insert(key, value),
+                    None => inner.written.remove(&key),
+                };
+            }
+        })
     }
 
     fn flush(&self) -> Result<(), StoreError> {
@@ -128,6 +173,64 @@ impl Store for FaultyStore {
                 .take(limit)
                 .map(|(key, value)| (key.clone(), value.clone()))
                 .collect()
+        })
+    }
+}
+
+impl Disk for FaultyStore {
+    fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
+        let read = self.perform("read", |inner| Some(inner.inodes[*inner.names.get(path)?].written.clone()))?;
+        match read {
+            Some(bytes) if bytes.len() as u64 > limit => Err(error("read", "too large")),
+            read => Ok(read),
+        }
+    }
+
+    fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
+        self.perform("write", |inner| {
+            let next = inner.inodes.len();
+            let inode = *inner.names.entry(path.to_owned()).or_insert(next);
+            if inode == next {
+                inner.inodes.push(Inode::default());
+            }
+            let written = &mut inner.inodes[inode].written;
+            let offset = usize::try_from(offset).ok().filter(|at| *at <= written.len());
+            let offset = offset.ok_or_else(|| error("write", "shorter than the offset"))?;
+            written.truncate(offset);
+            written.extend_from_slice(bytes);
+            Ok(())
+        })?
+    }
+
+    fn sync(&self, path: &str) -> Result<(), StoreError> {
+        self.perform("flush", |inner| {
+            let inode = *inner.names.get(path).ok_or_else(|| error("flush", "no such file"))?;
+            inner.inodes[inode].durable = inner.inodes[inode].written.clone();
+            Ok(())
+        })?
+    }
+
+    fn rename(&self, from: &str, to: &str) -> Result<(), StoreError> {
+        self.perform("rename", |inner| {
+            let inode = inner.names.remove(from).ok_or_else(|| error("rename", "no such file"))?;
+            inner.names.insert(to.to_owned(), inode);
+            Ok(())
+        })?
+    }
+
+    fn sync_folder(&self, path: &str) -> Result<(), StoreError> {
+        self.perform("flush the folder", |inner| {
+            let inside = |name: &String| name.rsplit_once('/').map_or("", |(folder, _)| folder) == path;
+            inner.durable_names.retain(|name, _| !inside(name));
+            let names = inner.names.iter().filter(|(name, _)| inside(name)).map(|(name, inode)| (name.clone(), *inode));
+            inner.durable_names.extend(names);
+        })
+    }
+
+    fn remove(&self, path: &str) -> Result<(), StoreError> {
+        self.perform("remove", |inner| {
+            let below = format!("{path}/");
+            inner.names.retain(|name, _| name != path && !name.starts_with(&below));
         })
     }
 }

@@ -11,11 +11,15 @@ mod lock;
 mod memory;
 
 pub use disk::DiskStore;
+pub(crate) use disk::sync_folder;
 pub use lock::{Holder, StoreLock};
 pub use memory::{Fault, FaultyStore};
 
 /// A key and its value.
 pub type Entry = (Vec<u8>, Vec<u8>);
+
+/// A key and the value that it gets; none takes the key away.
+pub type Change = (Vec<u8>, Option<Vec<u8>>);
 
 /// An ordered map of bytes that can be written durably.
 pub trait Store: Send + Sync {
@@ -25,11 +29,11 @@ pub trait Store: Send + Sync {
     /// [`StoreError`] where the store cannot tell.
     fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError>;
 
-    /// Writes all entries or none; durable only after [`Store::flush`].
+    /// Makes all changes or none; durable only after [`Store::flush`].
     ///
     /// # Errors
-    /// [`StoreError`]; afterwards the entries may be there or not.
-    fn put(&self, batch: Vec<Entry>) -> Result<(), StoreError>;
+    /// [`StoreError`]; afterwards the changes may be there or not.
+    fn put(&self, batch: Vec<Change>) -> Result<(), StoreError>;
 
     /// Makes everything written so far durable.
     ///
@@ -48,9 +52,9 @@ pub trait Store: Send + Sync {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("store at {place}: {operation} failed: {cause}")]
 pub struct StoreError {
-    /// `open`, `lock`, `get`, `put`, `flush` or `scan`.
+    /// `open`, `lock`, `get`, `put`, `flush`, `scan`, or what was done with a file.
     pub operation: &'static str,
-    /// The folder, or `memory`.
+    /// The folder or file, or `memory`.
     pub place: String,
     /// What was said.
     pub cause: String,

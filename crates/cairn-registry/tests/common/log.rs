@@ -29,6 +29,7 @@ pub fn record(registry: &Registry, owner: &OwnerKey, scene: &str, what: &str) ->
         nonce: registry.nonce(scene, &owner.public()).unwrap(),
         seen: Seen { size: head.size, root: head.root },
         replaces: None,
+        views: None,
     }
 }
 

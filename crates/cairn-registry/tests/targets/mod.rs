@@ -7,7 +7,9 @@
 use std::{fs, io::Write as _, os::unix::fs::OpenOptionsExt as _};
 
 use cairn_registry::{
-    Checkpoint, Digest, Envelope, Leaf, Note, NoteVerifier, OwnerKey, OwnerRecord, PublicKey, TlogProof,
+    Checkpoint, Digest, Entry, Envelope, Leaf, MapEntry, MapKey, MapLeaf, MapProof, MapTree, Note, NoteVerifier,
+    OwnerKey, OwnerRecord, PublicKey, TlogProof,
+    packs::{self, Slot},
     record::{Digests, Identity, RecordKind, Seen, VERSION},
     tile::{TilePath, decode_entries, encode_entries},
 };
@@ -32,7 +34,7 @@ const LINES: (usize, usize) = (60, 8 << 10);
 const JSON: (usize, usize) = (100, 16 << 10);
 
 /// All readers.
-pub const TARGETS: [Target; 11] = [
+pub const TARGETS: [Target; 13] = [
     Target { name: "note", good: || vec![bytes(&checkpoint()), cosigned()], limit: TEXT, read: note },
     Target { name: "checkpoint", good: || vec![bytes(&checkpoint_text())], limit: LINES, read: checkpoint_of },
     Target {
@@ -46,12 +48,7 @@ pub const TARGETS: [Target; 11] = [
     Target { name: "entry bundle", good: entry_bundles, limit: (40, 8 << 10), read: entry_bundle },
     Target { name: "DSSE envelope", good: || vec![bytes(&envelope().to_json())], limit: JSON, read: dsse },
     Target { name: "owner record", good: || vec![envelope().payload, full_record()], limit: JSON, read: owner_record },
-    Target {
-        name: "leaf",
-        good: || vec![Leaf::of(&envelope()).unwrap().encode().to_vec()],
-        limit: (0, 4096),
-        read: leaf,
-    },
+    Target { name: "leaf", good: leaves, limit: (0, 4096), read: leaf },
     Target { name: "vkey", good: || vec![bytes(&vkey())], limit: TEXT, read: vkey_of },
     Target { name: "public key", good: || vec![bytes(&key().public().to_string())], limit: TEXT, read: public_key },
     Target {
@@ -60,6 +57,9 @@ pub const TARGETS: [Target; 11] = [
         limit: (12, 64 << 10),
         read: key_file,
     },
+    // At most 256 slots of 32 bytes, while the list grows by doubling, and their bytes once more.
+    Target { name: "pack", good: packs_of_slots, limit: (4, 32 << 10), read: pack },
+    Target { name: "map proof", good: map_proofs, limit: JSON, read: map_proof },
 ];
 
 /// The target called `name`.
@@ -88,6 +88,7 @@ pub fn envelope() -> Envelope {
         nonce: Digest::of("nonce"),
         seen: Seen { size: 3, root: Digest::of("root") },
         replaces: None,
+        views: None,
     };
     record.seal(&key).unwrap()
 }
@@ -144,6 +145,35 @@ fn vkey() -> String {
 
 fn tile_paths() -> Vec<Vec<u8>> {
     ["tile/3/x001/234.p/17", "tile/entries/000", "tile/63/x018/x446/x744/x073/x709/x551/615"].map(bytes).to_vec()
+}
+
+fn leaves() -> Vec<Vec<u8>> {
+    let map = MapLeaf::sign("log", 7, Digest::of("map"), &key());
+    vec![Leaf::of(&envelope()).unwrap().encode().to_vec(), map.encode().to_vec()]
+}
+
+fn packs_of_slots() -> Vec<Vec<u8>> {
+    let slots = [
+        Slot::Record(envelope().to_json().into_bytes()),
+        Slot::MapLeaf,
+        Slot::Erased(vec![MapKey::scene("a"), MapKey::scene("b")]),
+        Slot::MapLeaf,
+    ];
+    vec![slots.iter().flat_map(Slot::to_frame).collect(), vec![0; 4 * 300]]
+}
+
+/// A map of 20 scenes.
+fn map() -> MapTree {
+    let mut map = MapTree::new();
+    for scene in 0..20 {
+        map.append(MapKey::scene(&scene.to_string()), &MapEntry { index: scene, leaf_hash: Digest::of("leaf") });
+    }
+    map
+}
+
+fn map_proofs() -> Vec<Vec<u8>> {
+    let proof = |scene: &str| serde_json::to_vec(&map().prove(&MapKey::scene(scene))).unwrap();
+    vec![proof("3"), proof("absent"), proof("nowhere")]
 }
 
 fn entry_bundles() -> Vec<Vec<u8>> {
@@ -212,8 +242,33 @@ pub fn owner_record(input: &[u8]) {
 }
 
 pub fn leaf(input: &[u8]) {
-    if let Ok(leaf) = Leaf::decode(input) {
-        assert_eq!(leaf.encode(), input);
+    if let Ok(entry) = Entry::decode(input) {
+        assert_eq!(entry.encode(), input);
+        // Each sort is read as itself alone.
+        assert_ne!(Leaf::decode(input).is_ok(), MapLeaf::decode(input).is_ok());
+    } else {
+        assert!(Leaf::decode(input).is_err() && MapLeaf::decode(input).is_err());
+    }
+}
+
+pub fn pack(input: &[u8]) {
+    if let Ok((slots, length)) = packs::parse(input, 256) {
+        let frames: Vec<u8> = slots.iter().flat_map(Slot::to_frame).collect();
+        assert_eq!(frames, input[..length]);
+        for number in [0, 1, 255] {
+            let nth = packs::nth(input, number);
+            assert!(slots.len() <= number || nth == Ok(slots.get(number).cloned()), "{nth:?}");
+        }
+    }
+}
+
+/// Whatever came, no key that is not in the map is proven to be there, and none that is, not to be.
+pub fn map_proof(input: &[u8]) {
+    reads_what_it_writes(input, |b| serde_json::to_vec(&serde_json::from_slice::<MapProof>(b).ok()?).ok());
+    if let Ok(proof) = serde_json::from_slice::<MapProof>(input) {
+        let (root, there, absent) = (map().root(), MapKey::scene("3"), MapKey::scene("absent"));
+        assert!(proof.verify(&there, None, &root).is_err());
+        assert!(proof.verify(&absent, Some(Digest::of("value")), &root).is_err());
     }
 }
 

@@ -1,0 +1,125 @@
+//! Plain files that are there whole or not at all: tiles, checkpoints and packs of envelopes.
+//!
+//! Two layers. [`Disk`] is what an operating system offers, one call an operation, so
+//! that every write, flush and rename can be made to fail in a test ([`crate::store::FaultyStore`]
+//! is one, [`RealDisk`] the other). [`Files`] is made of those: replacing a file atomically,
+//! going on with one at a known length.
+
+mod real;
+
+use std::collections::BTreeSet;
+
+use crate::store::StoreError;
+
+pub use real::RealDisk;
+
+/// What the operating system does with files. Paths are relative, with `/` between their parts.
+///
+/// Contract: what a returned [`Disk::sync`] covers MUST survive a crash under every name that a returned
+/// [`Disk::sync_folder`] covers; what neither covers may be there, in part or in whole, or not.
+pub trait Disk: Send + Sync {
+    /// The bytes of a file; none where there is no such file.
+    ///
+    /// # Errors
+    /// [`StoreError`], also for a file of more than `limit` bytes, before it is read.
+    fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError>;
+
+    /// Cuts the file off at `offset`, or makes it where it is absent, folders included, and writes behind that.
+    ///
+    /// # Errors
+    /// [`StoreError`], also for a file shorter than `offset`.
+    fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError>;
+
+    /// Flushes a file's bytes and length.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn sync(&self, path: &str) -> Result<(), StoreError>;
+
+    /// Gives a file another name, in place of what had it.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn rename(&self, from: &str, to: &str) -> Result<(), StoreError>;
+
+    /// Flushes the names in a folder (the empty path: the root).
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn sync_folder(&self, path: &str) -> Result<(), StoreError>;
+
+    /// Removes a file, or a folder with all in it; absence is no error.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn remove(&self, path: &str) -> Result<(), StoreError>;
+}
+
+/// Files made of a [`Disk`]'s operations.
+pub struct Files {
+    disk: Box<dyn Disk>,
+}
+
+impl Files {
+    /// Files on `disk`.
+    pub fn new(disk: Box<dyn Disk>) -> Self {
+        Self { disk }
+    }
+
+    /// As [`Disk::read`].
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
+        self.disk.read(path, limit)
+    }
+
+    /// Replaces files, durably on return; after a crash each is the old one or the new one, whole.
+    ///
+    /// One flush a file and one a folder, in the order given: a later file is not renamed before the earlier ones are durable
+    /// under theirs.
+    ///
+    /// # Errors
+    /// [`StoreError`]; then any number of the first files may have been replaced.
+    pub fn replace(&self, files: &[(String, Vec<u8>)]) -> Result<(), StoreError> {
+        for (path, bytes) in files {
+            let fresh = fresh(path);
+            self.disk.write(&fresh, 0, bytes)?;
+            self.disk.sync(&fresh)?;
+        }
+        let mut folders = BTreeSet::new();
+        for (path, _) in files {
+            self.disk.rename(&fresh(path), path)?;
+            folders.insert(folder(path));
+        }
+        folders.into_iter().try_for_each(|folder| self.disk.sync_folder(folder))
+    }
+
+    /// Goes on with a file at `offset`, what was behind it forgotten; durable on return.
+    ///
+    /// # Errors
+    /// [`StoreError`]; then anything may stand behind `offset`.
+    pub fn append(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
+        self.disk.write(path, offset, bytes)?;
+        self.disk.sync(path)?;
+        // Only a new file has a new name.
+        if offset == 0 { self.disk.sync_folder(folder(path)) } else { Ok(()) }
+    }
+
+    /// As [`Disk::remove`].
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn remove(&self, path: &str) -> Result<(), StoreError> {
+        self.disk.remove(path)
+    }
+}
+
+/// The name that a file has until it is complete. No path of a log ends so.
+fn fresh(path: &str) -> String {
+    format!("{path}.new")
+}
+
+fn folder(path: &str) -> &str {
+    path.rsplit_once('/').map_or("", |(folder, _)| folder)
+}

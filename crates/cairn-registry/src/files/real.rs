@@ -1,0 +1,112 @@
+//! The operating system's files, below one folder.
+
+use std::{
+    fs::{self, File, OpenOptions},
+    io::{self, Read as _, Seek as _, SeekFrom, Write as _},
+    path::{Path, PathBuf},
+};
+
+use super::Disk;
+use crate::store::{StoreError, sync_folder};
+
+/// Files below a folder.
+#[derive(Debug, Clone)]
+pub struct RealDisk {
+    root: PathBuf,
+}
+
+impl RealDisk {
+    /// Files below `root`, which is there.
+    pub fn new(root: &Path) -> Self {
+        Self { root: root.to_path_buf() }
+    }
+
+    fn at(&self, path: &str) -> PathBuf {
+        self.root.join(path)
+    }
+
+    fn failed(&self, operation: &'static str, path: &str) -> impl Fn(io::Error) -> StoreError {
+        let place = self.at(path).display().to_string();
+        move |e| StoreError { operation, place: place.clone(), cause: e.to_string() }
+    }
+
+    /// A new folder's name is flushed as well: a file in it is found again only through it.
+    fn make_folders(&self, folder: &Path) -> io::Result<()> {
+        if folder.is_dir() {
+            return Ok(());
+        }
+        if let Some(parent) = folder.parent() {
+            self.make_folders(parent)?;
+            match fs::create_dir(folder) {
+                Err(e) if e.kind() != io::ErrorKind::AlreadyExists => return Err(e),
+                _ => sync_folder(parent)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn open_for_writing(&self, path: &Path) -> io::Result<File> {
+        let open = || OpenOptions::new().write(true).create(true).truncate(false).open(path);
+        match open() {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {
+                path.parent().map_or(Ok(()), |folder| self.make_folders(folder))?;
+                open()
+            }
+            opened => opened,
+        }
+    }
+}
+
+impl Disk for RealDisk {
+    fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
+        let failed = self.failed("read", path);
+        let file = match File::open(self.at(path)) {
+            Ok(file) => file,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(failed(e)),
+        };
+        let length = file.metadata().map_err(&failed)?.len();
+        if length > limit {
+            let cause = format!("{length} bytes, at most {limit} are expected there");
+            return Err(failed(io::Error::new(io::ErrorKind::FileTooLarge, cause)));
+        }
+        let mut bytes = Vec::with_capacity(length as usize);
+        file.take(limit).read_to_end(&mut bytes).map_err(&failed)?;
+        Ok(Some(bytes))
+    }
+
+    fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
+        let failed = self.failed("write", path);
+        let mut file = self.open_for_writing(&self.at(path)).map_err(&failed)?;
+        let length = file.metadata().map_err(&failed)?.len();
+        if length < offset {
+            let cause = format!("{length} bytes, at least {offset} are expected there");
+            return Err(failed(io::Error::new(io::ErrorKind::UnexpectedEof, cause)));
+        }
+        file.set_len(offset).map_err(&failed)?;
+        file.seek(SeekFrom::Start(offset)).map_err(&failed)?;
+        file.write_all(bytes).map_err(&failed)
+    }
+
+    fn sync(&self, path: &str) -> Result<(), StoreError> {
+        let opened = OpenOptions::new().write(true).open(self.at(path));
+        opened.and_then(|file| file.sync_all()).map_err(self.failed("flush", path))
+    }
+
+    fn rename(&self, from: &str, to: &str) -> Result<(), StoreError> {
+        fs::rename(self.at(from), self.at(to)).map_err(self.failed("rename", from))
+    }
+
+    fn sync_folder(&self, path: &str) -> Result<(), StoreError> {
+        sync_folder(&self.at(path)).map_err(self.failed("flush the folder", path))
+    }
+
+    fn remove(&self, path: &str) -> Result<(), StoreError> {
+        let at = self.at(path);
+        let removed = if at.is_dir() { fs::remove_dir_all(&at) } else { fs::remove_file(&at) };
+        match removed {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
+            removed => removed.map_err(self.failed("remove", path)),
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! The registry's map: keys in buckets in the store, the tree above them in memory.
+//!
+//! A batch touches the buckets of its keys and the paths above them, so its cost does
+//! not grow with the map but for the buckets' own size (10 million keys: 38 a bucket). Nothing is changed before the caller
+//! has stored what [`BucketMap::stage`] gives: a batch that fails leaves the
+//! map as it was.
+
+use std::collections::BTreeMap;
+
+pub use super::bucket::BucketError;
+use super::{
+    ListState, MapEntry, MapKey, MapProof, ProofEnd,
+    bucket::{Bucket, Node, Subtree},
+};
+use crate::{digest::Digest, store::StoreError};
+
+/// Bits of a key that name its bucket.
+pub const BUCKET_BITS: usize = 18;
+
+const BUCKETS: u32 = 1 << BUCKET_BITS;
+
+/// Nodes in one piece of memory.
+const CHUNK: usize = 16;
+
+/// Version byte of a stored [`BucketTop`].
+const TOP_VERSION: u8 = 1;
+
+/// Where a bucket's bytes lie.
+pub trait Buckets {
+    /// The bytes stored last for a bucket, if any were.
+    ///
+    /// # Errors
+    /// [`StoreError`] where the store cannot tell.
+    fn load(&self, bucket: u32) -> Result<Option<Vec<u8>>, StoreError>;
+}
+
+/// What stands at a bucket's root: stored beside the bucket, so that a start reads no bucket.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BucketTop(Node);
+
+/// Why the map cannot be read or written.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MapError {
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Stored bytes are not this bucket.
+    #[error("map bucket {bucket}: {source}; rebuild the working state from the published log")]
+    Bucket {
+        /// The bucket's number.
+        bucket: u32,
+        /// What is wrong.
+        source: BucketError,
+    },
+    /// The bucket is not the one that the tree above it was made over.
+    #[error(
+        "map bucket {bucket} is not the one under the map's root; rebuild the working state from the published log"
+    )]
+    Inconsistent {
+        /// The bucket's number.
+        bucket: u32,
+    },
+    /// The stored top of a bucket cannot be read.
+    #[error("map bucket {bucket}, stored root: {got} bytes or an unknown version; rebuild the working state")]
+    Top {
+        /// The bucket's number.
+        bucket: u32,
+        /// How many bytes there are.
+        got: usize,
+    },
+}
+
+/// A batch that is planned and not yet part of the map.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Staged {
+    /// The root that the map will have.
+    pub root: Digest,
+    /// What to store: the changed buckets, ascending, with their bytes and their tops.
+    pub rows: Vec<(u32, Vec<u8>, BucketTop)>,
+    /// Changed nodes of the tree in memory.
+    nodes: BTreeMap<u32, Node>,
+}
+
+/// The tree above the buckets: 33 bytes a node, about 18 MB where every bucket is in use.
+///
+/// Numbered as a heap: the root is 1, the children of `i` are `2i` and `2i + 1`, bucket `b` is `2^18 + b`.
+#[derive(Debug, Clone)]
+pub struct BucketMap {
+    chunks: Vec<Option<Box<[Node; CHUNK]>>>,
+}
+
+impl BucketTop {
+    /// `version 1 | kind (1: one key, 2: more) | hash 32`.
+    pub fn encode(&self) -> [u8; 34] {
+        let mut bytes = [0; 34];
+        bytes[0] = TOP_VERSION;
+        bytes[1] = if matches!(self.0, Node::Inner(_)) { 2 } else { 1 };
+        bytes[2..].copy_from_slice(self.0.hash().as_bytes());
+        bytes
+    }
+
+    /// Reads the stored top of `bucket`.
+    ///
+    /// # Errors
+    /// [`MapError::Top`].
+    pub fn decode(bucket: u32, bytes: &[u8]) -> Result<Self, MapError> {
+        let refuse = MapError::Top { bucket, got: bytes.len() };
+        let Some(([TOP_VERSION, kind], hash)) = bytes.split_first_chunk::<2>() else { return Err(refuse) };
+        match (kind, Digest::try_from(hash)) {
+            (1, Ok(hash)) => Ok(Self(Node::Leaf(hash))),
+            (2, Ok(hash)) => Ok(Self(Node::Inner(hash))),
+            _ => Err(refuse),
+        }
+    }
+}
+
+impl Default for BucketMap {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl BucketMap {
+    /// The empty map.
+    pub fn new() -> Self {
+        Self { chunks: vec![None; 2 * BUCKETS as usize / CHUNK] }
+    }
+
+    /// The map over stored buckets, by their tops, in any order. Numbers of 2^18 and more name no bucket and are
+    /// passed over.
+    pub fn from_tops(tops: impl Iterator<Item = (u32, BucketTop)>) -> Self {
+        let mut map = Self::new();
+        for (bucket, top) in tops.filter(|(bucket, _)| *bucket < BUCKETS) {
+            map.set(BUCKETS + bucket, top.0);
+        }
+        for id in (1..BUCKETS).rev() {
+            // Chunks without a node in use are not made for the sake of an empty one.
+            match Node::over(map.node(2 * id), map.node(2 * id + 1)) {
+                Node::Empty => {}
+                node => map.set(id, node),
+            }
+        }
+        map
+    }
+
+    /// The map's root; 32 zero bytes without any key.
+    pub fn root(&self) -> Digest {
+        self.node(1).hash()
+    }
+
+    /// Plans a batch: new entries by key, each key's in log order and behind those that it has.
+    ///
+    /// # Errors
+    /// [`MapError`]; nothing is changed in any case.
+    pub fn stage(&self, buckets: &dyn Buckets, changes: &BTreeMap<MapKey, Vec<MapEntry>>) -> Result<Staged, MapError> {
+        let mut rows = Vec::new();
+        let mut nodes = BTreeMap::new();
+        let mut changes = changes.iter().filter(|(_, entries)| !entries.is_empty()).peekable();
+        while let Some((key, _)) = changes.peek() {
+            let number = bucket_of(key);
+            let mut bucket = self.load(buckets, number)?;
+            // Keys are in order, so those of one bucket are neighbours.
+            let of_bucket = std::iter::from_fn(|| changes.next_if(|(key, _)| bucket_of(key) == number));
+            let (before, top) = bucket.append(of_bucket);
+            // A bucket that was changed in the store must not find its way under a new signature.
+            if before != self.node(BUCKETS + number) {
+                return Err(MapError::Inconsistent { bucket: number });
+            }
+            nodes.insert(BUCKETS + number, top);
+            rows.push((number, bucket.encode(), BucketTop(top)));
+        }
+        let mut level: Vec<u32> = nodes.keys().copied().collect();
+        for _ in 0..BUCKET_BITS {
+            level.iter_mut().for_each(|id| *id /= 2);
+            level.dedup();
+            for id in &level {
+                let child = |id: u32| nodes.get(&id).copied().unwrap_or_else(|| self.node(id));
+                let node = Node::over(child(2 * id), child(2 * id + 1));
+                nodes.insert(*id, node);
+            }
+        }
+        let root = nodes.get(&1).copied().unwrap_or_else(|| self.node(1)).hash();
+        Ok(Staged { root, rows, nodes })
+    }
+
+    /// Makes a batch part of the map, once its rows are stored. It MUST have been staged on the map as it is.
+    pub fn apply(&mut self, staged: &Staged) {
+        for (id, node) in &staged.nodes {
+            self.set(*id, *node);
+        }
+    }
+
+    /// A key's list, if it has one, and the proof of its root as value or of its absence.
+    ///
+    /// # Errors
+    /// [`MapError`]; a proof that would not verify is not given out.
+    pub fn prove(&self, buckets: &dyn Buckets, key: &MapKey) -> Result<(Option<ListState>, MapProof), MapError> {
+        let mut siblings = Vec::new();
+        let mut id = 1;
+        while let (Node::Inner(_), true) = (self.node(id), id < BUCKETS) {
+            let next = 2 * id + u32::from(key.bit(siblings.len()));
+            siblings.push(self.node(next ^ 1).hash());
+            id = next;
+        }
+        if self.node(id) == Node::Empty {
+            return Ok((None, MapProof { siblings, end: ProofEnd::Empty }));
+        }
+        let number = self.bucket_below(id);
+        let bucket = self.load(buckets, number)?;
+        let subtree = bucket.subtree();
+        let proof = if id < BUCKETS {
+            let only = subtree.only().ok_or(MapError::Inconsistent { bucket: number })?;
+            let end = if only.0 == *key { ProofEnd::Own } else { ProofEnd::Other { key: only.0, value: only.1 } };
+            MapProof { siblings, end }
+        } else {
+            Subtree::prove(&subtree, key, siblings)
+        };
+        let list = bucket.list(key).cloned();
+        let verified = proof.verify(key, list.as_ref().map(ListState::root), &self.root());
+        verified.map_err(|_| MapError::Inconsistent { bucket: number })?;
+        Ok((list, proof))
+    }
+
+    /// The bucket of the only key below a node that has only one.
+    fn bucket_below(&self, mut id: u32) -> u32 {
+        while id < BUCKETS {
+            id *= 2;
+            if self.node(id) == Node::Empty {
+                id += 1;
+            }
+        }
+        id - BUCKETS
+    }
+
+    fn load(&self, buckets: &dyn Buckets, number: u32) -> Result<Bucket, MapError> {
+        let stored = buckets.load(number)?;
+        if stored.is_some() != (self.node(BUCKETS + number) != Node::Empty) {
+            return Err(MapError::Inconsistent { bucket: number });
+        }
+        let Some(bytes) = stored else { return Ok(Bucket::default()) };
+        Bucket::decode(&bytes, number).map_err(|source| MapError::Bucket { bucket: number, source })
+    }
+
+    fn node(&self, id: u32) -> Node {
+        let (chunk, at) = (id as usize / CHUNK, id as usize % CHUNK);
+        self.chunks[chunk].as_ref().map_or(Node::Empty, |nodes| nodes[at])
+    }
+
+    fn set(&mut self, id: u32, node: Node) {
+        let (chunk, at) = (id as usize / CHUNK, id as usize % CHUNK);
+        self.chunks[chunk].get_or_insert_with(Default::default)[at] = node;
+    }
+}
+
+/// The bucket of a key: its first 18 bits.
+pub(super) fn bucket_of(key: &MapKey) -> u32 {
+    let [a, b, c, ..] = *key.as_bytes();
+    u32::from_be_bytes([0, a, b, c]) >> (24 - BUCKET_BITS)
+}

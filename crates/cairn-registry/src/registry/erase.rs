@@ -1,0 +1,63 @@
+//! Erasing a record's contents at its owner's wish.
+//!
+//! The leaf stays, and with it every root and every proof that was ever given. What goes is the envelope: the
+//! name, the scene's salt and whatever else the record said. Without the salt the leaf's commitment to the scene says
+//! nothing. The map keys stay (digests of scene and photographs), or nobody could work out the map again.
+
+use super::{Registry, RegistryError, commit::lock, layout, reload::inconsistent};
+use crate::{
+    map::MapKey,
+    packs::{self, Slot},
+    record::RecordKind,
+    tile::TILE_WIDTH,
+};
+
+impl Registry {
+    /// Erases record `index`, durably on return; a record that is erased already stays so. Who may ask for it is the
+    /// caller's to decide ([`Registry::erase`] does for owners).
+    ///
+    /// # Errors
+    /// [`RegistryError::NoSuchRecord`], [`RegistryError::NotARecord`]; [`RegistryError::Halted`];
+    /// [`RegistryError::Store`]: then it is erased or not, and asking again is safe.
+    pub fn erase_index(&self, index: u64) -> Result<(), RegistryError> {
+        let _turn = self.turn();
+        if let Some(cause) = self.halted() {
+            return Err(RegistryError::Halted { cause });
+        }
+        let stored = match self.record(index) {
+            Ok(stored) => stored,
+            Err(RegistryError::Erased { .. }) => return Ok(()),
+            Err(e) => return Err(e),
+        };
+        let replaced = stored.record.replaces.filter(|_| stored.record.kind == RecordKind::Rotation);
+        let replaced_owner = match replaced.map(|digest| self.index_of(&digest)).transpose()?.flatten() {
+            Some(index) => Some(self.record_leaf(index)?.owner),
+            None => None,
+        };
+        let keys = crate::map::keys_of(&stored.record, replaced_owner);
+        self.rewrite(index, keys).inspect_err(|e| drop(self.halt(&e.to_string())))
+    }
+
+    /// Writes a pack anew with one slot replaced.
+    fn rewrite(&self, index: u64, keys: Vec<MapKey>) -> Result<(), RegistryError> {
+        let width = u64::from(TILE_WIDTH);
+        let (number, at) = (index / width, (index % width) as usize);
+        let path = layout::pack(number);
+        let pack = self.files.read(&path, packs::MAX_PACK)?;
+        let pack = pack.ok_or_else(|| inconsistent(&path, "the file is missing".into()))?;
+        // What a crash left behind the log's end is left out.
+        let held = (self.size() - number * width).min(width) as usize;
+        let (mut slots, _) = packs::parse(&pack, held).map_err(|e| inconsistent(&path, e.to_string()))?;
+        if slots.len() != held {
+            return Err(inconsistent(&path, format!("{} entries, {held} expected", slots.len())));
+        }
+        slots[at] = Slot::Erased(keys);
+        let pack: Vec<u8> = slots.iter().flat_map(Slot::to_frame).collect();
+        let length = pack.len() as u64;
+        self.files.replace(&[(path, pack)])?;
+        if held < TILE_WIDTH as usize {
+            lock(&self.writer).pack_length = length;
+        }
+        Ok(())
+    }
+}
