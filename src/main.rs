@@ -4,6 +4,7 @@ mod cli;
 mod config;
 mod daemon;
 mod engine;
+mod secrets;
 
 use std::process::ExitCode;
 

@@ -18,7 +18,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
-use wire::{Contract, Method, Pool, call};
+use wire::{Contract, Method, Pool, call, call_compressed};
 
 /// Small, so that what gets through costs little and the bounds are met often.
 const SETTINGS: &str = r#"
@@ -100,6 +100,8 @@ async fn attack(channel: &Channel, contract: &Contract, method: &Method, pool: &
     note(answers, method, call(channel, &method.path, vec![]).await);
     note(answers, method, call(channel, &method.path, vec![vec![], vec![0xff; 9]]).await);
     note(answers, method, call(channel, &method.path, vec![vec![8; 300_000]]).await);
+    let refused = call_compressed(channel, &method.path).await;
+    assert_eq!(refused.code(), Code::Unimplemented, "{}: {refused}", method.path);
 }
 
 /// Bytes that are no HTTP/2, and HTTP/2 that is no gRPC.

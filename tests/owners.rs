@@ -15,6 +15,8 @@ use cairn_proto::v1::owner_service_client::OwnerServiceClient;
 use cairn_registry::record::{self, Digests, Identity, Seen, random_salt};
 use cairn_registry::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
 use common::{Daemon, Place};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use tonic::transport::Channel;
 
 #[test]
@@ -25,9 +27,9 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     let tiny = place.text("tiny.toml");
     place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
     let (key, bundle) = (place.text("ada.key"), place.text("bundle"));
-    place.cairn_ok(&["keys", "new", &key]);
+    place.cairn_ok(&["keys", "new", &key, "--plain"]);
     // A key is never replaced, and its file is its owner's alone.
-    assert!(!place.cairn(&["keys", "new", &key]).status.success());
+    assert!(!place.cairn(&["keys", "new", &key, "--plain"]).status.success());
 
     let daemon = Daemon::start(&place.path("data"), "");
     let connect = ["--connect", daemon.url.as_str()];
@@ -93,7 +95,7 @@ fn the_key_to_pin_comes_from_the_registry_and_not_from_the_bundle() {
     let (data, tiny, key) = (place.text("data"), place.text("tiny.toml"), place.text("ada.key"));
     place.import("town", ["--data", &data]);
     place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
-    place.cairn_ok(&["keys", "new", &key]);
+    place.cairn_ok(&["keys", "new", &key, "--plain"]);
     // Whoever has the photographs and the model can draw up a log of their own, with a bundle that agrees with itself.
     for part in ["scenes", "models"] {
         copy(&place.path("data").join(part), &place.path("forged-data").join(part));
@@ -154,46 +156,77 @@ async fn a_log_whose_key_is_lost_is_not_opened_with_a_new_one() {
     assert!(place.cairn_ok(&list).starts_with("0  contribution  town"));
 }
 
-/// Records as they were acknowledged.
-type Answers = Arc<Mutex<Vec<v1::Record>>>;
+/// Records as they were acknowledged, each with the signed checkpoint that came with it.
+type Answers = Arc<Mutex<Vec<(v1::Record, String)>>>;
 
-/// Rounds of killing the daemon.
-const ROUNDS: usize = 4;
+/// Rounds of killing the daemon where `CAIRN_KILL_ROUNDS` says nothing.
+const ROUNDS: usize = 20;
 /// Clients that submit at the same time.
 const CLIENTS: u8 = 3;
+
+fn rounds() -> usize {
+    std::env::var("CAIRN_KILL_ROUNDS").map_or(ROUNDS, |text| text.parse().expect("CAIRN_KILL_ROUNDS is a number"))
+}
+
+/// Every signed checkpoint that anybody was ever shown: one root for each size.
+#[derive(Default)]
+struct Roots(HashMap<u64, Digest>);
+
+impl Roots {
+    fn see(&mut self, note: &str, pinned: &NoteVerifier, round: usize) {
+        let signed = Checkpoint::verify(note, pinned).unwrap();
+        let root = *self.0.entry(signed.size).or_insert(signed.root);
+        assert_eq!(root, signed.root, "round {round}: two roots were signed for size {}", signed.size);
+    }
+}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_acknowledged_record_outlives_a_killed_daemon() {
     let place = Place::new();
-    let mut acknowledged: HashMap<u64, v1::Record> = HashMap::new();
+    let mut random = ChaCha8Rng::seed_from_u64(20_261_122);
+    let (mut acknowledged, mut roots) = (HashMap::new(), Roots::default());
     let mut daemon = Daemon::start(&place.path("data"), "");
     let pinned: NoteVerifier = checkpoint(&daemon.url).await.vkey.parse().unwrap();
-    for round in 0..ROUNDS {
-        let (answers, killed) = (Answers::default(), Arc::new(AtomicBool::new(false)));
-        let clients: Vec<_> = (1..=CLIENTS)
-            .map(|number| {
-                tokio::spawn(submit_until_gone(daemon.url.clone(), number, round, answers.clone(), killed.clone()))
-            })
-            .collect();
-        let begun = Instant::now();
-        while answers.lock().unwrap().len() < 5 + 4 * round {
-            assert!(begun.elapsed() < Duration::from_secs(30), "round {round}: the daemon takes no records");
-            tokio::time::sleep(Duration::from_micros(700)).await;
-        }
-        killed.store(true, Ordering::SeqCst);
-        daemon.kill();
-        for client in clients {
-            client.await.unwrap();
-        }
-        for record in answers.lock().unwrap().drain(..) {
+    for round in 0..rounds() {
+        let wanted = random.random_range(1..12);
+        let pause = Duration::from_micros(random.random_range(0..20_000));
+        let answers = load_and_kill(daemon, round, wanted, pause).await;
+        let fresh: Vec<u64> = answers.iter().map(|(record, _)| record.index).collect();
+        for (record, note) in answers {
             let index = record.index;
             assert!(acknowledged.insert(index, record).is_none(), "round {round}: index {index} was given twice");
+            roots.see(&note, &pinned, round);
         }
-
+        if round % 3 == 1 {
+            // In the middle of starting as well, when the last batch is being set right.
+            Daemon::start_and_kill(&place.path("data"), Duration::from_millis(random.random_range(0..150)));
+        }
         daemon = Daemon::start(&place.path("data"), "");
-        verify_all(&daemon.url, &pinned, &acknowledged).await;
+        roots.see(&checkpoint(&daemon.url).await.checkpoint, &pinned, round);
+        let last = round + 1 == rounds();
+        verify_log(&daemon.url, &pinned, &acknowledged, |index| last || fresh.contains(&index)).await;
     }
-    assert!(acknowledged.len() >= 5 * ROUNDS);
+    assert!(acknowledged.len() >= rounds());
+    assert!(daemon.terminate().success());
+}
+
+/// Submits from several clients at once, kills the daemon `pause` after the `wanted`-th answer, and gives every answer.
+async fn load_and_kill(daemon: Daemon, round: usize, wanted: usize, pause: Duration) -> Vec<(v1::Record, String)> {
+    let (answers, killed) = (Answers::default(), Arc::new(AtomicBool::new(false)));
+    let client = |number| submit_until_gone(daemon.url.clone(), number, round, answers.clone(), killed.clone());
+    let clients: Vec<_> = (1..=CLIENTS).map(|number| tokio::spawn(client(number))).collect();
+    let begun = Instant::now();
+    while answers.lock().unwrap().len() < wanted {
+        assert!(begun.elapsed() < Duration::from_secs(60), "round {round}: the daemon takes no records");
+        tokio::time::sleep(Duration::from_micros(300)).await;
+    }
+    tokio::time::sleep(pause).await;
+    killed.store(true, Ordering::SeqCst);
+    daemon.kill();
+    for client in clients {
+        client.await.unwrap();
+    }
+    answers.lock().unwrap().drain(..).collect()
 }
 
 /// Submits under a key of its own until the daemon is gone.
@@ -218,7 +251,7 @@ async fn submit(
     client: &mut OwnerServiceClient<Channel>,
     key: &OwnerKey,
     what: &str,
-) -> Result<v1::Record, tonic::Status> {
+) -> Result<(v1::Record, String), tonic::Status> {
     let owner_key = key.public().to_bytes().to_vec().into();
     let nonce =
         client.nonce(v1::NonceRequest { format_version: 1, scene: "town".into(), owner_key }).await?.into_inner();
@@ -240,8 +273,8 @@ async fn submit(
         views: None,
     };
     let envelope = record.seal(key).unwrap().to_json().into_bytes().into();
-    let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await?;
-    Ok(answer.into_inner().record.unwrap())
+    let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await?.into_inner();
+    Ok((answer.record.unwrap(), answer.checkpoint))
 }
 
 async fn checkpoint(url: &str) -> v1::CheckpointResponse {
@@ -249,20 +282,25 @@ async fn checkpoint(url: &str) -> v1::CheckpointResponse {
     client.checkpoint(v1::CheckpointRequest { format_version: 1 }).await.unwrap().into_inner()
 }
 
-/// Holds the log to what was acknowledged, and every record to the key that was pinned before the first kill.
-async fn verify_all(url: &str, pinned: &NoteVerifier, acknowledged: &HashMap<u64, v1::Record>) {
+/// Holds the log to what was acknowledged, and every record that is `asked` for to the key pinned before the first kill.
+async fn verify_log(
+    url: &str,
+    pinned: &NoteVerifier,
+    acknowledged: &HashMap<u64, v1::Record>,
+    asked: impl Fn(u64) -> bool,
+) {
     let size = Checkpoint::verify(&checkpoint(url).await.checkpoint, pinned).unwrap().size;
     let log = LogView { size, records: vec![] };
     let mut client = OwnerServiceClient::connect(url.to_owned()).await.unwrap();
-    let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into() };
+    let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into(), ..Default::default() };
     let records = client.list(request).await.unwrap().into_inner().records;
-    assert_eq!(records.len() as u64, size);
+    let kept: HashMap<u64, &v1::Record> = records.iter().map(|record| (record.index, record)).collect();
+    assert_eq!(kept.len(), records.len(), "an index twice");
     for (index, wanted) in acknowledged {
-        let kept = records.get(*index as usize).unwrap_or_else(|| panic!("record {index} is lost"));
-        assert_eq!(kept, wanted, "record {index} is another");
+        assert_eq!(kept.get(index), Some(&wanted), "record {index} is lost, or another");
     }
     // Those that were on their way when the daemon was killed may be there too, and must hold as well.
-    for record in &records {
+    for record in records.iter().filter(|r| asked(r.index) || !acknowledged.contains_key(&r.index)) {
         let request = v1::ProofRequest { format_version: 1, index: record.index };
         let proof = client.proof(request).await.unwrap().into_inner().tlog_proof;
         let (envelope, proof, pinned) = (&record.envelope, Some(proof.as_str()), Some(pinned));

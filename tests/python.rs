@@ -87,7 +87,7 @@ fn a_bundle_made_here_verifies_in_python_and_a_changed_one_does_not() {
         (place.text("data"), place.text("tiny.toml"), place.text("ada.key"), place.path("bundle"));
     place.import("town", ["--data", &data]);
     place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
-    place.cairn_ok(&["keys", "new", &key]);
+    place.cairn_ok(&["keys", "new", &key, "--plain"]);
     let (folder, vkey) = (place.text("bundle"), place.text("pinned.vkey"));
     let sign = ["owners", "sign", "town", "--identity", "1", "--key", &key, "--kind", "contribution", "--data", &data];
     // A second record, so that the first one's proof has hashes.

@@ -12,7 +12,7 @@ use cairn_proto::v1;
 use serde::Serialize;
 
 use super::connect::{Connection, Where, refused};
-use super::{VERSION, look, owners, scene, train, write};
+use super::{VERSION, look, owners, scene, sign, train, write};
 use crate::engine::report::{Report, Right};
 
 /// The demo's scene.
@@ -73,6 +73,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
     for (step, seconds) in &results.seconds {
         println!("  {step:26} {seconds:6.1} s");
     }
+    println!("the owners' keys in {} are plain files, for trying things out", args.out.join("owners").display());
     println!("contact sheet in {}", args.out.join("contact-sheet.png").display());
     if let Some(path) = &args.json {
         write(path, &serde_json::to_vec_pretty(&results)?)?;
@@ -136,7 +137,7 @@ async fn through(
     let job = training(line, args).await?;
     clock.laps.extend(job.stages.iter().map(|s| (s.stage.clone(), s.seconds)));
     clock.start();
-    let signed = owners::sign_all(line, SCENE, &args.out.join("owners")).await?;
+    let signed = sign::sign_all(line, SCENE, &args.out.join("owners")).await?;
     let records_trusted = trusted(&signed, data)?;
     clock.lap("signing and verifying");
     let records_found = found(line, &signed).await?;
@@ -180,9 +181,9 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
 }
 
 /// Verifies each record from its bundle's files.
-fn trusted(signed: &[owners::Signed], data: &Path) -> anyhow::Result<Right> {
+fn trusted(signed: &[sign::Signed], data: &Path) -> anyhow::Result<Right> {
     let mut trusted = Right::default();
-    for owners::Signed { bundle, .. } in signed {
+    for sign::Signed { bundle, .. } in signed {
         let (bundle, vkey) = (bundle.clone(), Some(bundle.join("log.vkey")));
         let verify = owners::VerifyArgs { bundle, vkey, against: Some(data.into()), log: None, json: false };
         trusted.count(owners::audit(&verify)?.outcome == Outcome::Trusted);
@@ -191,7 +192,7 @@ fn trusted(signed: &[owners::Signed], data: &Path) -> anyhow::Result<Right> {
 }
 
 /// Asks for every training view of a cluster whether the answer leads to the identity's record and no other.
-async fn found(line: &Connection, signed: &[owners::Signed]) -> anyhow::Result<Right> {
+async fn found(line: &Connection, signed: &[sign::Signed]) -> anyhow::Result<Right> {
     let model = scene::get(line, SCENE).await?.model.context("the training left no model")?;
     let mut found = Right::default();
     for identity in &model.identities {

@@ -4,6 +4,7 @@ mod against;
 mod animation;
 mod bench;
 mod connect;
+mod corrections;
 mod demo;
 mod keys;
 mod look;
@@ -11,13 +12,17 @@ mod owners;
 mod path;
 mod poses;
 mod progress;
+mod records;
 mod scene;
+mod sign;
 mod train;
+mod unlock;
 
 use std::io::IsTerminal as _;
 use std::path::Path;
 use std::process::ExitCode;
 
+use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 
 use crate::config::{Config, LogFormat};
@@ -57,10 +62,10 @@ enum Command {
     Detect(look::DetectArgs),
     /// Score a trained scene on the views it never saw
     Evaluate(look::EvaluateArgs),
-    /// Make and show owners' keys (they stay on this machine)
+    /// Make, seal, show, rotate and revoke owners' keys (they stay on this machine)
     #[command(subcommand)]
     Keys(keys::Command),
-    /// Sign, list and verify owner records
+    /// Sign, correct, list and verify owner records
     #[command(subcommand)]
     Owners(owners::Command),
     /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
@@ -78,6 +83,10 @@ impl Cli {
     /// # Errors
     /// Whatever went wrong, for people to read.
     pub fn run(self) -> anyhow::Result<ExitCode> {
+        if !matches!(self.command, Command::Bench(_) | Command::BenchPart) {
+            // Whatever opens a data folder reads the registry's key; measurements want their cores and counters.
+            crate::secrets::keep_out_of_dumps().context("cannot forbid core dumps, which would hold secret keys")?;
+        }
         let config = Config::load(self.place.config.as_deref())?;
         start_log(&config, matches!(self.command, Command::Serve));
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -88,7 +97,7 @@ impl Cli {
         let place = self.place;
         match self.command {
             Command::Serve => crate::daemon::serve::serve(config, &place.data).await?,
-            Command::Keys(command) => keys::run(&command)?,
+            Command::Keys(command) if command.is_local() => keys::local(&command)?,
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
@@ -116,7 +125,8 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Detect(args) => look::detect(line, args).await,
         Command::Evaluate(args) => look::evaluate(line, args).await,
         Command::Owners(command) => owners::run(line, command).await,
-        Command::Serve | Command::Keys(_) | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
+        Command::Keys(command) => keys::run(line, &command).await,
+        Command::Serve | Command::Demo(_) | Command::Bench(_) | Command::BenchPart => Ok(()),
     }
 }
 
@@ -136,12 +146,10 @@ fn start_log(config: &Config, daemon: bool) {
 
 /// Reads a file, naming it when that fails.
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    use anyhow::Context as _;
     std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
 /// Writes a file, naming it when that fails.
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    use anyhow::Context as _;
     std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -1,11 +1,8 @@
-//! `cairn owners`: signing records at the owner's side, listing them, and
-//! verifying them from files alone.
+//! `cairn owners`: signing records at the owner's side, correcting and listing
+//! them, and verifying them from files alone.
 //!
-//! A signed record becomes a bundle, a folder of files that whoever has them can
-//! verify without a daemon: `record.json` (DSSE envelope), `record.tlog-proof`,
-//! `log.vkey`, and for a claim `signal.png` with `signal.salt`, which are the
-//! owner's secret until they choose to show them. An auditor pins the key that
-//! `vkey` prints, not the bundle's copy: whoever forges a bundle forges that too.
+//! An auditor pins the key that `vkey` prints, not the bundle's copy: whoever
+//! forges a bundle forges that too.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -13,18 +10,29 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use cairn_audit::{Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
 use cairn_proto::v1;
-use cairn_registry::record::{Digests, Identity, Seen, hidden_signal_commitment, photographs_root, random_salt};
-use cairn_registry::{Checkpoint, Digest, Envelope, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
+use cairn_registry::{Checkpoint, Digest, Envelope, Note, NoteVerifier, OwnerRecord};
 use serde::{Deserialize, Serialize};
 
 use super::connect::{Connection, refused};
-use super::{VERSION, against, read, write};
+use super::corrections::{self, DisputeArgs, EraseArgs};
+use super::records::vkey;
+use super::sign::{SignArgs, sign};
+use super::{VERSION, against, read, records, write};
 
 /// What to do with owner records.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Sign a record about an identity of a scene, and enter it into the log
     Sign(SignArgs),
+    /// Contest somebody's record: a record that says so
+    Dispute(DisputeArgs),
+    /// Have a record's envelope erased, and with it all that is personal; its place in the log stays
+    Erase(EraseArgs),
+    /// Show one record, and whether it stands
+    Show {
+        /// Its place in the log (see `cairn owners list`)
+        index: u64,
+    },
     /// The records of a scene, or all
     List {
         /// The scene
@@ -41,39 +49,6 @@ pub enum Command {
     },
     /// Verify a bundle from its files; exit code 0 for valid and trusted, 1 for invalid
     Verify(VerifyArgs),
-}
-
-/// `cairn owners sign`.
-#[derive(Clone, Debug, clap::Args)]
-pub struct SignArgs {
-    /// The scene
-    pub name: String,
-    /// The identity, 1 and up (see `cairn scene show`)
-    #[arg(long, value_name = "N")]
-    pub identity: u32,
-    /// The owner's key file (see `cairn keys new`)
-    #[arg(long, value_name = "FILE")]
-    pub key: PathBuf,
-    /// What the record says
-    #[arg(long, value_enum, default_value_t = Kind::Claim)]
-    pub kind: Kind,
-    /// What the record is for, in words
-    #[arg(long, default_value = "credit for the photographs")]
-    pub purpose: String,
-    /// Where the bundle goes: a new folder
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
-}
-
-/// The records that can be signed here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Kind {
-    /// The identity's mark in the marked field is the owner's
-    Claim,
-    /// The cluster's photographs are the owner's
-    Contribution,
-    /// This training made the marked field
-    Training,
 }
 
 /// `cairn owners verify`.
@@ -95,7 +70,7 @@ pub struct VerifyArgs {
     pub json: bool,
 }
 
-/// Answers `cairn owners sign`, `list` and `vkey`.
+/// Answers every `cairn owners` but `verify`.
 pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Sign(args) => {
@@ -103,6 +78,13 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             println!("record {index} is durable and published; its bundle is in {}", args.out.display());
             Ok(())
         }
+        Command::Dispute(args) => {
+            let index = corrections::dispute(line, &args).await?;
+            println!("record {index} contests record {}; its bundle is in {}", args.record, args.out.display());
+            Ok(())
+        }
+        Command::Erase(args) => corrections::erase(line, &args).await,
+        Command::Show { index } => corrections::show(line, index).await,
         Command::List { name, out } => list(line, name, out.as_ref()).await,
         Command::Vkey { out } => {
             let vkey = vkey(line).await?;
@@ -116,124 +98,6 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         }
         Command::Verify(args) => verify(&args).map(drop),
     }
-}
-
-/// Signs a record and enters it; its index in the log.
-pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
-    let key = OwnerKey::load(&args.key)?;
-    std::fs::create_dir(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
-    let mut client = line.owners();
-    let request = v1::MaterialRequest { format_version: VERSION, scene: args.name.clone(), identity: args.identity };
-    let material = client.material(request).await.map_err(refused)?.into_inner();
-    let owner_key = key.public().to_bytes().to_vec().into();
-    let request = v1::NonceRequest { format_version: VERSION, scene: args.name.clone(), owner_key };
-    let nonce = client.nonce(request).await.map_err(refused)?.into_inner();
-    let salt = random_salt()?;
-    let record = record(args, &key, &material, &nonce, &salt)?;
-    let envelope = record.seal(&key)?.to_json().into_bytes();
-    let request = v1::SubmitRecordRequest { format_version: VERSION, envelope: envelope.into() };
-    let entered = client.submit(request).await.map_err(refused)?.into_inner();
-    let entered = entered.record.context("the daemon's answer names no record")?;
-    // What came back must be what was signed, or the bundle would speak for somebody else.
-    let returned = Envelope::parse(&entered.envelope)?;
-    anyhow::ensure!(OwnerRecord::open(&returned)?.0 == record, "the daemon returned another record than was signed");
-
-    let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
-    let proof = client.proof(request).await.map_err(refused)?.into_inner().tlog_proof;
-    let vkey = vkey(line).await?;
-    write(&args.out.join("record.json"), &entered.envelope)?;
-    write(&args.out.join("record.tlog-proof"), proof.as_bytes())?;
-    write(&args.out.join("log.vkey"), format!("{vkey}\n").as_bytes())?;
-    if record.digests.hidden_signal.is_some() {
-        write(&args.out.join("signal.png"), &material.signal)?;
-        write(&args.out.join("signal.salt"), format!("{salt}\n").as_bytes())?;
-    }
-    Ok(entered.index)
-}
-
-/// The log's verifier key, one line without its end.
-async fn vkey(line: &Connection) -> anyhow::Result<String> {
-    let request = v1::CheckpointRequest { format_version: VERSION };
-    Ok(line.owners().checkpoint(request).await.map_err(refused)?.into_inner().vkey)
-}
-
-/// A record that [`sign_all`] signed.
-pub struct Signed {
-    /// The identity's number.
-    pub identity: u32,
-    /// The record's place in the log.
-    pub index: u64,
-    /// The bundle's folder.
-    pub bundle: PathBuf,
-}
-
-/// Makes a key for every identity of the scene's model and signs a record with it:
-/// `FOLDER/<number>.key` and the bundle `FOLDER/<number>`. For trying things out: in
-/// earnest every owner makes their own key where they are.
-pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::Result<Vec<Signed>> {
-    let model = super::scene::get(line, scene).await?.model.context("the scene has no model yet; train it first")?;
-    std::fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    let kind = if model.marked_field_sha256.is_empty() { Kind::Contribution } else { Kind::Claim };
-    let mut signed = Vec::with_capacity(model.identities.len());
-    for identity in &model.identities {
-        let key = folder.join(format!("{}.key", identity.number));
-        OwnerKey::generate()?.save(&key)?;
-        let out = folder.join(identity.number.to_string());
-        let purpose = "credit for the photographs".to_owned();
-        let args = SignArgs { name: scene.to_owned(), identity: identity.number, key, kind, purpose, out };
-        let index = sign(line, &args).await?;
-        signed.push(Signed { identity: identity.number, index, bundle: args.out });
-    }
-    Ok(signed)
-}
-
-fn record(
-    args: &SignArgs,
-    key: &OwnerKey,
-    material: &v1::MaterialResponse,
-    nonce: &v1::NonceResponse,
-    salt: &Digest,
-) -> anyhow::Result<OwnerRecord> {
-    let digest = |what: &str, bytes: &[u8]| -> anyhow::Result<Option<Digest>> {
-        if bytes.is_empty() {
-            return Ok(None);
-        }
-        let bytes = bytes.try_into().with_context(|| format!("the daemon's digest of {what} is not 32 bytes"))?;
-        Ok(Some(Digest::from_bytes(bytes)))
-    };
-    let mut photographs = Vec::with_capacity(material.photograph_sha256.len());
-    for bytes in &material.photograph_sha256 {
-        photographs.push(digest("a photograph", bytes)?.context("the daemon's digest of a photograph is empty")?);
-    }
-    let kind = match args.kind {
-        Kind::Claim => RecordKind::Claim,
-        Kind::Contribution => RecordKind::Contribution,
-        Kind::Training => RecordKind::Training,
-    };
-    let hidden = (!material.signal.is_empty()).then(|| hidden_signal_commitment(salt, &material.signal));
-    let checkpoint = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint)?.text)?;
-    Ok(OwnerRecord {
-        version: cairn_registry::record::VERSION,
-        kind,
-        origin: nonce.origin.clone(),
-        scene: args.name.clone(),
-        scene_salt: random_salt()?,
-        identity: Identity { number: args.identity, contributor: material.label.clone() },
-        owner_key: key.public(),
-        digests: Digests {
-            marked_field: digest("the marked field", &material.marked_field_sha256)?,
-            detector: digest("the detector", &material.detector_sha256)?,
-            hidden_signal: hidden,
-            photographs: Some(photographs_root(&photographs)),
-            training_configuration: digest("the settings", &material.settings_sha256)?,
-        },
-        seed: Some(material.seed),
-        purpose: args.purpose.clone(),
-        nonce: nonce.nonce.parse().context("the daemon's nonce is not 32 bytes in hexadecimal")?,
-        seen: Seen { size: checkpoint.size, root: checkpoint.root },
-        replaces: None,
-        views: None,
-    })
 }
 
 /// The records of a log as `list --out` keeps them.
@@ -257,17 +121,17 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) ->
     let checkpoint = line.owners().checkpoint(v1::CheckpointRequest { format_version: VERSION }).await;
     let note = Note::parse(&checkpoint.map_err(refused)?.into_inner().checkpoint)?;
     let size = Checkpoint::parse_text(&note.text)?.size;
-    let request = v1::ListRecordsRequest { format_version: VERSION, scene: name.unwrap_or_default() };
-    let records = line.owners().list(request).await.map_err(refused)?.into_inner().records;
+    let records = records::list(line, &name.unwrap_or_default()).await?;
     for r in &records {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;
-        println!("{}  {}  {}  identity {}  by key {}", r.index, r.kind, r.scene, r.identity, Digest::from_bytes(owner));
+        let identity = if r.envelope.is_empty() { "erased".to_owned() } else { format!("identity {}", r.identity) };
+        println!("{}  {}  {}  {identity}  by key {}", r.index, r.kind, r.scene, Digest::from_bytes(owner));
     }
     if let Some(path) = out {
         let entry = |r: &v1::Record| -> anyhow::Result<LogEntry> {
             Ok(LogEntry { index: r.index, envelope: String::from_utf8(r.envelope.to_vec())? })
         };
-        let records = records.iter().map(entry).collect::<Result<_, _>>()?;
+        let records = records.iter().filter(|r| !r.envelope.is_empty()).map(entry).collect::<Result<_, _>>()?;
         write(path, &serde_json::to_vec_pretty(&LogFile { format_version: 1, size, records })?)?;
     }
     Ok(())

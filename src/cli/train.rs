@@ -69,8 +69,9 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     let job = watch(line, &job.id, true).await?;
     report(&job)?;
     if let Some(folder) = args.keys.filter(|_| job.state() == JobState::Done) {
-        let signed = super::owners::sign_all(line, &args.name, &folder).await?;
+        let signed = super::sign::sign_all(line, &args.name, &folder).await?;
         println!("{} owner records signed; keys and bundles are in {}", signed.len(), folder.display());
+        println!("those keys are plain files for trying things out; an owner's own is sealed (`cairn keys new`)");
     }
     Ok(())
 }

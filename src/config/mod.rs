@@ -55,6 +55,8 @@ pub struct Config {
     pub checkpoint_every_s: u64,
     /// The log's origin line.
     pub origin: String,
+    /// What the registry's signing key is sealed with; `None` where it lies in plain PEM. Read when the log is opened.
+    pub registry_key_file: Option<PathBuf>,
     /// `tracing` filter.
     pub log_filter: String,
     /// How log lines look.
@@ -216,6 +218,7 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
         limits: raw.limits,
         checkpoint_every_s: raw.training.checkpoint_every_s,
         origin: raw.registry.origin,
+        registry_key_file: Some(raw.registry.key_file).filter(|path| !path.is_empty()).map(PathBuf::from),
         log_filter: raw.log.filter,
         log_format: raw.log.format,
         training,

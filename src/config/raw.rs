@@ -69,6 +69,7 @@ pub struct Training {
 #[serde(deny_unknown_fields)]
 pub struct Registry {
     pub origin: String,
+    pub key_file: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,7 +97,7 @@ impl Default for Raw {
             access: Access { token_file: String::new() },
             limits: Limits::default(),
             training: Training { checkpoint_every_s: 30 },
-            registry: Registry { origin: "cairn.localhost/owners".into() },
+            registry: Registry { origin: "cairn.localhost/owners".into(), key_file: String::new() },
             log: Log { filter: "info".into(), format: LogFormat::Text },
             field: FieldConfig::default(),
             mark: MarkConfig::default(),

@@ -1,11 +1,14 @@
 //! `OwnerService`.
 
 use cairn_proto::v1::{self, owner_service_server::OwnerService};
-use cairn_registry::{OwnerRecord, RegistryError};
+use cairn_registry::{LogEntry, OwnerRecord, RegistryError};
 use tonic::{Request, Response, Status};
 
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
+
+/// Most records in one answer.
+const MAX_LISTED: u32 = 1000;
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -67,22 +70,36 @@ impl OwnerService for Shared {
     }
 
     async fn list(&self, request: Request<v1::ListRecordsRequest>) -> Answer<v1::ListRecordsResponse> {
-        let v1::ListRecordsRequest { format_version, scene } = request.into_inner();
+        let v1::ListRecordsRequest { format_version, scene, from, limit } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
-        let records = self
+        let limit = if limit == 0 { MAX_LISTED } else { limit.min(MAX_LISTED) } as usize;
+        let (records, next) = self
             .run(move |engine| {
-                let scene = (!scene.is_empty()).then_some(scene.as_str());
-                Ok(engine.registry().records(scene)?.iter().map(to_proto::stored_record).collect())
+                let of = (!scene.is_empty()).then_some(scene.as_str());
+                let page = engine.registry().page(of, from, limit)?;
+                let next = page.last().filter(|_| page.len() == limit).map(|last| last.index() + 1);
+                Ok((page.iter().filter_map(|entry| to_proto::entry(entry, &scene)).collect(), next))
             })
             .await?;
-        Ok(Response::new(v1::ListRecordsResponse { format_version: to_proto::VERSION, records }))
+        Ok(Response::new(v1::ListRecordsResponse { format_version: to_proto::VERSION, records, next }))
     }
 
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
         let v1::GetRecordRequest { format_version, index } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
-        let record = self.run(move |engine| Ok(to_proto::stored_record(&engine.registry().record(index)?))).await?;
-        Ok(Response::new(v1::GetRecordResponse { format_version: to_proto::VERSION, record: Some(record) }))
+        let answer = self
+            .run(move |engine| {
+                let entry = engine.registry().entry(index)?;
+                let standing = match &entry {
+                    LogEntry::Record(stored) => Some(to_proto::standing(engine.standing(stored)?)),
+                    LogEntry::Erased { .. } => None,
+                    LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
+                };
+                let record = to_proto::entry(&entry, "");
+                Ok(v1::GetRecordResponse { format_version: to_proto::VERSION, record, standing })
+            })
+            .await?;
+        Ok(Response::new(answer))
     }
 
     async fn checkpoint(&self, request: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {
@@ -97,5 +114,13 @@ impl OwnerService for Shared {
         from_proto::version(format_version).map_err(status)?;
         let tlog_proof = self.run(move |engine| engine.tlog_proof(index)).await?;
         Ok(Response::new(v1::ProofResponse { format_version: to_proto::VERSION, tlog_proof }))
+    }
+
+    async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        self.authorise(request.metadata())?;
+        let request = request.into_inner().request;
+        let index = self.run(move |engine| engine.erase_record(&request)).await?;
+        Ok(Response::new(v1::EraseRecordResponse { format_version: to_proto::VERSION, index }))
     }
 }

@@ -22,11 +22,17 @@ pub fn status(error: EngineError) -> Status {
 
 fn code(error: &EngineError) -> Code {
     match error {
-        EngineError::Invalid { .. } | EngineError::OverLimit { .. } | EngineError::Config(_) => Code::InvalidArgument,
+        EngineError::Invalid { .. }
+        | EngineError::OverLimit { .. }
+        | EngineError::Config(_)
+        | EngineError::Erasure(_) => Code::InvalidArgument,
+        EngineError::NotYours { .. } => Code::PermissionDenied,
         EngineError::NotFound { .. } => Code::NotFound,
         EngineError::NotTrained { .. }
         | EngineError::WrongState { .. }
         | EngineError::KeyMissing { .. }
+        | EngineError::SealingKeyMissing { .. }
+        | EngineError::ErasesOther { .. }
         | EngineError::Path(_) => Code::FailedPrecondition,
         EngineError::QueueFull { .. } => Code::ResourceExhausted,
         EngineError::ShuttingDown | EngineError::Locked { .. } => Code::Unavailable,
@@ -100,11 +106,13 @@ fn registry(error: &RegistryError) -> Code {
         | RegistryError::OwnerRetired { .. }
         | RegistryError::ReplacesUnknown { .. } => Code::FailedPrecondition,
         RegistryError::ReplacesForeign { .. } => Code::PermissionDenied,
-        RegistryError::NoSuchRecord { .. } => Code::NotFound,
+        RegistryError::NoSuchRecord { .. } | RegistryError::NotARecord { .. } | RegistryError::Erased { .. } => {
+            Code::NotFound
+        }
         RegistryError::Proof(_) => Code::InvalidArgument,
         RegistryError::Locked { .. } | RegistryError::Halted { .. } => Code::Unavailable,
         RegistryError::WrongStore { .. } | RegistryError::Origin(_) => Code::FailedPrecondition,
-        RegistryError::Inconsistent { .. } => Code::DataLoss,
+        RegistryError::Inconsistent { .. } | RegistryError::Map(_) => Code::DataLoss,
         RegistryError::Store(_) => Code::Internal,
     }
 }

@@ -2,8 +2,9 @@
 
 use cairn_capture::{Camera, SceneFolder, SceneKind};
 use cairn_proto::v1;
-use cairn_registry::{Envelope, OwnerRecord, StoredRecord};
+use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
 
+use crate::engine::corrections::Standing;
 use crate::engine::job::{Job, JobState};
 use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
 use crate::engine::query::Who;
@@ -33,6 +34,12 @@ pub fn camera(camera: &Camera) -> v1::Camera {
             position: camera.pose.position.to_array().to_vec(),
         }),
     }
+}
+
+/// What later records say of one.
+pub fn standing(standing: Standing) -> v1::Standing {
+    let Standing { replaced_by, taken_back_by, disputed_by, key_ended_by } = standing;
+    v1::Standing { replaced_by, taken_back_by, disputed_by, key_ended_by }
 }
 
 /// A scene kind.
@@ -148,7 +155,6 @@ pub fn who(who: Who) -> v1::WhoResponse {
 
 /// A record of the log.
 pub fn record(index: u64, leaf_hash: &cairn_registry::Digest, envelope: &Envelope, record: &OwnerRecord) -> v1::Record {
-    let kind = serde_json::to_value(record.kind).ok().and_then(|v| v.as_str().map(str::to_owned));
     v1::Record {
         index,
         envelope: envelope.to_json().into_bytes().into(),
@@ -156,8 +162,30 @@ pub fn record(index: u64, leaf_hash: &cairn_registry::Digest, envelope: &Envelop
         scene: record.scene.clone(),
         identity: record.identity.number,
         owner_key_sha256: record.owner_key.id().as_bytes().to_vec().into(),
-        kind: kind.unwrap_or_default(),
+        kind: kind(record.kind),
     }
+}
+
+/// A log entry as a record, `scene` being what it was asked for under; none for a map leaf.
+pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
+    match entry {
+        LogEntry::Record(stored) => Some(stored_record(stored)),
+        LogEntry::Erased { index, leaf, .. } => Some(v1::Record {
+            index: *index,
+            envelope: Default::default(),
+            leaf_hash: leaf.hash().as_bytes().to_vec().into(),
+            scene: scene.to_owned(),
+            identity: 0,
+            owner_key_sha256: leaf.owner.as_bytes().to_vec().into(),
+            kind: kind(leaf.kind),
+        }),
+        LogEntry::Map { .. } => None,
+    }
+}
+
+fn kind(kind: RecordKind) -> String {
+    let name = serde_json::to_value(kind).ok().and_then(|v| v.as_str().map(str::to_owned));
+    name.unwrap_or_default()
 }
 
 /// A record as the log keeps it.

@@ -7,7 +7,7 @@ use cairn_capture::CaptureError;
 use cairn_cluster::ClusterError;
 use cairn_field::FieldError;
 use cairn_metrics::MetricError;
-use cairn_registry::RegistryError;
+use cairn_registry::{Digest, ErasureError, PublicKey, RegistryError};
 use cairn_stega::MarkError;
 use thiserror::Error;
 
@@ -96,6 +96,39 @@ pub enum EngineError {
         key: PathBuf,
         /// The log's folder.
         log: PathBuf,
+    },
+    /// The file that seals the registry's key is not there.
+    #[error(
+        "the key file {} (registry.key_file) is missing; restore it from its backup, or for a new log make one with \
+         `cairn keys new-key-file {}`",
+        path.display(), path.display()
+    )]
+    SealingKeyMissing {
+        /// The file.
+        path: PathBuf,
+    },
+    /// An erasure request that is none, or not for this log.
+    #[error(transparent)]
+    Erasure(#[from] ErasureError),
+    /// An erasure request for another record than is there.
+    #[error("record {index} is {expected}, the request is to erase {got}; fetch the record and sign again")]
+    ErasesOther {
+        /// The record's place in the log.
+        index: u64,
+        /// The digest of the record there.
+        expected: Digest,
+        /// The digest that the request names.
+        got: Digest,
+    },
+    /// An erasure request by a key that the record does not belong to.
+    #[error("record {index} is not key {key}'s to erase: {why}")]
+    NotYours {
+        /// The record's place in the log.
+        index: u64,
+        /// The key that asks.
+        key: PublicKey,
+        /// Whose it is.
+        why: String,
     },
     /// The file system said no.
     #[error("cannot {operation} {}: {source}", path.display())]

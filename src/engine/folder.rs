@@ -10,6 +10,7 @@
 //! DIR/models/NAME/JOB/          base.field, marked.field, detector, model.json, ...
 //! DIR/jobs/JOB/                 job.json, signals, checkpoints
 //! DIR/registry/                 the log of owner records (cairn-registry's format)
+//! DIR/registry.checkpoint       the checkpoint that it published last
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
@@ -103,6 +104,11 @@ impl DataFolder {
     /// The registry's signing key.
     pub fn registry_key(&self) -> PathBuf {
         self.root.join("registry.key")
+    }
+
+    /// What the registry published last, outside its own folder: one that is restored from an old backup is found out.
+    pub fn last_checkpoint(&self) -> PathBuf {
+        self.root.join("registry.checkpoint")
     }
 
     /// Imports under way.

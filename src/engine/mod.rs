@@ -3,6 +3,7 @@
 //!
 //! All calls block, some for long; the edge puts them on threads of their own.
 
+pub mod corrections;
 pub mod crowd;
 pub mod drawing;
 pub mod error;
@@ -17,7 +18,9 @@ pub mod model;
 pub mod owners;
 pub mod paths;
 pub mod poses;
+pub mod publisher;
 pub mod query;
+mod registry_key;
 pub mod report;
 pub mod scenes;
 pub mod stages;
@@ -30,7 +33,7 @@ use std::time::Duration;
 
 use cairn_capture::{Capture, SceneFolder};
 use cairn_cluster::Grouping;
-use cairn_registry::{OwnerKey, Registry};
+use cairn_registry::Registry;
 
 use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, training_settings};
 use error::EngineError;
@@ -38,16 +41,20 @@ use folder::DataFolder;
 use job::{Job, JobSpec};
 use jobs::Jobs;
 use model::{Model, ModelInfo};
+use publisher::Publisher;
 
 /// One data folder at work.
 pub struct Engine {
-    folder: DataFolder,
     jobs: Jobs,
-    registry: Registry,
+    /// Before the registry: it publishes a last time when it is dropped.
+    publisher: Publisher,
+    registry: Arc<Registry>,
     limits: Limits,
     training: TrainingSettings,
     /// The model used last: loading one takes seconds, and queries come in rows.
     cache: Mutex<Option<Arc<Model>>>,
+    // Last, so that the folder is let go when all else in it is closed.
+    folder: DataFolder,
 }
 
 /// What to train, as it is asked for.
@@ -75,19 +82,14 @@ impl Engine {
     ///
     /// # Errors
     /// [`EngineError::Locked`] while another process has the folder;
-    /// [`EngineError::KeyMissing`]; what the stored files say.
+    /// [`EngineError::KeyMissing`], [`EngineError::SealingKeyMissing`]; what the stored files say.
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
-        let key = folder.registry_key();
-        if !key.exists() {
-            // A new key cannot go on with an old log; made all the same, it would only hide that the old one is lost.
-            if !folder.registry_is_empty()? {
-                return Err(EngineError::KeyMissing { key, log: folder.registry() });
-            }
-            OwnerKey::generate().and_then(|new| new.save(&key)).map_err(cairn_registry::RegistryError::from)?;
-        }
-        let key = OwnerKey::load(&key).map_err(cairn_registry::RegistryError::from)?;
-        let registry = Registry::open(&folder.registry(), key, &config.origin)?;
+        let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
+        let registry = Arc::new(Registry::open(&folder.registry(), key, &config.origin)?);
+        let last = folder.last_checkpoint();
+        publisher::hold_to_last(&registry, &last)?;
+        let publisher = Publisher::start(registry.clone(), last)?;
         let work = training::Training {
             scenes: folder.scenes(),
             models: folder.models(),
@@ -99,6 +101,7 @@ impl Engine {
             folder,
             jobs,
             registry,
+            publisher,
             limits: config.limits.clone(),
             training: config.training.clone(),
             cache: Mutex::new(None),
@@ -249,9 +252,10 @@ impl Engine {
         info.signal(&self.folder.models(), identity)
     }
 
-    /// Checkpoints and stops training, and lets the folder go when dropped. Blocks.
+    /// Checkpoints and stops training, publishes what is left, and lets the folder go when dropped. Blocks.
     pub fn shut_down(&self) {
         self.jobs.shut_down();
+        self.publisher.stop();
     }
 }
 

@@ -1,9 +1,9 @@
 //! Owner records as the engine serves them: what a record must state, taking it
 //! in, finding and proving it. Signing happens at the owner's, never here.
 
-use cairn_registry::{
-    Digest, Envelope, Note, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError, StoredRecord,
-};
+use std::collections::HashSet;
+
+use cairn_registry::{Digest, Envelope, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError};
 
 use super::Engine;
 use super::error::EngineError;
@@ -34,14 +34,16 @@ impl Engine {
         Ok(Material { info, identity: known, signal })
     }
 
-    /// Takes a record in; durable and published on return.
+    /// Takes a record in; durable on return, and published soon after.
     ///
     /// # Errors
     /// The registry's.
     pub fn submit_record(&self, envelope: &[u8]) -> Result<cairn_registry::Receipt, EngineError> {
         let envelope =
             Envelope::parse(envelope).map_err(|e| RegistryError::from(cairn_registry::RecordError::from(e)))?;
-        Ok(self.registry().submit(&envelope)?)
+        let receipt = self.registry().submit(&envelope)?;
+        self.publisher.wake();
+        Ok(receipt)
     }
 
     /// A nonce for a record of `owner` about `scene`, in hexadecimal.
@@ -70,21 +72,11 @@ impl Engine {
     /// # Errors
     /// [`RegistryError::NoSuchRecord`].
     pub fn tlog_proof(&self, index: u64) -> Result<String, EngineError> {
-        let registry = self.registry();
-        let checkpoint = registry.checkpoint();
-        // The size is read from the very checkpoint that goes into the proof: the log may grow in between.
-        let size = signed_size(&checkpoint)?;
+        let size = self.registry().size();
         if index >= size {
             return Err(RegistryError::NoSuchRecord { index, size }.into());
         }
-        let mut text = format!("c2sp.org/tlog-proof@v1\nindex {index}\n");
-        for hash in registry.prove_inclusion(index, size)? {
-            text.push_str(&hash.to_base64());
-            text.push('\n');
-        }
-        text.push('\n');
-        text.push_str(&checkpoint);
-        Ok(text)
+        Ok(self.registry().tlog_proof(index)?.to_text())
     }
 }
 
@@ -95,26 +87,17 @@ fn bearing_on(
     marked_field: Option<Digest>,
     identity: &IdentityInfo,
 ) -> Result<Vec<u64>, EngineError> {
-    let records = registry.records(Some(scene))?;
-    let mut kept: Vec<&StoredRecord> = Vec::new();
-    for stored in &records {
-        let before = kept.len();
+    let mut related = HashSet::new();
+    let mut indices = Vec::new();
+    for stored in registry.records(Some(scene))? {
+        let record = &stored.record;
+        let of_one = record.replaces.is_some_and(|replaced| related.contains(&replaced));
+        if !(is_about(record, marked_field, identity) || (record.kind == RecordKind::Rotation && of_one)) {
+            continue;
+        }
+        related.insert(stored.leaf.record);
         // Whoever may say `replaces` is the registry's to decide; a dispute alone is anybody's.
-        if stored.record.kind != RecordKind::Dispute {
-            kept.retain(|k| stored.record.replaces != Some(k.leaf.record));
-        }
-        let replaced_one = kept.len() < before;
-        if is_about(&stored.record, marked_field, identity)
-            || (stored.record.kind == RecordKind::Rotation && replaced_one)
-        {
-            kept.push(stored);
-        }
-    }
-    let mut indices = Vec::with_capacity(kept.len());
-    for stored in kept {
-        // The record that ends a key may be about another scene, and still name the one that it takes back.
-        let end = registry.ended(&stored.record.owner_key)?.map(|index| registry.record(index)).transpose()?;
-        if end.is_none_or(|end| end.record.replaces != Some(stored.leaf.record)) {
+        if registry.about(&stored.leaf.record)?.iter().all(|(_, kind)| *kind == RecordKind::Dispute) {
             indices.push(stored.index);
         }
     }
@@ -136,13 +119,6 @@ fn is_about(record: &OwnerRecord, marked_field: Option<Digest>, identity: &Ident
         RecordKind::Contribution => bound.photographs == Some(photographs),
         RecordKind::Revocation | RecordKind::Rotation | RecordKind::Dispute => false,
     }
-}
-
-fn signed_size(checkpoint: &str) -> Result<u64, EngineError> {
-    let bad = |e: String| EngineError::Internal(format!("the registry's own checkpoint: {e}"));
-    let note = Note::parse(checkpoint).map_err(|e| bad(e.to_string()))?;
-    let checkpoint = cairn_registry::Checkpoint::parse_text(&note.text).map_err(|e| bad(e.to_string()))?;
-    Ok(checkpoint.size)
 }
 
 #[cfg(test)]

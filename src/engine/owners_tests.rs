@@ -13,7 +13,8 @@ fn key(number: u8) -> OwnerKey {
 }
 
 fn registry() -> Registry {
-    Registry::open_store(Box::new(FaultyStore::new()), key(200), ORIGIN).unwrap()
+    let store = FaultyStore::new();
+    Registry::open_store(Box::new(store.clone()), Box::new(store), key(200), ORIGIN).unwrap()
 }
 
 /// Identity 1 of the newest model.

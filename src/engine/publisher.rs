@@ -9,13 +9,15 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use cairn_registry::Registry;
+use cairn_registry::{Checkpoint, Registry};
 
 use super::error::EngineError;
-use super::folder::write_atomic;
+use super::folder::{read_limited, write_atomic};
 
 /// Between two publications at least this long: under load each then covers many records.
 const PAUSE: Duration = Duration::from_millis(200);
+/// Largest checkpoint that is read, bytes.
+const MAX_CHECKPOINT: u64 = 1 << 16;
 /// After a failure, until the next attempt.
 const RETRY: Duration = Duration::from_secs(2);
 
@@ -79,7 +81,8 @@ fn run(registry: &Registry, last: &Path, asked: &(Mutex<Asked>, Condvar)) {
     loop {
         let guard = lock(&asked.0);
         // A pause is cut short by the end, and by nothing else.
-        let (guard, _) = (asked.1.wait_timeout_while(guard, pause, |asked| !asked.stop)).unwrap_or_else(PoisonError::into_inner);
+        let (guard, _) =
+            (asked.1.wait_timeout_while(guard, pause, |asked| !asked.stop)).unwrap_or_else(PoisonError::into_inner);
         let mut guard =
             asked.1.wait_while(guard, |asked| !asked.publish && !asked.stop).unwrap_or_else(PoisonError::into_inner);
         let stop = guard.stop;
@@ -97,6 +100,20 @@ fn run(registry: &Registry, last: &Path, asked: &(Mutex<Asked>, Condvar)) {
             return;
         }
     }
+}
+
+/// Holds the log to the checkpoint that it published last, where there is one.
+///
+/// # Errors
+/// [`cairn_registry::RegistryError::Inconsistent`] for a log that does not go on from it: it is older, or another.
+pub fn hold_to_last(registry: &Registry, last: &Path) -> Result<(), EngineError> {
+    if !last.exists() {
+        return Ok(());
+    }
+    let stored = |problem: String| EngineError::Stored { path: last.to_path_buf(), problem };
+    let note = String::from_utf8(read_limited(last, MAX_CHECKPOINT)?).map_err(|e| stored(e.to_string()))?;
+    let known = Checkpoint::verify(&note, &registry.verifier()?).map_err(|e| stored(e.to_string()))?;
+    Ok(registry.must_extend(&known)?)
 }
 
 fn publish(registry: &Registry, last: &Path) -> Result<(), EngineError> {

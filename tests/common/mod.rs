@@ -106,6 +106,19 @@ impl Daemon {
         Self { child, url }
     }
 
+    /// Starts a daemon on settings that were written before, and kills it `after` that, however far it came.
+    pub fn start_and_kill(data: &Path, after: std::time::Duration) {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+            .args(["serve", "--data", data.to_str().unwrap(), "--config"])
+            .arg(data.with_extension("toml"))
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(after);
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+
     pub fn pid(&self) -> u32 {
         self.child.id()
     }

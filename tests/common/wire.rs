@@ -215,3 +215,15 @@ pub async fn call(channel: &Channel, path: &str, messages: Vec<Vec<u8>>) -> Resu
     let patience = Duration::from_secs(60);
     tokio::time::timeout(patience, work).await.unwrap_or_else(|_| panic!("{path} answers nothing for {patience:?}"))
 }
+
+/// What is said to a message that comes compressed: a few bytes that could stand for any number of them.
+pub async fn call_compressed(channel: &Channel, path: &str) -> Status {
+    let mut line = tonic::client::Grpc::new(channel.clone()).send_compressed(tonic::codec::CompressionEncoding::Gzip);
+    line.ready().await.unwrap();
+    let request = Request::new(tokio_stream::iter([vec![0; 1 << 20]]));
+    let answer = line.streaming(request, path.parse().unwrap(), Raw).await;
+    match answer {
+        Err(status) => status,
+        Ok(answers) => answers.into_inner().message().await.expect_err("a compressed message was taken"),
+    }
+}

@@ -64,21 +64,32 @@ fn check_proof(text: &str, pinned: Option<&NoteVerifier>, findings: &mut Finding
             return None;
         }
     };
+    let checkpoint = check_checkpoint(&proof.checkpoint, pinned, "checkpoint", findings)?;
+    Some(Checked { proof, checkpoint })
+}
+
+/// A checkpoint that the pinned log signed; without a pinned key, one that can be read.
+pub(crate) fn check_checkpoint(
+    note: &str,
+    pinned: Option<&NoteVerifier>,
+    place: &str,
+    findings: &mut Findings,
+) -> Option<Checkpoint> {
     let Some(pinned) = pinned else {
-        let parsed = Note::parse(&proof.checkpoint).map_err(CheckpointError::from);
+        let parsed = Note::parse(note).map_err(CheckpointError::from);
         return match parsed.and_then(|note| Checkpoint::parse_text(&note.text)) {
-            Ok(checkpoint) => Some(Checked { proof, checkpoint }),
+            Ok(checkpoint) => Some(checkpoint),
             Err(e) => {
-                findings.add(Code::CheckpointMalformed, "checkpoint", "a signed checkpoint", e);
+                findings.add(Code::CheckpointMalformed, place, "a signed checkpoint", e);
                 None
             }
         };
     };
-    match Checkpoint::verify(&proof.checkpoint, pinned) {
+    match Checkpoint::verify(note, pinned) {
         Ok(checkpoint) => {
             let got = format!("size {}, root {}", checkpoint.size, checkpoint.root);
-            findings.add(Code::CheckpointVerified, "checkpoint", "", got);
-            Some(Checked { proof, checkpoint })
+            findings.add(Code::CheckpointVerified, place, "", got);
+            Some(checkpoint)
         }
         Err(e) => {
             let code = match &e {
@@ -88,7 +99,7 @@ fn check_proof(text: &str, pinned: Option<&NoteVerifier>, findings: &mut Finding
                 }
                 CheckpointError::Note(_) | CheckpointError::Line { .. } => Code::CheckpointMalformed,
             };
-            findings.add(code, "checkpoint", format!("a checkpoint signed by {pinned}"), e);
+            findings.add(code, place, format!("a checkpoint signed by {pinned}"), e);
             None
         }
     }

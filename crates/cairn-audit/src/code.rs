@@ -127,6 +127,54 @@ codes! {
     KeyEndedLater = "key.ended_later", Info, "";
     /// Somebody contests the record.
     RecordDisputed = "record.disputed", Warning, "read the dispute before you rely on the record";
+    /// The answer cannot be read.
+    AnswerMalformed = "answer.malformed", Error, "get the answer again from the registry";
+    /// An answer of a format that this release does not know.
+    AnswerFormatUnknown = "answer.format.unknown", Error, "use a release that knows this format";
+    /// The answer names another log than its checkpoint.
+    AnswerOriginMismatch = "answer.origin.mismatch", Error, "get the answer again; somebody put it together from two logs";
+    /// The log of the answer begins with the one of the older checkpoint asked for.
+    AnswerAsOfProven = "answer.as_of.proven", Passed, "";
+    /// The log of the answer does not begin with the one of the older checkpoint.
+    AnswerAsOfInconsistent = "answer.as_of.inconsistent", Error, "keep both checkpoints: if the registry signed both, it rewrote its log";
+    /// The registry signed the map's root for this place in the log.
+    MapLeafValid = "map.leaf.valid", Passed, "";
+    /// The map leaf is broken, by somebody else, or made for another place.
+    MapLeafInvalid = "map.leaf.invalid", Error, "get the answer again; if it stays so, do not trust this registry's map";
+    /// The map leaf is not the checkpoint's last, so later records may be left out.
+    MapLeafNotLast = "map.leaf.not_last", Error, "ask again for an answer under the newest map";
+    /// The map leaf is not in the log of the checkpoint.
+    MapLeafNotIncluded = "map.leaf.not_included", Error, "get the answer again; if it stays so, the registry broke its word";
+    /// A list is proven to be the whole one.
+    MapMembershipProven = "map.membership.proven", Passed, "";
+    /// It is proven that nothing is listed.
+    MapAbsenceProven = "map.absence.proven", Passed, "";
+    /// A list is not the whole one, or holds what is not in the map.
+    MapProofFailed = "map.proof.failed", Error, "do not rely on this answer: something was left out of it or put into it";
+    /// A list that the question needs is not there.
+    AnswerIncomplete = "answer.incomplete", Error, "get the whole answer: without this list it is unknown what the records are worth";
+    /// A list that the question does not need.
+    AnswerListForeign = "answer.list.foreign", Error, "get the answer again; this part answers another question";
+    /// All records that the lists name are in the log.
+    AnswerRecordsProven = "answer.records.proven", Passed, "";
+    /// A list names a record that is not there.
+    AnswerRecordMissing = "answer.record.missing", Error, "get the whole answer: a record was left out of it";
+    /// A record that no list names, or that does not concern what it is listed under.
+    AnswerRecordForeign = "answer.record.foreign", Error, "do not count this record: it does not belong to the answer";
+    /// A record that is not the one listed, or an envelope that is not the leaf's.
+    AnswerRecordMismatch = "answer.record.mismatch", Error, "get the answer again: this record was exchanged or changed";
+    /// The record's envelope was erased; its place in the log stays proven.
+    AnswerRecordErased = "answer.record.erased", Info, "";
+    /// The record lies behind the checkpoint asked for.
+    AnswerRecordLater = "answer.record.later", Info, "";
+    /// The record's owner took it back.
+    AnswerRecordRevoked = "answer.record.revoked", Warning, "do not count this record";
+    /// The record's owner put another in its place.
+    AnswerRecordReplaced = "answer.record.replaced", Info, "";
+    /// The owner's key had ended before the record.
+    AnswerRecordKeyEnded = "answer.record.key_ended", Warning, "do not count this record";
+    /// Something about the record changed behind the checkpoint asked for.
+    AnswerChangedLater = "answer.record.changed_later", Info, "";
 }
 
 impl Serialize for Code {

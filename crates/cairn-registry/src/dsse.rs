@@ -75,7 +75,10 @@ pub struct EnvelopeSignature {
 }
 
 /// A DSSE envelope as it came, nothing verified.
-#[derive(Debug, Clone, PartialEq, Eq)]
+///
+/// As part of other JSON it reads and writes as [`Envelope::parse`] and [`Envelope::to_json`] do.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "JsonEnvelope", into = "JsonEnvelope")]
 pub struct Envelope {
     /// How the body is to be read.
     pub payload_type: String,
@@ -160,6 +163,20 @@ impl Envelope {
             return Err(DsseError::TooLarge { got: json.len() });
         }
         let raw: JsonEnvelope = serde_json::from_slice(json).map_err(|e| DsseError::Json { cause: e.to_string() })?;
+        raw.try_into()
+    }
+
+    /// The envelope as compact JSON with standard base64. Fields that were ignored on reading are left out.
+    pub fn to_json(&self) -> String {
+        // Strings and lists only: there is nothing that could fail to serialise.
+        serde_json::to_string(&JsonEnvelope::from(self)).unwrap_or_default()
+    }
+}
+
+impl TryFrom<JsonEnvelope> for Envelope {
+    type Error = DsseError;
+
+    fn try_from(raw: JsonEnvelope) -> Result<Self, DsseError> {
         if raw.signatures.is_empty() || raw.signatures.len() > MAX_SIGNATURES {
             return Err(DsseError::Signatures { got: raw.signatures.len() });
         }
@@ -173,13 +190,14 @@ impl Envelope {
         }
         Ok(Self { payload_type: raw.payload_type, payload, signatures, ignored_fields })
     }
+}
 
-    /// The envelope as compact JSON with standard base64. Fields that were ignored on reading are left out.
-    pub fn to_json(&self) -> String {
-        let raw = JsonEnvelope {
-            payload: STANDARD.encode(&self.payload),
-            payload_type: self.payload_type.clone(),
-            signatures: (self.signatures.iter())
+impl From<&Envelope> for JsonEnvelope {
+    fn from(envelope: &Envelope) -> Self {
+        Self {
+            payload: STANDARD.encode(&envelope.payload),
+            payload_type: envelope.payload_type.clone(),
+            signatures: (envelope.signatures.iter())
                 .map(|s| JsonSignature {
                     keyid: (!s.keyid.is_empty()).then(|| s.keyid.clone()),
                     sig: STANDARD.encode(&s.sig),
@@ -187,9 +205,13 @@ impl Envelope {
                 })
                 .collect(),
             ignored: BTreeMap::new(),
-        };
-        // Strings and lists only: there is nothing that could fail to serialise.
-        serde_json::to_string(&raw).unwrap_or_default()
+        }
+    }
+}
+
+impl From<Envelope> for JsonEnvelope {
+    fn from(envelope: Envelope) -> Self {
+        Self::from(&envelope)
     }
 }
 

@@ -78,8 +78,16 @@ impl Leaf {
     /// # Errors
     /// [`RecordError`] as from [`OwnerRecord::open`].
     pub fn of(envelope: &Envelope) -> Result<Self, RecordError> {
+        Self::open(envelope).map(|(leaf, _)| leaf)
+    }
+
+    /// The leaf of an envelope and the record in it, at the price of one verification.
+    ///
+    /// # Errors
+    /// [`RecordError`] as from [`OwnerRecord::open`].
+    pub fn open(envelope: &Envelope) -> Result<(Self, OwnerRecord), RecordError> {
         let (record, signature) = OwnerRecord::open(envelope)?;
-        Self::of_opened(envelope, &record, &signature.sig)
+        Ok((Self::of_opened(envelope, &record, &signature.sig)?, record))
     }
 
     /// The leaf of an envelope, by what [`OwnerRecord::open`] gave for it.

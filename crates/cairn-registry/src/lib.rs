@@ -8,9 +8,11 @@
 //! Those build without the feature `store`, which adds the writing half: the
 //! registry proper and its store on sled, the only code here that knows sled.
 
+pub mod answer;
 pub mod checkpoint;
 pub mod digest;
 pub mod dsse;
+pub mod erasure;
 #[cfg(feature = "store")]
 pub mod files;
 pub mod keys;
@@ -24,14 +26,17 @@ pub mod proof;
 pub mod record;
 #[cfg(feature = "store")]
 pub mod registry;
+mod serial;
 #[cfg(feature = "store")]
 pub mod store;
 pub mod tile;
 mod tree;
 
+pub use answer::{Answer, AnswerError};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use digest::{Digest, DigestError};
 pub use dsse::{DsseError, Envelope};
+pub use erasure::{Erasure, ErasureError, ErasureRequest};
 pub use keys::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
 pub use map::{MapEntry, MapKey, MapProof, MapTree};

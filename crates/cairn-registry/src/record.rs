@@ -29,7 +29,7 @@ pub const MAX_TEXT_BYTES: usize = 256;
 pub const MAX_VIEWS: usize = 512;
 
 /// Numbers at or above this are rounded by readers that keep JSON numbers as floats.
-const EXACT_IN_JSON: u64 = 1 << 53;
+pub(crate) const EXACT_IN_JSON: u64 = 1 << 53;
 
 /// What a record says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -343,7 +343,7 @@ fn field(field: &'static str, expected: &'static str, got: impl ToString) -> Rec
     RecordError::Field { field, expected, got: got.to_string() }
 }
 
-fn check_text(name: &'static str, text: &str) -> Result<(), RecordError> {
+pub(crate) fn check_text(name: &'static str, text: &str) -> Result<(), RecordError> {
     if text.is_empty() || text.len() > MAX_TEXT_BYTES || text.trim() != text || text.chars().any(char::is_control) {
         let expected = "1 to 256 bytes without control characters or outer blanks";
         return Err(field(name, expected, format!("{:?} ({} bytes)", clip(text), text.len())));

@@ -5,7 +5,9 @@ mod targets;
 
 use cairn_hostile::{Counting, Limit, attack, attack_with, cases, peak_of, samples};
 use cairn_registry::{
-    Checkpoint, CheckpointError, Digest, Envelope, Note, OwnerRecord, TlogProof, dsse::MAX_ENVELOPE_BYTES,
+    Answer, Checkpoint, CheckpointError, Digest, Envelope, Note, OwnerRecord, TlogProof,
+    answer::{AnswerError, MAX_ANSWER_BYTES},
+    dsse::MAX_ENVELOPE_BYTES,
     note::MAX_NOTE_BYTES,
 };
 use targets::{TARGETS, Target, envelope, target};
@@ -50,11 +52,17 @@ attacked! {
     key_files: "key file",
     packs: "pack",
     map_proofs: "map proof",
+    complete_answers: "complete answer",
+    map_lists: "map list",
 }
 
 /// Not a multiple any more but a bound: beyond the largest input that is read, nothing is allocated for it.
 #[test]
 fn what_is_too_large_is_refused_by_its_length_alone() {
+    let large = vec![b' '; MAX_ANSWER_BYTES + 1];
+    let (refused, peak) = peak_of(|| Answer::parse(&large));
+    assert_eq!(refused, Err(AnswerError::TooLarge { got: MAX_ANSWER_BYTES + 1 }));
+    assert!(peak < 4096, "{peak} bytes for an answer that is too large");
     for length in [MAX_ENVELOPE_BYTES + 1, 32 << 20] {
         let json = [br#"{"payload":""#.as_slice(), &vec![b'A'; length]].concat();
         attack_with(

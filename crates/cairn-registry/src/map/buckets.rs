@@ -3,7 +3,8 @@
 //! A batch touches the buckets of its keys and the paths above them, so its cost does
 //! not grow with the map but for the buckets' own size (10 million keys: 38 a bucket). Nothing is changed before the caller
 //! has stored what [`BucketMap::stage`] gives: a batch that fails leaves the
-//! map as it was.
+//! map as it was. Keys are hashes of what contributors choose, so somebody may aim many at one
+//! bucket; that makes dear only the batches that touch this one of 2^18.
 
 use std::collections::BTreeMap;
 
@@ -133,11 +134,13 @@ impl BucketMap {
         for (bucket, top) in tops.filter(|(bucket, _)| *bucket < BUCKETS) {
             map.set(BUCKETS + bucket, top.0);
         }
-        for id in (1..BUCKETS).rev() {
-            // Chunks without a node in use are not made for the sake of an empty one.
-            match Node::over(map.node(2 * id), map.node(2 * id + 1)) {
-                Node::Empty => {}
-                node => map.set(id, node),
+        for chunk in (0..BUCKETS as usize / CHUNK).rev() {
+            // Where nothing stands below, nothing is made for the sake of empty nodes.
+            if map.chunks[2 * chunk].is_none() && map.chunks[2 * chunk + 1].is_none() {
+                continue;
+            }
+            for id in (chunk * CHUNK..(chunk + 1) * CHUNK).rev().map(|id| id as u32).filter(|id| *id > 0) {
+                map.set(id, Node::over(map.node(2 * id), map.node(2 * id + 1)));
             }
         }
         map

@@ -3,14 +3,18 @@
 //! A list only ever grows, so its root needs no more than the hashes of its full
 //! subtrees, one for each binary digit of its length: [`ListState`].
 
-use crate::{digest::Digest, merkle};
+use serde::{Deserialize, Serialize};
+
+use crate::{digest::Digest, merkle, serial};
 
 /// One record of a list, by its place in the log and its leaf.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct MapEntry {
     /// The record's index in the log.
     pub index: u64,
-    /// Hash of its leaf in the log.
+    /// Hash of its leaf in the log; base64 in JSON.
+    #[serde(with = "serial::hash")]
     pub leaf_hash: Digest,
 }
 

@@ -4,15 +4,10 @@
 //! under one root a key's path ends in one way only, and nobody can prove both that
 //! a key has a value and that it has none, nor two values.
 
-use std::fmt;
-
-use serde::{
-    Deserialize, Deserializer, Serialize, Serializer,
-    de::{SeqAccess, Visitor},
-};
+use serde::{Deserialize, Serialize};
 
 use super::{EMPTY, MapKey, leaf_hash, node_hash};
-use crate::digest::Digest;
+use crate::{digest::Digest, serial};
 
 /// Most siblings on a path: one a bit of the key.
 pub const MAX_DEPTH: usize = 256;
@@ -22,7 +17,7 @@ pub const MAX_DEPTH: usize = 256;
 #[serde(deny_unknown_fields)]
 pub struct MapProof {
     /// The subtrees beside the path, from the root down; base64 in JSON.
-    #[serde(with = "siblings")]
+    #[serde(serialize_with = "serial::hashes", deserialize_with = "serial::hashes_up_to::<MAX_DEPTH, _>")]
     pub siblings: Vec<Digest>,
     /// What stands at the end of the path.
     pub end: ProofEnd,
@@ -41,7 +36,7 @@ pub enum ProofEnd {
         /// The other key.
         key: MapKey,
         /// Its value; base64 in JSON.
-        #[serde(with = "base64_digest")]
+        #[serde(with = "serial::hash")]
         value: Digest,
     },
 }
@@ -159,51 +154,5 @@ impl MapProof {
                 Ok(leaf_hash(&other, &value))
             }
         }
-    }
-}
-
-/// At most [`MAX_DEPTH`] hashes in base64.
-mod siblings {
-    use super::{Deserializer, Digest, MAX_DEPTH, SeqAccess, Serializer, Visitor, fmt};
-    use serde::de::Error as _;
-
-    pub fn serialize<S: Serializer>(hashes: &[Digest], serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(hashes.iter().map(Digest::to_base64))
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Digest>, D::Error> {
-        struct Hashes;
-        impl<'de> Visitor<'de> for Hashes {
-            type Value = Vec<Digest>;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write!(f, "at most {MAX_DEPTH} hashes in base64")
-            }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Self::Value, A::Error> {
-                let mut hashes = Vec::new();
-                while let Some(text) = seq.next_element::<String>()? {
-                    if hashes.len() == MAX_DEPTH {
-                        return Err(A::Error::invalid_length(hashes.len() + 1, &self));
-                    }
-                    hashes.push(Digest::from_base64(&text).map_err(A::Error::custom)?);
-                }
-                Ok(hashes)
-            }
-        }
-        deserializer.deserialize_seq(Hashes)
-    }
-}
-
-mod base64_digest {
-    use super::{Deserialize as _, Deserializer, Digest, Serializer};
-    use serde::de::Error as _;
-
-    pub fn serialize<S: Serializer>(hash: &Digest, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(&hash.to_base64())
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Digest, D::Error> {
-        Digest::from_base64(&String::deserialize(deserializer)?).map_err(D::Error::custom)
     }
 }

@@ -4,8 +4,9 @@
 //! name, the scene's salt and whatever else the record said. Without the salt the leaf's commitment to the scene says
 //! nothing. The map keys stay (digests of scene and photographs), or nobody could work out the map again.
 
-use super::{Registry, RegistryError, commit::lock, layout, reload::inconsistent};
+use super::{LogEntry, Registry, RegistryError, commit::lock, layout, reload::inconsistent};
 use crate::{
+    erasure::Erasure,
     map::MapKey,
     packs::{self, Slot},
     record::RecordKind,
@@ -13,6 +14,30 @@ use crate::{
 };
 
 impl Registry {
+    /// Erases the record that a signed request names; gives its index. That the request is for this log, names the record
+    /// that stands there, and carries a fresh nonce is checked here; whether its key may speak for the record is the
+    /// caller's to say, who knows what has become of the record since.
+    ///
+    /// # Errors
+    /// [`RegistryError::WrongOrigin`], [`RegistryError::NonceForeign`], [`RegistryError::NonceExpired`],
+    /// [`RegistryError::NoSuchRecord`], and as [`Registry::erase_index`].
+    pub fn erase(&self, erasure: &Erasure) -> Result<u64, RegistryError> {
+        let request = erasure.request();
+        if request.origin != self.origin {
+            return Err(RegistryError::WrongOrigin { expected: self.origin.clone(), got: request.origin.clone() });
+        }
+        let size = self.size();
+        if self.find(&request.record)? != Some(request.index) {
+            return Err(RegistryError::NoSuchRecord { index: request.index, size });
+        }
+        // Erased already: the scene that the nonce is for is gone with it, and there is nothing left to do.
+        if let LogEntry::Record(stored) = self.entry(request.index)? {
+            self.check_issued(&request.nonce, size, &stored.record.scene, &request.owner_key)?;
+            self.erase_index(request.index)?;
+        }
+        Ok(request.index)
+    }
+
     /// Erases record `index`, durably on return; a record that is erased already stays so. Who may ask for it is the
     /// caller's to decide ([`Registry::erase`] does for owners).
     ///

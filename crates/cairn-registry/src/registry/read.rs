@@ -11,7 +11,7 @@ use crate::{
     merkle::{self, ProofError},
     packs::{self, Slot},
     proof::TlogProof,
-    record::OwnerRecord,
+    record::{OwnerRecord, RecordKind},
     tile::{TILE_WIDTH, TileKind, TilePath, encode_entries},
 };
 
@@ -49,6 +49,16 @@ pub enum LogEntry {
         /// The leaf.
         leaf: MapLeaf,
     },
+}
+
+impl LogEntry {
+    /// Its place in the log.
+    pub const fn index(&self) -> u64 {
+        match self {
+            Self::Record(stored) => stored.index,
+            Self::Erased { index, .. } | Self::Map { index, .. } => *index,
+        }
+    }
 }
 
 impl Registry {
@@ -191,10 +201,38 @@ impl Registry {
     /// # Errors
     /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
     pub fn ended(&self, owner: &PublicKey) -> Result<Option<u64>, RegistryError> {
+        self.ended_id(&owner.id())
+    }
+
+    /// As [`Registry::ended`], of the key with this id.
+    ///
+    /// # Errors
+    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
+    pub fn ended_id(&self, owner: &Digest) -> Result<Option<u64>, RegistryError> {
         let size = self.size();
-        let key = layout::retired(&owner.id());
-        let index = reload::number_at(self.store.as_ref(), &key, || format!("end of key {owner}"))?;
+        let index = reload::number_at(self.store.as_ref(), &layout::retired(owner), || format!("end of key {owner}"))?;
         Ok(index.filter(|index| *index < size))
+    }
+
+    /// The leaf of the record at `index`, erased or not: its kind, its digest and its owner's key id.
+    ///
+    /// # Errors
+    /// [`RegistryError::NoSuchRecord`], [`RegistryError::NotARecord`], [`RegistryError::Inconsistent`].
+    pub fn leaf(&self, index: u64) -> Result<Leaf, RegistryError> {
+        let size = self.size();
+        if index >= size {
+            return Err(RegistryError::NoSuchRecord { index, size });
+        }
+        self.record_leaf(index)
+    }
+
+    /// What names a record in `replaces`, in the log's order, erased or not: where it stands, and its kind.
+    ///
+    /// # Errors
+    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
+    pub fn about(&self, record: &Digest) -> Result<Vec<(u64, RecordKind)>, RegistryError> {
+        let listed = self.listed(&MapKey::about(record), 0, usize::MAX)?;
+        listed.iter().map(|entry| Ok((entry.index, self.record_leaf(entry.index)?.kind))).collect()
     }
 
     /// Re-reads everything: each leaf, its hash in the tree, its envelope, both signatures, its indices. Gives what is wrong,

@@ -7,8 +7,10 @@
 use std::{fs, io::Write as _, os::unix::fs::OpenOptionsExt as _};
 
 use cairn_registry::{
-    Checkpoint, Digest, Entry, Envelope, Leaf, MapEntry, MapKey, MapLeaf, MapProof, MapTree, Note, NoteVerifier,
-    OwnerKey, OwnerRecord, PublicKey, TlogProof,
+    Answer, Checkpoint, Digest, Entry, Envelope, Leaf, MapEntry, MapKey, MapLeaf, MapProof, MapTree, Note,
+    NoteVerifier, OwnerKey, OwnerRecord, PublicKey, TlogProof,
+    answer::{AsOf, Format, List, ListedRecord, MapPart},
+    map::ListState,
     packs::{self, Slot},
     record::{Digests, Identity, RecordKind, Seen, VERSION},
     tile::{TilePath, decode_entries, encode_entries},
@@ -33,8 +35,11 @@ const LINES: (usize, usize) = (60, 8 << 10);
 /// list grows by doubling. At most 64 KiB of it are read.
 const JSON: (usize, usize) = (100, 16 << 10);
 
+/// Records come as envelopes within the answer, whose unknown fields are kept for a moment.
+const ANSWER: (usize, usize) = (100, 64 << 10);
+
 /// All readers.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 15] = [
     Target { name: "note", good: || vec![bytes(&checkpoint()), cosigned()], limit: TEXT, read: note },
     Target { name: "checkpoint", good: || vec![bytes(&checkpoint_text())], limit: LINES, read: checkpoint_of },
     Target {
@@ -60,6 +65,8 @@ pub const TARGETS: [Target; 13] = [
     // At most 256 slots of 32 bytes, while the list grows by doubling, and their bytes once more.
     Target { name: "pack", good: packs_of_slots, limit: (4, 32 << 10), read: pack },
     Target { name: "map proof", good: map_proofs, limit: JSON, read: map_proof },
+    Target { name: "complete answer", good: || vec![bytes(&answer().to_json())], limit: ANSWER, read: complete_answer },
+    Target { name: "map list", good: map_lists, limit: (4, 8 << 10), read: map_list },
 ];
 
 /// The target called `name`.
@@ -176,6 +183,40 @@ fn map_proofs() -> Vec<Vec<u8>> {
     vec![proof("3"), proof("absent"), proof("nowhere")]
 }
 
+/// An answer with one of everything, in which nothing is true.
+fn answer() -> Answer {
+    let (envelope, hashes) = (envelope(), vec![Digest::of("a"); 2]);
+    let leaf = Leaf::of(&envelope).unwrap();
+    let entry = MapEntry { index: 3, leaf_hash: leaf.hash() };
+    let mut map = MapTree::new();
+    (0..5_u8).for_each(|i| map.append(MapKey::about(&Digest::of([i])), &entry));
+    let mut lists: Vec<List> = (0..8_u8)
+        .map(|i| MapKey::about(&Digest::of([i])))
+        .map(|key| List { key, entries: vec![entry; usize::from(map.get(&key).is_some())], proof: map.prove(&key) })
+        .collect();
+    lists.sort_by_key(|list| list.key);
+    let map_leaf = MapLeaf::sign("log", 9, map.root(), &key()).encode();
+    Answer {
+        format: Format::V1,
+        origin: "log".into(),
+        scene: "fern".into(),
+        view: Some(Digest::of("photograph")),
+        checkpoint: "checkpoint\n".into(),
+        as_of: Some(AsOf { checkpoint: "older\n".into(), consistency: hashes.clone() }),
+        map: Some(MapPart { index: 9, leaf: map_leaf, inclusion: hashes.clone() }),
+        lists,
+        records: vec![ListedRecord { index: 3, leaf: leaf.encode(), inclusion: hashes, envelope: Some(envelope) }],
+    }
+}
+
+fn map_lists() -> Vec<Vec<u8>> {
+    let mut list = ListState::default();
+    (0..11).for_each(|index| list.append(&MapEntry { index, leaf_hash: Digest::of("leaf") }));
+    let mut bytes = Vec::new();
+    list.encode(&mut bytes);
+    vec![bytes]
+}
+
 fn entry_bundles() -> Vec<Vec<u8>> {
     let leaf = Leaf::of(&envelope()).unwrap().encode();
     vec![
@@ -281,6 +322,18 @@ pub fn public_key(input: &[u8]) {
     if let Ok(bytes) = <&[u8; 32]>::try_from(input) {
         let _ = PublicKey::from_bytes(bytes);
     }
+}
+
+pub fn complete_answer(input: &[u8]) {
+    reads_what_it_writes(input, |b| Some(Answer::parse(b).ok()?.to_json().into_bytes()));
+}
+
+pub fn map_list(input: &[u8]) {
+    reads_what_it_writes(input, |b| {
+        let mut written = Vec::new();
+        ListState::decode(b).ok()?.0.encode(&mut written);
+        Some(written)
+    });
 }
 
 /// As PEM, and as a file.

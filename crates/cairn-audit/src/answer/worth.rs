@@ -1,0 +1,120 @@
+//! What the records of a proven answer say about each other.
+//!
+//! Time is counted in log indices only. What lies behind the size that the question
+//! is about changes nothing in the answer, and is told besides.
+
+use cairn_registry::{Answer, MapKey, RecordKind};
+
+use super::{
+    lists::{Opened, Proven},
+    report::{RecordWorth, Standing},
+};
+use crate::{code::Code, report::Findings};
+
+/// Weighs every record of the asked list, as of a log size.
+pub(super) fn weigh(answer: &Answer, proven: &Proven<'_>, as_of: u64, findings: &mut Findings) -> Vec<RecordWorth> {
+    let asked = answer.asked();
+    (proven.listed(&asked)).map(|(index, opened)| One { index, opened, as_of, proven }.weigh(findings)).collect()
+}
+
+/// One record of the asked list.
+struct One<'a> {
+    index: u64,
+    opened: &'a Opened,
+    as_of: u64,
+    proven: &'a Proven<'a>,
+}
+
+impl One<'_> {
+    fn weigh(&self, findings: &mut Findings) -> RecordWorth {
+        let Opened { leaf, body } = self.opened;
+        let mut disputed_by = Vec::new();
+        let credits = matches!(leaf.kind, RecordKind::Claim | RecordKind::Contribution);
+        let own = match (credits, body) {
+            (false, _) => Standing::NoCredit,
+            (true, None) => Standing::Erased,
+            (true, Some(_)) => Standing::Counts,
+        };
+        let standing = if self.index >= self.as_of {
+            let got = format!("behind size {}", self.as_of);
+            findings.add(Code::AnswerRecordLater, self.place(), "", got);
+            Standing::Later
+        } else {
+            // The worst that befell it; each is told as a finding.
+            own.max(self.about(&mut disputed_by, findings)).max(self.key_ended(findings))
+        };
+        RecordWorth {
+            index: self.index,
+            record: leaf.record,
+            kind: leaf.kind,
+            owner: leaf.owner,
+            contributor: body.as_ref().map(|(_, record)| record.identity.contributor.clone()),
+            number: body.as_ref().map(|(_, record)| record.identity.number),
+            standing,
+            disputed_by,
+        }
+    }
+
+    fn place(&self) -> String {
+        format!("record at index {}", self.index)
+    }
+
+    /// What other records say about this one.
+    fn about(&self, disputed_by: &mut Vec<u64>, findings: &mut Findings) -> Standing {
+        let mut standing = Standing::Counts;
+        for (index, other) in self.proven.listed(&MapKey::about(&self.opened.leaf.record)) {
+            let kind = other.leaf.kind;
+            let got = format!("{kind:?} at index {index}");
+            let (code, then) = match kind {
+                // It ends the key, and leaves what was signed before.
+                RecordKind::Rotation => continue,
+                RecordKind::Dispute => (Code::RecordDisputed, Standing::Counts),
+                _ if !self.is_by_owner(other) => {
+                    let expected = "a record by the owner, or with the owner's signature";
+                    findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
+                    continue;
+                }
+                RecordKind::Revocation => (Code::AnswerRecordRevoked, Standing::Revoked),
+                RecordKind::Claim | RecordKind::Contribution | RecordKind::Training => {
+                    (Code::AnswerRecordReplaced, Standing::Replaced)
+                }
+            };
+            if index >= self.as_of {
+                findings.add(Code::AnswerChangedLater, self.place(), "", got);
+                continue;
+            }
+            findings.add(code, self.place(), "", got);
+            standing = standing.max(then);
+            if kind == RecordKind::Dispute {
+                disputed_by.push(index);
+            }
+        }
+        standing
+    }
+
+    /// Whether another record is by this one's owner, or carries the owner's signature.
+    fn is_by_owner(&self, other: &Opened) -> bool {
+        let signed = match (&other.body, &self.opened.body) {
+            (Some((envelope, _)), Some((_, record))) => envelope.signature_by(&record.owner_key).is_some(),
+            _ => false,
+        };
+        other.leaf.owner == self.opened.leaf.owner || signed
+    }
+
+    /// Whether the owner's key had ended before this record.
+    fn key_ended(&self, findings: &mut Findings) -> Standing {
+        let mut standing = Standing::Counts;
+        for (index, other) in self.proven.listed(&MapKey::ended(&self.opened.leaf.owner)) {
+            let got = format!("{:?} at index {index}", other.leaf.kind);
+            if index < self.index {
+                findings.add(Code::AnswerRecordKeyEnded, self.place(), format!("a record before index {index}"), got);
+                standing = Standing::KeyEnded;
+            } else if index >= self.as_of {
+                findings.add(Code::AnswerChangedLater, self.place(), "", format!("its key ended: {got}"));
+            } else if index > self.index {
+                findings.add(Code::KeyEndedLater, self.place(), "", got);
+            }
+        }
+        standing
+    }
+}

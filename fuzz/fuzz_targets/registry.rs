@@ -1,0 +1,11 @@
+//! The registry's readers: the first byte chooses which, the rest is its input.
+#![no_main]
+
+#[path = "../../crates/cairn-registry/tests/targets/mod.rs"]
+mod targets;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    if let Some((which, input)) = data.split_first() {
+        (targets::TARGETS[usize::from(*which) % targets::TARGETS.len()].read)(input);
+    }
+});

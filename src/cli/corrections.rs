@@ -1,0 +1,155 @@
+//! `cairn owners dispute`, `show` and `erase`: what happens to a record after it was entered.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use cairn_proto::v1;
+use cairn_registry::{ErasureRequest, RecordKind, erasure};
+
+use super::VERSION;
+use super::connect::{Connection, refused};
+use super::records::{self, Bundle, Ground, Stored};
+use super::unlock::UnlockArgs;
+
+/// `cairn owners dispute`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct DisputeArgs {
+    /// The scene
+    pub name: String,
+    /// The record that is contested (see `cairn owners list`)
+    #[arg(long, value_name = "INDEX")]
+    pub record: u64,
+    /// The key of whoever contests it (see `cairn keys new`)
+    #[arg(long, value_name = "FILE")]
+    pub key: PathBuf,
+    #[command(flatten)]
+    pub unlock: UnlockArgs,
+    /// Why it is contested, in words
+    #[arg(long, value_name = "TEXT")]
+    pub purpose: String,
+    /// Where the bundle goes: a new folder
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// `cairn owners erase`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct EraseArgs {
+    /// The scene
+    pub name: String,
+    /// The record whose envelope is to go (see `cairn owners list`)
+    #[arg(long, value_name = "INDEX")]
+    pub record: u64,
+    /// The key that the record belongs to, or the one that took its place
+    #[arg(long, value_name = "FILE")]
+    pub key: PathBuf,
+    #[command(flatten)]
+    pub unlock: UnlockArgs,
+}
+
+/// Enters a dispute; its index in the log.
+pub async fn dispute(line: &Connection, args: &DisputeArgs) -> anyhow::Result<u64> {
+    let key = args.unlock.load(&args.key)?;
+    let bundle = Bundle::begin(&args.out)?;
+    let contested = Stored::of_scene(line, &args.name, args.record).await?;
+    let ground = Ground::ask(line, &args.name, &key.public()).await?;
+    let record = ground.about(&contested, RecordKind::Dispute, &key, &args.purpose)?;
+    let entered = records::enter(line, &record, &key, None).await?;
+    bundle.write(line, &entered).await?;
+    Ok(entered.index)
+}
+
+/// Has a record's envelope erased.
+pub async fn erase(line: &Connection, args: &EraseArgs) -> anyhow::Result<()> {
+    let key = args.unlock.load(&args.key)?;
+    let stored = Stored::of_scene(line, &args.name, args.record).await?;
+    let ground = Ground::ask(line, &args.name, &key.public()).await?;
+    let request = ErasureRequest {
+        version: erasure::VERSION,
+        origin: ground.origin,
+        record: stored.digest,
+        index: stored.index,
+        owner_key: key.public(),
+        nonce: ground.nonce,
+    };
+    let request = request.seal(&key)?.to_json().into_bytes().into();
+    let request = v1::EraseRecordRequest { format_version: VERSION, request };
+    let index = line.owners().erase(request).await.map_err(refused)?.into_inner().index;
+    anyhow::ensure!(index == stored.index, "the daemon says that it erased record {index}, not {}", stored.index);
+    println!("record {index} is erased: its envelope is gone, its leaf stays, and every proof goes on verifying");
+    println!("copies in bundles and backups are their holders' to delete");
+    Ok(())
+}
+
+/// Prints a record and its state.
+pub async fn show(line: &Connection, index: u64) -> anyhow::Result<()> {
+    let Some(stored) = Stored::find(line, index).await? else {
+        println!("record {index}");
+        println!("  state          erased; its leaf is in the log, and says nothing about anybody");
+        return Ok(());
+    };
+    let record = &stored.record;
+    let kind = serde_json::to_value(record.kind)?;
+    println!("record {index}: {}, scene {}", kind.as_str().context("the record's kind has no name")?, record.scene);
+    let mut facts = vec![
+        ("state", state(&stored.standing)),
+        ("identity", format!("{}, {}", record.identity.number, record.identity.contributor)),
+        ("purpose", record.purpose.clone()),
+        ("owner key", record.owner_key.to_string()),
+        ("key id", record.owner_key.id().to_string()),
+        ("digest", stored.digest.to_string()),
+        ("not before", format!("the checkpoint of size {}", record.seen.size)),
+        ("log", record.origin.clone()),
+    ];
+    let digests = &record.digests;
+    for (name, digest) in [
+        ("about", record.replaces),
+        ("marked field", digests.marked_field),
+        ("detector", digests.detector),
+        ("hidden signal", digests.hidden_signal),
+        ("photographs", digests.photographs),
+        ("settings", digests.training_configuration),
+    ] {
+        facts.extend(digest.map(|digest| (name, digest.to_string())));
+    }
+    facts.extend(record.views.as_ref().map(|views| ("views", format!("{} photographs, listed", views.len()))));
+    facts.extend(record.seed.map(|seed| ("seed", seed.to_string())));
+    for (name, fact) in facts {
+        println!("  {name:14} {fact}");
+    }
+    Ok(())
+}
+
+/// A record's state in words, as the daemon has it.
+fn state(standing: &v1::Standing) -> String {
+    let mut words = match (standing.taken_back_by, standing.replaced_by) {
+        (Some(index), _) => format!("taken back by record {index}"),
+        (None, Some(index)) => format!("replaced by record {index}"),
+        (None, None) => "stands".to_owned(),
+    };
+    if !standing.disputed_by.is_empty() {
+        let indices: Vec<String> = standing.disputed_by.iter().map(u64::to_string).collect();
+        words.push_str(&format!("; disputed by record {}", indices.join(", ")));
+    }
+    if let Some(index) = standing.key_ended_by {
+        words.push_str(&format!("; its key was ended by record {index}, after it"));
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_names_every_record_that_bears_on_it() {
+        let standing = v1::Standing::default();
+        assert_eq!(state(&standing), "stands");
+        let disputed = v1::Standing { disputed_by: vec![3, 5], ..standing.clone() };
+        assert_eq!(state(&disputed), "stands; disputed by record 3, 5");
+        let rotated = v1::Standing { replaced_by: Some(2), key_ended_by: Some(2), ..standing };
+        assert_eq!(state(&rotated), "replaced by record 2; its key was ended by record 2, after it");
+        let taken_back = v1::Standing { taken_back_by: Some(4), key_ended_by: None, ..rotated };
+        assert_eq!(state(&taken_back), "taken back by record 4");
+    }
+}

@@ -1,0 +1,198 @@
+//! What every command that enters a record shares: what the registry gives to sign, sealing and submitting, the check of
+//! what came back, and the bundle.
+//!
+//! A bundle is a folder of files that whoever has them can verify without a daemon: `record.json` (DSSE envelope),
+//! `record.tlog-proof`, `log.vkey`, and for a claim `signal.png` with `signal.salt`, which are the owner's secret until
+//! they choose to show them.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use cairn_proto::v1;
+use cairn_registry::record::{Digests, Seen, random_salt};
+use cairn_registry::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
+
+use super::connect::{Connection, refused};
+use super::{VERSION, write};
+
+/// What the registry gives a signer to sign.
+pub struct Ground {
+    /// The log's name.
+    pub origin: String,
+    /// Its nonce for the scene and the key.
+    pub nonce: Digest,
+    /// Its newest checkpoint.
+    pub seen: Seen,
+}
+
+/// All records of a scene, or of the log where that is empty, by index.
+pub async fn list(line: &Connection, scene: &str) -> anyhow::Result<Vec<v1::Record>> {
+    let (mut records, mut from) = (Vec::new(), 0);
+    loop {
+        let request = v1::ListRecordsRequest { format_version: VERSION, scene: scene.to_owned(), from, limit: 0 };
+        let page = line.owners().list(request).await.map_err(refused)?.into_inner();
+        records.extend(page.records);
+        match page.next {
+            Some(next) if next > from => from = next,
+            Some(next) => anyhow::bail!("the daemon says to go on at record {next}, behind {from}"),
+            None => return Ok(records),
+        }
+    }
+}
+
+impl Ground {
+    /// Asks for it.
+    pub async fn ask(line: &Connection, scene: &str, key: &PublicKey) -> anyhow::Result<Self> {
+        let owner_key = key.to_bytes().to_vec().into();
+        let request = v1::NonceRequest { format_version: VERSION, scene: scene.to_owned(), owner_key };
+        let nonce = line.owners().nonce(request).await.map_err(refused)?.into_inner();
+        let checkpoint = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint)?.text)?;
+        Ok(Self {
+            origin: nonce.origin,
+            nonce: nonce.nonce.parse().context("the daemon's nonce is not 32 bytes in hexadecimal")?,
+            seen: Seen { size: checkpoint.size, root: checkpoint.root },
+        })
+    }
+
+    /// A record of `key` about `earlier`: its scene and identity, and nothing else of it.
+    pub fn about(
+        self,
+        earlier: &Stored,
+        kind: RecordKind,
+        key: &OwnerKey,
+        purpose: &str,
+    ) -> anyhow::Result<OwnerRecord> {
+        Ok(OwnerRecord {
+            kind,
+            digests: Digests::default(),
+            seed: None,
+            replaces: Some(earlier.digest),
+            views: None,
+            ..self.anew(earlier, key, purpose)?
+        })
+    }
+
+    /// The record `earlier` as `key` would sign it today: all that it says, on new ground.
+    pub fn anew(self, earlier: &Stored, key: &OwnerKey, purpose: &str) -> anyhow::Result<OwnerRecord> {
+        Ok(OwnerRecord {
+            origin: self.origin,
+            nonce: self.nonce,
+            seen: self.seen,
+            scene_salt: random_salt()?,
+            owner_key: key.public(),
+            purpose: purpose.to_owned(),
+            ..earlier.record.clone()
+        })
+    }
+}
+
+/// A record that is in the log, its owner's signature verified here.
+pub struct Stored {
+    /// Its place.
+    pub index: u64,
+    /// SHA-256 of its PAE, as `replaces` names it.
+    pub digest: Digest,
+    /// What it says.
+    pub record: OwnerRecord,
+    /// What the daemon says became of it.
+    pub standing: v1::Standing,
+}
+
+impl Stored {
+    /// Fetches one; `None` where it was erased.
+    pub async fn find(line: &Connection, index: u64) -> anyhow::Result<Option<Self>> {
+        let request = v1::GetRecordRequest { format_version: VERSION, index };
+        let answer = line.owners().get(request).await.map_err(refused)?.into_inner();
+        let found = answer.record.context("the daemon's answer names no record")?;
+        if found.envelope.is_empty() {
+            return Ok(None);
+        }
+        let envelope = Envelope::parse(&found.envelope)?;
+        let (record, _) = OwnerRecord::open(&envelope)?;
+        let standing = answer.standing.unwrap_or_default();
+        Ok(Some(Self { index, digest: envelope.digest(), record, standing }))
+    }
+
+    /// Fetches one about `scene`.
+    pub async fn of_scene(line: &Connection, scene: &str, index: u64) -> anyhow::Result<Self> {
+        let stored = Self::find(line, index).await?.with_context(|| format!("record {index} was erased"))?;
+        let of = &stored.record.scene;
+        anyhow::ensure!(of == scene, "record {index} is about scene {of:?}, not {scene:?}");
+        Ok(stored)
+    }
+
+    /// Refuses a key that the record does not belong to.
+    pub fn belongs_to(&self, key: &OwnerKey) -> anyhow::Result<()> {
+        let (index, owner) = (self.index, self.record.owner_key);
+        anyhow::ensure!(owner == key.public(), "record {index} belongs to key {owner}, not to {}", key.public());
+        Ok(())
+    }
+}
+
+/// A record that was entered.
+pub struct Entered {
+    /// Its place in the log.
+    pub index: u64,
+    envelope: Vec<u8>,
+}
+
+/// Signs a record with its owner's key and any other that must sign, and enters it.
+pub async fn enter(
+    line: &Connection,
+    record: &OwnerRecord,
+    key: &OwnerKey,
+    also: Option<&OwnerKey>,
+) -> anyhow::Result<Entered> {
+    let mut envelope = record.seal(key)?;
+    if let Some(other) = also {
+        envelope.sign(other);
+    }
+    let request = v1::SubmitRecordRequest { format_version: VERSION, envelope: envelope.to_json().into_bytes().into() };
+    let answer = line.owners().submit(request).await.map_err(refused)?.into_inner();
+    let entered = answer.record.context("the daemon's answer names no record")?;
+    // What came back must be what was signed, or the bundle would speak for somebody else.
+    let returned = Envelope::parse(&entered.envelope)?;
+    anyhow::ensure!(&OwnerRecord::open(&returned)?.0 == record, "the daemon returned another record than was signed");
+    Ok(Entered { index: entered.index, envelope: entered.envelope.to_vec() })
+}
+
+/// The folder of a bundle, made before anything is signed; gone again where nothing was written.
+pub struct Bundle {
+    folder: PathBuf,
+}
+
+impl Bundle {
+    /// Makes the folder, which must be new.
+    pub fn begin(folder: &Path) -> anyhow::Result<Self> {
+        std::fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        Ok(Self { folder: folder.to_path_buf() })
+    }
+
+    /// Fetches the record's proof, and writes what an auditor needs.
+    pub async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<()> {
+        let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
+        let proof = line.owners().proof(request).await.map_err(refused)?.into_inner().tlog_proof;
+        let vkey = vkey(line).await?;
+        self.add("record.json", &entered.envelope)?;
+        self.add("record.tlog-proof", proof.as_bytes())?;
+        self.add("log.vkey", format!("{vkey}\n").as_bytes())
+    }
+
+    /// Writes one file more.
+    pub fn add(&self, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+        write(&self.folder.join(name), bytes)
+    }
+}
+
+impl Drop for Bundle {
+    fn drop(&mut self) {
+        // Fails, as it should, where there is something in it.
+        let _ = std::fs::remove_dir(&self.folder);
+    }
+}
+
+/// The log's verifier key, one line without its end.
+pub async fn vkey(line: &Connection) -> anyhow::Result<String> {
+    let request = v1::CheckpointRequest { format_version: VERSION };
+    Ok(line.owners().checkpoint(request).await.map_err(refused)?.into_inner().vkey)
+}

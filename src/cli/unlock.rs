@@ -1,0 +1,58 @@
+//! Where passphrases and key files come from: a file, or the terminal. Never the environment, which is inherited and
+//! shown by the system.
+
+use std::path::{Path, PathBuf};
+
+use cairn_registry::OwnerKey;
+use cairn_registry::keys::{KeyError, Passphrase, Seal, SealingKey, Unlock, load_key};
+use zeroize::Zeroizing;
+
+/// What opens the owner's key where it is sealed.
+#[derive(Clone, Debug, Default, clap::Args)]
+#[group(multiple = false)]
+pub struct UnlockArgs {
+    /// The file with the key's passphrase (one line, readable by you alone); without it a sealed key's is asked for
+    #[arg(long, value_name = "FILE")]
+    pub passphrase_file: Option<PathBuf>,
+    /// The key file that the key is sealed with (see `cairn keys new-key-file`)
+    #[arg(long, value_name = "FILE")]
+    pub key_file: Option<PathBuf>,
+}
+
+impl UnlockArgs {
+    /// Opens the key in `path`, asking for its passphrase where that is needed and no file was given.
+    ///
+    /// # Errors
+    /// The key file's; where there is no terminal to ask at.
+    pub fn load(&self, path: &Path) -> Result<OwnerKey, KeyError> {
+        let unlock = match (&self.passphrase_file, &self.key_file) {
+            (Some(file), _) => Unlock::Passphrase(Passphrase::load(file)?),
+            (None, Some(file)) => Unlock::KeyFile(SealingKey::load(file)?),
+            (None, None) => Unlock::Ask(&|path| ask(path, "passphrase")),
+        };
+        load_key(path, &unlock)
+    }
+
+    /// How a new key is to be sealed, or an old one anew; without a file the passphrase is asked for, twice.
+    ///
+    /// # Errors
+    /// As [`UnlockArgs::load`]; where the two differ.
+    pub fn seal(&self, path: &Path) -> Result<Seal, KeyError> {
+        Ok(match (&self.passphrase_file, &self.key_file) {
+            (Some(file), _) => Seal::Passphrase(Passphrase::load(file)?),
+            (None, Some(file)) => Seal::KeyFile(SealingKey::load(file)?),
+            (None, None) => {
+                let first = ask(path, "new passphrase")?;
+                if first != ask(path, "the same again")? {
+                    return Err(KeyError::Passphrase("it was typed differently the second time"));
+                }
+                Seal::Passphrase(first)
+            }
+        })
+    }
+}
+
+fn ask(path: &Path, what: &str) -> Result<Passphrase, KeyError> {
+    let asked = rpassword::prompt_password(format!("{what} for {}: ", path.display()));
+    Passphrase::new(Zeroizing::new(asked.map_err(|e| KeyError::Ask { path: path.into(), cause: e.to_string() })?))
+}
