@@ -6,7 +6,7 @@ use std::path::Path;
 /// `file::function` of every citation: `` `path/to/file.rs::function` `` anywhere in the text.
 fn citations(text: &str) -> Vec<(&str, &str)> {
     let spans = text.split('`').skip(1).step_by(2);
-    spans.filter_map(|span| span.split_once(".rs::").map(|(file, function)| (file, function))).collect()
+    spans.filter_map(|span| span.split_once(".rs::")).collect()
 }
 
 /// Names of the functions of a source that are tests. A macro's tests are named in its call as `name: "...",`.
@@ -14,12 +14,10 @@ fn tests(source: &str) -> HashSet<&str> {
     let mut found = HashSet::new();
     let mut marked = false;
     for line in source.lines().map(str::trim) {
-        if line.starts_with("#[test]") || line.starts_with("#[tokio::test") {
-            marked = true;
-        } else if let Some(rest) = line.strip_prefix("fn ").or_else(|| line.strip_prefix("async fn ")) {
-            if std::mem::take(&mut marked) {
-                found.insert(rest.split('(').next().unwrap_or(rest));
-            }
+        let function = line.strip_prefix("fn ").or_else(|| line.strip_prefix("async fn "));
+        match function {
+            Some(rest) if std::mem::take(&mut marked) => drop(found.insert(rest.split('(').next().unwrap_or(rest))),
+            _ => marked |= line.starts_with("#[test]") || line.starts_with("#[tokio::test"),
         }
     }
     if let Some((_, call)) = source.split_once("attacked! {") {
