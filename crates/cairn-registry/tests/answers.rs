@@ -56,7 +56,9 @@ fn held_to_the_rule(registry: &Registry, scene: &str, view: Option<&Digest>) -> 
     for entry in &asked.entries {
         let record = answer.records.iter().find(|record| record.index == entry.index).unwrap();
         assert_eq!(leaf_hash(&record.leaf), entry.leaf_hash);
-        keys_about(&Leaf::decode(&record.leaf).unwrap()).iter().for_each(|key| drop(list(*key)));
+        for key in keys_about(&Leaf::decode(&record.leaf).unwrap()) {
+            list(key);
+        }
     }
     answer.records.iter().for_each(|record| included(record.index, &record.leaf, &record.inclusion));
     asked.entries.iter().map(|entry| entry.index).collect()
