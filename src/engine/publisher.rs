@@ -19,7 +19,7 @@ use super::error::EngineError;
 use super::folder::{read_limited, write_atomic};
 
 /// Between two publications at least this long: under load each then covers many records.
-const PAUSE: Duration = Duration::from_millis(200);
+const PAUSE: Duration = Duration::from_millis(400);
 /// After a failure, until the next attempt.
 const RETRY: Duration = Duration::from_secs(2);
 /// Longest that a proof waits for cosignatures.

@@ -23,10 +23,10 @@ pub fn audit(evidence: &Evidence<'_>) -> Report {
     let proof = evidence.proof.and_then(|text| check_proof(text, evidence, &mut findings));
     let mut digest = None;
     let mut freshness = Freshness::CannotTell;
-    if let Some((envelope, record)) = check_envelope(evidence.envelope, &mut digest, &mut findings) {
-        check_other_signatures(&envelope, &record, evidence.pinned, &mut findings);
+    if let Some((envelope, leaf, record)) = check_envelope(evidence.envelope, &mut digest, &mut findings) {
+        check_other_signatures(&envelope, &leaf, &record, evidence.pinned, &mut findings);
         match &proof {
-            Some(proof) => check_inclusion(&envelope, &record, proof, &mut findings),
+            Some(proof) => check_inclusion(&leaf, &record, proof, &mut findings),
             None if evidence.proof.is_none() => {
                 findings.add(Code::InclusionMissing, "proof", "a .tlog-proof", "none");
             }
@@ -113,7 +113,7 @@ fn check_envelope(
     json: &[u8],
     digest: &mut Option<Digest>,
     findings: &mut Findings,
-) -> Option<(Envelope, OwnerRecord)> {
+) -> Option<(Envelope, Leaf, OwnerRecord)> {
     let envelope = match Envelope::parse(json) {
         Ok(envelope) => envelope,
         Err(e) => {
@@ -125,10 +125,10 @@ fn check_envelope(
     for field in &envelope.ignored_fields {
         findings.add(Code::EnvelopeFieldIgnored, format!("envelope, field {field}"), "no such field", field);
     }
-    match OwnerRecord::open(&envelope) {
-        Ok((record, _)) => {
+    match Leaf::open(&envelope) {
+        Ok((leaf, record)) => {
             findings.add(Code::OwnerSignatureValid, "envelope", "", format!("by key {}", record.owner_key));
-            Some((envelope, record))
+            Some((envelope, leaf, record))
         }
         Err(e) => {
             let (code, expected) = match &e {
@@ -158,17 +158,24 @@ fn owner_key_is_weak(body: &[u8]) -> bool {
 
 fn check_other_signatures(
     envelope: &Envelope,
+    leaf: &Leaf,
     record: &OwnerRecord,
     pinned: Option<&NoteVerifier>,
     findings: &mut Findings,
 ) {
     let pae = envelope.pae();
-    let known = [Some(&record.owner_key), pinned.map(NoteVerifier::key)];
+    let known: Vec<_> = [Some(&record.owner_key), pinned.map(NoteVerifier::key)].into_iter().flatten().collect();
     let mut strangers = Vec::new();
     let mut by_registry = false;
     for (i, signature) in envelope.signatures.iter().enumerate() {
         let place = format!("envelope, signatures[{i}]");
-        let Some(key) = known.into_iter().flatten().find(|key| key.verify(&pae, &signature.sig).is_ok()) else {
+        // The leaf holds the owner's signature, which was verified; elsewhere the label says which key to try first.
+        let of_owner = signature.sig == leaf.signature;
+        let (labelled, others): (Vec<_>, Vec<_>) =
+            known.iter().partition(|key| key.id().to_string() == signature.keyid);
+        let holds = |key: &&&PublicKey| key.verify(&pae, &signature.sig).is_ok();
+        let found = if of_owner { known.first() } else { labelled.into_iter().chain(others).find(holds) };
+        let Some(key) = found.copied() else {
             strangers.push(place);
             continue;
         };
@@ -200,15 +207,11 @@ fn check_other_signatures(
     }
 }
 
-fn check_inclusion(envelope: &Envelope, record: &OwnerRecord, checked: &Checked, findings: &mut Findings) {
+fn check_inclusion(leaf: &Leaf, record: &OwnerRecord, checked: &Checked, findings: &mut Findings) {
     let Checked { proof, checkpoint } = checked;
     let (index, size) = (proof.index, checkpoint.size);
     let place = format!("record at index {index} of {size}");
-    // The record was opened before, so it has a leaf.
-    let leaf_hash = match Leaf::of(envelope) {
-        Ok(leaf) => leaf.hash(),
-        Err(e) => return findings.add(Code::InclusionFailed, place, "a leaf", e),
-    };
+    let leaf_hash = leaf.hash();
     if record.seen.size > index {
         let expected = format!("at most {index}, the record's own index");
         findings.add(Code::RecordSeenContradiction, "record, field seen.size", expected, record.seen.size);

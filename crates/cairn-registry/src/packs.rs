@@ -18,6 +18,9 @@ pub const MAX_SLOT: usize = 1 << 17;
 /// Most bytes of a pack.
 pub const MAX_PACK: u64 = (TILE_WIDTH as u64) * (4 + MAX_SLOT as u64);
 
+/// Bytes read at once while slots are passed over.
+const AHEAD: usize = 16 << 10;
+
 const RECORD: u8 = 1;
 const ERASED: u8 = 2;
 
@@ -108,28 +111,38 @@ pub fn nth<E: From<PackError>>(
     number: usize,
     read_at: impl Fn(u64, usize) -> Result<Vec<u8>, E>,
 ) -> Result<Option<Slot>, E> {
-    let mut at = 0;
+    let (mut at, mut ahead, mut ahead_at) = (0_u64, Vec::new(), 0_u64);
     for slot in 0..=number {
-        let head = read_at(at, 4)?;
+        let within = (at - ahead_at) as usize;
+        if ahead.len() < within + 4 {
+            (ahead, ahead_at) = (read_at(at, AHEAD)?, at);
+        }
+        let head = &ahead[(at - ahead_at) as usize..];
         if head.is_empty() {
             return Ok(None);
         }
-        let length = match head.first_chunk::<4>() {
-            Some(length) => u32::from_be_bytes(*length) as usize,
-            None => return Err(PackError::Truncated { size: at as usize + head.len(), slot }.into()),
-        };
+        let truncated = |end: u64| PackError::Truncated { size: end as usize, slot };
+        let length = head.first_chunk::<4>().ok_or_else(|| truncated(at + head.len() as u64))?;
+        let length = u32::from_be_bytes(*length) as usize;
         if length > MAX_SLOT {
             return Err(too_long(slot, length).into());
         }
         at += 4;
         if slot == number {
-            let bytes = read_at(at, length)?;
+            let bytes = match head.get(4..4 + length) {
+                Some(bytes) => bytes.to_vec(),
+                None => read_at(at, length)?,
+            };
             if bytes.len() != length {
-                return Err(PackError::Truncated { size: at as usize + bytes.len(), slot }.into());
+                return Err(truncated(at + bytes.len() as u64).into());
             }
             return Ok(Some(Slot::parse(&bytes, slot)?));
         }
         at += length as u64;
+        // A slot that leads beyond what was read ahead is passed without being read.
+        if at - ahead_at > ahead.len() as u64 {
+            (ahead, ahead_at) = (Vec::new(), at);
+        }
     }
     Ok(None)
 }

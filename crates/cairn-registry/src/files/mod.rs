@@ -42,6 +42,22 @@ pub trait Disk: Send + Sync {
     /// [`StoreError`].
     fn sync(&self, path: &str) -> Result<(), StoreError>;
 
+    /// Flushes several files. At the same time where that is cheaper: a file system flushes a group for the price of one.
+    ///
+    /// # Errors
+    /// [`StoreError`], of the first that failed; others may be flushed or not.
+    fn sync_files(&self, paths: &[String]) -> Result<(), StoreError> {
+        paths.iter().try_for_each(|path| self.sync(path))
+    }
+
+    /// Flushes the names in several folders, as [`Disk::sync_files`] does files.
+    ///
+    /// # Errors
+    /// As [`Disk::sync_files`].
+    fn sync_folders(&self, paths: &[&str]) -> Result<(), StoreError> {
+        paths.iter().try_for_each(|path| self.sync_folder(path))
+    }
+
     /// Gives a file another name, in place of what had it.
     ///
     /// # Errors
@@ -90,23 +106,22 @@ impl Files {
 
     /// Replaces files, durably on return; after a crash each is the old one or the new one, whole.
     ///
-    /// One flush a file and one a folder, in the order given: a later file is not renamed before the earlier ones are durable
-    /// under theirs.
+    /// All are flushed before the first is renamed.
     ///
     /// # Errors
     /// [`StoreError`]; then any number of the first files may have been replaced.
     pub fn replace(&self, files: &[(String, Vec<u8>)]) -> Result<(), StoreError> {
-        for (path, bytes) in files {
-            let fresh = fresh(path);
-            self.disk.write(&fresh, 0, bytes)?;
-            self.disk.sync(&fresh)?;
+        let fresh: Vec<String> = files.iter().map(|(path, _)| fresh(path)).collect();
+        for (path, (_, bytes)) in fresh.iter().zip(files) {
+            self.disk.write(path, 0, bytes)?;
         }
+        self.disk.sync_files(&fresh)?;
         let mut folders = BTreeSet::new();
-        for (path, _) in files {
-            self.disk.rename(&fresh(path), path)?;
+        for (fresh, (path, _)) in fresh.iter().zip(files) {
+            self.disk.rename(fresh, path)?;
             folders.insert(folder(path));
         }
-        folders.into_iter().try_for_each(|folder| self.disk.sync_folder(folder))
+        self.disk.sync_folders(&folders.into_iter().collect::<Vec<_>>())
     }
 
     /// Goes on with a file at `offset`, what was behind it forgotten; durable on return.

@@ -106,6 +106,14 @@ impl Disk for RealDisk {
         opened.and_then(|file| file.sync_all()).map_err(self.failed("flush", path))
     }
 
+    fn sync_files(&self, paths: &[String]) -> Result<(), StoreError> {
+        at_once(paths, |path| self.sync(path))
+    }
+
+    fn sync_folders(&self, paths: &[&str]) -> Result<(), StoreError> {
+        at_once(paths, |path| self.sync_folder(path))
+    }
+
     fn rename(&self, from: &str, to: &str) -> Result<(), StoreError> {
         fs::rename(self.at(from), self.at(to)).map_err(self.failed("rename", from))
     }
@@ -122,4 +130,23 @@ impl Disk for RealDisk {
             removed => removed.map_err(self.failed("remove", path)),
         }
     }
+}
+
+/// Flushes at the same time.
+const AT_ONCE: usize = 8;
+
+/// Does something for each of `all`, several at the same time.
+fn at_once<T: Sync>(all: &[T], act: impl Fn(&T) -> Result<(), StoreError> + Sync) -> Result<(), StoreError> {
+    if let [one] = all {
+        return act(one);
+    }
+    let act = &act;
+    std::thread::scope(|scope| {
+        let share = all.len().div_ceil(AT_ONCE).max(1);
+        let threads: Vec<_> =
+            all.chunks(share).map(|some| scope.spawn(move || some.iter().try_for_each(act))).collect();
+        let mut ended = threads.into_iter().map(|thread| thread.join());
+        let panicked = || StoreError { operation: "flush", place: "files".into(), cause: "a thread panicked".into() };
+        ended.try_for_each(|end| end.unwrap_or_else(|_| Err(panicked())))
+    })
 }
