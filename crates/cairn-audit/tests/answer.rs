@@ -109,6 +109,23 @@ fn a_key_that_had_ended_and_a_strangers_replacement_do_not_count() {
 }
 
 #[test]
+fn a_stolen_key_takes_nothing_back_once_it_was_ended() {
+    use RecordKind::{Contribution, Revocation};
+    let mut log = Log::default();
+    let good = log.add(sealed(Contribution, 2, &["one"], None));
+    log.add(sealed(Revocation, 2, &[], None));
+    // The thief, and a registry that lets it in all the same: under the key itself, and with it as a second signature.
+    log.add(sealed(Contribution, 2, &[], Some(good)));
+    let mut agreed = sealed(Contribution, 4, &[], Some(good));
+    agreed.sign(&key(2));
+    log.add(agreed);
+    log.close();
+    let report = audited(&log.answer(Some("one")));
+    assert_eq!(standings(&report), [(0, Standing::Counts)], "{report}");
+    assert_eq!(report.findings.iter().filter(|f| f.code == Code::LaterRecordInvalid).count(), 2, "{report}");
+}
+
+#[test]
 fn an_erased_record_keeps_its_place_and_loses_its_name() {
     let (mut log, _) = log();
     log.entries[0].1 = None;

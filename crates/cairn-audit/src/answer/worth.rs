@@ -62,6 +62,7 @@ impl One<'_> {
     /// What other records say about this one.
     fn about(&self, disputed_by: &mut Vec<u64>, findings: &mut Findings) -> Standing {
         let mut standing = Standing::Counts;
+        let ended = self.proven.listed(&MapKey::ended(&self.opened.leaf.owner)).map(|(index, _)| index).min();
         for (index, other) in self.proven.listed(&MapKey::about(&self.opened.leaf.record)) {
             let kind = other.leaf.kind;
             let got = format!("{kind:?} at index {index}");
@@ -71,6 +72,12 @@ impl One<'_> {
                 RecordKind::Dispute => (Code::RecordDisputed, Standing::Counts),
                 _ if !self.is_by_owner(other) => {
                     let expected = "a record by the owner, or with the owner's signature";
+                    findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
+                    continue;
+                }
+                // Whoever found a key that its owner had ended speaks for nobody, whatever a registry lets in.
+                _ if ended.is_some_and(|ended| ended < index) => {
+                    let expected = format!("a record before index {}, where the owner's key ended", ended.unwrap_or(0));
                     findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
                     continue;
                 }
