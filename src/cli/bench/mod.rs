@@ -56,7 +56,8 @@ pub struct Args {
     /// Measure this capture only; may be given several times (suite `field`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     cases: Vec<field::Name>,
-    /// Also train for twice the configured steps (suite `field`)
+    /// Also train for twice the configured steps (suite `field`); measure the log of ten million records, alone (suite
+    /// `registry`: a quarter of an hour to grow it)
     #[arg(long)]
     long: bool,
     /// Where the work goes: a new folder, except for suite `field`, which adds to its tables there
@@ -72,7 +73,7 @@ enum Suite {
     Liberty,
     /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
     Field,
-    /// The log of owner records: throughput, waits, cost by size up to ten million records, and two hundred kills
+    /// The log of owner records: throughput, waits, cost by size, and two hundred kills; ten million records with --long
     Registry,
     /// Nothing: only write the ledger's page again, after its notes were changed
     Page,

@@ -1,5 +1,6 @@
 //! `cairn bench registry`: what records cost to take in, to find, to prove and to verify, and whether any is lost.
 //!
+//! Two kinds of run: `--long` measures the log of ten million records, without it all else is measured.
 //! Throughput and waits are of whole records, signed beforehand and verified on the way in. Logs beyond a few
 //! ten thousand are filled with entries whose signatures nobody made (`Registry::fill`): what is measured on those is
 //! starting, proving, answering and submitting, which does not depend on what stands in old entries.
@@ -49,6 +50,9 @@ pub fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
         std::fs::create_dir(&folder)?;
         Ok(folder)
     };
+    if args.long {
+        return curves(args, &children, rows, &folder);
+    }
     let records = if args.quick { 4_000 } else { 40_000 };
     for (case, rate, views, records) in [
         ("as many as are taken, one view a record", None, 1, records),
@@ -105,8 +109,11 @@ fn curves(
     rows: &mut Rows,
     folder: &dyn Fn(&str) -> anyhow::Result<std::path::PathBuf>,
 ) -> anyhow::Result<()> {
-    let mut table = Table::new(&COLUMNS);
-    for records in SIZES.into_iter().filter(|records| !args.quick || *records <= 10_000) {
+    // Of both kinds of run: a size's row is replaced, the others stay.
+    let path = args.out.join("sizes.csv");
+    let mut table = if path.exists() { Table::load(&path, &COLUMNS)? } else { Table::new(&COLUMNS) };
+    let wanted = |records: &u64| if args.long { *records == GOAL } else { *records < GOAL };
+    for records in SIZES.into_iter().filter(wanted).filter(|records| !args.quick || *records <= 10_000) {
         let (label, folder) = (format!("{} records", with_units(records)), folder(&format!("log-{records}"))?);
         let (seed, views) = (args.seed, 1);
         let growth = Growth { label: label.clone(), folder: folder.clone(), seed, records, views };
@@ -122,9 +129,10 @@ fn curves(
         let figures = [served.start_s, prove, served.answer_ms, served.submit_ms.median, served.verify_us];
         let figures = figures.into_iter().chain([served.bundle_bytes, served.peak_mib.unwrap_or(f64::NAN)]);
         let cells = [records.to_string(), args.seed.to_string()].into_iter().chain(figures.map(|f| f.to_string()));
+        table.retain(|row| row[0] != records.to_string());
         table.push(cells.collect())?;
     }
-    table.save(&args.out.join("sizes.csv"))?;
+    table.save(&path)?;
     super::super::write(&args.out.join("sizes.svg"), chart(&table).to_svg().as_bytes())
 }
 
