@@ -113,7 +113,7 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
     let two = contribute(&mut client, 2, 2..6).await;
 
     // A proof comes with the witness's cosignature, which a policy asks for.
-    let proof = client.proof(v1::ProofRequest { format_version: 1, index: one }).await.unwrap().into_inner().tlog_proof;
+    let proof = client.proof(v1::ProofRequest { format_version: 1, index: two }).await.unwrap().into_inner().tlog_proof;
     let log = std::fs::read_to_string(place.path("log.vkey")).unwrap();
     let policy = format!("log {}\nwitness w {}\nquorum w\n", log.trim(), witness.vkey);
     let (_, note) = proof.split_once("\n\n").unwrap();

@@ -50,7 +50,7 @@ fn what_comes_back_is_what_went_in_to_the_bit() {
     assert_eq!(opened.verify_photographs(), []);
     assert_eq!(opened.photograph(2).unwrap(), opened.capture().photograph(2).unwrap());
     assert_eq!(listing(dir.path()), ["square"]);
-    assert_eq!(listing(&dir.path().join("square")), ["photographs", "points.bin", "scene.json"]);
+    assert_eq!(listing(&dir.path().join("square")), ["manifest.json", "photographs", "points.bin", "scene.json"]);
 }
 
 #[test]
