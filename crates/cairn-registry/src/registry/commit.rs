@@ -33,7 +33,8 @@ use crate::{
     tile::TILE_WIDTH,
 };
 
-type Outcome = Result<Receipt, RegistryError>;
+/// Where a submission ended up, or why nowhere. What its receipt proves is worked out by its own thread, out of the round.
+type Outcome = Result<Placed, RegistryError>;
 
 /// Submissions that wait, and whether somebody is writing.
 #[derive(Default)]
@@ -112,7 +113,8 @@ impl Registry {
         queue.waiting.push(Waiting { candidate, slot: slot.clone() });
         loop {
             if let Some(outcome) = lock(&slot).take() {
-                return outcome;
+                drop(queue);
+                return self.receipt(outcome?);
             }
             if queue.busy {
                 queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
@@ -153,9 +155,9 @@ impl Registry {
         let outcomes = placed.into_iter().map(|placed| {
             let placed = placed?;
             match &written {
-                Ok(()) => self.receipt(placed),
+                Ok(()) => Ok(placed),
                 // A record that was in the log before does not depend on this round's luck.
-                Err(_) if placed.index < size => self.receipt(placed),
+                Err(_) if placed.index < size => Ok(placed),
                 Err(e) => Err(e.again()),
             }
         });
@@ -271,7 +273,7 @@ impl Registry {
         Ok(())
     }
 
-    fn receipt(&self, placed: Placed) -> Outcome {
+    fn receipt(&self, placed: Placed) -> Result<Receipt, RegistryError> {
         let state: &State = &self.read();
         Ok(Receipt {
             index: placed.index,

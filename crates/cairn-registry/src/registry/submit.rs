@@ -118,7 +118,12 @@ impl Registry {
         let mut kept = Envelope::new(&candidate.envelope.payload_type, candidate.envelope.payload.as_slice());
         for signer in signers {
             let keyid = signer.id().to_string();
-            // Each was found above or, the owner's, on the way in.
+            if *signer == candidate.record.owner_key {
+                // Verified on the way in.
+                kept.signatures.push(EnvelopeSignature { keyid, sig: candidate.leaf.signature.to_vec() });
+                continue;
+            }
+            // It was found above.
             let signature = candidate.envelope.signature_by(signer);
             kept.signatures.extend(signature.map(|s| EnvelopeSignature { keyid, sig: s.sig.clone() }));
         }
