@@ -212,11 +212,11 @@ fn submissions_at_once_share_flushes_and_each_gets_its_own_place() {
     let (store, registry) = in_memory();
     let flushes_before = store.flushes();
     let receipts: Vec<_> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (1..=8_u8)
+        let threads: Vec<_> = (1..=64_u8)
             .map(|number| {
                 let registry = &registry;
                 scope.spawn(move || {
-                    (0..20)
+                    (0..8)
                         .map(|i| submit(registry, &owner(number), "fern", &format!("{number}/{i}")).unwrap())
                         .collect::<Vec<_>>()
                 })
@@ -229,8 +229,8 @@ fn submissions_at_once_share_flushes_and_each_gets_its_own_place() {
     // Each batch's map leaf has a place of its own.
     let of_records = (0..registry.size()).filter(|index| registry.record(*index).is_ok());
     assert_eq!(indices, of_records.collect::<Vec<_>>());
-    assert_eq!(indices.len(), 160);
+    assert_eq!(indices.len(), 512);
     receipts.iter().for_each(|receipt| verify_receipt(&registry, receipt));
-    assert!(store.flushes() - flushes_before <= 160);
+    assert!(store.flushes() - flushes_before <= 512);
     assert!(registry.check().unwrap().is_empty());
 }

@@ -121,10 +121,11 @@ impl Registry {
                 continue;
             }
             queue.busy = true;
-            let turn = Turn { registry: self, batch: mem::take(&mut queue.waiting) };
+            let mut turn = Turn { registry: self, batch: mem::take(&mut queue.waiting) };
             drop(queue);
             let outcomes = self.write_round(&turn.batch);
-            for (waiting, outcome) in turn.batch.iter().zip(outcomes) {
+            // Out of the turn: whoever wakes early takes an outcome away, and must not look like one who got none.
+            for (waiting, outcome) in mem::take(&mut turn.batch).iter().zip(outcomes) {
                 *lock(&waiting.slot) = Some(outcome);
             }
             drop(turn);
