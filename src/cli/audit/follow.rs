@@ -24,7 +24,7 @@ use crate::engine::folder::{read_limited, remove, sync_folder, write_atomic};
 /// `cairn audit follow`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
-    /// Where the log's public files lie: http(s)://HOST[:PORT][/PREFIX]
+    /// Where the log's public files lie, as http://HOST:PORT/PREFIX or with https
     #[arg(value_name = "URL")]
     pub url: String,
     #[command(flatten)]
