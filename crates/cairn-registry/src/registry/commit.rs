@@ -472,7 +472,9 @@ mod tests {
             // Not published while its flush has not returned.
             assert_eq!(registry.size(), 0);
             store.entered.1.wait();
-            assert_eq!(first.join().unwrap().size, 2);
+            // A receipt is made by its own thread, after the round: the next one may be over by then.
+            let first = first.join().unwrap();
+            assert!(first.index == 0 && [2, 11].contains(&first.size), "{first:?}");
             let mut indices: Vec<_> =
                 others.into_iter().map(|t| t.join().unwrap()).map(|r| (r.index, r.size)).collect();
             indices.sort_unstable();
