@@ -1,5 +1,6 @@
 //! The threads that publish: what is durable goes into the files that monitors read, soon after, and out of
-//! the submitters' way; another then asks the witnesses for their cosignatures, however slow they are.
+//! the submitters' way; another then asks the witnesses for their cosignatures, however slow they are, and a third puts the
+//! log's store in order.
 //!
 //! One publication covers all that came in since the last. A failure is logged and tried again: nothing
 //! is lost by it, since what was acknowledged is durable already. But a witness that saw more of this log than there
@@ -35,13 +36,15 @@ struct Asked {
     stop: bool,
 }
 
+/// Between two times of putting the store in order: nothing waits for it.
+const TIDY_PAUSE: Duration = Duration::from_secs(2);
+
 /// What a thread waits for.
 type Bell = (Mutex<Asked>, Condvar);
 
 /// The threads' handle. Dropping it publishes a last time.
 pub struct Publisher {
-    publish: Arc<Bell>,
-    cosign: Arc<Bell>,
+    bells: [Arc<Bell>; 3],
     threads: Mutex<Vec<JoinHandle<()>>>,
     /// Whether there are witnesses, and they answered the last time.
     witnessed: Arc<AtomicBool>,
@@ -70,20 +73,22 @@ impl Publisher {
         publication.publish()?;
         // At a start a witness is taken at its word: whoever knows better names it no more.
         publication.ask_witnesses()?;
-        let (publish, cosign) = (Arc::<Bell>::default(), Arc::<Bell>::default());
+        let bells: [Arc<Bell>; 3] = Default::default();
+        let [publish, cosign, tidy] = bells.clone();
         let mut threads = Vec::new();
-        let (of_publisher, bell, next) = (publication.clone(), publish.clone(), cosign.clone());
-        threads.push(spawn("publisher", move || of_publisher.publish_again(&bell, &next))?);
+        let (of_publisher, next) = (publication.clone(), [cosign.clone(), tidy.clone()]);
+        threads.push(spawn("publisher", move || of_publisher.publish_again(&publish, &next))?);
+        let of_tidier = publication.clone();
+        threads.push(spawn("tidier", move || of_tidier.tidy_again(&tidy))?);
         if !publication.witnesses.is_empty() {
-            let bell = cosign.clone();
-            threads.push(spawn("witnesses", move || publication.ask_again(&bell))?);
+            threads.push(spawn("witnesses", move || publication.ask_again(&cosign))?);
         }
-        Ok(Self { publish, cosign, threads: Mutex::new(threads), witnessed })
+        Ok(Self { bells, threads: Mutex::new(threads), witnessed })
     }
 
     /// Something became durable.
     pub fn wake(&self) {
-        ring(&self.publish);
+        ring(&self.bells[0]);
     }
 
     /// Waits, but not for long, until witnesses cosigned a checkpoint that covers entry `index`. Returns at once where
@@ -98,7 +103,7 @@ impl Publisher {
 
     /// Publishes what is left and ends the threads. Once is enough.
     pub fn stop(&self) {
-        for bell in [&self.publish, &self.cosign] {
+        for bell in &self.bells {
             lock(&bell.0).stop = true;
             bell.1.notify_one();
         }
@@ -117,13 +122,13 @@ impl Drop for Publisher {
 
 impl Publication {
     /// The publisher's thread: a round for all that came in since the last, and one at the end.
-    fn publish_again(&self, bell: &Bell, next: &Bell) {
+    fn publish_again(&self, bell: &Bell, next: &[Arc<Bell>]) {
         let mut pause = Duration::ZERO;
         loop {
             let stop = wait(bell, pause, None);
             pause = PAUSE;
             match self.publish() {
-                Ok(()) => ring(next),
+                Ok(()) => next.iter().for_each(|bell| ring(bell)),
                 Err(error) => {
                     tracing::error!(%error, "publishing failed; what was acknowledged is durable, and is published later");
                     ring(bell);
@@ -152,6 +157,15 @@ impl Publication {
                     Some(ASK_AGAIN)
                 }
             };
+        }
+    }
+
+    /// The tidier's thread.
+    fn tidy_again(&self, bell: &Bell) {
+        while !wait(bell, TIDY_PAUSE, None) {
+            if let Err(error) = self.registry.tidy(&|| lock(&bell.0).stop) {
+                tracing::error!(%error, "the registry's store cannot be put in order; nothing is lost, and it is tried again");
+            }
         }
     }
 

@@ -7,33 +7,37 @@ use std::{
 
 use cairn_registry::{
     Digest, MapEntry, MapKey, MapProof, MapTree,
-    map::{BucketMap, BucketTop, Buckets, EMPTY, ListState, MapError, ProofEnd, list_root},
+    map::{BucketMap, BucketTop, Buckets, EMPTY, ListState, MapError, ProofEnd, Row, Staged, list_root},
     store::StoreError,
 };
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-/// Buckets and their tops as a store would hold them.
+/// Keys' rows and buckets' tops as a store would hold them.
 #[derive(Default)]
 struct Stored {
-    buckets: BTreeMap<u32, Vec<u8>>,
+    rows: BTreeMap<MapKey, Vec<u8>>,
     tops: BTreeMap<u32, [u8; 34]>,
     loads: RefCell<Vec<u32>>,
 }
 
+/// The first 18 bits of a key.
+fn bucket_of(key: &MapKey) -> u32 {
+    u32::from_be_bytes(*key.as_bytes().first_chunk().unwrap()) >> 14
+}
+
 impl Buckets for Stored {
-    fn load(&self, bucket: u32) -> Result<Option<Vec<u8>>, StoreError> {
+    fn load(&self, bucket: u32) -> Result<Vec<Row>, StoreError> {
         self.loads.borrow_mut().push(bucket);
-        Ok(self.buckets.get(&bucket).cloned())
+        let rows = self.rows.iter().filter(|(key, _)| bucket_of(key) == bucket);
+        Ok(rows.map(|(key, list)| (*key, list.clone())).collect())
     }
 }
 
 impl Stored {
-    fn keep(&mut self, rows: &[(u32, Vec<u8>, BucketTop)]) {
-        for (bucket, bytes, top) in rows {
-            self.buckets.insert(*bucket, bytes.clone());
-            self.tops.insert(*bucket, top.encode());
-        }
+    fn keep(&mut self, staged: &Staged) {
+        self.rows.extend(staged.rows.iter().cloned());
+        self.tops.extend(staged.tops.iter().map(|(bucket, top)| (*bucket, top.encode())));
     }
 
     fn restart(&self) -> BucketMap {
@@ -129,7 +133,7 @@ fn maps_of_no_one_and_two_keys_have_the_roots_worked_out_by_hand() {
     let mut stored = Stored::default();
     for (key, index, root) in [(low, 1, low_leaf), (high, 2, whole)] {
         let staged = map.stage(&stored, &BTreeMap::from([(key, vec![entry(index)])])).unwrap();
-        stored.keep(&staged.rows);
+        stored.keep(&staged);
         map.apply(&staged);
         assert_eq!((staged.root, map.root()), (root, root));
     }
@@ -163,9 +167,9 @@ fn three_ways_to_grow_a_map_have_one_root_and_one_proof() {
             let staged = map.stage(&stored, &changes).unwrap();
             // What is staged changes nothing before it is stored.
             assert_eq!(map.root(), stored.restart().root());
-            let touched: BTreeSet<_> = staged.rows.iter().map(|row| row.0).collect();
+            let touched: BTreeSet<_> = staged.tops.iter().map(|top| top.0).collect();
             assert_eq!(stored.loads.take(), touched.into_iter().collect::<Vec<_>>(), "only changed buckets are read");
-            stored.keep(&staged.rows);
+            stored.keep(&staged);
             map.apply(&staged);
             let rows: Vec<_> = lists.iter().map(|(key, entries)| (*key, list_root(entries))).collect();
             let root = by_definition(&rows, 0);
@@ -289,30 +293,30 @@ fn spoilt_buckets_are_named_and_no_proof_comes_out_of_them() {
     let mut map = BucketMap::new();
     let mut stored = Stored::default();
     let staged = map.stage(&stored, &changes).unwrap();
-    stored.keep(&staged.rows);
+    stored.keep(&staged);
     map.apply(&staged);
-    assert_eq!(stored.buckets.len(), 2);
+    assert_eq!((stored.rows.len(), stored.tops.len()), (4, 2));
+    let refused = |map: &BucketMap, stored: &Stored, key: &MapKey| match map.prove(stored, key) {
+        Err(MapError::Bucket { bucket, .. } | MapError::Inconsistent { bucket }) => bucket == bucket_of(key),
+        _ => false,
+    };
     for key in keys {
-        let bucket = u32::from_be_bytes([0, key.as_bytes()[0], key.as_bytes()[1], key.as_bytes()[2]]) >> 6;
-        let good = stored.buckets[&bucket].clone();
+        let good = stored.rows[&key].clone();
         for at in 0..good.len() {
             let mut bytes = good.clone();
             bytes[at] ^= 1;
-            stored.buckets.insert(bucket, bytes);
-            match map.prove(&stored, &key) {
-                Err(MapError::Bucket { bucket: named, .. } | MapError::Inconsistent { bucket: named }) => {
-                    assert_eq!(named, bucket);
-                }
-                other => panic!("byte {at}: {other:?}"),
-            }
+            stored.rows.insert(key, bytes);
+            assert!(refused(&map, &stored, &key), "byte {at}");
             assert!(map.stage(&stored, &BTreeMap::from([(key, vec![entry(99)])])).is_err(), "byte {at}");
         }
-        stored.buckets.insert(bucket, good[..good.len() - 1].to_vec());
-        assert!(matches!(map.prove(&stored, &key), Err(MapError::Bucket { .. })));
-        stored.buckets.remove(&bucket);
-        assert_eq!(map.prove(&stored, &key), Err(MapError::Inconsistent { bucket }));
+        for bytes in [&good[..good.len() - 1], &[&good[..], &[0]].concat()] {
+            stored.rows.insert(key, bytes.to_vec());
+            assert!(matches!(map.prove(&stored, &key), Err(MapError::Bucket { .. })));
+        }
+        stored.rows.remove(&key);
+        assert!(refused(&map, &stored, &key), "a row that is gone");
         assert!(matches!(map.stage(&stored, &changes), Err(MapError::Inconsistent { .. })));
-        stored.buckets.insert(bucket, good);
+        stored.rows.insert(key, good);
         map.prove(&stored, &key).unwrap();
     }
     for bytes in [&[][..], &[1; 34], &[2; 34], &[1; 33]] {
@@ -327,7 +331,7 @@ fn spoilt_buckets_are_named_and_no_proof_comes_out_of_them() {
 fn a_store_that_fails_fails_the_batch_and_leaves_the_map() {
     struct Failing;
     impl Buckets for Failing {
-        fn load(&self, _: u32) -> Result<Option<Vec<u8>>, StoreError> {
+        fn load(&self, _: u32) -> Result<Vec<Row>, StoreError> {
             Err(StoreError { operation: "get", place: "memory".into(), cause: "injected".into() })
         }
     }

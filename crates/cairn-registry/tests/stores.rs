@@ -32,6 +32,13 @@ fn contract(store: &dyn Store) {
     assert_eq!(keys(store, "b/", "", 2), ["b/1", "b/10"]);
     assert_eq!(keys(store, "b/", "", 0), [""; 0]);
     assert_eq!(keys(store, "d", "", 9), [""; 0]);
+    let range = |from: &str, to: Option<&str>| {
+        let found = store.range(from.as_bytes(), to.map(str::as_bytes), 9).unwrap();
+        found.into_iter().map(|(key, _)| String::from_utf8(key).unwrap()).collect::<Vec<_>>()
+    };
+    assert_eq!(range("b/1", Some("b/2")), ["b/1", "b/10"]);
+    assert_eq!(range("b/11", None), ["b/2", "c"]);
+    assert_eq!(range("b/2", Some("b/2")), [""; 0]);
 }
 
 #[test]

@@ -30,6 +30,12 @@ pub trait Disk: Send + Sync {
     /// [`StoreError`].
     fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError>;
 
+    /// A file held open; none where there is no such file.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, StoreError>;
+
     /// Cuts the file off at `offset`, or makes it where it is absent, folders included, and writes behind that.
     ///
     /// # Errors
@@ -77,6 +83,21 @@ pub trait Disk: Send + Sync {
     fn remove(&self, path: &str) -> Result<(), StoreError>;
 }
 
+/// A file that is read at many places. What it was opened on stays readable after it lost its name.
+pub trait OpenFile: Send + Sync {
+    /// Its length, bytes.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn size(&self) -> Result<u64, StoreError>;
+
+    /// At most `length` bytes from `offset` on, fewer where the file ends before.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn read_at(&self, offset: u64, length: usize) -> Result<Vec<u8>, StoreError>;
+}
+
 /// Files made of a [`Disk`]'s operations.
 pub struct Files {
     disk: Box<dyn Disk>,
@@ -102,6 +123,41 @@ impl Files {
     /// [`StoreError`].
     pub fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError> {
         self.disk.read_at(path, offset, length)
+    }
+
+    /// As [`Disk::open`].
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, StoreError> {
+        self.disk.open(path)
+    }
+
+    /// Goes on with the file that is to become `path` at `offset`, what was behind it forgotten. Not durable, and not there
+    /// under its name, before [`Files::complete`].
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn draft(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
+        self.disk.write(&fresh(path), offset, bytes)
+    }
+
+    /// Gives a file its name once it is complete; durable on return.
+    ///
+    /// # Errors
+    /// [`StoreError`]; then it has its name or not.
+    pub fn complete(&self, path: &str) -> Result<(), StoreError> {
+        self.disk.sync(&fresh(path))?;
+        self.disk.rename(&fresh(path), path)?;
+        self.disk.sync_folder(folder(path))
+    }
+
+    /// Removes what [`Files::draft`] wrote.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn discard(&self, path: &str) -> Result<(), StoreError> {
+        self.disk.remove(&fresh(path))
     }
 
     /// Replaces files, durably on return; after a crash each is the old one or the new one, whole.

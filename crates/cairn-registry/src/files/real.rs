@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::Disk;
+use super::{Disk, OpenFile};
 use crate::store::{StoreError, sync_folder};
 
 /// Files below a folder.
@@ -88,6 +88,14 @@ impl Disk for RealDisk {
         Ok(Some(bytes))
     }
 
+    fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, StoreError> {
+        match File::open(self.at(path)) {
+            Ok(file) => Ok(Some(Box::new(RealFile { file, path: self.at(path) }))),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(self.failed("open", path)(e)),
+        }
+    }
+
     fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
         let failed = self.failed("write", path);
         let mut file = self.open_for_writing(&self.at(path)).map_err(&failed)?;
@@ -129,6 +137,49 @@ impl Disk for RealDisk {
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
             removed => removed.map_err(self.failed("remove", path)),
         }
+    }
+}
+
+/// A file held open.
+struct RealFile {
+    file: File,
+    path: PathBuf,
+}
+
+impl RealFile {
+    fn failed(&self, operation: &'static str, e: &io::Error) -> StoreError {
+        StoreError { operation, place: self.path.display().to_string(), cause: e.to_string() }
+    }
+
+    /// Reads without the file's own position, which readers at the same time would share.
+    #[cfg(unix)]
+    fn read_some(&self, offset: u64, bytes: &mut [u8]) -> io::Result<usize> {
+        std::os::unix::fs::FileExt::read_at(&self.file, bytes, offset)
+    }
+
+    #[cfg(windows)]
+    fn read_some(&self, offset: u64, bytes: &mut [u8]) -> io::Result<usize> {
+        std::os::windows::fs::FileExt::seek_read(&self.file, bytes, offset)
+    }
+}
+
+impl OpenFile for RealFile {
+    fn size(&self) -> Result<u64, StoreError> {
+        Ok(self.file.metadata().map_err(|e| self.failed("size", &e))?.len())
+    }
+
+    fn read_at(&self, offset: u64, length: usize) -> Result<Vec<u8>, StoreError> {
+        let (mut bytes, mut filled) = (vec![0; length], 0);
+        while filled < length {
+            match self.read_some(offset + filled as u64, &mut bytes[filled..]) {
+                Ok(0) => break,
+                Ok(count) => filled += count,
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(self.failed("read", &e)),
+            }
+        }
+        bytes.truncate(filled);
+        Ok(bytes)
     }
 }
 

@@ -1,21 +1,14 @@
 //! One bucket of the registry's map: the keys that begin with the same
-//! [`BUCKET_BITS`] bits, as bytes in the store and as a subtree.
-//!
-//! ```text
-//! version 1 | for each key, ascending: key 32 | count u64 BE | one hash of 32 bytes for each binary one of the count
-//! ```
+//! [`BUCKET_BITS`] bits, as rows of the store and as a subtree.
 
 use std::collections::BTreeMap;
 
 use super::{
     EMPTY, ListError, ListState, MapEntry, MapKey, MapProof, ProofEnd,
-    buckets::{BUCKET_BITS, bucket_of},
+    buckets::{BUCKET_BITS, Row as StoredRow, bucket_of},
     leaf_hash, node_hash,
 };
 use crate::digest::Digest;
-
-/// Version byte of a bucket.
-const VERSION: u8 = 1;
 
 /// A subtree by its hash, and by what is needed to collapse it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -50,30 +43,23 @@ impl Node {
 /// Why stored bytes are not the bucket that they should be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum BucketError {
-    /// A version that this release does not know.
-    #[error("version {got:?}, this release reads version {VERSION}")]
-    Version {
-        /// The version byte, if there is one.
-        got: Option<u8>,
-    },
-    /// Cut short within a key.
-    #[error("{got} bytes where a key is expected")]
-    Key {
-        /// How many bytes are left.
-        got: usize,
-    },
     /// Cut short within a list.
     #[error(transparent)]
     List(#[from] ListError),
+    /// More than a list.
+    #[error("{got} bytes behind the list of key {key}")]
+    Behind {
+        /// The key.
+        key: MapKey,
+        /// How many bytes.
+        got: usize,
+    },
     /// A key of another bucket, or out of order.
     #[error("key {key} is out of order or belongs to another bucket")]
     Order {
         /// The key.
         key: MapKey,
     },
-    /// No key at all.
-    #[error("no key in it")]
-    NoKeys,
 }
 
 /// A bucket's keys, ascending, with their lists.
@@ -81,10 +67,11 @@ pub enum BucketError {
 pub(super) struct Bucket(Vec<(MapKey, ListState)>);
 
 impl Bucket {
-    /// Appends entries to lists; gives the bucket's root before and after.
+    /// Appends entries to lists, whose rows go into `stored`; gives the bucket's root before and after.
     pub(super) fn append<'a>(
         &mut self,
         changes: impl Iterator<Item = (&'a MapKey, &'a Vec<MapEntry>)>,
+        stored: &mut Vec<StoredRow>,
     ) -> (Node, Node) {
         let values = self.0.iter().map(|(key, list)| (*key, list.root()));
         let mut values: BTreeMap<MapKey, Change> = values.map(|(key, value)| (key, (Some(value), value))).collect();
@@ -92,6 +79,9 @@ impl Bucket {
             let list = self.list_mut(key);
             entries.iter().for_each(|entry| list.append(entry));
             values.entry(*key).or_insert((None, EMPTY)).1 = list.root();
+            let mut bytes = Vec::new();
+            list.encode(&mut bytes);
+            stored.push((*key, bytes));
         }
         let rows: Vec<(MapKey, Change)> = values.into_iter().collect();
         both(&rows, BUCKET_BITS)
@@ -114,32 +104,19 @@ impl Bucket {
         Some(&self.0[at].1)
     }
 
-    pub(super) fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(1 + self.0.len() * (32 + 8 + 32));
-        bytes.push(VERSION);
-        for (key, list) in &self.0 {
-            bytes.extend_from_slice(key.as_bytes());
-            list.encode(&mut bytes);
-        }
-        bytes
-    }
-
-    pub(super) fn decode(bytes: &[u8], bucket: u32) -> Result<Self, BucketError> {
-        let Some((&VERSION, mut rest)) = bytes.split_first() else {
-            return Err(BucketError::Version { got: bytes.first().copied() });
-        };
-        let mut rows: Vec<(MapKey, ListState)> = Vec::new();
-        while !rest.is_empty() {
-            let (key, behind) = rest.split_first_chunk::<32>().ok_or(BucketError::Key { got: rest.len() })?;
-            let key = MapKey::from_bytes(*key);
+    pub(super) fn decode(stored: Vec<StoredRow>, bucket: u32) -> Result<Self, BucketError> {
+        let mut rows: Vec<(MapKey, ListState)> = Vec::with_capacity(stored.len());
+        for (key, bytes) in stored {
             if bucket_of(&key) != bucket || rows.last().is_some_and(|last| last.0 >= key) {
                 return Err(BucketError::Order { key });
             }
-            let (list, behind) = ListState::decode(behind)?;
+            let (list, behind) = ListState::decode(&bytes)?;
+            if !behind.is_empty() {
+                return Err(BucketError::Behind { key, got: behind.len() });
+            }
             rows.push((key, list));
-            rest = behind;
         }
-        if rows.is_empty() { Err(BucketError::NoKeys) } else { Ok(Self(rows)) }
+        Ok(Self(rows))
     }
 
     /// The bucket as a subtree.

@@ -1,7 +1,8 @@
-//! The registry's map: keys in buckets in the store, the tree above them in memory.
+//! The registry's map: keys in the store, a row each; the tree above buckets of them in memory.
 //!
-//! A batch touches the buckets of its keys and the paths above them, so its cost does
-//! not grow with the map but for the buckets' own size (10 million keys: 38 a bucket). Nothing is changed before the caller
+//! A batch reads the buckets of its keys and works out the paths above them, so its cost does
+//! not grow with the map but for the buckets' own size (10 million keys: 38 a bucket); it writes the rows of its keys only,
+//! and what then stands at the buckets' roots. Nothing is changed before the caller
 //! has stored what [`BucketMap::stage`] gives: a batch that fails leaves the
 //! map as it was. Keys are hashes of what contributors choose, so somebody may aim many at one
 //! bucket; that makes dear only the batches that touch this one of 2^18.
@@ -26,13 +27,16 @@ const CHUNK: usize = 16;
 /// Version byte of a stored [`BucketTop`].
 const TOP_VERSION: u8 = 1;
 
-/// Where a bucket's bytes lie.
+/// A key, and its list as [`ListState::encode`] writes it.
+pub type Row = (MapKey, Vec<u8>);
+
+/// Where a bucket's keys lie.
 pub trait Buckets {
-    /// The bytes stored last for a bucket, if any were.
+    /// The rows stored last for the keys of a bucket, ascending by key.
     ///
     /// # Errors
     /// [`StoreError`] where the store cannot tell.
-    fn load(&self, bucket: u32) -> Result<Option<Vec<u8>>, StoreError>;
+    fn load(&self, bucket: u32) -> Result<Vec<Row>, StoreError>;
 }
 
 /// What stands at a bucket's root: stored beside the bucket, so that a start reads no bucket.
@@ -74,8 +78,10 @@ pub enum MapError {
 pub struct Staged {
     /// The root that the map will have.
     pub root: Digest,
-    /// What to store: the changed buckets, ascending, with their bytes and their tops.
-    pub rows: Vec<(u32, Vec<u8>, BucketTop)>,
+    /// What to store: the changed keys' rows, ascending.
+    pub rows: Vec<Row>,
+    /// And what then stands at the roots of their buckets, ascending by bucket.
+    pub tops: Vec<(u32, BucketTop)>,
     /// Changed nodes of the tree in memory.
     nodes: BTreeMap<u32, Node>,
 }
@@ -154,7 +160,7 @@ impl BucketMap {
     /// # Errors
     /// [`MapError`]; nothing is changed in any case.
     pub fn stage(&self, buckets: &dyn Buckets, changes: &BTreeMap<MapKey, Vec<MapEntry>>) -> Result<Staged, MapError> {
-        let mut rows = Vec::new();
+        let (mut rows, mut tops) = (Vec::new(), Vec::new());
         let mut nodes = BTreeMap::new();
         let mut changes = changes.iter().filter(|(_, entries)| !entries.is_empty()).peekable();
         while let Some((key, _)) = changes.peek() {
@@ -162,13 +168,13 @@ impl BucketMap {
             let mut bucket = self.load(buckets, number)?;
             // Keys are in order, so those of one bucket are neighbours.
             let of_bucket = std::iter::from_fn(|| changes.next_if(|(key, _)| bucket_of(key) == number));
-            let (before, top) = bucket.append(of_bucket);
+            let (before, top) = bucket.append(of_bucket, &mut rows);
             // A bucket that was changed in the store must not find its way under a new signature.
             if before != self.node(BUCKETS + number) {
                 return Err(MapError::Inconsistent { bucket: number });
             }
             nodes.insert(BUCKETS + number, top);
-            rows.push((number, bucket.encode(), BucketTop(top)));
+            tops.push((number, BucketTop(top)));
         }
         let mut level: Vec<u32> = nodes.keys().copied().collect();
         for _ in 0..BUCKET_BITS {
@@ -181,7 +187,7 @@ impl BucketMap {
             }
         }
         let root = nodes.get(&1).copied().unwrap_or_else(|| self.node(1)).hash();
-        Ok(Staged { root, rows, nodes })
+        Ok(Staged { root, rows, tops, nodes })
     }
 
     /// Makes a batch part of the map, once its rows are stored. It MUST have been staged on the map as it is.
@@ -235,11 +241,10 @@ impl BucketMap {
 
     fn load(&self, buckets: &dyn Buckets, number: u32) -> Result<Bucket, MapError> {
         let stored = buckets.load(number)?;
-        if stored.is_some() != (self.node(BUCKETS + number) != Node::Empty) {
+        if stored.is_empty() != (self.node(BUCKETS + number) == Node::Empty) {
             return Err(MapError::Inconsistent { bucket: number });
         }
-        let Some(bytes) = stored else { return Ok(Bucket::default()) };
-        Bucket::decode(&bytes, number).map_err(|source| MapError::Bucket { bucket: number, source })
+        Bucket::decode(stored, number).map_err(|source| MapError::Bucket { bucket: number, source })
     }
 
     fn node(&self, id: u32) -> Node {
@@ -257,4 +262,10 @@ impl BucketMap {
 pub(super) fn bucket_of(key: &MapKey) -> u32 {
     let [a, b, c, ..] = *key.as_bytes();
     u32::from_be_bytes([0, a, b, c]) >> (24 - BUCKET_BITS)
+}
+
+/// The first three bytes of the first key of a bucket; none for numbers of 2^18 and more.
+pub(crate) fn first_key(bucket: u32) -> Option<[u8; 3]> {
+    let [_, a, b, c] = (bucket << (24 - BUCKET_BITS)).to_be_bytes();
+    (bucket < BUCKETS).then_some([a, b, c])
 }

@@ -25,7 +25,9 @@ mod proof;
 mod tree;
 
 #[cfg(feature = "store")]
-pub use buckets::{BUCKET_BITS, BucketError, BucketMap, BucketTop, Buckets, MapError, Staged};
+pub(crate) use buckets::first_key;
+#[cfg(feature = "store")]
+pub use buckets::{BUCKET_BITS, BucketError, BucketMap, BucketTop, Buckets, MapError, Row, Staged};
 use serde::{Deserialize, Serialize};
 
 pub use list::{ListError, ListState, MapEntry, list_root};

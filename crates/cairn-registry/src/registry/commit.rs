@@ -25,7 +25,7 @@ use crate::{
     digest::Digest,
     dsse::Envelope,
     leaf::Leaf,
-    map::{Buckets, MapEntry, MapKey, Staged, keys_of},
+    map::{self, Buckets, MapEntry, MapKey, Staged, keys_of},
     map_leaf::MapLeaf,
     merkle::{self, leaf_hash},
     packs::Slot,
@@ -234,10 +234,8 @@ impl Registry {
                 (row, Some(entry.leaf_hash.as_bytes().to_vec()))
             }));
         }
-        for (bucket, bytes, top) in &staged.rows {
-            batch.entries.push((layout::bucket(*bucket), Some(bytes.clone())));
-            batch.entries.push((layout::top(*bucket), Some(top.encode().to_vec())));
-        }
+        batch.entries.extend(staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone()))));
+        batch.entries.extend(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))));
         let index = size + batch.leaves.len() as u64;
         let leaf = MapLeaf::sign(&self.origin, index, staged.root, &self.key).encode().to_vec();
         batch.entries.push((layout::leaf(index), Some(leaf.clone())));
@@ -303,9 +301,21 @@ impl Registry {
 pub(super) struct StoredBuckets<'a>(pub(super) &'a dyn Store);
 
 impl Buckets for StoredBuckets<'_> {
-    fn load(&self, bucket: u32) -> Result<Option<Vec<u8>>, StoreError> {
-        self.0.get(&layout::bucket(bucket))
+    fn load(&self, bucket: u32) -> Result<Vec<map::Row>, StoreError> {
+        let (from, to) = layout::lists(bucket);
+        let rows = self.0.range(&from, to.as_deref(), usize::MAX)?.into_iter();
+        rows.map(|(key, list)| Ok((list_key(&key)?, list))).collect()
     }
+}
+
+/// The map key of a list's row.
+fn list_key(row: &[u8]) -> Result<MapKey, StoreError> {
+    let key = row.strip_prefix(layout::LISTS).and_then(|key| key.try_into().ok());
+    key.map(MapKey::from_bytes).ok_or_else(|| StoreError {
+        operation: "range",
+        place: "the map's lists".into(),
+        cause: format!("row {row:02x?} has no map key; restore the newest backup"),
+    })
 }
 
 impl Batch {
@@ -394,8 +404,8 @@ mod tests {
             self.inner.flush()
         }
 
-        fn scan(&self, prefix: &[u8], from: &[u8], limit: usize) -> Result<Vec<Entry>, StoreError> {
-            self.inner.scan(prefix, from, limit)
+        fn range(&self, from: &[u8], to: Option<&[u8]>, limit: usize) -> Result<Vec<Entry>, StoreError> {
+            self.inner.range(from, to, limit)
         }
     }
 

@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! working/            the store (sled): what cannot be fetched anew, and indices into the rest
+//! working/runs/<N>    rows of the store that only accumulate, sorted, once there are many (`store::TieredStore`)
 //! working.seal        digests of the store's files, while nobody has it open
 //! public/checkpoint   what monitors read: checkpoint, tiles, bundles of leaves (C2SP tlog-tiles)
 //! public/tile/...
@@ -13,15 +14,18 @@
 
 use crate::{
     digest::Digest,
-    map::MapKey,
+    map::{MapKey, first_key},
+    store::{Cold, successor},
     tile::{TilePath, index_path},
 };
 
 /// Value of [`FORMAT`] that this release reads and writes.
-pub(super) const FORMAT_VERSION: &str = "cairn-registry-store/2";
+pub(super) const FORMAT_VERSION: &str = "cairn-registry-store/3";
 
 /// The store's folder.
 pub(super) const WORKING: &str = "working";
+/// Where rows of the store go that only accumulate.
+pub(super) const RUNS: &str = "working/runs";
 /// Digests of the store's files.
 pub(super) const SEAL: &str = "working.seal";
 /// Where releases before this format had their store.
@@ -39,6 +43,11 @@ pub(super) const FILED: &[u8] = b"meta/filed";
 
 /// index -> leaf, 162 bytes, from [`FILED`] on.
 pub(super) const LEAVES: &[u8] = b"leaf/";
+const INDEX: &[u8] = b"index/";
+const ENTRIES: &[u8] = b"map/entry/";
+/// What a list's row begins with; its key follows.
+pub(super) const LISTS: &[u8] = b"map/list/";
+const RETIRED: &[u8] = b"retired/";
 /// index -> nonce that the record there used.
 pub(super) const NONCES: &[u8] = b"nonce/";
 /// bucket (u32) -> what stands at its root.
@@ -50,7 +59,7 @@ pub(super) fn leaf(index: u64) -> Vec<u8> {
 
 /// SHA-256(PAE) -> index.
 pub(super) fn index_of(record: &Digest) -> Vec<u8> {
-    [b"index/", &record.as_bytes()[..]].concat()
+    [INDEX, &record.as_bytes()[..]].concat()
 }
 
 pub(super) fn nonce(index: u64) -> Vec<u8> {
@@ -59,11 +68,32 @@ pub(super) fn nonce(index: u64) -> Vec<u8> {
 
 /// Key id -> index of the revocation or rotation that ended it.
 pub(super) fn retired(owner: &Digest) -> Vec<u8> {
-    [b"retired/", &owner.as_bytes()[..]].concat()
+    [RETIRED, &owner.as_bytes()[..]].concat()
 }
 
-pub(super) fn bucket(bucket: u32) -> Vec<u8> {
-    [b"map/bucket/", &bucket.to_be_bytes()[..]].concat()
+/// Rows of which there are as many as records, or more. Ascending.
+pub(super) const COLD: &[Cold] = &[
+    Cold { prefix: INDEX, looked_up: true },
+    Cold { prefix: ENTRIES, looked_up: false },
+    Cold { prefix: LISTS, looked_up: false },
+    Cold { prefix: TOPS, looked_up: false },
+    Cold { prefix: RETIRED, looked_up: true },
+];
+
+/// Cold rows from which on they go into a run: some thirty thousand records, 20 MiB.
+pub(super) const ENOUGH: usize = 1 << 17;
+
+/// Map key -> its list in compact form.
+pub(super) fn list(key: &MapKey) -> Vec<u8> {
+    [LISTS, key.as_bytes()].concat()
+}
+
+/// The rows of a bucket's lists: from the first on, and before the second.
+pub(super) fn lists(bucket: u32) -> (Vec<u8>, Option<Vec<u8>>) {
+    let first = |bucket: u32| first_key(bucket).map(|key| [LISTS, &key].concat());
+    // A bucket that does not exist has no rows: from the end to the end.
+    let from = first(bucket).or_else(|| successor(LISTS)).unwrap_or_default();
+    (from, first(bucket + 1).or_else(|| successor(LISTS)))
 }
 
 pub(super) fn top(bucket: u32) -> Vec<u8> {
@@ -72,7 +102,7 @@ pub(super) fn top(bucket: u32) -> Vec<u8> {
 
 /// Prefix of a map key's entries: then index -> leaf hash.
 pub(super) fn map_entries(key: &MapKey) -> Vec<u8> {
-    [b"map/entry/", &key.as_bytes()[..]].concat()
+    [ENTRIES, key.as_bytes()].concat()
 }
 
 /// A tile's or bundle's file.

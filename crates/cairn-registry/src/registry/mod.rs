@@ -43,7 +43,7 @@ use crate::{
     merkle,
     note::NoteVerifier,
     proof::TlogProof,
-    store::{DiskStore, Store, StoreError, StoreLock},
+    store::{DiskStore, Store, StoreError, StoreLock, TieredStore},
 };
 
 pub use error::RegistryError;
@@ -153,7 +153,7 @@ impl Registry {
         let store = DiskStore::open(&path.join(layout::WORKING))?;
         let mut registry = Self::open_store(Box::new(store), Box::new(RealDisk::new(path)), key, origin)?;
         // Only now: a start that is refused must not seal what it was refused for.
-        (registry.seal, registry._lock) = (Some(seal.armed()), Some(lock));
+        (registry.seal, registry._lock) = (Some(seal), Some(lock));
         Ok(registry)
     }
 
@@ -167,8 +167,23 @@ impl Registry {
         key: OwnerKey,
         origin: &str,
     ) -> Result<Self, RegistryError> {
+        Self::open_tiered(store, disk, key, origin, layout::ENOUGH)
+    }
+
+    /// As [`Registry::open_store`]; rows go out of the store once there are `enough` of those that only accumulate.
+    ///
+    /// # Errors
+    /// As [`Registry::open_store`].
+    pub fn open_tiered(
+        store: Box<dyn Store>,
+        disk: Box<dyn Disk>,
+        key: OwnerKey,
+        origin: &str,
+        enough: usize,
+    ) -> Result<Self, RegistryError> {
         let files = Arc::new(Files::new(disk));
-        let loaded = reload::reload(store.as_ref(), &files, &key, origin)?;
+        let store = Box::new(TieredStore::open(store, files.clone(), layout::RUNS, layout::COLD, enough)?);
+        let loaded = reload::reload(&*store, &files, &key, origin)?;
         Ok(Self {
             nonces: nonce::Nonces::new(&key, origin),
             origin: origin.to_owned(),
@@ -262,6 +277,16 @@ impl Registry {
         })
     }
 
+    /// Puts in order what writing leaves behind in the store, which stays small and quick to start by it. While others read and
+    /// write; to be called now and then. Takes seconds where much came in; `stop` is asked now and then and ends it early.
+    ///
+    /// # Errors
+    /// [`RegistryError::Store`]; nothing is lost, and the next call tries again.
+    pub fn tidy(&self, stop: &dyn Fn() -> bool) -> Result<(), RegistryError> {
+        // What a halted registry's store holds is unknown: it is read and not touched.
+        if self.halted().is_some() { Ok(()) } else { Ok(self.store.tidy(stop)?) }
+    }
+
     fn read(&self) -> RwLockReadGuard<'_, State> {
         self.state.read().unwrap_or_else(PoisonError::into_inner)
     }
@@ -274,10 +299,10 @@ impl Registry {
 impl Drop for Registry {
     fn drop(&mut self) {
         // What a halted registry's store holds is unknown: nobody is to vouch for it.
-        if self.halted().is_some()
+        if self.halted().is_none()
             && let Some(seal) = &mut self.seal
         {
-            seal.disarm();
+            seal.arm(self.store.known_files());
         }
     }
 }

@@ -20,7 +20,7 @@ use super::layout;
 use crate::{
     digest::Digest,
     files::{Files, RealDisk},
-    store::{StoreError, sync_folder},
+    store::{KnownFile, StoreError, sync_folder},
 };
 
 /// The seal's format version.
@@ -45,7 +45,8 @@ struct SealedFile {
 /// Seals the store's folder when dropped, if armed.
 pub(super) struct Seal {
     root: PathBuf,
-    armed: bool,
+    /// Files whose digests are known since they were written; none while it is not armed.
+    known: Option<Vec<KnownFile>>,
 }
 
 impl Seal {
@@ -62,23 +63,18 @@ impl Seal {
             place: path.display().to_string(),
             cause: e.to_string(),
         })?;
-        Ok(Self { root: root.to_path_buf(), armed: false })
+        Ok(Self { root: root.to_path_buf(), known: None })
     }
 
-    /// The store was found good.
-    pub(super) fn armed(self) -> Self {
-        Self { root: self.root.clone(), armed: true }
+    /// To be written when dropped: the store is known to be good, and these files of it as they were written.
+    pub(super) fn arm(&mut self, known: Vec<KnownFile>) {
+        self.known = Some(known);
     }
 
-    /// The store is not known to be good any more.
-    pub(super) const fn disarm(&mut self) {
-        self.armed = false;
-    }
-
-    fn write(&self) -> io::Result<()> {
+    fn write(&self, known: &[KnownFile]) -> io::Result<()> {
         await_closed(&self.root.join(layout::WORKING).join("db"))?;
         let mut files = Vec::new();
-        list(&self.root, layout::WORKING, &mut files)?;
+        list(&self.root, layout::WORKING, known, &mut files)?;
         files.sort_by(|a, b| a.path.cmp(&b.path));
         let json = serde_json::to_vec(&Sealed { format_version: VERSION, files })?;
         let disk = Files::new(Box::new(RealDisk::new(&self.root)));
@@ -88,9 +84,9 @@ impl Seal {
 
 impl Drop for Seal {
     fn drop(&mut self) {
-        if self.armed {
+        if let Some(known) = self.known.take() {
             // Without a seal an auditor says that it cannot be told, which is the truth.
-            let _ = self.write();
+            let _ = self.write(&known);
         }
     }
 }
@@ -120,16 +116,20 @@ fn digest(file: &mut File) -> io::Result<(u64, Digest)> {
     }
 }
 
-fn list(root: &Path, folder: &str, files: &mut Vec<SealedFile>) -> io::Result<()> {
+fn list(root: &Path, folder: &str, known: &[KnownFile], files: &mut Vec<SealedFile>) -> io::Result<()> {
     for entry in fs::read_dir(root.join(folder))? {
         let entry = entry?;
         let path = format!("{folder}/{}", entry.file_name().to_string_lossy());
         if entry.file_type()?.is_dir() {
-            list(root, &path, files)?;
-        } else {
-            let (size, sha256) = digest(&mut File::open(root.join(&path))?)?;
-            files.push(SealedFile { path, size, sha256 });
+            list(root, &path, known, files)?;
+            continue;
         }
+        // As it was written, not as it is now: it may have changed since, and there may be gigabytes of it.
+        let (size, sha256) = match known.iter().find(|known| known.path == path) {
+            Some(known) => (known.size, known.sha256),
+            None => digest(&mut File::open(root.join(&path))?)?,
+        };
+        files.push(SealedFile { path, size, sha256 });
     }
     Ok(())
 }

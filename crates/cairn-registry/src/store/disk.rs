@@ -12,6 +12,7 @@ use std::{
     ffi::OsString,
     fs::{self, File},
     io,
+    ops::Bound,
     path::{Path, PathBuf},
     sync::{Mutex, PoisonError},
     thread,
@@ -176,16 +177,10 @@ impl Store for DiskStore {
         self.sync_files().map_err(|e| error("flush", &self.folder, &e))
     }
 
-    fn scan(&self, prefix: &[u8], from: &[u8], limit: usize) -> Result<Vec<Entry>, StoreError> {
-        let start = [prefix, from].concat();
-        let mut found = Vec::new();
-        for entry in self.db.range(start..) {
-            let (key, value) = entry.map_err(|e| self.error("scan", &e))?;
-            if found.len() == limit || !key.starts_with(prefix) {
-                break;
-            }
-            found.push((key.to_vec(), value.to_vec()));
-        }
-        Ok(found)
+    fn range(&self, from: &[u8], to: Option<&[u8]>, limit: usize) -> Result<Vec<Entry>, StoreError> {
+        let (from, to) = (Bound::Included(from), to.map_or(Bound::Unbounded, Bound::Excluded));
+        let entries = self.db.range::<&[u8], _>((from, to)).take(limit);
+        let entries = entries.map(|entry| entry.map(|(key, value)| (key.to_vec(), value.to_vec())));
+        entries.collect::<Result<_, _>>().map_err(|e| self.error("range", &e))
     }
 }

@@ -10,7 +10,7 @@ use std::{
 };
 
 use super::{Change, Entry, Store, StoreError};
-use crate::files::Disk;
+use crate::files::{Disk, OpenFile};
 
 /// How an operation fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -165,11 +165,10 @@ impl Store for FaultyStore {
         })
     }
 
-    fn scan(&self, prefix: &[u8], from: &[u8], limit: usize) -> Result<Vec<Entry>, StoreError> {
-        let start = [prefix, from].concat();
-        self.perform("scan", |inner| {
-            (inner.written.range(start..))
-                .take_while(|(key, _)| key.starts_with(prefix))
+    fn range(&self, from: &[u8], to: Option<&[u8]>, limit: usize) -> Result<Vec<Entry>, StoreError> {
+        self.perform("range", |inner| {
+            (inner.written.range(from.to_vec()..))
+                .take_while(|(key, _)| to.is_none_or(|to| key.as_slice() < to))
                 .take(limit)
                 .map(|(key, value)| (key.clone(), value.clone()))
                 .collect()
@@ -189,6 +188,11 @@ impl Disk for FaultyStore {
     fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError> {
         let read = self.read(path, u64::MAX)?;
         Ok(read.map(|bytes| bytes.into_iter().skip(offset as usize).take(length).collect()))
+    }
+
+    fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, StoreError> {
+        let inode = self.perform("open", |inner| inner.names.get(path).copied())?;
+        Ok(inode.map(|inode| Box::new(OpenInode { store: self.clone(), inode }) as Box<dyn OpenFile>))
     }
 
     fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
@@ -236,6 +240,24 @@ impl Disk for FaultyStore {
         self.perform("remove", |inner| {
             let below = format!("{path}/");
             inner.names.retain(|name, _| name != path && !name.starts_with(&below));
+        })
+    }
+}
+
+/// A file held open: its bytes, whatever becomes of its name.
+struct OpenInode {
+    store: FaultyStore,
+    inode: usize,
+}
+
+impl OpenFile for OpenInode {
+    fn size(&self) -> Result<u64, StoreError> {
+        self.store.perform("size", |inner| inner.inodes[self.inode].written.len() as u64)
+    }
+
+    fn read_at(&self, offset: u64, length: usize) -> Result<Vec<u8>, StoreError> {
+        self.store.perform("read", |inner| {
+            inner.inodes[self.inode].written.iter().skip(offset as usize).take(length).copied().collect()
         })
     }
 }

@@ -5,15 +5,19 @@
 //! entries are there or none. What a returned [`Store::flush`] covers MUST survive
 //! a crash of the process and of the machine. Batches MUST NOT be reordered: where
 //! a later one survived, so did the earlier.
+//!
+//! [`DiskStore`] is sled. [`TieredStore`] keeps a store small by moving what only accumulates into sorted files.
 
 mod disk;
 mod lock;
 mod memory;
+mod tiered;
 
 pub use disk::DiskStore;
 pub(crate) use disk::sync_folder;
 pub use lock::{Holder, StoreLock};
 pub use memory::{Fault, FaultyStore};
+pub use tiered::{Cold, KnownFile, TieredStore};
 
 /// A key and its value.
 pub type Entry = (Vec<u8>, Vec<u8>);
@@ -41,11 +45,42 @@ pub trait Store: Send + Sync {
     /// [`StoreError`]; afterwards what was not durable before may be so or not.
     fn flush(&self) -> Result<(), StoreError>;
 
+    /// Entries whose key is `from` or greater and, where there is a bound, less than `to`; ascending, at most `limit`.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    fn range(&self, from: &[u8], to: Option<&[u8]>, limit: usize) -> Result<Vec<Entry>, StoreError>;
+
     /// Entries whose key begins with `prefix`, in ascending order of keys, from `prefix | from` on, at most `limit`.
     ///
     /// # Errors
     /// [`StoreError`].
-    fn scan(&self, prefix: &[u8], from: &[u8], limit: usize) -> Result<Vec<Entry>, StoreError>;
+    fn scan(&self, prefix: &[u8], from: &[u8], limit: usize) -> Result<Vec<Entry>, StoreError> {
+        let end = successor(prefix);
+        self.range(&[prefix, from].concat(), end.as_deref(), limit)
+    }
+
+    /// Puts in order what writing left behind, while others read and write. Takes seconds where there is much; `stop`
+    /// is asked now and then, and ends it early with nothing lost.
+    ///
+    /// # Errors
+    /// [`StoreError`]; nothing is lost, and the next call tries again.
+    fn tidy(&self, _stop: &dyn Fn() -> bool) -> Result<(), StoreError> {
+        Ok(())
+    }
+
+    /// Files whose bytes never change, with the digests that they had when they were written.
+    fn known_files(&self) -> Vec<KnownFile> {
+        Vec::new()
+    }
+}
+
+/// The smallest key that is greater than every key with this prefix; none where there is no such key.
+pub(crate) fn successor(prefix: &[u8]) -> Option<Vec<u8>> {
+    let at = prefix.iter().rposition(|byte| *byte != 0xff)?;
+    let mut end = prefix[..=at].to_vec();
+    end[at] += 1;
+    Some(end)
 }
 
 /// A store that failed.

@@ -66,6 +66,7 @@ pub fn grow(task: &Growth) -> anyhow::Result<f64> {
         let end = (number + BATCH).min(task.records);
         registry.fill((number..end).map(|number| made::entry(task.seed, number, task.views)))?;
         registry.publish()?;
+        registry.tidy(&|| false)?;
         number = end;
         let rate = number as f64 / begun.elapsed().as_secs_f64();
         let left = (task.records - number) as f64 / rate;
