@@ -16,6 +16,7 @@ mod path;
 mod poses;
 mod progress;
 mod records;
+mod registry;
 mod scene;
 mod sign;
 mod train;
@@ -78,6 +79,9 @@ enum Command {
     /// Verify bundles, stores and logs, trusting nobody
     #[command(subcommand)]
     Audit(audit::Command),
+    /// Repair the log of a daemon that is not running
+    #[command(subcommand)]
+    Registry(registry::Command),
     /// Cosign the checkpoints of logs, as a witness
     #[command(subcommand)]
     Witness(witness::Command),
@@ -113,6 +117,7 @@ impl Cli {
             Command::Keys(command) if command.is_local() => keys::local(&command)?,
             Command::Witness(command) => witness::run(&command).await?,
             Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
+            Command::Registry(command) => registry::run(&place, &config, &command)?,
             Command::Demo(args) => demo::run(&place, args).await?,
             Command::Bench(args) => bench::run(&place, args).await?,
             Command::BenchPart => bench::part()?,
@@ -146,6 +151,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         | Command::Audit(_)
         | Command::Witness(_)
         | Command::Demo(_)
+        | Command::Registry(_)
         | Command::Bench(_)
         | Command::BenchPart => Ok(()),
     }

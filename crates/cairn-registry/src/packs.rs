@@ -102,6 +102,22 @@ pub fn parse(pack: &[u8], most: usize) -> Result<(Vec<Slot>, usize), PackError> 
     Ok((slots, at))
 }
 
+/// A pack's slots as far as they are whole, and what is wrong with the one behind them, if there is one.
+pub fn parse_whole(pack: &[u8]) -> (Vec<Slot>, Option<PackError>) {
+    let (mut slots, mut at) = (Vec::new(), 0);
+    while at < pack.len() && slots.len() < TILE_WIDTH.into() {
+        let parsed = frame(pack, at, slots.len()).and_then(|bytes| Ok((Slot::parse(bytes, slots.len())?, bytes.len())));
+        match parsed {
+            Ok((slot, length)) => {
+                slots.push(slot);
+                at += 4 + length;
+            }
+            Err(e) => return (slots, Some(e)),
+        }
+    }
+    (slots, None)
+}
+
 /// Slot `number` alone, counted from 0, read through `read_at` (offset, length) without the rest of the pack; none where the
 /// pack ends before it.
 ///
@@ -186,6 +202,9 @@ mod tests {
         assert_eq!((nth(4, read_at), nth(9, read_at)), (Ok(None), Ok(None)));
         let ends = [0, 7, 11, 11 + 4 + 65];
         for end in 0..pack.len() {
+            let (whole, rest) = parse_whole(&pack[..end]);
+            assert_eq!(whole, slots()[..ends.iter().filter(|at| **at > 0 && **at <= end).count()], "cut at {end}");
+            assert_eq!(rest.is_none(), ends.contains(&end), "cut at {end}");
             assert_eq!(parse(&pack[..end], 256).is_ok(), ends.contains(&end), "cut at {end}");
         }
     }

@@ -28,6 +28,8 @@ pub enum Part {
     Grow(registry::Growth),
     /// A log of some size, started and asked.
     Log(registry::Serve),
+    /// A log of some size, audited.
+    AuditLog(registry::Audit),
     /// Submissions to a log until the process is killed.
     Victim(registry::Victim),
 }
@@ -64,6 +66,7 @@ work! {
     registry::Load: Load -> registry::Loaded,
     registry::Growth: Grow -> f64,
     registry::Serve: Log -> registry::Served,
+    registry::Audit: AuditLog -> registry::Audited,
 }
 
 /// Answers `cairn bench-part`.
@@ -84,6 +87,7 @@ pub fn part() -> anyhow::Result<()> {
         Part::Load(task) => serde_json::to_string(&registry::load(&task)?)?,
         Part::Grow(task) => serde_json::to_string(&registry::grow(&task)?)?,
         Part::Log(task) => serde_json::to_string(&registry::serve(&task)?)?,
+        Part::AuditLog(task) => serde_json::to_string(&registry::audit(&task)?)?,
         Part::Victim(task) => serde_json::to_string(&registry::victim(&task)?)?,
     };
     println!("{answer}");

@@ -127,7 +127,10 @@ pub enum RegistryError {
         got: String,
     },
     /// The store contradicts what was signed, or itself.
-    #[error("store, {place}: {what}; restore a backup that holds at least the last signed checkpoint")]
+    #[error(
+        "store, {place}: {what}; restore a backup that holds at least the last signed checkpoint, or have the working \
+         state made again (`cairn registry rebuild`)"
+    )]
     Inconsistent {
         /// The entry.
         place: String,
@@ -137,6 +140,14 @@ pub enum RegistryError {
     /// The stored map contradicts itself.
     #[error("store, map: {0}; restore a backup that holds at least the last signed checkpoint")]
     Map(#[from] MapError),
+    /// The working state cannot be made again from what is public.
+    #[error("cannot make the working state again: {place}: {what}")]
+    Rebuild {
+        /// The file or entry.
+        place: String,
+        /// What is wrong, with expected and got.
+        what: String,
+    },
     /// A pack of envelopes is damaged.
     #[error(transparent)]
     Pack(#[from] PackError),

@@ -26,6 +26,9 @@ pub(super) const FORMAT_VERSION: &str = "cairn-registry-store/3";
 pub(super) const WORKING: &str = "working";
 /// Where rows of the store go that only accumulate.
 pub(super) const RUNS: &str = "working/runs";
+/// The store's folder while it is made again, and its runs.
+pub(super) const REBUILT: &str = "working.rebuilt";
+pub(super) const REBUILT_RUNS: &str = "working.rebuilt/runs";
 /// Digests of the store's files.
 pub(super) const SEAL: &str = "working.seal";
 /// Where releases before this format had their store.

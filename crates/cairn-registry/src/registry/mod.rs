@@ -22,6 +22,7 @@ mod layout;
 mod nonce;
 mod publish;
 mod read;
+mod rebuild;
 mod reload;
 mod seal;
 mod submit;
@@ -51,6 +52,7 @@ pub use fill::ORIGIN_PREFIX as BENCH_ORIGIN_PREFIX;
 pub use nonce::NONCE_LIFETIME;
 pub use publish::Published;
 pub use read::{LogEntry, StoredRecord};
+pub use rebuild::Rebuilt;
 
 /// What a submitter gets once the record is durable.
 #[derive(Debug, Clone, PartialEq, Eq)]

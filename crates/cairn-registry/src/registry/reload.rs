@@ -142,7 +142,11 @@ fn hold_to_signed(store: &dyn Store, tree: &TileTree) -> Result<(u64, Digest), R
 }
 
 /// The checkpoint that monitors were shown last: this log's own word, also where the store forgot it.
-fn published(files: &Files, key: &OwnerKey, origin: &str) -> Result<Option<(String, Checkpoint)>, RegistryError> {
+pub(super) fn published(
+    files: &Files,
+    key: &OwnerKey,
+    origin: &str,
+) -> Result<Option<(String, Checkpoint)>, RegistryError> {
     let Some(bytes) = files.read(layout::CHECKPOINT, MAX_CHECKPOINT)? else { return Ok(None) };
     let refuse = |what: String| inconsistent(layout::CHECKPOINT, what);
     let note = String::from_utf8(bytes).map_err(|e| refuse(e.to_string()))?;

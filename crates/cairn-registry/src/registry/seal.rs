@@ -92,7 +92,7 @@ impl Drop for Seal {
 }
 
 /// Sled writes for a moment after its last handle is dropped, and holds its lock until then.
-fn await_closed(db: &Path) -> io::Result<()> {
+pub(super) fn await_closed(db: &Path) -> io::Result<()> {
     let file = File::open(db)?;
     for _ in 0..250 {
         match FileExt::try_lock(&file) {

@@ -21,9 +21,9 @@ const SUBMISSIONS: u64 = 100;
 /// Verifications that are timed.
 const VERIFICATIONS: usize = 200;
 
-/// A log to grow, in a process of its own.
+/// A log of made-up entries.
 #[derive(Clone, Serialize, Deserialize)]
-pub struct Growth {
+pub struct Log {
     pub label: String,
     pub folder: PathBuf,
     pub seed: u64,
@@ -31,15 +31,30 @@ pub struct Growth {
     pub views: u64,
 }
 
-/// A grown log to work with, in a process of its own, whose memory is that of serving it.
+/// To be grown, in a process of its own.
 #[derive(Clone, Serialize, Deserialize)]
-pub struct Task {
-    pub label: String,
-    pub folder: PathBuf,
-    pub seed: u64,
-    pub records: u64,
-    pub views: u64,
+pub struct Growth(pub Log);
+
+/// To be worked with, in a process of its own, whose memory is that of serving it.
+#[derive(Clone, Serialize, Deserialize)]
+pub struct Serve(pub Log);
+
+/// To be audited, in a process of its own.
+#[derive(Clone, Serialize, Deserialize)]
+pub struct Audit(pub Log);
+
+macro_rules! of_a_log {
+    ($($task:ty,)*) => {
+        $(impl std::ops::Deref for $task {
+            type Target = Log;
+            fn deref(&self) -> &Log {
+                &self.0
+            }
+        })*
+    };
 }
+
+of_a_log! { Growth, Serve, Audit, }
 
 /// What it cost.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -51,6 +66,13 @@ pub struct Served {
     pub submit_ms: Waits,
     pub bundle_bytes: f64,
     pub verify_us: f64,
+    pub peak_mib: Option<f64>,
+}
+
+/// What an audit cost.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Audited {
+    pub seconds: f64,
     pub peak_mib: Option<f64>,
 }
 
@@ -80,7 +102,7 @@ pub fn grow(task: &Growth) -> anyhow::Result<f64> {
 ///
 /// # Errors
 /// The registry's; for a proof or bundle of its own that does not verify.
-pub fn run(task: &Task) -> anyhow::Result<Served> {
+pub fn serve(task: &Serve) -> anyhow::Result<Served> {
     let begun = Instant::now();
     let registry = Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?;
     let start_s = begun.elapsed().as_secs_f64();
@@ -121,6 +143,19 @@ pub fn run(task: &Task) -> anyhow::Result<Served> {
         verify_us,
         peak_mib: memory::peak_mib(),
     })
+}
+
+/// Audits all of the log: every byte hashed again, tree, tiles and map made again from the entries.
+///
+/// # Errors
+/// Where the folder cannot be read; for an audit that does not pass.
+pub fn audit(task: &Audit) -> anyhow::Result<Audited> {
+    let pinned = cairn_registry::NoteVerifier::new(ORIGIN, made::registry_key().public())?;
+    let options = cairn_audit::StoreOptions { pinned: Some(&pinned), ..Default::default() };
+    let begun = Instant::now();
+    let report = cairn_audit::audit_store(&task.folder, &options)?;
+    anyhow::ensure!(report.outcome == Outcome::Trusted, "the log's audit says {}: {report}", report.outcome);
+    Ok(Audited { seconds: begun.elapsed().as_secs_f64(), peak_mib: memory::peak_mib() })
 }
 
 /// Microseconds of verifying a bundle, and the bytes of it beside the envelope.

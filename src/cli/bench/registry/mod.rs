@@ -3,7 +3,8 @@
 //! Two kinds of run: `--long` measures the log of ten million records, without it all else is measured.
 //! Throughput and waits are of whole records, signed beforehand and verified on the way in. Logs beyond a few
 //! ten thousand are filled with entries whose signatures nobody made (`Registry::fill`): what is measured on those is
-//! starting, proving, answering and submitting, which does not depend on what stands in old entries.
+//! starting, proving, answering and submitting, which does not depend on what stands in old entries, and an audit of the
+//! entries, which count as erased: whoever audits envelopes as well verifies two signatures for each.
 
 mod grown;
 mod load;
@@ -16,7 +17,7 @@ use cairn_bench::Target;
 use cairn_bench::chart::{Axis, Chart, Look, Point, Series};
 use cairn_bench::table::Table;
 
-pub use grown::{Growth, Served, Task as Serve, grow, run as serve};
+pub use grown::{Audit, Audited, Growth, Log, Serve, Served, audit, grow, serve};
 pub use load::{Loaded, Task as Load, run as load};
 pub use victim::{Task as Victim, run as victim};
 
@@ -35,8 +36,18 @@ const RATE: f64 = 2000.0;
 /// Rounds of killing the process that takes records in.
 const ROUNDS: u64 = 200;
 
-const COLUMNS: [&str; 9] =
-    ["records", "seed", "start_s", "prove_us", "answer_ms", "submit_ms", "verify_us", "bundle_bytes", "peak_mib"];
+const COLUMNS: [&str; 10] = [
+    "records",
+    "seed",
+    "start_s",
+    "prove_us",
+    "answer_ms",
+    "submit_ms",
+    "verify_us",
+    "bundle_bytes",
+    "peak_mib",
+    "audit_s",
+];
 
 /// Measures everything, into `rows` and, as curves, into `args.out`.
 ///
@@ -115,19 +126,24 @@ fn curves(
     let wanted = |records: &u64| if args.long { *records == GOAL } else { *records < GOAL };
     for records in SIZES.into_iter().filter(wanted).filter(|records| !args.quick || *records <= 10_000) {
         let (label, folder) = (format!("{} records", with_units(records)), folder(&format!("log-{records}"))?);
-        let (seed, views) = (args.seed, 1);
-        let growth = Growth { label: label.clone(), folder: folder.clone(), seed, records, views };
-        let grown_s = children.run(&growth)?;
-        let served = children.run(&Serve { label: label.clone(), folder: folder.clone(), seed, records, views })?;
+        let log = Log { label: label.clone(), folder: folder.clone(), seed: args.seed, records, views: 1 };
+        let grown_s = children.run(&Growth(log.clone()))?;
+        let served = children.run(&Serve(log.clone()))?;
         let bytes = bytes_in(&folder)?;
+        let audited = children.run(&Audit(log))?;
         std::fs::remove_dir_all(&folder)?;
         of_size(&args.case_name(&label), &served, records, rows);
         rows.add(&args.case_name(&label), "grown", grown_s, "s", None);
+        rows.add(&args.case_name(&label), "audit of all of it", audited.seconds, "s", None);
+        if let Some(peak) = audited.peak_mib {
+            rows.add(&args.case_name(&label), "audit of all of it, peak memory", peak, "MiB", None);
+        }
         rows.add(&args.case_name(&label), "on disk", bytes as f64 / records as f64, "bytes/record", None);
         rows.save(args)?;
         let prove = served.prove_us.median;
         let figures = [served.start_s, prove, served.answer_ms, served.submit_ms.median, served.verify_us];
-        let figures = figures.into_iter().chain([served.bundle_bytes, served.peak_mib.unwrap_or(f64::NAN)]);
+        let peak = served.peak_mib.unwrap_or(f64::NAN);
+        let figures = figures.into_iter().chain([served.bundle_bytes, peak, audited.seconds]);
         let cells = [records.to_string(), args.seed.to_string()].into_iter().chain(figures.map(|f| f.to_string()));
         table.retain(|row| row[0] != records.to_string());
         table.push(cells.collect())?;
@@ -169,6 +185,7 @@ fn chart(table: &Table) -> Chart {
         x: Axis::log("records"),
         y: Axis::log("time, ms"),
         series: vec![
+            series("audit of all of it", 9, 1e3),
             series("start", 2, 1e3),
             series("answer about a scene", 4, 1.0),
             series("submission", 5, 1.0),

@@ -159,7 +159,8 @@ impl TieredStore {
     fn part(&self, batch: Vec<Change>) -> Result<(Vec<Entry>, Vec<Change>), StoreError> {
         let (mut cold, mut hot) = (Vec::new(), Vec::new());
         for (key, value) in batch {
-            let refuse = |cause: &str| StoreError { operation: "put", place: format!("{key:02x?}"), cause: cause.into() };
+            let refuse =
+                |cause: &str| StoreError { operation: "put", place: format!("{key:02x?}"), cause: cause.into() };
             if self.cold_of(&key).is_none() {
                 hot.push((key, value));
                 continue;
@@ -346,7 +347,8 @@ impl Store for TieredStore {
     }
 
     fn known_files(&self) -> Vec<KnownFile> {
-        let known = |run: &RunInfo| KnownFile { path: path_of(self.folder, run.number), size: run.size, sha256: run.sha256 };
+        let known =
+            |run: &RunInfo| KnownFile { path: path_of(self.folder, run.number), size: run.size, sha256: run.sha256 };
         self.read().levels.manifest.runs.iter().map(known).collect()
     }
 }

@@ -3,7 +3,7 @@
 //! Row by row, sled copied a page for every one of them, which was four fifths of the time that a batch took.
 //!
 //! ```text
-//! journal entry = version 1 | row ...        rows as in a run; at most about 64 KiB of them
+//! journal entry = version 1 | row ...        rows as in a run; at most about 8 KiB of them
 //! ```
 
 use std::collections::BTreeMap;
@@ -15,10 +15,11 @@ use crate::store::{Change, Entry, Store, StoreError};
 const JOURNAL: &[u8] = b"journal/";
 /// Version byte of a journal entry.
 const VERSION: u8 = 1;
-/// Bytes after which an entry is closed: well below what sled keeps in files of their own.
-const PIECE: usize = 64 << 10;
+/// Bytes after which an entry is closed. Sled puts a dozen of them into a page before it writes the page anew, and pages of
+/// 128 KiB and more it writes into files of their own.
+const PIECE: usize = 8 << 10;
 /// Entries read at a time.
-const PAGE: usize = 64;
+const PAGE: usize = 256;
 
 /// Rows in memory, and the journal entries that they are in.
 #[derive(Default)]

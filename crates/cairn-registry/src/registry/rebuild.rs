@@ -1,0 +1,342 @@
+//! Making the working state again from what is public: leaves and envelopes.
+//!
+//! Everything in the store follows from them, so that losing it, or finding it damaged, loses nothing. What was
+//! acknowledged and not published yet is there as well: its envelopes were flushed before anything was signed, and the
+//! map leaf behind them follows from origin, index and root. Each map leaf on the way must commit to the very map that comes
+//! out, and the root at the published size must be the one that was signed.
+
+use std::{
+    collections::{BTreeMap, HashMap, HashSet},
+    fs, io,
+    path::Path,
+    sync::Arc,
+};
+
+use super::{Registry, RegistryError, commit::StoredBuckets, layout, nonce::NONCE_LIFETIME, reload, seal, tiles};
+use crate::{
+    digest::Digest,
+    dsse::Envelope,
+    files::{Disk, Files, RealDisk},
+    keys::OwnerKey,
+    leaf::Leaf,
+    map::{BucketMap, MapEntry, MapKey, keys_of},
+    map_leaf::{Entry, MapLeaf},
+    merkle::{self, Subtrees as _},
+    packs::{self, Slot},
+    record::RecordKind,
+    store::{Change, DiskStore, Store, StoreError, StoreLock, TieredStore, sync_folder},
+    tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
+};
+
+const WIDTH: u64 = TILE_WIDTH as u64;
+/// Packs between two comparisons of tiles, and two reports of progress.
+const PACKS_AT_ONCE: u64 = 64;
+
+/// What was made again.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Rebuilt {
+    /// Entries of the log.
+    pub size: u64,
+    /// Records among them, erased ones included.
+    pub records: u64,
+    /// Entries that were durable and not published yet.
+    pub unpublished: u64,
+    /// Tiles that were missing or differed, and were written again.
+    pub tiles: u64,
+}
+
+impl Registry {
+    /// Makes the working state of the log in the folder `path` again. What is there of it must have been moved away.
+    /// Single leaves' files are believed only as far as the published root goes.
+    ///
+    /// `progress` is told entries done and entries that are published. Ended early, it begins anew the next time.
+    ///
+    /// # Errors
+    /// [`RegistryError::Rebuild`] names what is there already, missing or contradicts what was signed;
+    /// [`RegistryError::Locked`], [`RegistryError::Store`].
+    pub fn rebuild(
+        path: &Path,
+        key: &OwnerKey,
+        origin: &str,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<Rebuilt, RegistryError> {
+        let _lock = match StoreLock::take(path)? {
+            Ok(lock) => lock,
+            Err(holder) => return Err(RegistryError::Locked { path: holder.path, pid: holder.pid }),
+        };
+        let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
+        if working.exists() {
+            return Err(refuse(layout::WORKING, "is there; move it away first".into()));
+        }
+        let failed = |operation, place: &Path| {
+            let place = place.display().to_string();
+            move |e: io::Error| StoreError { operation, place, cause: e.to_string() }
+        };
+        match fs::remove_dir_all(&new) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed("remove", &new)(e).into()),
+            _ => {}
+        }
+        let store = DiskStore::open(&new)?;
+        let disk = Box::new(RealDisk::new(path));
+        let rebuilt = Self::rebuild_store(Box::new(store), disk, layout::REBUILT_RUNS, key, origin, progress)?;
+        seal::await_closed(&new.join("db")).map_err(failed("close", &new))?;
+        fs::rename(&new, &working).and_then(|()| sync_folder(path)).map_err(failed("rename", &new))?;
+        Ok(rebuilt)
+    }
+
+    /// As [`Registry::rebuild`], into a store of the caller's, which is empty, with its sorted runs in `runs`.
+    ///
+    /// # Errors
+    /// As [`Registry::rebuild`].
+    pub fn rebuild_store(
+        store: Box<dyn Store>,
+        disk: Box<dyn Disk>,
+        runs: &'static str,
+        key: &OwnerKey,
+        origin: &str,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<Rebuilt, RegistryError> {
+        let files = Arc::new(Files::new(disk));
+        let store = TieredStore::open(store, files.clone(), runs, layout::COLD, layout::ENOUGH)?;
+        let Some((_, published)) = reload::published(&files, key, origin)? else {
+            return Err(refuse(layout::CHECKPOINT, "is missing: nothing says what this log signed".into()));
+        };
+        let mut making = Making {
+            store: &store,
+            files: &files,
+            key,
+            origin,
+            published: published.size,
+            filed: published.size - published.size % WIDTH,
+            tree: tiles::TileTree::load(files.clone(), 0)?,
+            map: BucketMap::new(),
+            batch: Batch::default(),
+            owners: HashSet::new(),
+            done: Rebuilt::default(),
+        };
+        for number in 0.. {
+            if !making.take_pack(number)? {
+                break;
+            }
+            if number % PACKS_AT_ONCE == PACKS_AT_ONCE - 1 {
+                making.compare_tiles()?;
+                store.tidy(&|| false)?;
+                progress(making.done.size, published.size);
+            }
+        }
+        let (size, root) = (making.done.size, merkle::root_at(&making.tree, published.size.min(making.done.size))?);
+        if size < published.size || root != published.root {
+            let what = format!("gives {size} entries and root {root} at the published size {}", published.size);
+            return Err(refuse("envelopes", format!("{what}, published is root {}", published.root)));
+        }
+        making.compare_tiles()?;
+        making.finish()?;
+        store.tidy(&|| false)?;
+        progress(size, published.size);
+        Ok(Rebuilt { unpublished: size - published.size, ..making.done })
+    }
+}
+
+/// A working state on its way.
+struct Making<'a> {
+    store: &'a TieredStore,
+    files: &'a Files,
+    key: &'a OwnerKey,
+    origin: &'a str,
+    /// Entries under the published checkpoint.
+    published: u64,
+    /// Of those, the ones in full tiles and bundles.
+    filed: u64,
+    tree: tiles::TileTree,
+    map: BucketMap,
+    batch: Batch,
+    /// Key ids of all owners so far: whom an erased rotation ended shows only by trying.
+    owners: HashSet<Digest>,
+    done: Rebuilt,
+}
+
+/// Entries since the last map leaf.
+#[derive(Default)]
+struct Batch {
+    leaves: Vec<Vec<u8>>,
+    rows: Vec<Change>,
+    map: BTreeMap<MapKey, Vec<MapEntry>>,
+    owners: HashMap<Digest, Digest>,
+}
+
+impl Making<'_> {
+    /// Takes in 256 entries, or what there is of them; whether there can be more.
+    fn take_pack(&mut self, number: u64) -> Result<bool, RegistryError> {
+        let path = layout::pack(number);
+        let Some(pack) = self.files.read(&path, packs::MAX_PACK)? else { return Ok(false) };
+        let (slots, end) = packs::parse_whole(&pack);
+        let first = number * WIDTH;
+        let complete = slots.len() as u64 == WIDTH;
+        // The last pack may end anywhere: what a round had written of it when it was cut short.
+        if let (Some(e), true) = (end, first + (slots.len() as u64) < self.published) {
+            return Err(refuse(&path, e.to_string()));
+        }
+        let leaves = self.bundle(number)?;
+        for (at, slot) in slots.iter().enumerate() {
+            self.take(first + at as u64, slot, leaves.get(at).map(Vec::as_slice))?;
+        }
+        Ok(complete)
+    }
+
+    /// The published leaves of a bundle; none where its file is missing: records' follow from their envelopes.
+    fn bundle(&self, number: u64) -> Result<Vec<Vec<u8>>, RegistryError> {
+        let Some(path) = TilePath::in_tree(TileKind::Entries, number, self.published) else { return Ok(Vec::new()) };
+        let path = layout::public(&path);
+        let Some(bundle) = self.files.read(&path, 1 << 20)? else { return Ok(Vec::new()) };
+        let leaves = decode_entries(&bundle).map_err(|e| refuse(&path, e.to_string()))?;
+        Ok(leaves.into_iter().map(<[u8]>::to_vec).collect())
+    }
+
+    fn take(&mut self, index: u64, slot: &Slot, published: Option<&[u8]>) -> Result<(), RegistryError> {
+        let refuse = |what: String| refuse(&format!("entry {index}"), what);
+        let leaf = match slot {
+            Slot::MapLeaf => return self.close(index, published),
+            Slot::Record(json) => self.take_record(index, json)?,
+            Slot::Erased(keys) => {
+                let leaf = published.ok_or_else(|| refuse("it is erased, and its leaf is missing".into()))?;
+                let leaf = Leaf::decode(leaf).map_err(|e| refuse(e.to_string()))?;
+                self.list(index, &leaf, keys);
+                if leaf.kind == RecordKind::Rotation
+                    && let Some(ended) = self.owners.iter().find(|id| keys.contains(&MapKey::ended(id))).copied()
+                {
+                    self.retire(ended, index);
+                }
+                leaf
+            }
+        };
+        let bytes = leaf.encode();
+        if published.is_some_and(|published| published != bytes) {
+            return Err(refuse("its published leaf is not its envelope's".into()));
+        }
+        if leaf.kind == RecordKind::Revocation {
+            self.retire(leaf.owner, index);
+        }
+        self.owners.insert(leaf.owner);
+        self.batch.owners.insert(leaf.record, leaf.owner);
+        self.batch.leaves.push(bytes.to_vec());
+        Ok(())
+    }
+
+    fn take_record(&mut self, index: u64, json: &[u8]) -> Result<Leaf, RegistryError> {
+        let refuse = |what: String| refuse(&format!("entry {index}"), what);
+        let envelope = Envelope::parse(json).map_err(|e| refuse(e.to_string()))?;
+        let (leaf, record) = Leaf::open(&envelope).map_err(|e| refuse(e.to_string()))?;
+        if envelope.signature_by(&self.key.public()).is_none() {
+            return Err(refuse("the registry's signature is missing or does not verify".into()));
+        }
+        let replaced = match record.replaces.filter(|_| record.kind == RecordKind::Rotation) {
+            Some(digest) => Some(self.owner_of(&digest)?.ok_or_else(|| refuse(format!("{digest} is not in the log")))?),
+            None => None,
+        };
+        self.list(index, &leaf, &keys_of(&record, replaced));
+        if let Some(ended) = replaced {
+            self.retire(ended, index);
+        }
+        if index + NONCE_LIFETIME >= self.published {
+            self.batch.rows.push((layout::nonce(index), Some(record.nonce.as_bytes().to_vec())));
+        }
+        Ok(leaf)
+    }
+
+    fn list(&mut self, index: u64, leaf: &Leaf, keys: &[MapKey]) {
+        let entry = MapEntry { index, leaf_hash: leaf.hash() };
+        for key in keys {
+            self.batch.map.entry(*key).or_default().push(entry);
+            let row = [&layout::map_entries(key)[..], &index.to_be_bytes()].concat();
+            self.batch.rows.push((row, Some(entry.leaf_hash.as_bytes().to_vec())));
+        }
+        self.batch.rows.push((layout::index_of(&leaf.record), Some(index.to_be_bytes().to_vec())));
+    }
+
+    fn retire(&mut self, owner: Digest, index: u64) {
+        self.batch.rows.push((layout::retired(&owner), Some(index.to_be_bytes().to_vec())));
+    }
+
+    /// Key id of a record's owner.
+    fn owner_of(&self, record: &Digest) -> Result<Option<Digest>, RegistryError> {
+        if let Some(owner) = self.batch.owners.get(record) {
+            return Ok(Some(*owner));
+        }
+        let Some(index) = reload::number_at(self.store, &layout::index_of(record), || format!("index of {record}"))?
+        else {
+            return Ok(None);
+        };
+        match Entry::decode(&reload::leaf_bytes(self.store, self.files, index)?) {
+            Ok(Entry::Record(leaf)) => Ok(Some(leaf.owner)),
+            _ => Err(refuse(&format!("entry {index}"), "it is named as a record and is none".into())),
+        }
+    }
+
+    /// Ends a batch with its map leaf, which must commit to the map that came out.
+    fn close(&mut self, index: u64, published: Option<&[u8]>) -> Result<(), RegistryError> {
+        let refuse = |what: String| refuse(&format!("entry {index}"), what);
+        let batch = std::mem::take(&mut self.batch);
+        let staged = self.map.stage(&StoredBuckets(self.store), &batch.map)?;
+        let leaf = match published {
+            None => MapLeaf::sign(self.origin, index, staged.root, self.key),
+            Some(bytes) => MapLeaf::decode(bytes).map_err(|e| refuse(e.to_string()))?,
+        };
+        leaf.verify(self.origin, index, &self.key.public()).map_err(|e| refuse(e.to_string()))?;
+        if leaf.root != staged.root {
+            return Err(refuse(format!("commits to a map with root {}, the records give {}", leaf.root, staged.root)));
+        }
+        let mut rows = batch.rows;
+        rows.extend(staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone()))));
+        rows.extend(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))));
+        for leaf in batch.leaves.into_iter().chain([leaf.encode().to_vec()]) {
+            let index = self.tree.push(merkle::leaf_hash(&leaf));
+            if index >= self.filed {
+                rows.push((layout::leaf(index), Some(leaf)));
+            }
+            self.done.size = index + 1;
+            self.done.records += 1;
+        }
+        self.done.records -= 1;
+        self.store.put(rows)?;
+        self.map.apply(&staged);
+        Ok(())
+    }
+
+    /// Holds the tiles that are full under the published checkpoint to their files; writes what is not as it should be.
+    fn compare_tiles(&mut self) -> Result<(), RegistryError> {
+        let within = |level: u8, index: u64| {
+            TilePath::in_tree(TileKind::Hashes(level), index, self.filed).filter(|held| held.width == TILE_WIDTH)
+        };
+        let fresh = self.tree.fresh().into_iter();
+        let full: Vec<_> = fresh.filter_map(|(name, hashes)| Some((within(name.0, name.1)?, (name, hashes)))).collect();
+        let mut wrong = Vec::new();
+        for (path, (_, hashes)) in &full {
+            let (path, bytes) = (layout::public(path), tiles::bytes_of(hashes));
+            if self.files.read(&path, bytes.len() as u64).ok().flatten().as_ref() != Some(&bytes) {
+                wrong.push((path, bytes));
+            }
+        }
+        self.files.replace(&wrong)?;
+        self.done.tiles += wrong.len() as u64;
+        self.tree.filed(&full.into_iter().map(|(_, tile)| tile).collect::<Vec<_>>());
+        Ok(())
+    }
+
+    /// What makes the store one that a start accepts: last of all.
+    fn finish(&self) -> Result<(), RegistryError> {
+        let root = merkle::root_at(&self.tree, self.tree.size())?;
+        let put = |key: &[u8], value: Vec<u8>| (key.to_vec(), Some(value));
+        self.store.put(vec![
+            put(layout::FORMAT, layout::FORMAT_VERSION.into()),
+            put(layout::ORIGIN, self.origin.into()),
+            put(layout::REGISTRY_KEY, self.key.public().to_string().into()),
+            put(layout::SIGNED, layout::signed(self.tree.size(), &root)),
+            put(layout::FILED, self.filed.to_be_bytes().to_vec()),
+        ])?;
+        Ok(self.store.flush()?)
+    }
+}
+
+fn refuse(place: &str, what: String) -> RegistryError {
+    RegistryError::Rebuild { place: place.to_owned(), what }
+}

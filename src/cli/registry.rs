@@ -1,0 +1,47 @@
+//! `cairn registry`: what an operator does to the log itself, while no daemon has its folder.
+
+use std::time::Instant;
+
+use cairn_registry::Registry;
+
+use super::connect::Where;
+use super::progress::Progress;
+use crate::config::Config;
+use crate::engine::folder::DataFolder;
+use crate::engine::registry_key;
+
+/// What to do with the log.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// Make the log's working state again from its public files and envelopes, after it was lost or found damaged
+    ///
+    /// Move DIR/registry/working away first, with the seal beside it. Nothing acknowledged is lost: what was not
+    /// published yet follows from the envelopes.
+    Rebuild,
+}
+
+/// Answers `cairn registry`.
+///
+/// # Errors
+/// For a folder that is in use, or without the log's key; what stands against the log's own word.
+pub fn run(place: &Where, config: &Config, command: &Command) -> anyhow::Result<()> {
+    let Command::Rebuild = command;
+    anyhow::ensure!(
+        place.connect.is_none(),
+        "`cairn registry rebuild` works on a data folder on this machine; leave --connect out"
+    );
+    let folder = DataFolder::open(&place.data)?;
+    let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
+    let (begun, mut progress) = (Instant::now(), Progress::new(true));
+    let rebuilt = Registry::rebuild(&folder.registry(), &key, &config.origin, &mut |done, of| {
+        let left = begun.elapsed().as_secs_f64() * of.saturating_sub(done) as f64 / done.max(1) as f64;
+        progress.draw("entries", (done, of.max(done)), "", left);
+    })?;
+    progress.end();
+    println!(
+        "made again: {} records in {} log entries, {} of them not published yet; {} tiles were put right",
+        rebuilt.records, rebuilt.size, rebuilt.unpublished, rebuilt.tiles
+    );
+    println!("the root at the published size is the one that was signed; `cairn audit store` checks all the rest");
+    Ok(())
+}
