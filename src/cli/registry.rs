@@ -2,13 +2,10 @@
 
 use std::time::Instant;
 
-use cairn_registry::Registry;
-
 use super::connect::Where;
 use super::progress::Progress;
 use crate::config::Config;
-use crate::engine::folder::DataFolder;
-use crate::engine::registry_key;
+use crate::engine::rebuild::rebuild_registry;
 
 /// What to do with the log.
 #[derive(Debug, clap::Subcommand)]
@@ -30,10 +27,8 @@ pub fn run(place: &Where, config: &Config, command: &Command) -> anyhow::Result<
         place.connect.is_none(),
         "`cairn registry rebuild` works on a data folder on this machine; leave --connect out"
     );
-    let folder = DataFolder::open(&place.data)?;
-    let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
     let (begun, mut progress) = (Instant::now(), Progress::new(true));
-    let rebuilt = Registry::rebuild(&folder.registry(), &key, &config.origin, &mut |done, of| {
+    let rebuilt = rebuild_registry(&place.data, config, &mut |done, of| {
         let left = begun.elapsed().as_secs_f64() * of.saturating_sub(done) as f64 / done.max(1) as f64;
         progress.draw("entries", (done, of.max(done)), "", left);
     })?;

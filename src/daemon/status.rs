@@ -161,7 +161,10 @@ fn registry(error: &RegistryError) -> Code {
         RegistryError::Answer(_) => Code::ResourceExhausted,
         RegistryError::Locked { .. } | RegistryError::Halted { .. } => Code::Unavailable,
         RegistryError::WrongStore { .. } | RegistryError::Origin(_) => Code::FailedPrecondition,
-        RegistryError::Inconsistent { .. } | RegistryError::Map(_) | RegistryError::Pack(_) => Code::DataLoss,
+        RegistryError::Inconsistent { .. }
+        | RegistryError::Map(_)
+        | RegistryError::Pack(_)
+        | RegistryError::Rebuild { .. } => Code::DataLoss,
         RegistryError::Store(_) => Code::Internal,
     }
 }

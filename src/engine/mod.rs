@@ -21,6 +21,7 @@ pub mod paths;
 pub mod poses;
 pub mod publisher;
 pub mod query;
+pub mod rebuild;
 mod registry_key;
 pub mod report;
 pub mod scenes;
