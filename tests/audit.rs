@@ -76,6 +76,33 @@ fn a_store_is_audited_and_each_fault_has_its_exit_code() {
 }
 
 #[test]
+fn a_lost_working_state_is_made_again_from_a_folder_written_by_other_code() {
+    let log = Log::small();
+    let (dir, data, vkey) = place(&log);
+    let registry = dir.path().join("data/registry");
+    let config = dir.path().join("cairn.toml");
+    put(&config, format!("[registry]\norigin = \"{}\"\n", handmade::ORIGIN).as_bytes());
+    let config = config.display().to_string();
+    log.signer.save(&dir.path().join("data/registry.key")).unwrap();
+    let run = |arguments: &[&str]| {
+        let output = cairn(&[arguments, &["--data", &data, "--config", &config]].concat());
+        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        (output.status.success(), said)
+    };
+    let (done, said) = run(&["registry", "rebuild"]);
+    assert!(!done && said.contains("move it away"), "{said}");
+    std::fs::remove_dir_all(registry.join("working")).unwrap();
+    std::fs::remove_file(registry.join("working.seal")).unwrap();
+    let (done, said) = run(&["registry", "rebuild"]);
+    assert!(done && said.contains("5 records in 8 log entries, 0 of them not published yet"), "{said}");
+    let (done, said) = run(&["owners", "list", "town"]);
+    assert!(done && said.contains("town"), "{said}");
+    // That command closed it cleanly, and so sealed it.
+    let (code, said) = audit(&["store", &data, "--vkey", &vkey]);
+    assert!(code == Some(0) && said.starts_with("trusted") && said.contains("working.verified"), "{said}");
+}
+
+#[test]
 fn a_policy_names_the_log_and_asks_for_its_witnesses() {
     let log = Log::small();
     let (dir, data, _) = place(&log);
