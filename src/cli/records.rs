@@ -121,6 +121,12 @@ impl Stored {
         Ok(stored)
     }
 
+    /// Refuses a key that cannot speak for the record: another than its owner's, unless that one ended; then it is the
+    /// registry's to say whether this one took its place.
+    pub fn spoken_for_by(&self, key: &OwnerKey) -> anyhow::Result<()> {
+        if self.standing.key_ended_by.is_some() { Ok(()) } else { self.belongs_to(key) }
+    }
+
     /// Refuses a key that the record does not belong to.
     pub fn belongs_to(&self, key: &OwnerKey) -> anyhow::Result<()> {
         let (index, owner) = (self.index, self.record.owner_key);

@@ -110,7 +110,7 @@ impl Engine {
         Ok((taken, Some(next)))
     }
 
-    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/1`) of at most `most` bytes.
+    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
     ///
     /// # Errors
     /// [`EngineError::NotFound`] for a view's name; [`EngineError::OverLimit`]; the registry's.

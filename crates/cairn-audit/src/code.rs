@@ -119,8 +119,10 @@ codes! {
     FreshnessKnown = "freshness.known", Passed, "";
     /// A later record that was handed in does not hold.
     LaterRecordInvalid = "later.invalid", Warning, "get the log's records again; this one was not counted";
-    /// The owner took this very record back.
+    /// The owner, or the key that rotations put in the owner's place, took this very record back.
     RecordRevoked = "record.revoked", Error, "ask the owner for the record that holds now";
+    /// The owner, or the key that rotations put in the owner's place, put another record in this one's.
+    RecordReplaced = "record.replaced", Warning, "ask for the record that its owner put in its place, and use that";
     /// The owner's key was ended before this record.
     RecordAfterRevocation = "record.after_revocation", Error, "trust nothing that this key signed behind that index";
     /// The owner's key was ended behind this record, which stays good.

@@ -14,7 +14,9 @@ mod worth;
 pub use report::{AnswerReport, RecordWorth, Standing};
 
 use cairn_registry::{
-    Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier, map, map_leaf,
+    Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier,
+    answer::Format,
+    map, map_leaf,
     merkle::{verify_consistency, verify_inclusion},
 };
 
@@ -39,7 +41,7 @@ pub fn audit_answer(answer: &[u8], pinned: Option<&NoteVerifier>) -> AnswerRepor
                 | AnswerError::Scene(_)
                 | AnswerError::Order { .. } => Code::AnswerMalformed,
             };
-            findings.add(code, "answer", "a complete answer of format cairn-answer/1", e);
+            findings.add(code, "answer", format!("a complete answer of format {}", Format::NAME), e);
             return report(None, None, Vec::new(), findings);
         }
     };
