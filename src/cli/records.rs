@@ -176,10 +176,11 @@ impl Bundle {
 
     /// Fetches the record's proof, and writes what an auditor needs.
     pub async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<()> {
+        // First: with the record in hand its proof can be fetched by anybody, also where its key was just ended.
+        self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
         let proof = line.owners().proof(request).await.map_err(refused)?.into_inner().tlog_proof;
         let vkey = vkey(line).await?;
-        self.add("record.json", &entered.envelope)?;
         self.add("record.tlog-proof", proof.as_bytes())?;
         self.add("log.vkey", format!("{vkey}\n").as_bytes())
     }

@@ -2,7 +2,8 @@
 
 use super::*;
 
-const LIMITS: Limits = Limits { bytes: 100, views: 10, training_seconds: 10, queued_jobs: 1 };
+const LIMITS: Limits =
+    Limits { bytes: 100, views: 10, training_seconds: 10, queued_jobs: 1, records: 0, records_per_day: 0 };
 
 fn open(dir: &Path) -> (DataFolder, Access) {
     let folder = DataFolder::open(dir).unwrap();

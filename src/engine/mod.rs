@@ -106,6 +106,7 @@ impl Engine {
             checkpoint_every: Duration::from_secs(config.checkpoint_every_s),
         };
         let access = Arc::new(Access::open(&folder, config.access.quota)?);
+        access.follow_all(&registry)?;
         let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
         Ok(Self {
             folder,
