@@ -24,6 +24,7 @@ pub mod query;
 mod registry_key;
 pub mod report;
 pub mod scenes;
+mod seal;
 pub mod stages;
 pub mod tour;
 pub mod training;
@@ -108,6 +109,7 @@ impl Engine {
         let access = Arc::new(Access::open(&folder, config.access.quota)?);
         access.follow_all(&registry)?;
         let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
+        folder.seal_at_end();
         Ok(Self {
             folder,
             jobs,
