@@ -180,6 +180,35 @@ fn the_key_that_follows_replaces_and_takes_back_what_the_one_before_it_signed() 
     let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "not mine", "--record", &third, "--out"];
     let revoked = town.enter(&[&revoke[..], &[&out("revoked")]].concat());
     assert!(town.state(&third).starts_with(&format!("taken back by record {revoked}")), "{}", town.state(&third));
+    // Stopped cleanly, the folder's own state is sealed, and a byte that changes in it is named.
+    let store = || {
+        let done = town.place.cairn(&["audit", "store", &town.data]);
+        (done.status.code(), String::from_utf8_lossy(&done.stdout).into_owned())
+    };
+    let (code, said) = store();
+    assert!(code == Some(0) && said.contains("state.verified") && !said.contains("file.uncovered  access"), "{said}");
+    let checkpoint = std::path::Path::new(&town.data).join("registry.checkpoint");
+    let good = std::fs::read(&checkpoint).unwrap();
+    std::fs::write(&checkpoint, [&good[..], b"x"].concat()).unwrap();
+    let (code, said) = store();
+    assert!(code == Some(14) && said.contains("state.mismatch  registry.checkpoint"), "{said}");
+    std::fs::write(&checkpoint, good).unwrap();
+    // An answer is held to the question.
+    let answer = out("answer.json");
+    town.place.cairn_ok(&["owners", "answer", "town", "--out", &answer, "--data", &town.data]);
+    let photograph = std::fs::read_dir(town.place.path("capture/images")).unwrap().next().unwrap().unwrap().path();
+    let photograph = photograph.to_str().unwrap();
+    for (question, wanted) in [
+        (&["--scene", "town"][..], Some(0)),
+        (&["--scene", "fern"], Some(1)),
+        (&["--scene", "town", "--view", photograph], Some(1)),
+        (&["--scene", "town", "--view", "no-such-file"], Some(2)),
+    ] {
+        let done = town.place.cairn(&[&["audit", "answer", &answer][..], question].concat());
+        let said = String::from_utf8_lossy(&done.stdout);
+        let mismatch = said.contains("answer.question.mismatch");
+        assert_eq!((done.status.code(), mismatch), (wanted, wanted == Some(1)), "{question:?}: {said}");
+    }
     // A bundle from before, with the log's records, says so.
     let list = out("log.json");
     town.place.cairn_ok(&["owners", "list", "town", "--out", &list, "--data", &town.data]);
