@@ -390,6 +390,8 @@ async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_wi
     world.ok("root", &["access", "quota", &next_key, "--views", "40"]);
     world.ok("next", &[&sign[..], &["--key", &next, "--out", &out("second")]].concat());
 
+    // A key that was rotated away gets no other account, whoever has it.
+    world.refused("ada", &["access", "register", "--name", "again"], "was ended by record");
     // Also after a restart; and registering the new key changes nothing.
     assert!(world.daemon.terminate().success());
     world.daemon = Daemon::start(&world.place.path("data"), ACCOUNTS);
@@ -401,8 +403,8 @@ async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_wi
     let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "lost", "--out"];
     world.ok("next", &[&revoke[..], &[&world.place.text("revocation")]].concat());
     for who in ["ada", "next"] {
-        world.refused(who, &["scene", "delete", "town"], "was revoked by record");
-        world.refused(who, &["access", "register", "--name", "again"], "was revoked by record");
+        world.refused(who, &["scene", "delete", "town"], "was ended by record");
+        world.refused(who, &["access", "register", "--name", "again"], "was ended by record");
     }
     assert!(world.ok("root", &["access", "list"]).contains("its key ended by record"));
     world.ok("root", &["scene", "delete", "town"]);

@@ -110,9 +110,11 @@ impl AccessService for Shared {
         let account = self
             .run(move |engine| {
                 let id = registration.key.id();
-                if let Heir::Nobody { ended_by, .. } = engine.registry().heir(&id)? {
-                    let ended = AccountError::Ended { key: id, index: ended_by };
-                    return Err(cairn_access::AccessError::from(ended).into());
+                // A key that was rotated away is in nobody's hands either, as far as anybody can rely on it.
+                if let Heir::Key { since: Some(index), .. } | Heir::Nobody { ended_by: index, .. } =
+                    engine.registry().heir(&id)?
+                {
+                    return Err(cairn_access::AccessError::from(AccountError::Ended { key: id, index }).into());
                 }
                 Ok(engine.access().accounts().register(&registration, policy, unix_s())?)
             })

@@ -136,7 +136,7 @@ pub enum AccountError {
         heir: PublicKey,
     },
     /// Its key ended, with none in its place.
-    #[error("the key {key} was revoked by record {index} of the log; register another one (cairn keys new)")]
+    #[error("the key with id {key} was ended by record {index} of the log; register another one (cairn keys new)")]
     Ended {
         /// The key's id.
         key: Digest,
