@@ -179,7 +179,10 @@ impl Bundle {
         // First: with the record in hand its proof can be fetched by anybody, also where its key was just ended.
         self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
-        let proof = line.owners().proof(request).await.map_err(refused)?.into_inner().tlog_proof;
+        let proof = line.owners().proof(request).await.map_err(refused).with_context(|| {
+            format!("record {} is in the log, and record.json is kept; its proof was not given", entered.index)
+        })?;
+        let proof = proof.into_inner().tlog_proof;
         let vkey = vkey(line).await?;
         self.add("record.tlog-proof", proof.as_bytes())?;
         self.add("log.vkey", format!("{vkey}\n").as_bytes())

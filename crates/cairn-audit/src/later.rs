@@ -1,7 +1,7 @@
 //! What came after the record: its owner's key ended, the record replaced or taken back, disputes.
 //!
 //! Time is counted in log indices only. A key's end does not touch what it signed before. Who may speak for the
-//! owner follows rotations from key to key ([`heir`]), as in the registry and in complete answers.
+//! owner follows rotations from key to key ([`cairn_registry::heir()`]), as in the registry and in complete answers.
 
 use std::{collections::BTreeMap, convert::Infallible};
 

@@ -1,5 +1,5 @@
 //! Whether a record may do what it does to another: stand in its place, take it back, or
-//! go on under another key. Who speaks for the other's owner follows rotations from key to key ([`heir`]).
+//! go on under another key. Who speaks for the other's owner follows rotations from key to key ([`cairn_registry::heir()`]).
 
 use std::{
     collections::{HashMap, hash_map::Entry},
