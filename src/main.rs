@@ -1,5 +1,9 @@
 //! The one binary: parse, build, run.
 
+// First: its macros stand in for the standard ones in the modules after it.
+#[macro_use]
+mod out;
+
 mod cli;
 mod config;
 mod daemon;

@@ -356,3 +356,98 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     world.ok("root", &["access", "quota", &ada, "--training-seconds", "0"]);
     world.ok("ada", &["train", "town", "--resume", &job.id, "--detach"]);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_with_it() {
+    let mut world = World::new(ACCOUNTS);
+    let ada = world.with("ada", "contributor").to_string();
+    key(&world.place, "next");
+    world.import("ada", "town").unwrap();
+    let tiny = world.place.text("tiny.toml");
+    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--settings", &tiny]);
+    world.ok("root", &["access", "quota", &ada, "--views", "13"]);
+    let (own, next) = (world.place.text("ada.key"), world.place.text("next.key"));
+    let out = |name: &str| world.place.text(name);
+    let sign = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution"];
+    world.ok("ada", &[&sign[..], &["--key", &own, "--out", &out("first")]].concat());
+    let token_of_old = {
+        let (here, old) = (world.identity().await, world.key("ada"));
+        sign_for(&old, &here, "town")
+    };
+    let rotate = ["keys", "rotate", "town", "--record", "0", "--key", &own, "--new-key", &next];
+    world.ok("ada", &[&rotate[..], &["--out", &out("rotation")]].concat());
+
+    // The old key's tokens stop, those signed before included; role, quota and scenes are the new one's.
+    let mut scenes = SceneServiceClient::new(world.channel().await);
+    let delete = v1::DeleteSceneRequest { format_version: 1, scene: "town".into() };
+    let refused = scenes.delete(bearing(delete, &token_of_old)).await.unwrap_err();
+    assert!(refused.code() == Code::PermissionDenied && refused.message().contains("continues under key"), "{refused}");
+    world.refused("ada", &["access", "quota"], "continues under key");
+    assert!(world.ok("next", &["access", "quota"]).contains("views             12 of 13"));
+    assert!(world.import("next", "fern").unwrap_err().contains("`views` is 13: 12 used"));
+    let next_key = world.key("next").public().to_string();
+    assert!(world.ok("root", &["access", "list"]).contains(&format!("signed for by {next_key}")));
+    world.ok("root", &["access", "quota", &next_key, "--views", "40"]);
+    world.ok("next", &[&sign[..], &["--key", &next, "--out", &out("second")]].concat());
+
+    // A key that was rotated away gets no other account, whoever has it.
+    world.refused("ada", &["access", "register", "--name", "again"], "was ended by record");
+    // Also after a restart; and registering the new key changes nothing.
+    assert!(world.daemon.terminate().success());
+    world.daemon = Daemon::start(&world.place.path("data"), ACCOUNTS);
+    let again = world.ok("next", &["access", "register", "--name", "another"]);
+    assert!(again.contains(&ada) && again.contains("contributor"), "{again}");
+    world.refused("ada", &["scene", "delete", "town"], "continues under key");
+
+    // Revoked: nobody acts for the account, and the key gets no other.
+    let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "lost", "--out"];
+    world.ok("next", &[&revoke[..], &[&world.place.text("revocation")]].concat());
+    for who in ["ada", "next"] {
+        world.refused(who, &["scene", "delete", "town"], "was ended by record");
+        world.refused(who, &["access", "register", "--name", "again"], "was ended by record");
+    }
+    assert!(world.ok("root", &["access", "list"]).contains("its key ended by record"));
+    world.ok("root", &["scene", "delete", "town"]);
+}
+
+fn sign_for(key: &OwnerKey, here: &Identity, scene: &str) -> String {
+    sign(key, here, DELETE, scene, now(), 60).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_quota_of_records_stops_a_flood_and_no_revocation() {
+    let world = World::new(&format!("{ACCOUNTS}[access.quota]\nrecords_per_day = 2\n"));
+    let (ada, _) = (world.with("ada", "contributor").to_string(), world.with("bob", "contributor"));
+    world.import("ada", "town").unwrap();
+    let tiny = world.place.text("tiny.toml");
+    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--settings", &tiny]);
+    let own = world.place.text("ada.key");
+    let out = |name: &str| world.place.text(name);
+    let sign_as = |key: &str, to: &str| {
+        ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", key, "--out", to]
+            .map(str::to_owned)
+    };
+    let submit = |who: &str, key: &str, to: &str| {
+        let line = sign_as(key, &out(to));
+        world.run(who, &line.iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    // What the registry refuses costs nothing.
+    let foreign = ["owners", "sign", "town", "--identity", "9", "--key", &own, "--out", &out("none")];
+    assert!(world.run("ada", &foreign).is_err());
+    submit("ada", &own, "first").unwrap();
+    submit("ada", &own, "second").unwrap();
+    let said = submit("ada", &own, "third").unwrap_err();
+    assert!(
+        said.contains("quota `records_per_day` is 2: 2 used, 1 more asked for") && said.contains("ResourceExhausted"),
+        "{said}"
+    );
+    assert!(world.ok("ada", &["access", "quota"]).contains("records per day   2 of 2"));
+    submit("bob", &out("bob.key"), "bobs").unwrap();
+    world.ok("root", &["access", "quota", &ada, "--records", "3", "--records-per-day", "0"]);
+    submit("ada", &own, "third").unwrap();
+    let said = submit("ada", &own, "fourth").unwrap_err();
+    assert!(said.contains("quota `records` is 3: 3 used") && said.contains("an operator can raise it"), "{said}");
+    // Whose key is stolen must not wait.
+    let revoke = ["keys", "revoke", "town", "--key", &own, "--purpose", "stolen", "--out", &out("end")];
+    world.ok("ada", &revoke);
+}

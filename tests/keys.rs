@@ -164,6 +164,66 @@ fn an_owner_has_records_erased_and_so_has_the_key_that_follows() {
 }
 
 #[test]
+fn the_key_that_follows_replaces_and_takes_back_what_the_one_before_it_signed() {
+    let town = Town::new();
+    let (ada, next, bob) = (town.key("ada.key"), town.key("next.key"), town.key("bob.key"));
+    let out = |name: &str| town.place.text(name);
+    let [first, second, third] = ["first", "second", "third"].map(|name| town.sign(&ada, &out(name)));
+    let rotate = ["keys", "rotate", "town", "--record", &first, "--key", &ada, "--new-key", &next, "--out"];
+    town.enter(&[&rotate[..], &[&out("rotation")]].concat());
+    // The rotation names the first record; the others are the new key's all the same.
+    let replace = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--replaces", &second];
+    let said = town.refused(&[&replace[..], &["--key", &bob, "--out", &out("bobs")]].concat());
+    assert!(said.contains("who did not sign this one"), "{said}");
+    let replaced = town.enter(&[&replace[..], &["--key", &next, "--out", &out("replaced")]].concat());
+    assert!(town.state(&second).starts_with(&format!("replaced by record {replaced}")), "{}", town.state(&second));
+    let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "not mine", "--record", &third, "--out"];
+    let revoked = town.enter(&[&revoke[..], &[&out("revoked")]].concat());
+    assert!(town.state(&third).starts_with(&format!("taken back by record {revoked}")), "{}", town.state(&third));
+    // Stopped cleanly, the folder's own state is sealed, and a byte that changes in it is named.
+    let store = || {
+        let done = town.place.cairn(&["audit", "store", &town.data]);
+        (done.status.code(), String::from_utf8_lossy(&done.stdout).into_owned())
+    };
+    let (code, said) = store();
+    assert!(code == Some(0) && said.contains("state.verified") && !said.contains("file.uncovered  access"), "{said}");
+    let checkpoint = std::path::Path::new(&town.data).join("registry.checkpoint");
+    let good = std::fs::read(&checkpoint).unwrap();
+    std::fs::write(&checkpoint, [&good[..], b"x"].concat()).unwrap();
+    let (code, said) = store();
+    assert!(code == Some(14) && said.contains("state.mismatch  registry.checkpoint"), "{said}");
+    std::fs::write(&checkpoint, good).unwrap();
+    // An answer is held to the question.
+    let answer = out("answer.json");
+    town.place.cairn_ok(&["owners", "answer", "town", "--out", &answer, "--data", &town.data]);
+    let photograph = std::fs::read_dir(town.place.path("capture/images")).unwrap().next().unwrap().unwrap().path();
+    let photograph = photograph.to_str().unwrap();
+    for (question, wanted) in [
+        (&["--scene", "town"][..], Some(0)),
+        (&["--scene", "fern"], Some(1)),
+        (&["--scene", "town", "--view", photograph], Some(1)),
+        (&["--scene", "town", "--view", "no-such-file"], Some(2)),
+    ] {
+        let done = town.place.cairn(&[&["audit", "answer", &answer][..], question].concat());
+        let said = String::from_utf8_lossy(&done.stdout);
+        let mismatch = said.contains("answer.question.mismatch");
+        assert_eq!((done.status.code(), mismatch), (wanted, wanted == Some(1)), "{question:?}: {said}");
+    }
+    // A bundle from before, with the log's records, says so.
+    let list = out("log.json");
+    town.place.cairn_ok(&["owners", "list", "town", "--out", &list, "--data", &town.data]);
+    let audited = |bundle: &str| {
+        let vkey = town.place.path(bundle).join("log.vkey").to_str().unwrap().to_owned();
+        let done = town.place.cairn(&["audit", "bundle", &out(bundle), "--vkey", &vkey, "--log", &list]);
+        String::from_utf8_lossy(&done.stdout).into_owned()
+    };
+    let said = audited("second");
+    assert!(said.starts_with("trusted\n") && said.contains("record.replaced  log, record"), "{said}");
+    let said = audited("third");
+    assert!(said.starts_with("invalid\n") && said.contains("record.revoked"), "{said}");
+}
+
+#[test]
 fn keys_are_sealed_by_what_was_asked_for_and_sealed_anew() {
     let place = Place::new();
     let (phrase, unlock, plain, sealed) =

@@ -264,6 +264,16 @@ async fn submit(
     key: &OwnerKey,
     what: &str,
 ) -> Result<(v1::Record, String), tonic::Status> {
+    submit_listing(client, key, Digest::of(what), None).await
+}
+
+/// As [`submit`], with the photographs' root and the photographs that the record lists.
+async fn submit_listing(
+    client: &mut OwnerServiceClient<Channel>,
+    key: &OwnerKey,
+    photographs: Digest,
+    views: Option<Vec<Digest>>,
+) -> Result<(v1::Record, String), tonic::Status> {
     let owner_key = key.public().to_bytes().to_vec().into();
     let nonce =
         client.nonce(v1::NonceRequest { format_version: 1, scene: "town".into(), owner_key }).await?.into_inner();
@@ -276,13 +286,13 @@ async fn submit(
         scene_salt: random_salt().unwrap(),
         identity: Identity { number: 1, contributor: "ada".into() },
         owner_key: key.public(),
-        digests: Digests { photographs: Some(Digest::of(what)), ..Digests::default() },
+        digests: Digests { photographs: Some(photographs), ..Digests::default() },
         seed: None,
         purpose: "credit".into(),
         nonce: nonce.nonce.parse().unwrap(),
         seen: Seen { size: seen.size, root: seen.root },
         replaces: None,
-        views: None,
+        views,
     };
     let envelope = record.seal(key).unwrap().to_json().into_bytes().into();
     let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await?.into_inner();
@@ -319,4 +329,43 @@ async fn verify_log(
         let report = audit(&Evidence { envelope, proof, pinned, log: Some(&log), ..Evidence::default() });
         assert_eq!(report.outcome, Outcome::Trusted, "{report}");
     }
+}
+
+#[tokio::test]
+async fn a_page_of_records_has_a_limit_in_bytes_and_pages_leave_nothing_out() {
+    let place = Place::new();
+    const MOST: usize = 65_536;
+    let daemon = Daemon::start(&place.path("data"), &format!("[limits]\nmax_message_bytes = {MOST}\n"));
+    let mut client = OwnerServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let key = OwnerKey::from_seed(&[1; 32]);
+    let mut entered = Vec::new();
+    // Some 14 kB each, and one alone that is more than half of a message.
+    for (number, count) in [150, 150, 150, 480, 150, 150].into_iter().enumerate() {
+        let mut views: Vec<Digest> = (0..count).map(|view| Digest::of(format!("{number}/{view}"))).collect();
+        views.sort_unstable();
+        let root = record::photographs_root(&views);
+        entered.push(submit_listing(&mut client, &key, root, Some(views)).await.unwrap().0);
+    }
+    let (mut from, mut pages) = (0, Vec::new());
+    loop {
+        let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into(), from, limit: 0 };
+        let page = client.list(request).await.unwrap().into_inner();
+        let bytes: usize = page.records.iter().map(|record| record.envelope.len()).sum();
+        assert!(bytes < MOST, "{bytes} bytes in page {}", pages.len());
+        let next = page.next;
+        pages.push(page.records);
+        let Some(next) = next else { break };
+        assert!(next > from, "page {} leads nowhere", pages.len());
+        from = next;
+    }
+    assert!(
+        pages.len() > 2,
+        "{} records of {} bytes on {} pages",
+        entered.len(),
+        entered[0].envelope.len(),
+        pages.len()
+    );
+    let listed: Vec<(u64, usize)> =
+        pages.iter().flatten().map(|record| (record.index, record.envelope.len())).collect();
+    assert_eq!(listed, entered.iter().map(|record| (record.index, record.envelope.len())).collect::<Vec<_>>());
 }

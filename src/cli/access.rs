@@ -71,8 +71,15 @@ pub struct QuotaArgs {
     /// Trainings accepted or running, 0 for no limit
     #[arg(long, value_name = "N", requires = "key")]
     pub queued_jobs: Option<u64>,
+    /// Owner records submitted, in all, 0 for no limit
+    #[arg(long, value_name = "N", requires = "key")]
+    pub records: Option<u64>,
+    /// Owner records submitted within a rolling day, 0 for no limit
+    #[arg(long, value_name = "N", requires = "key")]
+    pub records_per_day: Option<u64>,
     /// The daemon's own limits again
-    #[arg(long, requires = "key", conflicts_with_all = ["bytes", "views", "training_seconds", "queued_jobs"])]
+    #[arg(long, requires = "key", conflicts_with_all = ["bytes", "views", "training_seconds", "queued_jobs", "records",
+        "records_per_day"])]
     pub default: bool,
 }
 
@@ -147,12 +154,22 @@ fn one_line(account: &v1::Account) -> String {
         asked if asked == account.role() => String::new(),
         asked => format!(", asked for {}", word(asked)),
     };
-    let key = <[u8; 32]>::try_from(account.public_key.as_ref()).map_or_else(
-        |_| "a key that is not 32 bytes".into(),
-        // Written as every public key is; it need not be a digest for that.
-        |bytes| Digest::from_bytes(bytes).to_string(),
-    );
-    format!("{key}  {}  {}{asked}  {standing}", account.name, word(account.role()))
+    let key = |bytes: &[u8]| {
+        <[u8; 32]>::try_from(bytes).map_or_else(
+            |_| "a key that is not 32 bytes".into(),
+            // Written as every public key is; it need not be a digest for that.
+            |bytes| Digest::from_bytes(bytes).to_string(),
+        )
+    };
+    let mut line =
+        format!("{}  {}  {}{asked}  {standing}", key(&account.public_key), account.name, word(account.role()));
+    if !account.heir.is_empty() {
+        line.push_str(&format!(", signed for by {}", key(&account.heir)));
+    }
+    if let Some(index) = account.ended_by {
+        line.push_str(&format!(", its key ended by record {index}"));
+    }
+    line
 }
 
 fn word(role: v1::Role) -> &'static str {
@@ -192,7 +209,7 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
     let public_key = || args.key.map(|key| key.to_bytes().to_vec()).unwrap_or_default().into();
     let ask = || v1::QuotaRequest { format_version: VERSION, public_key: public_key() };
     let mut now = client.quota(ask()).await.map_err(refused)?.into_inner();
-    let given = [args.bytes, args.views, args.training_seconds, args.queued_jobs];
+    let given = [args.bytes, args.views, args.training_seconds, args.queued_jobs, args.records, args.records_per_day];
     if args.default || given.iter().any(Option::is_some) {
         let old = now.limits.unwrap_or_default();
         let quota = v1::QuotaLimits {
@@ -200,6 +217,8 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
             views: args.views.unwrap_or(old.views),
             training_seconds: args.training_seconds.unwrap_or(old.training_seconds),
             queued_jobs: args.queued_jobs.unwrap_or(old.queued_jobs),
+            records: args.records.unwrap_or(old.records),
+            records_per_day: args.records_per_day.unwrap_or(old.records_per_day),
         };
         let quota = (!args.default).then_some(quota);
         let request = v1::SetQuotaRequest { format_version: VERSION, public_key: public_key(), quota };
@@ -212,5 +231,7 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
     println!("views             {} {}", used.views, of(limits.views));
     println!("training seconds  {} {} in a day", used.training_seconds, of(limits.training_seconds));
     println!("queued jobs       {} {}", used.queued_jobs, of(limits.queued_jobs));
+    println!("records           {} {}", used.records, of(limits.records));
+    println!("records per day   {} {}", used.records_per_day, of(limits.records_per_day));
     Ok(())
 }

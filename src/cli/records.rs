@@ -121,6 +121,12 @@ impl Stored {
         Ok(stored)
     }
 
+    /// Refuses a key that cannot speak for the record: another than its owner's, unless that one ended; then it is the
+    /// registry's to say whether this one took its place.
+    pub fn spoken_for_by(&self, key: &OwnerKey) -> anyhow::Result<()> {
+        if self.standing.key_ended_by.is_some() { Ok(()) } else { self.belongs_to(key) }
+    }
+
     /// Refuses a key that the record does not belong to.
     pub fn belongs_to(&self, key: &OwnerKey) -> anyhow::Result<()> {
         let (index, owner) = (self.index, self.record.owner_key);
@@ -170,10 +176,14 @@ impl Bundle {
 
     /// Fetches the record's proof, and writes what an auditor needs.
     pub async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<()> {
-        let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
-        let proof = line.owners().proof(request).await.map_err(refused)?.into_inner().tlog_proof;
-        let vkey = vkey(line).await?;
+        // First: with the record in hand its proof can be fetched by anybody, also where its key was just ended.
         self.add("record.json", &entered.envelope)?;
+        let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
+        let proof = line.owners().proof(request).await.map_err(refused).with_context(|| {
+            format!("record {} is in the log, and record.json is kept; its proof was not given", entered.index)
+        })?;
+        let proof = proof.into_inner().tlog_proof;
+        let vkey = vkey(line).await?;
         self.add("record.tlog-proof", proof.as_bytes())?;
         self.add("log.vkey", format!("{vkey}\n").as_bytes())
     }

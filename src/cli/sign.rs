@@ -31,7 +31,7 @@ pub struct SignArgs {
     /// What the record is for, in words
     #[arg(long, default_value = PURPOSE)]
     pub purpose: String,
-    /// Put it in the place of an older record of the same key
+    /// Put it in the place of an older record of the same key, or of a key that rotations led from to this one
     #[arg(long, value_name = "INDEX")]
     pub replaces: Option<u64>,
     /// Where the bundle goes: a new folder
@@ -60,7 +60,7 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
         None => None,
         Some(index) => {
             let older = Stored::of_scene(line, &args.name, index).await?;
-            older.belongs_to(&key)?;
+            older.spoken_for_by(&key)?;
             Some(older.digest)
         }
     };

@@ -73,10 +73,11 @@ async fn serve(args: &ServeArgs) -> anyhow::Result<()> {
         .await
         .with_context(|| format!("cannot listen at {} (--listen)", args.listen))?;
     let address = listener.local_addr()?;
+    let signal = signal().context("cannot hear signals")?;
     // For people and for programs that started us on port 0. A closed output is no reason to stop.
     let _ = writeln!(std::io::stdout(), "cairn witness listens at http://{address}\n{}", witness.verifier());
     let stop = async {
-        match signal().await {
+        match signal.await {
             Ok(signal) => tracing::info!(signal, "shutting down"),
             Err(e) => tracing::error!(error = %e, "cannot hear signals; shutting down"),
         }

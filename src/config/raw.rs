@@ -154,6 +154,8 @@ impl Default for Raw {
                     views: 10_000,
                     training_seconds: 28_800,
                     queued_jobs: 4,
+                    records: 0,
+                    records_per_day: 10_000,
                 },
             },
             limits: Limits::default(),

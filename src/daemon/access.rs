@@ -1,8 +1,8 @@
 //! `AccessService`: who is known here, and what they may use.
 
-use cairn_access::{Account, Limits, Need, Registration, registration::NONCE_LIFETIME_S};
+use cairn_access::{Account, Limits, Need, Registration, accounts::AccountError, registration::NONCE_LIFETIME_S};
 use cairn_proto::v1::{self, access_service_server::AccessService};
-use cairn_registry::{Digest, PublicKey};
+use cairn_registry::{Digest, Heir, PublicKey};
 use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
@@ -107,8 +107,18 @@ impl AccessService for Shared {
         let registration = Registration { nonce, origin, key, name, role };
         loaded.nonces.verify(&registration, &signature, unix_s()).map_err(access)?;
         let policy = self.access.registration;
-        let account =
-            self.run(move |engine| Ok(engine.access().accounts().register(&registration, policy, unix_s())?)).await?;
+        let account = self
+            .run(move |engine| {
+                let id = registration.key.id();
+                // A key that was rotated away is in nobody's hands either, as far as anybody can rely on it.
+                if let Heir::Key { since: Some(index), .. } | Heir::Nobody { ended_by: index, .. } =
+                    engine.registry().heir(&id)?
+                {
+                    return Err(cairn_access::AccessError::from(AccountError::Ended { key: id, index }).into());
+                }
+                Ok(engine.access().accounts().register(&registration, policy, unix_s())?)
+            })
+            .await?;
         tracing::info!(account = account.name, key = %account.key, standing = account.standing.name(), "registered");
         let account = Some(to_proto::account(&account));
         Ok(Response::new(v1::RegisterResponse { format_version: to_proto::VERSION, account }))
@@ -152,8 +162,8 @@ impl AccessService for Shared {
     async fn set_quota(&self, request: Request<v1::SetQuotaRequest>) -> Answer<v1::SetQuotaResponse> {
         let v1::SetQuotaRequest { format_version, ref public_key, ref quota } = *request.get_ref();
         let quota = quota.as_ref().map(|q| {
-            let v1::QuotaLimits { bytes, views, training_seconds, queued_jobs } = *q;
-            Limits { bytes, views, training_seconds, queued_jobs }
+            let v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *q;
+            Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day }
         });
         let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_quota(key, quota);
         let account = Some(self.change(format_version, request.extensions(), public_key, change).await?);
@@ -167,7 +177,10 @@ impl AccessService for Shared {
         let own = self.authorise(request.extensions(), About::Nothing)?;
         let asked = match public_key.is_empty() {
             true => None,
-            false => Some(from_proto::public_key("public_key", public_key).map_err(status)?.id()),
+            false => {
+                let key = from_proto::public_key("public_key", public_key).map_err(status)?;
+                Some(self.engine()?.access().payer(&key.id()))
+            }
         };
         if asked.is_some() && asked != own {
             self.authorise_as(request.extensions(), Need::Oversee, About::Nothing)?;
@@ -185,6 +198,8 @@ impl AccessService for Shared {
                 views: used.views,
                 training_seconds: used.training_seconds,
                 queued_jobs: engine.jobs().open_of(&owner),
+                records: used.records,
+                records_per_day: used.records_per_day,
             }),
             training_frees_unix_s: used.training_frees_at,
         }))

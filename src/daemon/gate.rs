@@ -8,14 +8,15 @@
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
-use cairn_access::{Account, Call, Claims, Denied, Need, Reach, Role, TokenError, roles};
+use cairn_access::accounts::AccountError;
+use cairn_access::{AccessError, Account, Call, Claims, Denied, Need, Reach, Role, TokenError, roles};
 use cairn_registry::{Digest, Envelope};
 use sha2::{Digest as _, Sha256};
 use tonic::codegen::http::{self, HeaderMap};
 use tonic::{Extensions, Status};
 
-use super::Shared;
 use super::status::status;
+use super::{Loaded, Shared};
 use crate::config::Mode;
 use crate::engine::access::unix_s;
 
@@ -72,19 +73,24 @@ impl Shared {
                 Err(_) => Caller::Nobody,
             },
             Mode::Accounts => match given.and_then(|text| text.strip_prefix("Cairn ")) {
-                Some(token) if need != Need::Anyone => self.verify(path, need, token)?,
+                Some(token) if need != Need::Anyone => {
+                    let call = Call { method: path, need, now: unix_s() };
+                    match verify(self.at_work()?, call, token) {
+                        Ok(caller) => caller,
+                        // Whoever just ended their key reads on as anybody may: the proof of that very record, for one.
+                        Err(AccessError::Account(AccountError::Rotated { .. } | AccountError::Ended { .. }))
+                            if !wanted =>
+                        {
+                            Caller::Nobody
+                        }
+                        Err(refused) => return Err(refuse(refused)),
+                    }
+                }
                 None if wanted => return Err(missing(path)),
                 Some(_) | None => Caller::Nobody,
             },
         };
         Ok(Some(Admitted { method: path.to_owned(), need, caller }))
-    }
-
-    fn verify(&self, method: &str, need: Need, token: &str) -> Result<Caller, Status> {
-        let loaded = self.at_work()?;
-        let call = Call { method, need, now: unix_s() };
-        let verified = loaded.verifier.verify(token, call, loaded.engine.access().accounts());
-        Ok(Caller::Account(Box::new(verified.map_err(|e| status(e.into()))?)))
     }
 
     /// Whether the caller brings the daemon's one token.
@@ -144,15 +150,18 @@ impl Shared {
         let theirs = match about {
             // What they signed themselves is all that a contributor submits, whatever scene it is about: a record under
             // their key, or the rotation that leads from it to another.
-            About::Signed(_, envelope) => !contributor || envelope.signature_by(&account.key).is_some(),
+            About::Signed(_, envelope) => !contributor || envelope.signature_by(account.signer()).is_some(),
             About::Nothing | About::Place(_) => true,
             _ if reach != Reach::Own => true,
-            About::Job(_) => job.as_ref().is_some_and(|job| job.owner == Some(id)),
+            About::Job(_) => match job.as_ref().and_then(|job| job.owner) {
+                Some(owner) => owner == id || self.speaks_for(account, &owner)?,
+                None => false,
+            },
             // What is not there is nobody's: its handler says so.
-            About::Scene(scene) => {
-                let owner = engine.access().owner_of(scene).map_err(status)?;
-                owner == Some(id) || (owner.is_none() && engine.scene(scene).is_err())
-            }
+            About::Scene(scene) => match engine.access().owner_of(scene).map_err(status)? {
+                Some(owner) => owner == id || self.speaks_for(account, &owner)?,
+                None => engine.scene(scene).is_err(),
+            },
         };
         if reach == Reach::None {
             let (name, needed) = (account.name.clone(), need.roles());
@@ -163,6 +172,20 @@ impl Shared {
         }
         Ok(Some(id))
     }
+}
+
+impl Shared {
+    /// Whether an account's key took the place of the key with this id, whose account may be another: then what is that
+    /// one's is this one's.
+    fn speaks_for(&self, account: &Account, owner: &Digest) -> Result<bool, Status> {
+        let heir = self.engine()?.registry().heir(owner).map_err(|e| status(e.into()))?;
+        Ok(heir.is(&account.signer().id()))
+    }
+}
+
+fn verify(loaded: &Loaded, call: Call<'_>, token: &str) -> Result<Caller, AccessError> {
+    let verified = loaded.verifier.verify(token, call, loaded.engine.access().accounts())?;
+    Ok(Caller::Account(Box::new(verified)))
 }
 
 fn what(about: About<'_>) -> String {

@@ -58,11 +58,11 @@ impl OwnerService for Shared {
         let refuse = |e: RecordError| status(RegistryError::from(e).into());
         let claimed = Envelope::parse(&request.get_ref().envelope).map_err(|e| refuse(e.into()))?;
         let scene = OwnerRecord::parse(&claimed.payload).map_err(refuse)?.scene;
-        self.authorise(request.extensions(), About::Signed(&scene, &claimed))?;
+        let payer = self.authorise(request.extensions(), About::Signed(&scene, &claimed))?;
         let envelope = request.into_inner().envelope;
         let answer = self
             .run(move |engine| {
-                let receipt = engine.submit_record(&envelope)?;
+                let receipt = engine.submit_record(&envelope, payer)?;
                 let (record, _) = OwnerRecord::open(&receipt.envelope).map_err(RegistryError::from)?;
                 Ok(v1::SubmitRecordResponse {
                     format_version: to_proto::VERSION,

@@ -141,11 +141,13 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     }
     shared.loaded(engine.clone())?;
     tell(&reporter, ServingStatus::Serving).await;
+    // Before anybody is told where it is, who may then stop it at once.
+    let signal = signal()?;
     let scheme = if config.tls.is_some() { "https" } else { "http" };
     announce(&format!("{scheme}://{address}"), public.as_ref().map(|public| public.url.as_str()));
     tokio::select! {
         ended = &mut server => return Ok(ended??),
-        signal = signal() => tracing::info!(signal = signal?, "shutting down"),
+        signal = signal => tracing::info!(signal = signal?, "shutting down"),
     }
     tell(&reporter, ServingStatus::NotServing).await;
     let of_jobs = engine.clone();
@@ -180,18 +182,24 @@ fn announce(url: &str, public: Option<&str>) {
     tracing::info!(url, public, "serving");
 }
 
-/// Waits for SIGINT or SIGTERM; gives its name.
-pub async fn signal() -> std::io::Result<&'static str> {
+/// Listens for SIGINT and SIGTERM from now on; the future waits for one and gives its name.
+///
+/// # Errors
+/// Where the system refuses to tell of signals.
+pub fn signal() -> std::io::Result<impl Future<Output = std::io::Result<&'static str>>> {
     #[cfg(unix)]
     {
-        let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
-        tokio::select! {
-            interrupt = tokio::signal::ctrl_c() => interrupt.map(|()| "SIGINT"),
-            _ = terminate.recv() => Ok("SIGTERM"),
-        }
+        use tokio::signal::unix::{SignalKind, signal};
+        let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+        Ok(async move {
+            tokio::select! {
+                _ = interrupt.recv() => Ok("SIGINT"),
+                _ = terminate.recv() => Ok("SIGTERM"),
+            }
+        })
     }
     #[cfg(not(unix))]
-    tokio::signal::ctrl_c().await.map(|()| "interrupt")
+    Ok(async { tokio::signal::ctrl_c().await.map(|()| "interrupt") })
 }
 
 /// The same services in this process, for clients without a daemon. Dropping the

@@ -74,9 +74,11 @@ fn access(error: &AccessError) -> Code {
         AccessError::Account(error) => match error {
             AccountError::Unknown { .. } => Code::Unauthenticated,
             AccountError::NoSuch { .. } => Code::NotFound,
-            AccountError::Waiting { .. } | AccountError::Disabled { .. } | AccountError::Closed => {
-                Code::PermissionDenied
-            }
+            AccountError::Waiting { .. }
+            | AccountError::Disabled { .. }
+            | AccountError::Rotated { .. }
+            | AccountError::Ended { .. }
+            | AccountError::Closed => Code::PermissionDenied,
             AccountError::TooMany { .. } => Code::ResourceExhausted,
             AccountError::Name { .. } => Code::InvalidArgument,
             AccountError::Exists { .. } => Code::AlreadyExists,

@@ -205,8 +205,8 @@ pub fn role(role: cairn_access::Role) -> v1::Role {
 
 /// Quotas.
 pub fn quota(limits: &cairn_access::Limits) -> v1::QuotaLimits {
-    let cairn_access::Limits { bytes, views, training_seconds, queued_jobs } = *limits;
-    v1::QuotaLimits { bytes, views, training_seconds, queued_jobs }
+    let cairn_access::Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *limits;
+    v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day }
 }
 
 /// An account.
@@ -224,5 +224,7 @@ pub fn account(account: &cairn_access::Account) -> v1::Account {
         standing: standing.into(),
         since_unix_s: account.since,
         quota: account.quota.as_ref().map(quota),
+        heir: account.heir.map(|key| key.to_bytes().to_vec()).unwrap_or_default().into(),
+        ended_by: account.ended_by,
     }
 }

@@ -13,7 +13,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use cairn_access::quota::check_jobs;
 use cairn_access::{AccessError, Account, Accounts, Charge, Limits, Quotas, Reserved, Role, Usage};
-use cairn_registry::{Digest, PublicKey};
+use cairn_registry::{Digest, Heir, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError};
 use serde::{Deserialize, Serialize};
 
 use super::error::EngineError;
@@ -104,6 +104,70 @@ impl Access {
     /// What an owner may use: their own quotas, or else the daemon's.
     pub fn limits(&self, owner: &Digest) -> Limits {
         self.accounts.get(owner).and_then(|account| account.quota).unwrap_or(self.limits)
+    }
+
+    /// Who pays for what the account signed for by `key` (an id) uses: the account's id, or the key itself where it has none.
+    pub fn payer(&self, key: &Digest) -> Digest {
+        self.accounts.of_signer(key).map_or(*key, |account| account.id())
+    }
+
+    /// Takes down what the log says of the accounts' keys: which other key signs for them after rotations, and which have
+    /// ended. For the start, since the daemon may have died between a rotation and [`Access::follow`].
+    ///
+    /// # Errors
+    /// The registry's and the file system's.
+    pub fn follow_all(&self, registry: &Registry) -> Result<(), EngineError> {
+        self.accounts.list().iter().try_for_each(|account| self.follow_one(registry, account))
+    }
+
+    /// As [`Access::follow_all`], for the accounts that a record of the log, a revocation or rotation, may concern.
+    ///
+    /// # Errors
+    /// The registry's and the file system's.
+    pub fn follow(&self, registry: &Registry, record: &OwnerRecord) -> Result<(), EngineError> {
+        let mut ended = record.owner_key.id();
+        if record.kind == RecordKind::Rotation
+            && let Some(replaces) = record.replaces
+            && let Some(of) = registry.find(&replaces)?
+        {
+            ended = registry.leaf(of)?.owner;
+        }
+        let signed_by = |account: &&Account| account.id() == ended || account.signer().id() == ended;
+        self.accounts.list().iter().filter(signed_by).try_for_each(|account| self.follow_one(registry, account))
+    }
+
+    fn follow_one(&self, registry: &Registry, account: &Account) -> Result<(), EngineError> {
+        let (heir, ended_by) = match registry.heir(&account.id())? {
+            Heir::Key { since: None, .. } => (None, None),
+            Heir::Key { id, .. } if account.signer().id() == id => (account.heir, None),
+            // The key stands in the rotation; where that was erased nobody can know it, and the old one is good no more.
+            Heir::Key { since: Some(index), .. } => match registry.record(index) {
+                Ok(rotation) => (Some(rotation.record.owner_key), None),
+                Err(RegistryError::Erased { .. }) => (account.heir, Some(index)),
+                Err(error) => return Err(error.into()),
+            },
+            Heir::Nobody { ended_by, .. } => (account.heir, Some(ended_by)),
+        };
+        if (heir, ended_by) != (account.heir, account.ended_by) {
+            self.accounts.follow(&account.id(), heir, ended_by).map_err(EngineError::from)?;
+            tracing::info!(account = account.name, heir = ?heir.map(|key| key.to_string()), ended_by, "key followed");
+        }
+        Ok(())
+    }
+
+    /// Charges an owner with one record, before it is submitted.
+    ///
+    /// # Errors
+    /// The quota's.
+    pub fn charge_record(&self, owner: &Digest) -> Result<(), EngineError> {
+        Ok(self.quotas.charge_record(owner, &self.limits(owner), unix_s()).map_err(AccessError::from)?)
+    }
+
+    /// Gives back what a record was charged with that did not get into the log, or was in it before.
+    pub fn forgive_record(&self, owner: &Digest) {
+        if let Err(error) = self.quotas.forgive_record(owner, &self.limits(owner), unix_s()) {
+            tracing::warn!(%owner, %error, "a record that is not in the log stays charged");
+        }
     }
 
     /// What an owner uses; their jobs are counted elsewhere.

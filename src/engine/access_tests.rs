@@ -2,7 +2,8 @@
 
 use super::*;
 
-const LIMITS: Limits = Limits { bytes: 100, views: 10, training_seconds: 10, queued_jobs: 1 };
+const LIMITS: Limits =
+    Limits { bytes: 100, views: 10, training_seconds: 10, queued_jobs: 1, records: 0, records_per_day: 0 };
 
 fn open(dir: &Path) -> (DataFolder, Access) {
     let folder = DataFolder::open(dir).unwrap();
@@ -81,4 +82,96 @@ fn accounts_may_have_quotas_of_their_own() {
     assert_eq!(access.seconds_left(&key.id()), Some(0.0));
     let refused = access.check_training(&key.id(), 0).unwrap_err().to_string();
     assert!(refused.contains("`training_seconds` is 10: 10 used"), "{refused}");
+}
+
+/// A log in memory, with a record of key 1 about a scene.
+mod log {
+    use cairn_registry::record::{self, Digests, Identity, Seen};
+    use cairn_registry::store::FaultyStore;
+    use cairn_registry::{OwnerKey, OwnerRecord};
+
+    use super::*;
+
+    pub fn key(number: u8) -> OwnerKey {
+        OwnerKey::from_seed(&[number; 32])
+    }
+
+    pub fn open() -> Registry {
+        let store = FaultyStore::new();
+        Registry::open_store(Box::new(store.clone()), Box::new(store), key(200), "log.test").unwrap()
+    }
+
+    /// Enters a record, signed by its owner and by `also`; what was entered, its digest and its place.
+    pub fn enter(
+        registry: &Registry,
+        kind: RecordKind,
+        by: u8,
+        replaces: Option<Digest>,
+        also: Option<u8>,
+    ) -> (OwnerRecord, Digest, u64) {
+        let head = registry.head().unwrap();
+        let record = OwnerRecord {
+            version: record::VERSION,
+            kind,
+            origin: "log.test".into(),
+            scene: "town".into(),
+            scene_salt: Digest::of("salt"),
+            identity: Identity { number: 1, contributor: "ada".into() },
+            owner_key: key(by).public(),
+            digests: Digests { photographs: Some(Digest::of("photographs")), ..Digests::default() },
+            seed: None,
+            purpose: "credit".into(),
+            nonce: registry.nonce("town", &key(by).public()).unwrap(),
+            seen: Seen { size: head.size, root: head.root },
+            replaces,
+            views: None,
+        };
+        let mut envelope = record.seal(&key(by)).unwrap();
+        also.into_iter().for_each(|other| envelope.sign(&key(other)));
+        let receipt = registry.submit(&envelope).unwrap();
+        (record, receipt.envelope.digest(), receipt.index)
+    }
+}
+
+#[test]
+fn accounts_follow_the_log_also_where_a_crash_came_between() {
+    use log::{enter, key, open as open_log};
+    let dir = tempfile::tempdir().unwrap();
+    for number in [1, 5] {
+        add_account(dir.path(), key(number).public(), "ada", Role::Contributor).unwrap();
+    }
+    let (_folder, access) = open(dir.path());
+    let registry = open_log();
+    let state = |number: u8| {
+        let account = access.accounts().get(&key(number).public().id()).unwrap();
+        (account.heir, account.ended_by)
+    };
+    let (_, first, _) = enter(&registry, RecordKind::Contribution, 1, None, None);
+    access.follow_all(&registry).unwrap();
+    assert_eq!(state(1), (None, None));
+    // Followed as it came in, and along the chain.
+    let (rotation, second, _) = enter(&registry, RecordKind::Rotation, 2, Some(first), Some(1));
+    access.follow(&registry, &rotation).unwrap();
+    assert_eq!((state(1), state(5)), ((Some(key(2).public()), None), (None, None)));
+    assert_eq!(access.payer(&key(2).public().id()), key(1).public().id(), "its account pays");
+    let (rotation, _, index) = enter(&registry, RecordKind::Rotation, 3, Some(second), Some(2));
+    access.follow(&registry, &rotation).unwrap();
+    assert_eq!(state(1), (Some(key(3).public()), None));
+    // Its contents may go once it was followed.
+    registry.erase_index(index).unwrap();
+    access.follow_all(&registry).unwrap();
+    assert_eq!(state(1), (Some(key(3).public()), None));
+    // Died before it was followed: the start does it.
+    let (_, third, _) = enter(&registry, RecordKind::Contribution, 3, None, None);
+    let (_, _, index) = enter(&registry, RecordKind::Rotation, 4, Some(third), Some(3));
+    access.follow_all(&registry).unwrap();
+    assert_eq!(state(1), (Some(key(4).public()), None));
+    // And where nobody can know the key any more, the old one is good no longer all the same.
+    access.accounts().follow(&key(1).public().id(), Some(key(3).public()), None).unwrap();
+    registry.erase_index(index).unwrap();
+    access.follow_all(&registry).unwrap();
+    assert_eq!(state(1), (Some(key(3).public()), Some(index)));
+    let (end, _, index) = enter(&registry, RecordKind::Revocation, 5, None, None);
+    access.follow(&registry, &end).unwrap();
+    assert_eq!(state(5), (None, Some(index)));
 }

@@ -1,7 +1,7 @@
 //! What becomes of a record after it was entered: disputes, replacements and ends of keys as the log has them, and
 //! erasure at its owner's request.
 
-use cairn_registry::{Digest, Envelope, Erasure, ErasureError, RecordKind, RegistryError, StoredRecord};
+use cairn_registry::{Envelope, Erasure, ErasureError, Heir, RecordKind, RegistryError, StoredRecord};
 
 use super::Engine;
 use super::error::EngineError;
@@ -68,37 +68,15 @@ impl Engine {
             let (expected, got) = (stored.leaf.record, request.record);
             return Err(EngineError::ErasesOther { index, expected, got });
         }
-        match self.heir(stored.leaf.owner)? {
-            Heir::Key(heir) if heir == key.id() => Ok(registry.erase(&erasure)?),
-            Heir::Key(heir) => {
-                Err(EngineError::NotYours { index, key, why: format!("it belongs to the key with id {heir}") })
+        match registry.heir(&stored.leaf.owner)? {
+            Heir::Key { id, .. } if id == key.id() => Ok(registry.erase(&erasure)?),
+            Heir::Key { id, .. } => {
+                Err(EngineError::NotYours { index, key, why: format!("it belongs to the key with id {id}") })
             }
-            Heir::Nobody { revoked_by } => {
-                let why = format!("its owner's key was revoked by record {revoked_by}; ask who runs this registry");
+            Heir::Nobody { ended_by, .. } => {
+                let why = format!("its owner's key was revoked by record {ended_by}; ask who runs this registry");
                 Err(EngineError::NotYours { index, key, why })
             }
         }
     }
-
-    /// Id of the key that speaks for `owner` (a key id) today: itself, or what rotations put in its place.
-    fn heir(&self, owner: Digest) -> Result<Heir, EngineError> {
-        let mut key = owner;
-        // Each rotation stands behind the last and leads to a key that was good then, so this comes to an end.
-        while let Some(end) = self.registry().ended_id(&key)? {
-            let ended = self.registry().leaf(end)?;
-            if ended.kind != RecordKind::Rotation {
-                return Ok(Heir::Nobody { revoked_by: end });
-            }
-            key = ended.owner;
-        }
-        Ok(Heir::Key(key))
-    }
-}
-
-/// Who speaks for a key.
-enum Heir {
-    /// The key with this id.
-    Key(Digest),
-    /// Nobody: a revoked key may be in other hands.
-    Nobody { revoked_by: u64 },
 }

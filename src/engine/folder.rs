@@ -14,18 +14,21 @@
 //! DIR/access/                   accounts.json, usage.json (cairn-access's formats)
 //! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
 //! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
+//! DIR/state.seal                digests of access/, owners/, registry.key and registry.checkpoint, while nobody has it open
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use fs4::{FileExt, TryLockError};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::error::EngineError;
+use super::seal;
 
 /// Version of the folder's layout.
 const FORMAT_VERSION: u32 = 1;
@@ -36,6 +39,8 @@ const MAX_JSON_BYTES: u64 = 256 << 20;
 #[derive(Debug)]
 pub struct DataFolder {
     root: PathBuf,
+    /// Whether what it holds is known to be good, so that a seal may say what it is.
+    sound: AtomicBool,
     _lock: File,
 }
 
@@ -59,7 +64,8 @@ impl DataFolder {
         } else {
             write_json(&format, &Layout { format_version: FORMAT_VERSION })?;
         }
-        let folder = Self { root: root.to_path_buf(), _lock: lock };
+        seal::break_open(root)?;
+        let folder = Self { root: root.to_path_buf(), sound: AtomicBool::new(false), _lock: lock };
         let staging = folder.staging();
         if staging.exists() {
             fs::remove_dir_all(&staging).map_err(EngineError::io("empty", &staging))?;
@@ -69,6 +75,11 @@ impl DataFolder {
         }
         sync_folder(root)?;
         Ok(folder)
+    }
+
+    /// Everything in it was read and found good: when it is closed its state is sealed (`state.seal`).
+    pub fn seal_at_end(&self) {
+        self.sound.store(true, Ordering::Relaxed);
     }
 
     /// Captures.
@@ -132,6 +143,17 @@ impl DataFolder {
     /// Imports under way.
     pub fn staging(&self) -> PathBuf {
         self.root.join("staging")
+    }
+}
+
+impl Drop for DataFolder {
+    fn drop(&mut self) {
+        // The lock is still held: fields go after this.
+        if self.sound.load(Ordering::Relaxed)
+            && let Err(error) = seal::write(&self.root)
+        {
+            tracing::warn!(%error, "the data folder's state is not sealed");
+        }
     }
 }
 

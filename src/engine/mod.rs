@@ -25,6 +25,7 @@ pub mod rebuild;
 mod registry_key;
 pub mod report;
 pub mod scenes;
+mod seal;
 pub mod stages;
 pub mod tour;
 pub mod training;
@@ -107,7 +108,9 @@ impl Engine {
             checkpoint_every: Duration::from_secs(config.checkpoint_every_s),
         };
         let access = Arc::new(Access::open(&folder, config.access.quota)?);
+        access.follow_all(&registry)?;
         let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
+        folder.seal_at_end();
         Ok(Self {
             folder,
             jobs,

@@ -46,15 +46,33 @@ impl Engine {
         Ok(Material { info, identity: known, signal })
     }
 
-    /// Takes a record in; durable on return, and published soon after.
+    /// Takes a record in, at the cost of `payer`, an account's id, if any; durable on return, and published soon after. What
+    /// it says of a key's end holds for that key's account from then on. A revocation costs nothing: there is one a key, and
+    /// whoever's key was stolen must not wait for a quota.
     ///
     /// # Errors
-    /// The registry's.
-    pub fn submit_record(&self, envelope: &[u8]) -> Result<cairn_registry::Receipt, EngineError> {
-        let envelope =
-            Envelope::parse(envelope).map_err(|e| RegistryError::from(cairn_registry::RecordError::from(e)))?;
-        let receipt = self.registry().submit(&envelope)?;
+    /// The quota's, the registry's.
+    pub fn submit_record(
+        &self,
+        envelope: &[u8],
+        payer: Option<Digest>,
+    ) -> Result<cairn_registry::Receipt, EngineError> {
+        let refuse = |e| RegistryError::from(cairn_registry::RecordError::from(e));
+        let envelope = Envelope::parse(envelope).map_err(refuse)?;
+        let record = OwnerRecord::parse(&envelope.payload).map_err(RegistryError::from)?;
+        let payer = payer.filter(|_| record.kind != RecordKind::Revocation);
+        if let Some(payer) = &payer {
+            self.access().charge_record(payer)?;
+        }
+        let submitted = self.registry().submit(&envelope);
+        if let Some(payer) = payer.filter(|_| !matches!(&submitted, Ok(receipt) if !receipt.resubmitted)) {
+            self.access().forgive_record(&payer);
+        }
+        let receipt = submitted?;
         self.publisher.wake();
+        if matches!(record.kind, RecordKind::Revocation | RecordKind::Rotation) {
+            self.access().follow(self.registry(), &record)?;
+        }
         Ok(receipt)
     }
 
@@ -110,7 +128,7 @@ impl Engine {
         Ok((taken, Some(next)))
     }
 
-    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/1`) of at most `most` bytes.
+    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
     ///
     /// # Errors
     /// [`EngineError::NotFound`] for a view's name; [`EngineError::OverLimit`]; the registry's.

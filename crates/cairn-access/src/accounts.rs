@@ -63,12 +63,28 @@ pub struct Account {
     /// Quotas of its own instead of the daemon's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quota: Option<Limits>,
+    /// The key in place of `key`, as the log of owner records has it after rotations: it signs now, and `key` no more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heir: Option<PublicKey>,
+    /// Index of the record that ended the account's key with none in its place. Then nobody signs for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ended_by: Option<u64>,
 }
 
 impl Account {
-    /// What tokens and quotas know it by.
+    /// What quotas and scenes know it by: the key that it was registered under, whatever signs for it today.
     pub fn id(&self) -> Digest {
         self.key.id()
+    }
+
+    /// The key that signs for it.
+    pub fn signer(&self) -> &PublicKey {
+        self.heir.as_ref().unwrap_or(&self.key)
+    }
+
+    /// Whether it is in use, and somebody can sign for it.
+    fn is_usable(&self) -> bool {
+        self.standing == Standing::Active && self.ended_by.is_none()
     }
 }
 
@@ -110,6 +126,22 @@ pub enum AccountError {
     Disabled {
         /// Its name.
         name: String,
+    },
+    /// Another key took its key's place.
+    #[error("the account {name:?} continues under key {heir}, to which its own was rotated; sign with that one")]
+    Rotated {
+        /// Its name.
+        name: String,
+        /// The key in its place.
+        heir: PublicKey,
+    },
+    /// Its key ended, with none in its place.
+    #[error("the key with id {key} was ended by record {index} of the log; register another one (cairn keys new)")]
+    Ended {
+        /// The key's id.
+        key: Digest,
+        /// The record that ended it.
+        index: u64,
     },
     /// Nobody is taken in.
     #[error(
@@ -195,6 +227,13 @@ impl Accounts {
         self.lock().get(id).cloned()
     }
 
+    /// The account for which the key with this id signs, or did before it ended: its own first, then the oldest of those
+    /// that continue under it.
+    pub fn of_signer(&self, id: &Digest) -> Option<Account> {
+        let all = self.lock();
+        place_of(&all, id).and_then(|place| all.get(&place)).cloned()
+    }
+
     /// All accounts, oldest first, then by name.
     pub fn list(&self) -> Vec<Account> {
         let mut all: Vec<Account> = self.lock().values().cloned().collect();
@@ -202,14 +241,14 @@ impl Accounts {
         all
     }
 
-    /// Takes in a registration whose proof was verified ([`crate::Nonces::verify`]). A key that has an account
-    /// keeps it as it is.
+    /// Takes in a registration whose proof was verified ([`crate::Nonces::verify`]). A key that has an account, or
+    /// under which one continues, keeps it as it is.
     ///
     /// # Errors
     /// [`AccountError`], [`FileError`].
     pub fn register(&self, asked: &Registration, policy: Policy, now: u64) -> Result<Account, AccessError> {
         self.change(|all| {
-            if let Some(known) = all.get(&asked.key.id()) {
+            if let Some(known) = place_of(all, &asked.key.id()).and_then(|place| all.get(&place)) {
                 return Ok(known.clone());
             }
             let standing = match policy {
@@ -223,7 +262,21 @@ impl Accounts {
             }
             // Whatever was asked for: more than a contributor is an operator's to give.
             let (name, role) = (asked.name.clone(), Role::Contributor);
-            insert(all, Account { key: asked.key, name, role, asked: asked.role, standing, since: now, quota: None })
+            let (heir, ended_by) = (None, None);
+            insert(
+                all,
+                Account {
+                    key: asked.key,
+                    name,
+                    role,
+                    asked: asked.role,
+                    standing,
+                    since: now,
+                    quota: None,
+                    heir,
+                    ended_by,
+                },
+            )
         })
     }
 
@@ -236,8 +289,9 @@ impl Accounts {
             if let Some(known) = all.get(&key.id()) {
                 return Err(AccountError::Exists { key, name: known.name.clone(), role: known.role });
             }
-            let name = name.to_owned();
-            insert(all, Account { key, name, role, asked: role, standing: Standing::Active, since: now, quota: None })
+            let (name, standing) = (name.to_owned(), Standing::Active);
+            let (quota, heir, ended_by) = (None, None, None);
+            insert(all, Account { key, name, role, asked: role, standing, since: now, quota, heir, ended_by })
         })
     }
 
@@ -298,14 +352,28 @@ impl Accounts {
         })
     }
 
+    /// Takes down what the log says of an account's key (the account's id): the key in its place, or the record that ended it
+    /// with none. Also the last operator's: a key in other hands is worse than none.
+    ///
+    /// # Errors
+    /// [`FileError`].
+    pub fn follow(&self, id: &Digest, heir: Option<PublicKey>, ended_by: Option<u64>) -> Result<(), AccessError> {
+        let mut by_id = self.lock();
+        let mut next = by_id.clone();
+        let Some(account) = next.get_mut(id) else { return Ok(()) };
+        (account.heir, account.ended_by) = (heir, ended_by);
+        self.replace(&mut by_id, next)
+    }
+
     fn edit(
         &self,
         key: &PublicKey,
         edit: impl FnOnce(&mut Account, usize) -> Result<(), AccountError>,
     ) -> Result<Account, AccessError> {
         self.change(|all| {
-            let operators = all.values().filter(|a| a.role == Role::Operator && a.standing == Standing::Active).count();
-            let account = all.get_mut(&key.id()).ok_or(AccountError::NoSuch { key: *key })?;
+            let operators = all.values().filter(|a| a.role == Role::Operator && a.is_usable()).count();
+            let place = place_of(all, &key.id()).ok_or(AccountError::NoSuch { key: *key })?;
+            let account = all.get_mut(&place).ok_or(AccountError::NoSuch { key: *key })?;
             edit(account, operators)?;
             Ok(account.clone())
         })
@@ -316,17 +384,31 @@ impl Accounts {
         let mut by_id = self.lock();
         let mut next = by_id.clone();
         let changed = change(&mut next)?;
+        self.replace(&mut by_id, next)?;
+        Ok(changed)
+    }
+
+    fn replace(&self, by_id: &mut Map, next: Map) -> Result<(), AccessError> {
         if next != *by_id {
             let accounts = next.values().cloned().collect();
             file::write(&self.path, &Stored { format_version: file::FORMAT_VERSION, accounts })?;
             *by_id = next;
         }
-        Ok(changed)
+        Ok(())
     }
 
     fn lock(&self) -> MutexGuard<'_, Map> {
         self.by_id.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Where the account of a key stands, by the key's id: its own, or the oldest that continues under it.
+fn place_of(all: &Map, id: &Digest) -> Option<Digest> {
+    if all.contains_key(id) {
+        return Some(*id);
+    }
+    let heirs = all.iter().filter(|(_, account)| account.heir.is_some_and(|heir| heir.id() == *id));
+    heirs.min_by_key(|(_, account)| account.since).map(|(place, _)| *place)
 }
 
 fn insert(all: &mut Map, account: Account) -> Result<Account, AccountError> {
@@ -343,117 +425,12 @@ fn insert(all: &mut Map, account: Account) -> Result<Account, AccountError> {
 }
 
 fn not_the_last(account: &Account, operators: usize) -> Result<(), AccountError> {
-    if account.role == Role::Operator && account.standing == Standing::Active && operators == 1 {
+    if account.role == Role::Operator && account.is_usable() && operators == 1 {
         return Err(AccountError::LastOperator { name: account.name.clone() });
     }
     Ok(())
 }
 
 #[cfg(test)]
-mod tests {
-    use cairn_registry::OwnerKey;
-
-    use super::*;
-
-    fn key(seed: u8) -> PublicKey {
-        OwnerKey::from_seed(&[seed; 32]).public()
-    }
-
-    fn asking(seed: u8, name: &str, role: Role) -> Registration {
-        Registration { nonce: Digest::of("n"), origin: "log".into(), key: key(seed), name: name.into(), role }
-    }
-
-    fn open(dir: &tempfile::TempDir) -> Accounts {
-        Accounts::open(dir.path().join("access/accounts.json")).unwrap()
-    }
-
-    fn refused(result: Result<Account, AccessError>) -> AccountError {
-        match result {
-            Err(AccessError::Account(error)) => error,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    #[test]
-    fn policies_decide_and_nobody_makes_themselves_more_than_a_contributor() {
-        let dir = tempfile::tempdir().unwrap();
-        let accounts = open(&dir);
-        let ada = accounts.register(&asking(1, "ada", Role::Operator), Policy::Open, 5).unwrap();
-        assert_eq!((ada.role, ada.asked, ada.standing), (Role::Contributor, Role::Operator, Standing::Active));
-        let bob = accounts.register(&asking(2, "bob", Role::Curator), Policy::Approval, 6).unwrap();
-        assert_eq!((bob.role, bob.standing), (Role::Contributor, Standing::Waiting));
-        assert_eq!(
-            refused(accounts.register(&asking(3, "eve", Role::Curator), Policy::Closed, 7)),
-            AccountError::Closed
-        );
-        // Again, under any name and policy: it stays what it was.
-        assert_eq!(accounts.register(&asking(2, "robert", Role::Operator), Policy::Open, 9).unwrap(), bob);
-
-        let bob = accounts.approve(&bob.key, None).unwrap();
-        assert_eq!((bob.role, bob.standing), (Role::Curator, Standing::Active));
-        assert!(matches!(refused(accounts.approve(&bob.key, None)), AccountError::NotWaiting { .. }));
-        assert!(matches!(refused(accounts.approve(&key(3), None)), AccountError::NoSuch { .. }));
-        assert_eq!(open(&dir).list(), accounts.list(), "it is all in the file");
-        assert_eq!(accounts.list(), [ada, bob]);
-    }
-
-    #[test]
-    fn the_last_operator_stays() {
-        let dir = tempfile::tempdir().unwrap();
-        let accounts = open(&dir);
-        accounts.add(key(1), "root", Role::Operator, 1).unwrap();
-        let last = AccountError::LastOperator { name: "root".into() };
-        assert_eq!(refused(accounts.set_disabled(&key(1), true)), last);
-        assert_eq!(refused(accounts.set_role(&key(1), Role::Auditor)), last);
-        assert!(matches!(refused(accounts.add(key(1), "again", Role::Curator, 2)), AccountError::Exists { .. }));
-        accounts.add(key(2), "second", Role::Operator, 2).unwrap();
-        assert_eq!(accounts.set_disabled(&key(1), true).unwrap().standing, Standing::Disabled);
-        assert_eq!(
-            refused(accounts.set_role(&key(2), Role::Curator)),
-            AccountError::LastOperator { name: "second".into() }
-        );
-        assert_eq!(accounts.set_disabled(&key(1), false).unwrap().standing, Standing::Active);
-    }
-
-    #[test]
-    fn names_are_bounded_and_so_is_the_waiting_room() {
-        let dir = tempfile::tempdir().unwrap();
-        let accounts = open(&dir);
-        for name in ["", "a\nb", &"x".repeat(MAX_NAME + 1)] {
-            assert!(matches!(refused(accounts.add(key(1), name, Role::Auditor, 1)), AccountError::Name { .. }));
-        }
-        // As many as fit, put there at once: a thousand registrations are a thousand flushed files.
-        let many: Map = (0..MAX_WAITING)
-            .map(|n| {
-                let key = OwnerKey::from_seed(Digest::of(n.to_be_bytes()).as_bytes()).public();
-                let (role, standing) = (Role::Contributor, Standing::Waiting);
-                (key.id(), Account { key, name: "n".into(), role, asked: role, standing, since: 0, quota: None })
-            })
-            .collect();
-        *accounts.lock() = many;
-        let full = accounts.register(&asking(1, "late", Role::Contributor), Policy::Approval, 1);
-        assert_eq!(refused(full), AccountError::TooMany { what: "wait for approval", got: MAX_WAITING });
-        assert!(accounts.register(&asking(1, "late", Role::Contributor), Policy::Open, 1).is_ok());
-    }
-
-    #[test]
-    fn another_version_and_damage_are_refused_by_name() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("accounts.json");
-        let small_order = format!("{}{}", "01", "00".repeat(31));
-        let weak = format!(
-            r#"{{"format_version": 1, "accounts": [{{"key": "{small_order}", "name": "x", "role": "curator",
-            "asked": "curator", "standing": "active", "since": 1}}]}}"#
-        );
-        for (text, says) in [
-            (r#"{"format_version": 2, "accounts": []}"#, "format version 2"),
-            (r#"{"accounts": []}"#, "no format version"),
-            ("{", "no JSON"),
-            (weak.as_str(), "small order"),
-        ] {
-            std::fs::write(&path, text).unwrap();
-            let error = Accounts::open(path.clone()).unwrap_err().to_string();
-            assert!(error.contains(says) && error.contains("accounts.json"), "{error}");
-        }
-    }
-}
+#[path = "accounts_tests.rs"]
+mod tests;

@@ -4,7 +4,7 @@
 //! charging again replaces, and releasing again changes nothing: whatever was cut
 //! off in between can be set right by [`Quotas::reconcile`] with the list of items
 //! that there really are. Training is charged by the hour that it was spent in, and
-//! is forgiven a day later. Queued jobs are counted where they are kept, so that
+//! is forgiven a day later; so are owner records, which are also counted in all. Queued jobs are counted where they are kept, so that
 //! there is nothing to leak; only their limit is held here.
 
 use std::collections::BTreeMap;
@@ -33,6 +33,10 @@ pub enum Kind {
     TrainingSeconds,
     /// Trainings that have not ended.
     QueuedJobs,
+    /// Owner records submitted, in all.
+    Records,
+    /// Owner records submitted within a rolling day.
+    RecordsPerDay,
 }
 
 impl Kind {
@@ -43,6 +47,8 @@ impl Kind {
             Self::Views => "views",
             Self::TrainingSeconds => "training_seconds",
             Self::QueuedJobs => "queued_jobs",
+            Self::Records => "records",
+            Self::RecordsPerDay => "records_per_day",
         }
     }
 }
@@ -59,6 +65,12 @@ pub struct Limits {
     pub training_seconds: u64,
     /// Trainings that have not ended.
     pub queued_jobs: u64,
+    /// Owner records submitted, in all. What the log holds stays, so these are never given back.
+    #[serde(default)]
+    pub records: u64,
+    /// Owner records submitted within a rolling day.
+    #[serde(default)]
+    pub records_per_day: u64,
 }
 
 /// When a used-up quota has room again.
@@ -70,6 +82,8 @@ pub enum Frees {
     OnEnd,
     /// At this time, seconds since 1970.
     At(u64),
+    /// When an operator allows more.
+    OnRaise,
 }
 
 impl fmt::Display for Frees {
@@ -78,6 +92,7 @@ impl fmt::Display for Frees {
             Self::OnDelete => f.write_str("deleting a scene frees what it takes"),
             Self::OnEnd => f.write_str("it frees when a training ends or is cancelled"),
             Self::At(time) => write!(f, "it frees at {time} (seconds since 1970)"),
+            Self::OnRaise => f.write_str("it does not free by itself; an operator can raise it (cairn access quota)"),
         }
     }
 }
@@ -109,6 +124,10 @@ pub struct Usage {
     pub training_seconds: u64,
     /// When the oldest of these are forgiven, seconds since 1970; 0 where there are none.
     pub training_frees_at: u64,
+    /// Owner records submitted since they were counted: where neither of their quotas was set, they were not.
+    pub records: u64,
+    /// Of these, within the rolling day.
+    pub records_per_day: u64,
 }
 
 /// What one item takes.
@@ -128,6 +147,12 @@ struct Owner {
     stored: BTreeMap<String, Charge>,
     /// Milliseconds of training, by hour since 1970.
     trained_ms: BTreeMap<u64, u64>,
+    /// Owner records submitted, in all.
+    #[serde(default)]
+    records: u64,
+    /// Of the last day, by hour since 1970.
+    #[serde(default)]
+    records_by_hour: BTreeMap<u64, u64>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -284,6 +309,53 @@ impl Quotas {
         })
     }
 
+    /// Charges `owner` with one owner record submitted at `now`, durably, or not at all. Without a limit nothing is
+    /// written down: a file a record would be slower than the log.
+    ///
+    /// # Errors
+    /// [`QuotaError`] of the first quota that does not allow it; [`FileError`].
+    pub fn charge_record(&self, owner: &Digest, limits: &Limits, now: u64) -> Result<(), ChargeError> {
+        if limits.records == 0 && limits.records_per_day == 0 {
+            return Ok(());
+        }
+        self.change(|all| {
+            let owner = all.entry(owner.to_string()).or_default();
+            let refused = |kind, limit, used, frees| Err(QuotaError { kind, limit, used, needed: 1, frees }.into());
+            if limits.records != 0 && owner.records >= limits.records {
+                return refused(Kind::Records, limits.records, owner.records, Frees::OnRaise);
+            }
+            let (today, frees_at) = owner.records_today(now);
+            if limits.records_per_day != 0 && today >= limits.records_per_day {
+                return refused(Kind::RecordsPerDay, limits.records_per_day, today, Frees::At(frees_at));
+            }
+            owner.records = owner.records.saturating_add(1);
+            owner.records_by_hour.retain(|hour, _| hour + WINDOW_H > now / HOUR_S);
+            *owner.records_by_hour.entry(now / HOUR_S).or_default() += 1;
+            Ok(())
+        })
+    }
+
+    /// Takes back a charge of [`Quotas::charge_record`]: the record did not get into the log, or was in it before.
+    ///
+    /// # Errors
+    /// [`FileError`]; the charge still stands then.
+    pub fn forgive_record(&self, owner: &Digest, limits: &Limits, now: u64) -> Result<(), FileError> {
+        if limits.records == 0 && limits.records_per_day == 0 {
+            return Ok(());
+        }
+        self.change(|all| {
+            if let Some(owner) = all.get_mut(&owner.to_string()) {
+                owner.records = owner.records.saturating_sub(1);
+                let counted = owner.records_by_hour.get(&(now / HOUR_S)).copied().unwrap_or(0);
+                match counted.saturating_sub(1) {
+                    0 => drop(owner.records_by_hour.remove(&(now / HOUR_S))),
+                    left => drop(owner.records_by_hour.insert(now / HOUR_S, left)),
+                }
+            }
+            Ok(())
+        })
+    }
+
     /// What `owner` uses.
     pub fn usage(&self, owner: &Digest, now: u64) -> Usage {
         let used = self.lock();
@@ -295,6 +367,8 @@ impl Quotas {
             views,
             training_seconds: owner.trained_ms(now).div_ceil(1000),
             training_frees_at: first.map_or(0, |(hour, _)| (hour + WINDOW_H) * HOUR_S),
+            records: owner.records,
+            records_per_day: owner.records_today(now).0,
         }
     }
 
@@ -337,6 +411,13 @@ impl Owner {
             bytes: sum.bytes.saturating_add(c.bytes),
             views: sum.views.saturating_add(c.views),
         })
+    }
+
+    /// Records within the rolling day, and when the oldest hour of them is forgiven, seconds since 1970.
+    fn records_today(&self, now: u64) -> (u64, u64) {
+        let counted = || self.records_by_hour.iter().filter(|(hour, _)| *hour + WINDOW_H > now / HOUR_S);
+        let sum = counted().fold(0_u64, |sum, (_, records)| sum.saturating_add(*records));
+        (sum, counted().next().map_or(0, |(hour, _)| (hour + WINDOW_H) * HOUR_S))
     }
 
     /// Milliseconds within the rolling day. Hours that a clock set back put into the future count.

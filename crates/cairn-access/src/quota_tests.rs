@@ -2,7 +2,8 @@
 
 use super::*;
 
-const LIMITS: Limits = Limits { bytes: 100, views: 10, training_seconds: 60, queued_jobs: 2 };
+const LIMITS: Limits =
+    Limits { bytes: 100, views: 10, training_seconds: 60, queued_jobs: 2, records: 5, records_per_day: 3 };
 
 fn owner(name: &str) -> Digest {
     Digest::of(name)
@@ -148,4 +149,49 @@ fn what_cannot_be_written_does_not_count() {
     std::fs::write(&blocked, b"{\"format_ver").unwrap();
     quotas.charge(&ada, &LIMITS, "well", charge(10, 1)).unwrap();
     assert_eq!(place.open().usage(&ada, 0).bytes, 20);
+}
+
+#[test]
+fn records_have_limits_by_the_day_and_in_all() {
+    let place = Place::new();
+    let quotas = place.open();
+    let (ada, day) = (owner("ada"), 24 * HOUR_S);
+    let start = 1000 * HOUR_S;
+    let charge = |now| place.open().charge_record(&ada, &LIMITS, now);
+    for hour in 0..3 {
+        charge(start + hour * HOUR_S).unwrap();
+    }
+    let full = refused(charge(start + 3 * HOUR_S));
+    assert_eq!((full.kind, full.used, full.frees), (Kind::RecordsPerDay, 3, Frees::At(start + day)));
+    let said = full.to_string();
+    assert!(
+        said.starts_with("the owner's quota `records_per_day` is 3: 3 used, 1 more asked for; it frees at"),
+        "{said}"
+    );
+    assert_eq!(refused(charge(start + day - 1)).kind, Kind::RecordsPerDay);
+    // A day later there is room for one, and what did not get into the log is given back.
+    charge(start + day).unwrap();
+    place.open().forgive_record(&ada, &LIMITS, start + day).unwrap();
+    charge(start + day).unwrap();
+    let used = place.open().usage(&ada, start + day);
+    assert_eq!((used.records, used.records_per_day), (4, 3));
+    charge(start + day + HOUR_S).unwrap();
+    // In all, whatever the day.
+    let full = refused(charge(start + 9 * day));
+    assert_eq!((full.kind, full.limit, full.used, full.frees), (Kind::Records, 5, 5, Frees::OnRaise));
+    assert!(full.to_string().contains("an operator can raise it (cairn access quota)"));
+    // Others have their own, and 0 is no limit.
+    quotas.charge_record(&owner("bob"), &LIMITS, start).unwrap();
+    place.open().charge_record(&ada, &Limits::default(), start + 9 * day).unwrap();
+}
+
+#[test]
+fn a_file_from_before_there_were_quotas_of_records_is_read() {
+    let place = Place::new();
+    let owner_id = owner("ada").to_string();
+    let text = format!(
+        r#"{{"format_version": 1, "owners": {{"{owner_id}": {{"stored": {{}}, "trained_ms": {{"5": 1000}}}}}}}}"#
+    );
+    std::fs::write(place.0.path().join("usage.json"), text).unwrap();
+    assert_eq!(place.open().usage(&owner("ada"), 5 * HOUR_S).training_seconds, 1);
 }

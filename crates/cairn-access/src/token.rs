@@ -334,14 +334,20 @@ impl Verifier {
     /// Verifies a token for a call, uses it up, and tells whose it is. What it is about remains
     /// to be compared: [`Claims::about`].
     ///
-    /// In this order: form, version, account, signature, daemon, method, time, the account's standing and
-    /// role, first use. So a stranger learns nothing but that they are one.
+    /// In this order: form, version, account, signature, daemon, method, time, whether the key still signs for the
+    /// account, the account's standing and role, first use. So a stranger learns nothing but that they are one.
     ///
     /// # Errors
     /// [`AccessError::Token`], [`AccessError::Account`], [`AccessError::Denied`].
     pub fn verify(&self, token: &str, call: Call<'_>, accounts: &Accounts) -> Result<(Account, Claims), AccessError> {
         let (claims, account, id) = open(token, accounts)?;
         self.fits(&claims, call)?;
+        if let Some(index) = account.ended_by {
+            return Err(AccountError::Ended { key: claims.key, index }.into());
+        }
+        if account.signer().id() != claims.key {
+            return Err(AccountError::Rotated { heir: *account.signer(), name: account.name }.into());
+        }
         match account.standing {
             Standing::Active => {}
             Standing::Waiting => return Err(AccountError::Waiting { name: account.name }.into()),
@@ -397,9 +403,10 @@ fn open(token: &str, accounts: &Accounts) -> Result<(Claims, Account, Digest), A
     let body_len = bytes.len().checked_sub(SIGNATURE).ok_or(malformed("the signature"))?;
     let (body, signature) = bytes.split_at(body_len);
     let claims = Claims::parse(body)?;
-    let account = accounts.get(&claims.key).ok_or(AccountError::Unknown { key: claims.key })?;
+    let account = accounts.of_signer(&claims.key).ok_or(AccountError::Unknown { key: claims.key })?;
     let message = [DOMAIN, body].concat();
-    account.key.verify(&message, signature).map_err(|_| TokenError::BadSignature { key: claims.key })?;
+    let key = if account.id() == claims.key { &account.key } else { account.signer() };
+    key.verify(&message, signature).map_err(|_| TokenError::BadSignature { key: claims.key })?;
     Ok((claims, account, Digest::of(body)))
 }
 

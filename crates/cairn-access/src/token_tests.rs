@@ -191,3 +191,34 @@ fn an_unknown_version_is_refused_by_number() {
     bytes[0] = 2;
     assert_eq!(f.refused(&URL_SAFE_NO_PAD.encode(&bytes), NOW), TokenError::Version { got: 2 });
 }
+
+#[test]
+fn only_the_key_that_the_log_has_in_its_place_signs_for_an_account() {
+    let f = Fixture::new();
+    let (next, last) = (OwnerKey::from_seed(&[2; 32]), OwnerKey::from_seed(&[3; 32]));
+    let by = |key: &OwnerKey| sign(key, f.verifier.daemon(), METHOD, "town", NOW, 60).unwrap();
+    let account = |refused: Result<(Account, Claims), AccessError>| match refused {
+        Err(AccessError::Account(error)) => error,
+        other => panic!("{other:?}"),
+    };
+    let id = f.key.public().id();
+    assert!(matches!(account(f.verify_at(&by(&next), NOW)), AccountError::Unknown { .. }));
+    for heir in [&next, &last] {
+        f.accounts.follow(&id, Some(heir.public()), None).unwrap();
+        let (found, _) = f.verify_at(&by(heir), NOW).unwrap();
+        assert_eq!((found.id(), found.name.as_str()), (id, "ada"));
+        let said = account(f.verify_at(&by(&f.key), NOW));
+        assert_eq!(said, AccountError::Rotated { name: "ada".into(), heir: heir.public() });
+    }
+    assert!(matches!(account(f.verify_at(&by(&next), NOW)), AccountError::Unknown { .. }), "it was rotated again");
+    // Whoever has not the old key learns nothing of what became of it.
+    let mut forged = by(&f.key);
+    let at = forged.len() - 3;
+    let other = if forged[at..].starts_with('A') { "B" } else { "A" };
+    forged.replace_range(at..=at, other);
+    assert!(matches!(f.verify_at(&forged, NOW), Err(AccessError::Token(_))));
+    f.accounts.follow(&id, Some(last.public()), Some(7)).unwrap();
+    for key in [&f.key, &last] {
+        assert!(matches!(account(f.verify_at(&by(key), NOW)), AccountError::Ended { index: 7, .. }));
+    }
+}

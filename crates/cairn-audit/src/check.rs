@@ -36,7 +36,8 @@ pub fn audit(evidence: &Evidence<'_>) -> Report {
         // A place in the log counts only where the pinned log vouches for it: anybody can draw up a tree of their own.
         let anchored = findings.has(Code::CheckpointVerified) && findings.has(Code::InclusionProven);
         let index = proof.as_ref().filter(|_| anchored).map(|p| p.proof.index);
-        freshness = later::check(&record, envelope.digest(), index, evidence.log, &mut findings);
+        let audited = later::Audited { record: &record, digest: envelope.digest(), index };
+        freshness = later::check(&audited, evidence.log, &mut findings);
     }
     let anchored = [Code::RegistrySignatureValid, Code::CheckpointVerified, Code::InclusionProven];
     let outcome = if findings.failed() {

@@ -119,8 +119,10 @@ codes! {
     FreshnessKnown = "freshness.known", Passed, "";
     /// A later record that was handed in does not hold.
     LaterRecordInvalid = "later.invalid", Warning, "get the log's records again; this one was not counted";
-    /// The owner took this very record back.
+    /// The owner, or the key that rotations put in the owner's place, took this very record back.
     RecordRevoked = "record.revoked", Error, "ask the owner for the record that holds now";
+    /// The owner, or the key that rotations put in the owner's place, put another record in this one's.
+    RecordReplaced = "record.replaced", Warning, "ask for the record that its owner put in its place, and use that";
     /// The owner's key was ended before this record.
     RecordAfterRevocation = "record.after_revocation", Error, "trust nothing that this key signed behind that index";
     /// The owner's key was ended behind this record, which stays good.
@@ -185,6 +187,14 @@ codes! {
     WorkingMismatch = "working.mismatch", Error, "restore working/ with its seal from a backup that is as new as the published checkpoint; the public files are what counts for others";
     /// The working state is as it was sealed.
     WorkingVerified = "working.verified", Passed, "";
+    /// The daemon's own state is not sealed, so its files were not compared.
+    StateUnsealed = "state.unsealed", Info, "stop the daemon cleanly to have it sealed";
+    /// The seal of the daemon's own state cannot be read.
+    StateSeal = "state.seal", Error, "restore access/, owners/, registry.key and registry.checkpoint with state.seal from one backup";
+    /// A file of the daemon's own state is missing, changed, or not in the seal.
+    StateMismatch = "state.mismatch", Error, "restore access/, owners/, registry.key and registry.checkpoint with state.seal from one backup";
+    /// The daemon's own state is as it was sealed.
+    StateVerified = "state.verified", Passed, "";
     /// A manifest cannot be read, or is not as it is written.
     ManifestMalformed = "manifest.malformed", Error, "restore the folder from a copy";
     /// A folder without a manifest: files that no digest names were not compared.
@@ -235,6 +245,10 @@ codes! {
     AnswerMalformed = "answer.malformed", Error, "get the answer again from the registry";
     /// An answer of a format that this release does not know.
     AnswerFormatUnknown = "answer.format.unknown", Error, "use a release that knows this format";
+    /// The answer is to what was asked.
+    AnswerQuestionMatch = "answer.question.match", Passed, "";
+    /// The answer is to another question.
+    AnswerQuestionMismatch = "answer.question.mismatch", Error, "ask the registry again, and audit the answer to your own question";
     /// The answer names another log than its checkpoint.
     AnswerOriginMismatch = "answer.origin.mismatch", Error, "get the answer again; somebody put it together from two logs";
     /// The log of the answer begins with the one of the older checkpoint asked for.

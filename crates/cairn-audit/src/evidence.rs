@@ -110,8 +110,8 @@ pub struct RecordInHand {
     pub envelope: Vec<u8>,
 }
 
-/// What is known of the log: all its revocations, rotations and disputes below a size. That these are all is the word
-/// of whoever made the view.
+/// What is known of the log: all its revocations, rotations and disputes below a size, and what replaces others. That
+/// these are all is the word of whoever made the view.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct LogView {
     /// Records below this size were looked at.

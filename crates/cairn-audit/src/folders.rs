@@ -2,9 +2,9 @@
 //! manifest of its folder and against the digests that tables and models name.
 //!
 //! Covered: every file of a scene, a model or an ended job that has a manifest, the
-//! manifests, `current.json` and `format.json`. Not covered, and named so: `lock` (the number of a
-//! process), jobs that have not ended and `staging` (work under way), `registry.key`
-//! (a secret; whoever holds the pinned key compares it), and whatever else lies there.
+//! manifests, `current.json` and `format.json`; accounts, owners, the registry's key and the checkpoint published last by
+//! the seal of a clean stop ([`crate::state`]). Not covered, and named so: `lock` (the number of a
+//! process), jobs that have not ended and `staging` (work under way), and whatever else lies there.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -18,6 +18,7 @@ use crate::{
     FileInHand,
     code::Code,
     report::{Finding, Findings},
+    state,
     store::{Manifest, Stock, StoreError, read_manifest},
 };
 
@@ -33,6 +34,7 @@ const FORMAT: &str = "{\n  \"format_version\": 1\n}";
 /// [`StoreError`] for a folder that cannot be listed.
 pub fn audit_folders(dir: &Path) -> Result<(Vec<Finding>, Stock), StoreError> {
     let mut audit = Folders { dir, findings: Findings::default(), stock: Stock::default() };
+    let mut state = false;
     for entry in names(dir)? {
         match entry.as_str() {
             "scenes" => audit.each("scenes", Folders::scene)?,
@@ -40,9 +42,11 @@ pub fn audit_folders(dir: &Path) -> Result<(Vec<Finding>, Stock), StoreError> {
             "jobs" => audit.each("jobs", Folders::job)?,
             "format.json" => audit.format(),
             "registry" => {}
+            name if state::covers(name) => state = true,
             other => audit.findings.add(Code::FileUncovered, other, "", "no digest names it"),
         }
     }
+    state::check(dir, state, &mut audit.findings)?;
     Ok((audit.findings.0, audit.stock))
 }
 

@@ -19,9 +19,10 @@ mod later;
 mod map;
 mod policy;
 mod report;
+mod state;
 mod store;
 
-pub use answer::{AnswerReport, RecordWorth, Standing, audit_answer};
+pub use answer::{AnswerReport, Question, RecordWorth, Standing, audit_answer, audit_answer_to};
 pub use check::audit;
 pub use code::Code;
 pub use evidence::{

@@ -2,13 +2,13 @@
 
 mod common;
 
-use cairn_audit::{AnswerReport, Code, Freshness, Outcome, Standing, audit_answer};
+use cairn_audit::{AnswerReport, Code, Freshness, Outcome, Question, Standing, audit_answer, audit_answer_to};
 use cairn_registry::{
     Checkpoint, RecordKind,
     answer::AsOf,
     merkle::{Tree, leaf_hash},
 };
-use common::{Log, ORIGIN, SCENE, audited, errors, key, log, registry, sealed};
+use common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
 
 fn standings(report: &AnswerReport) -> Vec<(u64, Standing)> {
     report.records.iter().map(|r| (r.index, r.standing)).collect()
@@ -136,6 +136,30 @@ fn an_erased_record_keeps_its_place_and_loses_its_name() {
     assert_eq!((report.records[0].contributor.clone(), report.records[0].number), (None, None));
     assert!(report.has(Code::AnswerRecordErased));
     assert!(report.to_string().contains("(erased)"));
+}
+
+#[test]
+fn an_answer_to_another_question_is_none() {
+    let (log, _) = log();
+    let asked = |answered: Option<&str>, scene: &str, about: Option<&str>| {
+        let question = Question { scene: scene.into(), view: about.map(view) };
+        audit_answer_to(log.answer(answered).to_json().as_bytes(), Some(&pinned()), Some(&question))
+    };
+    for view in [None, Some("two")] {
+        let report = asked(view, SCENE, view);
+        assert!(report.outcome == Outcome::Trusted && report.has(Code::AnswerQuestionMatch), "{report}");
+    }
+    for (answered, scene, about) in [
+        (None, "fern", None),
+        (None, SCENE, Some("two")),
+        (Some("two"), SCENE, None),
+        (Some("two"), SCENE, Some("one")),
+    ] {
+        // True in itself, and credits nobody all the same.
+        assert_eq!(errors(&asked(answered, scene, about)), ["answer.question.mismatch"]);
+    }
+    let garbage = audit_answer_to(b"{", None, Some(&Question { scene: SCENE.into(), view: None }));
+    assert_eq!(errors(&garbage), ["answer.malformed"]);
 }
 
 #[test]

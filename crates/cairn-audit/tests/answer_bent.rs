@@ -204,7 +204,7 @@ fn answers_are_read_strictly() {
         assert_ne!(changed, json, "{from}");
         errors(&audit_answer(changed.as_bytes(), Some(&pinned())))
     };
-    assert_eq!(with("cairn-answer/1", "cairn-answer/2"), ["answer.format.unknown"]);
+    assert_eq!(with("cairn-answer/2", "cairn-answer/3"), ["answer.format.unknown"]);
     assert_eq!(with("{", r#"{"more":1,"#), ["answer.malformed"]);
     assert_eq!(with(r#""scene":"liberty""#, r#""scene":"liberty ""#), ["answer.malformed"]);
     assert_eq!(with(r#""leaf":""#, r#""leaf":"AA"#), ["answer.malformed"]);

@@ -40,8 +40,19 @@ fn written(dir: &Path) {
         format!("{{\n  \"format_version\": 1,\n  \"job\": \"job-000001\",\n  \"manifest\": \"{manifest}\"\n}}");
     put(&dir.join("models/town/current.json"), current.as_bytes());
 
+    for name in ["access/accounts.json", "access/usage.json", "owners/town.json", "registry.checkpoint", "registry.key"]
+    {
+        put(&dir.join(name), name.as_bytes());
+    }
+    seal_state(dir);
     put(&dir.join("jobs/job-000001/job.json"), b"{}");
     seal(&dir.join("jobs/job-000001"), &["job.json"], &dir.join("jobs/job-000001/manifest.json"));
+}
+
+fn seal_state(dir: &Path) {
+    let state =
+        ["access/accounts.json", "access/usage.json", "owners/town.json", "registry.checkpoint", "registry.key"];
+    seal(dir, &state, &dir.join("state.seal"));
 }
 
 fn errors(findings: &[Finding]) -> Vec<String> {
@@ -73,7 +84,8 @@ fn a_byte_changed_anywhere_is_found_and_its_file_named() {
             std::fs::write(&path, &bytes).unwrap();
             let named = errors(&audit_folders(dir.path()).unwrap().0);
             // A manifest is found out by what it says of its files, so it is its folder that is named.
-            let folder = name.strip_suffix("manifest.json").unwrap_or(&name);
+            let folder =
+                if name == "state.seal" { "state." } else { name.strip_suffix("manifest.json").unwrap_or(&name) };
             assert!(named.iter().any(|n| n.contains(folder)), "{name} byte {at}: {named:?}");
         }
         std::fs::write(&path, &good).unwrap();
@@ -105,6 +117,41 @@ fn what_is_missing_or_strange_is_named_and_what_cannot_be_covered_is_told() {
     let uncovered: Vec<_> =
         findings.iter().filter(|f| f.code == Code::FileUncovered).map(|f| f.place.as_str()).collect();
     assert_eq!(uncovered, ["lock", "scenes/.staging-x"]);
+}
+
+#[test]
+fn the_daemons_own_state_is_held_to_its_seal() {
+    let dir = tempfile::tempdir().unwrap();
+    written(dir.path());
+    let now = || errors(&audit_folders(dir.path()).unwrap().0);
+    let path = |name: &str| dir.path().join(name);
+    assert!(audit_folders(dir.path()).unwrap().0.iter().any(|f| f.code == Code::StateVerified));
+    put(&path("owners/other.json"), b"x");
+    assert_eq!(now(), ["state.mismatch at owners/other.json"]);
+    std::fs::remove_file(path("owners/other.json")).unwrap();
+    for name in ["owners/town.json", "registry.key"] {
+        std::fs::remove_file(path(name)).unwrap();
+        assert_eq!(now(), [format!("state.mismatch at {name}")]);
+        put(&path(name), name.as_bytes());
+    }
+    // A whole folder gone; a file that came besides.
+    std::fs::remove_dir_all(path("access")).unwrap();
+    assert_eq!(now(), ["state.mismatch at access/accounts.json", "state.mismatch at access/usage.json"]);
+    put(&path("access/accounts.json"), b"access/accounts.json");
+    put(&path("access/usage.json"), b"access/usage.json");
+    seal(dir.path(), &["access/accounts.json", "access/usage.json", "owners/town.json"], &path("state.seal"));
+    assert_eq!(now(), ["state.mismatch at registry.checkpoint", "state.mismatch at registry.key"]);
+    // A seal over what is none of its business, and one of another version.
+    seal_state(dir.path());
+    let sealed = std::fs::read_to_string(path("state.seal")).unwrap();
+    put(&path("state.seal"), sealed.replace("registry.key", "registry.kez").as_bytes());
+    assert!(now().contains(&"state.seal at state.seal".to_owned()), "{:?}", now());
+    put(&path("state.seal"), sealed.replace(r#""format_version":1"#, r#""format_version":2"#).as_bytes());
+    assert_eq!(now(), ["state.seal at state.seal"]);
+    // While the daemon runs there is none, which is no fault.
+    std::fs::remove_file(path("state.seal")).unwrap();
+    let (findings, _) = audit_folders(dir.path()).unwrap();
+    assert!(errors(&findings).is_empty() && findings.iter().any(|f| f.code == Code::StateUnsealed));
 }
 
 #[test]

@@ -8,8 +8,10 @@
 //!    these are the records whose `views` list it;
 //! 2. for each record of that list, the lists of [`keys_about`] its leaf: who replaced, disputed or took
 //!    back the record, and what ended its owner's key;
-//! 3. each record of any of these lists, once. Those that only a list of the second step names have no lists
-//!    of their own here: one level tells what the records of the answer are worth.
+//! 3. for each rotation that a list of steps 2 and 3 names, the list of what ended the key that it leads to
+//!    ([`key_after`]): so it is known who spoke for an owner at any time ([`mod@crate::heir`]);
+//! 4. each record of any of these lists, once. Those that only lists of the later steps name have no further lists
+//!    of their own here: this much tells what the records of the answer are worth.
 //!
 //! Every list comes with the proof that it is the whole list, or that there is none, under the map
 //! root in the last leaf of the checkpoint's log. An erased record
@@ -29,7 +31,7 @@ use crate::{
     leaf::{LEAF_LEN, Leaf, LeafError},
     map::{MapEntry, MapKey, MapProof},
     proof::MAX_HASHES,
-    record::{RecordError, check_text},
+    record::{RecordError, RecordKind, check_text},
     serial,
 };
 
@@ -39,7 +41,7 @@ pub const MAX_ANSWER_BYTES: usize = 64 << 20;
 /// Most records in an answer, and most entries in one of its lists.
 pub const MAX_RECORDS: usize = 65_536;
 
-/// Most lists: the asked one, and two for each record.
+/// Most lists: the asked one, and two for each record (a rotation of step 3 has one).
 pub const MAX_LISTS: usize = 1 + 2 * MAX_RECORDS;
 
 /// An answer as it came or goes out; nothing verified.
@@ -74,15 +76,15 @@ pub struct Answer {
 /// The format's name and version.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Format {
-    /// The first.
+    /// The second; the first had no lists of step 3.
     #[default]
-    #[serde(rename = "cairn-answer/1")]
-    V1,
+    #[serde(rename = "cairn-answer/2")]
+    V2,
 }
 
 impl Format {
     /// What the field `format` holds.
-    pub const NAME: &str = "cairn-answer/1";
+    pub const NAME: &str = "cairn-answer/2";
 }
 
 /// An older checkpoint, and that the answer's log begins with its log.
@@ -236,6 +238,11 @@ pub fn keys_about(leaf: &Leaf) -> [MapKey; 2] {
     [MapKey::about(&leaf.record), MapKey::ended(&leaf.owner)]
 }
 
+/// The key under which is listed what ended the key that a rotation leads to; none for records of other kinds.
+pub fn key_after(leaf: &Leaf) -> Option<MapKey> {
+    (leaf.kind == RecordKind::Rotation).then(|| MapKey::ended(&leaf.owner))
+}
+
 /// What answers are put together from: a log and its map, at one size.
 pub trait Source {
     /// What can go wrong there.
@@ -283,21 +290,30 @@ pub enum AnswerGap {
 pub fn collect<S: Source>(asked: &MapKey, source: &S) -> Result<(Vec<List>, Vec<ListedRecord>), S::Error> {
     let first = source.list(asked)?;
     let mut records = BTreeMap::new();
-    let mut keys = BTreeSet::new();
     gather(&first, source, &mut records)?;
+    let mut open = BTreeSet::new();
     for (index, record) in &records {
-        let leaf = Leaf::decode(&record.leaf).map_err(|source| AnswerGap::NoRecord { index: *index, source })?;
-        keys.extend(keys_about(&leaf));
+        open.extend(keys_about(&leaf_of(*index, record)?));
     }
-    keys.remove(asked);
-    let mut lists = vec![first];
-    for key in &keys {
-        let list = source.list(key)?;
+    let mut lists = BTreeMap::from([(*asked, first)]);
+    while let Some(key) = open.pop_first() {
+        if lists.contains_key(&key) {
+            continue;
+        }
+        let list = source.list(&key)?;
         gather(&list, source, &mut records)?;
-        lists.push(list);
+        for entry in &list.entries {
+            open.extend(
+                records.get(&entry.index).map(|r| leaf_of(entry.index, r)).transpose()?.and_then(|l| key_after(&l)),
+            );
+        }
+        lists.insert(key, list);
     }
-    lists.sort_unstable_by_key(|list| list.key);
-    Ok((lists, records.into_values().collect()))
+    Ok((lists.into_values().collect(), records.into_values().collect()))
+}
+
+fn leaf_of(index: u64, record: &ListedRecord) -> Result<Leaf, AnswerGap> {
+    Leaf::decode(&record.leaf).map_err(|source| AnswerGap::NoRecord { index, source })
 }
 
 fn gather<S: Source>(list: &List, source: &S, records: &mut BTreeMap<u64, ListedRecord>) -> Result<(), S::Error> {

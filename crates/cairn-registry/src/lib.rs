@@ -17,6 +17,7 @@ pub mod dsse;
 pub mod erasure;
 #[cfg(feature = "store")]
 pub mod files;
+pub mod heir;
 pub mod keys;
 pub mod leaf;
 pub mod map;
@@ -41,6 +42,7 @@ pub use cosignature::{Cosignature, CosignatureError, WitnessVerifier, cosign};
 pub use digest::{Digest, DigestError};
 pub use dsse::{DsseError, Envelope};
 pub use erasure::{Erasure, ErasureError, ErasureRequest};
+pub use heir::{Ending, Heir, heir};
 pub use keys::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
 pub use map::{MapEntry, MapKey, MapProof, MapTree};

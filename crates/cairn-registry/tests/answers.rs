@@ -5,8 +5,8 @@
 mod common;
 
 use cairn_registry::{
-    Checkpoint, Digest, Registry,
-    answer::{Answer, asked_key, keys_about},
+    Checkpoint, Digest, Registry, RegistryError,
+    answer::{Answer, AnswerGap, asked_key, keys_about},
     leaf::Leaf,
     map::list_root,
     map_leaf::Entry,
@@ -117,4 +117,33 @@ fn an_answer_as_of_an_older_checkpoint_proves_that_the_newer_goes_on_from_it() {
     with_views(&forked, 7, "fern", 0..3);
     assert!(registry.answer("fern", None, Some(&forked.checkpoint()), usize::MAX).is_err());
     assert!(registry.answer("fern", None, Some("no note"), usize::MAX).is_err());
+}
+
+#[test]
+fn an_answer_of_more_bytes_than_the_asker_takes_is_refused_by_its_limit() {
+    let store = FaultyStore::new();
+    let registry = open(&store);
+    for by in 1..=3 {
+        with_views(&registry, by, "fern", 0..100);
+    }
+    with_views(&registry, 1, "fern", 200..201);
+    let length = |view: Option<&Digest>| registry.answer("fern", view, None, usize::MAX).unwrap().to_json().len();
+    let whole = length(None);
+    let refused = |view: Option<&Digest>, most| match registry.answer("fern", view, None, most) {
+        Err(RegistryError::Answer(AnswerGap::TooLarge { limit })) => limit == most,
+        Err(e) => panic!("{e}"),
+        Ok(answer) => {
+            // What is estimated on the way errs by little: the edge holds the real length to the limit once more.
+            assert!(answer.to_json().len() < 2 * most, "{} bytes, {most} were allowed", answer.to_json().len());
+            false
+        }
+    };
+    assert!(!refused(None, 2 * whole), "there is room");
+    for most in [0, 1, whole / 4, whole / 2] {
+        assert!(refused(None, most), "{most} of {whole} bytes");
+    }
+    // A single view with fewer records fits where the scene does not.
+    assert!(refused(None, whole / 2) && !refused(Some(&photograph(200)), whole / 2));
+    let said = registry.answer("fern", None, None, 10).unwrap_err().to_string();
+    assert!(said.contains("larger than 10 bytes") && said.contains("ask about a view"), "{said}");
 }

@@ -1,8 +1,12 @@
 //! `cairn audit answer`: who contributed, with proofs that each record named is in the
 //! log and that none is left out.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+use anyhow::Context as _;
+use cairn_audit::{FileInHand, Question};
+use cairn_registry::Digest;
 
 use crate::engine::folder::read_limited;
 
@@ -18,16 +22,36 @@ pub struct Args {
     /// The log's public key (see `cairn owners vkey`), obtained elsewhere; without it nothing is trusted
     #[arg(long, value_name = "FILE")]
     pub vkey: Option<PathBuf>,
+    /// The scene that was asked about: an answer about another is invalid
+    #[arg(long, value_name = "NAME")]
+    pub scene: Option<String>,
+    /// The photograph that was asked about, its file or its SHA-256; without it, that the whole scene was
+    #[arg(long, value_name = "FILE|SHA256", requires = "scene")]
+    pub view: Option<String>,
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// A photograph's digest: as given, or of the file with this name.
+fn photograph(text: &str) -> anyhow::Result<Digest> {
+    match text.parse() {
+        Ok(digest) => Ok(digest),
+        Err(_) => {
+            Ok(FileInHand::read(Path::new(text)).context("--view takes a photograph's file or its SHA-256")?.digest)
+        }
+    }
 }
 
 /// Answers `cairn audit answer`.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let answer = read_limited(&args.answer, MAX_ANSWER_BYTES)?;
     let pinned = args.vkey.as_deref().map(super::vkey).transpose()?;
-    let report = cairn_audit::audit_answer(&answer, pinned.as_ref());
+    let question = match &args.scene {
+        Some(scene) => Some(Question { scene: scene.clone(), view: args.view.as_deref().map(photograph).transpose()? }),
+        None => None,
+    };
+    let report = cairn_audit::audit_answer_to(&answer, pinned.as_ref(), question.as_ref());
     if args.json {
         println!("{}", report.to_json());
     } else {

@@ -63,7 +63,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
                 0
             }
         };
-        if args.once || code != 0 {
+        // Whom should it go on for, once nobody reads what it says?
+        if args.once || code != 0 || crate::out::is_closed() {
             return Ok(ExitCode::from(code));
         }
         std::thread::sleep(Duration::from_secs(args.interval));

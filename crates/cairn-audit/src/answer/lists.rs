@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use cairn_registry::{
     Answer, Checkpoint, Digest, Envelope, Leaf, MapEntry, MapKey, OwnerRecord, PublicKey, RecordKind,
-    answer::{List, ListedRecord, keys_about},
+    answer::{List, ListedRecord, key_after, keys_about},
     map::{keys_of, list_root},
     merkle::{self, verify_inclusion},
 };
@@ -23,6 +23,8 @@ pub(super) struct Opened {
 pub(super) struct Proven<'a> {
     pub(super) lists: BTreeMap<MapKey, &'a [MapEntry]>,
     pub(super) records: BTreeMap<u64, Opened>,
+    /// Owners' keys by id, of records that are not erased.
+    pub(super) keys: BTreeMap<Digest, PublicKey>,
 }
 
 impl Proven<'_> {
@@ -55,8 +57,8 @@ pub(super) fn check<'a>(
     }
     check_entries(answer, &records, findings);
     let listed = first.entries.iter().filter_map(|entry| records.get(&entry.index));
-    let owners = owners(listed.clone());
-    let needed: BTreeSet<MapKey> = listed.flat_map(|opened| keys_about(&opened.leaf)).chain([asked]).collect();
+    let owners = owners(records.values());
+    let needed = needed(asked, listed, &lists, &records);
     for key in needed.iter().filter(|key| !lists.contains_key(key)) {
         findings.add(Code::AnswerIncomplete, "lists", format!("the list of key {key}"), "none");
     }
@@ -74,7 +76,29 @@ pub(super) fn check<'a>(
         findings.add(Code::AnswerRecordsProven, "records", "", got);
     }
     let lists = lists.into_iter().map(|(key, list)| (key, list.entries.as_slice())).collect();
-    Some(Proven { lists, records })
+    let named = records.values().filter_map(|opened| Some((opened.leaf.owner, opened.body.as_ref()?.1.owner_key)));
+    let keys = named.collect();
+    Some(Proven { lists, records, keys })
+}
+
+/// The keys of the lists that an answer must hold: what is about the asked list's records, what ended their owners' keys,
+/// and from rotation to rotation what ended the keys that followed.
+fn needed<'a>(
+    asked: MapKey,
+    listed: impl Iterator<Item = &'a Opened>,
+    lists: &BTreeMap<MapKey, &List>,
+    records: &BTreeMap<u64, Opened>,
+) -> BTreeSet<MapKey> {
+    let mut open: Vec<MapKey> = listed.flat_map(|opened| keys_about(&opened.leaf)).collect();
+    let mut needed = BTreeSet::from([asked]);
+    while let Some(key) = open.pop() {
+        let entries = lists.get(&key).map_or(&[][..], |list| &list.entries);
+        if needed.insert(key) {
+            let leaves = entries.iter().filter_map(|entry| records.get(&entry.index));
+            open.extend(leaves.filter_map(|opened| key_after(&opened.leaf)));
+        }
+    }
+    needed
 }
 
 /// Every list under the map's root. The asked one is reported by itself, the others together.

@@ -14,7 +14,9 @@ mod worth;
 pub use report::{AnswerReport, RecordWorth, Standing};
 
 use cairn_registry::{
-    Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier, map, map_leaf,
+    Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier,
+    answer::Format,
+    map, map_leaf,
     merkle::{verify_consistency, verify_inclusion},
 };
 
@@ -24,10 +26,24 @@ use crate::{
     report::{Findings, Freshness, Outcome},
 };
 
+/// What was asked: an answer says itself what it answers, and whoever asked knows better.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Question {
+    /// The scene's name.
+    pub scene: String,
+    /// SHA-256 of the photograph asked about; none for the whole scene.
+    pub view: Option<Digest>,
+}
+
 /// Verifies a complete answer of a registry: JSON of [`Answer`].
 ///
 /// Never fails: whatever is wrong with the answer is a finding. Without the log's pinned key nothing is trusted.
 pub fn audit_answer(answer: &[u8], pinned: Option<&NoteVerifier>) -> AnswerReport {
+    audit_answer_to(answer, pinned, None)
+}
+
+/// As [`audit_answer`]; where the question is given, an answer to another one is invalid.
+pub fn audit_answer_to(answer: &[u8], pinned: Option<&NoteVerifier>, asked: Option<&Question>) -> AnswerReport {
     let mut findings = Findings::default();
     let answer = match Answer::parse(answer) {
         Ok(answer) => answer,
@@ -39,12 +55,15 @@ pub fn audit_answer(answer: &[u8], pinned: Option<&NoteVerifier>) -> AnswerRepor
                 | AnswerError::Scene(_)
                 | AnswerError::Order { .. } => Code::AnswerMalformed,
             };
-            findings.add(code, "answer", "a complete answer of format cairn-answer/1", e);
+            findings.add(code, "answer", format!("a complete answer of format {}", Format::NAME), e);
             return report(None, None, Vec::new(), findings);
         }
     };
     if pinned.is_none() {
         findings.add(Code::RegistryUnpinned, "registry", "a pinned verifier key", "none");
+    }
+    if let Some(asked) = asked {
+        check_question(&answer, asked, &mut findings);
     }
     let mut records = Vec::new();
     let sizes = check_log(&answer, pinned, &mut findings);
@@ -55,6 +74,19 @@ pub fn audit_answer(answer: &[u8], pinned: Option<&NoteVerifier>) -> AnswerRepor
         records = worth::weigh(&answer, &proven, sizes.as_of, &mut findings);
     }
     report(Some(answer), sizes.map(|(sizes, _)| sizes), records, findings)
+}
+
+fn check_question(answer: &Answer, asked: &Question, findings: &mut Findings) {
+    let said = |scene: &str, view: Option<&Digest>| match view {
+        Some(view) => format!("view {view} of scene {scene:?}"),
+        None => format!("scene {scene:?}"),
+    };
+    let (expected, got) = (said(&asked.scene, asked.view.as_ref()), said(&answer.scene, answer.view.as_ref()));
+    if expected == got {
+        findings.add(Code::AnswerQuestionMatch, "answer, fields scene and view", "", got);
+    } else {
+        findings.add(Code::AnswerQuestionMismatch, "answer, fields scene and view", expected, got);
+    }
 }
 
 /// The log that the answer is about.

@@ -3,7 +3,9 @@
 //! Time is counted in log indices only. What lies behind the size that the question
 //! is about changes nothing in the answer, and is told besides.
 
-use cairn_registry::{Answer, MapKey, RecordKind};
+use std::convert::Infallible;
+
+use cairn_registry::{Answer, Digest, Ending, Heir, MapKey, PublicKey, RecordKind, heir};
 
 use super::{
     lists::{Opened, Proven},
@@ -62,7 +64,6 @@ impl One<'_> {
     /// What other records say about this one.
     fn about(&self, disputed_by: &mut Vec<u64>, findings: &mut Findings) -> Standing {
         let mut standing = Standing::Counts;
-        let ended = self.proven.listed(&MapKey::ended(&self.opened.leaf.owner)).map(|(index, _)| index).min();
         for (index, other) in self.proven.listed(&MapKey::about(&self.opened.leaf.record)) {
             let kind = other.leaf.kind;
             let got = format!("{kind:?} at index {index}");
@@ -70,20 +71,16 @@ impl One<'_> {
                 // It ends the key, and leaves what was signed before.
                 RecordKind::Rotation => continue,
                 RecordKind::Dispute => (Code::RecordDisputed, Standing::Counts),
-                _ if !self.is_by_owner(other) => {
-                    let expected = "a record by the owner, or with the owner's signature";
-                    findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
-                    continue;
-                }
-                // Whoever found a key that its owner had ended speaks for nobody, whatever a registry lets in.
-                _ if ended.is_some_and(|ended| ended < index) => {
-                    let expected = format!("a record before index {}, where the owner's key ended", ended.unwrap_or(0));
-                    findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
-                    continue;
-                }
-                RecordKind::Revocation => (Code::AnswerRecordRevoked, Standing::Revoked),
-                RecordKind::Claim | RecordKind::Contribution | RecordKind::Training => {
-                    (Code::AnswerRecordReplaced, Standing::Replaced)
+                RecordKind::Revocation | RecordKind::Claim | RecordKind::Contribution | RecordKind::Training => {
+                    if let Err(expected) = self.may_speak(index, other) {
+                        findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
+                        continue;
+                    }
+                    if kind == RecordKind::Revocation {
+                        (Code::AnswerRecordRevoked, Standing::Revoked)
+                    } else {
+                        (Code::AnswerRecordReplaced, Standing::Replaced)
+                    }
                 }
             };
             if index >= self.as_of {
@@ -99,13 +96,26 @@ impl One<'_> {
         standing
     }
 
-    /// Whether another record is by this one's owner, or carries the owner's signature.
-    fn is_by_owner(&self, other: &Opened) -> bool {
-        let signed = match (&other.body, &self.opened.body) {
-            (Some((envelope, _)), Some((_, record))) => envelope.signature_by(&record.owner_key).is_some(),
-            _ => false,
-        };
-        other.leaf.owner == self.opened.leaf.owner || signed
+    /// Whether the record at `index` is by who spoke for this one's owner then, or carries that key's signature; else what
+    /// it would have to be. Whoever found a key that its owner had ended speaks for nobody, whatever a registry lets in.
+    fn may_speak(&self, index: u64, other: &Opened) -> Result<(), String> {
+        let Ok(speaks) = heir(&self.opened.leaf.owner, index, |key| Ok::<_, Infallible>(self.ending(key)));
+        match speaks {
+            Heir::Key { id, .. } => {
+                let signed = |key: PublicKey| other.body.as_ref().is_some_and(|(e, _)| e.signature_by(&key).is_some());
+                let may = other.leaf.owner == id || self.proven.keys.get(&id).copied().is_some_and(signed);
+                may.then_some(()).ok_or_else(|| format!("a record by the owner's key (id {id}), or with its signature"))
+            }
+            Heir::Nobody { ended_by, .. } => {
+                Err(format!("a record before index {ended_by}, where the owner's key ended with none in its place"))
+            }
+        }
+    }
+
+    /// What ended a key first; that a rotation has the old key's signature was checked with the lists.
+    fn ending(&self, key: &Digest) -> Option<Ending> {
+        let (index, end) = self.proven.listed(&MapKey::ended(key)).next()?;
+        Some(Ending { index, to: (end.leaf.kind == RecordKind::Rotation).then_some(end.leaf.owner) })
     }
 
     /// Whether the owner's key had ended before this record.

@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 
 use cairn_registry::{
-    Digest, Leaf, NoteVerifier,
+    Digest, Leaf, NoteVerifier, RecordKind,
     leaf::LEAF_LEN,
     merkle,
     record::Seen,
@@ -19,7 +19,7 @@ use super::{
     Stock,
     files::{CHUNK, ENTRY, Files},
     frames::{Frames, Slot},
-    record::{self, Predecessor, Sound},
+    record::{self, Replacing, Sound},
     tiles,
 };
 use crate::{
@@ -54,8 +54,8 @@ pub(super) struct Chunk {
     /// What each leaf says; as many as hashes.
     pub(super) said: Vec<Said>,
     pub(super) findings: Findings,
-    /// Indices of records with a signature of the owner before them.
-    pub(super) predecessors: Vec<(u64, Predecessor)>,
+    /// Indices of records that replace others, or take them back.
+    pub(super) replacing: Vec<(u64, Replacing)>,
     /// Digests that records name and files of the folder have.
     pub(super) in_stock: u64,
 }
@@ -63,7 +63,7 @@ pub(super) struct Chunk {
 /// What a leaf says to the map and to the log's rules.
 pub(super) enum Said {
     /// A record, erased or not.
-    Record { keys: Vec<Key>, owner: Digest, seen: Option<Seen> },
+    Record { kind: RecordKind, keys: Vec<Key>, owner: Digest, seen: Option<Seen> },
     /// The map's root over all leaves before.
     Map { root: Digest },
     /// A record that cannot be read.
@@ -155,7 +155,7 @@ fn one(
         },
         Some(Slot::Erased(keys)) => match candidates.entry.and_then(|entry| Leaf::decode(&entry).ok()) {
             Some(leaf) if candidates.entry_is_the_tiles() || !tile_is_right(context, chunk, at, candidates, tile) => {
-                let said = Said::Record { keys: keys.clone(), owner: leaf.owner, seen: None };
+                let said = Said::Record { kind: leaf.kind, keys: keys.clone(), owner: leaf.owner, seen: None };
                 (leaf.hash(), candidates.entry, said)
             }
             _ => match candidates.tile {
@@ -211,9 +211,9 @@ fn tile_is_right(context: &Context<'_>, chunk: &Chunk, at: usize, candidates: &C
 
 /// What a sound record says.
 fn read(context: &Context<'_>, chunk: &mut Chunk, index: u64, sound: Sound) -> Said {
-    let Sound { record, predecessor, .. } = sound;
+    let Sound { record, replacing, .. } = sound;
     let replaced = record.replaces.and_then(|replaces| context.rotated.get(&replaces));
-    chunk.predecessors.extend(predecessor.map(|p| (index, p)));
+    chunk.replacing.extend(replacing.map(|r| (index, r)));
     if let Some(stock) = context.stock.and_then(|stock| stock.scenes.get(&record.scene)) {
         let digests = &record.digests;
         let named = [digests.marked_field, digests.detector, digests.training_configuration, digests.photographs];
@@ -223,11 +223,12 @@ fn read(context: &Context<'_>, chunk: &mut Chunk, index: u64, sound: Sound) -> S
     if record.seen.size > index {
         chunk.findings.add(Code::StoreRecordSeen, place(), format!("at most {index}"), record.seen.size);
     }
-    if record.kind == cairn_registry::RecordKind::Rotation && replaced.is_none() {
+    if record.kind == RecordKind::Rotation && replaced.is_none() {
         chunk.findings.add(Code::StoreRecordRule, place(), "a rotation of a record of this log", "one of none");
         return Said::Unknown;
     }
-    Said::Record { keys: keys_of(&record, replaced), owner: record.owner_key.id(), seen: Some(record.seen) }
+    let (kind, owner) = (record.kind, record.owner_key.id());
+    Said::Record { kind, keys: keys_of(&record, replaced), owner, seen: Some(record.seen) }
 }
 
 /// The root in a map leaf that holds.

@@ -19,7 +19,7 @@ pub enum Class {
     Records = 12,
     /// The verifiable map and its signed roots.
     Map = 13,
-    /// The registry's private working state.
+    /// The registry's private working state, and the daemon's.
     Working = 14,
     /// Scenes, photographs, models and what is rendered from them.
     Models = 15,
@@ -53,7 +53,7 @@ impl Class {
             | Code::StoreRecordRule
             | Code::StoreRecordSeen => Self::Records,
             Code::StoreMapLeaf | Code::StoreMapRoot => Self::Map,
-            Code::WorkingSeal | Code::WorkingMismatch => Self::Working,
+            Code::WorkingSeal | Code::WorkingMismatch | Code::StateSeal | Code::StateMismatch => Self::Working,
             Code::ManifestMalformed | Code::FileMismatch | Code::FileUnknown | Code::RenderFailed => Self::Models,
             _ => return None,
         })

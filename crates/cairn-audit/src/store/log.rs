@@ -14,7 +14,8 @@ use super::{
     chunk::{self, Chunk, Context, Said},
     files::{CHUNK, ENTRY, Files},
     frames::{Frames, Slot},
-    record::{self, Predecessor},
+    record::Replacing,
+    replaced::{self, Endings},
     report::Tally,
     tail, tiles,
 };
@@ -67,7 +68,7 @@ pub(super) fn check(
     }
     pass.stack.finish(files, size, findings);
     pass.finish(&context, checkpoint, tally, findings);
-    predecessors(&context, &pass.predecessors, findings);
+    replaced::check(&context, &pass.replacing, &pass.endings, findings);
     tail::check(&context, chunks, findings)
 }
 
@@ -114,7 +115,7 @@ fn rotated(context: &Context<'_>) -> HashSet<Digest> {
 }
 
 /// Index and owner's key id of each record looked for that is in the log.
-fn owners_of(context: &Context<'_>, wanted: &HashSet<Digest>) -> HashMap<Digest, (u64, Digest)> {
+pub(super) fn owners_of(context: &Context<'_>, wanted: &HashSet<Digest>) -> HashMap<Digest, (u64, Digest)> {
     if wanted.is_empty() {
         return HashMap::new();
     }
@@ -128,38 +129,6 @@ fn owners_of(context: &Context<'_>, wanted: &HashSet<Digest>) -> HashMap<Digest,
         (0..).zip(bytes.as_chunks::<ENTRY>().0).filter_map(leaf).collect()
     };
     (0..context.extent.div_ceil(CHUNK)).into_par_iter().flat_map_iter(of_chunk).collect()
-}
-
-/// Verifies the signatures of the owners of records that others of their keys replaced.
-fn predecessors(context: &Context<'_>, found: &[(u64, Predecessor)], findings: &mut Findings) {
-    let owners = owners_of(context, &found.iter().map(|(_, p)| p.replaces).collect());
-    for (index, Predecessor { replaces }) in found {
-        let place = format!("{}, record {index}", context.files.name_envelopes(index / CHUNK));
-        let Some((replaced, _)) = owners.get(replaces).filter(|(replaced, _)| replaced < index) else {
-            let expected = "a record that replaces one of this log before it";
-            findings.add(Code::StoreRecordRule, place, expected, replaces);
-            continue;
-        };
-        match (record_at(context, *index), record_at(context, *replaced)) {
-            (Some(json), Some(replaced)) if record::by_predecessor(&json, &replaced) => {}
-            (_, None) => {
-                let got = format!("record {replaced} was erased, and its owner's key with it");
-                findings.add(Code::StorePredecessorUnknown, place, "", got);
-            }
-            _ => {
-                let expected = format!("signatures[1] by the owner of record {replaced}, under its key id");
-                findings.add(Code::StoreRecordSignature, place, expected, "one that does not verify");
-            }
-        }
-    }
-}
-
-fn record_at(context: &Context<'_>, index: u64) -> Option<Vec<u8>> {
-    let bytes = context.files.envelopes(index / CHUNK).ok().flatten()?;
-    match Frames::parse(&bytes).slots.get((index % CHUNK) as usize)? {
-        Slot::Record(json) => Some(json.to_vec()),
-        Slot::Erased(_) | Slot::Map => None,
-    }
 }
 
 /// What is carried from one chunk to the next.
@@ -179,7 +148,9 @@ struct Pass {
     erased: Vec<u64>,
     /// Whether the published log ends in a map leaf.
     ends_in_map: bool,
-    predecessors: Vec<(u64, Predecessor)>,
+    replacing: Vec<(u64, Replacing)>,
+    /// How keys ended, by the map keys under which their ends are listed.
+    endings: Endings,
 }
 
 /// Whether the map can still be recomputed.
@@ -198,7 +169,7 @@ impl Pass {
         let place = |index: u64| format!("{}, record {index}", context.files.name_envelopes(index / CHUNK));
         findings.append(chunk.findings);
         tally.in_stock += chunk.in_stock;
-        self.predecessors.extend(chunk.predecessors);
+        self.replacing.extend(chunk.replacing);
         for ((index, hash), said) in (chunk.index * CHUNK..).zip(&chunk.hashes).zip(chunk.said) {
             match said {
                 Said::Unknown => {
@@ -207,11 +178,13 @@ impl Pass {
                     }
                 }
                 Said::Map { root } => self.map_leaf(context, index, &root, tally, findings),
-                Said::Record { keys, owner, seen } => {
+                Said::Record { kind, keys, owner, seen } => {
                     tally.records += 1;
                     if self.map.holds(&ended(&owner)) {
                         let got = format!("one by key {owner}, which an earlier record ended");
                         findings.add(Code::StoreRecordRule, place(index), "a record by a key that is good", got);
+                    } else {
+                        replaced::note(&mut self.endings, kind, &keys, index, owner);
                     }
                     match seen {
                         Some(seen) if !self.was_signed(seen.size, &seen.root) => {

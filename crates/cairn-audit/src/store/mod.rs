@@ -18,6 +18,7 @@ mod files;
 mod frames;
 mod log;
 mod record;
+mod replaced;
 mod report;
 mod seal;
 mod tail;

@@ -12,15 +12,21 @@ use crate::code::Code;
 pub(super) struct Sound {
     pub(super) record: OwnerRecord,
     pub(super) leaf: [u8; LEAF_LEN],
-    /// A signature by neither the owner nor the registry: the owner's of the record that is replaced.
-    pub(super) predecessor: Option<Predecessor>,
+    /// What it does to another record, where it stands in that one's place or takes it back.
+    pub(super) replacing: Option<Replacing>,
 }
 
-/// Whose signature is still to be looked at.
+/// A record that bears on another: whether it may, the log as a whole tells.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Predecessor {
+pub(super) struct Replacing {
     /// The record replaced.
     pub(super) replaces: Digest,
+    /// What the record is.
+    pub(super) kind: RecordKind,
+    /// Key id of its owner.
+    pub(super) owner: Digest,
+    /// Whether there is a signature by neither the owner nor the registry: of who may agree to it.
+    pub(super) agreed: bool,
 }
 
 /// What is wrong with a stored record.
@@ -50,7 +56,7 @@ pub(super) fn check(json: &[u8], origin: Option<&str>, registry: Option<&PublicK
     if let Some(origin) = origin.filter(|origin| *origin != record.origin) {
         return Err(fault(Code::StoreRecordRule, format!("a record for {origin}"), record.origin));
     }
-    let predecessor = signatures(&envelope, &record, registry)?;
+    let replacing = signatures(&envelope, &record, registry)?;
     let signature = owner_signature.sig.as_slice().try_into();
     let signature = signature.map_err(|_| fault(Code::StoreRecordSignature, "64 bytes", owner_signature.sig.len()))?;
     let leaf = Leaf {
@@ -60,7 +66,7 @@ pub(super) fn check(json: &[u8], origin: Option<&str>, registry: Option<&PublicK
         scene: scene_commitment(&record.scene_salt, &record.scene),
         signature,
     };
-    Ok(Sound { leaf: leaf.encode(), record, predecessor })
+    Ok(Sound { leaf: leaf.encode(), record, replacing })
 }
 
 /// The owner's, where the record replaces another owner's that owner's, and the registry's; each under its key's id.
@@ -68,7 +74,7 @@ fn signatures(
     envelope: &Envelope,
     record: &OwnerRecord,
     registry: Option<&PublicKey>,
-) -> Result<Option<Predecessor>, Fault> {
+) -> Result<Option<Replacing>, Fault> {
     let refuse = |expected: &str, got: String| Err(fault(Code::StoreRecordSignature, expected, got));
     let pae = envelope.pae();
     let holds = |signature: &EnvelopeSignature, key: &PublicKey| {
@@ -91,17 +97,20 @@ fn signatures(
         (None, _) if record.kind == RecordKind::Rotation => {
             refuse("a signature of the replaced record's owner", "none".to_owned())
         }
-        (None, _) => Ok(None),
-        (Some(_), Some(replaces)) => Ok(Some(Predecessor { replaces })),
+        (_, Some(replaces)) => {
+            let (kind, owner) = (record.kind, record.owner_key.id());
+            Ok(Some(Replacing { replaces, kind, owner, agreed: middle.is_some() }))
+        }
+        (None, None) => Ok(None),
         (Some(stranger), None) => refuse("no third signature", format!("one labelled {:?}", stranger.keyid)),
     }
 }
 
-/// Whether the middle signature of `json` is by the owner of the record in `replaced`.
-pub(super) fn by_predecessor(json: &[u8], replaced: &[u8]) -> bool {
+/// Whether the middle signature of `json` is by the owner of the record in `other`.
+pub(super) fn agreed_by(json: &[u8], other: &[u8]) -> bool {
     let open = |json| Envelope::parse(json).ok().and_then(|e| Some((OwnerRecord::parse(&e.payload).ok()?, e)));
-    let (Some((_, envelope)), Some((replaced, _))) = (open(json), open(replaced)) else { return false };
+    let (Some((_, envelope)), Some((other, _))) = (open(json), open(other)) else { return false };
     let middle = envelope.signatures.get(1).filter(|_| envelope.signatures.len() == 3);
-    let key = replaced.owner_key;
+    let key = other.owner_key;
     middle.is_some_and(|s| s.keyid == key.id().to_string() && key.verify(&envelope.pae(), &s.sig).is_ok())
 }

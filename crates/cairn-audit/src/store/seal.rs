@@ -77,9 +77,15 @@ impl Manifest {
         [changed, unknown]: [Code; 2],
         findings: &mut Findings,
     ) -> Result<usize, StoreError> {
+        let differ = self.compare_listed(folder, name, changed, findings);
+        Ok(differ + self.strangers(folder, name, except, unknown, findings)?)
+    }
+
+    /// The files that the manifest names; gives how many of them differ. `name`: empty where their paths say it all.
+    pub(crate) fn compare_listed(&self, folder: &Path, name: &str, changed: Code, findings: &mut Findings) -> usize {
         let before = findings.0.len();
         for file in &self.files {
-            let place = format!("{name}/{}", file.path);
+            let place = if name.is_empty() { file.path.clone() } else { format!("{name}/{}", file.path) };
             let expected = format!("{} bytes, SHA-256 {}", file.size, file.sha256);
             if file.path.split('/').any(|part| part.is_empty() || part == "." || part == "..") {
                 findings.add(changed, place, "a path within the folder", &file.path);
@@ -95,6 +101,18 @@ impl Manifest {
                 (_, Err(e)) => findings.add(changed, place, expected, e),
             }
         }
+        findings.0.len() - before
+    }
+
+    /// The files that the manifest does not name; gives how many.
+    pub(crate) fn strangers(
+        &self,
+        folder: &Path,
+        name: &str,
+        except: &[&str],
+        unknown: Code,
+        findings: &mut Findings,
+    ) -> Result<usize, StoreError> {
         let named: BTreeSet<&str> = self.files.iter().map(|file| file.path.as_str()).collect();
         let mut strangers = Vec::new();
         files::walk(folder, &mut |path, _| {
@@ -102,10 +120,10 @@ impl Manifest {
                 strangers.push(path.to_owned());
             }
         })?;
-        for path in strangers {
+        for path in &strangers {
             findings.add(unknown, format!("{name}/{path}"), "a file that the manifest names", "another file");
         }
-        Ok(findings.0.len() - before)
+        Ok(strangers.len())
     }
 }
 

@@ -61,7 +61,7 @@ impl Registry {
         let (lists, records) = answer::collect(&answer::asked_key(scene, view), &source)?;
         let cosigned = state.cosigned.as_ref().filter(|(cosigned, _)| *cosigned == size);
         Ok(Answer {
-            format: Format::V1,
+            format: Format::V2,
             origin: self.origin.clone(),
             scene: scene.to_owned(),
             view: view.copied(),

@@ -74,7 +74,7 @@ pub enum RegistryError {
     ReplacesForeign {
         /// Its digest.
         replaces: Digest,
-        /// Its owner.
+        /// Its owner, or after rotations the key in that one's place.
         owner: PublicKey,
     },
     /// The owner's key was revoked, or rotated away.

@@ -91,14 +91,15 @@ impl Registry {
         let refuse = |what: String| inconsistent("cosigned checkpoint", what);
         let checkpoint = Checkpoint::verify(note, &self.verifier()?).map_err(|e| refuse(e.to_string()))?;
         self.must_extend_quietly(&checkpoint)?;
+        // Fewer cosignatures may be too few for somebody's policy: then the older note goes on proving what it covers.
+        let worth = |note: &str| Note::parse(note).map_or(0, |note| note.signatures.len());
         let mut publisher = lock(&self.publisher);
-        if let Some(published) = publisher.published.as_mut().filter(|p| p.size == checkpoint.size) {
+        let same = |p: &&mut Published| p.size == checkpoint.size && worth(&p.checkpoint) <= worth(note);
+        if let Some(published) = publisher.published.as_mut().filter(same) {
             self.files.replace(&[(layout::CHECKPOINT.to_owned(), note.as_bytes().to_vec())])?;
             published.checkpoint = note.to_owned();
         }
         let mut state = self.write();
-        // Fewer cosignatures may be too few for somebody's policy: then the older note goes on proving what it covers.
-        let worth = |note: &str| Note::parse(note).map_or(0, |note| note.signatures.len());
         let better = |(size, old): &(u64, String)| *size <= checkpoint.size && worth(old) <= worth(note);
         if state.cosigned.as_ref().is_none_or(better) {
             state.cosigned = Some((checkpoint.size, note.to_owned()));

@@ -4,6 +4,7 @@ use super::{Registry, RegistryError, State, layout, reload, reload::inconsistent
 use crate::{
     digest::Digest,
     dsse::Envelope,
+    heir::{Ending, Heir, heir},
     keys::PublicKey,
     leaf::Leaf,
     map::{MapEntry, MapKey},
@@ -226,6 +227,21 @@ impl Registry {
         let size = self.size();
         let index = reload::number_at(self.store.as_ref(), &layout::retired(owner), || format!("end of key {owner}"))?;
         Ok(index.filter(|index| *index < size))
+    }
+
+    /// Who speaks for the key with this id today: itself, or what rotations put in its place.
+    ///
+    /// # Errors
+    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
+    pub fn heir(&self, owner: &Digest) -> Result<Heir, RegistryError> {
+        heir(owner, self.size(), |key| self.ending(key))
+    }
+
+    /// How the key with this id ended, as far as the log is written.
+    pub(super) fn ending(&self, key: &Digest) -> Result<Option<Ending>, RegistryError> {
+        let Some(index) = self.ended_id(key)? else { return Ok(None) };
+        let leaf = self.record_leaf(index)?;
+        Ok(Some(Ending { index, to: (leaf.kind == RecordKind::Rotation).then_some(leaf.owner) }))
     }
 
     /// The leaf of the record at `index`, erased or not: its kind, its digest and its owner's key id.

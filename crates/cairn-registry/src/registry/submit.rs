@@ -6,6 +6,7 @@ use super::{Registry, RegistryError, commit::Writer, layout, nonce::BadNonce, re
 use crate::{
     digest::Digest,
     dsse::{Envelope, EnvelopeSignature, MAX_ENVELOPE_BYTES},
+    heir::{Ending, Heir, heir},
     keys::PublicKey,
     leaf::Leaf,
     merkle,
@@ -85,7 +86,8 @@ impl Registry {
     }
 
     /// The other owner's key, where the record needs that owner's signature: what is replaced may be somebody else's
-    /// only for disputes, and a rotation goes from one key to another.
+    /// only for disputes, and a rotation goes from one key to another. A key that rotations led to owns what the keys
+    /// before it owned, and needs nobody's word.
     fn consent_of(
         &self,
         candidate: &Candidate,
@@ -94,23 +96,53 @@ impl Registry {
         planned: &Planned,
     ) -> Result<Option<PublicKey>, RegistryError> {
         let record = &candidate.record;
-        if *owner == candidate.leaf.owner {
-            if record.kind != RecordKind::Rotation {
-                return Ok(None);
-            }
-            let expected = "for a rotation, another key than that of the record named in `replaces`";
-            return Err(RecordError::Field { field: "owner_key", expected, got: record.owner_key.to_string() }.into());
-        }
         if record.kind == RecordKind::Dispute {
             return Ok(None);
         }
-        // The old key itself is known from the record that it signed, or, where that is erased, not at all.
-        let old = self.key_of(replaces, planned)?;
-        if candidate.envelope.signature_by(&old).is_none() {
-            return Err(RegistryError::ReplacesForeign { replaces: *replaces, owner: old });
+        if record.kind == RecordKind::Rotation {
+            // It ends the key that owns the record it names, so that must still be good: no heir stands in for it.
+            if *owner == candidate.leaf.owner {
+                let expected = "for a rotation, another key than that of the record named in `replaces`";
+                let got = record.owner_key.to_string();
+                return Err(RecordError::Field { field: "owner_key", expected, got }.into());
+            }
+            let old = self.agreed(candidate, replaces, self.key_of(replaces, planned)?)?;
+            self.check_not_retired(owner, &old.to_string(), planned)?;
+            return Ok(Some(old));
         }
-        self.check_not_retired(owner, &old.to_string(), planned)?;
-        Ok(Some(old))
+        match self.heir_with(owner, planned)? {
+            Heir::Key { id, .. } if id == candidate.leaf.owner => Ok(None),
+            // The key itself is known from a record that it signed, or, where that is erased, not at all.
+            Heir::Key { since: None, .. } => {
+                self.agreed(candidate, replaces, self.key_of(replaces, planned)?).map(Some)
+            }
+            Heir::Key { since: Some(index), .. } => {
+                let planned = planned.records.values().find(|(at, _)| *at == index).map(|(_, key)| *key);
+                let key = planned.map_or_else(|| Ok(self.stored(index)?.record.owner_key), Ok::<_, RegistryError>)?;
+                self.agreed(candidate, replaces, key).map(Some)
+            }
+            Heir::Nobody { id, ended_by } => {
+                Err(RegistryError::OwnerRetired { owner: format!("with id {id}"), index: ended_by })
+            }
+        }
+    }
+
+    /// `owner`, where the candidate carries its signature.
+    fn agreed(&self, candidate: &Candidate, replaces: &Digest, owner: PublicKey) -> Result<PublicKey, RegistryError> {
+        match candidate.envelope.signature_by(&owner) {
+            Some(_) => Ok(owner),
+            None => Err(RegistryError::ReplacesForeign { replaces: *replaces, owner }),
+        }
+    }
+
+    /// Who speaks for a key today, the batch that is being put together included.
+    fn heir_with(&self, owner: &Digest, planned: &Planned) -> Result<Heir, RegistryError> {
+        heir(owner, u64::MAX, |key| {
+            let Some(index) = planned.retired.get(key) else { return self.ending(key) };
+            let by = planned.records.values().find(|(at, _)| at == index).map(|(_, owner)| owner.id());
+            // A revocation is by the key that it ends, a rotation never.
+            Ok(Some(Ending { index: *index, to: by.filter(|by| by != key) }))
+        })
     }
 
     /// The envelope with the signatures that mean something here, and the registry's.
@@ -193,5 +225,31 @@ impl Registry {
         }
         let index = self.index_of(record)?.ok_or(RegistryError::ReplacesUnknown { replaces: *record })?;
         Ok(self.stored(index)?.record.owner_key)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{keys::OwnerKey, store::FaultyStore};
+
+    #[test]
+    fn ends_of_keys_in_the_same_batch_count() {
+        let store = FaultyStore::new();
+        let disk = Box::new(store.clone());
+        let registry = Registry::open_store(Box::new(store), disk, OwnerKey::from_seed(&[9; 32]), "log.test").unwrap();
+        let [a, b, c] = [1, 2, 3].map(|seed| OwnerKey::from_seed(&[seed; 32]).public());
+        let mut planned = Planned::default();
+        let mut plan = |name: &str, index, by: PublicKey, ends: PublicKey| {
+            planned.records.insert(Digest::of(name), (index, by));
+            planned.retired.insert(ends.id(), index);
+        };
+        plan("a to b", 0, b, a);
+        plan("b to c", 1, c, b);
+        let heir = registry.heir_with(&a.id(), &planned).unwrap();
+        assert_eq!(heir, Heir::Key { id: c.id(), since: Some(1) });
+        planned.records.insert(Digest::of("c ends"), (2, c));
+        planned.retired.insert(c.id(), 2);
+        assert_eq!(registry.heir_with(&a.id(), &planned).unwrap(), Heir::Nobody { id: c.id(), ended_by: 2 });
     }
 }

@@ -197,7 +197,7 @@ fn answer() -> Answer {
     lists.sort_by_key(|list| list.key);
     let map_leaf = MapLeaf::sign("log", 9, map.root(), &key()).encode();
     Answer {
-        format: Format::V1,
+        format: Format::V2,
         origin: "log".into(),
         scene: "fern".into(),
         view: Some(Digest::of("photograph")),
