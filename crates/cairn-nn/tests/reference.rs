@@ -28,7 +28,7 @@ fn apply(case: &Case, x: &[Var]) -> Result<Tensor> {
     let s = &case.settings;
     match case.kind.as_str() {
         "conv2d" => conv2d(&x[0], &x[1], Some(&x[2]), Window::square(s[0], s[1])),
-        "conv1d" => conv1d(&x[0], &x[1], Some(&x[2]), s[0], s[1]),
+        "conv1d" => conv1d(&x[0], &x[1], Some(&x[2]), Window::line(s[0], s[1])),
         "group_norm_leaky" => group_norm_leaky(&x[0], &x[1], &x[2], s[0], LEAKY_SLOPE),
         "leaky_relu" => leaky_relu(&x[0], LEAKY_SLOPE),
         "upsample" => upsample(&x[0], [s[0], s[1]]),
