@@ -1,8 +1,9 @@
 //! Where a task's pixels lie while it works: zero-padded planes in a buffer
 //! that fits the second-level cache.
 
-use super::geometry::{Plan, Side, Task};
+use super::geometry::{Plan, Task};
 use super::lanes::LANES;
+use super::outer::{Rows, side_by_side};
 
 /// The layout of one task: for each channel one plane a source phase, in each
 /// the task's images one below the other in rows of `pitch`.
@@ -55,34 +56,81 @@ impl<'a> Frame<'a> {
         let side = &self.plan.source;
         let pixels = side.pixels();
         for (c, plane) in planes.chunks_exact_mut(self.plane_len).enumerate() {
-            for (i, phase) in self.plan.used.iter().enumerate() {
+            let block_len = self.block_rows * self.pitch;
+            let mut phases = self.plan.used.as_slice();
+            let mut start = 0;
+            while let [phase, after @ ..] = phases {
+                // The two halves of a row are taken apart in one go.
+                let both = side.step[1] == 2 && phase[1] == 0 && after.first() == Some(&[phase[0], 1]);
+                let (these, rest) = plane[start..].split_at_mut(self.phase_len);
                 for k in 0..self.task.images {
                     let image = &source[((self.task.first + k) * side.channels + c) * pixels..][..pixels];
-                    let block = &mut plane[i * self.phase_len + k * self.block_rows * self.pitch..];
-                    self.fill_block(side, image, *phase, &mut block[..self.block_rows * self.pitch]);
+                    let block = &mut these[k * block_len..(k + 1) * block_len];
+                    match both {
+                        true => self.fill_pair(image, phase[0], [block, &mut rest[k * block_len..(k + 1) * block_len]]),
+                        false => self.fill_block(image, *phase, block),
+                    }
                 }
+                let done = if both { 2 } else { 1 };
+                start += done * self.phase_len;
+                phases = &phases[done..];
             }
             plane[self.plan.used.len() * self.phase_len..].fill(0.0);
         }
     }
 
-    fn fill_block(&self, side: &Side, image: &[f32], phase: [usize; 2], block: &mut [f32]) {
-        let [width, step] = [side.size[1], side.step[1]];
+    /// The source's row that row `r` of a block holds, phase `a`; nothing beyond its borders.
+    fn source_row<'b>(&self, image: &'b [f32], a: usize, r: usize) -> &'b [f32] {
+        let side = &self.plan.source;
+        let y = ((self.task.rows[0] + r) * side.step[0] + a).wrapping_sub(side.before[0]);
+        if y < side.size[0] { &image[y * side.size[1]..(y + 1) * side.size[1]] } else { &[] }
+    }
+
+    /// Even and odd columns of phase `a`, for a step of 2.
+    fn fill_pair(&self, image: &[f32], a: usize, [even, odd]: [&mut [f32]; 2]) {
+        let (first, before) = (2 * self.task.columns[0], self.plan.source.before[1]);
+        // Padded columns without a pixel, and pixels before the first padded column.
+        let (lead, from) = (before.saturating_sub(first), first.saturating_sub(before));
+        let lines = even.chunks_exact_mut(self.pitch).zip(odd.chunks_exact_mut(self.pitch));
+        for (r, (even, odd)) in lines.enumerate() {
+            let mut row = self.source_row(image, a, r).get(from..).unwrap_or(&[]);
+            let mut at = (lead / 2).min(self.pitch);
+            even[..at].fill(0.0);
+            odd[..at].fill(0.0);
+            if lead % 2 == 1 && at < self.pitch {
+                even[at] = 0.0;
+                odd[at] = row.first().copied().unwrap_or(0.0);
+                row = row.get(1..).unwrap_or(&[]);
+                at += 1;
+            }
+            let (even, odd) = (&mut even[at..], &mut odd[at..]);
+            let count = (row.len() / 2).min(even.len());
+            for ((e, o), pair) in even.iter_mut().zip(odd.iter_mut()).zip(row[..2 * count].chunks_exact(2)) {
+                (*e, *o) = (pair[0], pair[1]);
+            }
+            even[count..].fill(0.0);
+            odd[count..].fill(0.0);
+            if let (Some(e), Some(v)) = (even.get_mut(count), row.get(2 * count)) {
+                *e = *v;
+            }
+        }
+    }
+
+    fn fill_block(&self, image: &[f32], phase: [usize; 2], block: &mut [f32]) {
+        let side = &self.plan.source;
+        let step = side.step[1];
         // Pixel of the frame's first column, and the first column that has one.
         let start = (self.task.columns[0] * step + phase[1]) as isize - side.before[1] as isize;
         let first = if start < 0 { ((-start) as usize).div_ceil(step) } else { 0 }.min(self.pitch);
         let from = (start + (first * step) as isize) as usize;
         for (r, line) in block.chunks_exact_mut(self.pitch).enumerate() {
-            let y = ((self.task.rows[0] + r) * side.step[0] + phase[0]).wrapping_sub(side.before[0]);
-            let row = if y < side.size[0] { &image[y * width..(y + 1) * width] } else { &[][..] };
-            let row = row.get(from..).unwrap_or(&[]);
+            let row = self.source_row(image, phase[0], r).get(from..).unwrap_or(&[]);
             let count = row.len().div_ceil(step).min(self.pitch - first);
             line[..first].fill(0.0);
             line[first + count..].fill(0.0);
             let line = &mut line[first..first + count];
             match step {
                 1 => line.copy_from_slice(&row[..count]),
-                2 => halve(row, line),
                 _ => line.iter_mut().zip(row.iter().step_by(step)).for_each(|(to, v)| *to = *v),
             }
         }
@@ -109,6 +157,30 @@ impl<'a> Frame<'a> {
         }
     }
 
+    /// The task's positions as [`products`](super::outer::products) goes through them.
+    pub(crate) fn rows(&self) -> Rows {
+        let [rows, columns] = [self.task.rows, self.task.columns].map(|[from, to]| to - from);
+        Rows { images: self.task.images, rows, columns, pitch: self.pitch, block: self.block_rows * self.pitch }
+    }
+
+    /// Lays the results' gradients, N x O x H x W, out as positions of `lanes`
+    /// channels, in the order of [`Self::rows`].
+    pub(crate) fn fill_positions(&self, grads: &[f32], lanes: usize, wide: &mut [f32]) {
+        let side = &self.plan.result;
+        let [from, to] = self.task.columns;
+        let mut lines = wide.chunks_exact_mut((to - from) * lanes);
+        let mut rows = Vec::with_capacity(side.channels);
+        for k in 0..self.task.images {
+            let image =
+                &grads[(self.task.first + k) * side.channels * side.pixels()..][..side.channels * side.pixels()];
+            for (y, line) in (self.task.rows[0]..self.task.rows[1]).zip(&mut lines) {
+                rows.clear();
+                rows.extend(image.chunks_exact(side.pixels()).map(|plane| &plane[y * side.size[1]..][from..to]));
+                side_by_side(&rows, lanes, line);
+            }
+        }
+    }
+
     /// Numbers a channel in [`Self::fill_results`].
     pub(crate) fn results_pitch(&self) -> usize {
         apart(self.span)
@@ -118,17 +190,6 @@ impl<'a> Frame<'a> {
     pub(crate) fn result_row<'b>(&self, span: &'b [f32], k: usize, q: usize) -> &'b [f32] {
         let at = (k * self.block_rows + q - self.task.rows[0]) * self.pitch;
         &span[at..at + self.task.columns[1] - self.task.columns[0]]
-    }
-}
-
-/// Every second number of `row`.
-fn halve(row: &[f32], line: &mut [f32]) {
-    let pairs = row.chunks_exact(2);
-    if let ([last], true) = (pairs.remainder(), line.len() > row.len() / 2) {
-        line[row.len() / 2] = *last;
-    }
-    for (to, pair) in line.iter_mut().zip(pairs) {
-        *to = pair[0];
     }
 }
 

@@ -10,6 +10,7 @@ mod frame;
 mod geometry;
 mod kernel;
 mod lanes;
+mod outer;
 pub(crate) mod passes;
 mod scratch;
 #[cfg(test)]

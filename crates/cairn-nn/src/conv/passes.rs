@@ -10,7 +10,8 @@ use rayon::prelude::*;
 use super::frame::Frame;
 use super::geometry::{Geometry, Plan, Task};
 use super::kernel::{Sources, correlate, correlate_weights, tile_channels};
-use super::lanes::Isa;
+use super::lanes::{Isa, LANES};
+use super::outer::products;
 use super::scratch::Scratch;
 
 /// A slice of a result plane that one task writes.
@@ -175,30 +176,57 @@ fn tiles(channels: usize, most: usize) -> Vec<[usize; 2]> {
     (0..count).map(|t| [t * channels / count, (t + 1) * channels / count]).collect()
 }
 
+/// Output channels are the lanes of the weights' gradient from this many on,
+/// and from this many sources: fewer do not pay for the gradients' rearrangement.
+const MANY: [usize; 2] = [16, 72];
+
 /// Gradient with respect to the weights, O x C x kH x kW.
 pub(crate) fn weight_gradient(isa: Isa, g: &Geometry, x: &[f32], grad: &[f32]) -> Vec<f32> {
     let plan = g.forward_plan();
     let tasks = plan.tasks();
-    let len = g.outputs * g.inputs * g.kernel_len();
+    let sources = g.inputs * g.kernel_len();
+    let lanes = g.outputs.next_multiple_of(LANES);
+    let across = g.outputs >= MANY[0] && sources >= MANY[1] && 4 * (lanes - g.outputs) <= lanes;
+    let len = sources * if across { lanes } else { g.outputs };
     let mut partial = Scratch::take(tasks.len() * len);
     tasks.par_iter().zip(partial.par_chunks_mut(len)).with_max_len(1).for_each(|(task, out)| {
         let frame = Frame::new(&plan, task);
         let mut planes = Scratch::take(frame.len());
         frame.fill(x, &mut planes);
-        let mut wide = Scratch::take(g.outputs * frame.results_pitch());
-        frame.fill_results(grad, &mut wide);
         let offsets = frame.offsets(0);
-        let sources = Sources { data: &planes, offsets: &offsets, len: frame.span };
         out.fill(0.0);
-        correlate_weights(isa, sources, &wide, frame.results_pitch(), out);
+        if across {
+            let rows = frame.rows();
+            let mut wide = Scratch::take(rows.positions() * lanes);
+            frame.fill_positions(grad, lanes, &mut wide);
+            products(isa, &planes, &offsets, rows, &wide, lanes, out);
+        } else {
+            let pitch = frame.results_pitch();
+            let mut wide = Scratch::take(g.outputs * pitch);
+            frame.fill_results(grad, &mut wide);
+            let sources = Sources { data: &planes, offsets: &offsets, len: frame.span };
+            correlate_weights(isa, sources, &wide, pitch, out);
+        }
     });
-    let mut sum = partial[..len].to_vec();
-    for other in partial[len..].chunks_exact(len) {
-        for (s, o) in sum.iter_mut().zip(other) {
-            *s += o;
+    let mut sum = vec![0.0; g.outputs * sources];
+    let rows = if across { LANES } else { 1 };
+    sum.par_chunks_mut(rows * sources).enumerate().for_each(|(i, sum)| {
+        let shares = partial.chunks_exact(len);
+        match across {
+            true => shares.for_each(|share| add_lanes(&share[i * LANES..], lanes, sum, sources)),
+            false => shares.for_each(|share| sum.iter_mut().zip(&share[i * sources..]).for_each(|(s, v)| *s += v)),
+        }
+    });
+    sum
+}
+
+/// Adds `share` (sources x lanes, its first [`LANES`] lanes) to `sum` (channels x sources).
+fn add_lanes(share: &[f32], lanes: usize, sum: &mut [f32], sources: usize) {
+    for (s, share) in share.chunks(lanes).enumerate() {
+        for (o, v) in share.iter().enumerate().take(sum.len() / sources) {
+            sum[o * sources + s] += v;
         }
     }
-    sum
 }
 
 /// Gradient with respect to the bias: sums over `grad`, N x `channels` x `pixels`.
