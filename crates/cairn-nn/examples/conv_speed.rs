@@ -1,6 +1,6 @@
 //! Times each pass of the convolutions that training does, beside PyTorch's.
 //!
-//! `cargo run --release -p cairn-nn --example conv_speed -- OWN.json [TORCH.json] [FILTER]`
+//! `cargo run --release -p cairn-nn --example conv_speed -- OWN.json [TORCH.json] [FILTER] [RUNS]`
 //!
 //! Samples are added to those in OWN.json, so that runs can alternate with
 //! `benches/pytorch_conv.py` on a machine that others use too. Prints medians
@@ -36,12 +36,13 @@ struct Own {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
-    let path = args.next().ok_or("name a file for the samples: conv_speed OWN.json [TORCH.json] [FILTER]")?;
+    let path = args.next().ok_or("name a file for the samples: conv_speed OWN.json [TORCH.json] [FILTER] [RUNS]")?;
     let torch: Samples = match args.next() {
         Some(path) if std::fs::exists(&path)? => serde_json::from_slice(&std::fs::read(path)?)?,
         _ => Samples::new(),
     };
     let filter = args.next().unwrap_or_default();
+    let runs = args.next().map_or(Ok(RUNS), |runs| runs.parse())?;
     let mut own = match std::fs::exists(&path)? {
         true => serde_json::from_slice(&std::fs::read(&path)?)?,
         false => Own::default(),
@@ -53,7 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let key = format!("{}, {}", shape.name(), pass.name());
             if key.contains(&filter) {
                 let samples = own.samples.entry(key.clone()).or_default();
-                samples.extend(shape.time_ms(pass, RUNS)?);
+                samples.extend(shape.time_ms(pass, runs)?);
                 print(shape, pass, samples, torch.get(&key))?;
             }
         }

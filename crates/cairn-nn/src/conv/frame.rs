@@ -53,10 +53,11 @@ impl<'a> Frame<'a> {
     /// Copies the task's share of `source`, N x C x H x W, into `planes` and
     /// writes zeros wherever there is no pixel.
     pub(crate) fn fill(&self, source: &[f32], planes: &mut [f32]) {
+        // All at once: borders are a few numbers here and there.
+        planes.fill(0.0);
         let side = &self.plan.source;
-        let pixels = side.pixels();
+        let (pixels, block_len) = (side.pixels(), self.block_rows * self.pitch);
         for (c, plane) in planes.chunks_exact_mut(self.plane_len).enumerate() {
-            let block_len = self.block_rows * self.pitch;
             let mut phases = self.plan.used.as_slice();
             let mut start = 0;
             while let [phase, after @ ..] = phases {
@@ -75,15 +76,15 @@ impl<'a> Frame<'a> {
                 start += done * self.phase_len;
                 phases = &phases[done..];
             }
-            plane[self.plan.used.len() * self.phase_len..].fill(0.0);
         }
     }
 
-    /// The source's row that row `r` of a block holds, phase `a`; nothing beyond its borders.
-    fn source_row<'b>(&self, image: &'b [f32], a: usize, r: usize) -> &'b [f32] {
+    /// Each row of a block that has pixels, phase `a`, with the source's row.
+    fn source_rows(&self, a: usize) -> impl Iterator<Item = (usize, usize)> {
         let side = &self.plan.source;
-        let y = ((self.task.rows[0] + r) * side.step[0] + a).wrapping_sub(side.before[0]);
-        if y < side.size[0] { &image[y * side.size[1]..(y + 1) * side.size[1]] } else { &[] }
+        let (start, step, before, size) = (self.task.rows[0], side.step[0], side.before[0], side.size[0]);
+        let source = move |r: usize| (r, ((start + r) * step + a).wrapping_sub(before));
+        (0..self.block_rows).map(source).filter(move |(_, y)| *y < size)
     }
 
     /// Even and odd columns of phase `a`, for a step of 2.
@@ -91,25 +92,22 @@ impl<'a> Frame<'a> {
         let (first, before) = (2 * self.task.columns[0], self.plan.source.before[1]);
         // Padded columns without a pixel, and pixels before the first padded column.
         let (lead, from) = (before.saturating_sub(first), first.saturating_sub(before));
-        let lines = even.chunks_exact_mut(self.pitch).zip(odd.chunks_exact_mut(self.pitch));
-        for (r, (even, odd)) in lines.enumerate() {
-            let mut row = self.source_row(image, a, r).get(from..).unwrap_or(&[]);
-            let mut at = (lead / 2).min(self.pitch);
-            even[..at].fill(0.0);
-            odd[..at].fill(0.0);
-            if lead % 2 == 1 && at < self.pitch {
-                even[at] = 0.0;
-                odd[at] = row.first().copied().unwrap_or(0.0);
-                row = row.get(1..).unwrap_or(&[]);
-                at += 1;
+        let (at, width) = (lead / 2, self.plan.source.size[1]);
+        if at >= self.pitch || from >= width {
+            return;
+        }
+        for (r, y) in self.source_rows(a) {
+            let mut row = &image[y * width + from..(y + 1) * width];
+            let line = r * self.pitch + at..(r + 1) * self.pitch;
+            let (mut even, mut odd) = (&mut even[line.clone()], &mut odd[line]);
+            if lead % 2 == 1 {
+                odd[0] = row[0];
+                (even, odd, row) = (&mut even[1..], &mut odd[1..], &row[1..]);
             }
-            let (even, odd) = (&mut even[at..], &mut odd[at..]);
             let count = (row.len() / 2).min(even.len());
-            for ((e, o), pair) in even.iter_mut().zip(odd.iter_mut()).zip(row[..2 * count].chunks_exact(2)) {
+            for ((e, o), pair) in even.iter_mut().zip(odd).zip(row[..2 * count].chunks_exact(2)) {
                 (*e, *o) = (pair[0], pair[1]);
             }
-            even[count..].fill(0.0);
-            odd[count..].fill(0.0);
             if let (Some(e), Some(v)) = (even.get_mut(count), row.get(2 * count)) {
                 *e = *v;
             }
@@ -118,17 +116,18 @@ impl<'a> Frame<'a> {
 
     fn fill_block(&self, image: &[f32], phase: [usize; 2], block: &mut [f32]) {
         let side = &self.plan.source;
-        let step = side.step[1];
+        let (step, width) = (side.step[1], side.size[1]);
         // Pixel of the frame's first column, and the first column that has one.
         let start = (self.task.columns[0] * step + phase[1]) as isize - side.before[1] as isize;
-        let first = if start < 0 { ((-start) as usize).div_ceil(step) } else { 0 }.min(self.pitch);
+        let first = if start < 0 { ((-start) as usize).div_ceil(step) } else { 0 };
         let from = (start + (first * step) as isize) as usize;
-        for (r, line) in block.chunks_exact_mut(self.pitch).enumerate() {
-            let row = self.source_row(image, phase[0], r).get(from..).unwrap_or(&[]);
-            let count = row.len().div_ceil(step).min(self.pitch - first);
-            line[..first].fill(0.0);
-            line[first + count..].fill(0.0);
-            let line = &mut line[first..first + count];
+        if first >= self.pitch || from >= width {
+            return;
+        }
+        let count = (width - from).div_ceil(step).min(self.pitch - first);
+        for (r, y) in self.source_rows(phase[0]) {
+            let row = &image[y * width + from..(y + 1) * width];
+            let line = &mut block[r * self.pitch + first..][..count];
             match step {
                 1 => line.copy_from_slice(&row[..count]),
                 _ => line.iter_mut().zip(row.iter().step_by(step)).for_each(|(to, v)| *to = *v),

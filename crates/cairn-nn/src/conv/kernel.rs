@@ -35,32 +35,30 @@ pub(crate) fn tile_channels(isa: Isa) -> usize {
 /// Planes, the offsets of all sources in them, and how many positions to go through.
 #[derive(Clone, Copy)]
 pub(crate) struct Sources<'a> {
-    pub(crate) data: &'a [f32],
-    pub(crate) offsets: &'a [usize],
-    /// A multiple of [`LANES`].
-    pub(crate) len: usize,
+    data: &'a [f32],
+    offsets: &'a [usize],
+    len: usize,
 }
 
-impl Sources<'_> {
-    /// Panics unless `len` positions from every offset lie inside the data.
-    fn check(&self) {
-        let last = self.offsets.iter().max().copied().unwrap_or(0);
-        let end = last + self.len;
-        assert!(self.len.is_multiple_of(LANES), "{} positions are no multiple of {LANES}", self.len);
-        assert!(end <= self.data.len(), "offset {last} and {} positions leave {} numbers", self.len, self.data.len());
+impl<'a> Sources<'a> {
+    /// Panics unless `len`, a multiple of [`LANES`], positions from every offset lie inside `data`.
+    pub(crate) fn new(data: &'a [f32], offsets: &'a [usize], len: usize) -> Self {
+        let last = offsets.iter().max().copied().unwrap_or(0);
+        assert!(len.is_multiple_of(LANES), "{len} positions are no multiple of {LANES}");
+        assert!(last + len <= data.len(), "offset {last} and {len} positions leave {} numbers", data.len());
+        Self { data, offsets, len }
     }
 }
 
 /// Correlates with the weights (`sources x channels`) of a tile of channels,
 /// one a `bias`, into `out`, `channels x len`.
 pub(crate) fn correlate(isa: Isa, s: Sources<'_>, weights: &[f32], bias: &[f32], out: &mut [f32]) {
-    s.check();
     assert_eq!(weights.len(), s.offsets.len() * bias.len(), "weights of a tile");
     assert_eq!(out.len(), s.len * bias.len(), "results of a tile");
     let mut p = 0;
     while p < s.len {
         let vectors = (s.len - p) / LANES;
-        // SAFETY: `check` proved all reads of `len` positions, the lengths of weights, bias and
+        // SAFETY: `Sources::new` proved all reads of `len` positions, the lengths of weights, bias and
         // results are as the tile needs them, `p` and the vectors done stay within `len`, and
         // `Isa` is only made for instructions that were found.
         p += LANES * unsafe { tile(isa, s, p, vectors, weights, bias, out.as_mut_ptr()) };
@@ -139,7 +137,6 @@ unsafe fn step<L: Lanes, const R: usize, const V: usize>(
 /// Adds to `out` (`channels x sources`) the products of sources with the output
 /// gradients `grads` (`channels x pitch`, of which `len` count), summed over positions.
 pub(crate) fn correlate_weights(isa: Isa, s: Sources<'_>, grads: &[f32], pitch: usize, out: &mut [f32]) {
-    s.check();
     let (channels, sources) = (grads.len() / pitch, s.offsets.len());
     assert!(channels * pitch == grads.len() && s.len <= pitch, "{} gradients in rows of {pitch}", grads.len());
     assert_eq!(out.len(), channels * sources, "weights");
@@ -154,7 +151,7 @@ pub(crate) fn correlate_weights(isa: Isa, s: Sources<'_>, grads: &[f32], pitch: 
                 let columns = most_columns.min(sources - at);
                 let mut sums = [[[0.0; LANES]; WEIGHT_TILE[1]]; WEIGHT_TILE[0]];
                 let span = Span { s, grads: &grads[first * pitch..end * pitch], pitch, at, start, len };
-                // SAFETY: `check` proved the reads of sources, the slice holds `rows` rows of `pitch`,
+                // SAFETY: `Sources::new` proved the reads of sources, the slice holds `rows` rows of `pitch`,
                 // `start + len <= s.len <= pitch`, and `at + columns <= sources`.
                 unsafe { weight_block(isa, [rows, columns], span, &mut sums) };
                 for (r, row) in sums.iter().enumerate().take(rows) {

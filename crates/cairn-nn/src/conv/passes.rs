@@ -49,12 +49,12 @@ fn run(isa: Isa, plan: &Plan, source: &[f32], weights: (&[f32], Strides), bias: 
         let mut planes = Scratch::take(frame.len());
         frame.fill(source, &mut planes);
         let offsets: Vec<Vec<usize>> = (0..plan.parts.len()).map(|part| frame.offsets(part)).collect();
+        let sources: Vec<Sources<'_>> = offsets.iter().map(|o| Sources::new(&planes, o, frame.span)).collect();
         for (t, &[from, to]) in tiles.iter().enumerate() {
             let result = (to - from) * frame.span;
             let mut spans = Scratch::take(plan.parts.len() * result);
-            for ((offsets, packed), out) in offsets.iter().zip(&packed).zip(spans.chunks_exact_mut(result)) {
-                let sources = Sources { data: &planes, offsets, len: frame.span };
-                correlate(isa, sources, packed.tile(t), &bias[from..to], out);
+            for ((sources, packed), out) in sources.iter().zip(&packed).zip(spans.chunks_exact_mut(result)) {
+                correlate(isa, *sources, packed.tile(t), &bias[from..to], out);
             }
             for k in 0..task.images {
                 for o in from..to {
@@ -180,6 +180,9 @@ fn tiles(channels: usize, most: usize) -> Vec<[usize; 2]> {
 /// and from this many sources: fewer do not pay for the gradients' rearrangement.
 const MANY: [usize; 2] = [16, 72];
 
+/// Weights that one task adds up.
+const SHARE: usize = 1 << 13;
+
 /// Gradient with respect to the weights, O x C x kH x kW.
 pub(crate) fn weight_gradient(isa: Isa, g: &Geometry, x: &[f32], grad: &[f32]) -> Vec<f32> {
     let plan = g.forward_plan();
@@ -204,29 +207,32 @@ pub(crate) fn weight_gradient(isa: Isa, g: &Geometry, x: &[f32], grad: &[f32]) -
             let pitch = frame.results_pitch();
             let mut wide = Scratch::take(g.outputs * pitch);
             frame.fill_results(grad, &mut wide);
-            let sources = Sources { data: &planes, offsets: &offsets, len: frame.span };
+            let sources = Sources::new(&planes, &offsets, frame.span);
             correlate_weights(isa, sources, &wide, pitch, out);
         }
     });
-    let mut sum = vec![0.0; g.outputs * sources];
-    let rows = if across { LANES } else { 1 };
-    sum.par_chunks_mut(rows * sources).enumerate().for_each(|(i, sum)| {
-        let shares = partial.chunks_exact(len);
-        match across {
-            true => shares.for_each(|share| add_lanes(&share[i * LANES..], lanes, sum, sources)),
-            false => shares.for_each(|share| sum.iter_mut().zip(&share[i * sources..]).for_each(|(s, v)| *s += v)),
+    let (sum, shares) = partial.split_at_mut(len);
+    sum.par_chunks_mut(SHARE).enumerate().for_each(|(i, sum)| {
+        for share in shares.chunks_exact(len) {
+            sum.iter_mut().zip(&share[i * SHARE..]).for_each(|(s, v)| *s += v);
         }
     });
-    sum
+    if across { transposed(sum, lanes, g.outputs) } else { sum.to_vec() }
 }
 
-/// Adds `share` (sources x lanes, its first [`LANES`] lanes) to `sum` (channels x sources).
-fn add_lanes(share: &[f32], lanes: usize, sum: &mut [f32], sources: usize) {
-    for (s, share) in share.chunks(lanes).enumerate() {
-        for (o, v) in share.iter().enumerate().take(sum.len() / sources) {
-            sum[o * sources + s] += v;
+/// The first `channels` columns of `sum` (sources x lanes) as rows.
+fn transposed(sum: &[f32], lanes: usize, channels: usize) -> Vec<f32> {
+    let sources = sum.len() / lanes;
+    let mut out = vec![0.0; channels * sources];
+    // A cache line of lanes at a time.
+    out.par_chunks_mut(LANES * sources).enumerate().for_each(|(i, rows)| {
+        for (s, share) in sum.chunks_exact(lanes).enumerate() {
+            for (row, v) in rows.chunks_exact_mut(sources).zip(&share[i * LANES..]) {
+                row[s] = *v;
+            }
         }
-    }
+    });
+    out
 }
 
 /// Gradient with respect to the bias: sums over `grad`, N x `channels` x `pixels`.
