@@ -75,7 +75,8 @@ fn transposed_convolution_agrees_with_candle() -> Result<()> {
 #[test]
 fn gradients_are_what_small_changes_do() -> Result<()> {
     type Apply = fn(&Tensor, &Tensor, &Tensor) -> Result<Tensor>;
-    let cases: [(&str, Apply, &[usize], &[usize], usize); 4] = [
+    type Case<'a> = (&'a str, Apply, &'a [usize], &'a [usize], usize);
+    let cases: [Case<'_>; 4] = [
         ("conv2d", |x, w, b| conv2d(x, w, Some(b), Window::square(2, 1)), &[2, 3, 9, 8], &[17, 3, 3, 3], 17),
         ("conv1d", |x, w, b| conv1d(x, w, Some(b), Window::line(4, 4)), &[2, 2, 41], &[5, 2, 9], 5),
         (

@@ -218,7 +218,7 @@ pub(crate) struct Task {
 
 /// Grid positions of a task at least and at most: enough to fill the inner
 /// loops, few enough for the second-level cache.
-const POSITIONS: [usize; 2] = [128, 2048];
+const POSITIONS: [usize; 2] = [64, 2048];
 /// Tasks that a small batch is cut into, so that a few threads share it evenly.
 const SHARES: usize = 8;
 

@@ -141,32 +141,30 @@ fn pieces<'a>(plan: &Plan, tasks: &[Task], out: Piece<'a>) -> Vec<Vec<Piece<'a>>
     pieces
 }
 
-/// One part's weights in the order in which [`correlate`] reads them.
-struct Packed {
-    data: Vec<f32>,
-    /// Where each tile begins, and the end.
-    starts: Vec<usize>,
-}
+/// One part's weights, tile by tile, in the order in which [`correlate`] reads them.
+struct Packed(Vec<Vec<f32>>);
 
 impl Packed {
     fn new(plan: &Plan, part: usize, tiles: &[[usize; 2]], (w, strides): (&[f32], Strides)) -> Self {
         let taps = &plan.parts[part].taps;
         let sources = plan.source.channels * taps.len();
-        let mut data = Vec::with_capacity(sources * plan.result.channels);
-        let mut starts = vec![0];
-        for &[from, to] in tiles {
+        let pack = |&[from, to]: &[usize; 2]| {
+            let mut tile = Vec::with_capacity(sources * (to - from));
             for c in 0..plan.source.channels {
                 for tap in taps {
-                    data.extend((from..to).map(|o| w[o * strides[0] + c * strides[1] + tap.index]));
+                    let at = c * strides[1] + tap.index;
+                    tile.extend((from..to).map(|o| w[o * strides[0] + at]));
                 }
             }
-            starts.push(data.len());
-        }
-        Self { data, starts }
+            tile
+        };
+        // Few weights are packed before another thread has woken up.
+        let alone = sources * plan.result.channels < SHARE;
+        Self(if alone { tiles.iter().map(pack).collect() } else { tiles.par_iter().map(pack).collect() })
     }
 
     fn tile(&self, t: usize) -> &[f32] {
-        &self.data[self.starts[t]..self.starts[t + 1]]
+        &self.0[t]
     }
 }
 
@@ -180,7 +178,7 @@ fn tiles(channels: usize, most: usize) -> Vec<[usize; 2]> {
 /// and from this many sources: fewer do not pay for the gradients' rearrangement.
 const MANY: [usize; 2] = [16, 72];
 
-/// Weights that one task adds up.
+/// Weights that one task packs or adds up at least.
 const SHARE: usize = 1 << 13;
 
 /// Gradient with respect to the weights, O x C x kH x kW.
