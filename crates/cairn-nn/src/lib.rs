@@ -29,6 +29,7 @@
 //! ```
 
 mod adam;
+mod block;
 mod classifier;
 mod conv;
 mod error;
