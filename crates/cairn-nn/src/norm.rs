@@ -4,10 +4,13 @@
 //! a dozen passes over memory and as many allocations; here it is a few passes
 //! and one allocation each way.
 
+use std::mem::MaybeUninit;
+
 use candle_core::{CpuStorage, CustomOp1, CustomOp3, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use crate::raw::{floats, tensor, with_floats};
+use crate::conv::scratch::Scratch;
+use crate::raw::{floats, tensor, with_floats, written};
 use crate::sum::{sum, sum_by, sum_pairs};
 
 /// Added to the variance, as in Wu and He 2018.
@@ -70,36 +73,37 @@ impl GroupNorm {
     /// The operation on `x`, N x C x pixels.
     pub(crate) fn normalised(&self, s: &Sizes, x: &[f32], gamma: &[f32], beta: &[f32]) -> Vec<f32> {
         let group_len = s.per_group * s.pixels;
-        let mut out = vec![0.0; x.len()];
-        out.par_chunks_mut(group_len).zip(x.par_chunks(group_len)).enumerate().for_each(|(i, (out, x))| {
+        let each = |(i, (out, x)): (usize, (&mut [MaybeUninit<f32>], &[f32]))| {
             let (mean, inverse) = mean_and_inverse_deviation(x);
             let first = i % self.groups * s.per_group;
             for (c, (out, x)) in out.chunks_exact_mut(s.pixels).zip(x.chunks_exact(s.pixels)).enumerate() {
                 let scale = inverse * gamma[first + c];
                 let shift = beta[first + c];
                 for (o, &x) in out.iter_mut().zip(x) {
-                    *o = leaky((x - mean) * scale + shift, self.slope);
+                    o.write(leaky((x - mean) * scale + shift, self.slope));
                 }
             }
-        });
-        out
+        };
+        let fill = |out: &mut [MaybeUninit<f32>]| {
+            out.par_chunks_mut(group_len).zip(x.par_chunks(group_len)).enumerate().for_each(each)
+        };
+        // SAFETY: groups make up all of `x`, and every number of a group is written.
+        unsafe { written(x.len(), fill) }.0
     }
 
     /// Gradients of `x`, scale and shift from `[x, out, grad]`: the input, the
     /// result and its gradient, N x C x pixels each.
     pub(crate) fn gradients(&self, s: &Sizes, [x, out, grad]: [&[f32]; 3], gamma: &[f32]) -> [Vec<f32>; 3] {
         let group_len = s.per_group * s.pixels;
-        let mut dx = vec![0.0; x.len()];
-        let moments: Vec<Moments> = dx
-            .par_chunks_mut(group_len)
-            .enumerate()
-            .map(|(i, dx)| {
-                let at = i * group_len..(i + 1) * group_len;
-                let first = i % self.groups * s.per_group;
-                let gamma = &gamma[first..first + s.per_group];
-                self.group_backward(s, &x[at.clone()], &out[at.clone()], &grad[at], gamma, dx)
-            })
-            .collect();
+        let each = |(i, dx): (usize, &mut [MaybeUninit<f32>])| {
+            let at = i * group_len..(i + 1) * group_len;
+            let first = i % self.groups * s.per_group;
+            let gamma = &gamma[first..first + s.per_group];
+            self.group_backward(s, [x, out, grad].map(|all| &all[at.clone()]), gamma, dx)
+        };
+        let fill = |dx: &mut [MaybeUninit<f32>]| dx.par_chunks_mut(group_len).enumerate().map(each).collect();
+        // SAFETY: groups make up all of `x`, and `group_backward` writes every number of a group.
+        let (dx, moments): (_, Vec<Moments>) = unsafe { written(x.len(), fill) };
         let (mut dgamma, mut dbeta) = (vec![0.0; s.channels], vec![0.0; s.channels]);
         for (i, (along, level)) in moments.into_iter().flatten().enumerate() {
             dgamma[i % s.channels] += along;
@@ -108,21 +112,20 @@ impl GroupNorm {
         [dx, dgamma, dbeta]
     }
 
-    /// One group's gradient into `dx`; returns (scale, shift) gradients of its channels.
+    /// One group's gradient into all of `dx`; returns (scale, shift) gradients of its channels.
     fn group_backward(
         &self,
         s: &Sizes,
-        x: &[f32],
-        out: &[f32],
-        grad: &[f32],
+        [x, out, grad]: [&[f32]; 3],
         gamma: &[f32],
-        dx: &mut [f32],
+        dx: &mut [MaybeUninit<f32>],
     ) -> Moments {
         let (mean, inverse) = mean_and_inverse_deviation(x);
-        for ((d, &g), &o) in dx.iter_mut().zip(grad).zip(out) {
+        let mut inner = Scratch::take(x.len());
+        for ((d, &g), &o) in inner.iter_mut().zip(grad).zip(out) {
             *d = if o > 0.0 { g } else { g * self.slope };
         }
-        let moments: Moments = dx
+        let moments: Moments = inner
             .chunks_exact(s.pixels)
             .zip(x.chunks_exact(s.pixels))
             .map(|(d, x)| (sum_pairs(d, x, |d, x| d * (x - mean)) * inverse, sum(d)))
@@ -130,10 +133,11 @@ impl GroupNorm {
         let count = x.len() as f32;
         let along = moments.iter().zip(gamma).map(|(m, g)| m.0 * g).sum::<f32>() / count;
         let level = moments.iter().zip(gamma).map(|(m, g)| m.1 * g).sum::<f32>() / count;
-        for ((d, x), &gamma) in dx.chunks_exact_mut(s.pixels).zip(x.chunks_exact(s.pixels)).zip(gamma) {
+        let planes = dx.chunks_exact_mut(s.pixels).zip(x.chunks_exact(s.pixels)).zip(inner.chunks_exact(s.pixels));
+        for (((dx, x), inner), &gamma) in planes.zip(gamma) {
             let (a, b) = (inverse * gamma, inverse * inverse * along);
-            for (d, &x) in d.iter_mut().zip(x) {
-                *d = a * *d - inverse * level - b * (x - mean);
+            for ((dx, &x), &d) in dx.iter_mut().zip(x).zip(inner) {
+                dx.write(a * d - inverse * level - b * (x - mean));
             }
         }
         moments
@@ -192,13 +196,17 @@ impl CustomOp3 for GroupNorm {
 
 /// The rectifier's gradient from its result and that one's gradient.
 pub(crate) fn leaky_gradient(out: &[f32], grad: &[f32], slope: f32) -> Vec<f32> {
-    let mut dx = vec![0.0; out.len()];
-    dx.par_chunks_mut(CHUNK).zip(out.par_chunks(CHUNK).zip(grad.par_chunks(CHUNK))).for_each(|(dx, (out, grad))| {
-        for ((d, &o), &g) in dx.iter_mut().zip(out).zip(grad) {
-            *d = if o > 0.0 { g } else { g * slope };
-        }
-    });
-    dx
+    let operands = out.par_chunks(CHUNK).zip(grad.par_chunks(CHUNK));
+    let fill = |dx: &mut [MaybeUninit<f32>]| {
+        dx.par_chunks_mut(CHUNK).zip(operands).for_each(|(dx, (out, grad))| {
+            for ((d, &o), &g) in dx.iter_mut().zip(out).zip(grad) {
+                d.write(if o > 0.0 { g } else { g * slope });
+            }
+        });
+    };
+    assert_eq!(out.len(), grad.len(), "a result and its gradient");
+    // SAFETY: all three are cut alike and are equally long.
+    unsafe { written(out.len(), fill) }.0
 }
 
 /// The rectifier in place.

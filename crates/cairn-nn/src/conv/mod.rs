@@ -12,7 +12,7 @@ mod kernel;
 mod lanes;
 mod outer;
 pub(crate) mod passes;
-mod scratch;
+pub(crate) mod scratch;
 #[cfg(test)]
 mod tests;
 

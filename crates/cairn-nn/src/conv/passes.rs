@@ -13,6 +13,7 @@ use super::kernel::{Sources, correlate, correlate_weights, tile_channels};
 use super::lanes::{Isa, LANES};
 use super::outer::products;
 use super::scratch::Scratch;
+use crate::raw::written;
 
 /// A slice of a result plane that one task writes.
 type Piece<'a> = &'a mut [MaybeUninit<f32>];
@@ -41,33 +42,33 @@ fn run(isa: Isa, plan: &Plan, source: &[f32], weights: (&[f32], Strides), bias: 
     let zeros = vec![0.0; plan.result.channels];
     let bias = bias.unwrap_or(&zeros);
     let len = plan.batch * plan.result.channels * plan.result.pixels();
-    let mut out = Vec::with_capacity(len);
     let tasks = plan.tasks();
-    let pieces = pieces(plan, &tasks, &mut out.spare_capacity_mut()[..len]);
-    tasks.par_iter().zip(pieces).with_max_len(1).for_each(|(task, mut pieces)| {
-        let frame = Frame::new(plan, task);
-        let mut planes = Scratch::take(frame.len());
-        frame.fill(source, &mut planes);
-        let offsets: Vec<Vec<usize>> = (0..plan.parts.len()).map(|part| frame.offsets(part)).collect();
-        let sources: Vec<Sources<'_>> = offsets.iter().map(|o| Sources::new(&planes, o, frame.span)).collect();
-        for (t, &[from, to]) in tiles.iter().enumerate() {
-            let result = (to - from) * frame.span;
-            let mut spans = Scratch::take(plan.parts.len() * result);
-            for ((sources, packed), out) in sources.iter().zip(&packed).zip(spans.chunks_exact_mut(result)) {
-                correlate(isa, *sources, packed.tile(t), &bias[from..to], out);
-            }
-            for k in 0..task.images {
-                for o in from..to {
-                    let piece = &mut *pieces[k * plan.result.channels + o];
-                    let span = |part: usize| &spans[part * result + (o - from) * frame.span..][..frame.span];
-                    emit(plan, &frame, (task, k), span, piece);
+    let fill = |out: Piece<'_>| {
+        let pieces = pieces(plan, &tasks, out);
+        tasks.par_iter().zip(pieces).with_max_len(1).for_each(|(task, mut pieces)| {
+            let frame = Frame::new(plan, task);
+            let mut planes = Scratch::take(frame.len());
+            frame.fill(source, &mut planes);
+            let offsets: Vec<Vec<usize>> = (0..plan.parts.len()).map(|part| frame.offsets(part)).collect();
+            let sources: Vec<Sources<'_>> = offsets.iter().map(|o| Sources::new(&planes, o, frame.span)).collect();
+            for (t, &[from, to]) in tiles.iter().enumerate() {
+                let result = (to - from) * frame.span;
+                let mut spans = Scratch::take(plan.parts.len() * result);
+                for ((sources, packed), out) in sources.iter().zip(&packed).zip(spans.chunks_exact_mut(result)) {
+                    correlate(isa, *sources, packed.tile(t), &bias[from..to], out);
+                }
+                for k in 0..task.images {
+                    for o in from..to {
+                        let piece = &mut *pieces[k * plan.result.channels + o];
+                        let span = |part: usize| &spans[part * result + (o - from) * frame.span..][..frame.span];
+                        emit(plan, &frame, (task, k), span, piece);
+                    }
                 }
             }
-        }
-    });
+        });
+    };
     // SAFETY: the tasks' pieces make up all of the planes, and `emit` writes every number of its piece.
-    unsafe { out.set_len(len) };
-    out
+    unsafe { written(len, fill) }.0
 }
 
 /// Copies the results of one plane's share from their spans, one a phase, to their pixels.
