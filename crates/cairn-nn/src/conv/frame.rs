@@ -136,8 +136,7 @@ impl<'a> Frame<'a> {
     }
 
     /// Lays the results' gradients, N x O x H x W, out like the results of this
-    /// frame, `O x pitch` with zeros where no pixel is; returns the pitch.
-    /// Only for plans whose results have no phases.
+    /// frame: O rows of [`Self::results_pitch`], zeros where no pixel is. Only for plans whose results have no phases.
     pub(crate) fn fill_results(&self, grads: &[f32], wide: &mut [f32]) {
         let side = &self.plan.result;
         let (rows, columns) = (self.task.rows, self.task.columns);

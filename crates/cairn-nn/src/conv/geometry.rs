@@ -257,7 +257,7 @@ impl Plan {
 }
 
 /// `n` cut into pieces of about `len`, even to within one.
-fn cuts(n: usize, len: usize) -> Vec<[usize; 2]> {
+pub(crate) fn cuts(n: usize, len: usize) -> Vec<[usize; 2]> {
     let pieces = n.div_ceil(len);
     (0..pieces).map(|i| [i * n / pieces, (i + 1) * n / pieces]).collect()
 }

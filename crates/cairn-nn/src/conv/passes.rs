@@ -8,7 +8,7 @@ use std::mem::MaybeUninit;
 use rayon::prelude::*;
 
 use super::frame::Frame;
-use super::geometry::{Geometry, Plan, Task};
+use super::geometry::{Geometry, Plan, Task, cuts};
 use super::kernel::{Sources, correlate, correlate_weights, tile_channels};
 use super::lanes::{Isa, LANES};
 use super::outer::products;
@@ -179,6 +179,10 @@ fn tiles(channels: usize, most: usize) -> Vec<[usize; 2]> {
 /// and from this many sources: fewer do not pay for the gradients' rearrangement.
 const MANY: [usize; 2] = [16, 72];
 
+/// Sums of the weights' gradient that exist side by side at most, each over
+/// some tasks; they are as large as the weights.
+const SHARES: usize = 16;
+
 /// Weights that one task packs or adds up at least.
 const SHARE: usize = 1 << 13;
 
@@ -190,24 +194,26 @@ pub(crate) fn weight_gradient(isa: Isa, g: &Geometry, x: &[f32], grad: &[f32]) -
     let lanes = g.outputs.next_multiple_of(LANES);
     let across = g.outputs >= MANY[0] && sources >= MANY[1] && 4 * (lanes - g.outputs) <= lanes;
     let len = sources * if across { lanes } else { g.outputs };
-    let mut partial = Scratch::take(tasks.len() * len);
-    tasks.par_iter().zip(partial.par_chunks_mut(len)).with_max_len(1).for_each(|(task, out)| {
-        let frame = Frame::new(&plan, task);
-        let mut planes = Scratch::take(frame.len());
-        frame.fill(x, &mut planes);
-        let offsets = frame.offsets(0);
+    let shares = cuts(tasks.len(), tasks.len().div_ceil(SHARES));
+    let mut partial = Scratch::take(shares.len() * len);
+    shares.par_iter().zip(partial.par_chunks_mut(len)).with_max_len(1).for_each(|(&[from, to], out)| {
         out.fill(0.0);
-        if across {
-            let rows = frame.rows();
-            let mut wide = Scratch::take(rows.positions() * lanes);
-            frame.fill_positions(grad, lanes, &mut wide);
-            products(isa, &planes, &offsets, rows, &wide, lanes, out);
-        } else {
-            let pitch = frame.results_pitch();
-            let mut wide = Scratch::take(g.outputs * pitch);
-            frame.fill_results(grad, &mut wide);
-            let sources = Sources::new(&planes, &offsets, frame.span);
-            correlate_weights(isa, sources, &wide, pitch, out);
+        for task in &tasks[from..to] {
+            let frame = Frame::new(&plan, task);
+            let mut planes = Scratch::take(frame.len());
+            frame.fill(x, &mut planes);
+            let offsets = frame.offsets(0);
+            if across {
+                let rows = frame.rows();
+                let mut wide = Scratch::take(rows.positions() * lanes);
+                frame.fill_positions(grad, lanes, &mut wide);
+                products(isa, &planes, &offsets, rows, &wide, lanes, out);
+            } else {
+                let pitch = frame.results_pitch();
+                let mut wide = Scratch::take(g.outputs * pitch);
+                frame.fill_results(grad, &mut wide);
+                correlate_weights(isa, Sources::new(&planes, &offsets, frame.span), &wide, pitch, out);
+            }
         }
     });
     let (sum, shares) = partial.split_at_mut(len);

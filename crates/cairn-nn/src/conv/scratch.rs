@@ -33,9 +33,15 @@ impl Scratch {
     }
 }
 
+/// Lines of a buffer that is kept, at most: 16 MiB.
+const KEPT: usize = 1 << 18;
+
 impl Drop for Scratch {
     fn drop(&mut self) {
         let lines = std::mem::take(&mut self.lines);
+        if lines.len() > KEPT {
+            return;
+        }
         IDLE.with_borrow_mut(|idle| idle.push(lines));
     }
 }
