@@ -1,10 +1,10 @@
 """PyTorch's side of the convolution bench: milliseconds of each pass on two threads.
 
-python3 pytorch_conv.py SHAPES.json TORCH.json
+python3 pytorch_conv.py OWN.json TORCH.json
 
-SHAPES.json is written by `cargo run --release -p cairn-nn --example conv_speed -- OWN.json`, which makes it as
-OWN.json. Samples are added to those that TORCH.json holds already: run both by turns, so that a busy machine is
-busy for both, and give TORCH.json to the bench's last run.
+The shapes are read from OWN.json, which `cargo run --release -p cairn-nn --example conv_speed -- OWN.json` writes.
+Samples are added to those in TORCH.json: run both by turns, so that a busy machine is busy for both, and
+give TORCH.json to the bench as its second argument to see them side by side.
 """
 
 import json

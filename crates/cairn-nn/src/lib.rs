@@ -2,8 +2,8 @@
 //!
 //! candle brings tensors and the backward graph; this crate brings what its CPU
 //! side lacks: convolution and normalisation with fast backward passes
-//! ([`conv2d`], [`group_norm_leaky`], [`upsample_add`]), parameters that follow
-//! from a seed and keep an order ([`Params`]), an optimiser that can be saved
+//! ([`conv2d`], [`conv1d`], [`conv_transpose2d`], [`group_norm_leaky`],
+//! [`upsample_add`]), parameters that follow from a seed and keep an order ([`Params`]), an optimiser that can be saved
 //! and refuses numbers that are not finite ([`Adam`]), and the two networks of
 //! stage 2: [`Classifier`] and [`UNet`], the detector.
 //!
