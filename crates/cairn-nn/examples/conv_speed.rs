@@ -1,84 +1,84 @@
-//! Times candle's convolution against ours, and one training step of both
-//! networks. `tests/reference/torch_speed.py` prints PyTorch's side.
+//! Times each pass of the convolutions that training does, beside PyTorch's.
 //!
-//! `cargo run --release -p cairn-nn --example conv_speed`; medians, and the
-//! fastest run, which other load on the machine disturbs least.
+//! `cargo run --release -p cairn-nn --example conv_speed -- OWN.json [TORCH.json] [FILTER] [RUNS]`
+//!
+//! Samples are added to those in OWN.json, so that runs can alternate with
+//! `benches/pytorch_conv.py` on a machine that others use too. Prints medians
+//! and the fastest runs, which other load disturbs least.
 
-use std::time::Instant;
+use std::collections::BTreeMap;
+use std::error::Error;
 
-use cairn_nn::{
-    Adam, AdamConfig, Classifier, ClassifierConfig, Params, Rate, Result, UNet, UNetConfig, Window, conv2d,
-    cross_entropy, mean_squared, softmax,
-};
-use candle_core::{Device, Tensor, Var};
+use cairn_nn::{ConvShape, Pass};
+use serde::{Deserialize, Serialize};
 
-/// Input channels, output channels, batch, side, stride.
-const CASES: [(usize, usize, usize, usize, usize); 4] =
-    [(32, 32, 2, 128, 1), (16, 16, 4, 128, 1), (16, 32, 4, 128, 2), (64, 64, 4, 32, 1)];
+const RUNS: usize = 15;
 
-fn main() -> Result<()> {
-    println!("{} threads; times in ms as median (fastest)", rayon::current_num_threads());
-    for (ci, co, n, side, stride) in CASES {
-        let x = Var::from_tensor(&wave(&[n, ci, side, side])?)?;
-        let w = Var::from_tensor(&(wave(&[co, ci, 3, 3])? * 0.1)?)?;
-        println!("{ci} -> {co} channels, {n} x {side} x {side}, stride {stride}");
-        compare("cairn ", &x, &w, 30, |x, w| Ok(conv2d(x, w, None, Window::square(stride, 1))?))?;
-        compare("candle", &x, &w, 5, |x, w| Ok(x.conv2d(w, 1, stride, 1, 1)?))?;
-    }
-    step_times()
+type Samples = BTreeMap<String, Vec<f64>>;
+
+/// What the Python script needs to know of a shape.
+#[derive(Serialize, Deserialize)]
+struct Shape {
+    batch: usize,
+    inputs: usize,
+    outputs: usize,
+    size: [usize; 2],
+    kernel: [usize; 2],
+    stride: usize,
+    padding: [usize; 2],
 }
 
-fn compare(name: &str, x: &Var, w: &Var, runs: usize, f: impl Fn(&Tensor, &Tensor) -> Result<Tensor>) -> Result<()> {
-    let (fixed_x, fixed_w) = (x.detach(), w.detach());
-    let forward = time(runs, || f(&fixed_x, &fixed_w).map(drop))?;
-    let both = time(runs, || Ok(f(x, w)?.backward().map(drop)?))?;
-    println!("  {name} forward {forward}, forward and backward {both}");
+#[derive(Default, Serialize, Deserialize)]
+struct Own {
+    shapes: BTreeMap<String, Shape>,
+    samples: Samples,
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut args = std::env::args().skip(1);
+    let path = args.next().ok_or("name a file for the samples: conv_speed OWN.json [TORCH.json] [FILTER] [RUNS]")?;
+    let torch: Samples = match args.next() {
+        Some(path) if std::fs::exists(&path)? => serde_json::from_slice(&std::fs::read(path)?)?,
+        _ => Samples::new(),
+    };
+    let filter = args.next().unwrap_or_default();
+    let runs = args.next().map_or(Ok(RUNS), |runs| runs.parse())?;
+    let mut own = match std::fs::exists(&path)? {
+        true => serde_json::from_slice(&std::fs::read(&path)?)?,
+        false => Own::default(),
+    };
+    println!("{} threads; ms as median (fastest)", rayon::current_num_threads());
+    println!("{:<34} {:<15} {:>17} {:>8} {:>17}  ratio", "convolution", "pass", "Cairn", "GFLOP/s", "PyTorch");
+    for shape in ConvShape::of_training() {
+        for pass in Pass::ALL {
+            let key = format!("{}, {}", shape.name(), pass.name());
+            if key.contains(&filter) {
+                let samples = own.samples.entry(key.clone()).or_default();
+                samples.extend(shape.time_ms(pass, runs)?);
+                print(shape, pass, samples, torch.get(&key))?;
+            }
+        }
+        let ConvShape { batch, inputs, outputs, size, kernel, stride, padding } = shape;
+        own.shapes.insert(shape.name(), Shape { batch, inputs, outputs, size, kernel, stride, padding });
+    }
+    Ok(std::fs::write(&path, serde_json::to_vec(&own)?)?)
+}
+
+fn print(shape: ConvShape, pass: Pass, own: &[f64], torch: Option<&Vec<f64>>) -> Result<(), Box<dyn Error>> {
+    let [median, fastest] = summary(own);
+    let rate = shape.flops()? / fastest * 1e-6;
+    print!("{:<34} {:<15} {median:>8.3} ({fastest:>6.3}) {rate:>8.0}", shape.name(), pass.name());
+    if let Some(torch) = torch {
+        let [m, f] = summary(torch);
+        print!(" {m:>8.3} ({f:>6.3})  {:.2} ({:.2})", median / m, fastest / f);
+    }
+    println!();
     Ok(())
 }
 
-/// Classifier and detector, forward, backward and optimiser, with the gradient
-/// of the pictures, batch 4 at 128 x 128.
-fn step_times() -> Result<()> {
-    let mut params = Params::new(1);
-    let classifier = Classifier::new(&ClassifierConfig::default(), 4, params.scope("classifier"))?;
-    let detector = UNet::new(&UNetConfig::default(), 4, params.scope("detector"))?;
-    let mut adam = Adam::new(AdamConfig::default(), Rate::constant(1e-3))?;
-    let images = Var::from_tensor(&wave(&[4, 3, 128, 128])?)?;
-    let target = wave(&[4, 3, 128, 128])?;
-    let guess = wave(&[4, 4])?;
-    let classify = || -> Result<Tensor> { cross_entropy(&classifier.forward(&images)?, &[0, 1, 2, 3]) };
-    let recover = |p: &Tensor| -> Result<Tensor> { mean_squared(&detector.forward(&images, p)?, &target) };
-    println!("batch 4 at 128 x 128, {} parameters", params.numbers());
-    println!("  classifier forward {}", time(20, || classify().map(drop))?);
-    println!("  classifier forward and backward {}", time(20, || Ok(classify()?.backward().map(drop)?))?);
-    println!("  detector forward {}", time(20, || recover(&guess).map(drop))?);
-    println!("  detector forward and backward {}", time(20, || Ok(recover(&guess)?.backward().map(drop)?))?);
-    let step = time(20, || {
-        let logits = classifier.forward(&images)?;
-        let class = cross_entropy(&logits, &[0, 1, 2, 3])?;
-        let loss = (class + recover(&softmax(&logits)?.detach())?)?;
-        adam.step(&params, &loss.backward()?)
-    })?;
-    println!("  whole step with Adam {step}");
-    Ok(())
-}
-
-fn time(runs: usize, mut f: impl FnMut() -> Result<()>) -> Result<String> {
-    for _ in 0..3 {
-        f()?;
-    }
-    let mut times = Vec::with_capacity(runs);
-    for _ in 0..runs {
-        let start = Instant::now();
-        f()?;
-        times.push(start.elapsed().as_secs_f64() * 1e3);
-    }
-    times.sort_by(f64::total_cmp);
-    Ok(format!("{:.2} ({:.2})", times[runs / 2], times[0]))
-}
-
-fn wave(shape: &[usize]) -> Result<Tensor> {
-    let count: usize = shape.iter().product();
-    let data: Vec<f32> = (0..count).map(|i| 0.5 + 0.4 * (i as f32 * 0.7391).sin()).collect();
-    Ok(Tensor::from_vec(data, shape, &Device::Cpu)?)
+/// Median and smallest.
+fn summary(samples: &[f64]) -> [f64; 2] {
+    let mut sorted = samples.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    [sorted[sorted.len() / 2], sorted[0]]
 }

@@ -2,9 +2,9 @@
 
 use candle_core::Tensor;
 
-use crate::conv::{Window, conv2d};
+use crate::block::{conv_leaky, conv_norm_leaky};
+use crate::conv::Window;
 use crate::error::{NnError, Result};
-use crate::norm::{group_norm_leaky, leaky_relu};
 use crate::params::{Init, Scope};
 
 /// Slope of every leaky rectifier for negative inputs.
@@ -15,10 +15,15 @@ pub const LEAKY_SLOPE: f32 = 0.1;
 #[derive(Debug, Clone)]
 pub struct ConvBlock {
     weight: Tensor,
-    /// Without normalisation: the convolution's bias.
-    bias: Option<Tensor>,
-    norm: Option<(Tensor, Tensor, usize)>,
+    after: After,
     stride: usize,
+}
+
+/// What stands between convolution and rectifier.
+#[derive(Debug, Clone)]
+enum After {
+    Bias(Tensor),
+    Norm { scale: Tensor, shift: Tensor, groups: usize },
 }
 
 impl ConvBlock {
@@ -30,13 +35,13 @@ impl ConvBlock {
     pub fn new(scope: &mut Scope<'_>, inputs: usize, outputs: usize, stride: usize, groups: usize) -> Result<Self> {
         let weight = scope.get("weight", &[outputs, inputs, 3, 3], Init::He { fan_in: inputs * 9 })?;
         let groups = common_divisor(outputs, groups);
-        let (bias, norm) = if groups == 0 {
-            (Some(scope.get("bias", &[outputs], Init::Constant(0.0))?), None)
+        let after = if groups == 0 {
+            After::Bias(scope.get("bias", &[outputs], Init::Constant(0.0))?)
         } else {
             let scale = scope.get("norm.scale", &[outputs], Init::Constant(1.0))?;
-            (None, Some((scale, scope.get("norm.shift", &[outputs], Init::Constant(0.0))?, groups)))
+            After::Norm { scale, shift: scope.get("norm.shift", &[outputs], Init::Constant(0.0))?, groups }
         };
-        Ok(Self { weight, bias, norm, stride })
+        Ok(Self { weight, after, stride })
     }
 
     /// Applies the block.
@@ -44,10 +49,12 @@ impl ConvBlock {
     /// # Errors
     /// When `x` does not have the block's input channels.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let y = conv2d(x, &self.weight, self.bias.as_ref(), Window::square(self.stride, 1))?;
-        Ok(match &self.norm {
-            Some((scale, shift, groups)) => group_norm_leaky(&y, scale, shift, *groups, LEAKY_SLOPE)?,
-            None => leaky_relu(&y, LEAKY_SLOPE)?,
+        let window = Window::square(self.stride, 1);
+        Ok(match &self.after {
+            After::Bias(bias) => conv_leaky(x, &self.weight, bias, window, LEAKY_SLOPE)?,
+            After::Norm { scale, shift, groups } => {
+                conv_norm_leaky(x, &self.weight, [scale, shift], window, *groups, LEAKY_SLOPE)?
+            }
         })
     }
 }

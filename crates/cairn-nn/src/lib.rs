@@ -2,8 +2,8 @@
 //!
 //! candle brings tensors and the backward graph; this crate brings what its CPU
 //! side lacks: convolution and normalisation with fast backward passes
-//! ([`conv2d`], [`group_norm_leaky`], [`upsample_add`]), parameters that follow
-//! from a seed and keep an order ([`Params`]), an optimiser that can be saved
+//! ([`conv2d`], [`conv1d`], [`conv_transpose2d`], [`group_norm_leaky`],
+//! [`upsample_add`]), parameters that follow from a seed and keep an order ([`Params`]), an optimiser that can be saved
 //! and refuses numbers that are not finite ([`Adam`]), and the two networks of
 //! stage 2: [`Classifier`] and [`UNet`], the detector.
 //!
@@ -29,12 +29,14 @@
 //! ```
 
 mod adam;
+mod block;
 mod classifier;
 mod conv;
 mod error;
 mod front;
 mod layers;
 mod loss;
+mod measure;
 mod norm;
 mod params;
 mod raw;
@@ -44,11 +46,12 @@ mod unet;
 
 pub use adam::{Adam, AdamConfig, Rate};
 pub use classifier::{Classifier, ClassifierConfig};
-pub use conv::{Window, conv1d, conv2d};
+pub use conv::{Window, conv_transpose1d, conv_transpose2d, conv1d, conv2d};
 pub use error::{NnError, Result};
 pub use front::front_end;
 pub use layers::{ConvBlock, LEAKY_SLOPE, Linear};
 pub use loss::{cross_entropy, mean_absolute, mean_squared, softmax};
+pub use measure::{ConvShape, Pass};
 pub use norm::{group_norm_leaky, leaky_relu};
 pub use params::{Init, Params, Scope};
 pub use resample::{avg_pool, pool_moments, upsample, upsample_add};

@@ -1,5 +1,7 @@
 //! Plain slices out of candle's tensors and back.
 
+use std::mem::MaybeUninit;
+
 use candle_core::{CpuStorage, Device, Layout, Result, Shape, Storage, Tensor};
 
 /// The f32 numbers of a contiguous CPU storage.
@@ -22,4 +24,17 @@ pub(crate) fn with_floats<R>(op: &str, t: &Tensor, f: impl FnOnce(&[f32]) -> R) 
 /// A CPU tensor of `data`.
 pub(crate) fn tensor(data: Vec<f32>, shape: &Shape) -> Result<Tensor> {
     Tensor::from_vec(data, shape, &Device::Cpu)
+}
+
+/// `len` numbers written by `fill`, whose answer is returned as well: large
+/// results are not written twice, first with zeros.
+///
+/// # Safety
+/// `fill` MUST write every number.
+pub(crate) unsafe fn written<R>(len: usize, fill: impl FnOnce(&mut [MaybeUninit<f32>]) -> R) -> (Vec<f32>, R) {
+    let mut out = Vec::with_capacity(len);
+    let answer = fill(&mut out.spare_capacity_mut()[..len]);
+    // SAFETY: the capacity is there, and `fill` wrote all of it.
+    unsafe { out.set_len(len) };
+    (out, answer)
 }

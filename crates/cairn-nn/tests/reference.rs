@@ -2,8 +2,8 @@
 //! `reference/make_conv.py`.
 
 use cairn_nn::{
-    LEAKY_SLOPE, Window, avg_pool, conv1d, conv2d, front_end, group_norm_leaky, leaky_relu, pool_moments, upsample,
-    upsample_add,
+    LEAKY_SLOPE, Window, avg_pool, conv_transpose1d, conv_transpose2d, conv1d, conv2d, front_end, group_norm_leaky,
+    leaky_relu, pool_moments, upsample, upsample_add,
 };
 use candle_core::{Device, Result, Tensor, Var};
 use serde::Deserialize;
@@ -24,11 +24,18 @@ fn wave(shape: &[usize], phase: f64) -> Result<Tensor> {
     Tensor::from_vec(data, shape, &Device::Cpu)
 }
 
+/// From a case's stride, padding and dilation.
+fn window(s: &[usize]) -> Window {
+    Window { dilation: [s[2]; 2], ..Window::square(s[0], s[1]) }
+}
+
 fn apply(case: &Case, x: &[Var]) -> Result<Tensor> {
     let s = &case.settings;
     match case.kind.as_str() {
-        "conv2d" => conv2d(&x[0], &x[1], Some(&x[2]), Window::square(s[0], s[1])),
-        "conv1d" => conv1d(&x[0], &x[1], Some(&x[2]), s[0], s[1]),
+        "conv2d" => conv2d(&x[0], &x[1], Some(&x[2]), window(s)),
+        "conv1d" => conv1d(&x[0], &x[1], Some(&x[2]), window(s)),
+        "conv_transpose2d" => conv_transpose2d(&x[0], &x[1], Some(&x[2]), window(s), [s[3]; 2]),
+        "conv_transpose1d" => conv_transpose1d(&x[0], &x[1], Some(&x[2]), window(s), s[3]),
         "group_norm_leaky" => group_norm_leaky(&x[0], &x[1], &x[2], s[0], LEAKY_SLOPE),
         "leaky_relu" => leaky_relu(&x[0], LEAKY_SLOPE),
         "upsample" => upsample(&x[0], [s[0], s[1]]),
@@ -52,7 +59,7 @@ fn close(what: &str, got: &Tensor, expected: &[f32]) -> Result<()> {
 #[test]
 fn operations_and_gradients_agree_with_pytorch() -> Result<()> {
     let cases: Vec<Case> = serde_json::from_str(include_str!("reference/conv.json")).expect("conv.json");
-    assert!(cases.len() >= 15, "the reference is not whole: {} cases", cases.len());
+    assert!(cases.len() >= 25, "the reference is not whole: {} cases", cases.len());
     for case in &cases {
         let what = format!("{} {:?} {:?}", case.kind, case.shapes, case.settings);
         let inputs = case.shapes.iter().enumerate();

@@ -1,204 +1,250 @@
 //! Forward pass, input gradient and weight gradient over a whole batch.
 //!
-//! Work is cut by image and by tile of channels, never by thread, and every
-//! number is summed by one task in one order: the thread count cannot change
-//! the bytes.
+//! Work is cut by image and rows, never by thread, and every number is summed
+//! by one task in one order: the thread count cannot change the bytes.
+
+use std::mem::MaybeUninit;
 
 use rayon::prelude::*;
 
-use super::geometry::{Geometry, Layout};
-use super::kernel::{Planes, TILE_CHANNELS, correlate, correlate_weights};
-use super::lanes::LANES;
+use super::frame::Frame;
+use super::geometry::{Geometry, Plan, Task, cuts};
+use super::kernel::{Sources, correlate, correlate_weights, tile_channels};
+use super::lanes::{Isa, LANES};
+use super::outer::products;
+use super::scratch::Scratch;
+use crate::raw::written;
 
-/// A batch in padded planes.
-struct Padded {
-    data: Vec<f32>,
-    channels: usize,
-    plane_len: usize,
+/// A slice of a result plane that one task writes.
+type Piece<'a> = &'a mut [MaybeUninit<f32>];
+
+/// How weights are read: `w[results * strides[0] + sources * strides[1] + tap]`.
+type Strides = [usize; 2];
+
+/// `out[n][o] = bias[o] + sum over c and taps`, N x O x H' x W', of `x`,
+/// N x C x H x W, and `w`, O x C x taps.
+pub(crate) fn forward(isa: Isa, g: &Geometry, x: &[f32], w: &[f32], bias: Option<&[f32]>) -> Vec<f32> {
+    let strides = [g.inputs * g.kernel_len(), g.kernel_len()];
+    run(isa, &g.forward_plan(), x, (w, strides), bias)
 }
 
-impl Padded {
-    fn new(images: &[f32], batch: usize, channels: usize, size: [usize; 2], layout: &Layout) -> Self {
-        let plane_len = layout.plane_len();
-        let mut data = vec![0.0; batch * channels * plane_len];
-        data.par_chunks_mut(plane_len)
-            .zip(images.par_chunks(size[0] * size[1]))
-            .for_each(|(plane, pixels)| layout.fill(pixels, size, plane));
-        Self { data, channels, plane_len }
-    }
-
-    fn image(&self, i: usize) -> Planes<'_> {
-        let len = self.channels * self.plane_len;
-        Planes { data: &self.data[i * len..(i + 1) * len], channels: self.channels, plane_len: self.plane_len }
-    }
+/// Gradient with respect to the input, N x C x H x W, from `grad`,
+/// N x O x H' x W'; with a `bias`, C, a transposed convolution.
+pub(crate) fn input_gradient(isa: Isa, g: &Geometry, grad: &[f32], w: &[f32], bias: Option<&[f32]>) -> Vec<f32> {
+    let strides = [g.kernel_len(), g.inputs * g.kernel_len()];
+    run(isa, &g.gradient_plan(), grad, (w, strides), bias)
 }
 
-/// `out[n][o] = bias[o] + sum over c and taps`, N x O x H' x W'.
-pub(crate) fn forward(g: &Geometry, x: &[f32], w: &[f32], bias: Option<&[f32]>) -> Vec<f32> {
-    let layout = g.input_layout();
-    let (taps, kernel) = (g.taps(), g.kernel_len());
-    let padded = Padded::new(x, g.batch, g.inputs, g.input, &layout);
-    let packed: Vec<Vec<f32>> = tiles(g.outputs)
-        .map(|(first, count)| {
-            let mut tile = Vec::with_capacity(g.inputs * kernel * count);
-            for ct in 0..g.inputs * kernel {
-                tile.extend((first..first + count).map(|o| w[o * g.inputs * kernel + ct]));
-            }
-            tile
-        })
-        .collect();
-    let zeros = [0.0; TILE_CHANNELS];
-    let pixels = g.output[0] * g.output[1];
-    let span = layout.padded_span(g.output);
-    let mut out = vec![0.0; g.batch * g.output_len()];
-    out.par_chunks_mut(g.output_len())
-        .enumerate()
-        .flat_map(|(i, image)| {
-            image.par_chunks_mut(TILE_CHANNELS * pixels).enumerate().map(move |(t, tile)| (i, t, tile))
-        })
-        .for_each_init(Vec::new, |scratch: &mut Vec<f32>, (i, t, tile)| {
-            let count = tile.len() / pixels;
-            let bias = bias.map_or(&zeros[..count], |b| &b[t * TILE_CHANNELS..t * TILE_CHANNELS + count]);
-            scratch.resize(count * span, 0.0);
-            correlate(padded.image(i), &taps, &packed[t], bias, scratch);
-            for (plane, wide) in tile.chunks_exact_mut(pixels).zip(scratch.chunks_exact(span)) {
-                for (row, from) in plane.chunks_exact_mut(g.output[1]).zip(wide.chunks(layout.columns)) {
-                    row.copy_from_slice(&from[..g.output[1]]);
+/// Computes a plan's results.
+fn run(isa: Isa, plan: &Plan, source: &[f32], weights: (&[f32], Strides), bias: Option<&[f32]>) -> Vec<f32> {
+    let tiles = tiles(plan.result.channels, tile_channels(isa));
+    let packed: Vec<Packed> = (0..plan.parts.len()).map(|part| Packed::new(plan, part, &tiles, weights)).collect();
+    let zeros = vec![0.0; plan.result.channels];
+    let bias = bias.unwrap_or(&zeros);
+    let len = plan.batch * plan.result.channels * plan.result.pixels();
+    let tasks = plan.tasks();
+    let fill = |out: Piece<'_>| {
+        let pieces = pieces(plan, &tasks, out);
+        tasks.par_iter().zip(pieces).with_max_len(1).for_each(|(task, mut pieces)| {
+            let frame = Frame::new(plan, task);
+            let mut planes = Scratch::take(frame.len());
+            frame.fill(source, &mut planes);
+            let offsets: Vec<Vec<usize>> = (0..plan.parts.len()).map(|part| frame.offsets(part)).collect();
+            let sources: Vec<Sources<'_>> = offsets.iter().map(|o| Sources::new(&planes, o, frame.span)).collect();
+            for (t, &[from, to]) in tiles.iter().enumerate() {
+                let result = (to - from) * frame.span;
+                let mut spans = Scratch::take(plan.parts.len() * result);
+                for ((sources, packed), out) in sources.iter().zip(&packed).zip(spans.chunks_exact_mut(result)) {
+                    correlate(isa, *sources, packed.tile(t), &bias[from..to], out);
                 }
-            }
-        });
-    out
-}
-
-/// Gradient with respect to the input, N x C x H x W, from `grad`, N x O x H' x W'.
-pub(crate) fn input_gradient(g: &Geometry, grad: &[f32], w: &[f32]) -> Vec<f32> {
-    let layout = g.gradient_layout();
-    let padded = Padded::new(grad, g.batch, g.outputs, g.output, &layout);
-    let phases: Vec<Phase> =
-        (0..g.stride[0]).flat_map(|a| (0..g.stride[1]).map(move |b| [a, b])).map(|at| Phase::new(g, w, at)).collect();
-    let size = g.gradient_output();
-    let span = layout.padded_span(size);
-    let pixels = g.input[0] * g.input[1];
-    let zeros = [0.0; TILE_CHANNELS];
-    let mut out = vec![0.0; g.batch * g.input_len()];
-    out.par_chunks_mut(g.input_len())
-        .enumerate()
-        .flat_map(|(i, image)| {
-            image.par_chunks_mut(TILE_CHANNELS * pixels).enumerate().map(move |(t, tile)| (i, t, tile))
-        })
-        .for_each_init(Vec::new, |scratch: &mut Vec<f32>, (i, t, tile)| {
-            let count = tile.len() / pixels;
-            scratch.resize(count * span, 0.0);
-            for phase in phases.iter().filter(|p| !p.taps.is_empty()) {
-                correlate(padded.image(i), &phase.taps, &phase.packed[t], &zeros[..count], scratch);
-                for (plane, wide) in tile.chunks_exact_mut(pixels).zip(scratch.chunks_exact(span)) {
-                    phase.scatter(g, wide, layout.columns, plane);
-                }
-            }
-        });
-    out
-}
-
-/// The input pixels whose padded row and column leave the same remainders when
-/// divided by the stride: each phase is a convolution with some of the taps.
-struct Phase {
-    at: [usize; 2],
-    taps: Vec<usize>,
-    /// A tile of input channels each: outputs x taps x tile.
-    packed: Vec<Vec<f32>>,
-}
-
-impl Phase {
-    fn new(g: &Geometry, w: &[f32], at: [usize; 2]) -> Self {
-        let taps = g.gradient_taps(at);
-        let kernel = g.kernel_len();
-        let packed = tiles(g.inputs)
-            .map(|(first, count)| {
-                let mut tile = Vec::with_capacity(g.outputs * taps.len() * count);
-                for o in 0..g.outputs {
-                    for &(t, _) in &taps {
-                        tile.extend((first..first + count).map(|c| w[(o * g.inputs + c) * kernel + t]));
+                for k in 0..task.images {
+                    for o in from..to {
+                        let piece = &mut *pieces[k * plan.result.channels + o];
+                        let span = |part: usize| &spans[part * result + (o - from) * frame.span..][..frame.span];
+                        emit(plan, &frame, (task, k), span, piece);
                     }
                 }
-                tile
-            })
-            .collect();
-        Self { at, taps: taps.into_iter().map(|(_, offset)| offset).collect(), packed }
-    }
+            }
+        });
+    };
+    // SAFETY: the tasks' pieces make up all of the planes, and `emit` writes every number of its piece.
+    unsafe { written(len, fill) }.0
+}
 
-    /// Copies this phase's results, rows of `columns`, to their pixels.
-    fn scatter(&self, g: &Geometry, wide: &[f32], columns: usize, plane: &mut [f32]) {
-        let [sh, sw] = g.stride;
-        let [ph, pw] = g.padding;
-        let count = g.gradient_output();
-        let first = (pw + sw - 1 - self.at[1]) / sw;
-        let start = first * sw + self.at[1] - pw;
-        for (q, from) in wide.chunks(columns).take(count[0]).enumerate() {
-            let Some(y) = (q * sh + self.at[0]).checked_sub(ph).filter(|&y| y < g.input[0]) else { continue };
-            let row = &mut plane[y * g.input[1]..(y + 1) * g.input[1]];
-            if sw == 1 {
-                let n = row.len();
-                row.copy_from_slice(&from[first..first + n]);
-            } else if start < row.len() {
-                for (to, v) in row[start..].iter_mut().step_by(sw).zip(&from[first..count[1].max(first)]) {
-                    *to = *v;
+/// Copies the results of one plane's share from their spans, one a phase, to their pixels.
+fn emit<'s>(
+    plan: &Plan,
+    frame: &Frame<'_>,
+    (task, k): (&Task, usize),
+    span: impl Fn(usize) -> &'s [f32],
+    piece: Piece<'_>,
+) {
+    let side = &plan.result;
+    let [rows, columns] = plan.results(task);
+    let step = side.step[1];
+    let width = columns[1] - columns[0];
+    for (y, line) in (rows[0]..rows[1]).zip(piece.chunks_exact_mut(width.max(1))) {
+        let (q, a) = ((y + side.before[0]) / side.step[0], (y + side.before[0]) % side.step[0]);
+        // Grid column and phase of the line's first pixel.
+        let (j, b) = ((columns[0] + side.before[1]) / step - task.columns[0], (columns[0] + side.before[1]) % step);
+        let row = |b: usize| frame.result_row(span(a * step + b), k, q);
+        match step {
+            1 => copy(&row(0)[j..], line),
+            2 => weave(&row(b)[j..], &row(1 - b)[j + b..], line),
+            _ => {
+                for i in 0..step.min(width) {
+                    let from = &row((b + i) % step)[j + (b + i) / step..];
+                    line[i..].iter_mut().step_by(step).zip(from).for_each(|(to, v)| _ = to.write(*v));
                 }
             }
         }
     }
 }
+
+/// Fills `line` from `row`, which MUST be as long or longer.
+fn copy(row: &[f32], line: &mut [MaybeUninit<f32>]) {
+    let row = &row[..line.len()];
+    line.iter_mut().zip(row).for_each(|(to, v)| _ = to.write(*v));
+}
+
+/// Fills `line` with `even[0], odd[0], even[1], ...`, which MUST be long enough.
+fn weave(even: &[f32], odd: &[f32], line: &mut [MaybeUninit<f32>]) {
+    let (even, odd) = (&even[..line.len().div_ceil(2)], &odd[..line.len() / 2]);
+    let mut pairs = line.chunks_exact_mut(2);
+    for ((pair, e), o) in (&mut pairs).zip(even).zip(odd) {
+        pair[0].write(*e);
+        pair[1].write(*o);
+    }
+    if let ([last], Some(e)) = (pairs.into_remainder(), even.last()) {
+        last.write(*e);
+    }
+}
+
+/// Cuts the result planes: for each task its pieces, image by image, channel by channel.
+fn pieces<'a>(plan: &Plan, tasks: &[Task], out: Piece<'a>) -> Vec<Vec<Piece<'a>>> {
+    let mut pieces: Vec<Vec<Piece<'a>>> = tasks.iter().map(|_| Vec::new()).collect();
+    let mut next = 0;
+    for (n, image) in out.chunks_exact_mut(plan.result.channels * plan.result.pixels()).enumerate() {
+        while tasks[next].first + tasks[next].images <= n {
+            next += 1;
+        }
+        let of = tasks[next..].iter().take_while(|task| task.first <= n).count();
+        for mut plane in image.chunks_exact_mut(plan.result.pixels()) {
+            for (task, pieces) in tasks[next..].iter().zip(&mut pieces[next..]).take(of) {
+                let len: usize = plan.results(task).iter().map(|[from, to]| to - from).product();
+                let (piece, rest) = std::mem::take(&mut plane).split_at_mut(len);
+                pieces.push(piece);
+                plane = rest;
+            }
+            assert!(plane.is_empty(), "the tasks leave {} pixels of a plane out", plane.len());
+        }
+    }
+    pieces
+}
+
+/// One part's weights, tile by tile, in the order in which [`correlate`] reads them.
+struct Packed(Vec<Vec<f32>>);
+
+impl Packed {
+    fn new(plan: &Plan, part: usize, tiles: &[[usize; 2]], (w, strides): (&[f32], Strides)) -> Self {
+        let taps = &plan.parts[part].taps;
+        let sources = plan.source.channels * taps.len();
+        let pack = |&[from, to]: &[usize; 2]| {
+            let mut tile = Vec::with_capacity(sources * (to - from));
+            for c in 0..plan.source.channels {
+                for tap in taps {
+                    let at = c * strides[1] + tap.index;
+                    tile.extend((from..to).map(|o| w[o * strides[0] + at]));
+                }
+            }
+            tile
+        };
+        // Few weights are packed before another thread has woken up.
+        let alone = sources * plan.result.channels < SHARE;
+        Self(if alone { tiles.iter().map(pack).collect() } else { tiles.par_iter().map(pack).collect() })
+    }
+
+    fn tile(&self, t: usize) -> &[f32] {
+        &self.0[t]
+    }
+}
+
+/// `channels` in as few tiles of at most `most` as there can be, as even as they can be.
+fn tiles(channels: usize, most: usize) -> Vec<[usize; 2]> {
+    let count = channels.div_ceil(most);
+    (0..count).map(|t| [t * channels / count, (t + 1) * channels / count]).collect()
+}
+
+/// Output channels are the lanes of the weights' gradient from this many on,
+/// and from this many sources: fewer do not pay for the gradients' rearrangement.
+const MANY: [usize; 2] = [16, 72];
+
+/// Sums of the weights' gradient that exist side by side at most, each over
+/// some tasks; they are as large as the weights.
+const SHARES: usize = 16;
+
+/// Weights that one task packs or adds up at least.
+const SHARE: usize = 1 << 13;
 
 /// Gradient with respect to the weights, O x C x kH x kW.
-pub(crate) fn weight_gradient(g: &Geometry, x: &[f32], grad: &[f32]) -> Vec<f32> {
-    let layout = g.input_layout();
-    let taps = g.taps();
-    let padded = Padded::new(x, g.batch, g.inputs, g.input, &layout);
-    let pixels = g.output[0] * g.output[1];
-    let span = layout.span(g.output).next_multiple_of(LANES);
-    let row_len = g.inputs * g.kernel_len();
-    let tile_len = TILE_CHANNELS * row_len;
-    let mut partial = vec![0.0; g.batch * g.outputs * row_len];
-    partial
-        .par_chunks_mut(g.outputs * row_len)
-        .zip(grad.par_chunks(g.output_len()))
-        .enumerate()
-        .flat_map(|(i, (out, grad))| {
-            let grads = grad.par_chunks(TILE_CHANNELS * pixels);
-            out.par_chunks_mut(tile_len).zip(grads).map(move |(out, grad)| (i, out, grad))
-        })
-        .for_each_init(Vec::new, |scratch: &mut Vec<f32>, (i, out, grad)| {
-            scratch.clear();
-            scratch.resize(grad.len() / pixels * span, 0.0);
-            for (wide, plane) in scratch.chunks_exact_mut(span).zip(grad.chunks_exact(pixels)) {
-                for (to, row) in wide.chunks_mut(layout.columns).zip(plane.chunks_exact(g.output[1])) {
-                    to[..row.len()].copy_from_slice(row);
-                }
+pub(crate) fn weight_gradient(isa: Isa, g: &Geometry, x: &[f32], grad: &[f32]) -> Vec<f32> {
+    let plan = g.forward_plan();
+    let tasks = plan.tasks();
+    let sources = g.inputs * g.kernel_len();
+    let lanes = g.outputs.next_multiple_of(LANES);
+    let across = g.outputs >= MANY[0] && sources >= MANY[1] && 4 * (lanes - g.outputs) <= lanes;
+    let len = sources * if across { lanes } else { g.outputs };
+    let shares = cuts(tasks.len(), tasks.len().div_ceil(SHARES));
+    let mut partial = Scratch::take(shares.len() * len);
+    shares.par_iter().zip(partial.par_chunks_mut(len)).with_max_len(1).for_each(|(&[from, to], out)| {
+        out.fill(0.0);
+        for task in &tasks[from..to] {
+            let frame = Frame::new(&plan, task);
+            let mut planes = Scratch::take(frame.len());
+            frame.fill(x, &mut planes);
+            let offsets = frame.offsets(0);
+            if across {
+                let rows = frame.rows();
+                let mut wide = Scratch::take(rows.positions() * lanes);
+                frame.fill_positions(grad, lanes, &mut wide);
+                products(isa, &planes, &offsets, rows, &wide, lanes, out);
+            } else {
+                let pitch = frame.results_pitch();
+                let mut wide = Scratch::take(g.outputs * pitch);
+                frame.fill_results(grad, &mut wide);
+                correlate_weights(isa, Sources::new(&planes, &offsets, frame.span), &wide, pitch, out);
             }
-            correlate_weights(padded.image(i), &taps, scratch, span, out);
-        });
-    let (sum, rest) = partial.split_at_mut(g.outputs * row_len);
-    for other in rest.chunks_exact(sum.len()) {
-        for (s, o) in sum.iter_mut().zip(other) {
-            *s += o;
         }
-    }
-    partial.truncate(g.outputs * row_len);
-    partial
+    });
+    let (sum, shares) = partial.split_at_mut(len);
+    sum.par_chunks_mut(SHARE).enumerate().for_each(|(i, sum)| {
+        for share in shares.chunks_exact(len) {
+            sum.iter_mut().zip(&share[i * SHARE..]).for_each(|(s, v)| *s += v);
+        }
+    });
+    if across { transposed(sum, lanes, g.outputs) } else { sum.to_vec() }
 }
 
-/// Gradient with respect to the bias, O.
-pub(crate) fn bias_gradient(g: &Geometry, grad: &[f32]) -> Vec<f32> {
-    let pixels = g.output[0] * g.output[1];
-    (0..g.outputs)
+/// The first `channels` columns of `sum` (sources x lanes) as rows.
+fn transposed(sum: &[f32], lanes: usize, channels: usize) -> Vec<f32> {
+    let sources = sum.len() / lanes;
+    let mut out = vec![0.0; channels * sources];
+    // A cache line of lanes at a time.
+    out.par_chunks_mut(LANES * sources).enumerate().for_each(|(i, rows)| {
+        for (s, share) in sum.chunks_exact(lanes).enumerate() {
+            for (row, v) in rows.chunks_exact_mut(sources).zip(&share[i * LANES..]) {
+                row[s] = *v;
+            }
+        }
+    });
+    out
+}
+
+/// Gradient with respect to the bias: sums over `grad`, N x `channels` x `pixels`.
+pub(crate) fn bias_gradient(grad: &[f32], channels: usize, pixels: usize) -> Vec<f32> {
+    let batch = grad.len() / (channels * pixels);
+    (0..channels)
         .into_par_iter()
-        .map(|o| {
-            let planes = (0..g.batch).map(|i| &grad[(i * g.outputs + o) * pixels..][..pixels]);
-            planes.map(crate::sum::sum).sum()
-        })
+        .map(|o| (0..batch).map(|i| crate::sum::sum(&grad[(i * channels + o) * pixels..][..pixels])).sum())
         .collect()
-}
-
-/// (first channel, channels) of every tile.
-fn tiles(channels: usize) -> impl Iterator<Item = (usize, usize)> {
-    (0..channels).step_by(TILE_CHANNELS).map(move |first| (first, TILE_CHANNELS.min(channels - first)))
 }

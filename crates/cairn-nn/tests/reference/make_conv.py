@@ -33,14 +33,26 @@ def entry(kind, settings, shapes, f):
 
 def main():
     cases = []
-    # batch, inputs, outputs, rows, columns, kernel, stride, padding
-    for n, ci, co, h, w, k, s, p in [(2, 3, 5, 6, 7, 3, 1, 1), (1, 2, 3, 7, 6, 3, 2, 1), (2, 3, 2, 5, 4, 1, 1, 0),
-                                     (1, 2, 2, 9, 8, 5, 2, 2), (1, 2, 1, 7, 10, 3, 3, 0), (1, 1, 2, 6, 5, 2, 2, 1)]:
+    # batch, inputs, outputs, rows, columns, kernel, stride, padding, dilation
+    for n, ci, co, h, w, k, s, p, d in [(2, 3, 5, 6, 7, 3, 1, 1, 1), (1, 2, 3, 7, 6, 3, 2, 1, 1),
+                                        (2, 3, 2, 5, 4, 1, 1, 0, 1), (1, 2, 2, 9, 8, 5, 2, 2, 1),
+                                        (1, 2, 1, 7, 10, 3, 3, 0, 1), (1, 1, 2, 6, 5, 2, 2, 1, 1),
+                                        (1, 2, 3, 9, 8, 3, 1, 2, 2), (1, 9, 17, 6, 5, 3, 2, 2, 3)]:
         shapes = [[n, ci, h, w], [co, ci, k, k], [co]]
-        cases.append(entry("conv2d", [s, p], shapes, lambda x, w, b, s=s, p=p: F.conv2d(x, w, b, s, p)))
-    for k, s, p in [(9, 4, 4), (3, 1, 1)]:
+        cases.append(entry("conv2d", [s, p, d], shapes, lambda x, w, b, s=s, p=p, d=d: F.conv2d(x, w, b, s, p, d)))
+    # kernel, stride, padding, dilation
+    for k, s, p, d in [(9, 4, 4, 1), (3, 1, 1, 1), (5, 2, 6, 3)]:
         shapes = [[2, 2, 23], [3, 2, k], [3]]
-        cases.append(entry("conv1d", [s, p], shapes, lambda x, w, b, s=s, p=p: F.conv1d(x, w, b, s, p)))
+        cases.append(entry("conv1d", [s, p, d], shapes, lambda x, w, b, s=s, p=p, d=d: F.conv1d(x, w, b, s, p, d)))
+    # kernel, stride, padding, dilation, extra rows and columns
+    for k, s, p, d, e in [(3, 2, 1, 1, 1), (4, 2, 1, 1, 0), (3, 1, 0, 2, 0), (2, 3, 0, 1, 2), (3, 1, 0, 1, 0)]:
+        def transposed(x, w, b, f, s=s, p=p, d=d, e=e):
+            return f(x, w, b, s, p, e, 1, d)
+
+        cases.append(entry("conv_transpose2d", [s, p, d, e], [[2, 3, 4, 5], [3, 2, k, k], [2]],
+                           lambda x, w, b, f=transposed: f(x, w, b, F.conv_transpose2d)))
+        cases.append(entry("conv_transpose1d", [s, p, d, e], [[2, 3, 7], [3, 2, k], [2]],
+                           lambda x, w, b, f=transposed: f(x, w, b, F.conv_transpose1d)))
     cases.append(entry("group_norm_leaky", [2], [[2, 4, 3, 5], [4], [4]],
                        lambda x, g, b: F.leaky_relu(F.group_norm(x, 2, g, b), 0.1)))
     cases.append(entry("leaky_relu", [], [[2, 3, 4]], lambda x: F.leaky_relu(x, 0.1)))
