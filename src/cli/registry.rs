@@ -34,9 +34,16 @@ pub fn run(place: &Where, config: &Config, command: &Command) -> anyhow::Result<
     })?;
     progress.end();
     println!(
-        "made again: {} records in {} log entries, {} of them not published yet; {} tiles were put right",
+        "made again: {} records in {} log entries, {} of them not published yet; {} public files were put right",
         rebuilt.records, rebuilt.size, rebuilt.unpublished, rebuilt.tiles
     );
+    if rebuilt.left_out > 0 {
+        println!(
+            "{} entries behind the last whole round were left out: of a round that was cut short and never acknowledged, or \
+             lost by the disk after it was; compare with a witness or a receipt that is as new",
+            rebuilt.left_out
+        );
+    }
     println!("the root at the published size is the one that was signed; `cairn audit store` checks all the rest");
     Ok(())
 }

@@ -21,11 +21,13 @@ use super::folder::{read_limited, write_atomic};
 
 /// Between two publications at least this long: under load each then covers many records.
 const PAUSE: Duration = Duration::from_millis(400);
+/// Between two times of putting the store in order: nothing waits for it.
+const TIDY_PAUSE: Duration = Duration::from_secs(2);
 /// After a failure, until the next attempt.
 const RETRY: Duration = Duration::from_secs(2);
 /// Longest that a proof waits for cosignatures.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// After a witness that did not answer, until it is asked again.
+/// After a witness that did not answer, or a store that could not be put in order, until the next attempt.
 const ASK_AGAIN: Duration = Duration::from_secs(30);
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT: u64 = 1 << 16;
@@ -35,9 +37,6 @@ struct Asked {
     work: bool,
     stop: bool,
 }
-
-/// Between two times of putting the store in order: nothing waits for it.
-const TIDY_PAUSE: Duration = Duration::from_secs(2);
 
 /// What a thread waits for.
 type Bell = (Mutex<Asked>, Condvar);
@@ -162,9 +161,13 @@ impl Publication {
 
     /// The tidier's thread.
     fn tidy_again(&self, bell: &Bell) {
-        while !wait(bell, TIDY_PAUSE, None) {
-            if let Err(error) = self.registry.tidy(&|| lock(&bell.0).stop) {
-                tracing::error!(%error, "the registry's store cannot be put in order; nothing is lost, and it is tried again");
+        let mut later = None;
+        while !wait(bell, TIDY_PAUSE, later) {
+            let tidied = self.registry.tidy(&|| lock(&bell.0).stop);
+            later = tidied.is_err().then_some(ASK_AGAIN);
+            if let Err(error) = tidied {
+                let halted = self.registry.halted();
+                tracing::error!(%error, ?halted, "the registry's store cannot be put in order; nothing is lost");
             }
         }
     }

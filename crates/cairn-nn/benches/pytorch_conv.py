@@ -1,10 +1,9 @@
 """PyTorch's side of the convolution bench: milliseconds of each pass on two threads.
 
-python3 pytorch_conv.py OWN.json TORCH.json
+python3 pytorch_conv.py SHAPES.json TORCH.json
 
-The shapes are read from OWN.json, which `cargo run --release -p cairn-nn --example conv_speed -- OWN.json` writes.
-Samples are added to those in TORCH.json: run both by turns, so that a busy machine is busy for both, and
-give TORCH.json to the bench as its second argument to see them side by side.
+Run by `cairn bench conv --torch python3`, which writes SHAPES.json and takes turns with it. Times are added to those in
+TORCH.json.
 """
 
 import json

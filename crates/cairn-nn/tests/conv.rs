@@ -50,7 +50,8 @@ fn transposed_convolution_agrees_with_candle() -> Result<()> {
         let [n, ci, co, h, w] = [3, 9, 9, 12, 14].map(|most| 1 + draw.below(most));
         let [k, stride] = [5, 3].map(|most| 1 + draw.below(most));
         let (padding, extra) = (draw.below(k as u64), draw.below(stride as u64));
-        if (h.min(w) - 1) * stride + k + extra <= 2 * padding {
+        // candle works the length out in an order that goes below zero on the way.
+        if (h.min(w) - 1) * stride < 2 * padding {
             continue;
         }
         let x = wave((n, ci, h, w), case as f64)?;

@@ -14,12 +14,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cairn_registry::{Checkpoint, Digest, Registry, merkle};
+use cairn_registry::{Checkpoint, Digest, Registry, files::RealDisk, merkle, store::DiskStore};
 use common::*;
 use rand::{RngExt as _, SeedableRng as _};
 
 const CHILD: &str = "CAIRN_CRASH_CHILD";
 const ROUNDS: u64 = 10;
+/// Rows that become a sorted run: those of some ten records.
+const ENOUGH: usize = 40;
 
 /// One acknowledged record, as the child printed it.
 struct Acknowledged {
@@ -29,12 +31,21 @@ struct Acknowledged {
     root: Digest,
 }
 
-/// Submits until it is killed; one line an acknowledgement.
+/// Submits until it is killed; one line an acknowledgement. Its store moves rows all the time.
 fn child(folder: &Path) {
-    let registry = Registry::open(folder, registry_key(), ORIGIN).unwrap();
+    let store = DiskStore::open(&folder.join("working")).unwrap();
+    let disk = RealDisk::new(folder);
+    let registry = Registry::open_tiered(Box::new(store), Box::new(disk), registry_key(), ORIGIN, ENOUGH).unwrap();
     let log = registry.verifier().unwrap();
     let count = AtomicU64::new(0);
     std::thread::scope(|scope| {
+        scope.spawn(|| {
+            loop {
+                registry.publish().unwrap();
+                registry.tidy(&|| false).unwrap();
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        });
         for number in 1..=3_u8 {
             let (registry, log, count) = (&registry, &log, &count);
             scope.spawn(move || {
@@ -129,4 +140,12 @@ fn what_was_acknowledged_survives_a_kill_at_any_moment() {
         }
     }
     assert!(records.len() as u64 >= ROUNDS);
+    let working = folder.path().join("working");
+    assert_ne!(std::fs::read_dir(working.join("runs")).unwrap().count(), 0, "no row ever moved");
+    // And all of it is there still where the working state is lost as well.
+    std::fs::remove_dir_all(working).unwrap();
+    let rebuilt = Registry::rebuild(folder.path(), &registry_key(), ORIGIN, &mut |_, _| {}).unwrap();
+    let registry = Registry::open(folder.path(), registry_key(), ORIGIN).unwrap();
+    assert_eq!(registry.size(), rebuilt.size);
+    assert!(records.iter().all(|(index, record)| registry.find(record).unwrap() == Some(*index)));
 }

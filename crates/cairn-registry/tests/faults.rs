@@ -93,8 +93,8 @@ fn every_operation_of_a_submission_may_fail() {
     registry.submit(&envelope).unwrap();
     let operations = store.operations() - before;
     assert!(
-        operations >= 7,
-        "at least a look-up, a pack written, flushed and named, a put, a flush and a reading back, counted {operations}"
+        operations >= 5,
+        "at least a pack written and flushed, a put, a flush and a reading back, counted {operations}"
     );
     for power_lost in [false, true] {
         for fault in FAULTS {
@@ -176,7 +176,7 @@ fn a_store_of_another_log_key_or_format_is_refused_by_name() {
     };
     wrong(open_as(&store, registry_key(), "other.example/log"), "origin");
     wrong(open_as(&store, owner(5), ORIGIN), "registry key");
-    store.tamper(b"meta/format", |value| *value = b"cairn-registry-store/3".to_vec());
+    store.tamper(b"meta/format", |value| value.push(b'0'));
     wrong(open(&store), "format");
 }
 

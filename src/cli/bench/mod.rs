@@ -2,6 +2,7 @@
 //! command, seed, commit and machine that they come from.
 
 mod children;
+mod conv;
 mod field;
 mod liberty;
 mod memory;
@@ -60,6 +61,9 @@ pub struct Args {
     /// `registry`: a quarter of an hour to grow it)
     #[arg(long)]
     long: bool,
+    /// A Python that has PyTorch, to be measured beside (suite `conv`)
+    #[arg(long, value_name = "PROGRAM")]
+    torch: Option<PathBuf>,
     /// Where the work goes: a new folder, except for suite `field`, which adds to its tables there
     #[arg(long, value_name = "DIR", default_value = "bench-out")]
     out: PathBuf,
@@ -73,6 +77,8 @@ enum Suite {
     Liberty,
     /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
     Field,
+    /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
+    Conv,
     /// The log of owner records: throughput, waits, cost by size, and two hundred kills; ten million records with --long
     Registry,
     /// Nothing: only write the ledger's page again, after its notes were changed
@@ -86,6 +92,7 @@ impl Suite {
             Self::Demo => "demo",
             Self::Liberty => "liberty",
             Self::Field => "field",
+            Self::Conv => "conv",
             Self::Registry => "registry",
             Self::Page => "page",
         }
@@ -115,6 +122,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Demo => of_demo(place, &args, &mut rows).await?,
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
+        Suite::Conv => tokio::task::block_in_place(|| conv::measure(&args, &mut rows))?,
         Suite::Registry => tokio::task::block_in_place(|| registry::measure(&args, &mut rows))?,
         Suite::Page => return write_page_again(&args),
     }

@@ -45,6 +45,10 @@ impl Registry {
     /// [`RegistryError::NoSuchRecord`], [`RegistryError::NotARecord`]; [`RegistryError::Halted`];
     /// [`RegistryError::Store`]: then it is erased or not, and asking again is safe.
     pub fn erase_index(&self, index: u64) -> Result<(), RegistryError> {
+        // Its leaf must be in a file before its envelope goes: the working state can be made again from files only.
+        if index < self.size() && self.published().is_none_or(|published| published.size <= index) {
+            self.publish()?;
+        }
         let _turn = self.turn();
         if let Some(cause) = self.halted() {
             return Err(RegistryError::Halted { cause });

@@ -117,7 +117,10 @@ pub enum RegistryError {
         pid: String,
     },
     /// The store belongs to another log, key or format version.
-    #[error("store: {what} is {got:?}, expected {expected:?}; open it with the settings that it was made with")]
+    #[error(
+        "store: {what} is {got:?}, expected {expected:?}; open it with the settings that it was made with, or, where it is an \
+         earlier release's format, move its working folder away and run `cairn registry rebuild`"
+    )]
     WrongStore {
         /// `format`, `origin` or `registry key`.
         what: &'static str,

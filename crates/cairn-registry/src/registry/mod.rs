@@ -151,6 +151,10 @@ impl Registry {
             let got = format!("cairn-registry-store/1 ({})", path.join(layout::FORMER_STORE).display());
             return Err(RegistryError::WrongStore { what: "format", expected: layout::FORMAT_VERSION.into(), got });
         }
+        if path.join(layout::CHECKPOINT).exists() && !path.join(layout::WORKING).exists() {
+            let what = "it is missing, and a checkpoint was published".into();
+            return Err(reload::inconsistent(layout::WORKING, what));
+        }
         let seal = seal::Seal::break_open(path)?;
         let store = DiskStore::open(&path.join(layout::WORKING))?;
         let mut registry = Self::open_store(Box::new(store), Box::new(RealDisk::new(path)), key, origin)?;
@@ -286,7 +290,15 @@ impl Registry {
     /// [`RegistryError::Store`]; nothing is lost, and the next call tries again.
     pub fn tidy(&self, stop: &dyn Fn() -> bool) -> Result<(), RegistryError> {
         // What a halted registry's store holds is unknown: it is read and not touched.
-        if self.halted().is_some() { Ok(()) } else { Ok(self.store.tidy(stop)?) }
+        if self.halted().is_some() {
+            return Ok(());
+        }
+        let tidied = self.store.tidy(stop);
+        // A file that cannot be written does no harm. After a write of the store that failed it takes no more.
+        if let (Err(e), Err(_)) = (&tidied, self.store.flush()) {
+            self.halt(&e.to_string());
+        }
+        Ok(tidied?)
     }
 
     fn read(&self) -> RwLockReadGuard<'_, State> {

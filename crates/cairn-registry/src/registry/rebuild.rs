@@ -1,9 +1,10 @@
 //! Making the working state again from what is public: leaves and envelopes.
 //!
-//! Everything in the store follows from them, so that losing it, or finding it damaged, loses nothing. What was
-//! acknowledged and not published yet is there as well: its envelopes were flushed before anything was signed, and the
-//! map leaf behind them follows from origin, index and root. Each map leaf on the way must commit to the very map that comes
-//! out, and the root at the published size must be the one that was signed.
+//! Everything in the store follows from them, so that losing it, or finding it damaged, loses no record; only which nonces
+//! erased records had used is forgotten. What was acknowledged and not published yet is there as well: its envelopes
+//! were flushed before anything was signed, and the map leaf behind them follows from origin, index and root. Each map leaf
+//! on the way must commit to the very map that comes out, and the root at the published size must be the one that was signed.
+//! Until that is known no public file that is there is written over.
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
@@ -25,12 +26,14 @@ use crate::{
     packs::{self, Slot},
     record::RecordKind,
     store::{Change, DiskStore, Store, StoreError, StoreLock, TieredStore, sync_folder},
-    tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
+    tile::{TILE_WIDTH, TileKind, TilePath, decode_entries, encode_entries},
 };
 
 const WIDTH: u64 = TILE_WIDTH as u64;
-/// Packs between two comparisons of tiles, and two reports of progress.
+/// Packs between two reports of progress.
 const PACKS_AT_ONCE: u64 = 64;
+/// Public files that differ from what the records give and are kept in memory until it is known who is right.
+const MOST_WRONG: usize = 4096;
 
 /// What was made again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -41,8 +44,11 @@ pub struct Rebuilt {
     pub records: u64,
     /// Entries that were durable and not published yet.
     pub unpublished: u64,
-    /// Tiles that were missing or differed, and were written again.
+    /// Tiles and bundles that were missing or differed, and were written again.
     pub tiles: u64,
+    /// Slots behind the last whole round that were left out, one that is cut short included: of a round that was never
+    /// acknowledged, unless the disk has lost some of what it had flushed.
+    pub left_out: u64,
 }
 
 impl Registry {
@@ -64,6 +70,8 @@ impl Registry {
             Ok(lock) => lock,
             Err(holder) => return Err(RegistryError::Locked { path: holder.path, pid: holder.pid }),
         };
+        // A seal is on what was there before.
+        drop(seal::Seal::break_open(path)?);
         let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
         if working.exists() {
             return Err(refuse(layout::WORKING, "is there; move it away first".into()));
@@ -78,26 +86,28 @@ impl Registry {
         }
         let store = DiskStore::open(&new)?;
         let disk = Box::new(RealDisk::new(path));
-        let rebuilt = Self::rebuild_store(Box::new(store), disk, layout::REBUILT_RUNS, key, origin, progress)?;
+        let runs = (layout::REBUILT_RUNS, layout::ENOUGH);
+        let rebuilt = Self::rebuild_store(Box::new(store), disk, runs, key, origin, progress)?;
         seal::await_closed(&new.join("db")).map_err(failed("close", &new))?;
         fs::rename(&new, &working).and_then(|()| sync_folder(path)).map_err(failed("rename", &new))?;
         Ok(rebuilt)
     }
 
-    /// As [`Registry::rebuild`], into a store of the caller's, which is empty, with its sorted runs in `runs`.
+    /// As [`Registry::rebuild`], into a store of the caller's, which is empty; its sorted runs go into the folder of `runs`,
+    /// each begun with so many rows.
     ///
     /// # Errors
     /// As [`Registry::rebuild`].
     pub fn rebuild_store(
         store: Box<dyn Store>,
         disk: Box<dyn Disk>,
-        runs: &'static str,
+        (runs, enough): (&'static str, usize),
         key: &OwnerKey,
         origin: &str,
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<Rebuilt, RegistryError> {
         let files = Arc::new(Files::new(disk));
-        let store = TieredStore::open(store, files.clone(), runs, layout::COLD, layout::ENOUGH)?;
+        let store = TieredStore::open(store, files.clone(), runs, layout::COLD, enough)?;
         let Some((_, published)) = reload::published(&files, key, origin)? else {
             return Err(refuse(layout::CHECKPOINT, "is missing: nothing says what this log signed".into()));
         };
@@ -112,15 +122,17 @@ impl Registry {
             map: BucketMap::new(),
             batch: Batch::default(),
             owners: HashSet::new(),
+            bundle: Vec::new(),
+            wrong: Vec::new(),
             done: Rebuilt::default(),
         };
         for number in 0.. {
             if !making.take_pack(number)? {
                 break;
             }
-            if number % PACKS_AT_ONCE == PACKS_AT_ONCE - 1 {
-                making.compare_tiles()?;
-                store.tidy(&|| false)?;
+            making.compare_tiles()?;
+            store.tidy(&|| false)?;
+            if number % PACKS_AT_ONCE == 0 {
                 progress(making.done.size, published.size);
             }
         }
@@ -130,6 +142,7 @@ impl Registry {
             return Err(refuse("envelopes", format!("{what}, published is root {}", published.root)));
         }
         making.compare_tiles()?;
+        files.replace(&making.wrong)?;
         making.finish()?;
         store.tidy(&|| false)?;
         progress(size, published.size);
@@ -152,6 +165,10 @@ struct Making<'a> {
     batch: Batch,
     /// Key ids of all owners so far: whom an erased rotation ended shows only by trying.
     owners: HashSet<Digest>,
+    /// Leaves since the last full bundle.
+    bundle: Vec<Vec<u8>>,
+    /// Public files that differ from what the records give, and what these give.
+    wrong: Vec<(String, Vec<u8>)>,
     done: Rebuilt,
 }
 
@@ -169,18 +186,29 @@ impl Making<'_> {
     fn take_pack(&mut self, number: u64) -> Result<bool, RegistryError> {
         let path = layout::pack(number);
         let Some(pack) = self.files.read(&path, packs::MAX_PACK)? else { return Ok(false) };
-        let (slots, end) = packs::parse_whole(&pack);
-        let first = number * WIDTH;
-        let complete = slots.len() as u64 == WIDTH;
-        // The last pack may end anywhere: what a round had written of it when it was cut short.
-        if let (Some(e), true) = (end, first + (slots.len() as u64) < self.published) {
-            return Err(refuse(&path, e.to_string()));
-        }
-        let leaves = self.bundle(number)?;
+        let (slots, torn) = packs::parse_whole(&pack);
+        let (first, leaves) = (number * WIDTH, self.bundle(number)?);
+        let mut taken = 0;
         for (at, slot) in slots.iter().enumerate() {
-            self.take(first + at as u64, slot, leaves.get(at).map(Vec::as_slice))?;
+            let index = first + at as u64;
+            match self.take(index, slot, leaves.get(at).map(Vec::as_slice)) {
+                Ok(()) => taken += 1,
+                // Behind what is published a round may have been cut short, anywhere in it.
+                Err(RegistryError::Rebuild { .. }) if index >= self.published => break,
+                Err(e) => return Err(e),
+            }
         }
-        Ok(complete)
+        if taken == WIDTH {
+            return Ok(true);
+        }
+        let end = first + taken;
+        if end < self.published {
+            let what = torn.map_or_else(|| format!("ends before entry {end}"), |e| e.to_string());
+            return Err(refuse(&path, what));
+        }
+        // With those of the round that these would have completed.
+        self.done.left_out = slots.len() as u64 - taken + u64::from(torn.is_some()) + self.batch.leaves.len() as u64;
+        Ok(false)
     }
 
     /// The published leaves of a bundle; none where its file is missing: records' follow from their envelopes.
@@ -195,6 +223,8 @@ impl Making<'_> {
     fn take(&mut self, index: u64, slot: &Slot, published: Option<&[u8]>) -> Result<(), RegistryError> {
         let refuse = |what: String| refuse(&format!("entry {index}"), what);
         let leaf = match slot {
+            // Nothing but zeros is what a file system may leave of bytes that were not flushed.
+            Slot::MapLeaf if self.batch.leaves.is_empty() => return Err(refuse("a map leaf behind no record".into())),
             Slot::MapLeaf => return self.close(index, published),
             Slot::Record(json) => self.take_record(index, json)?,
             Slot::Erased(keys) => {
@@ -209,6 +239,9 @@ impl Making<'_> {
                 leaf
             }
         };
+        if self.owner_of(&leaf.record)?.is_some() {
+            return Err(refuse(format!("record {} is in the log before", leaf.record)));
+        }
         let bytes = leaf.encode();
         if published.is_some_and(|published| published != bytes) {
             return Err(refuse("its published leaf is not its envelope's".into()));
@@ -226,6 +259,9 @@ impl Making<'_> {
         let refuse = |what: String| refuse(&format!("entry {index}"), what);
         let envelope = Envelope::parse(json).map_err(|e| refuse(e.to_string()))?;
         let (leaf, record) = Leaf::open(&envelope).map_err(|e| refuse(e.to_string()))?;
+        if record.origin != self.origin {
+            return Err(refuse(format!("of log {:?}, this is {:?}", record.origin, self.origin)));
+        }
         if envelope.signature_by(&self.key.public()).is_none() {
             return Err(refuse("the registry's signature is missing or does not verify".into()));
         }
@@ -266,7 +302,13 @@ impl Making<'_> {
         else {
             return Ok(None);
         };
-        match Entry::decode(&reload::leaf_bytes(self.store, self.files, index)?) {
+        // From where it was looked for is not yet known to be right: whether it is, the roots will say.
+        let recent = index.checked_sub(self.done.size - self.bundle.len() as u64);
+        let leaf = match recent.and_then(|at| self.bundle.get(at as usize)) {
+            Some(leaf) => leaf.clone(),
+            None => reload::leaf_bytes(self.store, self.files, index)?,
+        };
+        match Entry::decode(&leaf) {
             Ok(Entry::Record(leaf)) => Ok(Some(leaf.owner)),
             _ => Err(refuse(&format!("entry {index}"), "it is named as a record and is none".into())),
         }
@@ -288,15 +330,23 @@ impl Making<'_> {
         let mut rows = batch.rows;
         rows.extend(staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone()))));
         rows.extend(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))));
+        self.done.records += batch.leaves.len() as u64;
         for leaf in batch.leaves.into_iter().chain([leaf.encode().to_vec()]) {
             let index = self.tree.push(merkle::leaf_hash(&leaf));
             if index >= self.filed {
-                rows.push((layout::leaf(index), Some(leaf)));
+                rows.push((layout::leaf(index), Some(leaf.clone())));
             }
             self.done.size = index + 1;
-            self.done.records += 1;
+            self.bundle.push(leaf);
+            if self.bundle.len() as u64 == WIDTH {
+                let leaves = std::mem::take(&mut self.bundle);
+                if index < self.filed {
+                    let path = TilePath { kind: TileKind::Entries, index: index / WIDTH, width: TILE_WIDTH };
+                    let bundle = encode_entries(leaves.iter().map(Vec::as_slice));
+                    self.compare(&path, bundle.map_err(|e| refuse(e.to_string()))?)?;
+                }
+            }
         }
-        self.done.records -= 1;
         self.store.put(rows)?;
         self.map.apply(&staged);
         Ok(())
@@ -309,16 +359,28 @@ impl Making<'_> {
         };
         let fresh = self.tree.fresh().into_iter();
         let full: Vec<_> = fresh.filter_map(|(name, hashes)| Some((within(name.0, name.1)?, (name, hashes)))).collect();
-        let mut wrong = Vec::new();
         for (path, (_, hashes)) in &full {
-            let (path, bytes) = (layout::public(path), tiles::bytes_of(hashes));
-            if self.files.read(&path, bytes.len() as u64).ok().flatten().as_ref() != Some(&bytes) {
-                wrong.push((path, bytes));
-            }
+            self.compare(path, tiles::bytes_of(hashes))?;
         }
-        self.files.replace(&wrong)?;
-        self.done.tiles += wrong.len() as u64;
         self.tree.filed(&full.into_iter().map(|(_, tile)| tile).collect::<Vec<_>>());
+        Ok(())
+    }
+
+    /// Holds a public file to what it should be. A missing one is written at once; one that differs may be right.
+    fn compare(&mut self, path: &TilePath, bytes: Vec<u8>) -> Result<(), RegistryError> {
+        let path = layout::public(path);
+        match self.files.read(&path, u64::from(u32::MAX))? {
+            Some(there) if there == bytes => return Ok(()),
+            Some(_) if self.wrong.len() == MOST_WRONG => {
+                return Err(refuse(
+                    &path,
+                    format!("more than {MOST_WRONG} public files are not those of these records"),
+                ));
+            }
+            Some(_) => self.wrong.push((path, bytes)),
+            None => self.files.replace(&[(path, bytes)])?,
+        }
+        self.done.tiles += 1;
         Ok(())
     }
 

@@ -72,6 +72,7 @@ pub(super) fn reload(
     let map = read_map(store)?;
     hold_to_map_leaf(store, files, size, &map, key, origin)?;
     let writer = Writer { pack_length: pack_length(files, size)?, used: read_nonces(store, size)? };
+    cut_packs(files, size, writer.pack_length)?;
     // Also where nothing changed: what was read may be written and not yet durable.
     store.flush()?;
     let checkpoint = Checkpoint::new(origin, size, root).sign(key)?.to_string();
@@ -262,6 +263,27 @@ fn pack_length(files: &Files, size: u64) -> Result<u64, RegistryError> {
         return Err(inconsistent(&path, format!("{} entries, {held} expected", slots.len())));
     }
     Ok(length as u64)
+}
+
+/// Takes away what a round left in packs that did not come to its end: somebody may want it erased when nobody
+/// knows of it any more.
+fn cut_packs(files: &Files, size: u64, length: u64) -> Result<(), RegistryError> {
+    let current = size / u64::from(TILE_WIDTH);
+    if length > 0 {
+        let path = layout::pack(current);
+        let whole = files.open(&path)?.map_or(Ok(0), |file| file.size())?;
+        if whole > length {
+            files.append(&path, length, &[])?;
+        }
+    }
+    for number in current + u64::from(length > 0).. {
+        let path = layout::pack(number);
+        if files.open(&path)?.is_none() {
+            return Ok(());
+        }
+        files.remove(&path)?;
+    }
+    Ok(())
 }
 
 pub(super) fn number_at(

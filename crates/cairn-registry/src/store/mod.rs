@@ -87,7 +87,7 @@ pub(crate) fn successor(prefix: &[u8]) -> Option<Vec<u8>> {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("store at {place}: {operation} failed: {cause}")]
 pub struct StoreError {
-    /// `open`, `lock`, `get`, `put`, `flush`, `scan`, or what was done with a file.
+    /// `open`, `lock`, `get`, `put`, `flush`, `range`, or what was done with a file.
     pub operation: &'static str,
     /// The folder or file, or `memory`.
     pub place: String,

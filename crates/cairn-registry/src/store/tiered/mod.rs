@@ -112,11 +112,18 @@ impl TieredStore {
             Some(bytes) => Manifest::decode(&bytes).ok_or_else(|| StoreError {
                 operation: "open",
                 place: folder.into(),
-                cause: "the list of sorted runs is damaged or of another version; restore the newest backup".into(),
+                cause:
+                    "the list of sorted runs is damaged or of another version; restore the newest backup, or have the \
+                        working state made again (`cairn registry rebuild`)"
+                        .into(),
             })?,
         };
         let runs = manifest.runs.iter().map(|run| Ok(Arc::new(Run::open(&files, path_of(folder, run.number), *run)?)));
         let runs = runs.collect::<Result<_, StoreError>>()?;
+        // The list of runs may be read back and not be durable yet: the one before it names files that go now.
+        if !manifest.replaced.is_empty() {
+            hot.flush()?;
+        }
         // Left over by a crash: merged runs, and one that was finished and never named.
         for number in manifest.replaced.iter().chain([&manifest.next]) {
             files.remove(&path_of(folder, *number))?;
@@ -238,8 +245,11 @@ impl TieredStore {
     /// `left` for the newest of them, these are not kept in memory any more.
     fn adopt(&self, runs: Vec<RunInfo>, mut changes: Vec<Change>, left: bool) -> Result<(), StoreError> {
         let before = self.read().levels.clone();
-        let replaced = before.manifest.runs.iter().filter(|run| !runs.contains(run)).map(|run| run.number).collect();
         let next = *self.next_run.lock().unwrap_or_else(PoisonError::into_inner);
+        // Merged into others, or written by an attempt that failed before it could name them.
+        let merged = before.manifest.runs.iter().map(|run| run.number);
+        let replaced = merged.chain(before.manifest.next..next);
+        let replaced = replaced.filter(|number| runs.iter().all(|run| run.number != *number)).collect();
         let manifest = Manifest { next, runs, replaced };
         let open = |info: &RunInfo| match before.runs.iter().find(|run| run.info == *info) {
             Some(run) => Ok(run.clone()),
@@ -264,7 +274,10 @@ impl TieredStore {
     }
 
     fn remove(&self, runs: &[u64]) -> Result<(), StoreError> {
-        runs.iter().try_for_each(|number| self.files.remove(&path_of(self.folder, *number)))
+        runs.iter().map(|number| path_of(self.folder, *number)).try_for_each(|path| {
+            self.files.remove(&path)?;
+            self.files.discard(&path)
+        })
     }
 }
 
@@ -293,7 +306,8 @@ impl Store for TieredStore {
         let mut next = self.next_entry.lock().unwrap_or_else(PoisonError::into_inner);
         let (entries, numbers) = recent::entries_of(&cold, &mut next);
         hot.extend(entries);
-        self.hot.put(hot)?;
+        // A journal entry that may be there and is nobody's would come back over newer rows at the next start.
+        self.hot.put(hot).inspect_err(|e| drop((!numbers.is_empty()).then(|| self.broken.set(e.clone()))))?;
         self.write().recent.add(cold, numbers);
         Ok(())
     }

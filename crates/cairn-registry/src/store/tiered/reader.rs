@@ -45,6 +45,9 @@ impl Run {
         let damaged = |what: &str| refuse(format!("its {what} is damaged; {restore}"));
         let end = size - FOOTER as u64;
         let footer = Footer::decode(&file.read_at(end, FOOTER)?).ok_or_else(|| damaged("footer"))?;
+        if (footer.rows, footer.filtered) != (info.rows, info.filtered) {
+            return Err(damaged("footer"));
+        }
         let piece = |from: u64, to: u64| match to.checked_sub(from) {
             Some(length) if to <= end => file.read_at(from, length as usize),
             _ => Err(damaged("footer")),

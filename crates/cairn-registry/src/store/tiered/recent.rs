@@ -38,15 +38,19 @@ impl Recent {
                 return Ok((recent, next));
             }
             for (key, entry) in page {
-                let refuse = || StoreError {
+                let refuse = || {
+                    StoreError {
                     operation: "open",
                     place: format!("journal entry {key:02x?}"),
-                    cause: "damaged or of another version; restore the newest backup".into(),
+                    cause: "damaged or of another version; restore the newest backup, or have the working state made again (`cairn \
+                            registry rebuild`)"
+                        .into(),
+                }
                 };
                 let number = key[JOURNAL.len()..].try_into().map(u64::from_be_bytes).map_err(|_| refuse())?;
                 let rows = decode(&entry).ok_or_else(refuse)?;
                 recent.add(rows, vec![number]);
-                next = number + 1;
+                next = number.checked_add(1).ok_or_else(refuse)?;
             }
         }
     }

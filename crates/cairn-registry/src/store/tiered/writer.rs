@@ -123,7 +123,7 @@ impl<'a> RunWriter<'a> {
 impl Drop for RunWriter<'_> {
     fn drop(&mut self) {
         if !self.finished {
-            // What stays is written over by the run that gets this number.
+            // What stays is removed with what the next list of runs replaces, or by the next start.
             let _ = self.files.discard(&self.path);
         }
     }
