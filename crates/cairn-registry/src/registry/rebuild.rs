@@ -70,12 +70,12 @@ impl Registry {
             Ok(lock) => lock,
             Err(holder) => return Err(RegistryError::Locked { path: holder.path, pid: holder.pid }),
         };
-        // A seal is on what was there before.
-        drop(seal::Seal::break_open(path)?);
         let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
         if working.exists() {
             return Err(refuse(layout::WORKING, "is there; move it away first".into()));
         }
+        // A seal that was left is on what is not there any more.
+        drop(seal::Seal::break_open(path)?);
         let failed = |operation, place: &Path| {
             let place = place.display().to_string();
             move |e: io::Error| StoreError { operation, place, cause: e.to_string() }
