@@ -1,6 +1,6 @@
 //! Rows that are in no run yet: in memory, ascending, and in the store as they came, many to one of its rows (the journal).
 //!
-//! Row by row, sled copied a page for every one of them, which was four fifths of the time that a batch took.
+//! Row by row, sled copied a page for every one of them, which was most of the time that a batch took.
 //!
 //! ```text
 //! journal entry = version 1 | row ...        rows as in a run; at most about 8 KiB of them
