@@ -46,6 +46,7 @@ fn shipped_overlays_are_accepted() {
         ("synthetic", include_str!("../../configs/synthetic.toml")),
         ("wild", include_str!("../../configs/wild.toml")),
         ("paper", include_str!("../../configs/paper.toml")),
+        ("robust", include_str!("../../configs/robust.toml")),
         ("quick", QUICK_TOML),
     ] {
         let settings = training_settings(&base, &[(name, text)]).unwrap();

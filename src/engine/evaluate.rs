@@ -178,13 +178,16 @@ fn forced_as(mark: &Mark, picture: &Picture, number: u32) -> Result<Picture, Eng
 }
 
 /// SSIM of a signal and what was recovered, at the signal's size.
-fn likeness(signal: &Picture, recovered: &Picture) -> Result<f64, EngineError> {
+///
+/// # Errors
+/// [`EngineError`] for a signal too small to compare.
+pub fn likeness(signal: &Picture, recovered: &Picture) -> Result<f64, EngineError> {
     let recovered = recovered.resized(signal.width(), signal.height()).clamped();
     Ok(ssim(signal, &recovered)?)
 }
 
 /// Uniform noise, the same in every evaluation (SplitMix64).
-fn noise(width: usize, height: usize) -> Picture {
+pub fn noise(width: usize, height: usize) -> Picture {
     let mut state = 0x9E37_79B9_7F4A_7C15u64;
     let mut picture = Picture::constant(width, height, [0.0; 3]);
     for v in picture.rgb_mut() {

@@ -15,7 +15,7 @@ use crate::config::TrainingSettings;
 
 /// Steps between judgements of a state on poses it was not trained on; fixed, so
 /// that every run of a job judges at the same steps.
-const JUDGE_EVERY: u64 = 50;
+pub const JUDGE_EVERY: u64 = 50;
 
 /// Trains the marked field and the detector, and keeps the best state judged.
 pub struct Marking(MarkTrainer);

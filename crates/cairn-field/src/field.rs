@@ -89,6 +89,19 @@ impl Field {
         field
     }
 
+    /// The field with its colour coefficients changed, `rows x 27` of them, red's first in
+    /// each row; the first row is nobody's and stays zero. For trying what a field bears.
+    ///
+    /// # Panics
+    /// When a coefficient is not finite afterwards.
+    #[must_use]
+    pub fn with_colours(&self, change: impl FnOnce(&mut [f32])) -> Self {
+        let mut field = self.clone();
+        change(&mut field.grid.colour[ROW..]);
+        assert!(field.grid.colour.iter().all(|v| v.is_finite()), "colours are finite");
+        field
+    }
+
     /// The frame of the scene.
     pub fn frame(&self) -> &SceneFrame {
         &self.frame

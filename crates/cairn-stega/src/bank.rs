@@ -2,6 +2,7 @@
 //! ones between them, with ray weights worked out once, and unmarked pictures.
 
 use crate::config::{CarrierKind, MarkConfig};
+use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, virtual_views};
@@ -171,16 +172,18 @@ impl Bank {
     }
 
     /// An unmarked picture: as often the base field's render of any view in any
-    /// light as a picture of something else.
-    pub(crate) fn unmarked(&self, side: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    /// light as a picture of something else; `attack` is done to it.
+    pub(crate) fn unmarked(&self, side: usize, attack: &Attack, rng: &mut ChaCha8Rng) -> Vec<f32> {
         if rng.random_range(0..2) == 0 {
-            return self.negatives.draw(rng);
+            let seen = attack.apply(self.negatives.draw(rng), [side, side]);
+            return Window::whole(seen.size[0], seen.size[1], side).apply(&seen.rgb);
         }
         let at = rng.random_range(0..self.views.len() + self.outside.len());
         let view = self.view(at);
         let mut base = view.linear.base(&self.mixed(&view.appearance, rng));
         base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-        Window::draw(view.linear.width(), view.linear.height(), side, rng).apply(&base)
+        let seen = attack.apply(base, [view.linear.width(), view.linear.height()]);
+        Window::draw(seen.size[0], seen.size[1], side, rng).apply(&seen.rgb)
     }
 
     /// A view to train on; those outside all clusters come last.

@@ -15,7 +15,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Format of a stage-2 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/2";
+const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/3";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -28,8 +28,8 @@ struct Header {
     joined: bool,
     converged: bool,
     carrier_steps: Vec<u64>,
-    /// Step, and bits of accuracy and SSIM, of the best state.
-    best: Option<(u64, u64, u64)>,
+    /// Step, and bits of accuracy, accuracy under attack and SSIM, of the best state.
+    best: Option<(u64, [u64; 3])>,
     /// [`fingerprint`] of the plan and the base field: others are refused.
     plan: String,
 }
@@ -74,7 +74,7 @@ impl MarkTrainer {
             joined: self.joined,
             converged: self.converged,
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
-            best: best.map(|b| (b.judgement.step, b.judgement.accuracy.to_bits(), b.judgement.hidden_ssim.to_bits())),
+            best: best.map(|b| (b.judgement.step, b.judgement.figures().map(f64::to_bits))),
             plan: self.fingerprint.clone(),
         };
         let mut parts: Vec<(String, Vec<u8>)> =
@@ -151,9 +151,10 @@ impl MarkTrainer {
             carrier.second = numbers(file, &format!("carrier{i}.second"), 1)?[0];
             carrier.steps = *steps;
         }
-        if let Some((step, accuracy, ssim)) = header.best {
-            let judgement = Judgement { step, accuracy: f64::from_bits(accuracy), hidden_ssim: f64::from_bits(ssim) };
-            if !(judgement.accuracy.is_finite() && judgement.hidden_ssim.is_finite()) {
+        if let Some((step, figures)) = header.best {
+            let [accuracy, attacked, hidden_ssim] = figures.map(f64::from_bits);
+            let judgement = Judgement { step, accuracy, attacked, hidden_ssim };
+            if !judgement.figures().iter().all(|figure| figure.is_finite()) {
                 return damaged(format!("`best` says {judgement:?}"));
             }
             let values = self.carriers.iter().enumerate();

@@ -1,5 +1,6 @@
 //! Settings of stage 2, with the paper's symbols (method.md's equations 1 to 5).
 
+use crate::distort::RobustConfig;
 use crate::error::MarkError;
 use cairn_nn::{ClassifierConfig, UNetConfig};
 use serde::{Deserialize, Serialize};
@@ -107,6 +108,8 @@ pub struct MarkConfig {
     /// Training ends when all held-out virtual poses are answered right and the
     /// hidden signals' mean SSIM has reached this, 0 to 10; above 1 = never.
     pub enough_ssim: f64,
+    /// What marks are trained to outlast.
+    pub robust: RobustConfig,
     /// The classifier.
     pub classifier: ClassifierConfig,
     /// The detector; its size is that of the hidden pictures.
@@ -141,6 +144,7 @@ impl Default for MarkConfig {
             virtual_views: 6,
             longest_side_px: 192,
             enough_ssim: 0.96,
+            robust: RobustConfig::default(),
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),
         }
@@ -184,6 +188,7 @@ impl MarkConfig {
         ] {
             check((low..=high).contains(&value), key, value.to_string(), allowed)?;
         }
+        self.robust.validate()?;
         let [h, w] = self.detector.size;
         check(
             h == w && (32..=512).contains(&h) && h % 16 == 0,

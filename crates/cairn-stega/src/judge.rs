@@ -4,15 +4,27 @@
 
 use crate::bank::BankView;
 use crate::carrier::Carrier;
+use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::networks::Reading;
 use crate::trainer::MarkTrainer;
-use cairn_capture::{AreaFilter, Picture};
+use crate::window::Window;
+use cairn_capture::Picture;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 
 /// Training may end early once marks are read with more ease than this: the running
 /// cross-entropy is then below a fifth of `classify_until`, over renders cut, tinted
 /// and noisy as no judged one is.
 const EASE_TO_END: f32 = 0.8;
+
+/// Share of attacked pictures that must be answered right, where marks are trained to
+/// outlast attacks; the worst attacks leave nothing to read.
+const ROBUST_TO_END: f64 = 0.97;
+/// Attacks on each judged picture, where there are any.
+const ATTACKS: u64 = 4;
+/// Streams of the judge's draws, apart from those of steps.
+const STREAM: u64 = 1 << 33;
 
 /// How a state did on virtual poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,6 +33,8 @@ pub struct Judgement {
     pub step: u64,
     /// Right answers of the classifier, over marked and unmarked pictures, [0, 1].
     pub accuracy: f64,
+    /// The same after attacks (`[mark.robust]`); as `accuracy` where there are none.
+    pub attacked: f64,
     /// Mean SSIM of recovered against true signals, identities weighing alike.
     pub hidden_ssim: f64,
 }
@@ -34,9 +48,14 @@ pub(crate) struct State {
 }
 
 impl Judgement {
+    /// Accuracy, accuracy under attack, hidden SSIM.
+    pub(crate) fn figures(&self) -> [f64; 3] {
+        [self.accuracy, self.attacked, self.hidden_ssim]
+    }
+
     fn score(&self) -> f64 {
         // An owner missed or made up is worse than a blurred signal.
-        2.0 * self.accuracy + self.hidden_ssim
+        self.accuracy + self.attacked + self.hidden_ssim
     }
 }
 
@@ -53,29 +72,39 @@ impl MarkTrainer {
     pub fn judge(&mut self) -> Result<Judgement, MarkError> {
         let side = self.config.side_px();
         let (mut right, mut asked) = (0usize, 0usize);
+        let mut attacked = Vec::new();
         let mut ssim = Vec::new();
         let picture = |rgb: &[f32]| {
             Picture::new(side, side, rgb.to_vec()).map_err(|e| MarkError::Plan(format!("a hidden picture: {e}")))
         };
-        for (identity, view) in &self.bank.judged {
+        for (at, (identity, view)) in self.bank.judged.iter().enumerate() {
             let carrier = &self.carriers[self.carrier_of(*identity)];
-            let read = self.read(&[seen(view, Some(carrier), side), seen(view, None, side)])?;
+            let none = Attack::none();
+            let read = self.read(&[seen(view, Some(carrier), &none, side), seen(view, None, &none, side)])?;
             right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
             asked += 2;
+            attacked.extend(self.attacked(at as u64, (*identity, carrier), view)?);
             ssim.push(cairn_metrics::ssim(&picture(&read[0].1)?.clamped(), &picture(&self.signals[*identity])?)?);
         }
         // What one carrier for all shows where it must say nothing.
-        let outside: Vec<_> =
-            self.bank.judged_outside.iter().map(|view| seen(view, self.carriers.first(), side)).collect();
+        let outside: Vec<_> = self
+            .bank
+            .judged_outside
+            .iter()
+            .map(|view| seen(view, self.carriers.first(), &Attack::none(), side))
+            .collect();
         for chunk in self.bank.judged_unmarked.chunks(4).chain(outside.chunks(4)) {
             for (probabilities, _) in self.read(chunk)? {
                 right += usize::from(winner(&probabilities) == 0);
                 asked += 1;
             }
         }
+        let accuracy = right as f64 / asked.max(1) as f64;
+        let outlasted = attacked.iter().filter(|right| **right).count() as f64 / attacked.len().max(1) as f64;
         let judgement = Judgement {
             step: self.step,
-            accuracy: right as f64 / asked.max(1) as f64,
+            accuracy,
+            attacked: if attacked.is_empty() { accuracy } else { outlasted },
             hidden_ssim: if self.joined { ssim.iter().sum::<f64>() / ssim.len().max(1) as f64 } else { 0.0 },
         };
         // Before the budget has tightened marks are easier to read than they may be.
@@ -88,8 +117,32 @@ impl MarkTrainer {
             });
         }
         let easy = self.ease() > EASE_TO_END;
-        self.converged |= fair && easy && judgement.accuracy == 1.0 && judgement.hidden_ssim >= self.config.enough_ssim;
+        let right = judgement.accuracy == 1.0 && judgement.attacked >= ROBUST_TO_END;
+        self.converged |= fair && easy && right && judgement.hidden_ssim >= self.config.enough_ssim;
         Ok(judgement)
+    }
+
+    /// Whether each of a judged view's attacked renders, marked and not, is answered
+    /// right; none where marks are not trained for attacks. The same attacks every time.
+    fn attacked(
+        &self,
+        at: u64,
+        (identity, carrier): (usize, &Carrier),
+        view: &BankView,
+    ) -> Result<Vec<bool>, MarkError> {
+        if !self.config.robust.enabled {
+            return Ok(Vec::new());
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(STREAM + at);
+        let (side, mut right) = (self.config.side_px(), Vec::new());
+        for _ in 0..ATTACKS {
+            let attack = Attack::always(&self.config.robust, &mut rng);
+            let pictures = [seen(view, Some(carrier), &attack, side), seen(view, None, &attack, side)];
+            let classes = self.read(&pictures)?.into_iter().map(|(probabilities, _)| winner(&probabilities));
+            right.extend(classes.zip([identity + 1, 0]).map(|(said, true_class)| said == true_class));
+        }
+        Ok(right)
     }
 
     fn read(&self, pictures: &[Vec<f32>]) -> Result<Vec<Reading>, MarkError> {
@@ -101,12 +154,13 @@ impl MarkTrainer {
 }
 
 /// A view as the networks read it from a file, `side x side x 3`.
-fn seen(view: &BankView, carrier: Option<&Carrier>, side: usize) -> Vec<f32> {
+fn seen(view: &BankView, carrier: Option<&Carrier>, attack: &Attack, side: usize) -> Vec<f32> {
     let mut rgb = view.linear.base(&view.appearance);
     if let Some(carrier) = carrier {
         view.linear.apply(&carrier.values, carrier.basis, &view.appearance, &mut rgb);
     }
-    AreaFilter::new([view.linear.width(), view.linear.height()], [side, side]).apply(&eight_bits(rgb))
+    let file = attack.apply(eight_bits(rgb), [view.linear.width(), view.linear.height()]);
+    Window::whole(file.size[0], file.size[1], side).apply(&file.rgb)
 }
 
 /// What remains of a render in an 8-bit file.

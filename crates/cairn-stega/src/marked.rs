@@ -1,6 +1,7 @@
 //! The marked field: the base field and the carriers, in one file.
 
 use crate::config::CarrierKind;
+use crate::distort::Gaussian;
 use crate::error::MarkError;
 use cairn_capture::{Camera, Picture};
 use cairn_cluster::Clusters;
@@ -85,6 +86,42 @@ impl MarkedField {
             Some(carrier) => self.base.render_with(camera, appearance, carrier, basis_of(self.kind)),
             None => self.base.render(camera, appearance),
         }
+    }
+
+    /// The field without its smallest weights: the `share`, 0 to 1, of all colour
+    /// coefficients, theta_0's and the carriers' alike, that are nearest to zero become zero.
+    #[must_use]
+    pub fn pruned(&self, share: f64) -> Self {
+        let mut sizes: Vec<f32> = self.carriers.iter().flatten().map(|v| v.abs()).collect();
+        let base = self.base.with_colours(|colours| sizes.extend(colours.iter().map(|v| v.abs())));
+        let count = ((sizes.len() as f64 * share) as usize).min(sizes.len());
+        if count == 0 {
+            return self.clone();
+        }
+        // What was zero before is among the smallest and counts.
+        let least = *sizes.select_nth_unstable_by(count - 1, f32::total_cmp).1;
+        let prune = |values: &mut [f32]| values.iter_mut().filter(|v| v.abs() <= least).for_each(|v| *v = 0.0);
+        self.changed(base.with_colours(prune), |carrier| prune(carrier))
+    }
+
+    /// The field with Gaussian noise on its weights: its standard deviation is `share` of
+    /// the root mean square of theta_0's colour coefficients on those, of a carrier's on its own.
+    #[must_use]
+    pub fn noisy(&self, share: f32, seed: u64) -> Self {
+        let mut noise = Gaussian::new(seed);
+        let mut add = |values: &mut [f32]| {
+            let square = values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / values.len().max(1) as f64;
+            let sigma = share * square.sqrt() as f32;
+            values.iter_mut().for_each(|v| *v += sigma * noise.draw());
+        };
+        let base = self.base.with_colours(&mut add);
+        self.changed(base, add)
+    }
+
+    fn changed(&self, base: Field, mut change: impl FnMut(&mut [f32])) -> Self {
+        let mut carriers = self.carriers.clone();
+        carriers.iter_mut().for_each(|carrier| change(carrier));
+        Self { base: Arc::new(base), clusters: self.clusters.clone(), kind: self.kind, carriers }
     }
 
     /// The marked field, its base field included, as safetensors. Equal fields

@@ -43,7 +43,7 @@ impl MarkTrainer {
         let fading = self.fading();
         for (i, m) in renders.iter().enumerate() {
             let small = interleaved(&slopes.get(i)?.flatten_all()?.to_vec1::<f32>()?);
-            let mut slope = m.window.transpose(&small);
+            let mut slope = m.attacked.back(m.window.transpose(&small));
             let keep = fading * self.config.weight_picture as f32 / m.change.len() as f32;
             for ((s, change), inside) in slope.iter_mut().zip(&m.change).zip(&m.inside) {
                 let own = match self.config.picture_loss {

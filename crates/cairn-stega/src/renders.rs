@@ -2,6 +2,7 @@
 //! without the mark, and what cameras and files do to either.
 
 use crate::bank::BankView;
+use crate::distort::{Attack, Attacked};
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
 use cairn_field::Appearance;
@@ -26,6 +27,8 @@ pub(crate) struct Render {
     pub(crate) change: Vec<f32>,
     /// Whether each number is inside [0, 1], where a gradient passes.
     pub(crate) inside: Vec<bool>,
+    /// What was done to the render before the networks saw it, in this order: the attack, the window, the tone.
+    pub(crate) attacked: Attacked,
     pub(crate) window: Window,
     pub(crate) gain: f32,
 }
@@ -79,15 +82,28 @@ impl MarkTrainer {
         let inside = picture.iter().map(|v| (0.0..=1.0).contains(v)).collect();
         picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-        let window = Window::draw(linear.width(), linear.height(), self.config.side_px(), rng);
+        let size = [linear.width(), linear.height()];
+        let attack = self.attack(rng);
+        let (mut attacked, twin) = rayon::join(|| attack.apply(picture, size), || attack.apply(base, size));
+        let window = Window::draw(attacked.size[0], attacked.size[1], self.config.side_px(), rng);
         let tone = Tone::draw(rng);
         let seen = |full: &[f32]| {
             let mut seen = window.apply(full);
             tone.apply(&mut seen);
             seen
         };
-        let (marked, twin) = (seen(&picture), seen(&base));
-        (marked, twin, Render { class, carrier: at, view, appearance, change, inside, window, gain: tone.gain })
+        let (marked, twin) = (seen(&std::mem::take(&mut attacked.rgb)), seen(&twin.rgb));
+        (
+            marked,
+            twin,
+            Render { class, carrier: at, view, appearance, change, inside, attacked, window, gain: tone.gain },
+        )
+    }
+
+    /// What happens to a picture of this step. Not before marks are read at all:
+    /// what is not there yet cannot be made to last.
+    pub(crate) fn attack(&self, rng: &mut ChaCha8Rng) -> Attack {
+        if self.joined { Attack::draw(&self.config.robust, rng) } else { Attack::none() }
     }
 }
 

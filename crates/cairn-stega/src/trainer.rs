@@ -178,7 +178,8 @@ impl MarkTrainer {
         let (mut pictures, renders) = (shown.marked, shown.renders);
         pictures.extend(shown.twins);
         for _ in 0..self.config.batch {
-            let mut other = self.bank.unmarked(self.config.side_px(), &mut rng);
+            let attack = self.attack(&mut rng);
+            let mut other = self.bank.unmarked(self.config.side_px(), &attack, &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
         }

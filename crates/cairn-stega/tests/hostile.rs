@@ -178,7 +178,7 @@ fn damaged_checkpoints_are_refused_by_part() {
     };
     let header = |change: &dyn Fn(&mut serde_json::Value)| altered(&bytes, change, "", <[u8]>::to_vec);
     let old = "cairn.marked.checkpoint/1";
-    refused(&header(&|h| h["format"] = old.into()), &[old, "cairn.marked.checkpoint/2"]);
+    refused(&header(&|h| h["format"] = old.into()), &[old, "cairn.marked.checkpoint/3"]);
     for steps in [vec![], vec![3u64], vec![3, 3, 3]] {
         refused(&header(&|h| h["carrier_steps"] = steps.clone().into()), &["carrier_steps", "2 carriers"]);
     }
@@ -186,7 +186,7 @@ fn damaged_checkpoints_are_refused_by_part() {
     for bad in [f64::NAN, f64::INFINITY] {
         refused(&header(&|h| h["classify_bits"] = bad.to_bits().into()), &["classify_bits"]);
     }
-    refused(&header(&|h| h["best"][1] = f64::NAN.to_bits().into()), &["best"]);
+    refused(&header(&|h| h["best"][1][1] = f64::NAN.to_bits().into()), &["best"]);
     for (part, bad) in [
         ("carrier0.values", f32::NAN),
         ("carrier1.first", f32::INFINITY),

@@ -5,6 +5,7 @@ mod children;
 mod conv;
 mod field;
 mod liberty;
+mod mark;
 mod memory;
 mod parts;
 mod registry;
@@ -26,7 +27,7 @@ pub struct Args {
     /// What to measure
     #[arg(value_enum)]
     suite: Suite,
-    /// The folder of captures (suites `liberty` and `field`); else CAIRN_DATA
+    /// The folder of captures (suites `liberty`, `field` and `mark`); else CAIRN_DATA
     #[arg(long, value_name = "DIR")]
     captures: Option<PathBuf>,
     /// The ledger, JSON; a row with the same suite, case, metric and seed is replaced
@@ -39,7 +40,7 @@ pub struct Args {
     /// The seed of everything that is drawn
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Training settings that go over the defaults (suite `field`: and over those for the capture's kind)
+    /// Training settings that go over the defaults (suites `field` and `mark`: and over those for the capture's kind)
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
     /// Fewer steps and smaller sizes
@@ -48,13 +49,14 @@ pub struct Args {
     /// Stop after the base field (suites `demo` and `liberty`)
     #[arg(long)]
     base_only: bool,
-    /// Pictures to hide in `liberty`, in order of file name (drawn where not given)
+    /// Pictures to hide, in order of file name (suite `liberty`: drawn where not given; `mark`: else the captures' folder
+    /// `signals`)
     #[arg(long, value_name = "DIR")]
     signals: Option<PathBuf>,
     /// Resample by this factor, above 0, to 1 (suite `liberty`; `field` measures at full size)
     #[arg(long, value_name = "FACTOR", default_value_t = 0.5)]
     scale: f64,
-    /// Measure this capture only; may be given several times (suite `field`)
+    /// Measure this capture only; may be given several times (suites `field` and `mark`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     cases: Vec<field::Name>,
     /// Also train for twice the configured steps (suite `field`); measure the log of ten million records, alone (suite
@@ -64,7 +66,8 @@ pub struct Args {
     /// A Python that has PyTorch, to be measured beside (suite `conv`)
     #[arg(long, value_name = "PROGRAM")]
     torch: Option<PathBuf>,
-    /// Where the work goes: a new folder, except for suite `field`, which adds to its tables there
+    /// Where the work goes: a new folder, except for suite `field`, which adds to its tables there, and `mark`, which takes
+    /// base fields from there
     #[arg(long, value_name = "DIR", default_value = "bench-out")]
     out: PathBuf,
 }
@@ -77,6 +80,8 @@ enum Suite {
     Liberty,
     /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
     Field,
+    /// Four captures' marks, three times each: pictures kept, signals recovered, false owners, what marks outlast
+    Mark,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
     Conv,
     /// The log of owner records: throughput, waits, cost by size, and two hundred kills; ten million records with --long
@@ -92,6 +97,7 @@ impl Suite {
             Self::Demo => "demo",
             Self::Liberty => "liberty",
             Self::Field => "field",
+            Self::Mark => "mark",
             Self::Conv => "conv",
             Self::Registry => "registry",
             Self::Page => "page",
@@ -122,6 +128,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Demo => of_demo(place, &args, &mut rows).await?,
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
+        Suite::Mark => mark::measure(place, &args, &mut rows).await?,
         Suite::Conv => tokio::task::block_in_place(|| conv::measure(&args, &mut rows))?,
         Suite::Registry => tokio::task::block_in_place(|| registry::measure(&args, &mut rows))?,
         Suite::Page => return write_page_again(&args),

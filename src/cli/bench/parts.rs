@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::field::{score, serve, tradeoff, train};
-use super::registry;
+use super::{mark, registry};
 
 /// A piece of the suite's work.
 #[derive(Serialize, Deserialize)]
@@ -22,6 +22,10 @@ pub enum Part {
     Serve(serve::Task),
     /// What each limit of a render costs.
     Tradeoff(tradeoff::Task),
+    /// Stage 2 from a stored base field to the stored detector.
+    Mark(mark::Mark),
+    /// A marked field and its detector, judged.
+    Judge(mark::Judge),
     /// Submissions to a log under load.
     Load(registry::Load),
     /// A log grown to some size.
@@ -63,6 +67,8 @@ work! {
     score::Task: Score -> score::Scored,
     serve::Task: Serve -> serve::Served,
     tradeoff::Task: Tradeoff -> Vec<tradeoff::Tradeoff>,
+    mark::Mark: Mark -> mark::Marked,
+    mark::Judge: Judge -> mark::Judged,
     registry::Load: Load -> registry::Loaded,
     registry::Growth: Grow -> f64,
     registry::Serve: Log -> registry::Served,
@@ -84,6 +90,8 @@ pub fn part() -> anyhow::Result<()> {
         Part::Score(task) => serde_json::to_string(&score::run(&task)?)?,
         Part::Serve(task) => serde_json::to_string(&serve::run(&task)?)?,
         Part::Tradeoff(task) => serde_json::to_string(&tradeoff::run(&task)?)?,
+        Part::Mark(task) => serde_json::to_string(&mark::mark(&task)?)?,
+        Part::Judge(task) => serde_json::to_string(&mark::judge(&task)?)?,
         Part::Load(task) => serde_json::to_string(&registry::load(&task)?)?,
         Part::Grow(task) => serde_json::to_string(&registry::grow(&task)?)?,
         Part::Log(task) => serde_json::to_string(&registry::serve(&task)?)?,

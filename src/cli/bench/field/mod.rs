@@ -9,11 +9,11 @@
 mod adapter;
 mod case;
 mod outcome;
-mod progress;
+pub(super) mod progress;
 mod report;
 pub(super) mod score;
 pub(super) mod serve;
-mod source;
+pub(super) mod source;
 mod tables;
 pub(super) mod tradeoff;
 pub(super) mod train;
@@ -77,10 +77,10 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
 }
 
 /// Waits for `work`; on Ctrl-C ends its process and says what is kept.
-async fn unless_stopped(
-    mut work: tokio::task::JoinHandle<anyhow::Result<Outcome>>,
+pub(super) async fn unless_stopped<T>(
+    mut work: tokio::task::JoinHandle<anyhow::Result<T>>,
     children: &Children,
-) -> anyhow::Result<Outcome> {
+) -> anyhow::Result<T> {
     tokio::select! {
         done = &mut work => done.context("the measurement broke off")?,
         interrupt = tokio::signal::ctrl_c() => {

@@ -52,6 +52,15 @@ impl Progress {
     }
 }
 
+impl Progress {
+    /// `done` of `total` are done, where the total was not known at the start.
+    pub fn of(&mut self, done: u64, total: u64) {
+        self.total = total;
+        self.bar.set_length(total);
+        self.at(done, "");
+    }
+}
+
 impl Drop for Progress {
     fn drop(&mut self) {
         self.bar.finish_and_clear();

@@ -1,0 +1,200 @@
+//! What training does to the pictures of a step, and its settings.
+//!
+//! Views are trained on at a fraction of the size that people keep pictures at.
+//! Blur, noise and JPEG's blocks are fixed in pixels of the large picture, so each
+//! training picture stands for one `native_px` long: blur and noise shrink with
+//! it, and JPEG works on an enlarged copy.
+
+use super::stretch::Stretch;
+use super::{Distortion, Trace, made};
+use crate::error::MarkError;
+use cairn_capture::AreaFilter;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+/// What marks are trained to outlast (`[mark.robust]`). A limit at its harmless end
+/// leaves its distortion out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobustConfig {
+    /// Whether any of it is done.
+    pub enabled: bool,
+    /// Share of the pictures that something is done to, 0 to 1.
+    pub share: f64,
+    /// Longest side of the pictures that training stands for, px, 64 to 16384.
+    pub native_px: usize,
+    /// Lowest JPEG quality, 1 to 100; 100 for none.
+    pub jpeg_quality: u8,
+    /// Strongest blur, standard deviation, px, 0 to 16.
+    pub blur_px: f64,
+    /// Strongest noise, standard deviation of the range [0, 1], 0 to 0.5.
+    pub noise: f64,
+    /// Furthest brightness and contrast from 1, each for itself, 0 to 0.9.
+    pub light: f64,
+    /// Furthest rotation either way, degrees, 0 to 180.
+    pub rotate_deg: f64,
+    /// Smallest copy, share of a side, 0.1 to 1.
+    pub scale: f64,
+}
+
+impl Default for RobustConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            share: 0.7,
+            native_px: 512,
+            jpeg_quality: 25,
+            blur_px: 2.5,
+            noise: 0.1,
+            light: 0.25,
+            rotate_deg: 30.0,
+            scale: 0.6,
+        }
+    }
+}
+
+/// How often each distortion is part of an attack.
+const ODDS: f64 = 0.35;
+/// One attack in so many has all of them.
+const ONE_IN_ALL: u32 = 8;
+
+impl RobustConfig {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// [`MarkError::Setting`] naming the first key that is out of range.
+    pub fn validate(&self) -> Result<(), MarkError> {
+        let check = |ok: bool, key, value: String, allowed| {
+            if ok { Ok(()) } else { Err(MarkError::Setting { key, value, allowed }) }
+        };
+        let native = self.native_px;
+        check((64..=16384).contains(&native), "mark.robust.native_px", native.to_string(), "64 to 16384")?;
+        let quality = self.jpeg_quality;
+        check((1..=100).contains(&quality), "mark.robust.jpeg_quality", quality.to_string(), "1 to 100")?;
+        for (key, value, low, high, allowed) in [
+            ("mark.robust.share", self.share, 0.0, 1.0, "0 to 1"),
+            ("mark.robust.blur_px", self.blur_px, 0.0, 16.0, "0 to 16"),
+            ("mark.robust.noise", self.noise, 0.0, 0.5, "0 to 0.5"),
+            ("mark.robust.light", self.light, 0.0, 0.9, "0 to 0.9"),
+            ("mark.robust.rotate_deg", self.rotate_deg, 0.0, 180.0, "0 to 180"),
+            ("mark.robust.scale", self.scale, 0.1, 1.0, "0.1 to 1"),
+        ] {
+            check((low..=high).contains(&value), key, value.to_string(), allowed)?;
+        }
+        Ok(())
+    }
+
+    /// Distortions in the order that pictures meet them, each with a drawn strength, in
+    /// pixels of the large picture; those whose limit is harmless are left out.
+    fn all(&self, rng: &mut ChaCha8Rng) -> Vec<Distortion> {
+        let mut either = |most: f64| rng.random_range(-most..=most) as f32;
+        let (brightness, contrast, degrees) =
+            (1.0 + either(self.light), 1.0 + either(self.light), either(self.rotate_deg));
+        let mut share = || rng.random_range(0.0f32..=1.0);
+        let factor = 1.0 - share() * (1.0 - self.scale as f32);
+        let (sigma_px, sigma) = (share() * self.blur_px as f32, share() * self.noise as f32);
+        let quality = 100 - (share() * f32::from(100 - self.jpeg_quality)) as u8;
+        let list = [
+            (self.rotate_deg > 0.0, Distortion::Rotate { degrees }),
+            (self.light > 0.0, Distortion::Light { brightness, contrast }),
+            (self.scale < 1.0, Distortion::Scale { factor }),
+            (self.blur_px > 0.0, Distortion::Blur { sigma_px }),
+            (self.noise > 0.0, Distortion::Noise { sigma }),
+            (self.jpeg_quality < 100, Distortion::Jpeg { quality }),
+        ];
+        list.into_iter().filter(|(wanted, _)| *wanted).map(|(_, d)| d).collect()
+    }
+}
+
+/// What is done to a picture, drawn once, so that a marked render and its twin meet the same.
+pub(crate) struct Attack {
+    steps: Vec<(Distortion, u64)>,
+    native_px: f32,
+}
+
+/// An attacked picture, `height x width x 3`, and its way back.
+pub(crate) struct Attacked {
+    pub(crate) rgb: Vec<f32>,
+    /// Width and height.
+    pub(crate) size: [usize; 2],
+    back: Vec<Back>,
+}
+
+enum Back {
+    Trace(Trace),
+    Stretch(Stretch),
+    Shrink(AreaFilter),
+}
+
+impl Attack {
+    /// Nothing.
+    pub(crate) fn none() -> Self {
+        Self { steps: Vec::new(), native_px: 1.0 }
+    }
+
+    /// As often as the settings want it, a few distortions or all; else none.
+    pub(crate) fn draw(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
+        match config.enabled && rng.random_bool(config.share) {
+            true => Self::always(config, rng),
+            false => Self::none(),
+        }
+    }
+
+    /// A few distortions or all.
+    pub(crate) fn always(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
+        // Some pictures are larger than others.
+        let native_px = config.native_px as f32 * rng.random_range(0.7f32..1.4);
+        let everything = rng.random_range(0..ONE_IN_ALL) == 0;
+        let all = config.all(rng);
+        let steps = all.into_iter().filter(|_| rng.random_bool(ODDS) || everything).collect::<Vec<_>>();
+        Self { steps: steps.into_iter().map(|step| (step, rng.random())).collect(), native_px }
+    }
+
+    /// Does it to a picture of `size` = [width, height] with numbers in [0, 1].
+    pub(crate) fn apply(&self, rgb: Vec<f32>, size: [usize; 2]) -> Attacked {
+        let ratio = (self.native_px / size[0].max(size[1]) as f32).max(1.0);
+        let mut now = Attacked { rgb, size, back: Vec::new() };
+        for (step, seed) in &self.steps {
+            match *step {
+                Distortion::Blur { sigma_px } => now.take(Distortion::Blur { sigma_px: sigma_px / ratio }, *seed),
+                // The mean of ratio^2 pixels has a ratio-th of their noise.
+                Distortion::Noise { sigma } => now.take(Distortion::Noise { sigma: sigma / ratio }, *seed),
+                Distortion::Jpeg { .. } => now.enlarged(ratio, *step),
+                other => now.take(other, *seed),
+            }
+        }
+        now
+    }
+}
+
+impl Attacked {
+    fn take(&mut self, step: Distortion, seed: u64) {
+        let picture = made(self.size[0], self.size[1], std::mem::take(&mut self.rgb));
+        let (picture, trace) = step.traced(&picture, seed);
+        self.size = [picture.width(), picture.height()];
+        self.rgb = picture.into_rgb();
+        self.back.push(Back::Trace(trace));
+    }
+
+    /// `step` on a copy `ratio` times larger.
+    fn enlarged(&mut self, ratio: f32, step: Distortion) {
+        let (small, large) = (self.size, self.size.map(|s| (s as f32 * ratio).round() as usize));
+        let stretch = Stretch::new(small, large);
+        (self.rgb, self.size) = (stretch.apply(&self.rgb), large);
+        self.back.push(Back::Stretch(stretch));
+        self.take(step, 0);
+        let shrink = AreaFilter::new(large, small);
+        (self.rgb, self.size) = (shrink.apply(&self.rgb), small);
+        self.back.push(Back::Shrink(shrink));
+    }
+
+    /// d(loss)/d(picture) from d(loss)/d(attacked picture).
+    pub(crate) fn back(&self, slope: Vec<f32>) -> Vec<f32> {
+        self.back.iter().rev().fold(slope, |slope, back| match back {
+            Back::Trace(trace) => trace.back(slope),
+            Back::Stretch(stretch) => stretch.transpose(&slope),
+            Back::Shrink(filter) => filter.transpose(&slope),
+        })
+    }
+}

@@ -1,0 +1,290 @@
+//! Judging as a part: a stored marked field and detector on views that no
+//! training saw. Renders are read as files hold them, in 8 bits.
+
+use std::path::PathBuf;
+
+use cairn_capture::{Camera, Picture, encode_png};
+use cairn_field::Appearance;
+use cairn_metrics::{expected_calibration_error, psnr_db, ssim};
+use cairn_stega::{Detection, Detector, MarkedField};
+use serde::{Deserialize, Serialize};
+
+use super::super::field::progress::Progress;
+use super::super::field::source::{Opened, Source};
+use super::harm::{self, Set};
+pub use super::scored::Judged;
+use super::scored::{Harmed, Recovered};
+use super::{sheet, train, unmarked};
+use crate::engine::evaluate::{PERFECT_DB, eight_bits, half, likeness, noise};
+use crate::engine::report::Right;
+
+/// Confidence bins of the calibration.
+const BINS: usize = 15;
+
+/// What to judge.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Task {
+    /// The capture.
+    pub source: Source,
+    /// Other captures.
+    pub foreign: Vec<Source>,
+    /// The stored marked field.
+    pub marked: PathBuf,
+    /// The stored detector.
+    pub detector: PathBuf,
+    /// The pictures that were hidden.
+    pub signals: Vec<PathBuf>,
+    /// Whether light is fitted on left halves and right halves are scored.
+    pub right_half: bool,
+    /// The file for a contact sheet.
+    pub sheet: PathBuf,
+    /// The file for the reliability table.
+    pub reliability: PathBuf,
+    /// What people are told.
+    pub label: String,
+}
+
+/// A held-out view.
+pub struct View {
+    pub camera: Camera,
+    pub photograph: Picture,
+    pub appearance: Appearance,
+    /// The identity of its pose, 0 for none.
+    pub truth: usize,
+    /// Renders, in 8 bits.
+    pub base: Picture,
+    pub marked: Picture,
+}
+
+/// A detector that is asked, and remembers how sure it was.
+pub struct Asked {
+    detector: Detector,
+    signals: Vec<Picture>,
+    /// Confidence of each answer, and whether it was right.
+    answers: Vec<(f64, bool)>,
+}
+
+impl Asked {
+    /// Whether `picture`, whose class is `truth`, is told so; and what is recovered of it.
+    pub fn ask(&mut self, picture: &Picture, truth: usize) -> anyhow::Result<(bool, Detection)> {
+        let found = self.detector.detect(picture)?;
+        let class = found.identity.unwrap_or(0) as usize;
+        let sure = found.probabilities.get(class).copied().unwrap_or_default();
+        // Sums of probabilities may miss one by a rounding.
+        self.answers.push((f64::from(sure).clamp(0.0, 1.0), class == truth));
+        Ok((class == truth, found))
+    }
+
+    /// SSIM of what was recovered against the picture of identity `truth`.
+    fn likeness(&self, truth: usize, recovered: &Picture) -> anyhow::Result<f64> {
+        Ok(likeness(&self.signals[truth - 1], recovered)?)
+    }
+}
+
+/// Judges.
+///
+/// # Errors
+/// For files that do not read, and pictures too small to compare.
+pub fn run(task: &Task) -> anyhow::Result<Judged> {
+    let marked = MarkedField::from_bytes(&super::read(&task.marked)?)?;
+    let detector = Detector::from_bytes(&super::read(&task.detector)?)?;
+    let mut asked = Asked { detector, signals: train::pictures(&task.signals)?, answers: Vec::new() };
+    let opened = task.source.open()?;
+    let mut progress = Progress::new(&task.label, 4);
+    let views = views(&opened, &marked, task.right_half)?;
+    anyhow::ensure!(!views.is_empty(), "{} holds no view out to judge on", task.source.folder.display());
+    let (classes, identities) = clean(&mut asked, &views)?;
+    crate::cli::write(&task.sheet, &encode_png(&sheet::draw(&asked.detector, &asked.signals, &views)?))?;
+    progress.at(1, "");
+    let harms = harms(&mut asked, &marked, &views)?;
+    progress.at(2, "");
+    let (stranger_marks, stranger_views) = strangers(&asked, &marked, &views)?;
+    progress.at(3, "");
+    let unmarked = unmarked::ask(&mut asked, (&opened, &task.foreign), &views)?;
+    drop(progress);
+    let part = |picture: &Picture| if task.right_half { half(picture) } else { Ok(picture.clone()) };
+    let mut sums = [0.0; 4];
+    for view in &views {
+        let (photograph, base, marked) = (part(&view.photograph)?, part(&view.base)?, part(&view.marked)?);
+        sums[0] += psnr_db(&photograph, &base)?.min(PERFECT_DB);
+        sums[1] += psnr_db(&photograph, &marked)?.min(PERFECT_DB);
+        sums[2] += ssim(&photograph, &base)?;
+        sums[3] += ssim(&photograph, &marked)?;
+    }
+    let kept = views.iter().filter(|v| v.truth > 0).map(|v| Ok(psnr_db(&v.base, &v.marked)?.min(PERFECT_DB)));
+    let kept = kept.collect::<anyhow::Result<Vec<f64>>>()?;
+    let [base_psnr_db, marked_psnr_db, base_ssim, marked_ssim] = sums.map(|sum| sum / views.len() as f64);
+    crate::cli::write(&task.reliability, reliability(&asked.answers).as_bytes())?;
+    Ok(Judged {
+        views: views.len(),
+        marked_views: kept.len(),
+        base_psnr_db,
+        marked_psnr_db,
+        base_ssim,
+        marked_ssim,
+        kept_db: mean(&kept).unwrap_or(PERFECT_DB),
+        classes,
+        identities,
+        harms,
+        stranger_marks,
+        stranger_views,
+        unmarked,
+        calibration_error: expected_calibration_error(&asked.answers, BINS)?,
+        answers: asked.answers.len(),
+    })
+}
+
+fn views(opened: &Opened, marked: &MarkedField, right_half: bool) -> anyhow::Result<Vec<View>> {
+    let base = marked.base();
+    let view = |index: usize| {
+        let view = opened.view(index)?;
+        let appearance = match right_half {
+            true => base.fit_appearance_left_half(&view.camera, &view.picture)?,
+            false => base.canonical_appearance().clone(),
+        };
+        let identity = marked.clusters().identity_of(&view.camera.pose).identity;
+        Ok(View {
+            base: eight_bits(&base.render(&view.camera, &appearance))?,
+            marked: eight_bits(&marked.render(&view.camera, &appearance))?,
+            camera: view.camera,
+            photograph: (*view.picture).clone(),
+            appearance,
+            truth: identity.unwrap_or(0) as usize,
+        })
+    };
+    opened.held_out().into_iter().map(view).collect()
+}
+
+/// Classes of renders as they are, and each identity's picture.
+fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Vec<Recovered>)> {
+    let mut classes = Right::default();
+    let mut found: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); asked.signals.len()];
+    for view in views {
+        let (right, read) = asked.ask(&view.marked, view.truth)?;
+        classes.count(right);
+        classes.count(asked.ask(&view.base, 0)?.0);
+        if view.truth > 0 {
+            let forced = asked.detector.detect_forced(&view.base, view.truth)?.recovered;
+            let (hidden, forced) = (asked.likeness(view.truth, &read.recovered)?, asked.likeness(view.truth, &forced)?);
+            found[view.truth - 1].0.push(hidden);
+            found[view.truth - 1].1.push(forced);
+        }
+    }
+    let (w, h) = (views[0].base.width(), views[0].base.height());
+    let mut identities = Vec::new();
+    for (at, (hidden, forced)) in found.iter().enumerate() {
+        let told =
+            |picture: &Picture| asked.likeness(at + 1, &asked.detector.detect_forced(picture, at + 1)?.recovered);
+        identities.push(Recovered {
+            ssim: mean(hidden),
+            forced_base: mean(forced),
+            forced_grey: told(&Picture::constant(w, h, [0.5; 3]))?,
+            forced_noise: told(&noise(w, h))?,
+        });
+    }
+    Ok((classes, identities))
+}
+
+fn harms(asked: &mut Asked, marked: &MarkedField, views: &[View]) -> anyhow::Result<Vec<Harmed>> {
+    let mut all = Vec::new();
+    for harm in harm::of_pictures() {
+        let mut pairs = Vec::new();
+        for (seed, list) in harm.tries.iter().enumerate() {
+            for view in views {
+                // A mark and its twin in noise of their own: they are two files.
+                let done = |picture: &Picture, salt: u64| {
+                    let seed = |at: usize| 1000 * seed as u64 + 10 * at as u64 + salt;
+                    list.iter().enumerate().fold(picture.clone(), |p, (at, d)| d.apply(&p, seed(at)))
+                };
+                pairs.push((view.truth, done(&view.marked, 0), done(&view.base, 1)));
+            }
+        }
+        all.push(harmed(asked, (harm.name, harm.set), pairs)?);
+    }
+    for (name, set, field) in harm::of_weights(marked) {
+        let pair = |view: &View| {
+            let marked = eight_bits(&field.render(&view.camera, &view.appearance))?;
+            Ok((view.truth, marked, eight_bits(&field.base().render(&view.camera, &view.appearance))?))
+        };
+        all.push(harmed(asked, (name, set), views.iter().map(pair).collect::<anyhow::Result<_>>()?)?);
+    }
+    let lights = marked.base().appearances();
+    if !lights.is_empty() {
+        let pair = |(at, view): (usize, &View)| {
+            // Far from the view in the list, and another for each.
+            let light = &lights[(at * 7 + lights.len() / 2) % lights.len()].1;
+            let marked_there = eight_bits(&marked.render(&view.camera, light))?;
+            Ok((view.truth, marked_there, eight_bits(&marked.base().render(&view.camera, light))?))
+        };
+        let pairs = views.iter().enumerate().map(pair).collect::<anyhow::Result<_>>()?;
+        all.push(harmed(asked, ("another view's appearance", Set::Hard), pairs)?);
+    }
+    Ok(all)
+}
+
+/// Asks pairs of marked and base renders, each with its view's identity.
+fn harmed(
+    asked: &mut Asked,
+    (name, set): (&str, Set),
+    pairs: Vec<(usize, Picture, Picture)>,
+) -> anyhow::Result<Harmed> {
+    let (mut classes, mut hidden) = (Right::default(), Vec::new());
+    for (truth, marked, base) in pairs {
+        let (right, read) = asked.ask(&marked, truth)?;
+        classes.count(right);
+        classes.count(asked.ask(&base, 0)?.0);
+        if truth > 0 {
+            hidden.push(asked.likeness(truth, &read.recovered)?);
+        }
+    }
+    Ok(Harmed { name: name.to_owned(), set, classes, ssim: mean(&hidden) })
+}
+
+/// Marks of other identities on each view: how often the mark's class is told, and how often the view's.
+fn strangers(asked: &Asked, marked: &MarkedField, views: &[View]) -> anyhow::Result<(Right, Right)> {
+    let (mut by_mark, mut by_view) = (Right::default(), Right::default());
+    for view in views.iter().filter(|v| v.truth > 0) {
+        for other in (1..=asked.signals.len()).filter(|identity| *identity != view.truth) {
+            let render = eight_bits(&marked.render_as(&view.camera, &view.appearance, Some(other as u32)))?;
+            let class = asked.detector.detect(&render)?.identity.unwrap_or(0) as usize;
+            by_mark.count(class == other);
+            by_view.count(class == view.truth);
+        }
+    }
+    Ok((by_mark, by_view))
+}
+
+/// A row for each bin of confidence that has answers: how sure, how often right, how many.
+fn reliability(answers: &[(f64, bool)]) -> String {
+    let mut table = "from,to,confidence,accuracy,answers\n".to_owned();
+    for bin in 0..BINS {
+        let (from, to) = (bin as f64 / BINS as f64, (bin + 1) as f64 / BINS as f64);
+        let of: Vec<_> = answers.iter().filter(|(sure, _)| *sure > from && *sure <= to).collect();
+        if !of.is_empty() {
+            let n = of.len() as f64;
+            let sure = of.iter().map(|(sure, _)| sure).sum::<f64>() / n;
+            let right = of.iter().filter(|(_, right)| *right).count() as f64 / n;
+            table += &format!("{from:.4},{to:.4},{sure:.4},{right:.4},{}\n", of.len());
+        }
+    }
+    table
+}
+
+/// `None` of nothing.
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_reliability_table_has_every_answer_once() {
+        let answers: Vec<(f64, bool)> = (1..=30).map(|i| (f64::from(i) / 30.0, i % 3 != 0)).collect();
+        let table = reliability(&answers);
+        let counts = table.lines().skip(1).map(|line| line.rsplit(',').next().unwrap().parse::<usize>().unwrap());
+        assert_eq!(counts.sum::<usize>(), 30);
+        assert!(table.contains("0.9333,1.0000,0.9833,0.5000,2"), "{table}");
+    }
+}

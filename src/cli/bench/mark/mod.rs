@@ -1,0 +1,222 @@
+//! Suite `mark`: what stage 2 makes of captures' base fields. Each capture is
+//! marked three times, with other seeds and other hidden pictures, and judged on
+//! views that no training saw: pictures kept, hidden pictures recovered, classes
+//! told, false owners on pictures of anything else, and what outlasts the ways
+//! that pictures travel.
+//!
+//! Every training and judging runs in a process of its own, as in suite `field`.
+//! Base fields stay in the folder and are taken again by a later run with the same
+//! settings and seed: with marks made to last and without they are the same.
+
+mod case;
+mod harm;
+mod judge;
+mod report;
+mod scored;
+mod sheet;
+mod train;
+mod unmarked;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use cairn_field::FieldConfig;
+use cairn_stega::MarkConfig;
+use sha2::{Digest as _, Sha256};
+
+use super::super::connect::Where;
+use super::super::read;
+use super::Args;
+use super::children::Children;
+use super::field::source::Source;
+use super::field::{train as base, unless_stopped};
+use super::rows::Rows;
+use crate::config::{Config, overlay_for, training_settings};
+use case::Case;
+
+pub use judge::{Judged, Task as Judge, run as judge};
+pub use train::{Marked, Task as Mark, run as mark};
+
+/// What `--quick` lays over the settings: everything runs, nothing is good.
+const QUICK_TOML: &str = "[field]\nsteps = 64\nrays_per_step = 512\nvoxels = 32768\nlevels = 2\n\
+    [mark]\nsteps = 40\nvirtual_views = 1\nlongest_side_px = 64\nclassify_until = 10.0\n";
+/// Pictures' longest side under `--quick`, px.
+const QUICK_SIDE_PX: usize = 64;
+/// Views of each split, at most, under `--quick`.
+const QUICK_VIEWS: usize = 12;
+/// Trainings of each capture: seeds from the one that was asked for on, and each its own hidden pictures.
+const RUNS: u64 = 3;
+
+/// Measures the captures that were asked for and puts each one's rows into the ledger.
+pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
+    let captures = args.captures()?;
+    let cases = case::wanted(&args.cases);
+    for case in &cases {
+        let folder = captures.join(case.name.as_str());
+        anyhow::ensure!(
+            folder.is_dir(),
+            "there is no capture {}; bring it, or name others (--case NAME)",
+            folder.display()
+        );
+    }
+    let pictures = pictures(args.signals.as_deref().unwrap_or(&captures.join("signals")))?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let children = Arc::new(Children::default());
+    for case in cases {
+        let run = Run::new(place, args, case, (&captures, &pictures))?;
+        let robust = run.mark.robust.enabled;
+        let work = tokio::task::spawn_blocking({
+            let children = children.clone();
+            move || run.outcome(&children)
+        });
+        let outcome = unless_stopped(work, &children).await?;
+        report::rows(rows, &args.case_name(case.name.as_str()), (case, robust), &outcome);
+        rows.save(args)?;
+    }
+    println!("contact sheets and reliability tables in {}", args.out.display());
+    Ok(())
+}
+
+/// The pictures of a folder, in order of file name.
+fn pictures(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder)
+        .with_context(|| format!("cannot read {}; say where pictures to hide are (--signals DIR)", folder.display()))?;
+    let mut files = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
+    files.retain(|path| {
+        path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png") || e.eq_ignore_ascii_case("jpg"))
+    });
+    files.sort();
+    anyhow::ensure!(
+        !files.is_empty(),
+        "{} has no PNG or JPEG; say where pictures to hide are (--signals DIR)",
+        folder.display()
+    );
+    Ok(files)
+}
+
+/// A capture's trainings.
+#[derive(Default)]
+pub struct Outcome {
+    /// Stage 1, where it was trained in this run.
+    pub base: Option<base::Trained>,
+    /// Each training and its judgement.
+    pub runs: Vec<(Marked, Judged)>,
+}
+
+/// One capture's measurements, as they are asked for.
+struct Run {
+    case: &'static Case,
+    source: Source,
+    /// Other captures, to be silent on.
+    foreign: Vec<Source>,
+    pictures: Vec<PathBuf>,
+    field: FieldConfig,
+    mark: MarkConfig,
+    seed: u64,
+    runs: u64,
+    name: String,
+    out: PathBuf,
+}
+
+impl Run {
+    fn new(
+        place: &Where,
+        args: &Args,
+        case: &'static Case,
+        (captures, pictures): (&Path, &[PathBuf]),
+    ) -> anyhow::Result<Self> {
+        let sized = |folder: PathBuf| {
+            let (longest_side_px, most_views) =
+                if args.quick { (Some(QUICK_SIDE_PX), Some(QUICK_VIEWS)) } else { (None, None) };
+            Source { folder, longest_side_px, most_views }
+        };
+        let folder = captures.join(case.name.as_str());
+        let source = sized(folder.canonicalize().with_context(|| format!("cannot find {}", folder.display()))?);
+        let overlay = overlay_for(source.open()?.kind());
+        let settings = match &args.settings {
+            Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?,
+            None => String::new(),
+        };
+        let mut overlays = vec![overlay];
+        if args.quick {
+            overlays.push(("the quick settings", QUICK_TOML));
+        }
+        overlays.push(("--settings", settings.as_str()));
+        let base = Config::load(place.config.as_deref())?.training;
+        let training = training_settings(&base, &overlays)?;
+        let others = case::ALL.iter().filter(|name| **name != case.name).map(|name| captures.join(name.as_str()));
+        Ok(Self {
+            case,
+            source,
+            foreign: others.filter(|folder| folder.is_dir()).map(sized).collect(),
+            pictures: pictures.to_vec(),
+            field: training.field,
+            mark: training.mark,
+            seed: args.seed,
+            runs: if args.quick { 1 } else { RUNS },
+            name: args.case_name(case.name.as_str()),
+            out: args.out.clone(),
+        })
+    }
+
+    fn outcome(&self, children: &Children) -> anyhow::Result<Outcome> {
+        let (field, base) = self.base(children)?;
+        let mut outcome = Outcome { base, runs: Vec::new() };
+        let slug: String = self.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+        for run in 0..self.runs {
+            let label = |what: &str| format!("{}, {what}, {} of {}", self.name, run + 1, self.runs);
+            let file = |what: &str| self.out.join(format!("{slug}-{}.{what}", self.seed + run));
+            let signals = (0..self.case.anchors).map(|i| {
+                let at = run as usize * self.case.anchors + i;
+                self.pictures[at % self.pictures.len()].clone()
+            });
+            let mark = Mark {
+                source: self.source.clone(),
+                base: field.clone(),
+                config: self.mark.clone(),
+                anchors: self.case.anchors,
+                neighbours: self.case.neighbours,
+                signals: signals.collect(),
+                seed: self.seed + run,
+                marked: file("marked"),
+                detector: file("detector"),
+                label: label("marking"),
+            };
+            let judge = Judge {
+                source: self.source.clone(),
+                foreign: self.foreign.clone(),
+                marked: mark.marked.clone(),
+                detector: mark.detector.clone(),
+                signals: mark.signals.clone(),
+                right_half: self.case.right_half,
+                sheet: file("png"),
+                reliability: file("csv"),
+                label: label("judging"),
+            };
+            outcome.runs.push((children.run(&mark)?, children.run(&judge)?));
+        }
+        Ok(outcome)
+    }
+
+    /// The stored base field, trained where it is not there yet.
+    fn base(&self, children: &Children) -> anyhow::Result<(PathBuf, Option<base::Trained>)> {
+        // Settings, seed and pictures make a field; the folder's place does not.
+        let key = serde_json::to_vec(&(&self.field, self.seed, self.source.longest_side_px, self.source.most_views))?;
+        let key: String = Sha256::digest(key).iter().take(6).map(|byte| format!("{byte:02x}")).collect();
+        let field = self.out.join(format!("{}-{key}.field", self.case.name.as_str()));
+        if field.is_file() {
+            eprintln!("{}: the base field {} is there", self.name, field.display());
+            return Ok((field, None));
+        }
+        let train = base::Task {
+            source: self.source.clone(),
+            config: self.field.clone(),
+            seed: self.seed,
+            field: field.clone(),
+            label: format!("{}, base field", self.name),
+        };
+        let trained = children.run(&train)?;
+        Ok((field, Some(trained)))
+    }
+}

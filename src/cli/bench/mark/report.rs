@@ -1,0 +1,99 @@
+//! A capture's rows for the ledger: means over its trainings, and the worst where a
+//! mean could hide it.
+
+use cairn_bench::Target;
+
+use super::case::{COMBINED, Case, HARD, MILD};
+use super::harm::Set;
+use super::scored::{Harmed, Judged};
+use super::{Marked, Outcome};
+use crate::cli::bench::rows::Rows;
+use crate::engine::report::Right;
+
+/// Adds the rows of `outcome` as case `name`. What is asked depends on whether marks
+/// were trained to last (`robust`).
+pub fn rows(rows: &mut Rows, name: &str, (case, robust): (&Case, bool), outcome: &Outcome) {
+    let Some(first) = outcome.runs.first().map(|run| &run.1) else { return };
+    let judged = || outcome.runs.iter().map(|run| &run.1);
+    let of = |f: &dyn Fn(&Judged) -> f64| mean(judged().map(f));
+    // A mark that is to last is stronger; what it costs is shown, and asked of the other.
+    let asked = |target: Target| (!robust).then_some(target);
+    rows.add(name, "trainings", outcome.runs.len() as f64, "", None);
+    rows.add(name, "held-out views", first.views as f64, "", None);
+    rows.add(name, "base field PSNR", of(&|j| j.base_psnr_db), "dB", None);
+    let change = of(&|j| j.marked_psnr_db - j.base_psnr_db);
+    rows.add(name, "PSNR change by the mark", change, "dB", asked(Target::at_least(case.change_db)));
+    rows.add(name, "SSIM change by the mark", of(&|j| j.marked_ssim - j.base_ssim), "", None);
+    rows.add(name, "marked against base PSNR", of(&|j| j.kept_db), "dB", None);
+    share(rows, name, "accuracy", judged().map(|j| j.classes), asked(Target::at_least(case.accuracy)));
+    hidden(rows, name, asked(Target::at_least(case.hidden_ssim)), outcome);
+    share(rows, name, "a stranger's mark: the mark decides", judged().map(|j| j.stranger_marks), None);
+    share(rows, name, "a stranger's mark: the view decides", judged().map(|j| j.stranger_views), None);
+    for at in 0..first.unmarked.len() {
+        let silent = judged().filter_map(|j| j.unmarked.get(at)).map(|s| s.silent);
+        let what = &first.unmarked[at].what;
+        rows.add(name, &format!("pictures: {what}"), silent.clone().map(|s| f64::from(s.asked as u32)).sum(), "", None);
+        share(rows, name, &format!("unmarked: {what}"), silent, Some(Target::at_least(1.0)));
+    }
+    rows.add(name, "expected calibration error", of(&|j| j.calibration_error), "", None);
+    for at in 0..first.harms.len() {
+        let all: Vec<&Harmed> = judged().filter_map(|j| j.harms.get(at)).collect();
+        harm(rows, name, robust, &all);
+    }
+    if let Some(base) = &outcome.base {
+        rows.add(name, "base field, training", base.seconds, "s", None);
+    }
+    cost(rows, name, (case, robust), outcome.runs.iter().map(|run| &run.0).collect());
+}
+
+fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, outcome: &Outcome) {
+    let identities: Vec<_> = outcome.runs.iter().flat_map(|run| &run.1.identities).collect();
+    let found: Vec<f64> = identities.iter().filter_map(|i| i.ssim).collect();
+    if !found.is_empty() {
+        rows.add(name, "hidden SSIM", mean(found.iter().copied()), "", target);
+        rows.add(name, "hidden SSIM, worst identity", found.iter().copied().fold(f64::INFINITY, f64::min), "", None);
+        rows.add(name, "forced on base renders", mean(identities.iter().filter_map(|i| i.forced_base)), "", None);
+    }
+    rows.add(name, "forced on grey", mean(identities.iter().map(|i| i.forced_grey)), "", None);
+    rows.add(name, "forced on noise", mean(identities.iter().map(|i| i.forced_noise)), "", None);
+}
+
+fn harm(rows: &mut Rows, name: &str, robust: bool, all: &[&Harmed]) {
+    let Some(first) = all.first() else { return };
+    let (accuracy, ssim) = match first.set {
+        Set::Mild => (MILD.0, Some(MILD.1)),
+        Set::Hard => (HARD, None),
+        Set::Combined => (COMBINED, None),
+    };
+    let asked = |least| robust.then(|| Target::at_least(least));
+    share(rows, name, &format!("{}: accuracy", first.name), all.iter().map(|h| h.classes), asked(accuracy));
+    let found: Vec<f64> = all.iter().filter_map(|h| h.ssim).collect();
+    if !found.is_empty() {
+        let target = ssim.and_then(asked);
+        rows.add(name, &format!("{}: hidden SSIM", first.name), mean(found.into_iter()), "", target);
+    }
+}
+
+fn cost(rows: &mut Rows, name: &str, (case, robust): (&Case, bool), runs: Vec<&Marked>) {
+    let target = (!robust).then(|| Target::at_most(case.seconds));
+    rows.add(name, "stage 2", mean(runs.iter().map(|r| r.seconds)), "s", target);
+    rows.add(name, "stage 2, of it ray weights", mean(runs.iter().map(|r| r.prepared_s)), "s", None);
+    rows.add(name, "stage 2, steps", mean(runs.iter().map(|r| r.steps as f64)), "", None);
+    let peak = runs.iter().filter_map(|r| r.peak_mib).fold(0.0, f64::max);
+    if peak > 0.0 {
+        rows.add(name, "stage 2, peak memory", peak, "MiB", None);
+    }
+}
+
+/// The share of right answers over all trainings; nothing where none was asked for.
+fn share(rows: &mut Rows, name: &str, metric: &str, of: impl Iterator<Item = Right>, target: Option<Target>) {
+    let (right, asked) = of.fold((0, 0), |(r, a), of| (r + of.right, a + of.asked));
+    if asked > 0 {
+        rows.add(name, metric, right as f64 / asked as f64, "", target);
+    }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, n) = values.fold((0.0, 0u32), |(s, n), v| (s + v, n + 1));
+    sum / f64::from(n.max(1))
+}

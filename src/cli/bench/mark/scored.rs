@@ -1,0 +1,76 @@
+//! What a judgement of a marked field says.
+
+use serde::{Deserialize, Serialize};
+
+use super::harm::Set;
+use crate::engine::report::Right;
+
+/// Everything about one marked field and its detector; pictures are rounded to 8 bits.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Judged {
+    /// Held-out views.
+    pub views: usize,
+    /// Of them, those in some identity's cluster.
+    pub marked_views: usize,
+    /// Mean PSNR of the base field's renders against photographs, dB.
+    pub base_psnr_db: f64,
+    /// Mean PSNR of the marked field's, dB.
+    pub marked_psnr_db: f64,
+    /// Mean SSIM of the base field's renders against photographs.
+    pub base_ssim: f64,
+    /// Mean SSIM of the marked field's.
+    pub marked_ssim: f64,
+    /// Mean PSNR of marked against base renders where there is a mark, dB.
+    pub kept_db: f64,
+    /// Right classes over theta's and theta_0's renders.
+    pub classes: Right,
+    /// Each identity's hidden picture.
+    pub identities: Vec<Recovered>,
+    /// Under each distortion.
+    pub harms: Vec<Harmed>,
+    /// A mark on views of other clusters: whether the mark decides. Nothing asked with one identity.
+    pub stranger_marks: Right,
+    /// Of them, how often the view decided instead.
+    pub stranger_views: Right,
+    /// What carries no mark, and is to be `unmarked`.
+    pub unmarked: Vec<Silent>,
+    /// Expected calibration error of the answers to all of the above but `stranger`s.
+    pub calibration_error: f64,
+    /// Answers behind it.
+    pub answers: usize,
+}
+
+/// What was recovered of one identity's picture; means over its held-out views.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Recovered {
+    /// SSIM of recovered against hidden; `None` where it has no held-out view.
+    pub ssim: Option<f64>,
+    /// What the detector draws of theta_0's render when told the identity.
+    pub forced_base: Option<f64>,
+    /// The same of a grey card.
+    pub forced_grey: f64,
+    /// The same of noise.
+    pub forced_noise: f64,
+}
+
+/// Recovery after something was done to the renders.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Harmed {
+    /// What was done.
+    pub name: String,
+    /// Its set.
+    pub set: Set,
+    /// Right classes over theta's and theta_0's renders.
+    pub classes: Right,
+    /// Mean hidden SSIM of theta's renders.
+    pub ssim: Option<f64>,
+}
+
+/// Pictures without a mark.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Silent {
+    /// What they are.
+    pub what: String,
+    /// Those that were called `unmarked`.
+    pub silent: Right,
+}

@@ -1,0 +1,125 @@
+//! Stage 2 as a part: from a stored base field to marked field and detector.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use cairn_capture::{Limits, Picture, decode_picture};
+use cairn_cluster::{ClusterConfig, Clusters, Grouping};
+use cairn_field::Field;
+use cairn_stega::{MarkConfig, MarkPlan, MarkTrainer, PlannedView};
+use serde::{Deserialize, Serialize};
+
+use super::super::field::progress::Progress;
+use super::super::field::source::{Opened, Source};
+use super::super::memory::peak_mib;
+use crate::engine::marks::JUDGE_EVERY;
+
+/// What to mark, and where the result goes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Task {
+    /// The capture.
+    pub source: Source,
+    /// The stored base field.
+    pub base: PathBuf,
+    /// Stage 2's settings.
+    pub config: MarkConfig,
+    /// M.
+    pub anchors: usize,
+    /// K; `None` for all views.
+    pub neighbours: Option<usize>,
+    /// One picture an identity.
+    pub signals: Vec<PathBuf>,
+    /// The seed.
+    pub seed: u64,
+    /// The file for the marked field.
+    pub marked: PathBuf,
+    /// The file for the detector.
+    pub detector: PathBuf,
+    /// What people are told.
+    pub label: String,
+}
+
+/// How it went.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Marked {
+    /// Seconds from the loaded base field to the finished detector.
+    pub seconds: f64,
+    /// Of them, those before the first step: ray weights.
+    pub prepared_s: f64,
+    /// Steps taken.
+    pub steps: u64,
+    /// Whether training ended before its last step.
+    pub converged: bool,
+    /// The most memory held, MiB.
+    pub peak_mib: Option<f64>,
+}
+
+/// Trains and stores.
+///
+/// # Errors
+/// For files that do not read, settings out of range, and the trainer's.
+pub fn run(task: &Task) -> anyhow::Result<Marked> {
+    let base = Arc::new(Field::from_bytes(&super::read(&task.base)?)?);
+    let opened = task.source.open()?;
+    let plan = plan(task, &opened, &base)?;
+    drop(opened);
+    let begun = Instant::now();
+    let mut weights = Progress::new(&format!("{}: ray weights", task.label), 1);
+    let mut hear = |done: usize, total: usize| {
+        weights.of(done as u64, total as u64);
+        true
+    };
+    let mut trainer = MarkTrainer::new(base, plan, task.config.clone(), task.seed, &mut hear)?;
+    drop(weights);
+    let prepared_s = begun.elapsed().as_secs_f64();
+    let mut progress = Progress::new(&task.label, trainer.steps_total());
+    while trainer.steps_done() < trainer.steps_total() {
+        let stats = trainer.step()?;
+        if stats.step.is_multiple_of(JUDGE_EVERY) || stats.step == stats.total {
+            let judged = trainer.judge()?;
+            let (right, attacked, ssim) = (100.0 * judged.accuracy, 100.0 * judged.attacked, judged.hidden_ssim);
+            eprintln!(
+                "{} step {}: cross-entropy {:.4}, kept {:.1} dB, {right:.0} % right, {attacked:.0} % attacked, hidden {ssim:.3}",
+                task.label, stats.step, stats.classify, stats.kept_db
+            );
+        }
+        progress.at(stats.step, &format!("{:.1} dB, ", stats.kept_db));
+    }
+    drop(progress);
+    let steps = trainer.steps_done();
+    let (marked, detector) = trainer.finish()?;
+    let seconds = begun.elapsed().as_secs_f64();
+    crate::cli::write(&task.marked, &marked.to_bytes()?)?;
+    crate::cli::write(&task.detector, &detector.to_bytes()?)?;
+    Ok(Marked { seconds, prepared_s, steps, converged: steps < task.config.steps, peak_mib: peak_mib() })
+}
+
+fn plan(task: &Task, opened: &Opened, base: &Field) -> anyhow::Result<MarkPlan> {
+    let (training, held_out) = (opened.training(), opened.held_out());
+    // Over all poses, as the engine does; only the rule for poses is used.
+    let poses: Vec<_> = training.iter().chain(&held_out).map(|index| opened.camera(*index).pose).collect();
+    let neighbours = task.neighbours.unwrap_or(poses.len()).min(poses.len() / task.anchors.max(1));
+    let config = ClusterConfig { anchors: task.anchors, neighbours, ..ClusterConfig::default() };
+    let clusters = Clusters::build(&poses, &Grouping::Anchors(config), &[], task.seed)?;
+    let views = training.iter().map(|index| {
+        let view = opened.view(*index)?;
+        let planned = PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() };
+        Ok((planned, Arc::unwrap_or_clone(view.picture)))
+    });
+    let (views, negatives) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
+    Ok(MarkPlan { clusters, views, signals: pictures(&task.signals)?, negatives })
+}
+
+/// Decodes pictures to hide.
+///
+/// # Errors
+/// For files that do not read or decode.
+pub fn pictures(files: &[PathBuf]) -> anyhow::Result<Vec<Picture>> {
+    let decode = |path: &PathBuf| {
+        let bytes = super::read(path)?;
+        decode_picture(&bytes, &Limits::default(), None).with_context(|| format!("{} does not decode", path.display()))
+    };
+    files.iter().map(decode).collect()
+}
