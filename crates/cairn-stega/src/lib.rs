@@ -15,6 +15,7 @@ mod config;
 mod detector;
 mod error;
 mod judge;
+mod losses;
 mod marked;
 mod mask;
 mod moves;
