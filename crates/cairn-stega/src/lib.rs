@@ -16,6 +16,7 @@ mod detector;
 mod distort;
 mod error;
 mod judge;
+mod losses;
 mod marked;
 mod mask;
 mod moves;

@@ -10,7 +10,7 @@
 use crate::bank::Bank;
 use crate::carrier::Carrier;
 use crate::checkpoint::fingerprint;
-use crate::config::{CarrierKind, LossKind, MarkConfig};
+use crate::config::{CarrierKind, MarkConfig};
 use crate::detector::Detector;
 use crate::error::MarkError;
 use crate::judge::{Judgement, State};
@@ -18,13 +18,13 @@ use crate::marked::MarkedField;
 use crate::mask::gradient_mask;
 use crate::networks::{Networks, planar};
 use crate::poses::PlannedView;
-use crate::renders::{Render, Tone};
+use crate::renders::Tone;
 use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_field::Field;
 use cairn_field::operator::CarrierBasis;
-use cairn_nn::{Adam, AdamConfig, NnError, Rate, cross_entropy, mean_absolute, mean_squared, softmax};
-use candle_core::{Device, Tensor, Var};
+use cairn_nn::{Adam, AdamConfig, NnError, Rate};
+use candle_core::{Device, Var};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -270,42 +270,5 @@ impl MarkTrainer {
     /// Which carrier identity `i` (from 0) is in.
     pub(crate) fn carrier_of(&self, i: usize) -> usize {
         i % self.carriers.len()
-    }
-
-    /// Equation 5 without its picture term, which needs no network: the loss, its
-    /// cross-entropy and its recovery error. `images` are the renders (those of
-    /// identities first), then the twins, then the other unmarked pictures.
-    fn loss(&self, images: &Var, renders: &[Render]) -> Result<(Tensor, f64, f64), MarkError> {
-        let (all, side) = (images.dims()[0], self.config.side_px());
-        let mut classes: Vec<u32> = renders.iter().map(|r| r.class).collect();
-        classes.resize(all, 0);
-        let logits = self.networks.classifier.forward(images)?;
-        let cross = cross_entropy(&logits, &classes)?;
-        let classify = f64::from(cross.to_scalar::<f32>()?);
-        let weighted = (cross * self.config.weight_classify)?;
-        if !self.joined {
-            return Ok((weighted, classify, 0.0));
-        }
-        // Detached: recovery must not teach the classifier what to say. The gate
-        // silences most unmarked pictures by itself: one twin and one other
-        // picture a step suffice, and the detector is the costly network.
-        let told = softmax(&logits)?.detach();
-        let shown = if self.config.recover_moves_marks { images.as_tensor().clone() } else { images.detach() };
-        let some = |t: &Tensor| Tensor::cat(&[&t.narrow(0, 0, renders.len() + 1)?, &t.narrow(0, all - 1, 1)?], 0);
-        let hidden = self.networks.detector.forward(&some(&shown)?, &some(&told)?)?;
-        let owners = classes.iter().filter_map(|class| (*class as usize).checked_sub(1));
-        let truth: Vec<Vec<f32>> = owners.map(|identity| self.signals[identity].clone()).collect();
-        let marked = truth.len();
-        let truth = Tensor::from_vec(planar(&truth), (marked, 3, side, side), &Device::Cpu)?;
-        let distance = match self.config.loss {
-            LossKind::Absolute => mean_absolute,
-            LossKind::Squared => mean_squared,
-        };
-        let plus = distance(&hidden.narrow(0, 0, marked)?, &truth)?;
-        let rest = hidden.narrow(0, marked, renders.len() - marked + 2)?;
-        let minus = distance(&rest, &rest.zeros_like()?)?;
-        let recover = f64::from(plus.to_scalar::<f32>()?);
-        let total = ((weighted + (plus * self.config.weight_recover)?)? + (minus * self.config.weight_empty)?)?;
-        Ok((total, classify, recover))
     }
 }
