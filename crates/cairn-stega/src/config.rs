@@ -29,6 +29,23 @@ pub enum MaskKind {
     PerWeight,
     /// The authors' code: by the mean magnitude of each coefficient's group.
     PerCoefficientGroup,
+    /// The paper's ablation: all or nothing. The share `mask_share` of the weights that
+    /// matter most does not move, the others do freely.
+    Binary,
+}
+
+/// What the classifier is to the detector.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Guidance {
+    /// Its answer is told to the detector (classifier-guided recovery, the paper's).
+    #[default]
+    Told,
+    /// It is trained, and the detector is told nothing.
+    Untold,
+    /// It is not trained either, and its answers mean nothing: the paper's ablation
+    /// without a classifier.
+    NoClassifier,
 }
 
 /// How a difference is measured.
@@ -77,6 +94,10 @@ pub struct MarkConfig {
     pub mask_alpha: f64,
     /// The mask's smallest value, 0 to 1: nothing is locked altogether.
     pub mask_least: f64,
+    /// Share of the weights that a binary mask locks, 0 to 1.
+    pub mask_share: f64,
+    /// What the classifier is to the detector.
+    pub guidance: Guidance,
     /// Whether carriers are scaled to the budget below, and the picture loss and the
     /// pull wait until marks are read with ease. The paper has no budget: there the
     /// picture loss alone keeps the picture, at its full weight from the start.
@@ -132,6 +153,8 @@ impl Default for MarkConfig {
             mask: MaskKind::PerWeight,
             mask_alpha: 3.0,
             mask_least: 0.2,
+            mask_share: 0.5,
+            guidance: Guidance::Told,
             budget: true,
             budget_db: 40.0,
             budget_start_db: 32.0,
@@ -176,6 +199,7 @@ impl MarkConfig {
             ("mark.weight_picture", self.weight_picture, 0.0, 1e6, "0 to 1000000"),
             ("mark.mask_alpha", self.mask_alpha, 0.0, 10.0, "0 to 10"),
             ("mark.mask_least", self.mask_least, 0.0, 1.0, "0 to 1"),
+            ("mark.mask_share", self.mask_share, 0.0, 1.0, "0 to 1"),
             ("mark.budget_db", self.budget_db, 20.0, 80.0, "20 to 80"),
             ("mark.budget_start_db", self.budget_start_db, 20.0, self.budget_db, "20 to mark.budget_db"),
             ("mark.budget_ramp", self.budget_ramp, 0.0, 1.0, "0 to 1"),
@@ -188,6 +212,12 @@ impl MarkConfig {
         ] {
             check((low..=high).contains(&value), key, value.to_string(), allowed)?;
         }
+        check(
+            self.guidance != Guidance::NoClassifier || self.recover_moves_marks,
+            "mark.recover_moves_marks",
+            self.recover_moves_marks.to_string(),
+            "true where mark.guidance is no_classifier: nothing else moves marks then",
+        )?;
         self.robust.validate()?;
         let [h, w] = self.detector.size;
         check(

@@ -28,7 +28,7 @@ mod trainer;
 mod window;
 
 pub use carrier::Carrier;
-pub use config::{CarrierKind, LossKind, MarkConfig, MaskKind};
+pub use config::{CarrierKind, Guidance, LossKind, MarkConfig, MaskKind};
 pub use detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use distort::{Distortion, RobustConfig};
 pub use error::MarkError;

@@ -1,6 +1,6 @@
 //! What a step is to make smaller: equations 1, 2, 3 and 5.
 
-use crate::config::LossKind;
+use crate::config::{Guidance, LossKind};
 use crate::error::MarkError;
 use crate::networks::planar;
 use crate::renders::Render;
@@ -19,14 +19,15 @@ impl MarkTrainer {
         let logits = self.networks.classifier.forward(images)?;
         let cross = cross_entropy(&logits, &classes)?;
         let classify = f64::from(cross.to_scalar::<f32>()?);
-        let weighted = (cross * self.config.weight_classify)?;
+        let taught = self.config.guidance != Guidance::NoClassifier;
+        let weighted = (cross * if taught { self.config.weight_classify } else { 0.0 })?;
         if !self.joined {
             return Ok((weighted, classify, 0.0));
         }
         // Detached: recovery must not teach the classifier what to say. The gate
         // silences most unmarked pictures by itself: one twin and one other
         // picture a step suffice, and the detector is the costly network.
-        let told = softmax(&logits)?.detach();
+        let told = self.networks.told(softmax(&logits)?.detach())?;
         let shown = if self.config.recover_moves_marks { images.as_tensor().clone() } else { images.detach() };
         let some = |t: &Tensor| Tensor::cat(&[&t.narrow(0, 0, renders.len() + 1)?, &t.narrow(0, all - 1, 1)?], 0);
         let hidden = self.networks.detector.forward(&some(&shown)?, &some(&told)?)?;

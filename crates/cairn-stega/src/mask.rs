@@ -16,16 +16,20 @@ use cairn_field::sh::SH;
 /// moves freely.
 const FREE: f64 = 0.25;
 
-/// The mask of a carrier, `rows x basis.width()`, each in `[least, 1]`.
+/// The mask of a carrier, `rows x basis.width()`, each in `[least, 1]`; 0 or 1 where it
+/// is binary, 0 for the `share` of the weights that are largest.
 pub fn gradient_mask(
     kind: MaskKind,
-    alpha: f64,
-    least: f64,
+    (alpha, least, share): (f64, f64, f64),
     field: &dyn MarkableField,
     basis: CarrierBasis,
 ) -> Vec<f32> {
     let width = basis.width();
     match (kind, basis) {
+        (MaskKind::Binary, CarrierBasis::Constant) => {
+            all_or_nothing(&field.row_magnitudes(), share).into_iter().flat_map(|m| [m; 3]).collect()
+        }
+        (MaskKind::Binary, CarrierBasis::Harmonics) => all_or_nothing(&field.coefficient_magnitudes(), share),
         (MaskKind::None, _) | (MaskKind::PerCoefficientGroup, CarrierBasis::Constant) => {
             vec![1.0; field.rows() * width]
         }
@@ -67,6 +71,18 @@ fn from_magnitudes(magnitudes: &[f32], alpha: f64, least: f64) -> Vec<f32> {
     magnitudes.iter().map(mask).collect()
 }
 
+/// 0 for the `share` of the magnitudes above zero that are largest, else 1.
+fn all_or_nothing(magnitudes: &[f32], share: f64) -> Vec<f32> {
+    let mut sorted: Vec<f32> = magnitudes.iter().copied().filter(|m| *m > 0.0).collect();
+    let free = sorted.len() - ((sorted.len() as f64 * share).round() as usize).min(sorted.len());
+    if free == sorted.len() {
+        return vec![1.0; magnitudes.len()];
+    }
+    let (_, first_locked, _) = sorted.select_nth_unstable_by(free, f32::total_cmp);
+    let locked = *first_locked;
+    magnitudes.iter().map(|m| if *m >= locked { 0.0 } else { 1.0 }).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -88,6 +104,15 @@ mod tests {
         assert_eq!(mask[0], 1.0);
         assert!((mask[3] - 0.125).abs() < 1e-6);
         assert!((mask[4] - 1.0 / 64.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_binary_mask_locks_its_share_of_the_largest() {
+        let magnitudes = [0.0, 3.0, 1.0, 4.0, 2.0];
+        assert_eq!(all_or_nothing(&magnitudes, 0.5), [1.0, 0.0, 1.0, 0.0, 1.0]);
+        assert_eq!(all_or_nothing(&magnitudes, 0.0), [1.0; 5]);
+        assert_eq!(all_or_nothing(&magnitudes, 1.0), [1.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(all_or_nothing(&[0.0; 3], 1.0), [1.0; 3]);
     }
 
     #[test]

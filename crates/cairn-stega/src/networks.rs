@@ -1,6 +1,6 @@
 //! Detector and classifier together: built alike for training and for use.
 
-use crate::config::MarkConfig;
+use crate::config::{Guidance, MarkConfig};
 use crate::error::MarkError;
 use crate::judge::winner;
 use cairn_nn::{Classifier, Params, UNet, softmax};
@@ -14,6 +14,7 @@ pub(crate) struct Networks {
     pub(crate) params: Params,
     pub(crate) classifier: Classifier,
     pub(crate) detector: UNet,
+    guidance: Guidance,
 }
 
 impl Networks {
@@ -26,7 +27,16 @@ impl Networks {
     pub(crate) fn with(config: &MarkConfig, classes: usize, mut params: Params) -> Result<Self, MarkError> {
         let classifier = Classifier::new(&config.classifier, classes, params.scope("classifier"))?;
         let detector = UNet::new(&config.detector, classes, params.scope("detector"))?;
-        Ok(Self { params, classifier, detector })
+        Ok(Self { params, classifier, detector, guidance: config.guidance })
+    }
+
+    /// What the detector is told of class probabilities, N x (M + 1): nothing, as zeros,
+    /// where it is to do without.
+    pub(crate) fn told(&self, probabilities: Tensor) -> Result<Tensor, MarkError> {
+        match self.guidance {
+            Guidance::Told => Ok(probabilities),
+            Guidance::Untold | Guidance::NoClassifier => Ok(probabilities.zeros_like()?),
+        }
     }
 
     /// Class probabilities and hidden pictures for `pictures`
@@ -51,7 +61,7 @@ impl Networks {
             (0..p.len()).map(move |k| if k == class { 1.0f32 } else { 0.0 })
         });
         let told = Tensor::from_vec(told.collect(), (pictures.len(), self.classifier.classes()), &Device::Cpu)?;
-        let hidden = self.detector.forward(&images, &told)?;
+        let hidden = self.detector.forward(&images, &self.told(told)?)?;
         let mut out = Vec::with_capacity(pictures.len());
         for (i, probabilities) in probabilities.into_iter().enumerate() {
             let flat = hidden.get(i)?.flatten_all()?.to_vec1::<f32>()?;

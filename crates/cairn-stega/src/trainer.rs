@@ -10,7 +10,7 @@
 use crate::bank::Bank;
 use crate::carrier::Carrier;
 use crate::checkpoint::fingerprint;
-use crate::config::{CarrierKind, MarkConfig};
+use crate::config::{CarrierKind, Guidance, MarkConfig};
 use crate::detector::Detector;
 use crate::error::MarkError;
 use crate::judge::{Judgement, State};
@@ -127,7 +127,12 @@ impl MarkTrainer {
         let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
         let carriers =
             (0..count).map(|i| Carrier::pattern(field.as_ref(), basis, seed, (i, count), amplitude)).collect();
-        let mask = gradient_mask(config.mask, config.mask_alpha, config.mask_least, field.as_ref(), basis);
+        let mask = gradient_mask(
+            config.mask,
+            (config.mask_alpha, config.mask_least, config.mask_share),
+            field.as_ref(),
+            basis,
+        );
         let networks = Networks::new(&config, identities + 1, seed)?;
         let rate = Rate::falling(
             config.learning_rate_networks,
@@ -139,7 +144,8 @@ impl MarkTrainer {
             seed,
             step: 0,
             classify: f64::INFINITY,
-            joined: false,
+            // Without a classifier there is nothing to wait for.
+            joined: config.guidance == Guidance::NoClassifier,
             field,
             plan,
             fingerprint,

@@ -4,7 +4,9 @@ mod common;
 
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_nn::Memory;
-use cairn_stega::{CarrierKind, Detector, LossKind, MarkConfig, MarkPlan, MarkTrainer, MarkedField, MaskKind};
+use cairn_stega::{
+    CarrierKind, Detector, Guidance, LossKind, MarkConfig, MarkPlan, MarkTrainer, MarkedField, MaskKind,
+};
 use common::{bytes, cameras, config, field, plan, start};
 use safetensors::tensor::SafeTensors;
 
@@ -39,6 +41,13 @@ fn every_switch_trains_and_changes_its_own_part() {
         ("absolute picture loss", MarkConfig { picture_loss: LossKind::Absolute, ..config(6) }, true),
         ("no mask", MarkConfig { mask: MaskKind::None, ..config(6) }, true),
         ("no budget", MarkConfig { budget: false, ..config(6) }, true),
+        ("binary mask", MarkConfig { mask: MaskKind::Binary, ..config(6) }, true),
+        ("classifier not guiding", MarkConfig { guidance: Guidance::Untold, ..config(6) }, false),
+        (
+            "no classifier",
+            MarkConfig { guidance: Guidance::NoClassifier, recover_moves_marks: true, ..config(6) },
+            true,
+        ),
     ] {
         let (marked, detector) = unjudged(plan(), config);
         assert_eq!(part(&marked, "carriers") != part(&usual.0, "carriers"), marks, "{name}: the marks");
@@ -47,6 +56,35 @@ fn every_switch_trains_and_changes_its_own_part() {
         let found = detector.detect(&marked.render(&cameras()[0], field().canonical_appearance())).unwrap();
         assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{name}");
     }
+}
+
+#[test]
+fn a_detector_that_is_told_nothing_cannot_be_forced() {
+    for (guidance, heeds) in [(Guidance::Told, true), (Guidance::Untold, false), (Guidance::NoClassifier, false)] {
+        // Judged nowhere, so that what comes out is what training ended with.
+        let (marked, detector) = unjudged(plan(), MarkConfig { guidance, recover_moves_marks: true, ..config(8) });
+        let (marked, detector) = (MarkedField::from_bytes(&marked).unwrap(), Detector::from_bytes(&detector).unwrap());
+        let render = marked.render(&cameras()[0], field().canonical_appearance());
+        let [one, two] = [1, 2].map(|class| detector.detect_forced(&render, class).unwrap().recovered);
+        assert_eq!(one != two, heeds, "{guidance:?}");
+    }
+}
+
+#[test]
+fn without_a_classifier_it_stays_as_it_was_drawn() {
+    let classifier = |guidance, steps| {
+        let config = MarkConfig { guidance, recover_moves_marks: true, ..config(steps) };
+        let mut trainer = MarkTrainer::new(field(), plan(), config, 7, &mut |_, _| true).unwrap();
+        for _ in 0..steps {
+            trainer.step().unwrap();
+        }
+        let networks = part(&trainer.checkpoint().unwrap(), "networks");
+        part(&networks, "classifier.head.weight")
+    };
+    assert!(classifier(Guidance::NoClassifier, 1) == classifier(Guidance::NoClassifier, 5));
+    assert!(classifier(Guidance::Told, 1) != classifier(Guidance::Told, 5));
+    let idle = MarkConfig { guidance: Guidance::NoClassifier, ..config(5) };
+    assert!(idle.validate().unwrap_err().to_string().contains("mark.recover_moves_marks"));
 }
 
 #[test]
