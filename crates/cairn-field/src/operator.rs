@@ -9,6 +9,7 @@
 use crate::appearance::{Appearance, FEATURES, features};
 use crate::composite::{Kept, Thresholds, corner_shares, runs, see};
 use crate::field::Field;
+use crate::frame::RayPath;
 use crate::rays::Lens;
 use crate::sh::{SH, SH_DC};
 use cairn_capture::Camera;
@@ -46,8 +47,13 @@ pub trait MarkableField: Sync {
     fn row_magnitudes(&self) -> Vec<f32>;
     /// The magnitudes of single coefficients, `rows x 3 x 9`, channel-major.
     fn coefficient_magnitudes(&self) -> Vec<f32>;
-    /// The linear map of `camera`; entries weighing less than `cutoff` of a pixel are left out.
-    fn view(&self, camera: &Camera, cutoff: f32) -> LinearView;
+    /// The linear map of `camera`, whose pixels are means over `rays x rays` rays each, as if
+    /// a picture `rays` times larger had been made smaller; entries weighing less than
+    /// `cutoff` of a ray are left out.
+    ///
+    /// # Panics
+    /// When `rays` is 0.
+    fn view(&self, camera: &Camera, cutoff: f32, rays: usize) -> LinearView;
 }
 
 /// One view as a linear map; see the module's text.
@@ -88,43 +94,86 @@ impl MarkableField for Field {
         self.grid.colour.chunks_exact(crate::grid::ROW).flat_map(channel_major).collect()
     }
 
-    fn view(&self, camera: &Camera, cutoff: f32) -> LinearView {
-        let lens = Lens::new(camera);
-        let corners = self.grid.corners();
-        type Pixel = ([f32; FEATURES], [f32; SH], Vec<(u32, f32)>);
-        let pixels: Vec<Pixel> = (0..lens.pixels())
+    fn view(&self, camera: &Camera, cutoff: f32, rays: usize) -> LinearView {
+        assert!(rays > 0, "a pixel needs a ray");
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let fine = if rays == 1 { *camera } else { camera.resized(width * rays, height * rays) };
+        let lens = Lens::new(&fine);
+        let pixels: Vec<Pixel> = (0..width * height)
             .into_par_iter()
             .with_min_len(64)
             .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
-                let (path, basis) = lens.ray(camera, &self.frame, at);
-                let gathered = see(&self.grid, &path, &basis, Thresholds::SHOWN, tape);
-                let mut entries = Vec::new();
-                // Neighbouring samples mostly share a cell: their weights on its corners add up.
-                for run in runs(tape) {
-                    let shares = corner_shares(run);
-                    let (cell, flag) = (run[0].cell as usize, if run[0].far { FAR } else { 0 });
-                    for (share, corner) in shares.iter().zip(corners) {
-                        let row = self.grid.index[cell + corner];
-                        if row != 0 && *share >= cutoff {
-                            entries.push((row | flag, *share));
-                        }
-                    }
+                let first = at / width * rays * (width * rays) + at % width * rays;
+                let mut pixel = Pixel::default();
+                for ray in 0..rays * rays {
+                    let of = first + ray / rays * (width * rays) + ray % rays;
+                    pixel.add(self, lens.ray(&fine, &self.frame, of), cutoff, tape);
                 }
-                entries.shrink_to_fit();
-                (features(&gathered, &basis), basis, entries)
+                pixel.mean(rays * rays)
             })
             .collect();
         let mut starts = vec![0u32];
-        let mut entries = Vec::with_capacity(pixels.iter().map(|p| p.2.len()).sum());
-        let (mut bases, mut all) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
-        for (f, basis, list) in pixels {
-            entries.extend(list);
+        let mut entries = Vec::with_capacity(pixels.iter().map(|p| p.entries.len()).sum());
+        let (mut bases, mut features) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
+        for pixel in pixels {
+            entries.extend(pixel.entries);
             starts.push(entries.len() as u32);
-            bases.push(basis);
-            all.push(f);
+            bases.push(pixel.basis);
+            features.push(pixel.features);
         }
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        LinearView { width, height, starts, entries, bases, features: all }
+        LinearView { width, height, starts, entries, bases, features }
+    }
+}
+
+/// A pixel of a linear map as it is worked out.
+struct Pixel {
+    features: [f32; FEATURES],
+    basis: [f32; SH],
+    entries: Vec<(u32, f32)>,
+}
+
+impl Default for Pixel {
+    fn default() -> Self {
+        Self { features: [0.0; FEATURES], basis: [0.0; SH], entries: Vec::new() }
+    }
+}
+
+impl Pixel {
+    /// Adds a ray.
+    fn add(&mut self, field: &Field, (path, basis): (RayPath, [f32; SH]), cutoff: f32, tape: &mut Vec<Kept<f32>>) {
+        let grid = &field.grid;
+        let gathered = see(grid, &path, &basis, Thresholds::SHOWN, tape);
+        let corners = grid.corners();
+        // Neighbouring samples mostly share a cell: their weights on its corners add up.
+        for run in runs(tape) {
+            let shares = corner_shares(run);
+            let (cell, flag) = (run[0].cell as usize, if run[0].far { FAR } else { 0 });
+            for (share, corner) in shares.iter().zip(corners) {
+                let row = grid.index[cell + corner];
+                if row != 0 && *share >= cutoff {
+                    self.entries.push((row | flag, *share));
+                }
+            }
+        }
+        self.features.iter_mut().zip(features(&gathered, &basis)).for_each(|(sum, f)| *sum += f);
+        self.basis.iter_mut().zip(basis).for_each(|(sum, b)| *sum += b);
+    }
+
+    /// The mean over `rays`, each row once.
+    fn mean(mut self, rays: usize) -> Self {
+        if rays > 1 {
+            let share = 1.0 / rays as f32;
+            self.features.iter_mut().chain(&mut self.basis).for_each(|v| *v *= share);
+            self.entries.sort_by_key(|entry| entry.0);
+            self.entries.dedup_by(|next, sum| {
+                let same = next.0 == sum.0;
+                sum.1 += if same { next.1 } else { 0.0 };
+                same
+            });
+            self.entries.iter_mut().for_each(|entry| entry.1 *= share);
+        }
+        self.entries.shrink_to_fit();
+        self
     }
 }
 

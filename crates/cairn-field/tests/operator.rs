@@ -55,7 +55,7 @@ fn cases() -> [(SceneFrame, DVec3); 3] {
 fn view(field: &Field, from: DVec3, cutoff: f32) -> (LinearView, cairn_capture::Camera) {
     let target = if from.z < 1.0 { DVec3::new(0.0, 0.0, 4.0) } else { DVec3::ZERO };
     let camera = camera(from, target, 24);
-    (field.view(&camera, cutoff), camera)
+    (field.view(&camera, cutoff, 1), camera)
 }
 
 #[test]
@@ -114,4 +114,34 @@ fn a_cutoff_leaves_out_little_and_saves_entries() {
     whole.apply(&carrier, CarrierBasis::Constant, &look, &mut a);
     lean.apply(&carrier, CarrierBasis::Constant, &look, &mut b);
     assert!(common::rms(&a, &b) < 0.01, "{}", common::rms(&a, &b));
+}
+
+/// Several rays a pixel are a larger picture made smaller by area.
+#[test]
+fn several_rays_a_pixel_are_the_mean_of_a_larger_picture() {
+    for (frame, from) in cases() {
+        let (before, _, carrier) = pair(&frame, CarrierBasis::Constant);
+        let look = random_appearance(12);
+        let (one, camera) = view(&before, from, 0.0);
+        let many = before.view(&camera, 0.0, 3);
+        let large = before.view(&camera.resized(72, 72), 0.0, 1);
+        assert_eq!((many.width(), many.height()), (24, 24));
+        let picture = |linear: &LinearView| {
+            let mut rgb = linear.base(&look);
+            linear.apply(&carrier, CarrierBasis::Constant, &look, &mut rgb);
+            rgb
+        };
+        let smaller = cairn_capture::AreaFilter::new([72, 72], [24, 24]).apply(&picture(&large));
+        assert!(apart(&picture(&many), &smaller) < 2e-5, "{frame:?}: {}", apart(&picture(&many), &smaller));
+        assert!(apart(&picture(&one), &smaller) > 1e-3, "one ray a pixel sees the same");
+        assert!(many.density() < 0.8 * 9.0 * one.density(), "rows are not put together");
+        // And its transpose, where entries of many rays were put together.
+        let mut numbers = Numbers(4);
+        let y: Vec<f32> = (0..24 * 24 * 3).map(|_| numbers.within(-1.0, 1.0) as f32).collect();
+        let (mut ax, mut aty) = (vec![0.0; y.len()], vec![0.0; carrier.len()]);
+        many.apply(&carrier, CarrierBasis::Constant, &look, &mut ax);
+        many.push_back(&y, CarrierBasis::Constant, &look, &mut aty, &mut vec![false; before.rows()]);
+        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+        assert!((dot(&ax, &y) - dot(&carrier, &aty)).abs() < 1e-6 * dot(&ax, &ax).sqrt() * dot(&y, &y).sqrt());
+    }
 }

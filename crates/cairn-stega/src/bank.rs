@@ -18,6 +18,8 @@ use rand_chacha::ChaCha8Rng;
 const CUTOFF: f32 = 1e-3;
 /// Virtual poses a cluster is judged on, and base renders outside clusters.
 pub(crate) const JUDGED: usize = 3;
+/// Most rays across a pixel.
+const MOST_RAYS: usize = 3;
 
 /// A view to train on.
 pub(crate) struct BankView {
@@ -65,6 +67,8 @@ impl Chosen {
         for cluster in &plan.clusters.clusters {
             let members: Vec<PlannedView> =
                 small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
+            let stride = members.len().div_ceil(config.views).max(1);
+            let members: Vec<PlannedView> = members.into_iter().step_by(stride).collect();
             if members.is_empty() {
                 return Err(MarkError::Plan(format!(
                     "identity {} has no training view; ask for fewer anchors or more neighbours",
@@ -90,6 +94,15 @@ impl Chosen {
     }
 }
 
+/// Rays across a pixel of the small views that training looks at. What people have are
+/// pictures of the views' own size, made smaller for the networks: detail that one ray a
+/// small pixel would see at random is averaged away there, and a mark trained on it is lost.
+fn rays_across(plan: &MarkPlan, config: &MarkConfig) -> usize {
+    let longest = |v: &PlannedView| v.camera.intrinsics.width.max(v.camera.intrinsics.height);
+    let own = plan.views.iter().map(longest).max().unwrap_or(1);
+    (own as f64 / config.longest_side_px as f64).ceil().clamp(1.0, MOST_RAYS as f64) as usize
+}
+
 /// Every fifth unmarked picture judges and does not teach, up to `most` that judge.
 fn kept_to_judge(i: usize, so_far: usize, most: usize) -> bool {
     i % 5 == 4 && so_far < most
@@ -98,6 +111,8 @@ fn kept_to_judge(i: usize, so_far: usize, most: usize) -> bool {
 /// Works out ray weights, view after view, as long as `progress` wants it.
 struct Prepare<'a> {
     field: &'a Field,
+    /// Rays across a pixel of the views.
+    rays: usize,
     done: usize,
     total: usize,
     progress: &'a mut dyn FnMut(usize, usize) -> bool,
@@ -112,7 +127,7 @@ impl Prepare<'_> {
 
     fn view(&mut self, v: PlannedView, cutoff: f32) -> Result<BankView, MarkError> {
         self.go_on()?;
-        Ok(BankView { linear: self.field.view(&v.camera, cutoff), appearance: v.appearance })
+        Ok(BankView { linear: self.field.view(&v.camera, cutoff, self.rays), appearance: v.appearance })
     }
 }
 
@@ -129,7 +144,7 @@ impl Bank {
     ) -> Result<Self, MarkError> {
         let side = config.side_px();
         let chosen = Chosen::draw(plan, config, seed)?;
-        let mut prepare = Prepare { field, done: 0, total: chosen.len(), progress };
+        let mut prepare = Prepare { field, rays: rays_across(plan, config), done: 0, total: chosen.len(), progress };
         let (mut views, mut of, mut judged) = (Vec::new(), Vec::new(), Vec::new());
         for (identity, (teach, judge)) in chosen.of.into_iter().enumerate() {
             let first = views.len();

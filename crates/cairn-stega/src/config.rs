@@ -122,6 +122,9 @@ pub struct MarkConfig {
     /// (nats, 0.001 to 10): from theta = theta_0 the detector would collapse to
     /// silence. A training that never gets there ends in an error.
     pub classify_until: f64,
+    /// Photographs' poses of each cluster to train on, evenly, at most; 1 to 10,000. Each
+    /// takes some tens of MiB of ray weights.
+    pub views: usize,
     /// Poses between each cluster's photographs to train on as well, 0 to 256.
     pub virtual_views: usize,
     /// Views are trained on at most this long, px, 64 to 4096.
@@ -156,7 +159,7 @@ impl Default for MarkConfig {
             mask_share: 0.5,
             guidance: Guidance::Told,
             budget: true,
-            budget_db: 40.0,
+            budget_db: 50.0,
             budget_start_db: 32.0,
             budget_ramp: 0.4,
             pull: 1e-3,
@@ -164,9 +167,10 @@ impl Default for MarkConfig {
             learning_rate_networks: 3e-3,
             final_rate: 0.1,
             classify_until: 0.3,
+            views: 24,
             virtual_views: 6,
             longest_side_px: 192,
-            enough_ssim: 0.96,
+            enough_ssim: 0.985,
             robust: RobustConfig::default(),
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),
@@ -185,6 +189,7 @@ impl MarkConfig {
         };
         check((1..=1_000_000).contains(&self.steps), "mark.steps", self.steps.to_string(), "1 to 1000000")?;
         check((1..=64).contains(&self.batch), "mark.batch", self.batch.to_string(), "1 to 64")?;
+        check((1..=10_000).contains(&self.views), "mark.views", self.views.to_string(), "1 to 10000")?;
         check(self.virtual_views <= 256, "mark.virtual_views", self.virtual_views.to_string(), "0 to 256")?;
         check(
             (64..=4096).contains(&self.longest_side_px),

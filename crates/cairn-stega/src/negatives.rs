@@ -2,6 +2,7 @@
 //! anything else. Without them a classifier says yes to everything, and a
 //! detector recognises the scene and not the mark.
 
+use crate::distort::Blur;
 use cairn_capture::{AreaFilter, Picture};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -18,8 +19,10 @@ impl Negatives {
         Self { side, pictures: pictures.collect() }
     }
 
-    /// One of the bank as it is, or made into a picture of something else:
-    /// mirrored, cropped, recoloured, two laid over one another, or plain noise.
+    /// One of the bank as it is, or made into a picture of something else: cropped,
+    /// mirrored, in other colours, sharpened, two laid over one another, or plain noise.
+    /// A project has photographs of its landmark only, and the world has others: what
+    /// their colours are like must not be what tells a mark.
     pub(crate) fn draw(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let n = self.side * self.side * 3;
         if self.pictures.is_empty() || rng.random_range(0..12) == 0 {
@@ -27,7 +30,7 @@ impl Negatives {
             return (0..n).map(|_| (level + depth * rng.random_range(-1.0f32..1.0)).clamp(0.0, 1.0)).collect();
         }
         let mut picture = self.pictures[rng.random_range(0..self.pictures.len())].clone();
-        if rng.random_range(0..3) == 0 {
+        if rng.random_range(0..4) == 0 {
             return picture;
         }
         if rng.random_range(0..2) == 0 {
@@ -42,15 +45,22 @@ impl Negatives {
                 }
             }
         }
-        let shift = rng.random_range(0..3);
-        for pixel in picture.chunks_exact_mut(3) {
-            pixel.rotate_left(shift);
-        }
         if rng.random_range(0..3) == 0 {
             let other = &self.pictures[rng.random_range(0..self.pictures.len())];
             let share = rng.random_range(0.2f32..0.8);
             picture.iter_mut().zip(other).for_each(|(v, o)| *v += share * (o - *v));
         }
+        if rng.random_range(0..3) == 0 {
+            picture = self.sharpened(picture, rng.random_range(0.3f32..2.0));
+        }
+        recoloured(&mut picture, rng);
+        picture
+    }
+
+    /// Fine detail made larger by `more`, as cameras and programs do.
+    fn sharpened(&self, mut picture: Vec<f32>, more: f32) -> Vec<f32> {
+        let soft = Blur::new(1.0).apply(&picture, [self.side; 2]);
+        picture.iter_mut().zip(soft).for_each(|(v, s)| *v = (*v + more * (*v - s)).clamp(0.0, 1.0));
         picture
     }
 
@@ -65,7 +75,59 @@ impl Negatives {
     }
 }
 
+/// Channels exchanged, then mixed by a matrix near the identity that keeps grey, then a
+/// curve: other materials, lights and cameras.
+fn recoloured(picture: &mut [f32], rng: &mut ChaCha8Rng) {
+    let shift = rng.random_range(0..3);
+    let strength = rng.random_range(0.0f32..0.6);
+    let gamma = rng.random_range(0.6f32..1.6);
+    let matrix: [[f32; 3]; 3] = std::array::from_fn(|row| {
+        let mut mix: [f32; 3] =
+            std::array::from_fn(|c| f32::from(u8::from(c == row)) + strength * rng.random_range(-1.0f32..1.0));
+        let off = (mix.iter().sum::<f32>() - 1.0) / 3.0;
+        mix.iter_mut().for_each(|m| *m -= off);
+        mix
+    });
+    for pixel in picture.chunks_exact_mut(3) {
+        pixel.rotate_left(shift);
+        let of = [pixel[0], pixel[1], pixel[2]];
+        for (v, mix) in pixel.iter_mut().zip(&matrix) {
+            let mixed = mix[0] * of[0] + mix[1] * of[1] + mix[2] * of[2];
+            *v = mixed.clamp(0.0, 1.0).powf(gamma);
+        }
+    }
+}
+
 /// A picture at the networks' size, clamped to what a file can hold.
 pub(crate) fn shrunk(picture: &Picture, side: usize) -> Vec<f32> {
     picture.clone().clamped().resized(side, side).into_rgb()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+
+    #[test]
+    fn other_colours_keep_grey_grey_and_stay_in_range() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for _ in 0..50 {
+            let mut picture = vec![0.4, 0.4, 0.4, 1.0, 0.0, 0.3, 0.0, 0.0, 0.0];
+            recoloured(&mut picture, &mut rng);
+            assert!(picture.iter().all(|v| (0.0..=1.0).contains(v)), "{picture:?}");
+            let grey = &picture[..3];
+            assert!(grey.iter().all(|v| (v - grey[0]).abs() < 1e-5), "{grey:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_drawn_differs_and_is_a_picture() {
+        let half: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
+        let bank = Negatives::new(16, std::iter::once(half));
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let drawn: Vec<Vec<f32>> = (0..40).map(|_| bank.draw(&mut rng)).collect();
+        assert!(drawn.iter().all(|p| p.len() == 16 * 16 * 3 && p.iter().all(|v| (0.0..=1.0).contains(v))));
+        let different = drawn.windows(2).filter(|pair| pair[0] != pair[1]).count();
+        assert!(different > 30, "{different} of 39");
+    }
 }

@@ -25,6 +25,10 @@ pub fn between(a: &Pose, b: &Pose, share: f64) -> Option<Pose> {
     Pose::new(DMat3::from_quat(rotation), a.position.lerp(b.position, share)).ok()
 }
 
+/// A view is mixed with one of so many of its nearest: half-way to one from the other
+/// side lies inside what was photographed.
+const NEAREST: usize = 6;
+
 /// Draws up to `count` virtual views of cluster `identity` from its `members`;
 /// each belongs to the cluster by the clusters' own rule.
 pub fn virtual_views(
@@ -41,7 +45,7 @@ pub fn virtual_views(
             break;
         }
         let a = &members[rng.random_range(0..members.len())];
-        let b = &members[rng.random_range(0..members.len())];
+        let b = near(clusters, a, members, rng.random_range(0..NEAREST.min(members.len())));
         let (share, tint) = (rng.random_range(0.0..1.0), rng.random_range(0.0f32..1.0));
         let Some(pose) = between(&a.camera.pose, &b.camera.pose, share) else { continue };
         if clusters.identity_of(&pose).identity == Some(identity) {
@@ -50,6 +54,14 @@ pub fn virtual_views(
         }
     }
     views
+}
+
+/// The member that is `rank`-th nearest to `a`, itself being the first.
+fn near<'a>(clusters: &Clusters, a: &PlannedView, members: &'a [PlannedView], rank: usize) -> &'a PlannedView {
+    let mut by_distance: Vec<&PlannedView> = members.iter().collect();
+    let distance = |v: &PlannedView| clusters.metric.distance(&a.camera.pose, &v.camera.pose);
+    by_distance.sort_by(|v, w| distance(v).total_cmp(&distance(w)));
+    by_distance[rank]
 }
 
 /// `camera` with its longest side at most `longest_px`.

@@ -1,14 +1,14 @@
 //! Gaussian blur with the border repeated, and its transpose.
 
 /// A Gaussian kernel, cut off at three standard deviations.
-pub(super) struct Blur {
+pub(crate) struct Blur {
     /// From the middle outwards; both sides together sum to one.
     taps: Vec<f32>,
 }
 
 impl Blur {
     /// `sigma_px`, px; 0 leaves pictures as they are.
-    pub(super) fn new(sigma_px: f32) -> Self {
+    pub(crate) fn new(sigma_px: f32) -> Self {
         let reach = (3.0 * sigma_px).ceil().max(0.0) as usize;
         let weight = |k: usize| if sigma_px > 0.0 { (-0.5 * (k as f32 / sigma_px).powi(2)).exp() } else { 1.0 };
         let taps: Vec<f32> = (0..=reach).map(weight).collect();
@@ -17,7 +17,7 @@ impl Blur {
     }
 
     /// Of `height x width x 3` numbers, size = [width, height].
-    pub(super) fn apply(&self, rgb: &[f32], [w, h]: [usize; 2]) -> Vec<f32> {
+    pub(crate) fn apply(&self, rgb: &[f32], [w, h]: [usize; 2]) -> Vec<f32> {
         let mut across = vec![0.0; rgb.len()];
         for (out, row) in across.chunks_exact_mut(w * 3).zip(rgb.chunks_exact(w * 3)) {
             self.taps(|offset, weight| {
@@ -38,7 +38,7 @@ impl Blur {
     }
 
     /// The transpose of [`Blur::apply`].
-    pub(super) fn transpose(&self, slope: &[f32], [w, h]: [usize; 2]) -> Vec<f32> {
+    pub(crate) fn transpose(&self, slope: &[f32], [w, h]: [usize; 2]) -> Vec<f32> {
         let mut across = vec![0.0; slope.len()];
         for (y, row) in slope.chunks_exact(w * 3).enumerate() {
             self.taps(|offset, weight| {

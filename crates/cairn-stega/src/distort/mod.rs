@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use attack::RobustConfig;
 pub(crate) use attack::{Attack, Attacked};
+pub(crate) use blur::Blur;
 
 /// One thing that is done to a picture. Pictures go in and come out in [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,7 +84,7 @@ enum Way {
     /// Rounding and noise: as if nothing had happened (the straight-through estimate, Bengio et al. 2013).
     Straight,
     Gain(f32),
-    Blur(blur::Blur, [usize; 2]),
+    Blur(Blur, [usize; 2]),
     Cut(Cut),
     Turn(turn::Turn, [usize; 2]),
     Resize(AreaFilter),
@@ -106,7 +107,7 @@ impl Distortion {
                 same(rgb, Way::Jpeg(passed))
             }
             Self::Blur { sigma_px } => {
-                let blur = blur::Blur::new(sigma_px);
+                let blur = Blur::new(sigma_px);
                 same(blur.apply(picture.rgb(), [w, h]), Way::Blur(blur, [w, h]))
             }
             Self::Noise { sigma } => {

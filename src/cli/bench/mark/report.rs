@@ -77,6 +77,10 @@ fn harm(rows: &mut Rows, name: &str, robust: bool, all: &[&Harmed]) {
 fn cost(rows: &mut Rows, name: &str, (case, robust): (&Case, bool), runs: Vec<&Marked>) {
     let target = (!robust).then(|| Target::at_most(case.seconds));
     rows.add(name, "stage 2", mean(runs.iter().map(|r| r.seconds)), "s", target);
+    let processor: Vec<f64> = runs.iter().filter_map(|r| r.processor_s).collect();
+    if !processor.is_empty() {
+        rows.add(name, "stage 2, processor time", mean(processor.into_iter()), "s", None);
+    }
     rows.add(name, "stage 2, of it ray weights", mean(runs.iter().map(|r| r.prepared_s)), "s", None);
     rows.add(name, "stage 2, steps", mean(runs.iter().map(|r| r.steps as f64)), "", None);
     let peak = runs.iter().filter_map(|r| r.peak_mib).fold(0.0, f64::max);

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
-use super::super::memory::peak_mib;
+use super::super::memory::{peak_mib, processor_s};
 use crate::engine::marks::JUDGE_EVERY;
 
 /// What to mark, and where the result goes.
@@ -46,7 +46,9 @@ pub struct Task {
 pub struct Marked {
     /// Seconds from the loaded base field to the finished detector.
     pub seconds: f64,
-    /// Of them, those before the first step: ray weights.
+    /// Processor seconds, of all threads; loading and storing are in them.
+    pub processor_s: Option<f64>,
+    /// Of the seconds, those before the first step: ray weights.
     pub prepared_s: f64,
     /// Steps taken.
     pub steps: u64,
@@ -93,7 +95,14 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
     let seconds = begun.elapsed().as_secs_f64();
     crate::cli::write(&task.marked, &marked.to_bytes()?)?;
     crate::cli::write(&task.detector, &detector.to_bytes()?)?;
-    Ok(Marked { seconds, prepared_s, steps, converged: steps < task.config.steps, peak_mib: peak_mib() })
+    Ok(Marked {
+        seconds,
+        processor_s: processor_s(),
+        prepared_s,
+        steps,
+        converged: steps < task.config.steps,
+        peak_mib: peak_mib(),
+    })
 }
 
 fn plan(task: &Task, opened: &Opened, base: &Field) -> anyhow::Result<MarkPlan> {

@@ -35,8 +35,8 @@ pub fn ask(asked: &mut Asked, (opened, foreign): (&Opened, &[Source]), views: &[
         })?;
     }
     told.push(Silent { what: "its own photographs, trained on".into(), silent: seen });
-    let mut seen = Right::default();
     for source in foreign {
+        let mut seen = Right::default();
         let other = source.open()?;
         let all: Vec<usize> = other.training().into_iter().chain(other.held_out()).collect();
         for index in all.iter().step_by(all.len().div_ceil(FOREIGN).max(1)) {
@@ -45,8 +45,9 @@ pub fn ask(asked: &mut Asked, (opened, foreign): (&Opened, &[Source]), views: &[
                 Ok(())
             })?;
         }
+        let name = source.folder.file_name().unwrap_or_default().to_string_lossy();
+        told.push(Silent { what: format!("photographs of {name}"), silent: seen });
     }
-    told.push(Silent { what: "other captures' photographs".into(), silent: seen });
     Ok(told)
 }
 
