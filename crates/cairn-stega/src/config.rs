@@ -159,7 +159,7 @@ impl Default for MarkConfig {
             mask_share: 0.5,
             guidance: Guidance::Told,
             budget: true,
-            budget_db: 50.0,
+            budget_db: 52.0,
             budget_start_db: 32.0,
             budget_ramp: 0.4,
             pull: 1e-3,

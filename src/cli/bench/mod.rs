@@ -1,6 +1,7 @@
 //! `cairn bench`: a suite's measurements, one row each, into the ledger, with the
 //! command, seed, commit and machine that they come from.
 
+mod baseline;
 mod children;
 mod conv;
 mod field;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_bench::{Ledger, Target};
+use cairn_capture::{Limits, Picture, decode_picture};
 
 use super::connect::Where;
 use super::demo;
@@ -27,7 +29,7 @@ pub struct Args {
     /// What to measure
     #[arg(value_enum)]
     suite: Suite,
-    /// The folder of captures (suites `liberty`, `field` and `mark`); else CAIRN_DATA
+    /// The folder of captures (suites `liberty`, `field`, `mark` and `baseline`); else CAIRN_DATA
     #[arg(long, value_name = "DIR")]
     captures: Option<PathBuf>,
     /// The ledger, JSON; a row with the same suite, case, metric and seed is replaced
@@ -49,14 +51,15 @@ pub struct Args {
     /// Stop after the base field (suites `demo` and `liberty`)
     #[arg(long)]
     base_only: bool,
-    /// Pictures to hide, in order of file name (suite `liberty`: drawn where not given; `mark`: else the captures' folder
-    /// `signals`)
+    /// Pictures to hide, in order of file name (suite `liberty`: drawn where not given; `mark`
+    /// and `baseline`: else the captures' folder `signals`)
     #[arg(long, value_name = "DIR")]
     signals: Option<PathBuf>,
     /// Resample by this factor, above 0, to 1 (suite `liberty`; `field` measures at full size)
     #[arg(long, value_name = "FACTOR", default_value_t = 0.5)]
     scale: f64,
-    /// Measure this capture only; may be given several times (suites `field` and `mark`)
+    /// Measure this capture only; may be given several times (suites `field`, `mark` and
+    /// `baseline`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     cases: Vec<field::Name>,
     /// Also train for twice the configured steps (suite `field`); measure the log of ten million records, alone (suite
@@ -82,6 +85,8 @@ enum Suite {
     Field,
     /// Four captures' marks, three times each: pictures kept, signals recovered, false owners, what marks outlast
     Mark,
+    /// What is left of a picture hidden in photographs' lowest bits once a field was trained on them
+    Baseline,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
     Conv,
     /// The log of owner records: throughput, waits, cost by size, and two hundred kills; ten million records with --long
@@ -98,6 +103,7 @@ impl Suite {
             Self::Liberty => "liberty",
             Self::Field => "field",
             Self::Mark => "mark",
+            Self::Baseline => "baseline",
             Self::Conv => "conv",
             Self::Registry => "registry",
             Self::Page => "page",
@@ -129,6 +135,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
         Suite::Mark => mark::measure(place, &args, &mut rows).await?,
+        Suite::Baseline => baseline::measure(place, &args, &mut rows).await?,
         Suite::Conv => tokio::task::block_in_place(|| conv::measure(&args, &mut rows))?,
         Suite::Registry => tokio::task::block_in_place(|| registry::measure(&args, &mut rows))?,
         Suite::Page => return write_page_again(&args),
@@ -137,6 +144,23 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
     let ledger = Ledger::load(&args.ledger)?;
     println!("in {}; {} targets missed", args.ledger.display(), ledger.missed().count());
     Ok(())
+}
+
+/// Decodes a picture file.
+///
+/// # Errors
+/// For a file that does not read or decode.
+fn decoded(path: &Path) -> anyhow::Result<Picture> {
+    let bytes = super::read(path)?;
+    decode_picture(&bytes, &Limits::default(), None).with_context(|| format!("{} does not decode", path.display()))
+}
+
+/// As [`decoded`], of several.
+///
+/// # Errors
+/// For the first file that does not read or decode.
+fn decoded_all(paths: &[PathBuf]) -> anyhow::Result<Vec<Picture>> {
+    paths.iter().map(|path| decoded(path)).collect()
 }
 
 /// A count with thousands apart.

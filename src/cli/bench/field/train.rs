@@ -1,9 +1,11 @@
 //! A training as a part: from decoded photographs to the stored field.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 
 use cairn_field::{BaseTrainer, FieldConfig};
+use cairn_stega::hide_in_lowest_bits;
 use serde::{Deserialize, Serialize};
 
 use super::super::memory::peak_mib;
@@ -22,6 +24,8 @@ pub struct Task {
     pub config: FieldConfig,
     /// The seed.
     pub seed: u64,
+    /// A picture that the photographs have in their lowest bits (suite `baseline`).
+    pub lowest_bits: Option<PathBuf>,
     /// The file to store the field in.
     pub field: PathBuf,
     /// What people are told.
@@ -53,7 +57,15 @@ pub struct Trained {
 /// For photographs that do not decode, settings out of range, and the trainer's.
 pub fn run(task: &Task) -> anyhow::Result<Trained> {
     let opened = task.source.open()?;
-    let views = opened.training().into_iter().map(|index| opened.view(index)).collect::<anyhow::Result<Vec<_>>>()?;
+    let hidden = task.lowest_bits.as_ref().map(|path| super::super::decoded(path)).transpose()?;
+    let view = |index: usize| {
+        let mut view = opened.view(index)?;
+        if let Some(hidden) = &hidden {
+            view.picture = Arc::new(hide_in_lowest_bits(&view.picture, hidden)?);
+        }
+        Ok(view)
+    };
+    let views = opened.training().into_iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
     let (frame, background, rays) = (opened.frame()?, opened.background(), task.config.rays_per_step);
     drop(opened);
     let begun = Instant::now();

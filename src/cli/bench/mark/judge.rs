@@ -9,12 +9,13 @@ use cairn_metrics::{expected_calibration_error, psnr_db, ssim};
 use cairn_stega::{Detection, Detector, MarkedField};
 use serde::{Deserialize, Serialize};
 
+use super::super::decoded_all;
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::harm::{self, Set};
 pub use super::scored::Judged;
 use super::scored::{Harmed, Recovered};
-use super::{sheet, train, unmarked};
+use super::{sheet, unmarked};
 use crate::engine::evaluate::{PERFECT_DB, eight_bits, half, likeness, noise};
 use crate::engine::report::Right;
 
@@ -88,7 +89,7 @@ impl Asked {
 pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let marked = MarkedField::from_bytes(&super::read(&task.marked)?)?;
     let detector = Detector::from_bytes(&super::read(&task.detector)?)?;
-    let mut asked = Asked { detector, signals: train::pictures(&task.signals)?, answers: Vec::new() };
+    let mut asked = Asked { detector, signals: decoded_all(&task.signals)?, answers: Vec::new() };
     let opened = task.source.open()?;
     let mut progress = Progress::new(&task.label, 4);
     let views = views(&opened, &marked, task.right_half)?;

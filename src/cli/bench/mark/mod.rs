@@ -79,7 +79,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
 }
 
 /// The pictures of a folder, in order of file name.
-fn pictures(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+pub(super) fn pictures(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder)
         .with_context(|| format!("cannot read {}; say where pictures to hide are (--signals DIR)", folder.display()))?;
     let mut files = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
@@ -213,6 +213,7 @@ impl Run {
             source: self.source.clone(),
             config: self.field.clone(),
             seed: self.seed,
+            lowest_bits: None,
             field: field.clone(),
             label: format!("{}, base field", self.name),
         };

@@ -4,13 +4,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Context as _;
-use cairn_capture::{Limits, Picture, decode_picture};
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_field::Field;
 use cairn_stega::{MarkConfig, MarkPlan, MarkTrainer, PlannedView};
 use serde::{Deserialize, Serialize};
 
+use super::super::decoded_all;
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::super::memory::{peak_mib, processor_s};
@@ -118,17 +117,5 @@ fn plan(task: &Task, opened: &Opened, base: &Field) -> anyhow::Result<MarkPlan> 
         Ok((planned, Arc::unwrap_or_clone(view.picture)))
     });
     let (views, negatives) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
-    Ok(MarkPlan { clusters, views, signals: pictures(&task.signals)?, negatives })
-}
-
-/// Decodes pictures to hide.
-///
-/// # Errors
-/// For files that do not read or decode.
-pub fn pictures(files: &[PathBuf]) -> anyhow::Result<Vec<Picture>> {
-    let decode = |path: &PathBuf| {
-        let bytes = super::read(path)?;
-        decode_picture(&bytes, &Limits::default(), None).with_context(|| format!("{} does not decode", path.display()))
-    };
-    files.iter().map(decode).collect()
+    Ok(MarkPlan { clusters, views, signals: decoded_all(&task.signals)?, negatives })
 }
