@@ -105,6 +105,8 @@ fn capture(error: &CaptureError) -> Code {
         | CaptureError::Pose { .. }
         | CaptureError::PhotographMissing { .. }
         | CaptureError::NotAPicture { .. }
+        | CaptureError::NotASound { .. }
+        | CaptureError::SoundTooLong { .. }
         | CaptureError::TooLarge { .. }
         | CaptureError::SizeMismatch { .. }
         | CaptureError::Contributors { .. }
