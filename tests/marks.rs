@@ -44,6 +44,7 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{:?}", found.probabilities);
     let signal = cairn_capture::decode_picture(&found.recovered_png, &cairn_capture::Limits::default(), None).unwrap();
     assert_eq!((signal.width(), signal.height()), (32, 32));
+    assert!(found.recovered_wav.is_empty() && found.recovered_text.is_none(), "nobody hides a sound or a text");
     let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
     let request = v1::WhoByPictureRequest { format_version: 1, scene: "town".into(), picture: marked.into() };
     let who = query.who_by_picture(request).await.unwrap().into_inner();
@@ -169,4 +170,72 @@ fn the_demo_goes_the_whole_way() {
     let sheet = std::fs::read(place.path("demo/contact-sheet.png")).unwrap();
     let sheet = cairn_capture::decode_picture(&sheet, &cairn_capture::Limits::default(), None).unwrap();
     assert!(sheet.width() >= 6 * 96, "{} px wide", sheet.width());
+}
+
+#[test]
+fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
+    let place = Place::new();
+    let data = place.text("data");
+    place.import("town", ["--data", &data]);
+    let signals = place.path("signals");
+    std::fs::create_dir(&signals).unwrap();
+    let picture = cairn_capture::Picture::constant(40, 40, [1.0, 0.0, 0.4]);
+    std::fs::write(signals.join("a.png"), cairn_capture::encode_png(&picture)).unwrap();
+    std::fs::write(signals.join("a.txt"), "© Éva\n").unwrap();
+    let spoken = cairn_landmark::sounds::credit(0, 0.4, 22_050, 3);
+    std::fs::write(signals.join("b.wav"), cairn_capture::encode_wav(&spoken)).unwrap();
+    let (tiny, dir) = (place.text("tiny.toml"), signals.display().to_string());
+    let train = ["train", "town", "--by-contributor", "--signals", &dir, "--settings", &tiny, "--data", &data];
+    place.cairn_ok(&[&train[..], &["--keys", &place.text("owners")]].concat());
+
+    // Files of one name are one identity's, and its record binds all of them.
+    let kept = |file: &str| std::fs::read(place.path(&format!("owners/{file}")));
+    assert_eq!(kept("1/signal.txt").unwrap(), "© Éva".as_bytes());
+    assert!(kept("1/signal.png").is_ok() && kept("1/signal.wav").is_err() && kept("2/signal.png").is_err());
+    let limits = cairn_capture::SoundLimits { max_file_bytes: 1 << 20, longest_s: 1.0 };
+    let hidden = cairn_capture::decode_wav("kept", &kept("2/signal.wav").unwrap(), &limits).unwrap();
+    assert_eq!((hidden.sample_rate_hz(), hidden.samples().len()), (16_000, 6_400));
+    let verify = |number: u32| {
+        let (bundle, vkey) =
+            (place.text(&format!("owners/{number}")), place.text(&format!("owners/{number}/log.vkey")));
+        place.cairn(&["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &data])
+    };
+    for number in [1, 2] {
+        let said = String::from_utf8_lossy(&verify(number).stdout).into_owned();
+        assert!(said.starts_with("trusted") && said.contains("digest.hidden_signal.match"), "{said}");
+    }
+
+    let (view, wav, txt) = (place.text("view.png"), place.text("said.wav"), place.text("said.txt"));
+    place.cairn_ok(&["render", "town", "--view", "images/ada_002.png", "--out", &view, "--data", &data]);
+    let out = ["--out", &place.text("said.png"), "--audio", &wav, "--text", &txt];
+    let said = place.cairn_ok(&[&["detect", "town", &view, "--data", &data], &out[..]].concat());
+    assert!(
+        ["recovered text: \"", "recovered sound in", "recovered picture in"].iter().all(|s| said.contains(s)),
+        "{said}"
+    );
+    let sound = cairn_capture::decode_wav("said", &std::fs::read(wav).unwrap(), &limits).unwrap();
+    assert_eq!((sound.sample_rate_hz(), sound.samples().len()), (16_000, 6_400));
+    assert!(std::fs::read(txt).is_ok());
+
+    let (json, sheet) = (place.text("report.json"), place.text("sheet.png"));
+    let said = place.cairn_ok(&["evaluate", "town", "--json", &json, "--sheet", &sheet, "--data", &data]);
+    assert!(said.contains("hidden sound, SNR in dB") && said.contains("hidden text, characters"), "{said}");
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    let [one, two] = [0, 1].map(|at| &report["mark"]["identities"][at]);
+    assert!(one["text_bits"]["forced_grey"].is_f64() && one["audio_snr_db"].is_null(), "{report}");
+    assert!(two["audio_lsd_db"]["forced_noise"].is_f64() && two["picture_ssim"].is_null(), "{report}");
+
+    // Another text in the place of the hidden one; a sound that is not given with the rest.
+    std::fs::write(place.path("owners/1/signal.txt"), "© Eva").unwrap();
+    std::fs::remove_file(place.path("owners/2/signal.wav")).unwrap();
+    std::fs::write(place.path("owners/2/signal.txt"), "nothing").unwrap();
+    for number in [1, 2] {
+        assert_eq!(verify(number).status.code(), Some(1), "identity {number}");
+    }
+    // Too long is refused before anything is trained, by name.
+    std::fs::write(signals.join("a.txt"), "x".repeat(300)).unwrap();
+    let refused = place.cairn(&train);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success(), "{said}");
+    assert!(["identity 1", "300 bytes", "mark.text.longest_bytes"].iter().all(|s| said.contains(s)), "{said}");
 }

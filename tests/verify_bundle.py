@@ -9,8 +9,8 @@ for Cairn's own owner record and leaf from their descriptions; all that is in fo
     verify_bundle.py --vectors DIR                RFC 6962 cases of transparency-dev/merkle
     verify_bundle.py --signatures FILE            [{"message", "pub_key", "signature"}] in hex: one letter a case, V or X
 
-A folder BUNDLE holds record.json (DSSE envelope), record.tlog-proof, and where the owner shows them signal.png and
-signal.salt. The key to pin comes from the registry, not from the bundle.
+A folder BUNDLE holds record.json (DSSE envelope), record.tlog-proof, and where the owner shows them signal.png,
+signal.wav and signal.txt with signal.salt. The key to pin comes from the registry, not from the bundle.
 """
 
 import argparse
@@ -104,13 +104,23 @@ def verify(bundle, log, witnesses, quorum, say):
     leaf = make_leaf(record, sha256(signed), by_owner[0])
     check_inclusion(leaf_hash(leaf), index, size, hashes, root)
     say("inclusion", f"entry {index} of {size}")
-    signal, salt = (os.path.join(bundle, name) for name in ("signal.png", "signal.salt"))
-    if os.path.exists(signal) and os.path.exists(salt):
+    def part(name):
+        path = os.path.join(bundle, name)
+        return read_file(path, 64 << 20) if os.path.exists(path) else b""
+
+    names = ("signal.png", "signal.wav", "signal.txt")
+    parts, salt = [part(name) for name in names], os.path.join(bundle, "signal.salt")
+    if any(parts) and os.path.exists(salt):
         salt = hex32(text_of(read_file(salt, 100), "signal").strip(), "signal.salt")
-        commitment = sha256(b"cairn hidden signal v1\0", salt, read_file(signal, 64 << 20))
+        if any(parts[1:]):
+            framed = b"".join(len(p).to_bytes(8, "big") + p for p in parts)
+            commitment = sha256(b"cairn hidden signal v2\0", salt, framed)
+        else:
+            commitment = sha256(b"cairn hidden signal v1\0", salt, parts[0])
+        there = " and ".join(name for name, p in zip(names, parts) if p)
         if commitment.hex() != record["digests"].get("hidden_signal"):
-            raise Refused("signal", "signal.png is not the hidden signal of the record")
-        say("signal", "signal.png is the hidden signal")
+            raise Refused("signal", f"{there} is not the hidden signal of the record")
+        say("signal", f"{there} is the hidden signal")
     say("record", f"{record['kind']} by {record['identity']['contributor']!r}, scene {record['scene']!r}")
 
 

@@ -83,9 +83,15 @@ pub struct DetectArgs {
     name: String,
     /// The picture, PNG or JPEG
     picture: PathBuf,
-    /// Where the recovered signal goes
+    /// Where the recovered picture goes
     #[arg(long, value_name = "PNG")]
-    out: PathBuf,
+    out: Option<PathBuf>,
+    /// Where the recovered sound goes
+    #[arg(long, value_name = "WAV")]
+    audio: Option<PathBuf>,
+    /// Where the recovered text goes; it is printed as well
+    #[arg(long, value_name = "TXT")]
+    text: Option<PathBuf>,
 }
 
 /// `cairn evaluate`.
@@ -230,7 +236,6 @@ pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
     let picture = read(&args.picture)?.into();
     let request = v1::DetectRequest { format_version: VERSION, scene: args.name, picture };
     let answer = line.detection().detect(request).await.map_err(refused)?.into_inner();
-    write(&args.out, &answer.recovered_png)?;
     match answer.identity {
         0 => println!("unmarked"),
         number => println!("identity {number}: {}", answer.label),
@@ -238,7 +243,28 @@ pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
     for (class, probability) in answer.probabilities.iter().enumerate() {
         println!("  class {class}: {probability:.4}");
     }
-    println!("recovered signal in {}", args.out.display());
+    if let Some(text) = &answer.recovered_text {
+        // Quoted and escaped: it comes out of a picture, and may say anything to a terminal.
+        println!("recovered text: {text:?}");
+    }
+    let text = answer.recovered_text.as_deref().unwrap_or_default().as_bytes();
+    for (what, option, path, bytes) in [
+        ("picture", "--out", &args.out, &answer.recovered_png[..]),
+        ("sound", "--audio", &args.audio, &answer.recovered_wav[..]),
+        ("text", "--text", &args.text, text),
+    ] {
+        match path {
+            Some(path) if bytes.is_empty() && what != "text" => {
+                println!("no {what} for {}: nobody hides one in the scene", path.display());
+            }
+            Some(path) => {
+                write(path, bytes)?;
+                println!("recovered {what} in {}", path.display());
+            }
+            None if bytes.is_empty() || what == "text" => {}
+            None => println!("recovered {what} not kept; give {option} to have it"),
+        }
+    }
     Ok(())
 }
 

@@ -2,8 +2,8 @@
 //! what came back, and the bundle.
 //!
 //! A bundle is a folder of files that whoever has them can verify without a daemon: `record.json` (DSSE envelope),
-//! `record.tlog-proof`, `log.vkey`, and for a claim `signal.png` with `signal.salt`, which are the owner's secret until
-//! they choose to show them.
+//! `record.tlog-proof`, `log.vkey`, and for a claim `signal.png`, `signal.wav` and `signal.txt` (what there is of them) with
+//! `signal.salt`, which are the owner's secret until they choose to show them.
 
 use std::path::{Path, PathBuf};
 

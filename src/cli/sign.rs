@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_proto::v1;
-use cairn_registry::record::{Digests, Identity, MAX_VIEWS, hidden_signal_commitment, photographs_root, random_salt};
+use cairn_registry::record::{
+    Digests, Identity, MAX_VIEWS, SignalFiles, hidden_signal_commitment, photographs_root, random_salt,
+};
 use cairn_registry::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::VERSION;
@@ -72,7 +74,12 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
     let entered = records::enter(line, &record, &key, None).await?;
     bundle.write(line, &entered).await?;
     if record.digests.hidden_signal.is_some() {
-        bundle.add("signal.png", &material.signal)?;
+        let files = signal_files(&material);
+        for (name, bytes) in [("signal.png", files.picture), ("signal.wav", files.audio), ("signal.txt", files.text)] {
+            if !bytes.is_empty() {
+                bundle.add(name, bytes)?;
+            }
+        }
         bundle.add("signal.salt", format!("{salt}\n").as_bytes())?;
     }
     Ok(entered.index)
@@ -134,11 +141,16 @@ fn photographs(material: &v1::MaterialResponse) -> anyhow::Result<Vec<Digest>> {
     material.photograph_sha256.iter().map(|bytes| one(bytes)).collect()
 }
 
+fn signal_files(material: &v1::MaterialResponse) -> SignalFiles<'_> {
+    SignalFiles { picture: &material.signal, audio: &material.audio, text: material.text.as_bytes() }
+}
+
 fn digests(material: &v1::MaterialResponse, photographs: &[Digest], salt: &Digest) -> anyhow::Result<Digests> {
+    let signal = signal_files(material);
     Ok(Digests {
         marked_field: digest("the marked field", &material.marked_field_sha256)?,
         detector: digest("the detector", &material.detector_sha256)?,
-        hidden_signal: (!material.signal.is_empty()).then(|| hidden_signal_commitment(salt, &material.signal)),
+        hidden_signal: (!signal.is_empty()).then(|| hidden_signal_commitment(salt, &signal)),
         photographs: Some(photographs_root(photographs)),
         training_configuration: digest("the settings", &material.settings_sha256)?,
     })

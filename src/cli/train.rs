@@ -29,7 +29,8 @@ pub struct Args {
     /// The same seed gives the same bytes
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Pictures to hide, in order of file name, identity 1 first (drawn where not given)
+    /// What to hide, in order of file name, identity 1 first: PNG, JPEG, WAV and TXT files; those of one name but for
+    /// the ending are one identity's (pictures are drawn where not given)
     #[arg(long, value_name = "DIR")]
     pub signals: Option<PathBuf>,
     /// Training settings that go over the daemon's (see configs/)
@@ -111,19 +112,38 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
     })
 }
 
+/// The folder's files as signals: those that differ in their endings alone are one identity's.
 fn signals(folder: &Path) -> anyhow::Result<Vec<v1::Signal>> {
     let list = std::fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))?;
-    let mut paths = Vec::new();
-    for entry in list {
-        let path = entry?.path();
-        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-        if matches!(ending.as_deref(), Some("png" | "jpg" | "jpeg")) {
-            paths.push(path);
-        }
-    }
-    anyhow::ensure!(!paths.is_empty(), "{} holds no PNG or JPEG to hide", folder.display());
+    let mut paths = list.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<PathBuf>>>()?;
     paths.sort();
-    paths.iter().map(|path| Ok(v1::Signal { picture: read(path)?.into() })).collect()
+    // In the order of each one's first file.
+    let mut signals: Vec<(PathBuf, v1::Signal)> = Vec::new();
+    for path in paths {
+        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).unwrap_or_default();
+        if !matches!(ending.as_str(), "png" | "jpg" | "jpeg" | "wav" | "txt") {
+            continue;
+        }
+        let name = path.with_extension("");
+        let at = signals.iter().position(|(n, _)| *n == name).unwrap_or_else(|| {
+            signals.push((name, v1::Signal::default()));
+            signals.len() - 1
+        });
+        let signal = &mut signals[at].1;
+        let bytes = read(&path)?;
+        let taken = match ending.as_str() {
+            "wav" => std::mem::replace(&mut signal.audio, bytes.into()).len(),
+            "txt" => {
+                let text = String::from_utf8(bytes).with_context(|| format!("{} is no UTF-8", path.display()))?;
+                // Editors end a file with an end of line, which nobody means to hide.
+                std::mem::replace(&mut signal.text, text.trim_end_matches(['\r', '\n']).to_owned()).len()
+            }
+            _ => std::mem::replace(&mut signal.picture, bytes.into()).len(),
+        };
+        anyhow::ensure!(taken == 0, "{}: a second of its kind under that name; rename one of them", path.display());
+    }
+    anyhow::ensure!(!signals.is_empty(), "{} holds no PNG, JPEG, WAV or TXT to hide", folder.display());
+    Ok(signals.into_iter().map(|(_, signal)| signal).collect())
 }
 
 /// Watches a job to its end, with a bar. The first Ctrl-C cancels it.

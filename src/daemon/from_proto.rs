@@ -10,6 +10,7 @@ use glam::{DMat3, DVec3};
 
 use crate::engine::TrainingRequest;
 use crate::engine::error::EngineError;
+use crate::engine::hidden::Given;
 use crate::engine::owners::AskedView;
 use crate::engine::query::{FieldKind, Light, Viewpoint};
 use crate::engine::scenes::{ImportPlan, PlannedView};
@@ -209,11 +210,21 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
         grouping,
         seed: request.seed,
         settings_toml: request.settings_toml,
-        signals: request.signals.into_iter().map(|s| s.picture.to_vec()).collect(),
+        signals: request.signals.into_iter().map(signal).collect(),
         quick: request.quick,
         base_only: request.base_only,
         owner: None,
     })
+}
+
+/// What an identity is to hide; a field that is not there is empty on the wire.
+fn signal(signal: v1::Signal) -> Given {
+    let some = |bytes: Vec<u8>| (!bytes.is_empty()).then_some(bytes);
+    Given {
+        picture: some(signal.picture.to_vec()),
+        audio: some(signal.audio.to_vec()),
+        text: some(signal.text.into_bytes()),
+    }
 }
 
 /// Clusters around anchors.

@@ -40,6 +40,8 @@ impl OwnerService for Shared {
         let v1::MaterialRequest { scene, identity, .. } = request.into_inner();
         let found = self.run(move |engine| engine.material(&scene, identity)).await?;
         let model = to_proto::model(&found.info);
+        let text = String::from_utf8(found.signal.text.unwrap_or_default())
+            .map_err(|e| Status::data_loss(format!("the hidden text is no UTF-8: {e}")))?;
         Ok(Response::new(v1::MaterialResponse {
             format_version: to_proto::VERSION,
             label: found.identity.label,
@@ -47,7 +49,9 @@ impl OwnerService for Shared {
             detector_sha256: model.detector_sha256,
             settings_sha256: model.settings_sha256,
             seed: model.seed,
-            signal: found.signal.into(),
+            signal: found.signal.picture.unwrap_or_default().into(),
+            audio: found.signal.audio.unwrap_or_default().into(),
+            text,
             photograph_sha256: found.identity.photographs.iter().map(|d| d.as_bytes().to_vec().into()).collect(),
         }))
     }

@@ -7,6 +7,7 @@ use tonic::{Request, Response, Status};
 use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
+use crate::engine::hidden::encoded;
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -51,9 +52,12 @@ impl DetectionService for Shared {
         let v1::DetectRequest { format_version, scene, picture } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
         let (detection, label) = self.compute(move |engine| engine.detect(&scene, &picture)).await?;
+        let recovered = encoded(&detection.recovered);
         Ok(Response::new(v1::DetectResponse {
             format_version: to_proto::VERSION,
-            recovered_png: encode_png(&detection.recovered.clamped()).into(),
+            recovered_png: recovered.picture.unwrap_or_default().into(),
+            recovered_wav: recovered.audio.unwrap_or_default().into(),
+            recovered_text: detection.recovered.text,
             probabilities: detection.probabilities,
             identity: detection.identity.unwrap_or(0),
             label: label.unwrap_or_default(),

@@ -105,6 +105,8 @@ fn capture(error: &CaptureError) -> Code {
         | CaptureError::Pose { .. }
         | CaptureError::PhotographMissing { .. }
         | CaptureError::NotAPicture { .. }
+        | CaptureError::NotASound { .. }
+        | CaptureError::SoundTooLong { .. }
         | CaptureError::TooLarge { .. }
         | CaptureError::SizeMismatch { .. }
         | CaptureError::Contributors { .. }
@@ -137,7 +139,7 @@ fn field(error: &FieldError) -> Code {
 
 fn mark(error: &MarkError) -> Code {
     match error {
-        MarkError::Setting { .. } => Code::InvalidArgument,
+        MarkError::Setting { .. } | MarkError::Signal { .. } => Code::InvalidArgument,
         MarkError::Plan(_) | MarkError::NotLearnt { .. } => Code::FailedPrecondition,
         MarkError::Stopped => Code::Cancelled,
         MarkError::NotFinite { .. } | MarkError::Network(_) | MarkError::Metric(_) => Code::Internal,

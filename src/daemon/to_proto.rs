@@ -3,6 +3,7 @@
 use cairn_capture::{Camera, SceneFolder, SceneKind};
 use cairn_proto::v1;
 use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
+use tonic::codegen::Bytes;
 
 use crate::engine::corrections::Standing;
 use crate::engine::job::{Job, JobState};
@@ -83,18 +84,22 @@ pub fn scene_views(scene: &SceneFolder) -> Vec<v1::SceneView> {
 
 /// A model.
 pub fn model(info: &ModelInfo) -> v1::Model {
-    let digest = |d: &cairn_registry::Digest| d.as_bytes().to_vec().into();
+    let digest = |d: &cairn_registry::Digest| -> Bytes { d.as_bytes().to_vec().into() };
     let of_mark =
         |f: fn(&MarkInfo) -> &cairn_registry::Digest| info.mark.as_ref().map(|m| digest(f(m))).unwrap_or_default();
-    let identity = |i: &IdentityInfo| v1::Identity {
-        number: i.number,
-        label: i.label.clone(),
-        view_names: i.views.clone(),
-        signal_sha256: (info.mark.as_ref())
-            .and_then(|m| m.signals.get((i.number as usize).checked_sub(1)?))
-            .map(digest)
-            .unwrap_or_default(),
-        photograph_sha256: i.photographs.iter().map(digest).collect(),
+    let identity = |i: &IdentityInfo| {
+        let signals = info.mark.as_ref().map(|m| m.signals.as_slice()).unwrap_or_default();
+        let hidden = (i.number as usize).checked_sub(1).and_then(|at| signals.get(at)).map(|parts| parts.map(digest));
+        let hidden = hidden.unwrap_or_default();
+        v1::Identity {
+            number: i.number,
+            label: i.label.clone(),
+            view_names: i.views.clone(),
+            signal_sha256: hidden.picture.unwrap_or_default(),
+            audio_sha256: hidden.audio.unwrap_or_default(),
+            text_sha256: hidden.text.unwrap_or_default(),
+            photograph_sha256: i.photographs.iter().map(digest).collect(),
+        }
     };
     v1::Model {
         job_id: info.job.clone(),

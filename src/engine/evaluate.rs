@@ -5,14 +5,17 @@
 //! Renders are read as their users have them: rounded to 8 bits.
 
 use cairn_bench::sheet::{Tile, contact_sheet};
-use cairn_capture::{Camera, Capture, Picture, SceneFolder};
+use cairn_bench::sound::sounds;
+use cairn_capture::{Camera, Capture, Picture, SceneFolder, Sound};
 use cairn_cluster::Grouping;
 use cairn_metrics::{psnr_db, ssim};
+use cairn_stega::Signal;
 
 use super::Engine;
 use super::error::EngineError;
 use super::model::{Mark, Model};
-use super::report::{MarkReport, PictureScore, Recovery, Report, Right};
+use super::recovery::{SeenView, recovery};
+use super::report::{self, MarkReport, PictureScore, Report, Right};
 use super::stages::Appearance;
 
 /// Most rows of a contact sheet.
@@ -35,7 +38,7 @@ struct Scored {
 struct Read {
     picture: Picture,
     class: u32,
-    recovered: Picture,
+    recovered: Signal,
 }
 
 impl Engine {
@@ -54,7 +57,7 @@ impl Engine {
         }
         let right_half = !model.base.appearances().is_empty();
         let report = Report {
-            format_version: 1,
+            format_version: report::VERSION,
             scene: scene.to_owned(),
             job: model.info.job.clone(),
             held_out_views: scored.len(),
@@ -79,7 +82,7 @@ fn look(model: &Model, folder: &SceneFolder) -> Result<Vec<Scored>, EngineError>
             Some(mark) => {
                 let picture = eight_bits(&mark.field.render(&camera, &appearance))?;
                 let found = mark.detector.detect(&picture)?;
-                Some(Read { picture, class: found.identity.unwrap_or(0), recovered: found.recovered.clamped() })
+                Some(Read { picture, class: found.identity.unwrap_or(0), recovered: found.recovered })
             }
         };
         scored.push(Scored {
@@ -131,6 +134,11 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
         photographs.count(mark.detector.detect(&view.photograph)?.identity.is_none());
     }
     let against_base_psnr_db = against_base / pairs.len().max(1) as f64;
+    let size = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
+    let of = |number: u32| {
+        let views = scored.iter().filter(move |v| v.truth == number);
+        views.filter_map(|v| Some(SeenView { base: &v.base, recovered: &v.marked.as_ref()?.recovered }))
+    };
     let identities = model.info.identities.iter().zip(&mark.signals);
     Ok(MarkReport {
         pictures: score(pairs.into_iter(), right_half)?,
@@ -139,65 +147,12 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
         who_by_picture: who,
         photographs_unmarked: photographs,
         identities: identities
-            .map(|(identity, signal)| recovery(mark, identity.number, &identity.label, signal, scored))
+            .map(|(identity, signal)| {
+                let views: Vec<SeenView<'_>> = of(identity.number).collect();
+                recovery(&mark.detector, (identity.number, &identity.label), signal, &views, size)
+            })
             .collect::<Result<_, _>>()?,
     })
-}
-
-fn recovery(
-    mark: &Mark,
-    number: u32,
-    label: &str,
-    signal: &Picture,
-    scored: &[Scored],
-) -> Result<Recovery, EngineError> {
-    let (mut hidden, mut forced) = (Vec::new(), Vec::new());
-    for view in scored.iter().filter(|v| v.truth == number) {
-        if let Some(read) = &view.marked {
-            hidden.push(likeness(signal, &read.recovered)?);
-            forced.push(likeness(signal, &forced_as(mark, &view.base, number)?)?);
-        }
-    }
-    let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
-    let (w, h) = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
-    let grey = Picture::constant(w, h, [0.5; 3]);
-    Ok(Recovery {
-        number,
-        label: label.to_owned(),
-        views: hidden.len(),
-        hidden_ssim: mean(&hidden),
-        forced_base_ssim: mean(&forced),
-        forced_grey_ssim: likeness(signal, &forced_as(mark, &grey, number)?)?,
-        forced_noise_ssim: likeness(signal, &forced_as(mark, &noise(w, h), number)?)?,
-    })
-}
-
-/// What the detector makes of a picture when told that it is identity `number`'s.
-fn forced_as(mark: &Mark, picture: &Picture, number: u32) -> Result<Picture, EngineError> {
-    Ok(mark.detector.detect_forced(picture, number as usize)?.recovered)
-}
-
-/// SSIM of a signal and what was recovered, at the signal's size.
-///
-/// # Errors
-/// [`EngineError`] for a signal too small to compare.
-pub fn likeness(signal: &Picture, recovered: &Picture) -> Result<f64, EngineError> {
-    let recovered = recovered.resized(signal.width(), signal.height()).clamped();
-    Ok(ssim(signal, &recovered)?)
-}
-
-/// Uniform noise, the same in every evaluation (SplitMix64).
-pub fn noise(width: usize, height: usize) -> Picture {
-    let mut state = 0x9E37_79B9_7F4A_7C15u64;
-    let mut picture = Picture::constant(width, height, [0.0; 3]);
-    for v in picture.rgb_mut() {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        *v = ((z ^ (z >> 31)) >> 40) as f32 / (1u32 << 24) as f32;
-    }
-    picture
 }
 
 /// A picture as its users have it: rounded to 8 bits a channel.
@@ -234,10 +189,12 @@ pub fn half(picture: &Picture) -> Result<Picture, EngineError> {
     Picture::new(w - from, h, rgb).map_err(|e| EngineError::Internal(format!("half a picture: {e}")))
 }
 
-/// Photograph, base, marked, their difference x 20, recovered, true signal.
+/// Photograph, base, marked, their difference x 20, recovered, true signal; where
+/// sounds are hidden, the true one above the recovered. Texts stand under the signals.
 fn draw(model: &Model, scored: &[Scored]) -> Picture {
     let tile = |picture: &Picture, caption: &str| Tile { picture: picture.clone(), label: caption.to_owned() };
     let (w, h) = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
+    let (w, h) = (w.clamp(96, 256), h.clamp(96, 256));
     let mut rows = Vec::new();
     for view in scored.iter().take(SHEET_ROWS) {
         let mut row = vec![tile(&view.photograph, "PHOTOGRAPH"), tile(&view.base, "BASE")];
@@ -248,29 +205,48 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
             }
             row.push(tile(&read.picture, "MARKED"));
             row.push(tile(&difference, "DIFFERENCE X 20"));
-            row.push(tile(&read.recovered, &format!("READ: {}", read.class)));
-            let nothing = Picture::constant(w, h, [0.0; 3]);
             let signals = model.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
             let truth = (view.truth as usize).checked_sub(1).and_then(|at| signals.get(at).copied());
-            row.push(tile(truth.unwrap_or(&nothing), &format!("TRUE: {}", view.truth)));
+            row.extend(signal_tiles(
+                &read.recovered,
+                truth.unwrap_or(&Signal::default()),
+                [read.class, view.truth],
+                (w, h),
+            ));
         }
         rows.push(row);
     }
-    contact_sheet(&rows, w.clamp(96, 256), h.clamp(96, 256))
+    contact_sheet(&rows, w, h)
+}
+
+/// What was read and what is true, of the classes of these numbers.
+fn signal_tiles(read: &Signal, truth: &Signal, [class, owner]: [u32; 2], (w, h): (usize, usize)) -> Vec<Tile> {
+    let tile = |signal: &Signal, caption: String| {
+        let nothing = || Picture::constant(w, h, [0.0; 3]);
+        let text = signal.text.as_ref().filter(|t| !t.is_empty());
+        let label = text.map_or(caption.clone(), |text| format!("{caption} {text}"));
+        Tile { picture: signal.picture.clone().unwrap_or_else(nothing), label }
+    };
+    let mut tiles = vec![tile(read, format!("READ: {class}")), tile(truth, format!("TRUE: {owner}"))];
+    if let Some(said) = &read.audio {
+        let silence = || Sound::new(vec![0.0; said.samples().len()], said.sample_rate_hz()).ok();
+        if let Some(truth) = truth.audio.clone().or_else(silence) {
+            tiles.push(Tile { picture: sounds(&truth, said, w, h), label: "SOUND".to_owned() });
+        }
+    }
+    tiles
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    use crate::engine::recovery::noise;
+
     #[test]
-    fn halves_and_noise_are_what_they_say() {
+    fn a_half_is_what_it_says() {
         let wide = Picture::new(3, 1, (0..9).map(|v| v as f32).collect()).unwrap();
         assert_eq!(half(&wide).unwrap().rgb(), [3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
-        let n = noise(32, 32);
-        let mean = n.rgb().iter().sum::<f32>() / n.rgb().len() as f32;
-        assert!((mean - 0.5).abs() < 0.02 && n.rgb().iter().all(|v| (0.0..1.0).contains(v)), "{mean}");
-        assert_eq!(n, noise(32, 32));
     }
 
     #[test]

@@ -212,13 +212,19 @@ pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), EngineErro
 /// # Errors
 /// [`EngineError::Stored`] for damage and for another version, by number.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, EngineError> {
+    read_json_of(path, &[FORMAT_VERSION])
+}
+
+/// As [`read_json`], for a file of one of `versions`, which `T` can tell apart.
+pub fn read_json_of<T: DeserializeOwned>(path: &Path, versions: &[u32]) -> Result<T, EngineError> {
     let stored = |problem: String| EngineError::Stored { path: path.to_path_buf(), problem };
     let bytes = read_limited(path, MAX_JSON_BYTES)?;
     let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(|e| stored(format!("no JSON ({e})")))?;
     match value.get("format_version").and_then(serde_json::Value::as_u64) {
-        Some(version) if version == u64::from(FORMAT_VERSION) => {}
+        Some(version) if versions.iter().any(|v| u64::from(*v) == version) => {}
         Some(version) => {
-            return Err(stored(format!("format version {version}, this release reads {FORMAT_VERSION}")));
+            let read: Vec<String> = versions.iter().map(u32::to_string).collect();
+            return Err(stored(format!("format version {version}, this release reads {}", read.join(" and "))));
         }
         None => return Err(stored("it has no format version".into())),
     }

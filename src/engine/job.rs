@@ -4,7 +4,13 @@ use cairn_cluster::Grouping;
 use cairn_registry::Digest;
 use serde::{Deserialize, Serialize};
 
+use super::hidden::Kinds;
 use crate::config::TrainingSettings;
+
+/// Format version of `job.json`: 2 since signals are sounds and texts as well.
+pub const VERSION: u32 = 2;
+/// Those that are read.
+pub const VERSIONS: [u32; 2] = [1, VERSION];
 
 /// What to train. Never changes after the job was accepted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,9 +25,10 @@ pub struct JobSpec {
     pub seed: u64,
     /// Settings of both stages, all of them.
     pub settings: TrainingSettings,
-    /// How many hidden signals lie in the job's folder, as `signal-<n>.png`,
-    /// n from 1; 0 where they are drawn from the seed.
-    pub signals: usize,
+    /// What the hidden signals in the job's folder are, identity 1's first, as
+    /// `signal-<n>.png`, `.wav` and `.txt`; empty where they are drawn from the seed.
+    #[serde(deserialize_with = "super::hidden::kinds")]
+    pub signals: Vec<Kinds>,
     /// Whether to stop after stage 1: no marks, no detector.
     pub base_only: bool,
 }
@@ -30,7 +37,7 @@ pub struct JobSpec {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Job {
-    /// 1.
+    /// [`VERSION`].
     pub format_version: u32,
     /// `job-` and six digits, rising.
     pub id: String,
@@ -60,7 +67,7 @@ impl Job {
     /// A new job.
     pub fn accepted(id: String, spec: JobSpec, accepted_unix_s: u64) -> Self {
         Self {
-            format_version: 1,
+            format_version: VERSION,
             id,
             spec,
             state: JobState::Accepted,

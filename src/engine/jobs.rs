@@ -19,8 +19,8 @@ use tokio::sync::watch;
 
 use super::access::{Access, unix_s};
 use super::error::EngineError;
-use super::folder::{read_json, remove, write_json};
-use super::job::{Job, JobSpec, JobState, Progress, StageSeconds};
+use super::folder::{read_json_of, remove, write_json};
+use super::job::{self, Job, JobSpec, JobState, Progress, StageSeconds};
 
 /// What runs a job. Called on the worker thread, one job at a time.
 pub trait Work: Send + 'static {
@@ -185,7 +185,9 @@ impl Jobs {
                 remove(&path)?;
                 continue;
             }
-            let mut job: Job = read_json(&file)?;
+            let mut job: Job = read_json_of(&file, &job::VERSIONS)?;
+            // As it is written from now on.
+            job.format_version = job::VERSION;
             if !job.state.has_ended() {
                 job.state = JobState::Accepted;
             }

@@ -45,7 +45,7 @@ fn spec() -> JobSpec {
         grouping: Grouping::Anchors(ClusterConfig::default()),
         seed: u64::MAX,
         settings: crate::config::TrainingSettings::default(),
-        signals: 0,
+        signals: Vec::new(),
         base_only: true,
     }
 }

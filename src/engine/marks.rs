@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
-use cairn_capture::{Picture, SceneFolder};
+use cairn_capture::SceneFolder;
 use cairn_cluster::Clusters;
-use cairn_stega::{MarkError, MarkPlan, MarkTrainer, PlannedView};
+use cairn_stega::{MarkError, MarkPlan, MarkTrainer, PlannedView, Signal};
 
 pub use cairn_stega::{Detection, Detector, MarkedField};
 
@@ -31,7 +31,7 @@ impl Marking {
     pub fn start(
         scene: &SceneFolder,
         base: Field,
-        (clusters, signals): (&Clusters, Vec<Picture>),
+        (clusters, signals): (&Clusters, Vec<Signal>),
         (settings, seed): (&TrainingSettings, u64),
         checkpoint: Option<&[u8]>,
         preparing: Preparing<'_>,
@@ -63,8 +63,8 @@ impl Marking {
     /// When they cannot be written out.
     pub fn finish(self) -> Result<(Vec<u8>, Vec<u8>), EngineError> {
         if let Some(best) = self.0.best() {
-            let (step, accuracy, ssim) = (best.step, best.accuracy, best.hidden_ssim);
-            tracing::info!(step, accuracy, hidden_ssim = ssim, "best state on virtual poses");
+            let (step, accuracy, recovered) = (best.step, best.accuracy, best.recovered);
+            tracing::info!(step, accuracy, ?recovered, "best state on virtual poses");
         }
         let (field, detector) = self.0.finish()?;
         Ok((field.to_bytes()?, detector.to_bytes()?))

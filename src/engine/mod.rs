@@ -10,6 +10,7 @@ pub mod drawing;
 pub mod error;
 pub mod evaluate;
 pub mod folder;
+pub mod hidden;
 pub mod job;
 pub mod jobs;
 pub mod layout;
@@ -22,6 +23,7 @@ pub mod poses;
 pub mod publisher;
 pub mod query;
 pub mod rebuild;
+pub mod recovery;
 mod registry_key;
 pub mod report;
 pub mod scenes;
@@ -43,6 +45,7 @@ use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, t
 use access::Access;
 use error::EngineError;
 use folder::DataFolder;
+use hidden::{Given, Parts};
 use job::{Job, JobSpec};
 use jobs::Jobs;
 use model::{Model, ModelInfo};
@@ -74,8 +77,8 @@ pub struct TrainingRequest {
     pub seed: u64,
     /// TOML that goes over the settings.
     pub settings_toml: String,
-    /// Encoded pictures to hide, identity 1 first; empty to draw them.
-    pub signals: Vec<Vec<u8>>,
+    /// What to hide, identity 1 first; empty to draw pictures.
+    pub signals: Vec<Given>,
     /// Whether to lay the quick settings over the daemon's.
     pub quick: bool,
     /// Whether to stop after stage 1.
@@ -225,7 +228,7 @@ impl Engine {
     ///
     /// # Errors
     /// For settings that are not allowed, clusters that the scene has not the
-    /// views for, signals that do not decode, and [`Jobs::submit`]'s.
+    /// views for, signals that do not decode or cannot be hidden, and [`Jobs::submit`]'s.
     pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
         let scene = self.scene(&request.scene)?;
         let quick = if request.quick { QUICK_TOML } else { "" };
@@ -243,22 +246,19 @@ impl Engine {
             return Err(EngineError::invalid("the number of signals", request.signals.len(), expected));
         }
         let mut signals = Vec::with_capacity(identities);
-        for bytes in request.signals.iter().take(identities) {
-            signals.push(query::decode(bytes, &self.limits)?);
+        for (number, given) in (1..=identities).zip(&request.signals) {
+            signals.push(given.signal(number, &settings.mark, &self.limits)?);
         }
         let spec = JobSpec {
             scene: request.scene,
             grouping: request.grouping,
             seed: request.seed,
             settings,
-            signals: signals.len(),
+            signals: signals.iter().map(hidden::kinds_of).collect(),
             base_only: request.base_only,
         };
         self.jobs.submit(request.owner, spec, |folder| {
-            for (i, signal) in signals.iter().enumerate() {
-                cairn_capture::save_png(&folder.join(format!("signal-{}.png", i + 1)), signal)?;
-            }
-            Ok(())
+            (1..).zip(&signals).try_for_each(|(number, signal)| hidden::keep(folder, number, signal))
         })
     }
 
@@ -282,11 +282,11 @@ impl Engine {
         Ok(model)
     }
 
-    /// The file of an identity's hidden signal, PNG.
+    /// The files of an identity's hidden signal.
     ///
     /// # Errors
     /// [`EngineError::NotFound`], [`EngineError::Stored`].
-    pub fn signal(&self, info: &ModelInfo, identity: u32) -> Result<Vec<u8>, EngineError> {
+    pub fn signal(&self, info: &ModelInfo, identity: u32) -> Result<Parts<Vec<u8>>, EngineError> {
         info.signal(&self.folder.models(), identity)
     }
 

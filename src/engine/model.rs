@@ -5,27 +5,30 @@
 
 use std::path::Path;
 
-use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_registry::Digest;
 use cairn_registry::record::photographs_root;
+use cairn_stega::Signal;
 use serde::{Deserialize, Serialize};
 
 use super::error::EngineError;
-use super::folder::{read_json, read_limited, remove, sync_folder, write_atomic, write_json};
+use super::folder::{read_json, read_json_of, read_limited, remove, sync_folder, write_atomic, write_json};
+use super::hidden::{self, Parts};
 use super::marks::{Detector, MarkedField};
 use super::stages::Field;
 
 /// Largest field or detector file that is read, bytes.
 const MAX_FIELD_BYTES: u64 = 64 << 30;
-/// Largest file of a hidden signal, bytes.
-const MAX_SIGNAL_BYTES: u64 = 1 << 20;
+/// Format version of `model.json`: 2 since signals are sounds and texts as well.
+pub const VERSION: u32 = 2;
+/// Those that are read.
+const VERSIONS: [u32; 2] = [1, VERSION];
 
 /// `model.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelInfo {
-    /// 1.
+    /// [`VERSION`].
     pub format_version: u32,
     /// The scene.
     pub scene: String,
@@ -53,8 +56,8 @@ pub struct MarkInfo {
     pub marked_field: Digest,
     /// SHA-256 of `detector`.
     pub detector: Digest,
-    /// SHA-256 of each identity's `signal-<number>.png`, identity 1 first.
-    pub signals: Vec<Digest>,
+    /// SHA-256 of each identity's `signal-<number>.png`, `.wav` and `.txt`, as far as there are any, identity 1 first.
+    pub signals: Vec<Parts<Digest>>,
 }
 
 /// One identity.
@@ -97,8 +100,8 @@ pub struct MarkFiles {
     pub field: Vec<u8>,
     /// The detector's bytes.
     pub detector: Vec<u8>,
-    /// PNG of each identity's hidden signal, identity 1 first.
-    pub signals: Vec<Vec<u8>>,
+    /// The files of each identity's hidden signal, identity 1 first.
+    pub signals: Vec<Parts<Vec<u8>>>,
 }
 
 impl MarkFiles {
@@ -107,7 +110,7 @@ impl MarkFiles {
         MarkInfo {
             marked_field: Digest::of(&self.field),
             detector: Digest::of(&self.detector),
-            signals: self.signals.iter().map(Digest::of).collect(),
+            signals: self.signals.iter().map(|parts| parts.map(|bytes| Digest::of(bytes))).collect(),
         }
     }
 }
@@ -129,7 +132,7 @@ pub struct Mark {
     /// Recovers and classifies.
     pub detector: Detector,
     /// Each identity's hidden signal, identity 1 first.
-    pub signals: Vec<Picture>,
+    pub signals: Vec<Signal>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -156,7 +159,7 @@ pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Resul
         write_atomic(&filling.join("marked.field"), &mark.field)?;
         write_atomic(&filling.join("detector"), &mark.detector)?;
         for (i, signal) in mark.signals.iter().enumerate() {
-            write_atomic(&filling.join(signal_name(i + 1)), signal)?;
+            hidden::write(&filling, i + 1, signal)?;
         }
     }
     write_json(&filling.join("model.json"), info)?;
@@ -174,7 +177,7 @@ pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineErr
         return Ok(None);
     }
     let Current { job, .. } = read_json(&current)?;
-    read_json(&models.join(scene).join(job).join("model.json")).map(Some)
+    read_json_of(&models.join(scene).join(job).join("model.json"), &VERSIONS).map(Some)
 }
 
 /// What every model of `scene` says of itself, newest first: trainings leave the models before them in their place.
@@ -197,7 +200,7 @@ pub fn all(models: &Path, scene: &str) -> Result<Vec<ModelInfo>, EngineError> {
     jobs.sort_unstable_by(|a, b| b.cmp(a));
     let read = |job: &String| {
         let path = of_scene.join(job).join("model.json");
-        let info: ModelInfo = read_json(&path)?;
+        let info: ModelInfo = read_json_of(&path, &VERSIONS)?;
         // The folder of its other files is found by these names.
         if (info.scene.as_str(), &info.job) != (scene, job) {
             let problem = format!("it says that it is of scene {:?} and job {:?}", info.scene, info.job);
@@ -238,14 +241,9 @@ fn load_mark(folder: &Path, info: &MarkInfo) -> Result<Mark, EngineError> {
     let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
     let mut signals = Vec::with_capacity(info.signals.len());
     for (i, digest) in info.signals.iter().enumerate() {
-        let bytes = read_checked(&folder.join(signal_name(i + 1)), digest, MAX_SIGNAL_BYTES)?;
-        signals.push(cairn_capture::decode_picture(&bytes, &cairn_capture::Limits::default(), None)?);
+        signals.push(hidden::decoded(&hidden::read(folder, i + 1, digest)?)?);
     }
     Ok(Mark { field: MarkedField::from_bytes(&field)?, detector: Detector::from_bytes(&detector)?, signals })
-}
-
-fn signal_name(number: usize) -> String {
-    format!("signal-{number}.png")
 }
 
 impl ModelInfo {
@@ -260,21 +258,25 @@ impl ModelInfo {
         })
     }
 
-    /// The file of identity `number`'s hidden signal, PNG.
+    /// The files of identity `number`'s hidden signal.
     ///
     /// # Errors
     /// [`EngineError::NotFound`] where there is none, [`EngineError::Stored`].
-    pub fn signal(&self, models: &Path, number: u32) -> Result<Vec<u8>, EngineError> {
+    pub fn signal(&self, models: &Path, number: u32) -> Result<Parts<Vec<u8>>, EngineError> {
         let digests = self.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
         let Some(digest) = (number as usize).checked_sub(1).and_then(|at| digests.get(at)) else {
             return Err(EngineError::not_found("hidden signal", &number.to_string(), std::iter::empty()));
         };
         let folder = models.join(&self.scene).join(&self.job);
-        read_checked(&folder.join(signal_name(number as usize)), digest, MAX_SIGNAL_BYTES)
+        hidden::read(&folder, number as usize, digest)
     }
 }
 
-fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, EngineError> {
+/// The file at `path`, at most `limit` bytes, whose SHA-256 is `expected`.
+///
+/// # Errors
+/// [`EngineError::Stored`] for another.
+pub fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, EngineError> {
     let bytes = read_limited(path, limit)?;
     let got = Digest::of(&bytes);
     if got != *expected {

@@ -7,6 +7,7 @@ use cairn_registry::{Digest, Envelope, LogEntry, OwnerRecord, PublicKey, RecordK
 
 use super::Engine;
 use super::error::EngineError;
+use super::hidden::Parts;
 use super::model::{IdentityInfo, ModelInfo};
 
 /// What the daemon knows of an identity's mark.
@@ -15,8 +16,8 @@ pub struct Material {
     pub info: ModelInfo,
     /// The identity.
     pub identity: IdentityInfo,
-    /// The hidden signal's file; empty where nothing is hidden.
-    pub signal: Vec<u8>,
+    /// The hidden signal's files; none where nothing is hidden.
+    pub signal: Parts<Vec<u8>>,
 }
 
 /// Log entries read at a time.
@@ -42,7 +43,7 @@ impl Engine {
             return Err(EngineError::NotTrained { scene: scene.to_owned() });
         };
         let known = info.identity(identity)?.clone();
-        let signal = if info.mark.is_some() { self.signal(&info, identity)? } else { Vec::new() };
+        let signal = if info.mark.is_some() { self.signal(&info, identity)? } else { Parts::default() };
         Ok(Material { info, identity: known, signal })
     }
 

@@ -10,7 +10,7 @@ use super::error::EngineError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Report {
-    /// 1.
+    /// [`VERSION`].
     pub format_version: u32,
     /// The scene.
     pub scene: String,
@@ -76,14 +76,31 @@ pub struct Recovery {
     pub label: String,
     /// Held-out views in its cluster.
     pub views: usize,
-    /// Mean SSIM of recovered against true signal over them; absent where there are none.
-    pub hidden_ssim: Option<f64>,
-    /// The same with the class forced on the base field's renders.
-    pub forced_base_ssim: Option<f64>,
-    /// The same with the class forced on a grey picture.
-    pub forced_grey_ssim: f64,
-    /// The same with the class forced on uniform noise.
-    pub forced_noise_ssim: f64,
+    /// SSIM of the hidden picture, -1 to 1; absent where it hides none.
+    pub picture_ssim: Option<Measured>,
+    /// Signal-to-noise ratio of the hidden sound, dB, at most 100; absent where it hides none.
+    pub audio_snr_db: Option<Measured>,
+    /// Log-spectral distance of the hidden sound, dB, 0 for the same; absent where it hides none.
+    pub audio_lsd_db: Option<Measured>,
+    /// Share of the hidden text's characters (bytes), 0 to 1; absent where it hides none.
+    pub text_characters: Option<Measured>,
+    /// Share of the hidden text's bits, 0 to 1; absent where it hides none.
+    pub text_bits: Option<Measured>,
+}
+
+/// How near what was recovered comes to the truth, means over the held-out views of
+/// the identity's cluster, and how near where the class is forced instead.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Measured {
+    /// From the marked renders; absent where there are no such views.
+    pub recovered: Option<f64>,
+    /// With the class forced on the base field's renders of them.
+    pub forced_base: Option<f64>,
+    /// With the class forced on a grey picture.
+    pub forced_grey: f64,
+    /// With the class forced on uniform noise.
+    pub forced_noise: f64,
 }
 
 impl Right {
@@ -94,17 +111,44 @@ impl Right {
     }
 }
 
-impl Recovery {
-    /// Whether a picture without a mark gives the signal about as well once the
-    /// class is forced: then the detector knows the signal by heart.
-    pub fn is_by_heart(&self) -> bool {
-        let forced = self.forced_base_ssim.unwrap_or(0.0).max(self.forced_grey_ssim).max(self.forced_noise_ssim);
-        self.hidden_ssim.is_some_and(|hidden| forced >= hidden - BY_HEART)
+impl Measured {
+    /// Whether the best that is forced comes within `slack` of what is recovered.
+    fn is_by_heart(&self, slack: f64) -> bool {
+        let forced = self.forced_base.into_iter().chain([self.forced_grey, self.forced_noise]);
+        let best = forced.fold(f64::NEG_INFINITY, f64::max);
+        self.recovered.is_some_and(|recovered| best >= recovered - slack)
     }
 }
 
-/// SSIM that what is forced may lie below what is recovered and still be called the same.
-const BY_HEART: f64 = 0.05;
+impl Recovery {
+    /// Whether a picture without a mark gives a part of the signal about as well once
+    /// the class is forced: then the detector knows it by heart.
+    pub fn is_by_heart(&self) -> bool {
+        let within = |m: &Option<Measured>, slack| m.is_some_and(|m| m.is_by_heart(slack));
+        within(&self.picture_ssim, SHARE_BY_HEART)
+            || within(&self.audio_snr_db, DB_BY_HEART)
+            || within(&self.text_characters, SHARE_BY_HEART)
+    }
+
+    /// What was measured, with its heading and digits behind the point.
+    fn measures(&self) -> [(&'static str, usize, Option<Measured>); 5] {
+        [
+            ("hidden SSIM", 3, self.picture_ssim),
+            ("hidden sound, SNR in dB", 2, self.audio_snr_db),
+            ("hidden sound, LSD in dB", 2, self.audio_lsd_db),
+            ("hidden text, characters", 3, self.text_characters),
+            ("hidden text, bits", 3, self.text_bits),
+        ]
+    }
+}
+
+/// Format version of a report: 2 since signals are sounds and texts as well.
+pub const VERSION: u32 = 2;
+/// SSIM, or share of characters, that what is forced may lie below what is recovered
+/// and still be called the same.
+const SHARE_BY_HEART: f64 = 0.05;
+/// The same for SNR, dB.
+const DB_BY_HEART: f64 = 3.0;
 
 impl Report {
     /// As JSON, indented.
@@ -143,22 +187,30 @@ impl fmt::Display for Report {
         let Some(mark) = &self.mark else { return Ok(()) };
         writeln!(f, "  who contributed, by picture {}", mark.who_by_picture)?;
         writeln!(f, "  photographs unmarked       {}", mark.photographs_unmarked)?;
-        writeln!(f, "  hidden SSIM                     recovered   forced: base   grey    noise")?;
-        for r in &mark.identities {
-            let number = |v: Option<f64>| v.map_or_else(|| "     -".to_owned(), |v| format!("{v:6.3}"));
-            let name = format!("{} {}", r.number, r.label);
-            writeln!(
-                f,
-                "    {name:24} ({} views)  {}          {}  {:6.3}  {:6.3}",
-                r.views,
-                number(r.hidden_ssim),
-                number(r.forced_base_ssim),
-                r.forced_grey_ssim,
-                r.forced_noise_ssim
-            )?;
+        for measure in 0..5 {
+            let hidden = mark.identities.iter().filter_map(|r| {
+                let (heading, digits, measured) = r.measures()[measure];
+                Some((r, heading, digits, measured?))
+            });
+            for (i, (r, heading, digits, m)) in hidden.enumerate() {
+                if i == 0 {
+                    writeln!(f, "  {heading:32}recovered   forced: base   grey    noise")?;
+                }
+                let number = |v: Option<f64>| v.map_or_else(|| "     -".to_owned(), |v| format!("{v:6.digits$}"));
+                let name = format!("{} {}", r.number, r.label);
+                writeln!(
+                    f,
+                    "    {name:24} ({} views)  {}          {}  {:6.digits$}  {:6.digits$}",
+                    r.views,
+                    number(m.recovered),
+                    number(m.forced_base),
+                    m.forced_grey,
+                    m.forced_noise
+                )?;
+            }
         }
         if mark.identities.iter().any(Recovery::is_by_heart) {
-            writeln!(f, "    as good where the class is forced: the pictures come out of the detector's memory,")?;
+            writeln!(f, "    as good where the class is forced: the signals come out of the detector's memory,")?;
             writeln!(f, "    and what the renders carry is whose they are")?;
         }
         Ok(())

@@ -10,12 +10,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use cairn_capture::{Picture, SceneFolder, encode_png};
+use cairn_capture::SceneFolder;
 use cairn_cluster::{Clusters, Grouping};
 use cairn_registry::Digest;
+use cairn_stega::Signal;
 
 use super::error::EngineError;
 use super::folder::{read_limited, remove, write_atomic};
+use super::hidden;
 use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
 use super::marks::Marking;
@@ -60,7 +62,7 @@ impl Work for Training {
             },
         };
         let info = ModelInfo {
-            format_version: 1,
+            format_version: model::VERSION,
             scene: spec.scene.clone(),
             job: job.id.clone(),
             seed: spec.seed.to_string(),
@@ -149,7 +151,7 @@ impl Training {
             return Ok(None);
         }
         let (field, detector) = trainer.finish()?;
-        Ok(Some(MarkFiles { field, detector, signals: signals.iter().map(encode_png).collect() }))
+        Ok(Some(MarkFiles { field, detector, signals: signals.iter().map(hidden::encoded).collect() }))
     }
 
     /// Steps a stage, whose `clock` runs since before its trainer was made, to its
@@ -227,15 +229,11 @@ fn stopped<T>(name: &str, clock: Instant, control: &Control<'_>) -> Result<Optio
 }
 
 /// What each identity hides: what the job brought, else its own emblem.
-fn signals(job: &Job, folder: &Path, identities: usize) -> Result<Vec<Picture>, EngineError> {
+fn signals(job: &Job, folder: &Path, identities: usize) -> Result<Vec<Signal>, EngineError> {
     let side = job.spec.settings.mark.side_px();
-    let signal = |number: usize| {
-        if job.spec.signals == 0 {
-            return Ok(cairn_landmark::signals::emblem(number - 1, side, job.spec.seed));
-        }
-        let path = folder.join(format!("signal-{number}.png"));
-        let bytes = read_limited(&path, MAX_CHECKPOINT_BYTES)?;
-        Ok(cairn_capture::decode_picture(&bytes, &cairn_capture::Limits::default(), None)?.resized(side, side))
+    let signal = |number: usize| match job.spec.signals.get(number - 1) {
+        Some(kinds) => hidden::kept(folder, number, *kinds, &job.spec.settings.mark),
+        None => Ok(cairn_landmark::signals::emblem(number - 1, side, job.spec.seed).into()),
     };
     (1..=identities).map(signal).collect()
 }

@@ -8,7 +8,7 @@ use std::{
 
 use cairn_registry::{
     Digest, NoteVerifier, Policy,
-    record::{hidden_signal_commitment, photographs_root},
+    record::{SignalFiles, hidden_signal_commitment, photographs_root},
 };
 use sha2::{Digest as _, Sha256};
 
@@ -172,9 +172,9 @@ impl FileInHand {
 }
 
 impl HiddenSignalInHand {
-    /// A signal (its file's bytes) and its salt.
-    pub fn of(place: impl Into<String>, salt: &Digest, signal: &[u8]) -> Self {
-        Self { place: place.into(), commitment: hidden_signal_commitment(salt, signal) }
+    /// A signal (its files' bytes) and its salt.
+    pub fn of(place: impl Into<String>, salt: &Digest, files: &SignalFiles<'_>) -> Self {
+        Self { place: place.into(), commitment: hidden_signal_commitment(salt, files) }
     }
 }
 

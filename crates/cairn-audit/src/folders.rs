@@ -216,7 +216,15 @@ impl<'a> Folders<'a> {
             had.extend(self.file(name, "marked.field", &mark["marked_field"], &vouched));
             had.extend(self.file(name, "detector", &mark["detector"], &vouched));
             for (number, signal) in (1..).zip(mark["signals"].as_array().into_iter().flatten()) {
-                self.file(name, &format!("signal-{number}.png"), signal, &vouched);
+                // Before there were sounds and texts it was the picture's digest alone.
+                let parts = [("png", "picture"), ("wav", "audio"), ("txt", "text")];
+                let digests = parts.map(|(ending, part)| (ending, signal.get(part)));
+                let alone = [("png", signal.is_string().then_some(signal))];
+                for (ending, digest) in digests.into_iter().chain(alone) {
+                    if let Some(digest) = digest {
+                        self.file(name, &format!("signal-{number}.{ending}"), digest, &vouched);
+                    }
+                }
             }
         }
         for identity in model["identities"].as_array().into_iter().flatten() {

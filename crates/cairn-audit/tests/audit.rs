@@ -8,7 +8,7 @@ use cairn_registry::{
     Checkpoint, Digest, Envelope, Leaf, Note, NoteVerifier, OwnerKey, OwnerRecord, Policy, RecordKind, TlogProof,
     WitnessVerifier, cosign,
     merkle::{Tree, empty_root, leaf_hash},
-    record::{self, Digests, Identity, PAYLOAD_TYPE, Seen, hidden_signal_commitment, photographs_root},
+    record::{self, Digests, Identity, PAYLOAD_TYPE, Seen, SignalFiles, hidden_signal_commitment, photographs_root},
 };
 
 const ORIGIN: &str = "cairn.example/log";
@@ -49,7 +49,7 @@ fn owner_record() -> OwnerRecord {
         digests: Digests {
             marked_field: Some(Digest::of(FIELD)),
             detector: Some(Digest::of(DETECTOR)),
-            hidden_signal: Some(hidden_signal_commitment(&salt(), SIGNAL)),
+            hidden_signal: Some(hidden_signal_commitment(&salt(), &SignalFiles::picture(SIGNAL))),
             photographs: Some(photographs_root(&photographs())),
             training_configuration: Some(Digest::of(CONFIGURATION)),
         },
@@ -118,7 +118,7 @@ impl Whole {
             proof: Some(&self.proof),
             marked_field: Some(FileInHand::of("field.safetensors", &self.field)),
             detector: Some(FileInHand::of("detector.safetensors", &self.detector)),
-            hidden_signal: Some(HiddenSignalInHand::of("credit.txt", &self.salt, &self.signal)),
+            hidden_signal: Some(HiddenSignalInHand::of("credit.txt", &self.salt, &SignalFiles::picture(&self.signal))),
             photographs: Some(PhotographsInHand::of("photographs", &self.photographs)),
             training_configuration: Some(FileInHand::of("train.toml", &self.configuration)),
             log: Some(&self.log),

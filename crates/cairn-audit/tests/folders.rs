@@ -23,17 +23,18 @@ fn written(dir: &Path) {
     seal(&scene, &["photographs/000000.png", "points.bin", "scene.json"], &scene.join("manifest.json"));
 
     let model = dir.join("models/town/job-000001");
-    for name in ["base.field", "detector", "marked.field", "settings.toml", "signal-1.png"] {
+    for name in ["base.field", "detector", "marked.field", "settings.toml", "signal-1.png", "signal-2.wav"] {
         put(&model.join(name), name.as_bytes());
     }
     let digest = |name: &str| Digest::of(name).to_string();
     let info = serde_json::json!({
         "base_field": digest("base.field"), "settings": digest("settings.toml"),
         "identities": [{"photographs": [digest("a photograph")]}],
-        "mark": {"marked_field": digest("marked.field"), "detector": digest("detector"), "signals": [digest("signal-1.png")]},
+        "mark": {"marked_field": digest("marked.field"), "detector": digest("detector"), "signals": [digest("signal-1.png"), {"audio": digest("signal-2.wav")}]},
     });
     put(&model.join("model.json"), info.to_string().as_bytes());
-    let files = ["base.field", "detector", "marked.field", "model.json", "settings.toml", "signal-1.png"];
+    let files =
+        ["base.field", "detector", "marked.field", "model.json", "settings.toml", "signal-1.png", "signal-2.wav"];
     seal(&model, &files, &model.join("manifest.json"));
     let manifest = Digest::of(std::fs::read(model.join("manifest.json")).unwrap());
     let current =

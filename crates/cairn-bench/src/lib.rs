@@ -10,6 +10,7 @@ mod markdown;
 mod notes;
 mod origin;
 pub mod sheet;
+pub mod sound;
 pub mod table;
 mod timing;
 

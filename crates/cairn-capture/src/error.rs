@@ -89,6 +89,24 @@ pub enum CaptureError {
         /// What the decoder said.
         reason: String,
     },
+    /// A file that is no sound that is read here, or a broken one.
+    #[error("{file} cannot be read as a WAV sound: {reason}; save it again as WAV, 16-bit PCM, or leave it out")]
+    NotASound {
+        /// The file, or what errors call it.
+        file: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A sound that lasts longer than is allowed.
+    #[error("{file} lasts {seconds:.2} s, the limit is {longest_s} s; cut it or raise the limit")]
+    SoundTooLong {
+        /// The file, or what errors call it.
+        file: String,
+        /// How long it lasts, seconds.
+        seconds: f64,
+        /// The most that is allowed, seconds.
+        longest_s: f64,
+    },
     /// Larger than the limits allow.
     #[error("{file}: {what} is {got}, the limit is {limit}; bring a smaller one or raise the limit")]
     TooLarge {

@@ -1,6 +1,6 @@
 //! What contributors bring: cameras, poses, photographs, and who took what.
 //!
-//! This is the only crate that reads photographs and camera files. Everything
+//! This is the only crate that reads photographs, camera files and sounds. Everything
 //! after it works on [`Camera`]s and [`Picture`]s in memory, so a new camera
 //! format is added here and nowhere else.
 //!
@@ -20,9 +20,11 @@ mod manifest;
 mod npy;
 mod photograph;
 mod picture;
+mod resample;
 mod resize;
 mod scene;
 mod scene_file;
+mod sound;
 mod transforms;
 
 pub use camera::{Camera, Distortion, Intrinsics, Pose, PoseError};
@@ -34,3 +36,4 @@ pub use photograph::{Limits, decode_picture, encode_png, save_png};
 pub use picture::{Picture, PictureError};
 pub use resize::AreaFilter;
 pub use scene::{Mismatch, SceneFolder};
+pub use sound::{SAMPLE_RATES_HZ, Sound, SoundLimits, decode_wav, encode_wav};

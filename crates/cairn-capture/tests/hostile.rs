@@ -7,7 +7,7 @@ mod targets;
 use std::fs;
 use std::io::Write as _;
 
-use cairn_capture::{Capture, CaptureError, ReadOptions, decode_picture};
+use cairn_capture::{Capture, CaptureError, ReadOptions, SoundLimits, decode_picture, decode_wav};
 use cairn_hostile::{Counting, Limit, attack_with, cases, peak_of};
 use common::{Colmap, photograph, read, refuses};
 use targets::{TARGETS, Target, jpeg, limits, target};
@@ -51,6 +51,7 @@ attacked! {
     contributor_tables: "contributors.csv",
     png_pictures: "png",
     jpeg_pictures: "jpeg",
+    wav_sounds: "wav",
 }
 
 /// What the good files are, their readers take: else the attacks would try one half of them only.
@@ -70,6 +71,9 @@ fn good_files_are_taken() {
             fs::write(folder.path().join(file), good).unwrap();
             read(folder.path()).unwrap();
         }
+    }
+    for sound in (target("wav").good)() {
+        decode_wav("a", &sound, &SoundLimits { max_file_bytes: 1 << 20, longest_s: 1.0 }).unwrap();
     }
     for picture in [photograph(), jpeg()] {
         decode_picture(&picture, &limits(), None).unwrap();

@@ -18,6 +18,7 @@ mod noise;
 mod people;
 mod render;
 pub mod signals;
+pub mod sounds;
 
 pub use capture::{Landmark, LandmarkCapture, LandmarkError, LandmarkView};
 pub use config::{ConfigError, LandmarkConfig};

@@ -18,6 +18,6 @@ mod text;
 pub use answers::{Accuracy, Confusion, expected_calibration_error};
 pub use error::MetricError;
 pub use picture::{mae, mse, mse_masked, psnr_db, psnr_db_from_mse, psnr_db_masked};
-pub use sound::{LSD_FLOOR_DB, LSD_FRAME, LSD_HOP, log_spectral_distance_db, snr_db};
+pub use sound::{LSD_FLOOR_DB, LSD_FRAME, LSD_HOP, log_spectral_distance_db, log_spectrum_db, snr_db};
 pub use ssim::{SSIM_WINDOW, ssim, ssim_masked};
 pub use text::{TextAccuracy, text_accuracy};

@@ -48,8 +48,9 @@ pub fn log_spectral_distance_db(recovered: &[f32], truth: &[f32]) -> Result<f64,
     Ok(sum / frames as f64)
 }
 
-/// dB in each of `LSD_FRAME / 2 + 1` bins of the frame that begins at `start`.
-fn log_spectrum_db(samples: &[f32], start: usize) -> Vec<f64> {
+/// Power spectrum, dB below full scale, in each of `LSD_FRAME / 2 + 1` bins from 0 to
+/// half the sample rate, of the frame that begins at `start`; silence behind the end.
+pub fn log_spectrum_db(samples: &[f32], start: usize) -> Vec<f64> {
     let window = |i: usize| 0.5 - 0.5 * (TAU * i as f64 / LSD_FRAME as f64).cos();
     // A periodic Hann window sums to half its length.
     let scale = 2.0 / LSD_FRAME as f64;

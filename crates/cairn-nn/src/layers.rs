@@ -60,7 +60,7 @@ impl ConvBlock {
 }
 
 /// Greatest common divisor of `channels` and `groups`; 0 groups stay 0.
-fn common_divisor(channels: usize, groups: usize) -> usize {
+pub(crate) fn common_divisor(channels: usize, groups: usize) -> usize {
     (1..=groups).rev().find(|g| channels.is_multiple_of(*g) && groups.is_multiple_of(*g)).unwrap_or(0)
 }
 

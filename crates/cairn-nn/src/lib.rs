@@ -4,8 +4,9 @@
 //! side lacks: convolution and normalisation with fast backward passes
 //! ([`conv2d`], [`conv1d`], [`conv_transpose2d`], [`group_norm_leaky`],
 //! [`upsample_add`]), parameters that follow from a seed and keep an order ([`Params`]), an optimiser that can be saved
-//! and refuses numbers that are not finite ([`Adam`]), and the two networks of
-//! stage 2: [`Classifier`] and [`UNet`], the detector.
+//! and refuses numbers that are not finite ([`Adam`]), and the networks of
+//! stage 2: [`Classifier`], and the detector, [`UNet`] with an [`AudioHead`] and a
+//! [`TextHead`] where they are wanted.
 //!
 //! Everything is f32 on the CPU and runs on rayon's current pool. The same
 //! inputs give the same bytes, however many threads there are.
@@ -29,12 +30,14 @@
 //! ```
 
 mod adam;
+mod audio;
 mod block;
 mod classifier;
 mod conv;
 mod error;
 mod front;
 mod layers;
+mod line;
 mod loss;
 mod measure;
 mod norm;
@@ -42,17 +45,20 @@ mod params;
 mod raw;
 mod resample;
 mod sum;
+mod text;
 mod unet;
 
 pub use adam::{Adam, AdamConfig, Rate};
+pub use audio::{AudioConfig, AudioHead};
 pub use classifier::{Classifier, ClassifierConfig};
 pub use conv::{Window, conv_transpose1d, conv_transpose2d, conv1d, conv2d};
 pub use error::{NnError, Result};
 pub use front::front_end;
 pub use layers::{ConvBlock, LEAKY_SLOPE, Linear};
-pub use loss::{cross_entropy, mean_absolute, mean_squared, softmax};
+pub use loss::{binary_cross_entropy, cross_entropy, mean_absolute, mean_squared, softmax};
 pub use measure::{ConvShape, Pass};
 pub use norm::{group_norm_leaky, leaky_relu};
 pub use params::{Init, Params, Scope};
 pub use resample::{avg_pool, pool_moments, upsample, upsample_add};
-pub use unet::{Memory, UNet, UNetConfig};
+pub use text::{TextConfig, TextHead, text_bits, text_bytes};
+pub use unet::{Features, Memory, UNet, UNetConfig};

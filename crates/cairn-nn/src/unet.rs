@@ -1,4 +1,5 @@
-//! The detector: a U-Net that draws the hidden picture.
+//! The detector: a U-Net that draws the hidden picture. Its coarsest features serve
+//! the other heads ([`crate::AudioHead`], [`crate::TextHead`]) as well.
 //!
 //! The class prediction enters twice (classifier-guided recovery): as flat
 //! input channels, and as scale and shift of the coarsest features (FiLM, Perez
@@ -53,6 +54,14 @@ impl Default for UNetConfig {
     }
 }
 
+impl UNetConfig {
+    /// Channels of the coarsest level, and its rows and columns.
+    pub(crate) fn coarsest(&self) -> (usize, [usize; 2]) {
+        let factor = 1 << (self.channels.len() - 1);
+        (self.channels[self.channels.len() - 1], self.size.map(|s| s / factor))
+    }
+}
+
 /// What a detector may know of the hidden pictures by heart, in learned features
 /// of its own that depend on the place in the picture. A faint mark on a scene
 /// seen from anywhere carries tens of bits (method papers of 2023 to 2025 report
@@ -79,11 +88,34 @@ pub struct UNet {
     /// Finest first: what enters a level, and what works in it.
     down: Vec<Vec<ConvBlock>>,
     film: Linear,
-    /// 1 x C x H x W at the coarsest level, or M x (outputs H W).
+    /// 1 x C x H x W at the coarsest level ([`Memory::Coarsest`]).
+    positional: Option<Tensor>,
+    decoder: Option<Decoder>,
+}
+
+/// What draws the picture.
+#[derive(Debug, Clone)]
+struct Decoder {
+    /// M x (outputs H W) ([`Memory::PerClass`]).
     memory: Option<Tensor>,
     /// Coarsest first: to the next finer level's channels, and after the skip.
     up: Vec<[ConvBlock; 2]>,
     out: (Tensor, Tensor),
+}
+
+/// What a detector sees in pictures: what [`UNet::draw`] and the one-dimensional heads work on.
+#[derive(Debug, Clone)]
+pub struct Features {
+    /// Finest first, without the coarsest.
+    skips: Vec<Tensor>,
+    coarsest: Tensor,
+}
+
+impl Features {
+    /// Those of the coarsest level, N x C x h x w.
+    pub fn coarsest(&self) -> &Tensor {
+        &self.coarsest
+    }
 }
 
 impl UNet {
@@ -93,7 +125,20 @@ impl UNet {
     /// # Errors
     /// [`NnError::Setting`] for sizes out of range; when parameters of these
     /// names exist with other shapes.
-    pub fn new(config: &UNetConfig, classes: usize, mut scope: Scope<'_>) -> Result<Self> {
+    pub fn new(config: &UNetConfig, classes: usize, scope: Scope<'_>) -> Result<Self> {
+        Self::build(config, classes, true, scope)
+    }
+
+    /// As [`UNet::new`], but without what draws pictures: [`UNet::features`] alone,
+    /// for the other heads.
+    ///
+    /// # Errors
+    /// As [`UNet::new`].
+    pub fn encoder(config: &UNetConfig, classes: usize, scope: Scope<'_>) -> Result<Self> {
+        Self::build(config, classes, false, scope)
+    }
+
+    fn build(config: &UNetConfig, classes: usize, draws: bool, mut scope: Scope<'_>) -> Result<Self> {
         check_sizes(config.inputs.min(config.outputs), &config.channels, classes, config.high_pass_gain)?;
         let factor = 1 << (config.channels.len() - 1);
         if config.size.iter().any(|s| *s == 0 || !s.is_multiple_of(factor)) {
@@ -101,23 +146,14 @@ impl UNet {
             return Err(NnError::Setting { key: "size", got: format!("{:?}", config.size), allowed });
         }
         let down = down_blocks(config, classes, &mut scope)?;
-        let (&finest, &coarsest) = (&config.channels[0], &config.channels[config.channels.len() - 1]);
+        let (coarsest, [h, w]) = config.coarsest();
         let film = Linear::new(&mut scope.sub("film"), classes, 2 * coarsest, Init::Uniform(0.1))?;
-        let [h, w] = config.size;
-        let memory = match config.memory {
-            Memory::None => None,
-            Memory::Coarsest => {
-                Some(scope.get("positional", &[1, coarsest, h / factor, w / factor], Init::Uniform(0.1))?)
-            }
-            Memory::PerClass if classes == 1 => None,
-            Memory::PerClass => {
-                Some(scope.get("memory", &[classes - 1, config.outputs * h * w], Init::Constant(0.0))?)
-            }
+        let positional = match config.memory {
+            Memory::Coarsest => Some(scope.get("positional", &[1, coarsest, h, w], Init::Uniform(0.1))?),
+            Memory::None | Memory::PerClass => None,
         };
-        let up = up_blocks(config, &mut scope)?;
-        let weight = scope.get("out.weight", &[config.outputs, finest, 3, 3], Init::He { fan_in: finest * 9 * 4 })?;
-        let out = (weight, scope.get("out.bias", &[config.outputs], Init::Constant(0.0))?);
-        Ok(Self { config: config.clone(), classes, down, film, memory, up, out })
+        let decoder = if draws { Some(Decoder::new(config, classes, &mut scope)?) } else { None };
+        Ok(Self { config: config.clone(), classes, down, film, positional, decoder })
     }
 
     /// M + 1.
@@ -125,43 +161,55 @@ impl UNet {
         self.classes
     }
 
-    /// Hidden pictures, N x outputs x H x W, neither squashed nor clamped, from
-    /// `images`, N x inputs x H x W in [0, 1], and `probabilities`,
-    /// N x (M + 1): softmax of the classifier's logits, or one-hot.
+    /// [`UNet::draw`] of [`UNet::features`]: hidden pictures, N x outputs x H x W,
+    /// neither squashed nor clamped, from `images`, N x inputs x H x W in [0, 1],
+    /// and `probabilities`, N x (M + 1): softmax of the classifier's logits, or
+    /// one-hot.
+    ///
+    /// # Errors
+    /// [`NnError::Input`] for other shapes, and for an encoder alone.
+    pub fn forward(&self, images: &Tensor, probabilities: &Tensor) -> Result<Tensor> {
+        self.draw(&self.features(images, probabilities)?, probabilities)
+    }
+
+    /// What is seen in `images`, guided by `probabilities`, as [`UNet::forward`] takes them.
     ///
     /// # Errors
     /// [`NnError::Input`] for other shapes.
-    pub fn forward(&self, images: &Tensor, probabilities: &Tensor) -> Result<Tensor> {
+    pub fn features(&self, images: &Tensor, probabilities: &Tensor) -> Result<Features> {
         self.check_inputs(images, probabilities)?;
         let mut x = front_end(images, self.config.high_pass_gain, Some(probabilities))?;
         let mut skips = Vec::with_capacity(self.down.len());
         for (level, blocks) in self.down.iter().enumerate() {
+            if level > 0 {
+                skips.push(x.clone());
+            }
             for (i, block) in blocks.iter().enumerate() {
                 x = block.forward(&x)?;
                 if level + 1 == self.down.len() && i == 0 {
                     x = self.guide(&x, probabilities)?;
                 }
             }
-            skips.push(x.clone());
         }
-        skips.pop();
-        for [narrow, merge] in &self.up {
-            x = narrow.forward(&x)?;
-            if let Some(skip) = skips.pop() {
-                x = upsample_add(&x, &skip)?;
-            }
-            x = merge.forward(&x)?;
-        }
-        let mut raw = conv2d(&x, &self.out.0, Some(&self.out.1), Window::square(1, 1))?;
-        if let (Memory::PerClass, Some(memory)) = (self.config.memory, &self.memory) {
-            let known = probabilities.narrow(1, 1, self.classes - 1)?.contiguous()?.matmul(memory)?;
-            raw = (known.reshape(raw.shape())? + raw)?;
-        }
+        Ok(Features { skips, coarsest: x })
+    }
+
+    /// The hidden pictures that `features` show, with the `probabilities` that they
+    /// were made with.
+    ///
+    /// # Errors
+    /// [`NnError::Input`] for other shapes, and for an encoder alone.
+    pub fn draw(&self, features: &Features, probabilities: &Tensor) -> Result<Tensor> {
+        let Some(decoder) = &self.decoder else {
+            let (network, expected) = ("the detector", "nothing to draw: it was built as an encoder alone".into());
+            return Err(NnError::Input { network, expected, got: features.coarsest.dims().to_vec() });
+        };
+        let raw = decoder.forward(features, probabilities)?;
         if !self.config.gated {
             return Ok(raw);
         }
         let gate = probabilities.narrow(D::Minus1, 0, 1)?.affine(-1.0, 1.0)?;
-        Ok(raw.broadcast_mul(&gate.reshape((images.dim(0)?, 1, 1, 1))?)?)
+        Ok(raw.broadcast_mul(&gate.reshape((raw.dim(0)?, 1, 1, 1))?)?)
     }
 
     /// Scales, shifts and places the coarsest features.
@@ -170,16 +218,17 @@ impl UNet {
         let film = self.film.forward(probabilities)?.reshape((n, 2 * c, 1, 1))?;
         let scale = film.narrow(1, 0, c)?.affine(1.0, 1.0)?;
         let x = x.broadcast_mul(&scale)?.broadcast_add(&film.narrow(1, c, c)?)?;
-        Ok(match (self.config.memory, &self.memory) {
-            (Memory::Coarsest, Some(place)) => x.broadcast_add(place)?,
-            _ => x,
+        Ok(match &self.positional {
+            Some(place) => x.broadcast_add(place)?,
+            None => x,
         })
     }
 
     fn check_inputs(&self, images: &Tensor, probabilities: &Tensor) -> Result<()> {
         let network = "the detector";
         check_image(network, images, self.config.inputs, 1 << (self.down.len() - 1))?;
-        if self.memory.is_some() && images.dims()[2..] != self.config.size {
+        let remembers = self.positional.is_some() || self.decoder.as_ref().is_some_and(|d| d.memory.is_some());
+        if remembers && images.dims()[2..] != self.config.size {
             let expected = format!("pictures of {:?} pixels, the size of its memory", self.config.size);
             return Err(NnError::Input { network, expected, got: images.dims().to_vec() });
         }
@@ -188,6 +237,37 @@ impl UNet {
             return Err(NnError::Input { network, expected, got: probabilities.dims().to_vec() });
         }
         Ok(())
+    }
+}
+
+impl Decoder {
+    fn new(config: &UNetConfig, classes: usize, scope: &mut Scope<'_>) -> Result<Self> {
+        let (finest, [h, w]) = (config.channels[0], config.size);
+        let memory = match config.memory {
+            Memory::PerClass if classes > 1 => {
+                Some(scope.get("memory", &[classes - 1, config.outputs * h * w], Init::Constant(0.0))?)
+            }
+            Memory::None | Memory::Coarsest | Memory::PerClass => None,
+        };
+        let up = up_blocks(config, scope)?;
+        let weight = scope.get("out.weight", &[config.outputs, finest, 3, 3], Init::He { fan_in: finest * 9 * 4 })?;
+        let out = (weight, scope.get("out.bias", &[config.outputs], Init::Constant(0.0))?);
+        Ok(Self { memory, up, out })
+    }
+
+    fn forward(&self, features: &Features, probabilities: &Tensor) -> Result<Tensor> {
+        let (mut x, mut skips) = (features.coarsest.clone(), features.skips.iter().rev());
+        for [narrow, merge] in &self.up {
+            x = narrow.forward(&x)?;
+            if let Some(skip) = skips.next() {
+                x = upsample_add(&x, skip)?;
+            }
+            x = merge.forward(&x)?;
+        }
+        let raw = conv2d(&x, &self.out.0, Some(&self.out.1), Window::square(1, 1))?;
+        let Some(memory) = &self.memory else { return Ok(raw) };
+        let known = probabilities.narrow(1, 1, memory.dim(0)?)?.contiguous()?.matmul(memory)?;
+        Ok((known.reshape(raw.shape())? + raw)?)
     }
 }
 

@@ -319,9 +319,44 @@ pub fn photographs_root(photographs: &[Digest]) -> Digest {
     merkle::root(&leaves)
 }
 
-/// Commitment to the hidden signal's bytes (its file as stored), so that the log cannot be searched for a known signal.
-pub fn hidden_signal_commitment(salt: &Digest, signal: &[u8]) -> Digest {
-    commitment("cairn hidden signal v1", salt, signal)
+/// The files of a hidden signal as stored; what it has none of is empty.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct SignalFiles<'a> {
+    /// PNG.
+    pub picture: &'a [u8],
+    /// WAV.
+    pub audio: &'a [u8],
+    /// UTF-8.
+    pub text: &'a [u8],
+}
+
+impl<'a> SignalFiles<'a> {
+    /// A picture alone.
+    pub fn picture(picture: &'a [u8]) -> Self {
+        Self { picture, ..Self::default() }
+    }
+
+    /// Whether nothing is hidden.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Commitment to the hidden signal's bytes (its files as stored), so that the log cannot be searched for a known signal.
+///
+/// Of a picture alone, version 1: the picture's bytes. With a sound or a text, version 2: picture, sound and text in this
+/// order, before each its length in bytes (64 bits, big-endian), 0 for what is not there; so that no two signals run
+/// together into the same bytes.
+pub fn hidden_signal_commitment(salt: &Digest, files: &SignalFiles<'_>) -> Digest {
+    if files.audio.is_empty() && files.text.is_empty() {
+        return commitment("cairn hidden signal v1", salt, files.picture);
+    }
+    let mut all = Vec::new();
+    for part in [files.picture, files.audio, files.text] {
+        all.extend((part.len() as u64).to_be_bytes());
+        all.extend(part);
+    }
+    commitment("cairn hidden signal v2", salt, &all)
 }
 
 /// Commitment to the scene's name, as leaves carry it.

@@ -5,7 +5,8 @@ mod common;
 use cairn_registry::{
     Digest, Envelope, Leaf, OwnerRecord, RecordError, RecordKind, merkle,
     record::{
-        self, Digests, Identity, PAYLOAD_TYPE, Seen, hidden_signal_commitment, photographs_root, scene_commitment,
+        self, Digests, Identity, PAYLOAD_TYPE, Seen, SignalFiles, hidden_signal_commitment, photographs_root,
+        scene_commitment,
     },
 };
 use common::owner;
@@ -161,13 +162,28 @@ fn photographs_root_does_not_depend_on_order_but_on_each() {
 }
 
 #[test]
+fn a_commitment_covers_sound_and_text_and_which_is_which() {
+    let salt = Digest::of("1");
+    let commit = |picture: &[u8], audio: &[u8], text: &[u8]| {
+        hidden_signal_commitment(&salt, &SignalFiles { picture, audio, text })
+    };
+    let all = [commit(b"ab", b"", b""), commit(b"", b"ab", b""), commit(b"", b"", b"ab"), commit(b"a", b"b", b"")];
+    for (i, one) in all.iter().enumerate() {
+        assert!(all[..i].iter().all(|other| other != one), "signal {i} has another's commitment");
+    }
+    let framed = [&[0, 0, 0, 0, 0, 0, 0, 1][..], b"a", &[0; 7], &[1], b"b", &[0; 8]].concat();
+    let by_hand = [b"cairn hidden signal v2\0", &salt.as_bytes()[..], &framed].concat();
+    assert_eq!(all[3], Digest::of(by_hand));
+}
+
+#[test]
 fn a_commitment_tells_nothing_without_its_salt() {
     let signal = b"credit";
-    let one = hidden_signal_commitment(&Digest::of("1"), signal);
-    assert_ne!(one, hidden_signal_commitment(&Digest::of("2"), signal));
+    let one = hidden_signal_commitment(&Digest::of("1"), &SignalFiles::picture(signal));
+    assert_ne!(one, hidden_signal_commitment(&Digest::of("2"), &SignalFiles::picture(signal)));
     assert_ne!(one, Digest::of(signal));
     let by_hand = [b"cairn hidden signal v1\0", &Digest::of("1").as_bytes()[..], signal].concat();
-    assert_eq!(one, Digest::of(by_hand));
+    assert_eq!(one, Digest::of(by_hand), "records of pictures are checked as ever");
     let envelope = Envelope::new(PAYLOAD_TYPE, "{}");
     assert!(OwnerRecord::open(&envelope).is_err());
 }

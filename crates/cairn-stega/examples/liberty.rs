@@ -54,7 +54,12 @@ fn main() -> Fallible<()> {
         .collect::<Fallible<Vec<_>>>()?;
     let negatives = capture.training().map(&photograph).collect::<Fallible<Vec<_>>>()?;
     let started = Instant::now();
-    let plan = MarkPlan { clusters: clusters.clone(), views, signals: hidden.clone(), negatives };
+    let plan = MarkPlan {
+        clusters: clusters.clone(),
+        views,
+        signals: hidden.iter().cloned().map(Into::into).collect(),
+        negatives,
+    };
     let mut trainer = MarkTrainer::new(field.clone(), plan, config, 1, &mut |_, _| true)?;
     println!("ray weights: {:.1} s", started.elapsed().as_secs_f64());
     let mut classify = 0.0;
@@ -66,7 +71,13 @@ fn main() -> Fallible<()> {
             let j = trainer.judge()?;
             println!(
                 "{:5} {t:6.1} s  loss {:.4}  classify {:.4}  recover {:.4}  kept {:.1} dB | accuracy {:.3}  hidden {:.3}",
-                s.step, s.loss, classify, s.recover, s.kept_db, j.accuracy, j.hidden_ssim
+                s.step,
+                s.loss,
+                classify,
+                s.recover,
+                s.kept_db,
+                j.accuracy,
+                j.recovered.picture_ssim.unwrap_or(0.0)
             );
             classify = 0.0;
         }
@@ -92,7 +103,7 @@ fn main() -> Fallible<()> {
             usize::from(a.identity == whose) + usize::from(b.identity.is_none()) + usize::from(c.identity.is_none());
         asked += 3;
         let quality = match whose {
-            Some(k) => ssim(&a.recovered, &hidden[k as usize - 1])?,
+            Some(k) => ssim(a.recovered.picture.as_ref().ok_or("no picture head")?, &hidden[k as usize - 1])?,
             None => f64::NAN,
         };
         println!(

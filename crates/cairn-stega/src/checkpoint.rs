@@ -4,7 +4,7 @@
 use crate::carrier::Carrier;
 use crate::config::MarkConfig;
 use crate::error::MarkError;
-use crate::judge::{Judgement, State};
+use crate::judge::{Judgement, Recovered, State};
 use crate::marked::{read_header, stored};
 use crate::trainer::{MarkPlan, MarkTrainer};
 use cairn_field::Field;
@@ -28,14 +28,14 @@ struct Header {
     joined: bool,
     converged: bool,
     carrier_steps: Vec<u64>,
-    /// Step, and bits of accuracy, accuracy under attack and SSIM, of the best state.
-    best: Option<(u64, [u64; 3])>,
+    /// Step, bits of accuracy and of accuracy under attack, and of what was recovered, of the best state.
+    best: Option<(u64, [u64; 2], [Option<u64>; 3])>,
     /// [`fingerprint`] of the plan and the base field: others are refused.
     plan: String,
 }
 
 /// A digest of what a checkpoint must meet again: cameras, appearances, clusters,
-/// pictures and the base field. Lengths go in as well, so that no two plans run
+/// signals, photographs and the base field. Lengths go in as well, so that no two plans run
 /// together into the same bytes.
 pub(crate) fn fingerprint(plan: &MarkPlan, field: &Field) -> Result<String, MarkError> {
     let mut hash = Sha256::new();
@@ -46,7 +46,15 @@ pub(crate) fn fingerprint(plan: &MarkPlan, field: &Field) -> Result<String, Mark
     let views: Vec<_> = plan.views.iter().map(|v| (&v.camera, &v.appearance)).collect();
     let json = serde_json::to_vec(&(views, &plan.clusters, plan.signals.len()));
     part(&json.map_err(|e| stored("checkpoint", format!("its plan: {e}")))?);
-    for picture in plan.signals.iter().chain(&plan.negatives) {
+    for signal in &plan.signals {
+        // One part each, empty where it is not there: none can be taken for another.
+        let picture = signal.picture.as_ref();
+        part(&picture.map(|p| (p.width() as u64).to_le_bytes().to_vec()).unwrap_or_default());
+        part(&picture.map(|p| p.to_rgb8()).unwrap_or_default());
+        part(&signal.audio.as_ref().map(|a| floats(a.samples())).unwrap_or_default());
+        part(signal.text.as_deref().unwrap_or_default().as_bytes());
+    }
+    for picture in &plan.negatives {
         part(&(picture.width() as u64).to_le_bytes());
         part(&picture.to_rgb8());
     }
@@ -74,7 +82,10 @@ impl MarkTrainer {
             joined: self.joined,
             converged: self.converged,
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
-            best: best.map(|b| (b.judgement.step, b.judgement.figures().map(f64::to_bits))),
+            best: best.map(|b| {
+                let Judgement { step, accuracy, attacked, recovered } = b.judgement;
+                (step, [accuracy, attacked].map(f64::to_bits), recovered.parts().map(|v| v.map(f64::to_bits)))
+            }),
             plan: self.fingerprint.clone(),
         };
         let mut parts: Vec<(String, Vec<u8>)> =
@@ -151,10 +162,13 @@ impl MarkTrainer {
             carrier.second = numbers(file, &format!("carrier{i}.second"), 1)?[0];
             carrier.steps = *steps;
         }
-        if let Some((step, figures)) = header.best {
-            let [accuracy, attacked, hidden_ssim] = figures.map(f64::from_bits);
-            let judgement = Judgement { step, accuracy, attacked, hidden_ssim };
-            if !judgement.figures().iter().all(|figure| figure.is_finite()) {
+        if let Some((step, right, parts)) = header.best {
+            let recovered = Recovered::from_parts(parts.map(|v| v.map(f64::from_bits)));
+            let [accuracy, attacked] = right.map(f64::from_bits);
+            let judgement = Judgement { step, accuracy, attacked, recovered };
+            // Perfect and hopeless sounds have an infinite SNR.
+            let right = accuracy.is_finite() && attacked.is_finite();
+            if !right || recovered.parts().iter().flatten().any(|v| v.is_nan()) {
                 return damaged(format!("`best` says {judgement:?}"));
             }
             let values = self.carriers.iter().enumerate();

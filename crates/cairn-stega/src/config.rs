@@ -2,7 +2,7 @@
 
 use crate::distort::RobustConfig;
 use crate::error::MarkError;
-use cairn_nn::{ClassifierConfig, UNetConfig};
+use cairn_nn::{AudioConfig, ClassifierConfig, TextConfig, UNetConfig};
 use serde::{Deserialize, Serialize};
 
 /// Where a mark lives in the field.
@@ -130,14 +130,22 @@ pub struct MarkConfig {
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
     /// Training ends when all held-out virtual poses are answered right and the
-    /// hidden signals' mean SSIM has reached this, 0 to 10; above 1 = never.
+    /// hidden pictures' mean SSIM has reached this, 0 to 10; above 1 = never.
     pub enough_ssim: f64,
+    /// The same for hidden sounds' SNR, dB, 0 to 1000.
+    pub enough_snr_db: f64,
+    /// The same for the share of hidden texts' characters, 0 to 10; above 1 = never.
+    pub enough_characters: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
     /// The classifier.
     pub classifier: ClassifierConfig,
     /// The detector; its size is that of the hidden pictures.
     pub detector: UNetConfig,
+    /// The detector's audio head, built where somebody hides a sound.
+    pub audio: AudioConfig,
+    /// The detector's text head, built where somebody hides a text.
+    pub text: TextConfig,
 }
 
 impl Default for MarkConfig {
@@ -171,9 +179,13 @@ impl Default for MarkConfig {
             virtual_views: 6,
             longest_side_px: 192,
             enough_ssim: 0.985,
+            enough_snr_db: 25.0,
+            enough_characters: 1.0,
             robust: RobustConfig::default(),
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),
+            audio: AudioConfig::default(),
+            text: TextConfig::default(),
         }
     }
 }
@@ -214,6 +226,9 @@ impl MarkConfig {
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
+            ("mark.enough_snr_db", self.enough_snr_db, 0.0, 1000.0, "0 to 1000"),
+            ("mark.enough_characters", self.enough_characters, 0.0, 10.0, "0 to 10"),
+            ("mark.audio.longest_s", self.audio.longest_s, 0.1, 30.0, "0.1 to 30"),
         ] {
             check((low..=high).contains(&value), key, value.to_string(), allowed)?;
         }
@@ -230,7 +245,22 @@ impl MarkConfig {
             "mark.detector.size",
             format!("[{h}, {w}]"),
             "a square of 32 to 512 px, a multiple of 16",
-        )
+        )?;
+        let stages =
+            |channels: &[usize]| (1..=4).contains(&channels.len()) && channels.iter().all(|c| (1..=256).contains(c));
+        let (audio, text) = (&self.audio, &self.text);
+        let rate = audio.sample_rate_hz;
+        check((4000..=48_000).contains(&rate), "mark.audio.sample_rate_hz", rate.to_string(), "4000 to 48000")?;
+        let (got, allowed) = (format!("{:?}", audio.channels), "1 to 4 numbers of 1 to 256");
+        check(stages(&audio.channels), "mark.audio.channels", got, allowed)?;
+        let longest = text.longest_bytes;
+        check((1..=4096).contains(&longest), "mark.text.longest_bytes", longest.to_string(), "1 to 4096")?;
+        check(stages(&text.channels), "mark.text.channels", format!("{:?}", text.channels), allowed)
+    }
+
+    /// Samples of the longest sound that may be hidden.
+    pub fn most_samples(&self) -> usize {
+        (self.audio.longest_s * f64::from(self.audio.sample_rate_hz)).ceil() as usize
     }
 
     /// Side of hidden pictures and of what the networks see, px.

@@ -6,6 +6,7 @@ use crate::judge::winner;
 use crate::marked::{read_header, stored};
 use crate::negatives::shrunk;
 use crate::networks::Networks;
+use crate::signal::{HeadSizes, Signal};
 use cairn_capture::Picture;
 use cairn_nn::Params;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// Format of a stored detector; another number is refused by name.
-pub const DETECTOR_FORMAT: &str = "cairn.detector/2";
+pub const DETECTOR_FORMAT: &str = "cairn.detector/3";
 
 /// F_psi and Fc_psi after training.
 pub struct Detector {
@@ -28,14 +29,17 @@ pub struct Detection {
     pub identity: Option<u32>,
     /// Probability of each class; class 0 is `unmarked`.
     pub probabilities: Vec<f32>,
-    /// The recovered signal, side x side, [0, 1]; black where nothing is hidden.
-    pub recovered: Picture,
+    /// The recovered signal, of all that the detector has heads for: a picture,
+    /// side x side in [0, 1]; a sound of the head's length; a text. Where nothing is
+    /// hidden they are black, silent and empty.
+    pub recovered: Signal,
 }
 
 #[derive(Serialize, Deserialize)]
 struct Header {
     format: String,
     classes: usize,
+    heads: HeadSizes,
     config: MarkConfig,
 }
 
@@ -49,7 +53,12 @@ impl Detector {
         self.networks.classifier.classes()
     }
 
-    /// Side of recovered signals, px.
+    /// Which heads it has, and how long they are.
+    pub fn heads(&self) -> &HeadSizes {
+        self.networks.detector.sizes()
+    }
+
+    /// Side of recovered pictures, px.
     pub fn side_px(&self) -> usize {
         self.config.side_px()
     }
@@ -84,7 +93,7 @@ impl Detector {
         let side = self.side_px();
         let mut read = self.networks.read(&[shrunk(picture, side)], side, forced)?;
         let (probabilities, hidden) = read.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
-        let recovered = Picture::new(side, side, hidden).map_err(|e| MarkError::Plan(e.to_string()))?.clamped();
+        let recovered = hidden.signal(side, self.config.audio.sample_rate_hz)?;
         let class = winner(&probabilities);
         Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, recovered })
     }
@@ -94,7 +103,12 @@ impl Detector {
     /// # Errors
     /// [`MarkError::Stored`] when it cannot be written out.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MarkError> {
-        let header = Header { format: DETECTOR_FORMAT.into(), classes: self.classes(), config: self.config.clone() };
+        let header = Header {
+            format: DETECTOR_FORMAT.into(),
+            classes: self.classes(),
+            heads: *self.heads(),
+            config: self.config.clone(),
+        };
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
         let params = self.networks.params.to_bytes()?;
         let tensors = [("parameters", TensorView::new(Dtype::U8, vec![params.len()], &params).map_err(bad)?)];
@@ -113,10 +127,11 @@ impl Detector {
             return Err(stored("detector", why));
         }
         header.config.validate()?;
+        header.heads.check(&header.config)?;
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
         let file = SafeTensors::deserialize(bytes).map_err(bad)?;
         let params = Params::from_bytes(file.tensor("parameters").map_err(bad)?.data())?;
-        let networks = Networks::with(&header.config, header.classes, params)?;
+        let networks = Networks::with(&header.config, header.classes, header.heads, params)?;
         Ok(Self { config: header.config, networks })
     }
 }

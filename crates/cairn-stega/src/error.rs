@@ -18,6 +18,14 @@ pub enum MarkError {
     /// The plan does not fit together.
     #[error("plan: {0}")]
     Plan(String),
+    /// What an identity brought cannot be hidden.
+    #[error("identity {identity}, hidden signal: {problem}")]
+    Signal {
+        /// The identity, 1 and up.
+        identity: usize,
+        /// What is wrong, what is allowed, and what to do.
+        problem: String,
+    },
     /// A number that is not finite appeared; a trainer's state is the last good one.
     #[error("{}", not_finite(*step, place))]
     NotFinite {
@@ -47,7 +55,7 @@ pub enum MarkError {
     /// The field failed.
     #[error(transparent)]
     Field(#[from] cairn_field::FieldError),
-    /// Recovered pictures could not be scored.
+    /// Recovered signals could not be scored.
     #[error(transparent)]
     Metric(#[from] cairn_metrics::MetricError),
     /// A stored object cannot be read.

@@ -4,12 +4,15 @@
 
 use crate::bank::BankView;
 use crate::carrier::Carrier;
+use crate::config::MarkConfig;
 use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::networks::Reading;
+use crate::signal::Numbers;
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
 use cairn_capture::Picture;
+use cairn_nn::text_bytes;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -35,8 +38,86 @@ pub struct Judgement {
     pub accuracy: f64,
     /// The same after attacks (`[mark.robust]`); as `accuracy` where there are none.
     pub attacked: f64,
-    /// Mean SSIM of recovered against true signals, identities weighing alike.
-    pub hidden_ssim: f64,
+    /// How near the recovered signals come to the true ones.
+    pub recovered: Recovered,
+}
+
+/// How near recovered signals come to the true ones, each the mean over the poses
+/// of identities that hide such a thing; `None` where nobody does.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Recovered {
+    /// SSIM of the pictures.
+    pub picture_ssim: Option<f64>,
+    /// SNR of the sounds, dB: of the mean ratio of noise to signal, so that one lost
+    /// sound is not outweighed by another that is perfect.
+    pub audio_snr_db: Option<f64>,
+    /// Share of the texts' characters (bytes), 0 to 1.
+    pub text_characters: Option<f64>,
+}
+
+impl Recovered {
+    /// All three, for a file.
+    pub(crate) fn parts(&self) -> [Option<f64>; 3] {
+        [self.picture_ssim, self.audio_snr_db, self.text_characters]
+    }
+
+    pub(crate) fn from_parts([picture_ssim, audio_snr_db, text_characters]: [Option<f64>; 3]) -> Self {
+        Self { picture_ssim, audio_snr_db, text_characters }
+    }
+
+    /// The mean over the heads, each 0 (nothing, or silence) to 1: SSIM, one less the
+    /// ratio of noise to signal in amplitude, and characters.
+    fn score(&self) -> f64 {
+        let sound = self.audio_snr_db.map(|db| (1.0 - 10f64.powf(-db / 20.0)).max(0.0));
+        let all = [self.picture_ssim, sound, self.text_characters];
+        all.iter().flatten().sum::<f64>() / all.iter().flatten().count().max(1) as f64
+    }
+
+    /// Whether each is good enough to end training.
+    fn is_enough(&self, config: &MarkConfig) -> bool {
+        self.picture_ssim.is_none_or(|ssim| ssim >= config.enough_ssim)
+            && self.audio_snr_db.is_none_or(|db| db >= config.enough_snr_db)
+            && self.text_characters.is_none_or(|share| share >= config.enough_characters)
+    }
+}
+
+/// What [`Recovered`] is the means of.
+#[derive(Default)]
+struct Tally {
+    ssim: Vec<f64>,
+    /// Noise power over signal power.
+    noise: Vec<f64>,
+    characters: Vec<f64>,
+}
+
+impl Tally {
+    /// Counts what `said` of an identity that hides `truth`.
+    fn count(&mut self, said: &Numbers, truth: &Numbers, side: usize) -> Result<(), MarkError> {
+        let picture = |rgb: &[f32]| {
+            Picture::new(side, side, rgb.to_vec()).map_err(|e| MarkError::Plan(format!("a hidden picture: {e}")))
+        };
+        if let Some((said, truth)) = said.picture.as_ref().zip(truth.picture.as_ref()) {
+            self.ssim.push(cairn_metrics::ssim(&picture(said)?.clamped(), &picture(truth)?)?);
+        }
+        if let Some((said, truth)) = said.audio.as_ref().zip(truth.audio.as_ref()) {
+            self.noise.push(10f64.powf(-cairn_metrics::snr_db(said, truth)? / 10.0));
+        }
+        if let Some((said, truth)) = said.text.as_ref().zip(truth.text.as_ref()) {
+            let bits: Vec<f32> = truth.iter().map(|bit| bit - 0.5).collect();
+            let right = cairn_metrics::text_accuracy(&text_bytes(said), &text_bytes(&bits))?;
+            self.characters.push(right.characters.share().unwrap_or(0.0));
+        }
+        Ok(())
+    }
+
+    fn means(&self) -> Recovered {
+        let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
+        Recovered {
+            picture_ssim: mean(&self.ssim),
+            audio_snr_db: mean(&self.noise).map(|ratio| -10.0 * ratio.log10()),
+            text_characters: mean(&self.characters),
+        }
+    }
 }
 
 /// What is kept of the best state.
@@ -48,14 +129,9 @@ pub(crate) struct State {
 }
 
 impl Judgement {
-    /// Accuracy, accuracy under attack, hidden SSIM.
-    pub(crate) fn figures(&self) -> [f64; 3] {
-        [self.accuracy, self.attacked, self.hidden_ssim]
-    }
-
     fn score(&self) -> f64 {
         // An owner missed or made up is worse than a blurred signal.
-        self.accuracy + self.attacked + self.hidden_ssim
+        self.accuracy + self.attacked + self.recovered.score()
     }
 }
 
@@ -64,7 +140,7 @@ impl MarkTrainer {
     /// caller decides when; a run that judges at the same steps gives the same
     /// bytes. Training counts as converged once everything is answered right, with
     /// ease in training too (the few judged poses alone flatter), and the hidden
-    /// signals reach `enough_ssim`.
+    /// signals are all good enough (`enough_ssim`, `enough_snr_db`, `enough_characters`).
     ///
     /// # Errors
     /// [`MarkError::NotFinite`] when an answer is not finite; [`MarkError`] when the
@@ -73,10 +149,7 @@ impl MarkTrainer {
         let side = self.config.side_px();
         let (mut right, mut asked) = (0usize, 0usize);
         let mut attacked = Vec::new();
-        let mut ssim = Vec::new();
-        let picture = |rgb: &[f32]| {
-            Picture::new(side, side, rgb.to_vec()).map_err(|e| MarkError::Plan(format!("a hidden picture: {e}")))
-        };
+        let mut tally = Tally::default();
         for (at, (identity, view)) in self.bank.judged.iter().enumerate() {
             let carrier = &self.carriers[self.carrier_of(*identity)];
             let none = Attack::none();
@@ -84,7 +157,10 @@ impl MarkTrainer {
             right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
             asked += 2;
             attacked.extend(self.attacked(at as u64, (*identity, carrier), view)?);
-            ssim.push(cairn_metrics::ssim(&picture(&read[0].1)?.clamped(), &picture(&self.signals[*identity])?)?);
+            // Before the detector has joined it says nothing, and is asked nothing.
+            if self.joined {
+                tally.count(&read[0].1, &self.signals[*identity], side)?;
+            }
         }
         // What one carrier for all shows where it must say nothing.
         let outside: Vec<_> = self
@@ -105,7 +181,7 @@ impl MarkTrainer {
             step: self.step,
             accuracy,
             attacked: if attacked.is_empty() { accuracy } else { outlasted },
-            hidden_ssim: if self.joined { ssim.iter().sum::<f64>() / ssim.len().max(1) as f64 } else { 0.0 },
+            recovered: tally.means(),
         };
         // Before the budget has tightened marks are easier to read than they may be.
         let fair = self.step >= self.ramp_steps();
@@ -118,7 +194,7 @@ impl MarkTrainer {
         }
         let easy = self.ease() > EASE_TO_END;
         let right = judgement.accuracy == 1.0 && judgement.attacked >= ROBUST_TO_END;
-        self.converged |= fair && easy && right && judgement.hidden_ssim >= self.config.enough_ssim;
+        self.converged |= fair && easy && right && judgement.recovered.is_enough(&self.config);
         Ok(judgement)
     }
 

@@ -1,11 +1,11 @@
 //! Stage 2 (StegaNeRF, ICCV 2023, for several owners): hide a signal of each
-//! identity in what the field renders, and train with it the detector and the
+//! identity (a picture, a sound, a text) in what the field renders, and train with it the detector and the
 //! classifier that recover it and say `unmarked` where there is none.
 //!
 //! [`MarkTrainer`] drives it: `bank` holds the views as fixed linear maps and
 //! the unmarked pictures, `renders` what the networks are shown of them,
 //! [`Carrier`] the coefficients that move, `moves` when, and `mask` how much each
-//! may, `judge` which state was best. The outcome is a
+//! may, `losses` what a step is to make smaller, `heads` what recovers a [`Signal`], `judge` which state was best. The outcome is a
 //! [`MarkedField`] and a [`Detector`].
 
 mod bank;
@@ -15,6 +15,7 @@ mod config;
 mod detector;
 mod distort;
 mod error;
+mod heads;
 mod judge;
 mod losses;
 mod lsb;
@@ -25,6 +26,7 @@ mod negatives;
 mod networks;
 mod poses;
 mod renders;
+mod signal;
 mod trainer;
 mod window;
 
@@ -33,9 +35,10 @@ pub use config::{CarrierKind, Guidance, LossKind, MarkConfig, MaskKind};
 pub use detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use distort::{Distortion, RobustConfig};
 pub use error::MarkError;
-pub use judge::Judgement;
+pub use judge::{Judgement, Recovered};
 pub use lsb::{hide_in_lowest_bits, read_lowest_bits};
 pub use marked::{MARKED_FORMAT, MarkedField};
 pub use mask::gradient_mask;
 pub use poses::{PlannedView, at_most, between, virtual_views};
+pub use signal::{HeadSizes, Signal};
 pub use trainer::{MarkPlan, MarkStats, MarkTrainer};

@@ -2,31 +2,38 @@
 
 use crate::config::{Guidance, MarkConfig};
 use crate::error::MarkError;
+use crate::heads::Heads;
 use crate::judge::winner;
-use cairn_nn::{Classifier, Params, UNet, softmax};
+use crate::signal::{HeadSizes, Numbers};
+use cairn_nn::{Classifier, Params, softmax};
 use candle_core::{Device, Tensor};
 
-/// Class probabilities (M + 1), and the hidden picture (`side x side x 3`).
-pub(crate) type Reading = (Vec<f32>, Vec<f32>);
+/// Class probabilities (M + 1), and what the heads say.
+pub(crate) type Reading = (Vec<f32>, Numbers);
 
 /// F_psi and Fc_psi with their parameters.
 pub(crate) struct Networks {
     pub(crate) params: Params,
     pub(crate) classifier: Classifier,
-    pub(crate) detector: UNet,
+    pub(crate) detector: Heads,
     guidance: Guidance,
 }
 
 impl Networks {
-    /// Fresh networks for `classes` = M + 1 classes.
-    pub(crate) fn new(config: &MarkConfig, classes: usize, seed: u64) -> Result<Self, MarkError> {
-        Self::with(config, classes, Params::new(seed))
+    /// Fresh networks for `classes` = M + 1 classes, with heads of `sizes`.
+    pub(crate) fn new(config: &MarkConfig, classes: usize, sizes: HeadSizes, seed: u64) -> Result<Self, MarkError> {
+        Self::with(config, classes, sizes, Params::new(seed))
     }
 
     /// Networks over `params`, which may hold stored values already.
-    pub(crate) fn with(config: &MarkConfig, classes: usize, mut params: Params) -> Result<Self, MarkError> {
+    pub(crate) fn with(
+        config: &MarkConfig,
+        classes: usize,
+        sizes: HeadSizes,
+        mut params: Params,
+    ) -> Result<Self, MarkError> {
         let classifier = Classifier::new(&config.classifier, classes, params.scope("classifier"))?;
-        let detector = UNet::new(&config.detector, classes, params.scope("detector"))?;
+        let detector = Heads::new(config, classes, sizes, &mut params)?;
         Ok(Self { params, classifier, detector, guidance: config.guidance })
     }
 
@@ -39,7 +46,7 @@ impl Networks {
         }
     }
 
-    /// Class probabilities and hidden pictures for `pictures`
+    /// Class probabilities and hidden signals for `pictures`
     /// (each `side x side x 3`). With `forced`, that class is told to the
     /// detector in place of the classifier's own answer.
     ///
@@ -55,25 +62,23 @@ impl Networks {
         let probabilities = softmax(&self.classifier.forward(&images)?)?;
         let probabilities = probabilities.to_vec2::<f32>()?;
         probabilities.iter().try_for_each(|p| finite(p, "a class's probability"))?;
-        // The detector is told the decision, not its odds: half an owner's picture is nobody's.
+        // The detector is told the decision, not its odds: half an owner's signal is nobody's.
         let told = probabilities.iter().flat_map(|p| {
             let class = forced.unwrap_or_else(|| winner(p));
             (0..p.len()).map(move |k| if k == class { 1.0f32 } else { 0.0 })
         });
         let told = Tensor::from_vec(told.collect(), (pictures.len(), self.classifier.classes()), &Device::Cpu)?;
-        let hidden = self.detector.forward(&images, &self.told(told)?)?;
+        let said = self.detector.forward(&images, &self.told(told)?)?;
         let mut out = Vec::with_capacity(pictures.len());
         for (i, probabilities) in probabilities.into_iter().enumerate() {
-            let flat = hidden.get(i)?.flatten_all()?.to_vec1::<f32>()?;
-            finite(&flat, "the recovered picture")?;
-            out.push((probabilities, interleaved(&flat)));
+            out.push((probabilities, said.numbers(i)?));
         }
         Ok(out)
     }
 }
 
 /// Refuses numbers that would otherwise be ranked or clamped into an answer.
-fn finite(values: &[f32], place: &str) -> Result<(), MarkError> {
+pub(crate) fn finite(values: &[f32], place: &str) -> Result<(), MarkError> {
     match values.iter().all(|v| v.is_finite()) {
         true => Ok(()),
         false => Err(MarkError::NotFinite { step: None, place: place.into() }),

@@ -19,6 +19,7 @@ use crate::mask::gradient_mask;
 use crate::networks::{Networks, planar};
 use crate::poses::PlannedView;
 use crate::renders::Tone;
+use crate::signal::{HeadSizes, Numbers, Signal};
 use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_field::Field;
@@ -37,8 +38,8 @@ pub struct MarkPlan {
     pub clusters: Clusters,
     /// The training views: cameras and appearances. Held-out views have no place here.
     pub views: Vec<PlannedView>,
-    /// One hidden picture an identity, identity 1 first; brought to the detector's size.
-    pub signals: Vec<Picture>,
+    /// What each identity hides, identity 1 first.
+    pub signals: Vec<Signal>,
     /// Photographs (and any other unmarked pictures) to be silent on.
     pub negatives: Vec<Picture>,
 }
@@ -72,8 +73,8 @@ pub struct MarkTrainer {
     pub(crate) plan: MarkPlan,
     /// The plan's and the field's digest, which a checkpoint must meet again.
     pub(crate) fingerprint: String,
-    /// Hidden pictures, `side x side x 3`, identity 1 first.
-    pub(crate) signals: Vec<Vec<f32>>,
+    /// What the heads are to say of each identity, identity 1 first.
+    pub(crate) signals: Vec<Numbers>,
     pub(crate) bank: Bank,
     pub(crate) mask: Vec<f32>,
     pub(crate) carriers: Vec<Carrier>,
@@ -91,7 +92,8 @@ impl MarkTrainer {
     ///
     /// # Errors
     /// [`MarkError::Setting`]; [`MarkError::Plan`] for a cluster without training
-    /// views or another number of signals than clusters; [`MarkError::Stopped`].
+    /// views, another number of signals than clusters, or a signal that cannot be
+    /// hidden; [`MarkError::Stopped`].
     pub fn new(
         field: Arc<Field>,
         plan: MarkPlan,
@@ -117,8 +119,9 @@ impl MarkTrainer {
             let got = plan.signals.len();
             return Err(MarkError::Plan(format!("{got} signals for {identities} identities; bring one for each")));
         }
-        let side = config.side_px();
-        let signals = plan.signals.iter().map(|p| crate::negatives::shrunk(p, side)).collect();
+        (1..).zip(&plan.signals).try_for_each(|(number, signal)| signal.check(number, &config))?;
+        let heads = HeadSizes::of(&plan.signals, &config);
+        let signals = plan.signals.iter().map(|s| Numbers::of(s, &heads, config.side_px())).collect();
         let bank = Bank::new(&field, &plan, &config, seed, progress)?;
         let (basis, count) = match config.carrier {
             CarrierKind::PerCluster => (CarrierBasis::Constant, identities),
@@ -133,7 +136,7 @@ impl MarkTrainer {
             field.as_ref(),
             basis,
         );
-        let networks = Networks::new(&config, identities + 1, seed)?;
+        let networks = Networks::new(&config, identities + 1, heads, seed)?;
         let rate = Rate::falling(
             config.learning_rate_networks,
             config.learning_rate_networks * config.final_rate,

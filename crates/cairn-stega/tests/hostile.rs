@@ -115,10 +115,23 @@ fn what_does_not_fit_is_refused_by_name() {
     short.signals.pop();
     let error = new(short, config(3)).to_string();
     assert!(error.contains("1 signals for 2 identities"), "{error}");
+    let with = |change: fn(&mut MarkConfig)| {
+        let mut config = config(3);
+        change(&mut config);
+        config
+    };
     for (wrong, key) in [
         (MarkConfig { budget_db: 5.0, ..config(3) }, "mark.budget_db"),
         (MarkConfig { classify_until: 0.0, ..config(3) }, "mark.classify_until"),
         (MarkConfig { weight_picture: -1.0, ..config(3) }, "mark.weight_picture"),
+        (MarkConfig { enough_snr_db: f64::NAN, ..config(3) }, "mark.enough_snr_db"),
+        (MarkConfig { enough_characters: -0.1, ..config(3) }, "mark.enough_characters"),
+        (with(|c| c.audio.sample_rate_hz = 100), "mark.audio.sample_rate_hz"),
+        (with(|c| c.audio.longest_s = 31.0), "mark.audio.longest_s"),
+        (with(|c| c.audio.channels = vec![]), "mark.audio.channels"),
+        (with(|c| c.audio.channels = vec![8, 0]), "mark.audio.channels"),
+        (with(|c| c.text.longest_bytes = 0), "mark.text.longest_bytes"),
+        (with(|c| c.text.channels = vec![8; 5]), "mark.text.channels"),
     ] {
         let error = new(plan(), wrong);
         assert!(matches!(error, MarkError::Setting { key: found, .. } if found == key), "{error}");
@@ -132,7 +145,16 @@ fn what_does_not_fit_is_refused_by_name() {
     }
     let old = altered(&detector, |h| h["format"] = "cairn.detector/1".into(), "", <[u8]>::to_vec);
     let error = Detector::from_bytes(&old).err().unwrap().to_string();
-    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/2"), "{error}");
+    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/3"), "{error}");
+    for heads in [
+        serde_json::json!({ "picture": true, "audio": u32::MAX, "text": null }),
+        serde_json::json!({ "picture": true, "audio": null, "text": 1u64 << 40 }),
+        serde_json::json!({ "picture": false, "audio": null, "text": null }),
+    ] {
+        let huge = altered(&detector, |h| h["heads"] = heads.clone(), "", <[u8]>::to_vec);
+        let error = Detector::from_bytes(&huge).err().unwrap().to_string();
+        assert!(error.contains("heads") && error.contains("do not fit"), "{error}");
+    }
     let nan = filled_within(&detector, "parameters", "detector.memory", f32::NAN);
     let error = Detector::from_bytes(&nan).err().unwrap().to_string();
     assert!(error.contains("NaN") && error.contains("detector.memory"), "{error}");
@@ -187,6 +209,7 @@ fn damaged_checkpoints_are_refused_by_part() {
         refused(&header(&|h| h["classify_bits"] = bad.to_bits().into()), &["classify_bits"]);
     }
     refused(&header(&|h| h["best"][1][1] = f64::NAN.to_bits().into()), &["best"]);
+    refused(&header(&|h| h["best"][2][0] = f64::NAN.to_bits().into()), &["best"]);
     for (part, bad) in [
         ("carrier0.values", f32::NAN),
         ("carrier1.first", f32::INFINITY),

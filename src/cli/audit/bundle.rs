@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use cairn_audit::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
+use cairn_registry::record::SignalFiles;
 use cairn_registry::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
 
 use super::{Trust, against};
@@ -108,10 +109,21 @@ fn text(path: &Path) -> anyhow::Result<Option<String>> {
 }
 
 fn hidden_signal(bundle: &Path) -> anyhow::Result<Option<HiddenSignalInHand>> {
-    let (signal, salt) = (bundle.join("signal.png"), text(&bundle.join("signal.salt"))?);
-    let Some(salt) = salt.filter(|_| signal.exists()) else { return Ok(None) };
+    let salt = text(&bundle.join("signal.salt"))?;
+    let mut places = Vec::new();
+    let mut part = |name: &str| {
+        let path = bundle.join(name);
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        places.push(path.display().to_string());
+        read(&path)
+    };
+    let (picture, audio, words) = (part("signal.png")?, part("signal.wav")?, part("signal.txt")?);
+    let files = SignalFiles { picture: &picture, audio: &audio, text: &words };
+    let Some(salt) = salt.filter(|_| !files.is_empty()) else { return Ok(None) };
     let salt: Digest = salt.trim().parse().context("signal.salt is not 32 bytes in hexadecimal")?;
-    Ok(Some(HiddenSignalInHand::of(signal.display().to_string(), &salt, &read(&signal)?)))
+    Ok(Some(HiddenSignalInHand::of(places.join(", "), &salt, &files)))
 }
 
 fn log_view(path: &Path) -> anyhow::Result<LogView> {

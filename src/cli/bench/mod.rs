@@ -155,14 +155,6 @@ fn decoded(path: &Path) -> anyhow::Result<Picture> {
     decode_picture(&bytes, &Limits::default(), None).with_context(|| format!("{} does not decode", path.display()))
 }
 
-/// As [`decoded`], of several.
-///
-/// # Errors
-/// For the first file that does not read or decode.
-fn decoded_all(paths: &[PathBuf]) -> anyhow::Result<Vec<Picture>> {
-    paths.iter().map(|path| decoded(path)).collect()
-}
-
 /// A count with thousands apart.
 fn with_units(count: u64) -> String {
     let digits = count.to_string();

@@ -106,14 +106,24 @@ impl Rows {
         self.share(case, "photographs unmarked", mark.photographs_unmarked, Some(1.0));
         for r in &mark.identities {
             let name = format!("identity {}", r.number);
-            if let Some(ssim) = r.hidden_ssim {
-                self.add(case, &format!("hidden SSIM, {name}"), ssim, "", Some(Target::at_least(0.9)));
+            // Pictures' rows have the names that they always had.
+            for (hidden, forced, unit, measured, target) in [
+                ("hidden SSIM", "", "", r.picture_ssim, Some(Target::at_least(0.9))),
+                ("hidden sound, SNR", "sound SNR, ", "dB", r.audio_snr_db, Some(Target::at_least(25.0))),
+                ("hidden sound, LSD", "sound LSD, ", "dB", r.audio_lsd_db, None),
+                ("hidden text, characters", "text characters, ", "", r.text_characters, Some(Target::at_least(1.0))),
+                ("hidden text, bits", "text bits, ", "", r.text_bits, None),
+            ] {
+                let Some(m) = measured else { continue };
+                if let Some(value) = m.recovered {
+                    self.add(case, &format!("{hidden}, {name}"), value, unit, target);
+                }
+                if let Some(value) = m.forced_base {
+                    self.add(case, &format!("{forced}forced on base, {name}"), value, unit, None);
+                }
+                self.add(case, &format!("{forced}forced on grey, {name}"), m.forced_grey, unit, None);
+                self.add(case, &format!("{forced}forced on noise, {name}"), m.forced_noise, unit, None);
             }
-            if let Some(ssim) = r.forced_base_ssim {
-                self.add(case, &format!("forced on base, {name}"), ssim, "", None);
-            }
-            self.add(case, &format!("forced on grey, {name}"), r.forced_grey_ssim, "", None);
-            self.add(case, &format!("forced on noise, {name}"), r.forced_noise_ssim, "", None);
         }
     }
 }

@@ -9,7 +9,7 @@ use std::cell::OnceCell;
 use std::fs;
 use std::path::{Component, Path};
 
-use cairn_capture::{Capture, Limits, ReadOptions, decode_picture};
+use cairn_capture::{Capture, Limits, ReadOptions, Sound, SoundLimits, decode_picture, decode_wav, encode_wav};
 use tempfile::TempDir;
 
 use crate::common::{Colmap, npy, photograph};
@@ -31,8 +31,11 @@ const CAPTURE: (usize, usize) = (24, 768 << 10);
 /// The pixels of the limits below, in every form that decoding brings them through, and the decoder's tables.
 const PICTURE: (usize, usize) = (8, 4 << 20);
 
+/// A byte is at most one sample; errors take the rest.
+const SOUND: (usize, usize) = (8, 64 << 10);
+
 /// All readers.
-pub const TARGETS: [Target; 11] = [
+pub const TARGETS: [Target; 12] = [
     Target { name: "cameras.bin", good: || vec![Colmap::small().cameras_bin()], limit: CAPTURE, read: cameras_bin },
     Target { name: "images.bin", good: || vec![Colmap::small().images_bin()], limit: CAPTURE, read: images_bin },
     Target { name: "points3D.bin", good: || vec![Colmap::small().points_bin()], limit: CAPTURE, read: points_bin },
@@ -44,6 +47,7 @@ pub const TARGETS: [Target; 11] = [
     Target { name: "contributors.csv", good: contributors, limit: CAPTURE, read: contributors_csv },
     Target { name: "png", good: || vec![photograph(), grey_png()], limit: PICTURE, read: picture },
     Target { name: "jpeg", good: || vec![jpeg()], limit: PICTURE, read: picture },
+    Target { name: "wav", good: wavs, limit: SOUND, read: wav },
 ];
 
 /// The target called `name`.
@@ -101,6 +105,25 @@ pub fn jpeg() -> Vec<u8> {
     let picture = image::RgbImage::from_fn(40, 30, |x, y| image::Rgb([(6 * x) as u8, (8 * y) as u8, 128]));
     picture.write_to(&mut std::io::Cursor::new(&mut out), image::ImageFormat::Jpeg).unwrap();
     out
+}
+
+/// Small WAV files: ours, and one of two channels and 24 bits with a foreign chunk.
+fn wavs() -> Vec<Vec<u8>> {
+    let ours = encode_wav(&Sound::new((0..200).map(|i| (i as f32 * 0.2).sin()).collect(), 16_000).unwrap());
+    let data: Vec<u8> = (0..600u32).map(|i| (i * 7) as u8).collect();
+    let format = [1u16, 2, 0xac44, 0, 0x0998, 4, 6, 24].iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let chunk = |name: &[u8; 4], body: &[u8]| [&name[..], &(body.len() as u32).to_le_bytes(), body].concat();
+    let body = [b"WAVE".to_vec(), chunk(b"LIST", b"INFO"), chunk(b"fmt ", &format), chunk(b"data", &data)].concat();
+    vec![ours, chunk(b"RIFF", &body)]
+}
+
+fn wav(input: &[u8]) {
+    let limits = SoundLimits { max_file_bytes: 1 << 20, longest_s: 1.0 };
+    if let Ok(sound) = decode_wav("a", input, &limits) {
+        assert!(sound.seconds() <= 1.0 && sound.samples().len() <= input.len());
+        assert!(sound.samples().iter().all(|v| v.is_finite()));
+        assert_eq!(decode_wav("b", &encode_wav(&sound), &limits).unwrap().to_pcm16(), sound.to_pcm16());
+    }
 }
 
 /// Which capture a target's file is part of.

@@ -75,7 +75,7 @@ pub fn plan() -> MarkPlan {
     MarkPlan {
         clusters: Clusters::build(&poses, &grouping, &[], 5).unwrap(),
         views: cameras.iter().map(|c| PlannedView { camera: *c, appearance: appearance.clone() }).collect(),
-        signals: vec![signal(0), signal(1)],
+        signals: vec![signal(0).into(), signal(1).into()],
         negatives: cameras.iter().map(photograph).collect(),
     }
 }

@@ -11,6 +11,8 @@ pub struct Case {
     pub anchors: usize,
     /// K, views of each; `None` for all of them.
     pub neighbours: Option<usize>,
+    /// Whether a sound and a text are hidden with each picture.
+    pub all_kinds: bool,
     /// Whether light is fitted on the left half and the right half is scored.
     pub right_half: bool,
     /// Least SSIM of recovered against hidden pictures.
@@ -30,6 +32,10 @@ pub const ALL: [Name; 4] = [Name::Fern, Name::Trex, Name::Lego, Name::Liberty];
 pub const MILD: (f64, f64) = (0.98, 0.90);
 /// Least accuracy under each hard distortion, with robust training.
 pub const HARD: f64 = 0.92;
+/// Least SNR of recovered sounds, dB.
+pub const AUDIO_SNR_DB: f64 = 25.0;
+/// Least share of recovered texts' characters.
+pub const TEXT_CHARACTERS: f64 = 1.0;
 /// Least accuracy under all hard distortions together, with robust training.
 pub const COMBINED: f64 = 0.90;
 
@@ -39,6 +45,7 @@ const CASES: [Case; 4] = [
         name: Name::Fern,
         anchors: 1,
         neighbours: None,
+        all_kinds: false,
         right_half: false,
         hidden_ssim: 0.985,
         accuracy: 1.0,
@@ -49,6 +56,7 @@ const CASES: [Case; 4] = [
         name: Name::Trex,
         anchors: 1,
         neighbours: None,
+        all_kinds: true,
         right_half: false,
         hidden_ssim: 0.97,
         accuracy: 1.0,
@@ -59,6 +67,7 @@ const CASES: [Case; 4] = [
         name: Name::Lego,
         anchors: 1,
         neighbours: None,
+        all_kinds: false,
         right_half: false,
         hidden_ssim: 0.985,
         accuracy: 1.0,
@@ -69,6 +78,7 @@ const CASES: [Case; 4] = [
         name: Name::Liberty,
         anchors: 3,
         neighbours: Some(20),
+        all_kinds: false,
         right_half: true,
         hidden_ssim: 0.97,
         accuracy: 0.99,

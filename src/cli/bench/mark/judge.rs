@@ -6,18 +6,18 @@ use std::path::PathBuf;
 use cairn_capture::{Camera, Picture, encode_png};
 use cairn_field::Appearance;
 use cairn_metrics::{expected_calibration_error, psnr_db, ssim};
-use cairn_stega::{Detection, Detector, MarkedField};
+use cairn_stega::{Detection, Detector, MarkConfig, MarkedField, Signal};
 use serde::{Deserialize, Serialize};
 
-use super::super::decoded_all;
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::harm::{self, Set};
+use super::scored::Harmed;
 pub use super::scored::Judged;
-use super::scored::{Harmed, Recovered};
-use super::{sheet, unmarked};
-use crate::engine::evaluate::{PERFECT_DB, eight_bits, half, likeness, noise};
-use crate::engine::report::Right;
+use super::{sheet, train, unmarked};
+use crate::engine::evaluate::{PERFECT_DB, eight_bits, half};
+use crate::engine::recovery::{SeenView, picture_ssim, recovery};
+use crate::engine::report::{Recovery, Right};
 
 /// Confidence bins of the calibration.
 const BINS: usize = 15;
@@ -33,8 +33,10 @@ pub struct Task {
     pub marked: PathBuf,
     /// The stored detector.
     pub detector: PathBuf,
-    /// The pictures that were hidden.
-    pub signals: Vec<PathBuf>,
+    /// Files of what was hidden.
+    pub signals: Vec<train::Files>,
+    /// The settings it was hidden with.
+    pub config: MarkConfig,
     /// Whether light is fitted on left halves and right halves are scored.
     pub right_half: bool,
     /// The file for a contact sheet.
@@ -60,7 +62,7 @@ pub struct View {
 /// A detector that is asked, and remembers how sure it was.
 pub struct Asked {
     detector: Detector,
-    signals: Vec<Picture>,
+    signals: Vec<Signal>,
     /// Confidence of each answer, and whether it was right.
     answers: Vec<(f64, bool)>,
 }
@@ -76,9 +78,9 @@ impl Asked {
         Ok((class == truth, found))
     }
 
-    /// SSIM of what was recovered against the picture of identity `truth`.
-    fn likeness(&self, truth: usize, recovered: &Picture) -> anyhow::Result<f64> {
-        Ok(likeness(&self.signals[truth - 1], recovered)?)
+    /// SSIM of what was recovered against the picture of identity `truth`, if it hides one.
+    fn likeness(&self, truth: usize, recovered: &Signal) -> anyhow::Result<Option<f64>> {
+        Ok(picture_ssim(&self.signals[truth - 1], recovered)?)
     }
 }
 
@@ -89,7 +91,7 @@ impl Asked {
 pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let marked = MarkedField::from_bytes(&super::read(&task.marked)?)?;
     let detector = Detector::from_bytes(&super::read(&task.detector)?)?;
-    let mut asked = Asked { detector, signals: decoded_all(&task.signals)?, answers: Vec::new() };
+    let mut asked = Asked { detector, signals: train::signals(&task.signals, &task.config)?, answers: Vec::new() };
     let opened = task.source.open()?;
     let mut progress = Progress::new(&task.label, 4);
     let views = views(&opened, &marked, task.right_half)?;
@@ -156,32 +158,22 @@ fn views(opened: &Opened, marked: &MarkedField, right_half: bool) -> anyhow::Res
     opened.held_out().into_iter().map(view).collect()
 }
 
-/// Classes of renders as they are, and each identity's picture.
-fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Vec<Recovered>)> {
+/// Classes of renders as they are, and each identity's signal.
+fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Vec<Recovery>)> {
     let mut classes = Right::default();
-    let mut found: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); asked.signals.len()];
+    let mut read = Vec::new();
     for view in views {
-        let (right, read) = asked.ask(&view.marked, view.truth)?;
+        let (right, found) = asked.ask(&view.marked, view.truth)?;
         classes.count(right);
         classes.count(asked.ask(&view.base, 0)?.0);
-        if view.truth > 0 {
-            let forced = asked.detector.detect_forced(&view.base, view.truth)?.recovered;
-            let (hidden, forced) = (asked.likeness(view.truth, &read.recovered)?, asked.likeness(view.truth, &forced)?);
-            found[view.truth - 1].0.push(hidden);
-            found[view.truth - 1].1.push(forced);
-        }
+        read.push(found.recovered);
     }
-    let (w, h) = (views[0].base.width(), views[0].base.height());
+    let size = (views[0].base.width(), views[0].base.height());
     let mut identities = Vec::new();
-    for (at, (hidden, forced)) in found.iter().enumerate() {
-        let told =
-            |picture: &Picture| asked.likeness(at + 1, &asked.detector.detect_forced(picture, at + 1)?.recovered);
-        identities.push(Recovered {
-            ssim: mean(hidden),
-            forced_base: mean(forced),
-            forced_grey: told(&Picture::constant(w, h, [0.5; 3]))?,
-            forced_noise: told(&noise(w, h))?,
-        });
+    for (at, truth) in asked.signals.iter().enumerate() {
+        let of = views.iter().zip(&read).filter(|(view, _)| view.truth == at + 1);
+        let seen: Vec<_> = of.map(|(view, recovered)| SeenView { base: &view.base, recovered }).collect();
+        identities.push(recovery(&asked.detector, (at as u32 + 1, ""), truth, &seen, size)?);
     }
     Ok((classes, identities))
 }
@@ -235,7 +227,7 @@ fn harmed(
         classes.count(right);
         classes.count(asked.ask(&base, 0)?.0);
         if truth > 0 {
-            hidden.push(asked.likeness(truth, &read.recovered)?);
+            hidden.extend(asked.likeness(truth, &read.recovered)?);
         }
     }
     Ok(Harmed { name: name.to_owned(), set, classes, ssim: mean(&hidden) })

@@ -36,6 +36,7 @@ use crate::config::{Config, overlay_for, training_settings};
 use case::Case;
 
 pub use judge::{Judged, Task as Judge, run as judge};
+use train::Files;
 pub use train::{Marked, Task as Mark, run as mark};
 
 /// What `--quick` lays over the settings: everything runs, nothing is good.
@@ -65,33 +66,45 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
     let children = Arc::new(Children::default());
     for case in cases {
         let run = Run::new(place, args, case, (&captures, &pictures))?;
-        let robust = run.mark.robust.enabled;
         let work = tokio::task::spawn_blocking({
             let children = children.clone();
             move || run.outcome(&children)
         });
         let outcome = unless_stopped(work, &children).await?;
-        report::rows(rows, &args.case_name(case.name.as_str()), (case, robust), &outcome);
+        report::rows(rows, &args.case_name(case.name.as_str()), case, &outcome);
         rows.save(args)?;
     }
     println!("contact sheets and reliability tables in {}", args.out.display());
     Ok(())
 }
 
+/// The first sound and the first text beside a picture.
+fn beside(picture: &Path) -> anyhow::Result<Files> {
+    let folder = picture.parent().unwrap_or(Path::new("."));
+    let first = |ending: &str| {
+        let all = files(folder, &[ending])?;
+        let problem =
+            || format!("{} has no .{ending} to hide; say where there is one (--signals DIR)", folder.display());
+        all.into_iter().next().with_context(problem)
+    };
+    Ok(Files { audio: Some(first("wav")?), text: Some(first("txt")?), picture: None })
+}
+
 /// The pictures of a folder, in order of file name.
 pub(super) fn pictures(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let files = files(folder, &["png", "jpg"])?;
+    let problem = "has no PNG or JPEG; say where pictures to hide are (--signals DIR)";
+    anyhow::ensure!(!files.is_empty(), "{} {problem}", folder.display());
+    Ok(files)
+}
+
+/// Files with one of some endings, in order of file name.
+fn files(folder: &Path, endings: &[&str]) -> anyhow::Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder)
         .with_context(|| format!("cannot read {}; say where pictures to hide are (--signals DIR)", folder.display()))?;
     let mut files = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
-    files.retain(|path| {
-        path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png") || e.eq_ignore_ascii_case("jpg"))
-    });
+    files.retain(|path| path.extension().is_some_and(|e| endings.iter().any(|wanted| e.eq_ignore_ascii_case(wanted))));
     files.sort();
-    anyhow::ensure!(
-        !files.is_empty(),
-        "{} has no PNG or JPEG; say where pictures to hide are (--signals DIR)",
-        folder.display()
-    );
     Ok(files)
 }
 
@@ -100,6 +113,8 @@ pub(super) fn pictures(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
 pub struct Outcome {
     /// Stage 1, where it was trained in this run.
     pub base: Option<base::Trained>,
+    /// Whether marks were trained to last.
+    pub robust: bool,
     /// Each training and its judgement.
     pub runs: Vec<(Marked, Judged)>,
 }
@@ -111,6 +126,8 @@ struct Run {
     /// Other captures, to be silent on.
     foreign: Vec<Source>,
     pictures: Vec<PathBuf>,
+    /// A sound and a text, where the case hides them.
+    others: Files,
     field: FieldConfig,
     mark: MarkConfig,
     seed: u64,
@@ -151,6 +168,7 @@ impl Run {
             source,
             foreign: others.filter(|folder| folder.is_dir()).map(sized).collect(),
             pictures: pictures.to_vec(),
+            others: if case.all_kinds { beside(&pictures[0])? } else { Files::default() },
             field: training.field,
             mark: training.mark,
             seed: args.seed,
@@ -162,14 +180,14 @@ impl Run {
 
     fn outcome(&self, children: &Children) -> anyhow::Result<Outcome> {
         let (field, base) = self.base(children)?;
-        let mut outcome = Outcome { base, runs: Vec::new() };
+        let mut outcome = Outcome { base, robust: self.mark.robust.enabled, runs: Vec::new() };
         let slug: String = self.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
         for run in 0..self.runs {
             let label = |what: &str| format!("{}, {what}, {} of {}", self.name, run + 1, self.runs);
             let file = |what: &str| self.out.join(format!("{slug}-{}.{what}", self.seed + run));
             let signals = (0..self.case.anchors).map(|i| {
                 let at = run as usize * self.case.anchors + i;
-                self.pictures[at % self.pictures.len()].clone()
+                Files { picture: Some(self.pictures[at % self.pictures.len()].clone()), ..self.others.clone() }
             });
             let mark = Mark {
                 source: self.source.clone(),
@@ -189,6 +207,7 @@ impl Run {
                 marked: mark.marked.clone(),
                 detector: mark.detector.clone(),
                 signals: mark.signals.clone(),
+                config: self.mark.clone(),
                 right_half: self.case.right_half,
                 sheet: file("png"),
                 reliability: file("csv"),

@@ -3,16 +3,17 @@
 
 use cairn_bench::Target;
 
-use super::case::{COMBINED, Case, HARD, MILD};
+use super::case::{AUDIO_SNR_DB, COMBINED, Case, HARD, MILD, TEXT_CHARACTERS};
 use super::harm::Set;
 use super::scored::{Harmed, Judged};
 use super::{Marked, Outcome};
 use crate::cli::bench::rows::Rows;
-use crate::engine::report::Right;
+use crate::engine::report::{Measured, Recovery, Right};
 
 /// Adds the rows of `outcome` as case `name`. What is asked depends on whether marks
-/// were trained to last (`robust`).
-pub fn rows(rows: &mut Rows, name: &str, (case, robust): (&Case, bool), outcome: &Outcome) {
+/// were trained to last.
+pub fn rows(rows: &mut Rows, name: &str, case: &Case, outcome: &Outcome) {
+    let robust = outcome.robust;
     let Some(first) = outcome.runs.first().map(|run| &run.1) else { return };
     let judged = || outcome.runs.iter().map(|run| &run.1);
     let of = |f: &dyn Fn(&Judged) -> f64| mean(judged().map(f));
@@ -46,16 +47,32 @@ pub fn rows(rows: &mut Rows, name: &str, (case, robust): (&Case, bool), outcome:
     cost(rows, name, (case, robust), outcome.runs.iter().map(|run| &run.0).collect());
 }
 
+/// What was recovered, of every kind that is hidden, and what the detector says when told the class.
 fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, outcome: &Outcome) {
-    let identities: Vec<_> = outcome.runs.iter().flat_map(|run| &run.1.identities).collect();
-    let found: Vec<f64> = identities.iter().filter_map(|i| i.ssim).collect();
-    if !found.is_empty() {
-        rows.add(name, "hidden SSIM", mean(found.iter().copied()), "", target);
-        rows.add(name, "hidden SSIM, worst identity", found.iter().copied().fold(f64::INFINITY, f64::min), "", None);
-        rows.add(name, "forced on base renders", mean(identities.iter().filter_map(|i| i.forced_base)), "", None);
+    type Measure = fn(&Recovery) -> Option<Measured>;
+    let asked = |target: Target| (!outcome.robust).then_some(target);
+    let measures: [(&str, &str, Measure, Option<Target>); 4] = [
+        ("hidden SSIM", "", |r| r.picture_ssim, target),
+        ("hidden sound, SNR", "dB", |r| r.audio_snr_db, asked(Target::at_least(AUDIO_SNR_DB))),
+        ("hidden sound, log-spectral distance", "dB", |r| r.audio_lsd_db, None),
+        ("hidden text, characters", "", |r| r.text_characters, asked(Target::at_least(TEXT_CHARACTERS))),
+    ];
+    for (what, unit, measure, target) in measures {
+        let all: Vec<Measured> = outcome.runs.iter().flat_map(|run| &run.1.identities).filter_map(measure).collect();
+        let found: Vec<f64> = all.iter().filter_map(|m| m.recovered).collect();
+        if found.is_empty() {
+            continue;
+        }
+        rows.add(name, what, mean(found.iter().copied()), unit, target);
+        if what == "hidden SSIM" {
+            let worst = found.iter().copied().fold(f64::INFINITY, f64::min);
+            rows.add(name, "hidden SSIM, worst identity", worst, unit, None);
+        }
+        let base = mean(all.iter().filter_map(|m| m.forced_base));
+        rows.add(name, &format!("{what}, forced on base renders"), base, unit, None);
+        rows.add(name, &format!("{what}, forced on grey"), mean(all.iter().map(|m| m.forced_grey)), unit, None);
+        rows.add(name, &format!("{what}, forced on noise"), mean(all.iter().map(|m| m.forced_noise)), unit, None);
     }
-    rows.add(name, "forced on grey", mean(identities.iter().map(|i| i.forced_grey)), "", None);
-    rows.add(name, "forced on noise", mean(identities.iter().map(|i| i.forced_noise)), "", None);
 }
 
 fn harm(rows: &mut Rows, name: &str, robust: bool, all: &[&Harmed]) {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::harm::Set;
-use crate::engine::report::Right;
+use crate::engine::report::{Recovery, Right};
 
 /// Everything about one marked field and its detector; pictures are rounded to 8 bits.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -24,8 +24,8 @@ pub struct Judged {
     pub kept_db: f64,
     /// Right classes over theta's and theta_0's renders.
     pub classes: Right,
-    /// Each identity's hidden picture.
-    pub identities: Vec<Recovered>,
+    /// Each identity's signal.
+    pub identities: Vec<Recovery>,
     /// Under each distortion.
     pub harms: Vec<Harmed>,
     /// A mark on views of other clusters: whether the mark decides. Nothing asked with one identity.
@@ -38,19 +38,6 @@ pub struct Judged {
     pub calibration_error: f64,
     /// Answers behind it.
     pub answers: usize,
-}
-
-/// What was recovered of one identity's picture; means over its held-out views.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Recovered {
-    /// SSIM of recovered against hidden; `None` where it has no held-out view.
-    pub ssim: Option<f64>,
-    /// What the detector draws of theta_0's render when told the identity.
-    pub forced_base: Option<f64>,
-    /// The same of a grey card.
-    pub forced_grey: f64,
-    /// The same of noise.
-    pub forced_noise: f64,
 }
 
 /// Recovery after something was done to the renders.

@@ -2,7 +2,7 @@
 
 use cairn_bench::sheet::{Tile, contact_sheet};
 use cairn_capture::Picture;
-use cairn_stega::{Detector, Distortion};
+use cairn_stega::{Detector, Distortion, Signal};
 
 use super::judge::View;
 
@@ -18,7 +18,7 @@ const TILE: [usize; 2] = [176, 176];
 ///
 /// # Errors
 /// For pictures that the detector refuses.
-pub fn draw(detector: &Detector, signals: &[Picture], views: &[View]) -> anyhow::Result<Picture> {
+pub fn draw(detector: &Detector, signals: &[Signal], views: &[View]) -> anyhow::Result<Picture> {
     let tile = |picture: &Picture, label: String| Tile { picture: picture.clone(), label };
     let mut rows = Vec::new();
     for view in views.iter().step_by(views.len().div_ceil(ROWS)) {
@@ -28,15 +28,17 @@ pub fn draw(detector: &Detector, signals: &[Picture], views: &[View]) -> anyhow:
         }
         let read = detector.detect(&view.marked)?;
         let harmed = detector.detect(&Distortion::Jpeg { quality: 50 }.apply(&view.marked, 0))?;
-        let truth =
-            view.truth.checked_sub(1).map_or_else(|| Picture::constant(8, 8, [0.0; 3]), |at| signals[at].clone());
+        let shown = |signal: Option<&Signal>| {
+            signal.and_then(|s| s.picture.clone()).unwrap_or_else(|| Picture::constant(8, 8, [0.0; 3]))
+        };
+        let truth = shown(view.truth.checked_sub(1).map(|at| &signals[at]));
         rows.push(vec![
             tile(&view.photograph, "PHOTOGRAPH".into()),
             tile(&view.base, "BASE".into()),
             tile(&view.marked, "MARKED".into()),
             tile(&difference, format!("DIFFERENCE X {AMPLIFIED}")),
-            tile(&read.recovered, format!("READ: {}", read.identity.unwrap_or(0))),
-            tile(&harmed.recovered, format!("JPEG 50: {}", harmed.identity.unwrap_or(0))),
+            tile(&shown(Some(&read.recovered)), format!("READ: {}", read.identity.unwrap_or(0))),
+            tile(&shown(Some(&harmed.recovered)), format!("JPEG 50: {}", harmed.identity.unwrap_or(0))),
             tile(&truth, format!("TRUE: {}", view.truth)),
         ]);
     }

@@ -6,14 +6,25 @@ use std::time::Instant;
 
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_field::Field;
-use cairn_stega::{MarkConfig, MarkPlan, MarkTrainer, PlannedView};
+use cairn_stega::{MarkConfig, MarkPlan, MarkTrainer, PlannedView, Signal};
 use serde::{Deserialize, Serialize};
 
-use super::super::decoded_all;
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::super::memory::{peak_mib, processor_s};
+use crate::engine::hidden::{Parts, decoded};
 use crate::engine::marks::JUDGE_EVERY;
+
+/// Files of what one identity hides.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Files {
+    /// PNG or JPEG.
+    pub picture: Option<PathBuf>,
+    /// WAV.
+    pub audio: Option<PathBuf>,
+    /// UTF-8.
+    pub text: Option<PathBuf>,
+}
 
 /// What to mark, and where the result goes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -28,8 +39,8 @@ pub struct Task {
     pub anchors: usize,
     /// K; `None` for all views.
     pub neighbours: Option<usize>,
-    /// One picture an identity.
-    pub signals: Vec<PathBuf>,
+    /// Files of what each identity hides.
+    pub signals: Vec<Files>,
     /// The seed.
     pub seed: u64,
     /// The file for the marked field.
@@ -80,9 +91,10 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
         let stats = trainer.step()?;
         if stats.step.is_multiple_of(JUDGE_EVERY) || stats.step == stats.total {
             let judged = trainer.judge()?;
-            let (right, attacked, ssim) = (100.0 * judged.accuracy, 100.0 * judged.attacked, judged.hidden_ssim);
+            let (right, attacked) = (100.0 * judged.accuracy, 100.0 * judged.attacked);
+            let found = judged.recovered;
             eprintln!(
-                "{} step {}: cross-entropy {:.4}, kept {:.1} dB, {right:.0} % right, {attacked:.0} % attacked, hidden {ssim:.3}",
+                "{} step {}: cross-entropy {:.4}, kept {:.1} dB, {right:.0} % right, {attacked:.0} % attacked, {found:?}",
                 task.label, stats.step, stats.classify, stats.kept_db
             );
         }
@@ -117,5 +129,23 @@ fn plan(task: &Task, opened: &Opened, base: &Field) -> anyhow::Result<MarkPlan> 
         Ok((planned, Arc::unwrap_or_clone(view.picture)))
     });
     let (views, negatives) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
-    Ok(MarkPlan { clusters, views, signals: decoded_all(&task.signals)?, negatives })
+    Ok(MarkPlan { clusters, views, signals: signals(&task.signals, &task.config)?, negatives })
+}
+
+/// Reads what identities hide.
+///
+/// # Errors
+/// For files that do not read, decode or fit.
+pub fn signals(files: &[Files], config: &MarkConfig) -> anyhow::Result<Vec<Signal>> {
+    let signal = |(at, files): (usize, &Files)| {
+        let bytes = |path: &Option<PathBuf>| path.as_ref().map(|path| super::read(path)).transpose();
+        let parts = Parts { picture: bytes(&files.picture)?, audio: bytes(&files.audio)?, text: bytes(&files.text)? };
+        let mut signal = decoded(&parts)?;
+        if let Some(sound) = &signal.audio {
+            signal.audio = Some(sound.resampled(config.audio.sample_rate_hz)?);
+        }
+        signal.check(at + 1, config)?;
+        Ok(signal)
+    };
+    files.iter().enumerate().map(signal).collect()
 }
