@@ -62,6 +62,10 @@ impl UNetConfig {
     }
 }
 
+/// Unit of the memory of pictures, in levels of full scale 1: Adam moves every number by
+/// about the learning rate, so that this is how much faster a memory is learnt than by itself.
+const UNIT: f64 = 4.0;
+
 /// What a detector may know of the hidden pictures by heart, in learned features
 /// of its own that depend on the place in the picture. A faint mark on a scene
 /// seen from anywhere carries tens of bits (method papers of 2023 to 2025 report
@@ -266,7 +270,8 @@ impl Decoder {
         }
         let raw = conv2d(&x, &self.out.0, Some(&self.out.1), Window::square(1, 1))?;
         let Some(memory) = &self.memory else { return Ok(raw) };
-        let known = probabilities.narrow(1, 1, memory.dim(0)?)?.contiguous()?.matmul(memory)?;
+        let told = (probabilities.narrow(1, 1, memory.dim(0)?)?.contiguous()? * UNIT)?;
+        let known = told.matmul(memory)?;
         Ok((known.reshape(raw.shape())? + raw)?)
     }
 }

@@ -46,7 +46,7 @@ impl Default for RobustConfig {
             native_px: 512,
             jpeg_quality: 25,
             blur_px: 2.5,
-            noise: 0.15,
+            noise: 0.12,
             light: 0.25,
             rotate_deg: 30.0,
             scale: 0.6,
