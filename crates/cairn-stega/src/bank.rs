@@ -80,7 +80,9 @@ impl Chosen {
             of.push((members.into_iter().chain(between).collect(), held));
         }
         let (mut outside, mut judged_outside) = (Vec::new(), Vec::new());
-        for (i, v) in small.into_iter().filter(|v| identity_of(v).is_none()).enumerate() {
+        let nobodys: Vec<PlannedView> = small.into_iter().filter(|v| identity_of(v).is_none()).collect();
+        let stride = nobodys.len().div_ceil(2 * config.views).max(1);
+        for (i, v) in nobodys.into_iter().step_by(stride).enumerate() {
             let list =
                 if kept_to_judge(i, judged_outside.len(), 4 * JUDGED) { &mut judged_outside } else { &mut outside };
             list.push(v);
