@@ -29,7 +29,7 @@ pub struct Args {
     /// What to measure
     #[arg(value_enum)]
     suite: Suite,
-    /// The folder of captures (suites `liberty`, `field`, `mark` and `baseline`); else CAIRN_DATA
+    /// The folder of captures (all suites that read any); else CAIRN_DATA
     #[arg(long, value_name = "DIR")]
     captures: Option<PathBuf>,
     /// The ledger, JSON; a row with the same suite, case, metric and seed is replaced
@@ -42,7 +42,7 @@ pub struct Args {
     /// The seed of everything that is drawn
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Training settings that go over the defaults (suites `field` and `mark`: and over those for the capture's kind)
+    /// Training settings that go over the defaults (suite `field` and the marks' own: and over those for the capture's kind)
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
     /// Fewer steps and smaller sizes
@@ -85,6 +85,10 @@ enum Suite {
     Field,
     /// Four captures' marks, three times each: pictures kept, signals recovered, false owners, what marks outlast
     Mark,
+    /// Of suite `mark` what says whether answers come from the mark: strangers' marks, pictures without one, calibration
+    Honesty,
+    /// Fern, or what is named, marked with a part of the method switched off at a time
+    Ablation,
     /// What is left of a picture hidden in photographs' lowest bits once a field was trained on them
     Baseline,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
@@ -103,6 +107,8 @@ impl Suite {
             Self::Liberty => "liberty",
             Self::Field => "field",
             Self::Mark => "mark",
+            Self::Honesty => "honesty",
+            Self::Ablation => "ablation",
             Self::Baseline => "baseline",
             Self::Conv => "conv",
             Self::Registry => "registry",
@@ -134,7 +140,9 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Demo => of_demo(place, &args, &mut rows).await?,
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
-        Suite::Mark => mark::measure(place, &args, &mut rows).await?,
+        Suite::Mark => mark::measure(place, &args, &mut rows, mark::What::Marks).await?,
+        Suite::Honesty => mark::measure(place, &args, &mut rows, mark::What::Honesty).await?,
+        Suite::Ablation => mark::measure(place, &args, &mut rows, mark::What::Ablation).await?,
         Suite::Baseline => baseline::measure(place, &args, &mut rows).await?,
         Suite::Conv => tokio::task::block_in_place(|| conv::measure(&args, &mut rows))?,
         Suite::Registry => tokio::task::block_in_place(|| registry::measure(&args, &mut rows))?,

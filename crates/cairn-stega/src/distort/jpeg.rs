@@ -221,7 +221,7 @@ fn halved(plane: &Plane, [_, h]: [usize; 2]) -> Plane {
         let (x, y) = (at % small.width, (at / small.width).min(h.div_ceil(2) - 1));
         let from = 2 * y * plane.width + 2 * x;
         let of = [from, from + 1, from + plane.width, from + plane.width + 1];
-        let up = if x % 2 == 0 { 1.0 } else { 2.0 };
+        let up = if x.is_multiple_of(2) { 1.0 } else { 2.0 };
         *v = ((of.iter().map(|i| plane.values[*i]).sum::<f32>() + up) / 4.0).floor();
     }
     small
@@ -255,7 +255,8 @@ fn gathered(plane: &Plane, size: [usize; 2]) -> Plane {
 /// Every pixel of a picture, the colours it is made of, in rows of `width`, and their shares.
 fn each_doubled(width: usize, [w, h]: [usize; 2], mut f: impl FnMut(usize, usize, f32)) {
     let near = |at: usize, len: usize| {
-        let next = if at % 2 == 0 { (at / 2).saturating_sub(1) } else { (at / 2 + 1).min(len.div_ceil(2) - 1) };
+        let next =
+            if at.is_multiple_of(2) { (at / 2).saturating_sub(1) } else { (at / 2 + 1).min(len.div_ceil(2) - 1) };
         [(at / 2, 0.75), (next, 0.25)]
     };
     for y in 0..h {

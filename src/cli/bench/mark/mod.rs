@@ -1,4 +1,4 @@
-//! Suite `mark`: what stage 2 makes of captures' base fields. Each capture is
+//! Suites `mark`, `honesty` and `ablation`: what stage 2 makes of captures' base fields. Each capture is
 //! marked three times, with other seeds and other hidden pictures, and judged on
 //! views that no training saw: pictures kept, hidden pictures recovered, classes
 //! told, false owners on pictures of anything else, and what outlasts the ways
@@ -30,7 +30,7 @@ use super::super::read;
 use super::Args;
 use super::children::Children;
 use super::field::source::Source;
-use super::field::{train as base, unless_stopped};
+use super::field::{Name, train as base, unless_stopped};
 use super::rows::Rows;
 use crate::config::{Config, overlay_for, training_settings};
 use case::Case;
@@ -49,10 +49,35 @@ const QUICK_VIEWS: usize = 12;
 /// Trainings of each capture: seeds from the one that was asked for on, and each its own hidden pictures.
 const RUNS: u64 = 3;
 
+/// Which of the marks' suites.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum What {
+    /// Everything about a mark.
+    Marks,
+    /// Only what says whether answers come from the mark: strangers' marks, pictures
+    /// without one, how sure the answers are.
+    Honesty,
+    /// One training each with a part of the method switched off (`ABLATIONS`).
+    Ablation,
+}
+
+/// The rows of the paper's table of ablations, and two values of alpha: what is laid over the settings.
+const ABLATIONS: [(&str, &str); 8] = [
+    ("full", ""),
+    ("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
+    ("classifier not guiding", "[mark]\nguidance = \"untold\"\nrecover_moves_marks = true\n"),
+    ("no mask", "[mark]\nmask = \"none\"\n"),
+    ("binary mask at 0.5", "[mark]\nmask = \"binary\"\nmask_share = 0.5\n"),
+    ("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
+    ("alpha 1", "[mark]\nmask_alpha = 1.0\n"),
+    ("alpha 5", "[mark]\nmask_alpha = 5.0\n"),
+];
+
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
-pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
+pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) -> anyhow::Result<()> {
     let captures = args.captures()?;
-    let cases = case::wanted(&args.cases);
+    let fern = [Name::Fern];
+    let cases = case::wanted(if what == What::Ablation && args.cases.is_empty() { &fern } else { &args.cases });
     for case in &cases {
         let folder = captures.join(case.name.as_str());
         anyhow::ensure!(
@@ -65,14 +90,18 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let children = Arc::new(Children::default());
     for case in cases {
-        let run = Run::new(place, args, case, (&captures, &pictures))?;
-        let work = tokio::task::spawn_blocking({
-            let children = children.clone();
-            move || run.outcome(&children)
-        });
-        let outcome = unless_stopped(work, &children).await?;
-        report::rows(rows, &args.case_name(case.name.as_str()), case, &outcome);
-        rows.save(args)?;
+        let ablations: &[(&str, &str)] = if what == What::Ablation { &ABLATIONS } else { &[("", "")] };
+        for over in ablations {
+            let run = Run::new(place, args, case, (&captures, &pictures), *over)?;
+            let name = run.name.clone();
+            let work = tokio::task::spawn_blocking({
+                let children = children.clone();
+                move || run.outcome(&children)
+            });
+            let outcome = unless_stopped(work, &children).await?;
+            report::rows(rows, &name, (case, what), &outcome);
+            rows.save(args)?;
+        }
     }
     println!("contact sheets and reliability tables in {}", args.out.display());
     Ok(())
@@ -142,6 +171,7 @@ impl Run {
         args: &Args,
         case: &'static Case,
         (captures, pictures): (&Path, &[PathBuf]),
+        (ablation, over): (&str, &str),
     ) -> anyhow::Result<Self> {
         let sized = |folder: PathBuf| {
             let (longest_side_px, most_views) =
@@ -160,6 +190,7 @@ impl Run {
             overlays.push(("the quick settings", QUICK_TOML));
         }
         overlays.push(("--settings", settings.as_str()));
+        overlays.push((ablation, over));
         let base = Config::load(place.config.as_deref())?.training;
         let training = training_settings(&base, &overlays)?;
         let others = case::ALL.iter().filter(|name| **name != case.name).map(|name| captures.join(name.as_str()));
@@ -172,8 +203,11 @@ impl Run {
             field: training.field,
             mark: training.mark,
             seed: args.seed,
-            runs: if args.quick { 1 } else { RUNS },
-            name: args.case_name(case.name.as_str()),
+            runs: if args.quick || !ablation.is_empty() { 1 } else { RUNS },
+            name: match ablation {
+                "" => args.case_name(case.name.as_str()),
+                ablation => format!("{}, {ablation}", args.case_name(case.name.as_str())),
+            },
             out: args.out.clone(),
         })
     }

@@ -6,19 +6,19 @@ use cairn_bench::Target;
 use super::case::{AUDIO_SNR_DB, COMBINED, Case, HARD, MILD, TEXT_CHARACTERS};
 use super::harm::Set;
 use super::scored::{Harmed, Judged};
-use super::{Marked, Outcome};
+use super::{Marked, Outcome, What};
 use crate::cli::bench::rows::Rows;
 use crate::engine::report::{Measured, Recovery, Right};
 
 /// Adds the rows of `outcome` as case `name`. What is asked depends on whether marks
 /// were trained to last.
-pub fn rows(rows: &mut Rows, name: &str, case: &Case, outcome: &Outcome) {
+pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &Outcome) {
     let robust = outcome.robust;
     let Some(first) = outcome.runs.first().map(|run| &run.1) else { return };
     let judged = || outcome.runs.iter().map(|run| &run.1);
     let of = |f: &dyn Fn(&Judged) -> f64| mean(judged().map(f));
     // A mark that is to last is stronger; what it costs is shown, and asked of the other.
-    let asked = |target: Target| (!robust).then_some(target);
+    let asked = |target: Target| (!robust && what == What::Marks).then_some(target);
     rows.add(name, "trainings", outcome.runs.len() as f64, "", None);
     rows.add(name, "held-out views", first.views as f64, "", None);
     rows.add(name, "base field PSNR", of(&|j| j.base_psnr_db), "dB", None);
@@ -27,7 +27,10 @@ pub fn rows(rows: &mut Rows, name: &str, case: &Case, outcome: &Outcome) {
     rows.add(name, "SSIM change by the mark", of(&|j| j.marked_ssim - j.base_ssim), "", None);
     rows.add(name, "marked against base PSNR", of(&|j| j.kept_db), "dB", None);
     share(rows, name, "accuracy", judged().map(|j| j.classes), asked(Target::at_least(case.accuracy)));
-    hidden(rows, name, asked(Target::at_least(case.hidden_ssim)), outcome);
+    hidden(rows, name, asked(Target::at_least(case.hidden_ssim)), (what, outcome));
+    if what == What::Ablation {
+        return;
+    }
     share(rows, name, "a stranger's mark: the mark decides", judged().map(|j| j.stranger_marks), None);
     share(rows, name, "a stranger's mark: the view decides", judged().map(|j| j.stranger_views), None);
     for at in 0..first.unmarked.len() {
@@ -37,6 +40,9 @@ pub fn rows(rows: &mut Rows, name: &str, case: &Case, outcome: &Outcome) {
         share(rows, name, &format!("unmarked: {what}"), silent, Some(Target::at_least(1.0)));
     }
     rows.add(name, "expected calibration error", of(&|j| j.calibration_error), "", None);
+    if what == What::Honesty {
+        return;
+    }
     for at in 0..first.harms.len() {
         let all: Vec<&Harmed> = judged().filter_map(|j| j.harms.get(at)).collect();
         harm(rows, name, robust, &all);
@@ -48,9 +54,9 @@ pub fn rows(rows: &mut Rows, name: &str, case: &Case, outcome: &Outcome) {
 }
 
 /// What was recovered, of every kind that is hidden, and what the detector says when told the class.
-fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, outcome: &Outcome) {
+fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, (suite, outcome): (What, &Outcome)) {
     type Measure = fn(&Recovery) -> Option<Measured>;
-    let asked = |target: Target| (!outcome.robust).then_some(target);
+    let asked = |target: Target| (!outcome.robust && suite == What::Marks).then_some(target);
     let measures: [(&str, &str, Measure, Option<Target>); 4] = [
         ("hidden SSIM", "", |r| r.picture_ssim, target),
         ("hidden sound, SNR", "dB", |r| r.audio_snr_db, asked(Target::at_least(AUDIO_SNR_DB))),
