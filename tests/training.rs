@@ -64,6 +64,10 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     let within = |stage: &'static str| {
         move |job: &v1::Job| job.progress.as_ref().is_some_and(|p| p.stage == stage && p.step > 0)
     };
+    watch_until(&mut client, &second.id, within("screening")).await;
+    daemon.kill();
+    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
+    let mut client = training(&daemon).await;
     watch_until(&mut client, &second.id, within("base field")).await;
     daemon.kill();
     let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
