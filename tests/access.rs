@@ -22,7 +22,7 @@ const CLOSED: &str = "[access]\nmode = \"accounts\"\nread = \"closed\"\n";
 const DELETE: &str = "/cairn.v1.SceneService/Delete";
 const START: &str = "/cairn.v1.TrainingService/Start";
 /// Steps that nobody waits for.
-const ENDLESS: &str = "[field]\nsteps = 1000000\nrays_per_step = 64\nvoxels = 4096\nlevels = 1";
+const ENDLESS: &str = "[field]\nsteps = 1000000\nrays_per_step = 64\nvoxels = 4096\nlevels = 1\n[quarantine]\nenabled = false";
 
 /// A daemon with an operator, and people with keys.
 struct World {
@@ -130,6 +130,19 @@ async fn an_account_is_registered_approved_and_held_to_its_role() {
         world.refused(who, &train, why);
     }
     assert!(world.import("dan", "fern").unwrap_err().contains("needs the role contributor or curator or operator"));
+    // What a view's fate is, its contributor may know and not decide.
+    for who in ["ada", "cara", "dan", "root"] {
+        assert!(world.ok(who, &["quarantine", "list", "town"]).contains("no view of town"), "{who}");
+    }
+    world.refused("bob", &["quarantine", "list", "town"], "belongs to another account");
+    for change in ["release", "remove"] {
+        for who in ["ada", "bob", "dan"] {
+            let arguments = ["quarantine", change, "town", "images/ada_002.png"];
+            world.refused(who, &arguments, "needs the role curator or operator");
+        }
+    }
+    world.refused("cara", &["quarantine", "release", "town", "images/ada_002.png"], "no view in quarantine");
+    world.ok("cara", &["quarantine", "remove", "town", "images/ada_002.png"]);
     world.refused("bob", &["scene", "delete", "none"], "there is no scene \"none\"");
     world.ok("cara", &["scene", "delete", "town"]);
     assert!(world.import("ada", "town").is_ok());

@@ -55,15 +55,20 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     let mut client = training(&daemon).await;
 
     // Undisturbed.
-    let first = client.start(wanted("one", 7, TINY)).await.unwrap().into_inner().job.unwrap();
+    let screened = TINY.replace("enabled = false", "enabled = true");
+    let first = client.start(wanted("one", 7, &screened)).await.unwrap().into_inner().job.unwrap();
     assert_eq!(watch_until(&mut client, &first.id, ended).await.state(), JobState::Done);
     let undisturbed = model(&daemon, "one").await;
 
     // Killed within each stage, started again: found and taken up by itself.
-    let second = client.start(wanted("two", 7, TINY)).await.unwrap().into_inner().job.unwrap();
+    let second = client.start(wanted("two", 7, &screened)).await.unwrap().into_inner().job.unwrap();
     let within = |stage: &'static str| {
         move |job: &v1::Job| job.progress.as_ref().is_some_and(|p| p.stage == stage && p.step > 0)
     };
+    watch_until(&mut client, &second.id, within("screening")).await;
+    daemon.kill();
+    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
+    let mut client = training(&daemon).await;
     watch_until(&mut client, &second.id, within("base field")).await;
     daemon.kill();
     let daemon = Daemon::start(&place.path("data"), EVERY_STEP);

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use prost::Message;
 
 /// One file a service, and what they share.
-const FILES: [&str; 8] = ["common", "scene", "training", "render", "query", "detection", "owner", "access"];
+const FILES: [&str; 9] =
+    ["common", "scene", "training", "render", "query", "detection", "owner", "access", "quarantine"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../proto");

@@ -8,6 +8,7 @@ use anyhow::Context as _;
 use cairn_proto::v1::access_service_client::AccessServiceClient;
 use cairn_proto::v1::detection_service_client::DetectionServiceClient;
 use cairn_proto::v1::owner_service_client::OwnerServiceClient;
+use cairn_proto::v1::quarantine_service_client::QuarantineServiceClient;
 use cairn_proto::v1::query_service_client::QueryServiceClient;
 use cairn_proto::v1::render_service_client::RenderServiceClient;
 use cairn_proto::v1::scene_service_client::SceneServiceClient;
@@ -118,6 +119,8 @@ clients! {
     owners: OwnerServiceClient,
     /// Accounts.
     access: AccessServiceClient,
+    /// Views in quarantine.
+    quarantine: QuarantineServiceClient,
 }
 
 impl Connection {

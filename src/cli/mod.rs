@@ -15,6 +15,7 @@ mod owners;
 mod path;
 mod poses;
 mod progress;
+mod quarantine;
 mod records;
 mod registry;
 mod scene;
@@ -53,6 +54,9 @@ enum Command {
     /// Import, list, show and delete scenes
     #[command(subcommand)]
     Scene(scene::Command),
+    /// Views that the others do not explain: list, release and remove them
+    #[command(subcommand)]
+    Quarantine(quarantine::Command),
     /// Train a scene: base field, then marked field and detector
     Train(train::Args),
     /// List the training jobs, newest first
@@ -137,6 +141,7 @@ impl Cli {
 async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Scene(command) => scene::run(line, command).await,
+        Command::Quarantine(command) => quarantine::run(line, command).await,
         Command::Train(args) => train::run(line, args).await,
         Command::Jobs => train::jobs(line).await,
         Command::Render(args) => look::render(line, args).await,

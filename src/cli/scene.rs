@@ -120,7 +120,8 @@ async fn show(line: &Connection, name: String) -> anyhow::Result<()> {
     }
     for view in &scene.views {
         let held_out = if view.held_out { "  held out" } else { "" };
-        println!("  {}  by {}{held_out}", view.name, view.contributor);
+        let quarantined = if view.quarantined { "  in quarantine" } else { "" };
+        println!("  {}  by {}{held_out}{quarantined}", view.name, view.contributor);
     }
     if let Some(model) = &scene.model {
         println!("model of {}, seed {}", model.job_id, model.seed);

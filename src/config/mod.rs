@@ -211,7 +211,7 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
     let (access, token) = access::checked(&raw.access)?;
     let tls = access::tls(&raw.server.tls)?;
     access::check_bind(bind, access.mode, tls.is_some() || raw.server.plaintext)?;
-    let training = TrainingSettings { field: raw.field, mark: raw.mark };
+    let training = TrainingSettings { field: raw.field, mark: raw.mark, quarantine: raw.quarantine };
     training.check()?;
     Ok(Config {
         bind,

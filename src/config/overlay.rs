@@ -1,7 +1,7 @@
 //! Laying one settings text over another: a key may replace what is there and
 //! nothing else, so a misspelt one is found however deep it lies.
 
-use cairn_field::{FieldConfig, FieldError};
+use cairn_field::{FieldConfig, FieldError, QuarantineConfig};
 use cairn_stega::{MarkConfig, MarkError};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -17,6 +17,9 @@ pub struct TrainingSettings {
     pub field: FieldConfig,
     /// Stage 2.
     pub mark: MarkConfig,
+    /// Which views are left out of both. Absent in settings of before there was a quarantine.
+    #[serde(default)]
+    pub quarantine: QuarantineConfig,
 }
 
 impl TrainingSettings {
@@ -25,7 +28,7 @@ impl TrainingSettings {
     /// # Errors
     /// [`ConfigError::OutOfRange`] for the first value that is not allowed.
     pub fn check(&self) -> Result<(), ConfigError> {
-        self.field.validate().map_err(|e| match e {
+        self.field.validate().and_then(|()| self.quarantine.validate()).map_err(|e| match e {
             FieldError::Setting { key, value, allowed } => out_of_range(key, value, allowed),
             other => out_of_range("field", other.to_string(), "settings that stage 1 accepts"),
         })?;

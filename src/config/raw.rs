@@ -2,7 +2,7 @@
 //! second time, in code; a test holds them and the default file to each other.
 
 use cairn_access::Policy;
-use cairn_field::FieldConfig;
+use cairn_field::{FieldConfig, QuarantineConfig};
 use cairn_stega::MarkConfig;
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +17,7 @@ pub struct Raw {
     pub training: Training,
     pub registry: Registry,
     pub log: Log,
+    pub quarantine: QuarantineConfig,
     pub field: FieldConfig,
     pub mark: MarkConfig,
 }
@@ -162,6 +163,7 @@ impl Default for Raw {
             training: Training { checkpoint_every_s: 30 },
             registry: Registry::default(),
             log: Log { filter: "info".into(), format: LogFormat::Text },
+            quarantine: QuarantineConfig::default(),
             field: FieldConfig::default(),
             mark: MarkConfig::default(),
         }

@@ -18,6 +18,8 @@ use crate::engine::tour::{PathKind, PathRequest};
 
 /// Longest text field, bytes.
 const MAX_TEXT_BYTES: usize = 256;
+/// Most views named in one request.
+const MAX_VIEW_NAMES: usize = 10_000;
 /// Longest settings overlay, bytes.
 const MAX_SETTINGS_BYTES: usize = 64 << 10;
 /// Cameras wider than this are a broken message, px.
@@ -45,6 +47,16 @@ fn text(what: &str, value: String) -> Result<String, EngineError> {
         return Err(EngineError::invalid(what, format!("{shown:?}"), "1 to 256 bytes without control characters"));
     }
     Ok(value)
+}
+
+/// Names of views, each once.
+pub fn view_names(mut names: Vec<String>) -> Result<Vec<String>, EngineError> {
+    names.sort();
+    names.dedup();
+    if names.is_empty() || names.len() > MAX_VIEW_NAMES {
+        return Err(EngineError::invalid("the number of view_names", names.len(), format!("1 to {MAX_VIEW_NAMES}")));
+    }
+    names.into_iter().map(|name| text("a view's name", name)).collect()
 }
 
 /// 32 bytes.

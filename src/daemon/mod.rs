@@ -14,6 +14,7 @@ pub mod from_proto;
 mod gate;
 pub mod http;
 mod owners;
+mod quarantine;
 mod queries;
 mod renders;
 mod scenes;

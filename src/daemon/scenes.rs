@@ -70,7 +70,7 @@ impl SceneService for Shared {
                 Ok(v1::GetSceneResponse {
                     format_version: to_proto::VERSION,
                     summary: Some(to_proto::scene_summary(&scene, &folder, model.is_some())),
-                    views: to_proto::scene_views(&folder),
+                    views: to_proto::scene_views(&folder, &engine.out_of_scene(&scene, &folder)?),
                     model: model.as_ref().map(to_proto::model),
                 })
             })

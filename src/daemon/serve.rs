@@ -14,6 +14,7 @@ use cairn_proto::v1;
 use cairn_proto::v1::access_service_server::AccessServiceServer;
 use cairn_proto::v1::detection_service_server::DetectionServiceServer;
 use cairn_proto::v1::owner_service_server::OwnerServiceServer;
+use cairn_proto::v1::quarantine_service_server::QuarantineServiceServer;
 use cairn_proto::v1::query_service_server::QueryServiceServer;
 use cairn_proto::v1::render_service_server::RenderServiceServer;
 use cairn_proto::v1::scene_service_server::SceneServiceServer;
@@ -33,7 +34,7 @@ use super::{Shared, http, tls};
 use crate::config::{Config, Limits};
 use crate::engine::Engine;
 
-/// The seven services with the configured message limits.
+/// The eight services with the configured message limits.
 fn routes(shared: &Shared, limits: &Limits) -> Routes {
     let most = limits.max_message_bytes;
     let mut routes = Routes::default();
@@ -51,7 +52,8 @@ fn routes(shared: &Shared, limits: &Limits) -> Routes {
         QueryServiceServer,
         DetectionServiceServer,
         OwnerServiceServer,
-        AccessServiceServer
+        AccessServiceServer,
+        QuarantineServiceServer
     );
     routes
 }
@@ -67,6 +69,7 @@ async fn tell(health: &HealthReporter, status: ServingStatus) {
         DetectionServiceServer::<Shared>::NAME,
         OwnerServiceServer::<Shared>::NAME,
         AccessServiceServer::<Shared>::NAME,
+        QuarantineServiceServer::<Shared>::NAME,
     ];
     for service in services {
         health.set_service_status(service, status).await;

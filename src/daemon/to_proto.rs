@@ -1,5 +1,7 @@
 //! From the engine's own types to messages. Nothing here can fail.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use cairn_capture::{Camera, SceneFolder, SceneKind};
 use cairn_proto::v1;
 use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
@@ -8,6 +10,7 @@ use tonic::codegen::Bytes;
 use crate::engine::corrections::Standing;
 use crate::engine::job::{Job, JobState};
 use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
+use crate::engine::quarantine::{Entry, Standing as Held};
 use crate::engine::query::Who;
 
 /// The number that every answer carries.
@@ -70,16 +73,62 @@ pub fn scene_summary(name: &str, scene: &SceneFolder, trained: bool) -> v1::Scen
     }
 }
 
-/// A scene's views.
-pub fn scene_views(scene: &SceneFolder) -> Vec<v1::SceneView> {
+/// A scene's views, of which those named in `out` are in quarantine.
+pub fn scene_views(scene: &SceneFolder, out: &BTreeSet<String>) -> Vec<v1::SceneView> {
     let of = |(index, view): (usize, &cairn_capture::View)| v1::SceneView {
         name: view.name.clone(),
         camera: Some(camera(&view.camera)),
         contributor: view.contributor.clone(),
         photograph_sha256: scene.photograph_digest(index).to_vec().into(),
         held_out: view.held_out,
+        quarantined: out.contains(&view.name),
     };
     scene.capture().views.iter().enumerate().map(of).collect()
+}
+
+/// A view that is, or was, in quarantine.
+pub fn quarantined_view(entry: &Entry) -> v1::QuarantinedView {
+    let figures = entry.found.as_ref().map(|found| v1::QuarantineFigures {
+        fit_db: found.fit_db,
+        deviations: found.deviations,
+        median_db: found.median_db,
+        limit_db: found.limit_db,
+        job_id: found.job.clone(),
+        found_unix_s: found.unix_s,
+    });
+    let decided = entry.decided.as_ref();
+    v1::QuarantinedView {
+        view_name: entry.view.clone(),
+        photograph_sha256: entry.photograph.as_bytes().to_vec().into(),
+        standing: match entry.standing {
+            Held::Quarantined => v1::QuarantineStanding::Quarantined,
+            Held::Released => v1::QuarantineStanding::Released,
+            // What the next start finishes is gone for whoever asks.
+            Held::Removing | Held::Removed => v1::QuarantineStanding::Removed,
+        }
+        .into(),
+        figures,
+        decided_by: decided.and_then(|d| d.by).map(|id| id.as_bytes().to_vec()).unwrap_or_default().into(),
+        decided_unix_s: decided.map_or(0, |d| d.unix_s),
+    }
+}
+
+/// A scene's quarantine by contributor: most views in quarantine first, then by name.
+pub fn quarantine_groups(scene: &SceneFolder, entries: &[Entry]) -> Vec<v1::QuarantineGroup> {
+    let mut by: BTreeMap<&str, Vec<&Entry>> = BTreeMap::new();
+    for entry in entries {
+        by.entry(&entry.contributor).or_default().push(entry);
+    }
+    let mut groups: Vec<(&str, Vec<&Entry>)> = by.into_iter().collect();
+    let held = |of: &[&Entry]| of.iter().filter(|e| e.standing == Held::Quarantined).count();
+    // Stable: equal counts stay in the order of names.
+    groups.sort_by_key(|(_, of)| std::cmp::Reverse(held(of)));
+    let group = |(contributor, of): (&str, Vec<&Entry>)| v1::QuarantineGroup {
+        contributor: contributor.to_owned(),
+        views_in_scene: scene.capture().views.iter().filter(|v| v.contributor == contributor).count() as u32,
+        views: of.into_iter().map(quarantined_view).collect(),
+    };
+    groups.into_iter().map(group).collect()
 }
 
 /// A model.

@@ -13,8 +13,9 @@
 //! DIR/registry.checkpoint       the checkpoint that it published last
 //! DIR/access/                   accounts.json, usage.json (cairn-access's formats)
 //! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
+//! DIR/quarantine/NAME.json      which of the scene's views are left out, and why
 //! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
-//! DIR/state.seal                digests of access/, owners/, registry.key and registry.checkpoint, while nobody has it open
+//! DIR/state.seal                digests of access/, owners/, quarantine/, registry.key and registry.checkpoint, while nobody has it open
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
@@ -138,6 +139,11 @@ impl DataFolder {
     /// Who imported which scene.
     pub fn owners(&self) -> PathBuf {
         self.root.join("owners")
+    }
+
+    /// Views that are left out of trainings and answers.
+    pub fn quarantine(&self) -> PathBuf {
+        self.root.join("quarantine")
     }
 
     /// Imports under way.

@@ -39,7 +39,7 @@ impl Marking {
         let capture = scene.capture();
         // Photographs carry no mark: the detector has to stay silent on them.
         let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
-        let views = capture.training().map(|index| {
+        let views = scene.training().map(|index| {
             let view = &capture.views[index];
             PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() }
         });

@@ -21,6 +21,7 @@ pub mod owners;
 pub mod paths;
 pub mod poses;
 pub mod publisher;
+pub mod quarantine;
 pub mod query;
 pub mod rebuild;
 pub mod recovery;
@@ -28,10 +29,12 @@ mod registry_key;
 pub mod report;
 pub mod scenes;
 mod seal;
+mod sifting;
 pub mod stages;
 pub mod tour;
 pub mod training;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -50,6 +53,7 @@ use job::{Job, JobSpec};
 use jobs::Jobs;
 use model::{Model, ModelInfo};
 use publisher::Publisher;
+use quarantine::Quarantine;
 
 /// One data folder at work.
 pub struct Engine {
@@ -58,6 +62,7 @@ pub struct Engine {
     publisher: Publisher,
     registry: Arc<Registry>,
     access: Arc<Access>,
+    quarantine: Arc<Quarantine>,
     limits: Limits,
     training: TrainingSettings,
     /// The model used last: loading one takes seconds, and queries come in rows.
@@ -104,7 +109,9 @@ impl Engine {
             .map(|w| WitnessClient::new(w.verifier.clone(), &w.url))
             .collect::<Result<_, _>>()?;
         let publisher = Publisher::start(registry.clone(), folder.last_checkpoint(), witnesses)?;
+        let quarantine = Arc::new(Quarantine::open(folder.quarantine(), &folder.scenes())?);
         let work = training::Training {
+            quarantine: quarantine.clone(),
             scenes: folder.scenes(),
             models: folder.models(),
             jobs: folder.jobs(),
@@ -120,6 +127,7 @@ impl Engine {
             registry,
             publisher,
             access,
+            quarantine,
             limits: config.limits.clone(),
             training: config.training.clone(),
             cache: Mutex::new(None),
@@ -190,6 +198,71 @@ impl Engine {
         scenes::open(&self.folder.scenes(), name)
     }
 
+    /// One scene without the views that are in quarantine.
+    ///
+    /// # Errors
+    /// As [`Engine::scene`].
+    pub fn sound_scene(&self, name: &str) -> Result<SceneFolder, EngineError> {
+        self.quarantine.without(name, self.scene(name)?)
+    }
+
+    /// The views of a scene that are, or were, in quarantine, by name.
+    ///
+    /// # Errors
+    /// As [`Engine::scene`].
+    pub fn quarantined(&self, scene: &str) -> Result<Vec<quarantine::Entry>, EngineError> {
+        self.scene(scene)?;
+        self.quarantine.of(scene)
+    }
+
+    /// Names of the scene's views that are left out.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`].
+    pub fn out_of_scene(&self, name: &str, scene: &SceneFolder) -> Result<BTreeSet<String>, EngineError> {
+        Ok(self.quarantine.names(name, scene)?.0)
+    }
+
+    /// Lets views out of quarantine; see [`Quarantine::release`].
+    ///
+    /// # Errors
+    /// As there, and [`Engine::scene`]'s.
+    pub fn release_views(
+        &self,
+        scene: &str,
+        views: &[String],
+        by: Option<Digest>,
+    ) -> Result<Vec<quarantine::Entry>, EngineError> {
+        self.scene(scene)?;
+        self.quarantine.release(scene, views, by)
+    }
+
+    /// Removes views of a scene for good; see [`Quarantine::remove`].
+    ///
+    /// # Errors
+    /// As there; [`EngineError::WrongState`] while a job trains on the scene.
+    pub fn remove_views(
+        &self,
+        scene: &str,
+        views: &[String],
+        by: Option<Digest>,
+    ) -> Result<Vec<quarantine::Entry>, EngineError> {
+        let folder = self.scene(scene)?;
+        self.refuse_in_training(scene, format!("views of scene {scene:?}"), "removed")?;
+        self.quarantine.remove((scene, &folder), views, by)
+    }
+
+    /// Refuses what must not be done while a job trains on a scene.
+    fn refuse_in_training(&self, scene: &str, what: String, operation: &'static str) -> Result<(), EngineError> {
+        match self.jobs.list().iter().find(|j| j.spec.scene == scene && !j.state.has_ended()) {
+            Some(job) => {
+                let why = format!("{} is {} on it; cancel that first", job.id, job.state.name());
+                Err(EngineError::WrongState { what, operation, why })
+            }
+            None => Ok(()),
+        }
+    }
+
     /// What the scene's newest model says of itself; `None` before the first.
     ///
     /// # Errors
@@ -209,16 +282,14 @@ impl Engine {
         if !path.is_dir() {
             self.scene(name)?;
         }
-        if let Some(job) = self.jobs.list().iter().find(|j| j.spec.scene == name && !j.state.has_ended()) {
-            let why = format!("{} is {} on it; cancel that first", job.id, job.state.name());
-            return Err(EngineError::WrongState { what: format!("scene {name:?}"), operation: "deleted", why });
-        }
+        self.refuse_in_training(name, format!("scene {name:?}"), "deleted")?;
         // Out of the way at once, so that no half of it can be read.
         let gone = self.folder.staging().join(format!("deleted-{name}"));
         folder::remove(&gone)?;
         std::fs::rename(&path, &gone).map_err(EngineError::io("delete", &path))?;
         folder::sync_folder(&self.folder.scenes())?;
         self.access.forget(name)?;
+        self.quarantine.forget(name)?;
         folder::remove(&self.folder.models().join(name))?;
         *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
         folder::remove(&gone)
@@ -239,6 +310,7 @@ impl Engine {
             [kind, ("configs/quick.toml", quick), ("the request's settings", request.settings_toml.as_str())];
         let settings = training_settings(&self.training, &overlays)?;
         // Found now rather than after an hour of stage 1.
+        let scene = self.quarantine.without(&request.scene, scene)?;
         let clusters = training::clusters(&scene, &request.grouping, request.seed)?;
         let identities = clusters.clusters.len();
         if !request.signals.is_empty() && request.signals.len() < identities {

@@ -36,13 +36,26 @@ impl Engine {
     /// What a record about an identity of the newest model has to state.
     ///
     /// # Errors
-    /// [`EngineError::NotTrained`], [`EngineError::NotFound`].
+    /// [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`EngineError::WrongState`] where a view of it is in
+    /// quarantine since.
     pub fn material(&self, scene: &str, identity: u32) -> Result<Material, EngineError> {
         let Some(info) = self.newest_model(scene)? else {
             self.scene(scene)?;
             return Err(EngineError::NotTrained { scene: scene.to_owned() });
         };
         let known = info.identity(identity)?.clone();
+        let out = self.quarantine.out_of(&info)?;
+        let members = info.clusters.clusters.iter().find(|c| c.identity == identity).map_or(&[][..], |c| &c.members);
+        if let Some(at) = members.iter().position(|m| out.contains(m)) {
+            let view = known.views.get(at).map_or("", String::as_str);
+            return Err(EngineError::WrongState {
+                what: format!("identity {identity} of scene {scene:?}"),
+                operation: "signed for",
+                why: format!(
+                    "its view {view:?} is in quarantine or removed; train the scene again, or release the view"
+                ),
+            });
+        }
         let signal = if info.mark.is_some() { self.signal(&info, identity)? } else { Parts::default() };
         Ok(Material { info, identity: known, signal })
     }
@@ -132,7 +145,8 @@ impl Engine {
     /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
     ///
     /// # Errors
-    /// [`EngineError::NotFound`] for a view's name; [`EngineError::OverLimit`]; the registry's.
+    /// [`EngineError::NotFound`] for a view's name, [`EngineError::WrongState`] for one in quarantine;
+    /// [`EngineError::OverLimit`]; the registry's.
     pub fn complete_answer(
         &self,
         scene: &str,
@@ -146,6 +160,14 @@ impl Engine {
             Some(AskedView::Named(name)) => {
                 let folder = self.scene(scene)?;
                 let view = super::view_index(folder.capture(), &name)?;
+                if self.quarantine.names(scene, &folder)?.0.contains(&name) {
+                    let why =
+                        "it is in quarantine, and nobody is credited with it; what the log says of its photograph \
+                               is there to ask by its SHA-256"
+                            .to_owned();
+                    let what = format!("view {name:?} of scene {scene:?}");
+                    return Err(EngineError::WrongState { what, operation: "asked about", why });
+                }
                 Some(Digest::from_bytes(folder.photograph_digest(view)))
             }
         };

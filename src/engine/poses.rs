@@ -68,7 +68,7 @@ impl Engine {
     /// # Errors
     /// [`EngineError::NotFound`], and [`Clusters::build`]'s.
     pub fn draw_poses(&self, scene: &str, grouping: Option<(Grouping, u64)>) -> Result<PoseSheet, EngineError> {
-        let folder = self.scene(scene)?;
+        let folder = self.sound_scene(scene)?;
         let capture = folder.capture();
         let clusters = match grouping {
             Some((grouping, seed)) => {
@@ -111,9 +111,13 @@ impl Groups {
             None => (number, number.to_string()),
         };
         let of = |v: &cairn_capture::View| clusters.identity_of(&v.camera.pose).identity.map(name);
-        let training: Vec<usize> = capture.training().collect();
+        // By their poses: the views that the clusters' indices count may have changed since.
+        let is_at = |pose: &cairn_capture::Pose| capture.training().find(|v| capture.views[*v].camera.pose == *pose);
         let anchors = match clusters.grouping() {
-            Grouping::Anchors(_) => clusters.clusters.iter().filter_map(|c| training.get(c.anchor).copied()).collect(),
+            Grouping::Anchors(_) => {
+                let of = |c: &cairn_cluster::Cluster| clusters.anchor_pose(c.identity).and_then(is_at);
+                clusters.clusters.iter().filter_map(of).collect()
+            }
             Grouping::ByContributor { .. } => Vec::new(),
         };
         Self::new(title.to_owned(), capture, capture.views.iter().map(of).collect(), anchors)

@@ -128,7 +128,14 @@ impl Engine {
             self.scene(scene)?;
             return Err(EngineError::NotTrained { scene: scene.to_owned() });
         };
-        let found = info.clusters.identity_of(&camera.pose);
+        let out = self.quarantine.out_of(&info)?;
+        let found = info.clusters.identity_of_without(&camera.pose, &out);
+        // Nobody is credited with a view that is in quarantine, wherever it says that it was taken.
+        if let Viewpoint::View(name) = viewpoint
+            && self.quarantine.names(scene, &self.scene(scene)?)?.0.contains(name)
+        {
+            return self.who(&info, None, 1.0);
+        }
         // How far from the border, in units of the way from the middle to the border.
         let reach = found.distance + found.margin.abs();
         let confidence = if reach > 0.0 && reach.is_finite() { (found.margin.abs() / reach).min(1.0) } else { 1.0 };
@@ -168,8 +175,10 @@ impl Engine {
             return Ok(Who { identity: None, contributors: Vec::new(), confidence, records: Vec::new() });
         };
         let known = info.identity(number)?;
+        let Some(contributors) = self.quarantine.credited(&info.scene, known)? else {
+            return self.who(info, None, confidence);
+        };
         let records = self.records_of(info, known)?;
-        let contributors = known.contributors.clone();
         Ok(Who { identity: Some((number, known.label.clone())), contributors, confidence, records })
     }
 }

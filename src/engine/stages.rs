@@ -4,21 +4,25 @@
 //! Making a trainer takes long where photographs or poses are many. It therefore
 //! tells how far it is, part by part, and hears between them that it has to stop.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use cairn_capture::{Picture, SceneFolder};
-use cairn_field::{BaseTrainer, LightVerdict, SceneFrame, TrainingView};
+use cairn_field::{BaseTrainer, LightVerdict, SceneFrame, Screening, TrainingView};
 
 pub use cairn_field::{Appearance, Field};
 
 use super::error::EngineError;
+use super::job::Job;
 use crate::config::TrainingSettings;
 
 /// Name of stage 1 in progress, jobs and reports.
 pub const BASE: &str = "base field";
+/// Name of screening, before stage 1.
+pub const SCREENING: &str = "screening";
 /// Name of stage 2.
 pub const MARK: &str = "marked field";
-/// Name of decoding the training views' photographs, before either stage.
+/// Name of decoding the training views' photographs, before each stage.
 pub const PHOTOGRAPHS: &str = "photographs";
 /// Name of working out views as linear maps, before stage 2.
 pub const RAY_WEIGHTS: &str = "ray weights";
@@ -79,6 +83,21 @@ impl Stage for BaseTrainer {
     }
 }
 
+impl Stage for Screening {
+    fn step(&mut self) -> Result<Step, EngineError> {
+        let stats = Self::step(self)?;
+        Ok(Step { loss: stats.loss, psnr_db: stats.psnr_db })
+    }
+
+    fn steps(&self) -> (u64, u64) {
+        (self.steps_done(), self.steps_total())
+    }
+
+    fn checkpoint(&self) -> Result<Vec<u8>, EngineError> {
+        Ok(Self::checkpoint(self)?)
+    }
+}
+
 /// The trainer of stage 1 for the scene's training views, new or from a checkpoint;
 /// `None` when `preparing` did not want to go on.
 ///
@@ -91,26 +110,59 @@ pub fn base_trainer(
     checkpoint: Option<&[u8]>,
     preparing: Preparing<'_>,
 ) -> Result<Option<BaseTrainer>, EngineError> {
-    let capture = scene.capture();
-    let Some(photographs) = photographs(scene, preparing)? else { return Ok(None) };
-    let mut views = Vec::with_capacity(photographs.len());
-    for (index, picture) in capture.training().zip(photographs) {
-        let view = &capture.views[index];
-        views.push(TrainingView { name: view.name.clone(), camera: view.camera, picture: Arc::new(picture) });
-    }
+    let Some(views) = views(scene, preparing)? else { return Ok(None) };
     Ok(Some(match checkpoint {
         Some(bytes) => BaseTrainer::resume(bytes, views)?,
         None => {
-            let frame = SceneFrame::from_capture(capture)?;
-            BaseTrainer::new(views, frame, capture.background, settings.field.clone(), seed)?
+            let (frame, background) = place(scene)?;
+            BaseTrainer::new(views, frame, background, settings.field.clone(), seed)?
         }
     }))
+}
+
+/// Screening of the scene's training views for `job`, where those named in `trusted` are taken to be good; new
+/// or from a checkpoint. `None` when `preparing` did not want to go on.
+///
+/// # Errors
+/// As [`base_trainer`].
+pub fn screening(
+    scene: &SceneFolder,
+    job: &Job,
+    trusted: &BTreeSet<String>,
+    checkpoint: Option<&[u8]>,
+    preparing: Preparing<'_>,
+) -> Result<Option<Screening>, EngineError> {
+    let Some(views) = views(scene, preparing)? else { return Ok(None) };
+    let settings = &job.spec.settings;
+    Ok(Some(match checkpoint {
+        Some(bytes) => Screening::resume(bytes, views)?,
+        None => {
+            let how = (&settings.field, &settings.quarantine);
+            Screening::new(views, trusted, place(scene)?, how, job.spec.seed)?
+        }
+    }))
+}
+
+/// Where the scene lies, and what is behind it.
+fn place(scene: &SceneFolder) -> Result<(SceneFrame, Option<[f32; 3]>), EngineError> {
+    let capture = scene.capture();
+    Ok((SceneFrame::from_views(capture, scene.kept())?, capture.background))
+}
+
+/// The views to train on, decoded.
+fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<TrainingView>>, EngineError> {
+    let Some(photographs) = photographs(scene, preparing)? else { return Ok(None) };
+    let named = |(index, picture): (usize, Picture)| {
+        let view = &scene.capture().views[index];
+        TrainingView { name: view.name.clone(), camera: view.camera, picture: Arc::new(picture) }
+    };
+    Ok(Some(scene.training().zip(photographs).map(named).collect()))
 }
 
 /// The training views' photographs, in their order; `None` when `preparing` did not
 /// want to go on.
 pub fn photographs(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Picture>>, EngineError> {
-    let training: Vec<usize> = scene.capture().training().collect();
+    let training: Vec<usize> = scene.training().collect();
     let mut pictures = Vec::with_capacity(training.len());
     for index in &training {
         if !preparing(PHOTOGRAPHS, pictures.len(), training.len()) {

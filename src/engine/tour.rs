@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use cairn_capture::{Camera, Capture, Intrinsics, Picture, Pose, SceneKind, View};
+use cairn_capture::{Camera, Capture, Intrinsics, Picture, Pose, SceneFolder, SceneKind, View};
 use cairn_field::SceneFrame;
 use glam::DVec3;
 
@@ -85,9 +85,9 @@ impl Engine {
             let (what, key) = ("the number of frames".to_owned(), "limits.max_path_frames");
             return Err(EngineError::OverLimit { what, key, limit: most as u64, got: request.frames as u64 });
         }
-        let folder = self.scene(&request.scene)?;
+        let folder = self.sound_scene(&request.scene)?;
         let capture = folder.capture();
-        let route = Route::new(capture, &request.kind)?;
+        let route = Route::new(&folder, &request.kind)?;
         let (width, height) = size(request.size, route.usual_size());
         check_size("a frame", width, height, &self.limits)?;
         let model = self.model(&request.scene)?;
@@ -137,8 +137,9 @@ enum Route<'a> {
 }
 
 impl<'a> Route<'a> {
-    fn new(capture: &'a Capture, kind: &PathKind) -> Result<Self, EngineError> {
-        let training = || capture.training().map(|i| &capture.views[i]).collect();
+    fn new(folder: &'a SceneFolder, kind: &PathKind) -> Result<Self, EngineError> {
+        let capture = folder.capture();
+        let training = || folder.training().map(|i| &capture.views[i]).collect();
         Ok(match kind {
             PathKind::Orbit { .. } if capture.kind == SceneKind::ForwardFacing => {
                 return Err(PathError::OneSided.into());

@@ -8,6 +8,7 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use cairn_capture::SceneFolder;
@@ -22,6 +23,7 @@ use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
 use super::marks::Marking;
 use super::model::{self, IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
+use super::quarantine::Quarantine;
 use super::scenes;
 use super::stages::{self, Field, Stage};
 
@@ -38,6 +40,8 @@ pub struct Training {
     pub models: PathBuf,
     /// Where jobs keep their checkpoints.
     pub jobs: PathBuf,
+    /// Which views are left out.
+    pub quarantine: Arc<Quarantine>,
     /// Time between checkpoints.
     pub checkpoint_every: Duration,
 }
@@ -47,6 +51,7 @@ impl Work for Training {
         let spec = &job.spec;
         let scene = scenes::open(&self.scenes, &spec.scene)?;
         let folder = self.jobs.join(&job.id);
+        let Some(scene) = self.sifted(job, scene, &folder, control)? else { return Ok(Outcome::Stopped) };
         let clusters = clusters(&scene, &spec.grouping, spec.seed)?;
         let settings = spec.settings.to_toml()?;
         // Cut off between publishing and its end: the model is there, whole.
@@ -117,7 +122,7 @@ impl Training {
         let made = stages::base_trainer(scene, settings, seed, checkpoint.as_deref(), &mut preparing(control))?;
         drop(checkpoint);
         let Some(mut trainer) = made else { return stopped(stages::BASE, clock, control) };
-        if !self.drive((stages::BASE, clock), &mut trainer, &file, control)? {
+        if !self.drive((stages::BASE, stages::BASE, clock), &mut trainer, &file, control)? {
             return Ok(None);
         }
         let finishing = Instant::now();
@@ -147,19 +152,18 @@ impl Training {
         let made = Marking::start(scene, base, plan, how, checkpoint.as_deref(), &mut preparing(control))?;
         drop(checkpoint);
         let Some(mut trainer) = made else { return stopped(stages::MARK, clock, control) };
-        if !self.drive((stages::MARK, clock), &mut trainer, &file, control)? {
+        if !self.drive((stages::MARK, stages::MARK, clock), &mut trainer, &file, control)? {
             return Ok(None);
         }
         let (field, detector) = trainer.finish()?;
         Ok(Some(MarkFiles { field, detector, signals: signals.iter().map(hidden::encoded).collect() }))
     }
 
-    /// Steps a stage, whose `clock` runs since before its trainer was made, to its
-    /// end; false when it was asked to stop. Either way its state is on the disk on
-    /// return.
-    fn drive(
+    /// Steps a stage (its name, and that under which its seconds are counted), whose `clock` runs since before its
+    /// trainer was made, to its end; false when it was asked to stop. Either way its state is on the disk on return.
+    pub(super) fn drive(
         &self,
-        (name, clock): (&str, Instant),
+        (name, counted, clock): (&str, &str, Instant),
         stage: &mut impl Stage,
         file: &Path,
         control: &Control<'_>,
@@ -176,7 +180,7 @@ impl Training {
             // At the end too: the stage's result comes next, and may fail to be written.
             if finished || stop || saved.elapsed() >= self.checkpoint_every {
                 write_atomic(file, &stage.checkpoint()?)?;
-                control.spent(name, saved.elapsed().as_secs_f64())?;
+                control.spent(counted, saved.elapsed().as_secs_f64())?;
                 saved = Instant::now();
             }
             if finished || stop {
@@ -202,7 +206,7 @@ impl Training {
 }
 
 /// Tells the job's watchers of a preparation, and that it has to stop.
-fn preparing(control: &Control<'_>) -> impl FnMut(&'static str, usize, usize) -> bool {
+pub(super) fn preparing(control: &Control<'_>) -> impl FnMut(&'static str, usize, usize) -> bool {
     let (mut begun, mut told): (Instant, Option<Instant>) = (Instant::now(), None);
     move |stage, done, total| {
         if done == 0 {
@@ -223,7 +227,7 @@ fn preparing(control: &Control<'_>) -> impl FnMut(&'static str, usize, usize) ->
 
 /// The end of a stage that was stopped before its trainer was made: there is nothing
 /// to keep but the time it took.
-fn stopped<T>(name: &str, clock: Instant, control: &Control<'_>) -> Result<Option<T>, EngineError> {
+pub(super) fn stopped<T>(name: &str, clock: Instant, control: &Control<'_>) -> Result<Option<T>, EngineError> {
     control.spent(name, clock.elapsed().as_secs_f64())?;
     Ok(None)
 }
@@ -238,7 +242,7 @@ fn signals(job: &Job, folder: &Path, identities: usize) -> Result<Vec<Signal>, E
     (1..=identities).map(signal).collect()
 }
 
-fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineError> {
+pub(super) fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineError> {
     if !path.exists() {
         return Ok(None);
     }
@@ -249,7 +253,7 @@ fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineError> {
 pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<Clusters, EngineError> {
     let capture = scene.capture();
     let (mut poses, mut contributors) = (Vec::new(), Vec::new());
-    for index in capture.training() {
+    for index in scene.training() {
         poses.push(capture.views[index].camera.pose);
         contributors.push(capture.views[index].contributor.clone());
     }
@@ -259,7 +263,7 @@ pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<C
 /// What the clusters' identities are called, and whose photographs they are.
 pub fn identities(scene: &SceneFolder, clusters: &Clusters) -> Vec<IdentityInfo> {
     let capture = scene.capture();
-    let training: Vec<usize> = capture.training().collect();
+    let training: Vec<usize> = scene.training().collect();
     let describe = |cluster: &cairn_cluster::Cluster| {
         let anchor = &capture.views[training[cluster.anchor]];
         let members: Vec<usize> = cluster.members.iter().map(|m| training[*m]).collect();

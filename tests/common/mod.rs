@@ -27,6 +27,8 @@ channels = [4, 8]
 [mark.detector]
 size = [32, 32]
 channels = [4, 8]
+[quarantine]
+enabled = false
 "#;
 
 /// A folder that goes with the test, with a capture in it.

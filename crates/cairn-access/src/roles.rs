@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub enum Role {
     /// Imports scenes of their own, trains on them within quota, submits records under their own key.
     Contributor,
-    /// Changes any scene, and anybody's jobs.
+    /// Changes any scene, and anybody's jobs; decides about views in quarantine.
     Curator,
     /// Reads everything and changes nothing.
     Auditor,
@@ -48,6 +48,8 @@ impl Role {
             (Need::Change, Self::Contributor) => Reach::Own,
             (Need::Change, Self::Curator) => Reach::All,
             (Need::Change, Self::Auditor) => Reach::None,
+            (Need::Curate, Self::Curator) => Reach::All,
+            (Need::Curate, Self::Contributor | Self::Auditor) => Reach::None,
             (Need::Oversee, Self::Auditor) => Reach::All,
             (Need::Oversee, Self::Contributor | Self::Curator) => Reach::None,
             (Need::Operate, Self::Contributor | Self::Curator | Self::Auditor) => Reach::None,
@@ -98,6 +100,8 @@ pub enum Need {
     Inspect,
     /// A change of a scene or a job: its owner, curator, operator.
     Change,
+    /// A decision about others' photographs: curator, operator; not whoever brought them.
+    Curate,
     /// A look at all accounts: auditor, operator.
     Oversee,
     /// Operators only.
@@ -136,6 +140,9 @@ pub const METHODS: &[(&str, Need)] = &[
     ("/cairn.v1.SceneService/Get", Need::Read),
     ("/cairn.v1.SceneService/DrawPoses", Need::Read),
     ("/cairn.v1.SceneService/Delete", Need::Change),
+    ("/cairn.v1.QuarantineService/List", Need::Inspect),
+    ("/cairn.v1.QuarantineService/Release", Need::Curate),
+    ("/cairn.v1.QuarantineService/Remove", Need::Curate),
     ("/cairn.v1.TrainingService/Start", Need::Change),
     ("/cairn.v1.TrainingService/Watch", Need::Read),
     ("/cairn.v1.TrainingService/Cancel", Need::Change),
@@ -173,12 +180,12 @@ mod tests {
     fn reaches_are_as_the_roles_are_described() {
         use Need::*;
         for (role, wanted) in [
-            (Role::Contributor, [Reach::All, Reach::Own, Reach::Own, Reach::None, Reach::None]),
-            (Role::Curator, [Reach::All, Reach::All, Reach::All, Reach::None, Reach::None]),
-            (Role::Auditor, [Reach::None, Reach::All, Reach::None, Reach::All, Reach::None]),
-            (Role::Operator, [Reach::All; 5]),
+            (Role::Contributor, [Reach::All, Reach::Own, Reach::Own, Reach::None, Reach::None, Reach::None]),
+            (Role::Curator, [Reach::All, Reach::All, Reach::All, Reach::All, Reach::None, Reach::None]),
+            (Role::Auditor, [Reach::None, Reach::All, Reach::None, Reach::None, Reach::All, Reach::None]),
+            (Role::Operator, [Reach::All; 6]),
         ] {
-            let got = [Contribute, Inspect, Change, Oversee, Operate].map(|need| role.reach(need));
+            let got = [Contribute, Inspect, Change, Curate, Oversee, Operate].map(|need| role.reach(need));
             assert_eq!(got, wanted, "{role}");
             for need in [Anyone, Read, Account] {
                 assert_eq!(role.reach(need), Reach::All);

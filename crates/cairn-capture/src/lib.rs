@@ -20,6 +20,7 @@ mod manifest;
 mod npy;
 mod photograph;
 mod picture;
+mod removal;
 mod resample;
 mod resize;
 mod scene;

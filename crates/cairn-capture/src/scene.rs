@@ -5,6 +5,7 @@
 //! staging folder beside it, synced, and renamed. What is left of an import that
 //! was cut off is a folder whose name starts with `.staging-`, which nothing reads.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
@@ -19,10 +20,10 @@ use crate::photograph::{read_limited, write_synced};
 use crate::picture::Picture;
 use crate::scene_file::{FORMAT, PHOTOGRAPHS, PointsRow, SceneFile, VERSION, ViewRow, digest_from_hex, hex};
 
-const TABLE: &str = "scene.json";
+pub(crate) const TABLE: &str = "scene.json";
 const POINTS: &str = "points.bin";
 /// Largest table that is read: 100 000 views take about 70 MB.
-const MAX_TABLE_BYTES: u64 = 256 << 20;
+pub(crate) const MAX_TABLE_BYTES: u64 = 256 << 20;
 /// Largest file of points that is read: 80 million of them.
 const MAX_POINTS_BYTES: u64 = 2 << 30;
 
@@ -32,6 +33,8 @@ pub struct SceneFolder {
     folder: PathBuf,
     capture: Capture,
     digests: Vec<[u8; 32]>,
+    /// Views that are not to be trained on.
+    left_out: BTreeSet<usize>,
 }
 
 /// A photograph that is no longer what was imported.
@@ -88,7 +91,7 @@ impl SceneFolder {
         Self::open_at(&scene_path(dir, name)?)
     }
 
-    fn open_at(folder: &Path) -> Result<Self, CaptureError> {
+    pub(crate) fn open_at(folder: &Path) -> Result<Self, CaptureError> {
         let file = folder.join(TABLE);
         let table = SceneFile::parse(&file, &read_limited(&file, MAX_TABLE_BYTES)?)?;
         let points = read_points(&folder.join(POINTS), &file, &table.points)?;
@@ -104,7 +107,7 @@ impl SceneFolder {
             views: table.views.into_iter().map(ViewRow::into_view).collect(),
             points,
         };
-        Ok(Self { folder: folder.to_path_buf(), capture, digests })
+        Ok(Self { folder: folder.to_path_buf(), capture, digests, left_out: BTreeSet::new() })
     }
 
     /// The scene's own folder.
@@ -115,6 +118,23 @@ impl SceneFolder {
     /// The stored capture; its photographs are the scene's copies.
     pub fn capture(&self) -> &Capture {
         &self.capture
+    }
+
+    /// The same scene, of whose training views these (indices) are left out; what lies on the disk does not change.
+    #[must_use]
+    pub fn leaving_out(mut self, views: BTreeSet<usize>) -> Self {
+        self.left_out = views;
+        self
+    }
+
+    /// Indices of the views to train on, ascending: all that are neither held out nor left out.
+    pub fn training(&self) -> impl Iterator<Item = usize> + '_ {
+        self.capture.training().filter(|view| !self.left_out.contains(view))
+    }
+
+    /// Indices of all views that are not left out, ascending.
+    pub fn kept(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.capture.views.len()).filter(|view| !self.left_out.contains(view))
     }
 
     /// SHA-256 of view `view`'s photograph, as it was imported.
@@ -257,6 +277,6 @@ fn read_points(path: &Path, table: &Path, row: &PointsRow) -> Result<Vec<DVec3>,
 }
 
 /// Waits until a folder's entries are on the disk.
-fn sync_folder(folder: &Path) -> Result<(), CaptureError> {
+pub(crate) fn sync_folder(folder: &Path) -> Result<(), CaptureError> {
     File::open(folder).and_then(|f| f.sync_all()).map_err(CaptureError::io("sync", folder))
 }

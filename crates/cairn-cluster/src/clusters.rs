@@ -1,5 +1,7 @@
 //! Clusters of views and who a pose belongs to.
 
+use std::collections::BTreeSet;
+
 use cairn_capture::Pose;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -234,12 +236,20 @@ impl Clusters {
 
     /// Whom `pose`, seen or new, belongs to.
     pub fn identity_of(&self, pose: &Pose) -> Membership {
+        self.identity_of_without(pose, &BTreeSet::new())
+    }
+
+    /// As [`Clusters::identity_of`], as if these views (indices) were nobody's: where views decide, by
+    /// contributor, the nearest of the others does. Anchors are places and stay.
+    pub fn identity_of_without(&self, pose: &Pose, left_out: &BTreeSet<usize>) -> Membership {
         match self.grouping {
             Grouping::Anchors(_) => {
                 let anchors = self.clusters.iter().filter_map(|c| self.reference(c.anchor));
                 self.decide(pose, anchors, false)
             }
-            Grouping::ByContributor { .. } => self.decide(pose, self.references.iter(), true),
+            Grouping::ByContributor { .. } => {
+                self.decide(pose, self.references.iter().filter(|r| !left_out.contains(&r.view)), true)
+            }
         }
     }
 

@@ -11,14 +11,14 @@ use crate::trainer::Prepared;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Rays a task handles: enough to amortise, few enough to balance two cores.
 const TASK_RAYS: usize = 128;
 
 /// What a batch is drawn from.
 pub(crate) struct BatchSettings<'a> {
-    pub(crate) views: &'a [Prepared],
+    pub(crate) views: &'a [Arc<Prepared>],
     pub(crate) frame: &'a SceneFrame,
     pub(crate) grid: &'a Grid<f32>,
     pub(crate) neutral: &'a Appearance,

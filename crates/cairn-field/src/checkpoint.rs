@@ -10,10 +10,11 @@ use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
 use crate::light::LightVerdict;
 use crate::optimise::{Adam, RowState};
-use crate::trainer::{BaseTrainer, TrainingView};
+use crate::trainer::{BaseTrainer, Prepared, TrainingView, prepare};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::sync::Arc;
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
 const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/4";
@@ -102,6 +103,11 @@ impl BaseTrainer {
     /// [`FieldError::Stored`] for an unknown format or a damaged file;
     /// [`FieldError::Views`] for other views.
     pub fn resume(bytes: &[u8], views: Vec<TrainingView>) -> Result<Self, FieldError> {
+        Self::resume_with(bytes, prepare(views)?)
+    }
+
+    /// As [`BaseTrainer::resume`], with views that were prepared.
+    pub(crate) fn resume_with(bytes: &[u8], views: Vec<Arc<Prepared>>) -> Result<Self, FieldError> {
         let header: Header = read_header(bytes, "checkpoint")?;
         let refuse = |why: String| Err(stored("checkpoint", why));
         if header.format != CHECKPOINT_FORMAT {
@@ -119,7 +125,8 @@ impl BaseTrainer {
             return refuse("it counts more steps than its training has".into());
         }
         let sound = is_sound(bytes, &file, &header.digest);
-        let mut trainer = Self::new(views, header.frame, header.background, header.config, header.seed)?;
+        header.config.validate()?;
+        let mut trainer = Self::of(views, header.frame, header.background, header.config, header.seed);
         let vertex = read_u32(&file, "vertex")?;
         if !crate::grid::fits(header.dims, &vertex) || header.level >= trainer.config.levels {
             return refuse("its grid and its vertices or level do not fit together".into());

@@ -9,7 +9,7 @@
 //! origin, give the same picture.
 
 use crate::error::FieldError;
-use cairn_capture::{Camera, Capture, SceneKind};
+use cairn_capture::{Camera, Capture, SceneKind, View};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -87,13 +87,22 @@ impl SceneFrame {
     /// # Errors
     /// [`FieldError::Frame`] when there are no views or the box has no size.
     pub fn from_capture(capture: &Capture) -> Result<Self, FieldError> {
-        let cameras: Vec<&Camera> = capture.views.iter().map(|v| &v.camera).collect();
+        Self::from_views(capture, 0..capture.views.len())
+    }
+
+    /// As [`SceneFrame::from_capture`], from some of its views (indices): a wrong pose would move the box.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn from_views(capture: &Capture, views: impl IntoIterator<Item = usize>) -> Result<Self, FieldError> {
+        let views: Vec<&View> = views.into_iter().map(|v| &capture.views[v]).collect();
+        let cameras: Vec<&Camera> = views.iter().map(|v| &v.camera).collect();
         if cameras.is_empty() {
             return Err(FieldError::Frame("the capture has no views".into()));
         }
         match capture.kind {
             SceneKind::ForwardFacing => {
-                let near = capture.views.iter().filter_map(|v| v.bounds.map(|b| b.0)).fold(f64::INFINITY, f64::min);
+                let near = views.iter().filter_map(|v| v.bounds.map(|b| b.0)).fold(f64::INFINITY, f64::min);
                 Self::forward_facing(&cameras, near, &capture.points)
             }
             SceneKind::Bounded => Self::boxed(&cameras, &[], false),

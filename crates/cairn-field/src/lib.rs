@@ -5,7 +5,7 @@
 //! the unit cube, `march` finds the samples, `composite` turns them into light
 //! and walks back, `patch` sums what a tile's rays owe, `optimise` moves the grid, [`Appearance`] tints
 //! the result as a view's day and camera had it. [`BaseTrainer`] drives them
-//! (stage 1), [`Field`] is the outcome. What stage 2 needs is in [`operator`].
+//! (stage 1), [`Field`] is the outcome. Before it, [`Screening`] asks of each photograph whether the others explain it. What stage 2 needs is in [`operator`].
 //!
 //! The renderer is generic over [`Real`]: the same source is checked in f64
 //! against finite differences and shipped in f32.
@@ -31,6 +31,7 @@ mod prior;
 mod rays;
 mod real;
 mod sampling;
+pub mod screening;
 pub mod sh;
 mod survey;
 mod trainer;
@@ -43,4 +44,5 @@ pub use field::{FIELD_FORMAT, Field, Rendering};
 pub use frame::{RayPath, SceneFrame, contract};
 pub use light::LightVerdict;
 pub use real::Real;
+pub use screening::{QuarantineConfig, Screened, Screening, ScreeningOutcome, ViewFit};
 pub use trainer::{BaseTrainer, StepStats, TrainingView};

@@ -60,7 +60,7 @@ pub struct BaseTrainer {
     pub(crate) drawn: u64,
     tiles: Tiles,
     pub(crate) level: usize,
-    pub(crate) views: Vec<Prepared>,
+    pub(crate) views: Vec<Arc<Prepared>>,
     pub(crate) grid: Grid<f32>,
     pub(crate) rows: RowState,
     batch: Batch,
@@ -90,7 +90,17 @@ impl BaseTrainer {
         seed: u64,
     ) -> Result<Self, FieldError> {
         config.validate()?;
-        let views = prepare(views)?;
+        Ok(Self::of(prepare(views)?, frame, background, config, seed))
+    }
+
+    /// As [`BaseTrainer::new`], for settings and views (one at least) that were checked.
+    pub(crate) fn of(
+        views: Vec<Arc<Prepared>>,
+        frame: SceneFrame,
+        background: Option<[f32; 3]>,
+        config: FieldConfig,
+        seed: u64,
+    ) -> Self {
         let neutral = Appearance::neutral(background.unwrap_or_else(|| mean_colour(&views)));
         let open = config.appearance == AppearanceMode::Auto && views.len() > 1;
         let with_appearance = open || config.appearance == AppearanceMode::On;
@@ -102,7 +112,7 @@ impl BaseTrainer {
         let grid = Grid::full(dims, raw, level);
         let rows = grid.rows();
         let tiles = Tiles::of(views.iter().map(|v| &v.lens), tile_side(&config, 0));
-        Ok(Self {
+        Self {
             appearance_adam: Adam::zero(appearances.len() * CODE),
             config,
             frame,
@@ -119,7 +129,7 @@ impl BaseTrainer {
             background,
             appearances,
             light: if open { LightVerdict::Open } else { LightVerdict::Settled },
-        })
+        }
     }
 
     /// Steps done so far.
@@ -245,7 +255,7 @@ impl BaseTrainer {
     pub fn finish(self) -> Field {
         let views: Vec<(Camera, Arc<Lens>)> = self.views.iter().map(|v| (v.camera, v.lens.clone())).collect();
         let least = self.config.prune_weight.min(SHOWS);
-        let names = self.views.into_iter().map(|v| v.name);
+        let names = self.views.into_iter().map(|v| v.name.clone());
         let canonical = Appearance::mean(&self.appearances.iter().collect::<Vec<_>>()).unwrap_or(self.neutral);
         let field = Field::new(self.frame, self.grid, canonical, names.zip(self.appearances).collect());
         if least > 0.0 { field.only_what_shows_in(&views, least) } else { field }
@@ -420,7 +430,8 @@ pub(crate) fn dims_of_level(config: &FieldConfig, frame: &SceneFrame, level: usi
     p.map(|side| ((side * unit).round() as usize).clamp(4, 4096))
 }
 
-fn prepare(views: Vec<TrainingView>) -> Result<Vec<Prepared>, FieldError> {
+/// Views as training uses them, in their order.
+pub(crate) fn prepare(views: Vec<TrainingView>) -> Result<Vec<Arc<Prepared>>, FieldError> {
     if views.is_empty() {
         return Err(FieldError::Views("none to train on; hold fewer out or import more photographs".into()));
     }
@@ -446,12 +457,12 @@ fn prepare(views: Vec<TrainingView>) -> Result<Vec<Prepared>, FieldError> {
                     at / 3 / w
                 )));
             }
-            Ok(Prepared { name: view.name, camera: view.camera, lens, pixels: view.picture.to_rgb8() })
+            Ok(Arc::new(Prepared { name: view.name, camera: view.camera, lens, pixels: view.picture.to_rgb8() }))
         })
         .collect()
 }
 
-fn mean_colour(views: &[Prepared]) -> [f32; 3] {
+fn mean_colour(views: &[Arc<Prepared>]) -> [f32; 3] {
     let mut sum = [0u64; 3];
     let mut count = 0u64;
     for view in views {

@@ -91,6 +91,14 @@ fn photographs(data: &Path, info: &ModelInfo, record: &OwnerRecord) -> anyhow::R
     })?;
     let scene = SceneFolder::open(&data.join("scenes"), &info.scene)?;
     let capture = scene.capture();
+    if let Some(gone) = identity.views.iter().find(|name| capture.views.iter().all(|v| v.name != **name)) {
+        anyhow::bail!(
+            "{}: view {gone:?} of identity {} was removed from the scene since, so its photographs were not compared; \
+             give --against a copy from before, or leave it out",
+            scene.folder().display(),
+            identity.number
+        );
+    }
     let mut digests = Vec::with_capacity(identity.views.len());
     for view in capture.views.iter().filter(|v| identity.views.contains(&v.name)) {
         digests.push(FileInHand::read(&capture.root.join(&view.photograph))?.digest);
