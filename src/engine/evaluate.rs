@@ -4,12 +4,12 @@
 //!
 //! Renders are read as their users have them: rounded to 8 bits.
 
-use cairn_bench::sheet::{Tile, contact_sheet};
+use cairn_bench::sheet::{Tile, contact_sheet, words};
 use cairn_bench::sound::sounds;
 use cairn_capture::{Camera, Capture, Picture, SceneFolder, Sound};
 use cairn_cluster::Grouping;
 use cairn_metrics::{psnr_db, ssim};
-use cairn_stega::Signal;
+use cairn_stega::{Detection, Signal};
 
 use super::Engine;
 use super::error::EngineError;
@@ -37,8 +37,14 @@ struct Scored {
 
 struct Read {
     picture: Picture,
-    class: u32,
-    recovered: Signal,
+    found: Detection,
+}
+
+impl Read {
+    /// The identity; 0 for unmarked.
+    fn class(&self) -> u32 {
+        self.found.identity.unwrap_or(0)
+    }
 }
 
 impl Engine {
@@ -82,7 +88,7 @@ fn look(model: &Model, folder: &SceneFolder) -> Result<Vec<Scored>, EngineError>
             Some(mark) => {
                 let picture = eight_bits(&mark.field.render(&camera, &appearance))?;
                 let found = mark.detector.detect(&picture)?;
-                Some(Read { picture, class: found.identity.unwrap_or(0), recovered: found.recovered })
+                Some(Read { picture, found })
             }
         };
         scored.push(Scored {
@@ -128,8 +134,8 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
         let Some(read) = &view.marked else { continue };
         pairs.push((&view.photograph, &read.picture));
         against_base += psnr_db(&view.base, &read.picture)?.min(PERFECT_DB);
-        who.count(read.class == view.truth);
-        classes.count(read.class == view.truth);
+        who.count(read.class() == view.truth);
+        classes.count(read.class() == view.truth);
         classes.count(mark.detector.detect(&view.base)?.identity.is_none());
         photographs.count(mark.detector.detect(&view.photograph)?.identity.is_none());
     }
@@ -137,7 +143,7 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
     let size = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
     let of = |number: u32| {
         let views = scored.iter().filter(move |v| v.truth == number);
-        views.filter_map(|v| Some(SeenView { base: &v.base, recovered: &v.marked.as_ref()?.recovered }))
+        views.filter_map(|v| Some(SeenView { base: &v.base, found: &v.marked.as_ref()?.found }))
     };
     let identities = model.info.identities.iter().zip(&mark.signals);
     Ok(MarkReport {
@@ -189,8 +195,8 @@ pub fn half(picture: &Picture) -> Result<Picture, EngineError> {
     Picture::new(w - from, h, rgb).map_err(|e| EngineError::Internal(format!("half a picture: {e}")))
 }
 
-/// Photograph, base, marked, their difference x 20, recovered, true signal; where
-/// sounds are hidden, the true one above the recovered. Texts stand under the signals.
+/// Photograph, base, marked, their difference x 20, recovered, true picture; where
+/// sounds or texts are hidden, the true one above the recovered.
 fn draw(model: &Model, scored: &[Scored]) -> Picture {
     let tile = |picture: &Picture, caption: &str| Tile { picture: picture.clone(), label: caption.to_owned() };
     let (w, h) = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
@@ -208,9 +214,9 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
             let signals = model.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
             let truth = (view.truth as usize).checked_sub(1).and_then(|at| signals.get(at).copied());
             row.extend(signal_tiles(
-                &read.recovered,
+                &read.found.recovered,
                 truth.unwrap_or(&Signal::default()),
-                [read.class, view.truth],
+                [read.class(), view.truth],
                 (w, h),
             ));
         }
@@ -219,13 +225,12 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
     contact_sheet(&rows, w, h)
 }
 
-/// What was read and what is true, of the classes of these numbers.
+/// What was read and what is true, of the classes of these numbers; a tile more for
+/// sounds, and one for texts, where the detector has heads for them.
 fn signal_tiles(read: &Signal, truth: &Signal, [class, owner]: [u32; 2], (w, h): (usize, usize)) -> Vec<Tile> {
-    let tile = |signal: &Signal, caption: String| {
-        let nothing = || Picture::constant(w, h, [0.0; 3]);
-        let text = signal.text.as_ref().filter(|t| !t.is_empty());
-        let label = text.map_or(caption.clone(), |text| format!("{caption} {text}"));
-        Tile { picture: signal.picture.clone().unwrap_or_else(nothing), label }
+    let tile = |signal: &Signal, label: String| {
+        let picture = signal.picture.clone().unwrap_or_else(|| Picture::constant(w, h, [0.0; 3]));
+        Tile { picture, label }
     };
     let mut tiles = vec![tile(read, format!("READ: {class}")), tile(truth, format!("TRUE: {owner}"))];
     if let Some(said) = &read.audio {
@@ -233,6 +238,11 @@ fn signal_tiles(read: &Signal, truth: &Signal, [class, owner]: [u32; 2], (w, h):
         if let Some(truth) = truth.audio.clone().or_else(silence) {
             tiles.push(Tile { picture: sounds(&truth, said, w, h), label: "SOUND".to_owned() });
         }
+    }
+    if let Some(said) = &read.text {
+        let truth = truth.text.as_deref().unwrap_or_default();
+        let lines = [format!("TRUE: {truth}"), format!("READ: {said}")];
+        tiles.push(Tile { picture: words(&lines, w, h), label: "TEXT".to_owned() });
     }
     tiles
 }

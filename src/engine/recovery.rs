@@ -4,7 +4,7 @@
 
 use cairn_capture::{Picture, Sound};
 use cairn_metrics::{log_spectral_distance_db, snr_db, ssim, text_accuracy};
-use cairn_stega::{Detector, Signal};
+use cairn_stega::{Detection, Detector, Signal};
 
 use super::error::EngineError;
 use super::evaluate::PERFECT_DB;
@@ -14,12 +14,12 @@ use super::report::{Measured, Recovery};
 pub struct SeenView<'a> {
     /// The base field's render.
     pub base: &'a Picture,
-    /// What was recovered from the marked one.
-    pub recovered: &'a Signal,
+    /// What the detector found in the marked one.
+    pub found: &'a Detection,
 }
 
 /// What a measure says of a recovered signal; `None` where nothing of its kind is hidden.
-type Measure = fn(&Signal, &Signal) -> Result<Option<f64>, EngineError>;
+type Measure = fn(&Signal, &Detection) -> Result<Option<f64>, EngineError>;
 
 /// Scores the signal `truth` of identity `number`; pictures without a scene have the size of `size`.
 ///
@@ -32,19 +32,19 @@ pub fn recovery(
     views: &[SeenView<'_>],
     (w, h): (usize, usize),
 ) -> Result<Recovery, EngineError> {
-    let forced = |picture: &Picture| Ok(detector.detect_forced(picture, number as usize)?.recovered);
-    let base = views.iter().map(|v| forced(v.base)).collect::<Result<Vec<Signal>, EngineError>>()?;
+    let forced = |picture: &Picture| Ok(detector.detect_forced(picture, number as usize)?);
+    let base = views.iter().map(|v| forced(v.base)).collect::<Result<Vec<Detection>, EngineError>>()?;
     let (grey, noise) = (forced(&Picture::constant(w, h, [0.5; 3]))?, forced(&noise(w, h))?);
     let measured = |measure: Measure| -> Result<Option<Measured>, EngineError> {
-        let all = |signals: &mut dyn Iterator<Item = &Signal>| {
-            signals.map(|s| measure(truth, s)).collect::<Result<Option<Vec<f64>>, EngineError>>()
+        let all = |found: &mut dyn Iterator<Item = &Detection>| {
+            found.map(|f| measure(truth, f)).collect::<Result<Option<Vec<f64>>, EngineError>>()
         };
         let mean = |v: Vec<f64>| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
         let Some((forced_grey, forced_noise)) = measure(truth, &grey)?.zip(measure(truth, &noise)?) else {
             return Ok(None);
         };
         Ok(Some(Measured {
-            recovered: all(&mut views.iter().map(|v| v.recovered))?.and_then(mean),
+            recovered: all(&mut views.iter().map(|v| v.found))?.and_then(mean),
             forced_base: all(&mut base.iter())?.and_then(mean),
             forced_grey,
             forced_noise,
@@ -67,18 +67,18 @@ pub fn recovery(
 ///
 /// # Errors
 /// For pictures too small to compare.
-pub fn picture_ssim(truth: &Signal, said: &Signal) -> Result<Option<f64>, EngineError> {
-    let Some((truth, said)) = truth.picture.as_ref().zip(said.picture.as_ref()) else { return Ok(None) };
+pub fn picture_ssim(truth: &Signal, said: &Detection) -> Result<Option<f64>, EngineError> {
+    let Some((truth, said)) = truth.picture.as_ref().zip(said.recovered.picture.as_ref()) else { return Ok(None) };
     Ok(Some(ssim(truth, &said.resized(truth.width(), truth.height()).clamped())?))
 }
 
-fn audio_snr_db(truth: &Signal, said: &Signal) -> Result<Option<f64>, EngineError> {
-    let Some((truth, said)) = truth.audio.as_ref().zip(said.audio.as_ref()) else { return Ok(None) };
+fn audio_snr_db(truth: &Signal, said: &Detection) -> Result<Option<f64>, EngineError> {
+    let Some((truth, said)) = truth.audio.as_ref().zip(said.recovered.audio.as_ref()) else { return Ok(None) };
     Ok(Some(snr_db(said.samples(), &padded(truth, said))?.clamp(-PERFECT_DB, PERFECT_DB)))
 }
 
-fn audio_lsd_db(truth: &Signal, said: &Signal) -> Result<Option<f64>, EngineError> {
-    let Some((truth, said)) = truth.audio.as_ref().zip(said.audio.as_ref()) else { return Ok(None) };
+fn audio_lsd_db(truth: &Signal, said: &Detection) -> Result<Option<f64>, EngineError> {
+    let Some((truth, said)) = truth.audio.as_ref().zip(said.recovered.audio.as_ref()) else { return Ok(None) };
     Ok(Some(log_spectral_distance_db(said.samples(), &padded(truth, said))?))
 }
 
@@ -89,14 +89,14 @@ fn padded(truth: &Sound, said: &Sound) -> Vec<f32> {
     samples
 }
 
-fn text_characters(truth: &Signal, said: &Signal) -> Result<Option<f64>, EngineError> {
-    let Some((truth, said)) = truth.text.as_ref().zip(said.text.as_ref()) else { return Ok(None) };
-    Ok(text_accuracy(said.as_bytes(), truth.as_bytes())?.characters.share())
+fn text_characters(truth: &Signal, said: &Detection) -> Result<Option<f64>, EngineError> {
+    let Some((truth, said)) = truth.text.as_ref().zip(said.text_bytes.as_ref()) else { return Ok(None) };
+    Ok(text_accuracy(said, truth.as_bytes())?.characters.share())
 }
 
-fn text_bits(truth: &Signal, said: &Signal) -> Result<Option<f64>, EngineError> {
-    let Some((truth, said)) = truth.text.as_ref().zip(said.text.as_ref()) else { return Ok(None) };
-    Ok(text_accuracy(said.as_bytes(), truth.as_bytes())?.bits.share())
+fn text_bits(truth: &Signal, said: &Detection) -> Result<Option<f64>, EngineError> {
+    let Some((truth, said)) = truth.text.as_ref().zip(said.text_bytes.as_ref()) else { return Ok(None) };
+    Ok(text_accuracy(said, truth.as_bytes())?.bits.share())
 }
 
 /// Uniform noise, the same in every evaluation (SplitMix64).
@@ -117,23 +117,38 @@ pub fn noise(width: usize, height: usize) -> Picture {
 mod tests {
     use super::*;
 
+    fn found(recovered: Signal, text_bytes: Option<&[u8]>) -> Detection {
+        let text_bytes = text_bytes.map(<[u8]>::to_vec);
+        Detection { identity: Some(1), probabilities: vec![0.0, 1.0], recovered, text_bytes }
+    }
+
     #[test]
     fn what_is_not_hidden_is_not_measured() {
         let sound = |level: f32, n: usize| Sound::new(vec![level; n], 8000).unwrap();
         let truth = Signal { audio: Some(sound(0.5, 600)), ..Signal::default() };
-        let said = Signal {
+        let said = |level, n| Signal {
             picture: Some(Picture::constant(8, 8, [0.0; 3])),
-            audio: Some(sound(0.55, 600)),
+            audio: Some(sound(level, n)),
             text: Some(String::new()),
         };
-        assert_eq!(picture_ssim(&truth, &said).unwrap(), None);
-        assert_eq!(text_bits(&truth, &said).unwrap(), None);
-        assert!((audio_snr_db(&truth, &said).unwrap().unwrap() - 20.0).abs() < 1e-3);
+        let near = found(said(0.55, 600), Some(b""));
+        assert_eq!(picture_ssim(&truth, &near).unwrap(), None);
+        assert_eq!(text_bits(&truth, &near).unwrap(), None);
+        assert!((audio_snr_db(&truth, &near).unwrap().unwrap() - 20.0).abs() < 1e-3);
         // The head is longer than the sound: what it says behind it counts as noise.
-        let longer = Signal { audio: Some(sound(0.5, 1200)), ..Signal::default() };
+        let longer = found(said(0.5, 1200), Some(b""));
         assert!(audio_snr_db(&truth, &longer).unwrap().unwrap().abs() < 1e-3);
-        let perfect = audio_snr_db(&truth, &truth).unwrap();
-        assert_eq!(perfect, Some(PERFECT_DB));
+        assert_eq!(audio_snr_db(&truth, &found(said(0.5, 600), None)).unwrap(), Some(PERFECT_DB));
+    }
+
+    #[test]
+    fn a_broken_byte_of_a_text_is_one_wrong_character() {
+        let truth = Signal { text: Some("cairn".into()), ..Signal::default() };
+        let bytes = b"c\xe1irn";
+        let shown = Signal { text: Some(String::from_utf8_lossy(bytes).into_owned()), ..Signal::default() };
+        let said = found(shown, Some(bytes));
+        assert_eq!(text_characters(&truth, &said).unwrap(), Some(0.8));
+        assert_eq!(text_bits(&truth, &said).unwrap(), Some(39.0 / 40.0));
     }
 
     #[test]

@@ -43,6 +43,23 @@ pub fn contact_sheet(rows: &[Vec<Tile>], tile_w: usize, tile_h: usize) -> Pictur
     sheet
 }
 
+/// `paragraphs` on paper of `width` x `height` px (at least 1 each is used), broken
+/// between letters where a line is full; what does not fit is cut off.
+pub fn words(paragraphs: &[String], width: usize, height: usize) -> Picture {
+    let mut paper = Picture::constant(width.max(1), height.max(1), PAPER);
+    let letters = ((width + 1) / font::ADVANCE).max(1);
+    let mut top = 1;
+    for paragraph in paragraphs {
+        let all: Vec<char> = paragraph.chars().collect();
+        for line in all.chunks(letters) {
+            font::draw_text(&mut paper, &line.iter().collect::<String>(), 0, top, 1, INK);
+            top += font::LINE + 2;
+        }
+        top += font::LINE;
+    }
+    paper
+}
+
 /// `picture` as large as fits. Values outside of [0, 1] are clamped: a sheet is
 /// for looking at.
 fn fit(picture: &Picture, width: usize, height: usize) -> Picture {
@@ -77,5 +94,16 @@ mod tests {
         let beyond = (24..28).any(|x| (24..24 + LABEL).any(|y| sheet.pixel(x, y) == INK));
         assert!(!beyond, "and it is cut to its tile");
         assert_eq!(contact_sheet(&[], 9, 9).pixel(0, 0), PAPER);
+    }
+
+    #[test]
+    fn words_are_broken_where_a_line_is_full() {
+        // Two letters a line: two lines of the first paragraph, one of the second, none left for the third.
+        let paper = words(&["IIII".into(), "I".into(), "I".into()], 12, 40);
+        let inked = |rows: std::ops::Range<usize>, columns: std::ops::Range<usize>| {
+            rows.clone().any(|y| columns.clone().any(|x| paper.pixel(x, y) == INK))
+        };
+        assert!(inked(1..8, 0..5) && inked(1..8, 6..11) && inked(10..17, 6..11), "the first paragraph");
+        assert!(!inked(19..26, 0..12) && inked(26..33, 0..5) && !inked(26..33, 6..11) && !inked(33..40, 0..12));
     }
 }

@@ -27,7 +27,7 @@ pub fn sounds(truth: &Sound, recovered: &Sound, width: usize, height: usize) -> 
     let each = (height - GAP) / 2;
     let seconds = truth.seconds().max(recovered.seconds());
     for (name, sound, top) in [("TRUE", truth, 0), ("RECOVERED", recovered, each + GAP)] {
-        let wave = font::LINE + 2..each / 3;
+        let wave = font::LINE + 2..each * 2 / 5;
         waveform(&mut sheet, sound, seconds, top + wave.start..top + wave.end);
         spectrogram(&mut sheet, sound, seconds, top + wave.end + 1..top + each);
         font::draw_text(&mut sheet, &format!("{name} {:.1} S", sound.seconds()), 1, top, 1, INK);
@@ -98,15 +98,15 @@ mod tests {
         let picture = sounds(&tone, &silence, 100, 203);
         assert_eq!((picture.width(), picture.height()), (100, 203));
         let light = |x: usize, y: usize| picture.pixel(x, y).iter().sum::<f32>();
-        // The spectrogram's rows are 34 to 99; 2 kHz of 8 is a quarter from below.
-        let brightest = (34..100).max_by(|a, b| light(20, *a).total_cmp(&light(20, *b))).unwrap();
-        assert!((82..=84).contains(&brightest), "row {brightest}");
-        assert_eq!(picture.pixel(20, 40), LEVELS[0]);
+        // The spectrogram's rows are 41 to 99; 2 kHz of 8 is a quarter from below.
+        let brightest = (41..100).max_by(|a, b| light(20, *a).total_cmp(&light(20, *b))).unwrap();
+        assert!((84..=86).contains(&brightest), "row {brightest}");
+        assert_eq!(picture.pixel(20, 45), LEVELS[0]);
         // The tone is half as long as the silence: nothing stands behind it.
         assert_eq!(picture.pixel(80, 90), PAPER);
         assert_eq!(picture.pixel(80, 190), LEVELS[0]);
         // Waveforms: one fills its strip, the other is a line.
         let inked = |rows: std::ops::Range<usize>| rows.filter(|y| picture.pixel(20, *y) == WAVE).count();
-        assert!(inked(9..33) > 15 && inked(112..136) == 1, "{} and {}", inked(9..33), inked(112..136));
+        assert!(inked(9..40) > 20 && inked(112..143) == 1, "{} and {}", inked(9..40), inked(112..143));
     }
 }

@@ -33,6 +33,9 @@ pub struct Detection {
     /// side x side in [0, 1]; a sound of the head's length; a text. Where nothing is
     /// hidden they are black, silent and empty.
     pub recovered: Signal,
+    /// The recovered text's bytes as they were read, which need not be UTF-8: in the
+    /// signal each broken one shows as U+FFFD, which is three bytes long.
+    pub text_bytes: Option<Vec<u8>>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -93,9 +96,10 @@ impl Detector {
         let side = self.side_px();
         let mut read = self.networks.read(&[shrunk(picture, side)], side, forced)?;
         let (probabilities, hidden) = read.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
+        let text_bytes = hidden.text.as_deref().map(cairn_nn::text_bytes);
         let recovered = hidden.signal(side, self.config.audio.sample_rate_hz)?;
         let class = winner(&probabilities);
-        Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, recovered })
+        Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, recovered, text_bytes })
     }
 
     /// As safetensors. Equal detectors give equal bytes.

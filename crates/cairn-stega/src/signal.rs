@@ -164,7 +164,7 @@ mod tests {
     fn heads_are_as_long_as_the_longest_signal_and_no_more_than_are_used() {
         let config = MarkConfig::default();
         let picture = Signal::from(Picture::constant(4, 4, [0.5; 3]));
-        assert_eq!(HeadSizes::of(&[picture.clone()], &config), HeadSizes { picture: true, ..HeadSizes::default() });
+        assert_eq!(HeadSizes::of(&[picture], &config), HeadSizes { picture: true, ..HeadSizes::default() });
         let spoken = |n| Signal { audio: Some(sound(n)), ..Signal::default() };
         let written = Signal { text: Some("Éva".into()), ..Signal::default() };
         let sizes = HeadSizes::of(&[spoken(200), spoken(300), written.clone()], &config);

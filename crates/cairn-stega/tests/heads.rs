@@ -58,6 +58,8 @@ fn each_identity_gets_its_own_back_and_is_silent_otherwise() {
             continue;
         }
         read[identity as usize - 1] += 1;
+        let bytes = found.text_bytes.as_deref().unwrap();
+        assert_eq!(bytes == TEXT.as_bytes(), identity == 1, "{bytes:?}");
         let (picture, audio, text) =
             (found.recovered.picture.unwrap(), found.recovered.audio.unwrap(), found.recovered.text.unwrap());
         let padded: Vec<f32> = sound().samples().iter().copied().chain(std::iter::repeat(0.0)).take(1024).collect();

@@ -79,8 +79,8 @@ impl Asked {
     }
 
     /// SSIM of what was recovered against the picture of identity `truth`, if it hides one.
-    fn likeness(&self, truth: usize, recovered: &Signal) -> anyhow::Result<Option<f64>> {
-        Ok(picture_ssim(&self.signals[truth - 1], recovered)?)
+    fn likeness(&self, truth: usize, found: &Detection) -> anyhow::Result<Option<f64>> {
+        Ok(picture_ssim(&self.signals[truth - 1], found)?)
     }
 }
 
@@ -166,13 +166,13 @@ fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Vec<Recove
         let (right, found) = asked.ask(&view.marked, view.truth)?;
         classes.count(right);
         classes.count(asked.ask(&view.base, 0)?.0);
-        read.push(found.recovered);
+        read.push(found);
     }
     let size = (views[0].base.width(), views[0].base.height());
     let mut identities = Vec::new();
     for (at, truth) in asked.signals.iter().enumerate() {
         let of = views.iter().zip(&read).filter(|(view, _)| view.truth == at + 1);
-        let seen: Vec<_> = of.map(|(view, recovered)| SeenView { base: &view.base, recovered }).collect();
+        let seen: Vec<_> = of.map(|(view, found)| SeenView { base: &view.base, found }).collect();
         identities.push(recovery(&asked.detector, (at as u32 + 1, ""), truth, &seen, size)?);
     }
     Ok((classes, identities))
@@ -227,7 +227,7 @@ fn harmed(
         classes.count(right);
         classes.count(asked.ask(&base, 0)?.0);
         if truth > 0 {
-            hidden.extend(asked.likeness(truth, &read.recovered)?);
+            hidden.extend(asked.likeness(truth, &read)?);
         }
     }
     Ok(Harmed { name: name.to_owned(), set, classes, ssim: mean(&hidden) })
