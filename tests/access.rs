@@ -22,7 +22,8 @@ const CLOSED: &str = "[access]\nmode = \"accounts\"\nread = \"closed\"\n";
 const DELETE: &str = "/cairn.v1.SceneService/Delete";
 const START: &str = "/cairn.v1.TrainingService/Start";
 /// Steps that nobody waits for.
-const ENDLESS: &str = "[field]\nsteps = 1000000\nrays_per_step = 64\nvoxels = 4096\nlevels = 1\n[quarantine]\nenabled = false";
+const ENDLESS: &str =
+    "[field]\nsteps = 1000000\nrays_per_step = 64\nvoxels = 4096\nlevels = 1\n[quarantine]\nenabled = false";
 
 /// A daemon with an operator, and people with keys.
 struct World {
