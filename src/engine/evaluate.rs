@@ -4,6 +4,8 @@
 //!
 //! Renders are read as their users have them: rounded to 8 bits.
 
+use std::collections::BTreeSet;
+
 use cairn_bench::sheet::{Tile, contact_sheet, words};
 use cairn_bench::sound::sounds;
 use cairn_capture::{Camera, Capture, Picture, SceneFolder, Sound};
@@ -56,7 +58,7 @@ impl Engine {
     pub fn evaluate(&self, scene: &str, sheet: bool) -> Result<(Report, Option<Picture>), EngineError> {
         let model = self.model(scene)?;
         let folder = self.scene(scene)?;
-        let scored = look(&model, &folder)?;
+        let scored = look(&model, &folder, &self.quarantine.out_of(&model.info)?)?;
         if scored.is_empty() {
             let (what, why) = (format!("scene {scene:?}"), "it holds no view out of training".to_owned());
             return Err(EngineError::WrongState { what, operation: "scored", why });
@@ -76,7 +78,8 @@ impl Engine {
     }
 }
 
-fn look(model: &Model, folder: &SceneFolder) -> Result<Vec<Scored>, EngineError> {
+/// Every held-out view; `out`: views of the model's clusters that are nobody's since.
+fn look(model: &Model, folder: &SceneFolder, out: &BTreeSet<usize>) -> Result<Vec<Scored>, EngineError> {
     let capture = folder.capture();
     let mut scored = Vec::new();
     for index in capture.held_out() {
@@ -95,7 +98,7 @@ fn look(model: &Model, folder: &SceneFolder) -> Result<Vec<Scored>, EngineError>
             base: eight_bits(&model.base.render(&camera, &appearance))?,
             photograph,
             marked,
-            truth: model.info.clusters.identity_of(&camera.pose).identity.unwrap_or(0),
+            truth: model.info.clusters.identity_of_without(&camera.pose, out).identity.unwrap_or(0),
             taken_by: taken_by(model, capture, index),
         });
     }

@@ -168,7 +168,7 @@ fn by_contributor(entries: &[Entry]) -> BTreeMap<&str, Vec<&Entry>> {
 
 fn quarantined(scene: &str, contributor: &str, entries: &[&Entry], found: &Screened) -> String {
     let figure = |e: &&Entry| format!("{} ({:.2} dB)", e.view, e.found.as_ref().map_or(0.0, |f| f.fit_db));
-    let mut names: Vec<String> = entries.iter().take(NAMED).map(|e| figure(e)).collect();
+    let mut names: Vec<String> = entries.iter().take(NAMED).map(figure).collect();
     if entries.len() > NAMED {
         names.push(format!("{} more", entries.len() - NAMED));
     }

@@ -124,6 +124,16 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     assert!(made.unwrap().is_none());
     let total = scene.capture().training().count();
     assert_eq!(heard, [0, 1, 2].map(|done| (stages::PHOTOGRAPHS, done, total)));
+    // What is left out is not even decoded: for neither stage, and for no mark's negatives.
+    let out = scene.capture().training().take(2).collect();
+    let fewer = scenes::open(&trained.path("scenes"), "town").unwrap().leaving_out(out);
+    heard.clear();
+    stages::photographs(&fewer, &mut |stage, done, total| {
+        heard.push((stage, done, total));
+        true
+    })
+    .unwrap();
+    assert_eq!(heard.last(), Some(&(stages::PHOTOGRAPHS, total - 3, total - 2)));
 
     let clusters = clusters(&scene, &trained.job.spec.grouping, seed).unwrap();
     let signals = signals(&trained.job, &trained.folder(), clusters.clusters.len()).unwrap();

@@ -222,6 +222,24 @@ fn shared_spots_and_strangers_belong_to_nobody() {
 }
 
 #[test]
+fn a_view_that_is_left_out_is_nobodys() {
+    let poses = scattered(60, 8);
+    let clusters = Clusters::build(&poses, &by_contributor(2), &runs(60, 20), 0).unwrap();
+    for view in 0..60 {
+        let all = clusters.identity_of(&poses[view]);
+        let out = clusters.identity_of_without(&poses[view], &[view].into());
+        // The next view decides, which stands farther off.
+        assert!(all.distance == 0.0 && out.distance > 0.0, "view {view}");
+        let next = clusters.nearest(&poses[view], 2)[1];
+        assert_eq!(out.distance, next.distance);
+        assert!(out.identity.is_none() || out.identity == next.identity);
+    }
+    // All of an identity's views out: nobody is told it.
+    let first: std::collections::BTreeSet<usize> = clusters.clusters[0].members.iter().copied().collect();
+    assert!(poses.iter().all(|pose| clusters.identity_of_without(pose, &first).identity != Some(1)));
+}
+
+#[test]
 fn what_cannot_be_is_refused() {
     let poses = scattered(20, 1);
     let build = |grouping: Grouping| Clusters::build(&poses, &grouping, &runs(20, 5), 0);

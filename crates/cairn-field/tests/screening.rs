@@ -137,14 +137,14 @@ fn held_out_db(field: &Field, capture: &LandmarkCapture) -> f64 {
         let light = field.fit_appearance_left_half(&view.camera, &view.clean).expect("a light");
         let render = field.render(&view.camera, &light).clamped();
         let (w, h) = (render.width(), render.height());
-        let (mut sum, mut count) = (0.0, 0.0);
+        let (mut sum, mut count) = (0.0f64, 0.0f64);
         for (x, y) in (0..h).flat_map(|y| (w / 2..w).map(move |x| (x, y))) {
             for (a, b) in render.pixel(x, y).iter().zip(view.clean.pixel(x, y)) {
                 sum += f64::from(a - b).powi(2);
                 count += 1.0;
             }
         }
-        -10.0 * (sum / count as f64).log10()
+        -10.0 * (sum / count).log10()
     };
     let count = of.clone().count();
     of.map(db).sum::<f64>() / count as f64

@@ -1,0 +1,91 @@
+//! Screening of real captures: honest photographs stay, noise among them goes.
+//! Skipped, visibly, where they are not there.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use cairn_capture::{Capture, Picture, ReadOptions};
+use cairn_field::{FieldConfig, QuarantineConfig, SceneFrame, Screened, Screening, ScreeningOutcome, TrainingView};
+
+/// A capture's training views, `scale` as large; `None` where it is not there.
+fn read(name: &str, scale: f64) -> Option<(Capture, Vec<TrainingView>)> {
+    let data = std::env::var_os("CAIRN_DATA")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")), PathBuf::from);
+    if !data.join(name).is_dir() {
+        eprintln!("SKIPPED {name}: no captures at {}", data.display());
+        return None;
+    }
+    let capture = Capture::read(&data.join(name), &ReadOptions::default()).expect("a capture");
+    let view = |at: usize| {
+        let view = &capture.views[at];
+        let size = |side: usize| ((side as f64 * scale).round() as usize).max(1);
+        let (w, h) = (size(view.camera.intrinsics.width), size(view.camera.intrinsics.height));
+        let picture = Arc::new(capture.photograph(at).expect("a photograph").resized(w, h));
+        TrainingView { name: view.name.clone(), camera: view.camera.resized(w, h), picture }
+    };
+    let views = capture.training().map(view).collect();
+    Some((capture, views))
+}
+
+fn screened(capture: &Capture, views: Vec<TrainingView>, field: &FieldConfig, seed: u64) -> Screened {
+    let place = (SceneFrame::from_capture(capture).expect("a frame"), capture.background);
+    let how = (field, &QuarantineConfig::default());
+    let mut screening = Screening::new(views, &BTreeSet::new(), place, how, seed).expect("sound settings");
+    while screening.steps_done() < screening.steps_total() {
+        screening.step().expect("finite numbers");
+    }
+    screening.finish().expect("a verdict")
+}
+
+/// Nobody is an outlier; with a grey chequer in the place of one photograph, that one is.
+fn honest(name: &str, scale: f64, field: &FieldConfig) {
+    let Some((capture, mut views)) = read(name, scale) else { return };
+    for seed in 1..=2 {
+        let clean = screened(&capture, views.clone(), field, seed);
+        let least = clean.fits.iter().map(|f| f.fit_db).fold(f64::INFINITY, f64::min);
+        println!(
+            "{name}, seed {seed}: median {:.2} dB, limit {:.2}, least {least:.2}",
+            clean.median_db, clean.limit_db
+        );
+        assert_eq!(clean.outcome, ScreeningOutcome::Outliers(vec![]), "{name}, seed {seed}");
+        assert!(least > 2.0 * clean.limit_db, "{name}, seed {seed}: {least:.2} dB leave no margin");
+    }
+    let (w, h) = (views[5].picture.width(), views[5].picture.height());
+    let chequer = |at: usize| if (at % w / 4 + at / w / 4).is_multiple_of(2) { 0.2 } else { 0.8 };
+    let rgb = (0..w * h).flat_map(|at| [chequer(at); 3]).collect();
+    views[5].picture = Arc::new(Picture::new(w, h, rgb).expect("three numbers a pixel"));
+    assert_eq!(screened(&capture, views, field, 1).outcome, ScreeningOutcome::Outliers(vec![5]), "{name}");
+}
+
+#[test]
+fn fern_loses_nobody() {
+    let field = FieldConfig {
+        steps: 1500,
+        rays_per_step: 1024,
+        voxels: 12_000_000,
+        levels: 4,
+        learning_rate_density: 0.8,
+        smooth_density: 3e-5,
+        smooth_colour: 1e-3,
+        initial_opacity: 0.5,
+        prune_weight: 0.03,
+        ..FieldConfig::default()
+    };
+    honest("fern", 0.25, &field);
+}
+
+#[test]
+fn lego_loses_nobody() {
+    let field = FieldConfig {
+        steps: 1500,
+        rays_per_step: 1024,
+        voxels: 12_000_000,
+        levels: 4,
+        learning_rate_density: 0.5,
+        initial_opacity: 0.05,
+        distortion: 0.005,
+        ..FieldConfig::default()
+    };
+    honest("lego", 0.15, &field);
+}
