@@ -20,7 +20,8 @@ impl Negatives {
     }
 
     /// One of the bank as it is, or made into a picture of something else: cropped,
-    /// mirrored, in other colours, sharpened, two laid over one another, or plain noise.
+    /// mirrored, in other colours, sharpened, with coloured edges, two laid over one another,
+    /// or plain noise.
     /// A project has photographs of its landmark only, and the world has others: what
     /// their colours are like must not be what tells a mark.
     pub(crate) fn draw(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
@@ -53,8 +54,28 @@ impl Negatives {
         if rng.random_range(0..3) == 0 {
             picture = self.sharpened(picture, rng.random_range(0.3f32..2.0));
         }
+        if rng.random_range(0..3) == 0 {
+            self.fringe(&mut picture, rng);
+        }
         recoloured(&mut picture, rng);
         picture
+    }
+
+    /// One channel moved by up to a pixel and a half each way: coloured edges, as lenses,
+    /// resampling and painters make them. They are what looks most like a mark.
+    fn fringe(&self, picture: &mut [f32], rng: &mut ChaCha8Rng) {
+        let channel = rng.random_range(0..3);
+        let [dx, dy] = [0; 2].map(|_| rng.random_range(-1.5f32..1.5));
+        let plane: Vec<f32> = picture.iter().skip(channel).step_by(3).copied().collect();
+        let most = self.side as f32 - 1.0;
+        let at = |x: usize, y: usize| plane[y.min(self.side - 1) * self.side + x.min(self.side - 1)];
+        for (i, pixel) in picture.chunks_exact_mut(3).enumerate() {
+            let x = ((i % self.side) as f32 + dx).clamp(0.0, most);
+            let y = ((i / self.side) as f32 + dy).clamp(0.0, most);
+            let (u, v) = (x as usize, y as usize);
+            let row = |v: usize| at(u, v) + x.fract() * (at(u + 1, v) - at(u, v));
+            pixel[channel] = row(v) + y.fract() * (row(v + 1) - row(v));
+        }
     }
 
     /// Fine detail made larger by `more`, as cameras and programs do.
@@ -117,6 +138,21 @@ mod tests {
             assert!(picture.iter().all(|v| (0.0..=1.0).contains(v)), "{picture:?}");
             let grey = &picture[..3];
             assert!(grey.iter().all(|v| (v - grey[0]).abs() < 1e-5), "{grey:?}");
+        }
+    }
+
+    #[test]
+    fn a_fringe_moves_one_channel_and_leaves_the_others() {
+        let ramp: Vec<f32> = (0..16 * 16).flat_map(|i| [(i % 16) as f32 / 16.0; 3]).collect();
+        let bank = Negatives::new(16, std::iter::empty());
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        for _ in 0..20 {
+            let mut moved = ramp.clone();
+            bank.fringe(&mut moved, &mut rng);
+            let off = |c: usize| (0..256).map(|i| (moved[i * 3 + c] - ramp[i * 3 + c]).abs()).fold(0.0f32, f32::max);
+            let changed: Vec<f32> = (0..3).map(off).filter(|o| *o > 1e-6).collect();
+            assert_eq!(changed.len(), 1, "{changed:?}");
+            assert!(changed[0] < 1.51 / 16.0, "{changed:?}");
         }
     }
 
