@@ -1,3 +1,5 @@
+//! Distortions against an outside reference, by hand and by their transposes.
+
 use super::stretch::Stretch;
 use super::*;
 use serde_json::Value;
