@@ -124,6 +124,12 @@ impl Args {
         format!("{case}{}{}", if self.quick { ", quick" } else { "" }, settings.unwrap_or_default())
     }
 
+    /// What stands in the file of settings; nothing where there is none.
+    fn settings_text(&self) -> anyhow::Result<String> {
+        let Some(path) = &self.settings else { return Ok(String::new()) };
+        String::from_utf8(super::read(path)?).with_context(|| format!("{} is no text", path.display()))
+    }
+
     /// The folder that holds the captures.
     fn captures(&self) -> anyhow::Result<PathBuf> {
         let captures = self.captures.clone().or_else(|| std::env::var_os("CAIRN_DATA").map(PathBuf::from));

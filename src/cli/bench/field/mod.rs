@@ -111,10 +111,7 @@ impl Run {
             if args.quick { (Some(QUICK_SIDE_PX), Some(QUICK_VIEWS)) } else { (None, None) };
         let source = Source { folder, longest_side_px, most_views };
         let overlay = overlay_for(source.open()?.kind());
-        let settings = match &args.settings {
-            Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?,
-            None => String::new(),
-        };
+        let settings = args.settings_text()?;
         let mut overlays = vec![overlay];
         if args.quick {
             overlays.push(("the quick settings", QUICK_TOML));

@@ -181,10 +181,7 @@ impl Run {
         let folder = captures.join(case.name.as_str());
         let source = sized(folder.canonicalize().with_context(|| format!("cannot find {}", folder.display()))?);
         let overlay = overlay_for(source.open()?.kind());
-        let settings = match &args.settings {
-            Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?,
-            None => String::new(),
-        };
+        let settings = args.settings_text()?;
         let mut overlays = vec![overlay];
         if args.quick {
             overlays.push(("the quick settings", QUICK_TOML));
