@@ -122,7 +122,7 @@ pub struct MarkConfig {
     /// (nats, 0.001 to 10): from theta = theta_0 the detector would collapse to
     /// silence. A training that never gets there ends in an error.
     pub classify_until: f64,
-    /// Photographs' poses of each cluster to train on, evenly, at most, and half of those
+    /// Photographs' poses of each cluster to train on, evenly, at most, and twice as many
     /// outside all clusters; 1 to 10,000. Each takes some tens of MiB of ray weights.
     pub views: usize,
     /// Poses between each cluster's photographs to train on as well, 0 to 256.
