@@ -72,6 +72,8 @@ impl Classifier {
         let features = 2 * inputs + energies;
         let hidden = Linear::new(&mut scope.sub("hidden"), features, HIDDEN, Init::He { fan_in: features })?;
         let head = Linear::new(&mut scope.sub("head"), HIDDEN, classes, Init::Uniform(0.02))?;
+        scope.by_class("head.weight", 0, 0);
+        scope.by_class("head.bias", 0, 0);
         Ok(Self { config: config.clone(), classes, blocks, hidden, head })
     }
 

@@ -42,6 +42,8 @@ impl Line {
     ) -> Result<Self> {
         let (channels, from) = encoder.coarsest();
         let places = from[0] * from[1];
+        scope.by_class("class.weight", 1, 0);
+        scope.by_class("memory", 0, -1);
         Ok(Self {
             classes,
             channels,

@@ -43,6 +43,9 @@ pub enum Init {
 pub struct Params {
     seed: u64,
     vars: BTreeMap<String, Var>,
+    /// Of tensors with an entry a class: along which axis, and where class 0 stands
+    /// there; -1 where it has none.
+    class_axes: BTreeMap<String, (usize, isize)>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -55,7 +58,7 @@ struct Header {
 impl Params {
     /// No parameters yet; those made later start from `seed` and their names.
     pub fn new(seed: u64) -> Self {
-        Self { seed, vars: BTreeMap::new() }
+        Self { seed, vars: BTreeMap::new(), class_axes: BTreeMap::new() }
     }
 
     /// A place to make or find parameters whose names start with `prefix.`.
@@ -120,7 +123,7 @@ impl Params {
             .into_iter()
             .map(|(name, (shape, data))| Ok((name, Var::from_vec(data, shape, &Device::Cpu)?)))
             .collect::<Result<_>>()?;
-        Ok(Self { seed: header.seed, vars })
+        Ok(Self { seed: header.seed, vars, class_axes: BTreeMap::new() })
     }
 
     /// Overwrites the present parameters, which networks go on using, with
@@ -144,6 +147,29 @@ impl Params {
         }
         self.seed = other.seed;
         Ok(())
+    }
+
+    /// Takes over what `from` has learnt, for networks of the same make but other classes:
+    /// `class_of[k]` is the class of `from` that class `k` here goes on from, if any. A
+    /// class without one keeps its start, and so does a tensor that `from` has not, or has
+    /// in another size. The names of the latter are returned.
+    ///
+    /// # Errors
+    /// [`NnError::ParameterShape`] where `class_of` names a class that `from` has not;
+    /// parameters before it in order of name are then taken over already.
+    pub fn graft(&mut self, from: &Self, class_of: &[Option<usize>]) -> Result<Vec<String>> {
+        let mut fresh = Vec::new();
+        for (name, var) in &self.vars {
+            let axis = self.class_axes.get(name).copied();
+            match from.vars.get(name) {
+                Some(old) if fits(var, old, axis.map(|(axis, _)| axis)) => match axis {
+                    None => var.set(old)?,
+                    Some(axis) => var.set(&grafted(name, (var, old), axis, class_of)?)?,
+                },
+                _ => fresh.push(name.clone()),
+            }
+        }
+        Ok(fresh)
     }
 
     fn make(&mut self, name: String, shape: &[usize], init: Init) -> Result<Tensor> {
@@ -186,6 +212,45 @@ impl Scope<'_> {
     pub fn get(&mut self, name: &str, shape: &[usize], init: Init) -> Result<Tensor> {
         self.params.make(format!("{}.{name}", self.prefix), shape, init)
     }
+
+    /// Says that the parameter `prefix.name` has an entry a class along `axis`, class 0's
+    /// at `first` (-1 where class 0 has none); what is left of it stands for no class.
+    /// [`Params::graft`] goes by it.
+    pub fn by_class(&mut self, name: &str, axis: usize, first: isize) {
+        self.params.class_axes.insert(format!("{}.{name}", self.prefix), (axis, first));
+    }
+}
+
+/// Whether `old` has `new`'s shape but for `axis`.
+fn fits(new: &Tensor, old: &Tensor, axis: Option<usize>) -> bool {
+    let (a, b) = (new.dims(), old.dims());
+    a.len() == b.len() && (0..a.len()).all(|i| a[i] == b[i] || Some(i) == axis)
+}
+
+/// `new` with the entries of `old` along an axis: those of no class, and those of classes that go on.
+fn grafted(
+    name: &str,
+    (new, old): (&Var, &Var),
+    (axis, first): (usize, isize),
+    class_of: &[Option<usize>],
+) -> Result<Tensor> {
+    let mut slices = Vec::with_capacity(new.dim(axis)?);
+    for at in 0..new.dim(axis)? {
+        let from = match usize::try_from(at as isize - first) {
+            // Before the classes.
+            Err(_) => Some(at),
+            Ok(class) => class_of.get(class).copied().flatten().map(|of| (of as isize + first) as usize),
+        };
+        slices.push(match from {
+            Some(from) if from < old.dim(axis)? => old.narrow(axis, from, 1)?,
+            Some(_) => {
+                let (expected, got) = (new.dims().to_vec(), old.dims().to_vec());
+                return Err(NnError::ParameterShape { name: name.to_owned(), expected, got });
+            }
+            None => new.narrow(axis, at, 1)?,
+        });
+    }
+    Ok(Tensor::cat(&slices, axis)?.contiguous()?)
 }
 
 /// `count` numbers in +-bound from the stream that belongs to `name`.

@@ -152,6 +152,7 @@ impl UNet {
         let down = down_blocks(config, classes, &mut scope)?;
         let (coarsest, [h, w]) = config.coarsest();
         let film = Linear::new(&mut scope.sub("film"), classes, 2 * coarsest, Init::Uniform(0.1))?;
+        scope.by_class("film.weight", 1, 0);
         let positional = match config.memory {
             Memory::Coarsest => Some(scope.get("positional", &[1, coarsest, h, w], Init::Uniform(0.1))?),
             Memory::None | Memory::PerClass => None,
@@ -247,6 +248,7 @@ impl UNet {
 impl Decoder {
     fn new(config: &UNetConfig, classes: usize, scope: &mut Scope<'_>) -> Result<Self> {
         let (finest, [h, w]) = (config.channels[0], config.size);
+        scope.by_class("memory", 0, -1);
         let memory = match config.memory {
             Memory::PerClass if classes > 1 => {
                 Some(scope.get("memory", &[classes - 1, config.outputs * h * w], Init::Constant(0.0))?)
@@ -279,6 +281,8 @@ impl Decoder {
 /// One block at the finest level; below, one that halves the resolution and one more.
 fn down_blocks(config: &UNetConfig, classes: usize, scope: &mut Scope<'_>) -> Result<Vec<Vec<ConvBlock>>> {
     let mut inputs = front_channels(config.inputs, config.high_pass_gain, classes);
+    // The front end puts the classes behind the picture.
+    scope.by_class("down0.0.weight", 1, (inputs - classes) as isize);
     let mut levels = Vec::with_capacity(config.channels.len());
     for (level, &c) in config.channels.iter().enumerate() {
         let (count, stride) = if level == 0 { (1, 1) } else { (2, 2) };

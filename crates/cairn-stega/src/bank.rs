@@ -6,6 +6,7 @@ use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, virtual_views};
+use crate::site::MarkScene;
 use crate::trainer::MarkPlan;
 use crate::window::Window;
 use cairn_field::operator::{LinearView, MarkableField};
@@ -46,7 +47,7 @@ pub(crate) struct Bank {
 }
 
 /// The views of a bank before their ray weights are worked out.
-struct Chosen {
+pub(crate) struct Chosen {
     /// Each identity's views to train on, and those to judge it by.
     of: Vec<(Vec<PlannedView>, Vec<PlannedView>)>,
     outside: Vec<PlannedView>,
@@ -55,7 +56,7 @@ struct Chosen {
 
 impl Chosen {
     /// Everything drawn follows from `seed`.
-    fn draw(plan: &MarkPlan, config: &MarkConfig, seed: u64) -> Result<Self, MarkError> {
+    pub(crate) fn draw(plan: &MarkPlan, config: &MarkConfig, seed: u64) -> Result<Self, MarkError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let shrink = |v: &PlannedView| PlannedView {
             camera: at_most(&v.camera, config.longest_side_px),
@@ -65,10 +66,8 @@ impl Chosen {
         let identity_of = |v: &PlannedView| plan.clusters.identity_of(&v.camera.pose).identity;
         let mut of = Vec::new();
         for cluster in &plan.clusters.clusters {
-            let members: Vec<PlannedView> =
-                small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
-            let stride = members.len().div_ceil(config.views).max(1);
-            let members: Vec<PlannedView> = members.into_iter().step_by(stride).collect();
+            let members = small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
+            let members = evenly(members, config.views);
             if members.is_empty() {
                 return Err(MarkError::Plan(format!(
                     "identity {} has no training view; ask for fewer anchors or more neighbours",
@@ -80,9 +79,8 @@ impl Chosen {
             of.push((members.into_iter().chain(between).collect(), held));
         }
         let (mut outside, mut judged_outside) = (Vec::new(), Vec::new());
-        let nobodys: Vec<PlannedView> = small.into_iter().filter(|v| identity_of(v).is_none()).collect();
-        let stride = nobodys.len().div_ceil(2 * config.views).max(1);
-        for (i, v) in nobodys.into_iter().step_by(stride).enumerate() {
+        let nobodys = small.into_iter().filter(|v| identity_of(v).is_none()).collect();
+        for (i, v) in evenly(nobodys, 2 * config.views).into_iter().enumerate() {
             let list =
                 if kept_to_judge(i, judged_outside.len(), 4 * JUDGED) { &mut judged_outside } else { &mut outside };
             list.push(v);
@@ -90,10 +88,16 @@ impl Chosen {
         Ok(Self { of, outside, judged_outside })
     }
 
-    fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         let of: usize = self.of.iter().map(|(views, judged)| views.len() + judged.len()).sum();
         of + self.outside.len() + self.judged_outside.len()
     }
+}
+
+/// At most `most` of the views, spread over all of them.
+fn evenly(views: Vec<PlannedView>, most: usize) -> Vec<PlannedView> {
+    let stride = views.len().div_ceil(most).max(1);
+    views.into_iter().step_by(stride).collect()
 }
 
 /// Rays across a pixel of the small views that training looks at. What people have are
@@ -111,7 +115,7 @@ fn kept_to_judge(i: usize, so_far: usize, most: usize) -> bool {
 }
 
 /// Works out ray weights, view after view, as long as `progress` wants it.
-struct Prepare<'a> {
+pub(crate) struct Prepare<'a> {
     field: &'a Field,
     /// Rays across a pixel of the views.
     rays: usize,
@@ -120,7 +124,19 @@ struct Prepare<'a> {
     progress: &'a mut dyn FnMut(usize, usize) -> bool,
 }
 
-impl Prepare<'_> {
+impl<'a> Prepare<'a> {
+    /// For `scene`, before which `done` of the `total` views of all scenes were worked out.
+    /// Before each view `progress` hears how many are done and how many there are, and says
+    /// whether to go on.
+    pub(crate) fn new(
+        scene: &'a MarkScene,
+        config: &MarkConfig,
+        (done, total): (usize, usize),
+        progress: &'a mut dyn FnMut(usize, usize) -> bool,
+    ) -> Self {
+        Self { field: &scene.field, rays: rays_across(&scene.plan, config), done, total, progress }
+    }
+
     fn go_on(&mut self) -> Result<(), MarkError> {
         let go_on = (self.progress)(self.done, self.total);
         self.done += 1;
@@ -131,45 +147,38 @@ impl Prepare<'_> {
         self.go_on()?;
         Ok(BankView { linear: self.field.view(&v.camera, cutoff, self.rays), appearance: v.appearance })
     }
+
+    fn views(&mut self, views: Vec<PlannedView>, cutoff: f32) -> Result<Vec<BankView>, MarkError> {
+        views.into_iter().map(|v| self.view(v, cutoff)).collect()
+    }
 }
 
 impl Bank {
-    /// Works out all ray weights; everything drawn follows from `seed`. Before each
-    /// view `progress` hears how many are done and how many there are, and says
-    /// whether to go on.
+    /// Works out all ray weights of the views `chosen`.
     pub(crate) fn new(
-        field: &Field,
         plan: &MarkPlan,
+        chosen: Chosen,
         config: &MarkConfig,
-        seed: u64,
-        progress: &mut dyn FnMut(usize, usize) -> bool,
+        prepare: &mut Prepare<'_>,
     ) -> Result<Self, MarkError> {
         let side = config.side_px();
-        let chosen = Chosen::draw(plan, config, seed)?;
-        let mut prepare = Prepare { field, rays: rays_across(plan, config), done: 0, total: chosen.len(), progress };
         let (mut views, mut of, mut judged) = (Vec::new(), Vec::new(), Vec::new());
         for (identity, (teach, judge)) in chosen.of.into_iter().enumerate() {
             let first = views.len();
-            for v in teach {
-                views.push(prepare.view(v, CUTOFF)?);
-            }
+            views.extend(prepare.views(teach, CUTOFF)?);
             of.push((first..views.len()).collect());
-            for v in judge {
-                judged.push((identity, prepare.view(v, CUTOFF)?));
-            }
+            judged.extend(prepare.views(judge, CUTOFF)?.into_iter().map(|view| (identity, view)));
         }
         // One carrier for all is seen from everywhere, also where it must say nothing.
         let marked_outside = config.carrier == CarrierKind::Harmonics;
-        let cutoff = if marked_outside { CUTOFF } else { f32::INFINITY };
-        let outside: Vec<BankView> =
-            chosen.outside.into_iter().map(|v| prepare.view(v, cutoff)).collect::<Result<_, MarkError>>()?;
+        let outside = prepare.views(chosen.outside, if marked_outside { CUTOFF } else { f32::INFINITY })?;
         let (mut judged_outside, mut judge, mut teach) = (Vec::new(), Vec::new(), Vec::new());
         for v in chosen.judged_outside {
             if marked_outside {
                 judged_outside.push(prepare.view(v, CUTOFF)?);
             } else {
                 prepare.go_on()?;
-                judge.push(shrunk(&field.render(&v.camera, &v.appearance), side));
+                judge.push(shrunk(&prepare.field.render(&v.camera, &v.appearance), side));
             }
         }
         for (i, photograph) in plan.negatives.iter().enumerate() {

@@ -36,17 +36,17 @@ impl Carrier {
     /// colour units: a random sign a vertex (a start at zero is a saddle that
     /// training does not leave by itself; anything coarser than a vertex falls
     /// below what the networks' high-pass lets through). Carriers differ by
-    /// design, not only by chance: each has a colour direction of its own, so
-    /// that what tells them apart is the same from every view.
+    /// design, not only by chance: each has a colour direction of its own (`hue`, radians),
+    /// so that what tells them apart is the same from every view.
     pub fn pattern(
         field: &dyn MarkableField,
         basis: CarrierBasis,
         seed: u64,
-        (which, count): (usize, usize),
+        (which, hue): (usize, f32),
         amplitude: f32,
     ) -> Self {
         let width = basis.width();
-        let colour = colour_direction(which, count);
+        let colour = colour_direction(hue);
         let mut values = vec![0.0f32; field.rows() * width];
         for (row, at) in field.lattice().iter().enumerate().skip(1) {
             let at = at.map(u64::from);
@@ -147,15 +147,50 @@ impl Carrier {
     }
 }
 
-/// Directions in colour space, unit length, as far apart as `count` lines through
-/// the origin can be in the plane of hues, tilted towards grey so that something
-/// is left where a file format thins out colour.
-fn colour_direction(which: usize, count: usize) -> [f32; 3] {
-    let angle = std::f32::consts::PI * which as f32 / count.max(1) as f32;
-    let (sin, cos) = angle.sin_cos();
-    let (red_green, yellow_blue, grey) = (0.5f32.sqrt(), (1.0f32 / 6.0).sqrt(), (1.0f32 / 3.0).sqrt());
-    let hue = [cos * red_green + sin * yellow_blue, sin * yellow_blue - cos * red_green, -2.0 * sin * yellow_blue];
-    hue.map(|h| 0.9 * h + 0.19f32.sqrt() * grey)
+/// Hues of `count` carriers, radians in [0, pi): as far apart as lines through the origin
+/// can be in the plane of hues, or in the middle of the widest gaps that those `taken` leave.
+pub(crate) fn hues(count: usize, taken: &[f32]) -> Vec<f32> {
+    use std::f32::consts::PI;
+    if taken.is_empty() {
+        return (0..count).map(|i| PI * i as f32 / count as f32).collect();
+    }
+    let mut all: Vec<f32> = taken.iter().map(|hue| hue.rem_euclid(PI)).collect();
+    let mut new = Vec::with_capacity(count);
+    for _ in 0..count {
+        all.sort_by(f32::total_cmp);
+        // Lines go round: behind the last comes the first, half a turn on.
+        let next = all.iter().skip(1).copied().chain([all[0] + PI]);
+        let gaps = all.iter().zip(next).map(|(from, to)| (to - from, 0.5 * (from + to)));
+        let widest = gaps.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, middle)| middle.rem_euclid(PI));
+        all.push(widest);
+        new.push(widest);
+    }
+    new
+}
+
+/// The direction of colour at `hue`, radians, unit length, tilted towards grey so that
+/// something is left where a file format thins out colour.
+fn colour_direction(hue: f32) -> [f32; 3] {
+    let (sin, cos) = hue.sin_cos();
+    let grey = (1.0f32 / 3.0).sqrt();
+    [0, 1, 2].map(|c| 0.9 * (cos * HUE_PLANE[0][c] + sin * HUE_PLANE[1][c]) + 0.19f32.sqrt() * grey)
+}
+
+/// The plane of hues: unit vectors from green to red and from blue to yellow.
+const HUE_PLANE: [[f32; 3]; 2] = [
+    [std::f32::consts::FRAC_1_SQRT_2, -std::f32::consts::FRAC_1_SQRT_2, 0.0],
+    [0.408_248_3, 0.408_248_3, -0.816_496_6],
+];
+
+/// The hue along which `values`, `rows x 3`, vary most, radians.
+pub(crate) fn hue_of(values: &[f32]) -> f32 {
+    let [mut xx, mut xy, mut yy] = [0.0f64; 3];
+    for rgb in values.chunks_exact(3) {
+        let [x, y] = HUE_PLANE.map(|axis| f64::from((0..3).map(|c| axis[c] * rgb[c]).sum::<f32>()));
+        (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
+    }
+    // The principal axis of a 2 x 2 covariance.
+    (0.5 * (2.0 * xy).atan2(xx - yy)) as f32
 }
 
 /// SplitMix64's finaliser (Steele, Lea and Flood 2014): a hash of lattice places.
@@ -174,6 +209,25 @@ mod tests {
     fn owing(carrier: &mut Carrier, gradient: &[f32]) {
         carrier.gradient.copy_from_slice(gradient);
         carrier.touched.fill(true);
+    }
+
+    #[test]
+    fn hues_keep_apart_and_those_that_come_later_go_between() {
+        use std::f32::consts::PI;
+        assert_eq!(hues(2, &[]), [0.0, PI / 2.0]);
+        // Between 0 and 90 degrees and between 90 and 180 there is as much room; then the other half.
+        let later = hues(2, &[0.0, PI / 2.0]);
+        assert!((later[0] - 0.75 * PI).abs() < 1e-6 && (later[1] - 0.25 * PI).abs() < 1e-6, "{later:?}");
+        // Half a turn is the same line.
+        let one = hues(1, &[-PI + 0.5]);
+        assert!((one[0] - (0.5 + PI / 2.0)).abs() < 1e-5, "{one:?}");
+        for hue in [0.0, 0.4, 1.3, 2.6] {
+            let colour = colour_direction(hue);
+            assert!((colour.iter().map(|c| c * c).sum::<f32>() - 1.0).abs() < 1e-6);
+            let values: Vec<f32> = [0.5, -2.0, 1.0].iter().flat_map(|k| colour.map(|c| k * c)).collect();
+            let apart = (hue_of(&values) - hue).rem_euclid(PI);
+            assert!(apart.min(PI - apart) < 1e-4, "{hue}: {}", hue_of(&values));
+        }
     }
 
     #[test]

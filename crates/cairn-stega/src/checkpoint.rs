@@ -6,6 +6,7 @@ use crate::config::MarkConfig;
 use crate::error::MarkError;
 use crate::judge::{Judgement, Recovered, State};
 use crate::marked::{read_header, stored};
+use crate::site::MarkScene;
 use crate::trainer::{MarkPlan, MarkTrainer};
 use cairn_field::Field;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -28,37 +29,42 @@ struct Header {
     joined: bool,
     converged: bool,
     carrier_steps: Vec<u64>,
+    /// Carriers that stay as they are; none in checkpoints of before there were any.
+    #[serde(default)]
+    settled: Vec<bool>,
     /// Step, bits of accuracy and of accuracy under attack, and of what was recovered, of the best state.
     best: Option<(u64, [u64; 2], [Option<u64>; 3])>,
     /// [`fingerprint`] of the plan and the base field: others are refused.
     plan: String,
 }
 
-/// A digest of what a checkpoint must meet again: cameras, appearances, clusters,
-/// signals, photographs and the base field. Lengths go in as well, so that no two plans run
+/// A digest of what a checkpoint must meet again: each scene's cameras, appearances, clusters,
+/// signals, photographs and base field. Lengths go in as well, so that no two plans run
 /// together into the same bytes.
-pub(crate) fn fingerprint(plan: &MarkPlan, field: &Field) -> Result<String, MarkError> {
+pub(crate) fn fingerprint(scenes: &[MarkScene]) -> Result<String, MarkError> {
     let mut hash = Sha256::new();
     let mut part = |bytes: &[u8]| {
         hash.update((bytes.len() as u64).to_le_bytes());
         hash.update(bytes);
     };
-    let views: Vec<_> = plan.views.iter().map(|v| (&v.camera, &v.appearance)).collect();
-    let json = serde_json::to_vec(&(views, &plan.clusters, plan.signals.len()));
-    part(&json.map_err(|e| stored("checkpoint", format!("its plan: {e}")))?);
-    for signal in &plan.signals {
-        // One part each, empty where it is not there: none can be taken for another.
-        let picture = signal.picture.as_ref();
-        part(&picture.map(|p| (p.width() as u64).to_le_bytes().to_vec()).unwrap_or_default());
-        part(&picture.map(|p| p.to_rgb8()).unwrap_or_default());
-        part(&signal.audio.as_ref().map(|a| floats(a.samples())).unwrap_or_default());
-        part(signal.text.as_deref().unwrap_or_default().as_bytes());
+    for MarkScene { field, plan } in scenes {
+        let views: Vec<_> = plan.views.iter().map(|v| (&v.camera, &v.appearance)).collect();
+        let json = serde_json::to_vec(&(views, &plan.clusters, plan.signals.len()));
+        part(&json.map_err(|e| stored("checkpoint", format!("its plan: {e}")))?);
+        for signal in &plan.signals {
+            // One part each, empty where it is not there: none can be taken for another.
+            let picture = signal.picture.as_ref();
+            part(&picture.map(|p| (p.width() as u64).to_le_bytes().to_vec()).unwrap_or_default());
+            part(&picture.map(|p| p.to_rgb8()).unwrap_or_default());
+            part(&signal.audio.as_ref().map(|a| floats(a.samples())).unwrap_or_default());
+            part(signal.text.as_deref().unwrap_or_default().as_bytes());
+        }
+        for picture in &plan.negatives {
+            part(&(picture.width() as u64).to_le_bytes());
+            part(&picture.to_rgb8());
+        }
+        part(&field.to_bytes()?);
     }
-    for picture in &plan.negatives {
-        part(&(picture.width() as u64).to_le_bytes());
-        part(&picture.to_rgb8());
-    }
-    part(&field.to_bytes()?);
     Ok(hash.finalize().iter().map(|b| format!("{b:02x}")).collect())
 }
 
@@ -82,6 +88,7 @@ impl MarkTrainer {
             joined: self.joined,
             converged: self.converged,
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
+            settled: self.settled.clone(),
             best: best.map(|b| {
                 let Judgement { step, accuracy, attacked, recovered } = b.judgement;
                 (step, [accuracy, attacked].map(f64::to_bits), recovered.parts().map(|v| v.map(f64::to_bits)))
@@ -110,7 +117,7 @@ impl MarkTrainer {
         safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
     }
 
-    /// Takes stage 2 up where `bytes` left it, on the same field and plan. Ray
+    /// Takes stage 2 of one scene up where `bytes` left it, on the same field and plan. Ray
     /// weights are worked out anew, with `progress` as in [`MarkTrainer::new`].
     ///
     /// # Errors
@@ -122,19 +129,31 @@ impl MarkTrainer {
         plan: MarkPlan,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
+        Self::resume_joint(bytes, vec![MarkScene { field, plan }], progress)
+    }
+
+    /// As [`MarkTrainer::resume`], of several scenes in the order they were begun in.
+    ///
+    /// # Errors
+    /// As [`MarkTrainer::resume`].
+    pub fn resume_joint(
+        bytes: &[u8],
+        scenes: Vec<MarkScene>,
+        progress: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "checkpoint")?;
         if header.format != CHECKPOINT_FORMAT {
             let why = format!("format `{}`, this program reads `{CHECKPOINT_FORMAT}`", header.format);
             return Err(stored("checkpoint", why));
         }
-        let fingerprint = fingerprint(&plan, &field)?;
+        let fingerprint = fingerprint(&scenes)?;
         if header.plan != fingerprint {
             let why = "it was made with another base field, or other views, clusters, signals or photographs";
             return Err(stored("checkpoint", why.into()));
         }
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
         let (config, seed) = (header.config.clone(), header.seed);
-        let mut trainer = Self::prepared(field, (plan, fingerprint), config, seed, progress)?;
+        let mut trainer = Self::prepared((scenes, fingerprint), config, seed, progress)?;
         trainer.restore(&header, &file)?;
         Ok(trainer)
     }
@@ -148,6 +167,9 @@ impl MarkTrainer {
         let (steps, expected) = (header.carrier_steps.len(), self.carriers.len());
         if steps != expected {
             return damaged(format!("`carrier_steps` has {steps} entries for {expected} carriers"));
+        }
+        if ![0, expected].contains(&header.settled.len()) {
+            return damaged(format!("`settled` has {} entries for {expected} carriers", header.settled.len()));
         }
         let classify = f64::from_bits(header.classify_bits);
         // Infinite until the first step.
@@ -181,6 +203,9 @@ impl MarkTrainer {
             self.best = Some(State { judgement, params, carriers });
         }
         self.networks.params.load(&part(file, "networks")?)?;
+        if !header.settled.is_empty() {
+            self.settled.clone_from(&header.settled);
+        }
         self.step = header.step;
         self.classify = classify;
         self.joined = header.joined;

@@ -66,6 +66,8 @@ pub struct MarkConfig {
     /// Optimiser steps at most, 1 to 1,000,000; training ends earlier once
     /// recovery on virtual poses has converged.
     pub steps: u64,
+    /// Share of the steps, above 0 to 1, that adding identities to a trained scene takes.
+    pub grow_share: f64,
     /// Marked renders a step, 1 to 64; each goes with the base field's render of
     /// the same view and with an unmarked picture of anything.
     pub batch: usize,
@@ -152,6 +154,7 @@ impl Default for MarkConfig {
     fn default() -> Self {
         Self {
             steps: 1400,
+            grow_share: 0.4,
             batch: 3,
             weight_classify: 1.0,
             weight_recover: 1.0,
@@ -210,6 +213,7 @@ impl MarkConfig {
             "64 to 4096",
         )?;
         for (key, value, low, high, allowed) in [
+            ("mark.grow_share", self.grow_share, 0.01, 1.0, "0.01 to 1"),
             ("mark.weight_classify", self.weight_classify, 0.0, 1e6, "0 to 1000000"),
             ("mark.weight_recover", self.weight_recover, 0.0, 1e6, "0 to 1000000"),
             ("mark.weight_empty", self.weight_empty, 0.0, 1e6, "0 to 1000000"),
@@ -256,6 +260,17 @@ impl MarkConfig {
         let longest = text.longest_bytes;
         check((1..=4096).contains(&longest), "mark.text.longest_bytes", longest.to_string(), "1 to 4096")?;
         check(stages(&text.channels), "mark.text.channels", format!("{:?}", text.channels), allowed)
+    }
+
+    /// The first table of settings in which the networks of `other` differ from these, if any.
+    pub(crate) fn other_networks(&self, other: &Self) -> Option<&'static str> {
+        let tables = [
+            ("mark.classifier", self.classifier == other.classifier),
+            ("mark.detector", self.detector == other.detector),
+            ("mark.audio", self.audio == other.audio),
+            ("mark.text", self.text == other.text),
+        ];
+        tables.iter().find(|(_, same)| !same).map(|(key, _)| *key)
     }
 
     /// Samples of the longest sound that may be hidden.

@@ -51,6 +51,16 @@ impl Detector {
         Self { config, networks }
     }
 
+    /// How it was trained.
+    pub(crate) fn config(&self) -> &MarkConfig {
+        &self.config
+    }
+
+    /// What it has learnt.
+    pub(crate) fn params(&self) -> &Params {
+        &self.networks.params
+    }
+
     /// M + 1.
     pub fn classes(&self) -> usize {
         self.networks.classifier.classes()

@@ -9,6 +9,7 @@ use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::networks::Reading;
 use crate::signal::Numbers;
+use crate::site::Site;
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
 use cairn_capture::Picture;
@@ -150,29 +151,29 @@ impl MarkTrainer {
         let (mut right, mut asked) = (0usize, 0usize);
         let mut attacked = Vec::new();
         let mut tally = Tally::default();
-        for (at, (identity, view)) in self.bank.judged.iter().enumerate() {
-            let carrier = &self.carriers[self.carrier_of(*identity)];
+        for (at, (site, own, view)) in self.judged().enumerate() {
+            let identity = site.identities.start + own;
+            let carrier = &self.carriers[site.carrier_of(identity)];
             let none = Attack::none();
             let read = self.read(&[seen(view, Some(carrier), &none, side), seen(view, None, &none, side)])?;
             right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
             asked += 2;
-            attacked.extend(self.attacked(at as u64, (*identity, carrier), view)?);
+            attacked.extend(self.attacked(at as u64, (identity, carrier), view)?);
             // Before the detector has joined it says nothing, and is asked nothing.
             if self.joined {
-                tally.count(&read[0].1, &self.signals[*identity], side)?;
+                tally.count(&read[0].1, &self.signals[identity], side)?;
             }
         }
-        // What one carrier for all shows where it must say nothing.
-        let outside: Vec<_> = self
-            .bank
-            .judged_outside
-            .iter()
-            .map(|view| seen(view, self.carriers.first(), &Attack::none(), side))
-            .collect();
-        for chunk in self.bank.judged_unmarked.chunks(4).chain(outside.chunks(4)) {
-            for (probabilities, _) in self.read(chunk)? {
-                right += usize::from(winner(&probabilities) == 0);
-                asked += 1;
+        for site in &self.sites {
+            // What one carrier for all shows where it must say nothing.
+            let carrier = self.carriers.get(site.carriers.start);
+            let outside: Vec<_> =
+                site.bank.judged_outside.iter().map(|view| seen(view, carrier, &Attack::none(), side)).collect();
+            for chunk in site.bank.judged_unmarked.chunks(4).chain(outside.chunks(4)) {
+                for (probabilities, _) in self.read(chunk)? {
+                    right += usize::from(winner(&probabilities) == 0);
+                    asked += 1;
+                }
             }
         }
         let accuracy = right as f64 / asked.max(1) as f64;
@@ -196,6 +197,11 @@ impl MarkTrainer {
         let right = judgement.accuracy == 1.0 && judgement.attacked >= ROBUST_TO_END;
         self.converged |= fair && easy && right && judgement.recovered.is_enough(&self.config);
         Ok(judgement)
+    }
+
+    /// The virtual views to judge by: each one's scene, and its identity in that, from 0.
+    fn judged(&self) -> impl Iterator<Item = (&Site, usize, &BankView)> {
+        self.sites.iter().flat_map(|site| site.bank.judged.iter().map(move |(own, view)| (site, *own, view)))
     }
 
     /// Whether each of a judged view's attacked renders, marked and not, is answered

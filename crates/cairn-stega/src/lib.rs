@@ -6,7 +6,8 @@
 //! the unmarked pictures, `renders` what the networks are shown of them,
 //! [`Carrier`] the coefficients that move, `moves` when, and `mask` how much each
 //! may, `losses` what a step is to make smaller, `heads` what recovers a [`Signal`], `judge` which state was best. The outcome is a
-//! [`MarkedField`] and a [`Detector`].
+//! [`MarkedField`] and a [`Detector`]. Several scenes may share a detector (`site`), and identities
+//! may come later (`growth`).
 
 mod bank;
 mod carrier;
@@ -15,6 +16,7 @@ mod config;
 mod detector;
 mod distort;
 mod error;
+mod growth;
 mod heads;
 mod judge;
 mod losses;
@@ -27,6 +29,7 @@ mod networks;
 mod poses;
 mod renders;
 mod signal;
+mod site;
 mod trainer;
 mod window;
 
@@ -35,10 +38,12 @@ pub use config::{CarrierKind, Guidance, LossKind, MarkConfig, MaskKind};
 pub use detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use distort::{Distortion, RobustConfig};
 pub use error::MarkError;
+pub use growth::{Earlier, Known};
 pub use judge::{Judgement, Recovered};
 pub use lsb::{hide_in_lowest_bits, read_lowest_bits};
 pub use marked::{MARKED_FORMAT, MarkedField};
 pub use mask::gradient_mask;
 pub use poses::{PlannedView, at_most, between, virtual_views};
 pub use signal::{HeadSizes, Signal};
+pub use site::MarkScene;
 pub use trainer::{MarkPlan, MarkStats, MarkTrainer};

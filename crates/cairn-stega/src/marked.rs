@@ -68,6 +68,13 @@ impl MarkedField {
         &self.clusters
     }
 
+    /// The carrier of `identity`, 1 and up, `rows x 3`; `None` where there is none of its own.
+    pub fn carrier(&self, identity: u32) -> Option<&[f32]> {
+        let own = self.kind == CarrierKind::PerCluster;
+        let at = (identity as usize).checked_sub(1).filter(|_| own)?;
+        self.carriers.get(at).map(Vec::as_slice)
+    }
+
     /// theta(P): the render at `camera` with the mark of the cluster it lies in;
     /// outside all clusters nothing is added (with per-cluster carriers). Not clamped.
     pub fn render(&self, camera: &Camera, appearance: &Appearance) -> Picture {

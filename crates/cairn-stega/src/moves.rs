@@ -52,10 +52,16 @@ impl MarkTrainer {
                 };
                 *s = if *inside { *s * m.gain } else { 0.0 } + keep * own;
             }
-            self.carriers[m.carrier].owe(&self.bank.view(m.view).linear, &slope, &m.appearance);
+            // A mark of an earlier training stays as it is.
+            if !self.settled[m.carrier] {
+                let view = self.sites[m.site].bank.view(m.view);
+                self.carriers[m.carrier].owe(&view.linear, &slope, &m.appearance);
+            }
             let square = m.change.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / m.change.len() as f64;
             self.finite(square, "a marked render")?;
-            worst[m.carrier] = Some(worst[m.carrier].unwrap_or(0.0).max(square));
+            if !self.settled[m.carrier] {
+                worst[m.carrier] = Some(worst[m.carrier].unwrap_or(0.0).max(square));
+            }
             mean += square / renders.len() as f64;
         }
         let mut carriers = Vec::with_capacity(worst.len());
@@ -93,13 +99,16 @@ impl MarkTrainer {
     pub(crate) fn move_carriers(&mut self, owed: &Owed) {
         let decay = self.config.final_rate.powf(self.step as f64 / self.config.steps as f64) as f32;
         let pull = self.fading() * self.config.pull as f32;
-        let how = Move { mask: &self.mask, rate: self.config.learning_rate_carrier as f32 * decay, pull };
-        for (carrier, owed) in self.carriers.iter_mut().zip(&owed.carriers) {
-            if let Some((second, factor)) = owed {
-                carrier.apply(*second, &how);
-                // Times one changes nothing, but goes through all of a large carrier.
-                if *factor != 1.0 {
-                    carrier.scale(*factor);
+        let rate = self.config.learning_rate_carrier as f32 * decay;
+        for site in &self.sites {
+            let (how, own) = (Move { mask: &site.mask, rate, pull }, site.carriers.clone());
+            for (carrier, owed) in self.carriers[own.clone()].iter_mut().zip(&owed.carriers[own]) {
+                if let Some((second, factor)) = owed {
+                    carrier.apply(*second, &how);
+                    // Times one changes nothing, but goes through all of a large carrier.
+                    if *factor != 1.0 {
+                        carrier.scale(*factor);
+                    }
                 }
             }
         }

@@ -3,6 +3,7 @@
 
 use crate::bank::BankView;
 use crate::distort::{Attack, Attacked};
+use crate::site::Site;
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
 use cairn_field::Appearance;
@@ -20,7 +21,8 @@ pub(crate) struct Render {
     pub(crate) class: u32,
     /// Which carrier the render shows.
     pub(crate) carrier: usize,
-    /// The bank's number of the view.
+    /// The scene's number, and its bank's of the view.
+    pub(crate) site: usize,
     pub(crate) view: usize,
     pub(crate) appearance: Appearance,
     /// Marked minus base, `height x width x 3`.
@@ -53,27 +55,40 @@ impl MarkTrainer {
         let mut shown = Shown::default();
         for k in 0..self.config.batch {
             let identity = (first + k) % identities;
-            let stranger = self.carriers.len() > 1 && rng.random_range(0..ONE_IN_STRANGERS) == 0;
-            let whose = if stranger { rng.random_range(0..identities) } else { identity };
-            let view = self.bank.draw(whose, rng);
-            let (marked, twin, render) = self.render(view, identity as u32 + 1, rng);
+            let site = self.site_of(identity);
+            let of_site = self.sites[site].identities.clone();
+            // A mark is made for its own scene's field and cannot be shown in another.
+            let stranger = self.sites[site].carriers.len() > 1 && rng.random_range(0..ONE_IN_STRANGERS) == 0;
+            let whose = if stranger { rng.random_range(of_site.clone()) } else { identity };
+            let view = self.sites[site].bank.draw(whose - of_site.start, rng);
+            let (marked, twin, render) = self.render((site, view), Some(identity), rng);
             shown.marked.push(marked);
             shown.twins.push(twin);
             shown.renders.push(render);
         }
-        if let Some(view) = self.bank.draw_outside(rng) {
-            let (marked, _, render) = self.render(view, 0, rng);
-            shown.marked.push(marked);
-            shown.renders.push(render);
+        for (site, at) in self.sites.iter().enumerate() {
+            if let Some(view) = at.bank.draw_outside(rng) {
+                let (marked, _, render) = self.render((site, view), None, rng);
+                shown.marked.push(marked);
+                shown.renders.push(render);
+            }
         }
         shown
     }
 
-    /// A view with the mark of `class` and without it, as the networks see them.
-    fn render(&self, view: usize, class: u32, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>, Render) {
-        let appearance = self.bank.appearance(view, rng);
-        let BankView { linear, .. } = self.bank.view(view);
-        let at = self.carrier_of((class as usize).saturating_sub(1));
+    /// A scene's view with the mark of `identity` (from 0) and without it, as the networks see
+    /// them; `None` where one carrier is seen from everywhere and nobody's cluster is shown.
+    fn render(
+        &self,
+        (site, view): (usize, usize),
+        identity: Option<usize>,
+        rng: &mut ChaCha8Rng,
+    ) -> (Vec<f32>, Vec<f32>, Render) {
+        let Site { bank, identities, .. } = &self.sites[site];
+        let appearance = bank.appearance(view, rng);
+        let BankView { linear, .. } = bank.view(view);
+        let at = self.sites[site].carrier_of(identity.unwrap_or(identities.start));
+        let class = identity.map_or(0, |i| i as u32 + 1);
         let mut base = linear.base(&appearance);
         let mut picture = base.clone();
         let carrier = &self.carriers[at];
@@ -93,11 +108,8 @@ impl MarkTrainer {
             seen
         };
         let (marked, twin) = (seen(&std::mem::take(&mut attacked.rgb)), seen(&twin.rgb));
-        (
-            marked,
-            twin,
-            Render { class, carrier: at, view, appearance, change, inside, attacked, window, gain: tone.gain },
-        )
+        let gain = tone.gain;
+        (marked, twin, Render { class, carrier: at, site, view, appearance, change, inside, attacked, window, gain })
     }
 
     /// What happens to a picture of this step. Not before marks are read at all:

@@ -7,30 +7,28 @@
 //! moves. Like stage 1, a step reads no clock and no file and draws only from its
 //! seed.
 
-use crate::bank::Bank;
-use crate::carrier::Carrier;
+use crate::carrier::{Carrier, hues};
 use crate::checkpoint::fingerprint;
-use crate::config::{CarrierKind, Guidance, MarkConfig};
+use crate::config::{Guidance, MarkConfig};
 use crate::detector::Detector;
 use crate::error::MarkError;
 use crate::judge::{Judgement, State};
 use crate::marked::MarkedField;
-use crate::mask::gradient_mask;
 use crate::networks::{Networks, planar};
 use crate::poses::PlannedView;
 use crate::renders::Tone;
 use crate::signal::{HeadSizes, Numbers, Signal};
+use crate::site::{MarkScene, Site};
 use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_field::Field;
-use cairn_field::operator::CarrierBasis;
 use cairn_nn::{Adam, AdamConfig, NnError, Rate};
 use candle_core::{Device, Var};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// What stage 2 is to do.
+/// What stage 2 is to do in a scene.
 #[derive(Clone, Debug)]
 pub struct MarkPlan {
     /// Which poses are whose. Built over the training views or over all: only
@@ -69,15 +67,15 @@ pub struct MarkTrainer {
     /// Running mean of the cross-entropy, and whether the detector has joined.
     pub(crate) classify: f64,
     pub(crate) joined: bool,
-    pub(crate) field: Arc<Field>,
-    pub(crate) plan: MarkPlan,
-    /// The plan's and the field's digest, which a checkpoint must meet again.
+    /// The scenes, most often one. Identities and carriers are counted through all of them.
+    pub(crate) sites: Vec<Site>,
+    /// The plans' and the fields' digest, which a checkpoint must meet again.
     pub(crate) fingerprint: String,
     /// What the heads are to say of each identity, identity 1 first.
     pub(crate) signals: Vec<Numbers>,
-    pub(crate) bank: Bank,
-    pub(crate) mask: Vec<f32>,
     pub(crate) carriers: Vec<Carrier>,
+    /// Which of them stay as they are: marks of an earlier training.
+    pub(crate) settled: Vec<bool>,
     pub(crate) networks: Networks,
     pub(crate) adam: Adam,
     pub(crate) best: Option<State>,
@@ -86,7 +84,7 @@ pub struct MarkTrainer {
 }
 
 impl MarkTrainer {
-    /// Prepares stage 2: works out every view's ray weights (the slow part).
+    /// Prepares stage 2 of one scene: works out every view's ray weights (the slow part).
     /// Before each view `progress` hears how many are done and how many there are;
     /// where it answers false, preparing stops.
     ///
@@ -101,42 +99,39 @@ impl MarkTrainer {
         seed: u64,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
-        let fingerprint = fingerprint(&plan, &field)?;
-        Self::prepared(field, (plan, fingerprint), config, seed, progress)
+        Self::joint(vec![MarkScene { field, plan }], config, seed, progress)
     }
 
-    /// As [`MarkTrainer::new`], with the plan's fingerprint known.
+    /// As [`MarkTrainer::new`], for several scenes with one detector and one classifier
+    /// (the paper's case II). Classes count the first scene's identities, then the
+    /// second's, and so on; scenes that hide the same are "one for all".
+    ///
+    /// # Errors
+    /// As [`MarkTrainer::new`]; [`MarkError::Plan`] for no scene at all.
+    pub fn joint(
+        scenes: Vec<MarkScene>,
+        config: MarkConfig,
+        seed: u64,
+        progress: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Self, MarkError> {
+        let fingerprint = fingerprint(&scenes)?;
+        Self::prepared((scenes, fingerprint), config, seed, progress)
+    }
+
+    /// As [`MarkTrainer::joint`], with the plans' fingerprint known.
     pub(crate) fn prepared(
-        field: Arc<Field>,
-        (plan, fingerprint): (MarkPlan, String),
+        (scenes, fingerprint): (Vec<MarkScene>, String),
         config: MarkConfig,
         seed: u64,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
         config.validate()?;
-        let identities = plan.clusters.clusters.len();
-        if plan.signals.len() != identities {
-            let got = plan.signals.len();
-            return Err(MarkError::Plan(format!("{got} signals for {identities} identities; bring one for each")));
-        }
-        (1..).zip(&plan.signals).try_for_each(|(number, signal)| signal.check(number, &config))?;
-        let heads = HeadSizes::of(&plan.signals, &config);
-        let signals = plan.signals.iter().map(|s| Numbers::of(s, &heads, config.side_px())).collect();
-        let bank = Bank::new(&field, &plan, &config, seed, progress)?;
-        let (basis, count) = match config.carrier {
-            CarrierKind::PerCluster => (CarrierBasis::Constant, identities),
-            CarrierKind::Harmonics => (CarrierBasis::Harmonics, 1),
-        };
-        let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
-        let carriers =
-            (0..count).map(|i| Carrier::pattern(field.as_ref(), basis, seed, (i, count), amplitude)).collect();
-        let mask = gradient_mask(
-            config.mask,
-            (config.mask_alpha, config.mask_least, config.mask_share),
-            field.as_ref(),
-            basis,
-        );
-        let networks = Networks::new(&config, identities + 1, heads, seed)?;
+        let hidden: Vec<Signal> = scenes.iter().flat_map(|s| s.plan.signals.clone()).collect();
+        let sites = Site::all(scenes, &config, seed, progress)?;
+        let heads = HeadSizes::of(&hidden, &config);
+        let hues = hues(sites.last().map_or(0, |s| s.carriers.end), &[]);
+        let carriers: Vec<Carrier> = sites.iter().flat_map(|site| site.patterns(&config, seed, &hues)).collect();
+        let networks = Networks::new(&config, hidden.len() + 1, heads, seed)?;
         let rate = Rate::falling(
             config.learning_rate_networks,
             config.learning_rate_networks * config.final_rate,
@@ -149,12 +144,10 @@ impl MarkTrainer {
             classify: f64::INFINITY,
             // Without a classifier there is nothing to wait for.
             joined: config.guidance == Guidance::NoClassifier,
-            field,
-            plan,
+            sites,
             fingerprint,
-            signals,
-            bank,
-            mask,
+            signals: hidden.iter().map(|s| Numbers::of(s, &heads, config.side_px())).collect(),
+            settled: vec![false; carriers.len()],
             carriers,
             networks,
             best: None,
@@ -188,7 +181,7 @@ impl MarkTrainer {
         pictures.extend(shown.twins);
         for _ in 0..self.config.batch {
             let attack = self.attack(&mut rng);
-            let mut other = self.bank.unmarked(self.config.side_px(), &attack, &mut rng);
+            let mut other = self.any_site(&mut rng).bank.unmarked(self.config.side_px(), &attack, &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
         }
@@ -217,13 +210,22 @@ impl MarkTrainer {
         Ok(self.stats(value, classify, recover, owed.kept_db))
     }
 
-    /// The marked field and the detector at the best state judged so far (the
+    /// The first scene's marked field and the detector at the best state judged so far (the
     /// present one where none was).
     ///
     /// # Errors
     /// [`MarkError::NotLearnt`] when the marks were never read well enough for the
     /// detector to train; [`MarkError`] when the parts cannot be put together.
-    pub fn finish(mut self) -> Result<(MarkedField, Detector), MarkError> {
+    pub fn finish(self) -> Result<(MarkedField, Detector), MarkError> {
+        let (mut fields, detector) = self.finish_joint()?;
+        Ok((fields.swap_remove(0), detector))
+    }
+
+    /// As [`MarkTrainer::finish`], each scene's marked field in their order.
+    ///
+    /// # Errors
+    /// As [`MarkTrainer::finish`].
+    pub fn finish_joint(mut self) -> Result<(Vec<MarkedField>, Detector), MarkError> {
         if !self.joined {
             let (steps, classify, until) = (self.step, self.classify, self.config.classify_until);
             return Err(MarkError::NotLearnt { steps, classify, until });
@@ -234,9 +236,13 @@ impl MarkTrainer {
                 carrier.values = values;
             }
         }
-        let carriers = self.carriers.into_iter().map(|c| c.values).collect();
-        let marked = MarkedField::new(self.field, self.plan.clusters, self.config.carrier, carriers)?;
-        Ok((marked, Detector::new(self.config, self.networks)))
+        let mut carriers = self.carriers.into_iter().map(|c| c.values);
+        let (mut fields, kind) = (Vec::new(), self.config.carrier);
+        for Site { scene: MarkScene { field, plan }, carriers: own, .. } in self.sites {
+            let own = carriers.by_ref().take(own.len()).collect();
+            fields.push(MarkedField::new(field, plan.clusters, kind, own)?);
+        }
+        Ok((fields, Detector::new(self.config, self.networks)))
     }
 
     /// The best judgement so far.
@@ -276,8 +282,15 @@ impl MarkTrainer {
         if self.joined { below.clamp(0.0, 1.0) as f32 } else { 0.0 }
     }
 
-    /// Which carrier identity `i` (from 0) is in.
-    pub(crate) fn carrier_of(&self, i: usize) -> usize {
-        i % self.carriers.len()
+    /// The scene of identity `i` (from 0).
+    pub(crate) fn site_of(&self, i: usize) -> usize {
+        self.sites.partition_point(|site| site.identities.end <= i)
+    }
+
+    /// One scene as well as another.
+    pub(crate) fn any_site(&self, rng: &mut ChaCha8Rng) -> &Site {
+        // One alone is not worth a draw, which would change what follows it.
+        let at = if self.sites.len() > 1 { rng.random_range(0..self.sites.len()) } else { 0 };
+        &self.sites[at]
     }
 }

@@ -42,6 +42,11 @@ pub fn photograph(camera: &Camera) -> Picture {
 
 /// The ball after `steps` steps of stage 1.
 pub fn train_field(steps: u64) -> Arc<Field> {
+    train_field_of(steps, photograph)
+}
+
+/// What `photograph` shows after `steps` steps of stage 1.
+pub fn train_field_of(steps: u64, photograph: fn(&Camera) -> Picture) -> Arc<Field> {
     let view = |(i, camera): (usize, Camera)| {
         let picture = Arc::new(photograph(&camera));
         TrainingView { name: format!("view{i}"), camera, picture }
@@ -68,14 +73,19 @@ pub fn signal(identity: usize) -> Picture {
 }
 
 pub fn plan() -> MarkPlan {
+    plan_of(&field(), 2, photograph)
+}
+
+/// A plan for `identities` clusters of a scene that `photograph` shows.
+pub fn plan_of(field: &Field, identities: usize, photograph: fn(&Camera) -> Picture) -> MarkPlan {
     let cameras = cameras();
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
-    let grouping = Grouping::Anchors(ClusterConfig { anchors: 2, neighbours: 4, ..ClusterConfig::default() });
-    let appearance = field().canonical_appearance().clone();
+    let grouping = Grouping::Anchors(ClusterConfig { anchors: identities, neighbours: 4, ..ClusterConfig::default() });
+    let appearance = field.canonical_appearance().clone();
     MarkPlan {
         clusters: Clusters::build(&poses, &grouping, &[], 5).unwrap(),
         views: cameras.iter().map(|c| PlannedView { camera: *c, appearance: appearance.clone() }).collect(),
-        signals: vec![signal(0).into(), signal(1).into()],
+        signals: (0..identities).map(|i| signal(i).into()).collect(),
         negatives: cameras.iter().map(photograph).collect(),
     }
 }

@@ -1,0 +1,104 @@
+//! A scene's part in stage 2. Several scenes may be marked in one training, with one
+//! detector and one classifier for all (the paper's case II): what they share is in
+//! [`crate::MarkTrainer`], what each has to itself is here.
+
+use crate::bank::{Bank, Chosen, Prepare};
+use crate::carrier::Carrier;
+use crate::config::{CarrierKind, MarkConfig};
+use crate::error::MarkError;
+use crate::mask::gradient_mask;
+use crate::trainer::MarkPlan;
+use cairn_field::Field;
+use cairn_field::operator::CarrierBasis;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// A scene to mark: its base field, theta_0, and what is to be done with it.
+#[derive(Clone, Debug)]
+pub struct MarkScene {
+    /// theta_0.
+    pub field: Arc<Field>,
+    /// Whose poses are whose, and what they hide.
+    pub plan: MarkPlan,
+}
+
+/// A scene being marked.
+pub(crate) struct Site {
+    pub(crate) scene: MarkScene,
+    pub(crate) bank: Bank,
+    /// How much each coefficient of a carrier may move.
+    pub(crate) mask: Vec<f32>,
+    /// Its identities among all scenes', from 0.
+    pub(crate) identities: Range<usize>,
+    /// Its carriers among all scenes'.
+    pub(crate) carriers: Range<usize>,
+}
+
+impl Site {
+    /// One for each scene, with ray weights worked out; `progress` is asked before
+    /// each view of any of them.
+    ///
+    /// # Errors
+    /// [`MarkError::Plan`] for no scene, a cluster without training views or another number of signals
+    /// than clusters; [`MarkError::Signal`]; [`MarkError::Stopped`].
+    pub(crate) fn all(
+        scenes: Vec<MarkScene>,
+        config: &MarkConfig,
+        seed: u64,
+        progress: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<Vec<Self>, MarkError> {
+        if scenes.is_empty() {
+            return Err(MarkError::Plan("no scene to mark; bring one or more".into()));
+        }
+        scenes.iter().try_for_each(|scene| check_signals(&scene.plan, config))?;
+        let chosen = scenes.iter().map(|s| Chosen::draw(&s.plan, config, seed)).collect::<Result<Vec<_>, _>>()?;
+        let total = chosen.iter().map(Chosen::len).sum();
+        let (mut sites, mut done) = (Vec::<Self>::with_capacity(scenes.len()), 0);
+        for (scene, chosen) in scenes.into_iter().zip(chosen) {
+            let views = chosen.len();
+            let mut prepare = Prepare::new(&scene, config, (done, total), progress);
+            let bank = Bank::new(&scene.plan, chosen, config, &mut prepare)?;
+            done += views;
+            let (first, first_carrier) = sites.last().map_or((0, 0), |s| (s.identities.end, s.carriers.end));
+            let identities = first..first + scene.plan.signals.len();
+            let (basis, carriers) = match config.carrier {
+                CarrierKind::PerCluster => (CarrierBasis::Constant, identities.len()),
+                CarrierKind::Harmonics => (CarrierBasis::Harmonics, 1),
+            };
+            let how = (config.mask_alpha, config.mask_least, config.mask_share);
+            let mask = gradient_mask(config.mask, how, scene.field.as_ref(), basis);
+            sites.push(Self { scene, bank, mask, identities, carriers: first_carrier..first_carrier + carriers });
+        }
+        Ok(sites)
+    }
+
+    /// Its carriers before the first step, with the `hues` of all scenes' carriers.
+    pub(crate) fn patterns<'a>(
+        &'a self,
+        config: &'a MarkConfig,
+        seed: u64,
+        hues: &'a [f32],
+    ) -> impl Iterator<Item = Carrier> + 'a {
+        let basis = match config.carrier {
+            CarrierKind::PerCluster => CarrierBasis::Constant,
+            CarrierKind::Harmonics => CarrierBasis::Harmonics,
+        };
+        let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
+        let field = self.scene.field.as_ref();
+        self.carriers.clone().map(move |i| Carrier::pattern(field, basis, seed, (i, hues[i]), amplitude))
+    }
+
+    /// Which carrier the scene's identity `i` (of all scenes', from 0) is in.
+    pub(crate) fn carrier_of(&self, i: usize) -> usize {
+        self.carriers.start + (i - self.identities.start) % self.carriers.len()
+    }
+}
+
+/// Refuses signals that are too few, too many, or cannot be hidden.
+fn check_signals(plan: &MarkPlan, config: &MarkConfig) -> Result<(), MarkError> {
+    let (got, identities) = (plan.signals.len(), plan.clusters.clusters.len());
+    if got != identities {
+        return Err(MarkError::Plan(format!("{got} signals for {identities} identities; bring one for each")));
+    }
+    (1..).zip(&plan.signals).try_for_each(|(number, signal)| signal.check(number, config))
+}
