@@ -50,7 +50,7 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     let who = query.who_by_picture(request).await.unwrap().into_inner();
     let number = match who.answer.unwrap() {
         v1::who_response::Answer::Identity(who) => who.number,
-        v1::who_response::Answer::Unmarked(_) => 0,
+        v1::who_response::Answer::Unmarked(_) | v1::who_response::Answer::Elsewhere(_) => 0,
     };
     assert_eq!(number, found.identity);
     assert!((who.confidence - f64::from(found.probabilities[number as usize])).abs() < 1e-6);

@@ -173,6 +173,8 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
         settings: args.settings.clone(),
         quick: true,
         base_only: args.base_only,
+        with: Vec::new(),
+        grow: false,
         resume: None,
         detach: false,
         keys: None,

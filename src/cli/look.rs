@@ -216,9 +216,17 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
             let records = if indices.is_empty() { "none".to_owned() } else { indices.join(", ") };
             println!("owner records at index: {records}");
         }
+        Some(v1::who_response::Answer::Elsewhere(there)) => {
+            println!("{} (confidence {:.2})", elsewhere(&there), answer.confidence);
+        }
         _ => println!("unmarked (confidence {:.2})", answer.confidence),
     }
     Ok(())
+}
+
+/// Whose mark of another scene it is.
+fn elsewhere(there: &v1::WhoElsewhere) -> String {
+    format!("of scene {}, identity {}: {}", there.scene, there.number, there.label)
 }
 
 /// The first contributors by name, each with a count; how many more there are.
@@ -236,9 +244,10 @@ pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
     let picture = read(&args.picture)?.into();
     let request = v1::DetectRequest { format_version: VERSION, scene: args.name, picture };
     let answer = line.detection().detect(request).await.map_err(refused)?.into_inner();
-    match answer.identity {
-        0 => println!("unmarked"),
-        number => println!("identity {number}: {}", answer.label),
+    match (answer.identity, &answer.elsewhere) {
+        (0, Some(there)) => println!("{}", elsewhere(there)),
+        (0, None) => println!("unmarked"),
+        (number, _) => println!("identity {number}: {}", answer.label),
     }
     for (class, probability) in answer.probabilities.iter().enumerate() {
         println!("  class {class}: {probability:.4}");

@@ -42,6 +42,13 @@ pub struct Args {
     /// Stop after the base field: no marks
     #[arg(long)]
     pub base_only: bool,
+    /// Mark this scene together with it, with one detector for both; again for each other scene
+    #[arg(long = "with", value_name = "SCENE", conflicts_with = "base_only")]
+    pub with: Vec<String>,
+    /// Go on from the newest model: fields and marks stay as they are, and identities that it has not are added
+    /// (ask for more anchors, or contributors of fewer views); --signals are then those of the added ones
+    #[arg(long, conflicts_with_all = ["base_only", "quick"])]
+    pub grow: bool,
     /// Take up a cancelled or failed job of this scene instead
     #[arg(long, value_name = "JOB")]
     pub resume: Option<String>,
@@ -63,7 +70,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         None => line.about(&args.name).training().start(request(&args)?).await.map_err(refused)?.into_inner().job,
     };
     let job = job.context("the daemon's answer names no job")?;
-    println!("{} accepted for {}", job.id, job.scene);
+    println!("{} accepted for {}", job.id, scenes(&job));
     if args.detach {
         return Ok(());
     }
@@ -109,7 +116,14 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
         signals,
         quick: args.quick,
         base_only: args.base_only,
+        also: args.with.clone(),
+        grow: args.grow,
     })
+}
+
+/// The names of a job's scenes.
+fn scenes(job: &v1::Job) -> String {
+    std::iter::once(job.scene.as_str()).chain(job.also.iter().map(String::as_str)).collect::<Vec<_>>().join(", ")
 }
 
 /// The folder's files as signals: those that differ in their endings alone are one identity's.
@@ -224,7 +238,7 @@ pub async fn jobs(line: &Connection) -> anyhow::Result<()> {
         let p = job.progress.clone().unwrap_or_default();
         let place = if p.total > 0 { format!(", {} {}/{}", p.stage, p.step, p.total) } else { String::new() };
         let error = if job.error.is_empty() { String::new() } else { format!(": {}", job.error) };
-        println!("{}  {}  {}{place}{error}", job.id, job.scene, state_name(job.state()));
+        println!("{}  {}  {}{place}{error}", job.id, scenes(&job), state_name(job.state()));
     }
     Ok(())
 }

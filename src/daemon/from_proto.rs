@@ -22,6 +22,8 @@ const MAX_TEXT_BYTES: usize = 256;
 const MAX_VIEW_NAMES: usize = 10_000;
 /// Longest settings overlay, bytes.
 const MAX_SETTINGS_BYTES: usize = 64 << 10;
+/// Most scenes of one training.
+const MAX_SCENES: usize = 16;
 /// Cameras wider than this are a broken message, px.
 const MAX_CAMERA_SIDE_PX: u32 = 1 << 20;
 
@@ -217,8 +219,14 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
         let got = format!("{} bytes", request.settings_toml.len());
         return Err(EngineError::invalid("settings_toml", got, format!("at most {MAX_SETTINGS_BYTES} bytes")));
     }
+    if request.also.len() >= MAX_SCENES {
+        let got = format!("{} scenes beside the first", request.also.len());
+        return Err(EngineError::invalid("also", got, format!("fewer than {MAX_SCENES}")));
+    }
     Ok(TrainingRequest {
         scene: request.scene,
+        also: request.also,
+        grow: request.grow,
         grouping,
         seed: request.seed,
         settings_toml: request.settings_toml,

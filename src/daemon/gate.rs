@@ -46,6 +46,8 @@ pub enum About<'a> {
     Nothing,
     /// A scene, there or new.
     Scene(&'a str),
+    /// A scene that is taken along in a call about another, which the token names.
+    Beside(&'a str),
     /// A training, and so its scene.
     Job(&'a str),
     /// A scene that is only named: nothing of it is touched.
@@ -141,10 +143,12 @@ impl Shared {
         };
         let scene = match about {
             About::Nothing => "",
-            About::Scene(scene) | About::Place(scene) | About::Signed(scene, _) => scene,
+            About::Scene(scene) | About::Beside(scene) | About::Place(scene) | About::Signed(scene, _) => scene,
             About::Job(_) => job.as_ref().map_or("", |job| job.spec.scene.as_str()),
         };
-        claims.about(scene).map_err(refuse)?;
+        if !matches!(about, About::Beside(_)) {
+            claims.about(scene).map_err(refuse)?;
+        }
         let id = account.id();
         let (reach, contributor) = (account.role.reach(need), account.role == Role::Contributor);
         let theirs = match about {
@@ -158,7 +162,7 @@ impl Shared {
                 None => false,
             },
             // What is not there is nobody's: its handler says so.
-            About::Scene(scene) => match engine.access().owner_of(scene).map_err(status)? {
+            About::Scene(scene) | About::Beside(scene) => match engine.access().owner_of(scene).map_err(status)? {
                 Some(owner) => owner == id || self.speaks_for(account, &owner)?,
                 None => engine.scene(scene).is_err(),
             },
@@ -191,7 +195,7 @@ fn verify(loaded: &Loaded, call: Call<'_>, token: &str) -> Result<Caller, Access
 fn what(about: About<'_>) -> String {
     match about {
         About::Nothing => "this".into(),
-        About::Scene(scene) | About::Place(scene) => format!("the scene {scene:?}"),
+        About::Scene(scene) | About::Beside(scene) | About::Place(scene) => format!("the scene {scene:?}"),
         About::Job(id) => format!("the training {id}"),
         About::Signed(..) => "a record that your account's key did not sign".into(),
     }

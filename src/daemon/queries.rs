@@ -51,7 +51,8 @@ impl DetectionService for Shared {
     async fn detect(&self, request: Request<v1::DetectRequest>) -> Answer<v1::DetectResponse> {
         let v1::DetectRequest { format_version, scene, picture } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
-        let (detection, label) = self.compute(move |engine| engine.detect(&scene, &picture)).await?;
+        let (found, label) = self.compute(move |engine| engine.detect(&scene, &picture)).await?;
+        let detection = found.detection;
         let recovered = encoded(&detection.recovered);
         Ok(Response::new(v1::DetectResponse {
             format_version: to_proto::VERSION,
@@ -61,6 +62,7 @@ impl DetectionService for Shared {
             probabilities: detection.probabilities,
             identity: detection.identity.unwrap_or(0),
             label: label.unwrap_or_default(),
+            elsewhere: found.elsewhere.map(to_proto::elsewhere),
         }))
     }
 }

@@ -7,6 +7,7 @@ use cairn_proto::v1;
 use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
 use tonic::codegen::Bytes;
 
+use crate::engine::classes::Elsewhere;
 use crate::engine::corrections::Standing;
 use crate::engine::job::{Job, JobState};
 use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
@@ -189,6 +190,7 @@ pub fn job(job: &Job) -> v1::Job {
         ended_unix_s: job.ended_unix_s,
         seed: job.spec.seed,
         stages: (job.stages.iter()).map(|s| v1::StageSeconds { stage: s.stage.clone(), seconds: s.seconds }).collect(),
+        also: job.spec.also.iter().map(|beside| beside.scene.clone()).collect(),
         notes: job.notes.clone(),
     }
 }
@@ -202,9 +204,17 @@ pub fn who(who: Who) -> v1::WhoResponse {
             let contributors = who.contributors.into_iter().map(of).collect();
             Answer::Identity(v1::WhoIdentity { number, label, record_indices: who.records, contributors })
         }
-        None => Answer::Unmarked(v1::WhoUnmarked {}),
+        None => match who.elsewhere {
+            Some(there) => Answer::Elsewhere(elsewhere(there)),
+            None => Answer::Unmarked(v1::WhoUnmarked {}),
+        },
     };
     v1::WhoResponse { format_version: VERSION, answer: Some(answer), confidence: who.confidence }
+}
+
+/// An identity of another scene.
+pub fn elsewhere(Elsewhere { scene, number, label }: Elsewhere) -> v1::WhoElsewhere {
+    v1::WhoElsewhere { scene, number, label }
 }
 
 /// A record of the log.

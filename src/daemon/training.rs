@@ -16,6 +16,9 @@ impl TrainingService for Shared {
     async fn start(&self, request: Request<v1::StartTrainingRequest>) -> Answer<v1::StartTrainingResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
         let owner = self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
+        for scene in &request.get_ref().also {
+            self.authorise(request.extensions(), About::Beside(scene))?;
+        }
         let mut wanted = from_proto::training(request.into_inner()).map_err(status)?;
         wanted.owner = owner;
         let job = self.run(move |engine| engine.train(wanted)).await?;
@@ -89,7 +92,7 @@ impl TrainingService for Shared {
         let v1::ListTrainingRequest { format_version, scene } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
         let jobs = self.engine()?.jobs().list();
-        let jobs = jobs.iter().filter(|j| scene.is_empty() || j.spec.scene == scene).map(to_proto::job).collect();
+        let jobs = jobs.iter().filter(|j| scene.is_empty() || j.spec.is_of(&scene)).map(to_proto::job).collect();
         Ok(Response::new(v1::ListTrainingResponse { format_version: to_proto::VERSION, jobs }))
     }
 }

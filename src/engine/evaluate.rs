@@ -11,9 +11,10 @@ use cairn_bench::sound::sounds;
 use cairn_capture::{Camera, Capture, Picture, SceneFolder, Sound};
 use cairn_cluster::Grouping;
 use cairn_metrics::{psnr_db, ssim};
-use cairn_stega::{Detection, Signal};
+use cairn_stega::Signal;
 
 use super::Engine;
+use super::classes::Found;
 use super::error::EngineError;
 use super::model::{Mark, Model};
 use super::recovery::{SeenView, recovery};
@@ -39,13 +40,13 @@ struct Scored {
 
 struct Read {
     picture: Picture,
-    found: Detection,
+    found: Found,
 }
 
 impl Read {
-    /// The identity; 0 for unmarked.
-    fn class(&self) -> u32 {
-        self.found.identity.unwrap_or(0)
+    /// The identity; 0 for unmarked, `None` for another scene's.
+    fn class(&self) -> Option<u32> {
+        if self.found.elsewhere.is_some() { None } else { Some(self.found.identity.unwrap_or(0)) }
     }
 }
 
@@ -90,7 +91,7 @@ fn look(model: &Model, folder: &SceneFolder, out: &BTreeSet<usize>) -> Result<Ve
             None => None,
             Some(mark) => {
                 let picture = eight_bits(&mark.field.render(&camera, &appearance))?;
-                let found = mark.detector.detect(&picture)?;
+                let found = mark.detect(&picture)?;
                 Some(Read { picture, found })
             }
         };
@@ -137,16 +138,16 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
         let Some(read) = &view.marked else { continue };
         pairs.push((&view.photograph, &read.picture));
         against_base += psnr_db(&view.base, &read.picture)?.min(PERFECT_DB);
-        who.count(read.class() == view.truth);
-        classes.count(read.class() == view.truth);
-        classes.count(mark.detector.detect(&view.base)?.identity.is_none());
-        photographs.count(mark.detector.detect(&view.photograph)?.identity.is_none());
+        who.count(read.class() == Some(view.truth));
+        classes.count(read.class() == Some(view.truth));
+        classes.count(mark.detect(&view.base)?.is_unmarked());
+        photographs.count(mark.detect(&view.photograph)?.is_unmarked());
     }
     let against_base_psnr_db = against_base / pairs.len().max(1) as f64;
     let size = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
     let of = |number: u32| {
         let views = scored.iter().filter(move |v| v.truth == number);
-        views.filter_map(|v| Some(SeenView { base: &v.base, found: &v.marked.as_ref()?.found }))
+        views.filter_map(|v| Some(SeenView { base: &v.base, found: &v.marked.as_ref()?.found.detection }))
     };
     let identities = model.info.identities.iter().zip(&mark.signals);
     Ok(MarkReport {
@@ -158,7 +159,8 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
         identities: identities
             .map(|(identity, signal)| {
                 let views: Vec<SeenView<'_>> = of(identity.number).collect();
-                recovery(&mark.detector, (identity.number, &identity.label), signal, &views, size)
+                let forced = |picture: &Picture| Ok(mark.detect_forced(picture, identity.number)?.detection);
+                recovery(&forced, (identity.number, &identity.label), signal, &views, size)
             })
             .collect::<Result<_, _>>()?,
     })
@@ -217,9 +219,9 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
             let signals = model.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
             let truth = (view.truth as usize).checked_sub(1).and_then(|at| signals.get(at).copied());
             row.extend(signal_tiles(
-                &read.found.recovered,
+                &read.found.detection.recovered,
                 truth.unwrap_or(&Signal::default()),
-                [read.class(), view.truth],
+                (read.class(), view.truth),
                 (w, h),
             ));
         }
@@ -230,7 +232,13 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
 
 /// What was read and what is true, of the classes of these numbers; a tile more for
 /// sounds, and one for texts, where the detector has heads for them.
-fn signal_tiles(read: &Signal, truth: &Signal, [class, owner]: [u32; 2], (w, h): (usize, usize)) -> Vec<Tile> {
+fn signal_tiles(
+    read: &Signal,
+    truth: &Signal,
+    (class, owner): (Option<u32>, u32),
+    (w, h): (usize, usize),
+) -> Vec<Tile> {
+    let class = class.map_or("ELSEWHERE".to_owned(), |class| class.to_string());
     let tile = |signal: &Signal, label: String| {
         let picture = signal.picture.clone().unwrap_or_else(|| Picture::constant(w, h, [0.0; 3]));
         Tile { picture, label }

@@ -1,16 +1,18 @@
 //! What a training job is, as it is kept in `job.json`.
 
 use cairn_cluster::Grouping;
+use cairn_field::FieldConfig;
 use cairn_registry::Digest;
 use serde::{Deserialize, Serialize};
 
 use super::hidden::Kinds;
 use crate::config::TrainingSettings;
 
-/// Format version of `job.json`: 2 since signals are sounds and texts as well.
-pub const VERSION: u32 = 2;
+/// Format version of `job.json`: 2 since signals are sounds and texts as well, 3 since a
+/// training may be of several scenes, or go on from an earlier one.
+pub const VERSION: u32 = 3;
 /// Those that are read.
-pub const VERSIONS: [u32; 2] = [1, VERSION];
+pub const VERSIONS: [u32; 3] = [1, 2, VERSION];
 
 /// What to train. Never changes after the job was accepted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,6 +33,35 @@ pub struct JobSpec {
     pub signals: Vec<Kinds>,
     /// Whether to stop after stage 1: no marks, no detector.
     pub base_only: bool,
+    /// Other scenes that are marked together with it, with one detector for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub also: Vec<Beside>,
+    /// Of each scene the job whose model is gone on from, `None` for one that begins; empty
+    /// where all begin.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub grow_from: Vec<Option<String>>,
+}
+
+/// Another scene of a training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Beside {
+    /// Its name.
+    pub scene: String,
+    /// Its stage 1's settings: they follow from the kind of scene.
+    pub field: FieldConfig,
+}
+
+impl JobSpec {
+    /// The names of all its scenes.
+    pub fn scenes(&self) -> impl Iterator<Item = &str> {
+        std::iter::once(self.scene.as_str()).chain(self.also.iter().map(|beside| beside.scene.as_str()))
+    }
+
+    /// Whether it trains on `scene`.
+    pub fn is_of(&self, scene: &str) -> bool {
+        self.scenes().any(|name| name == scene)
+    }
 }
 
 /// A training job.
@@ -64,6 +95,22 @@ pub struct Job {
 }
 
 impl Job {
+    /// The job as if it were of its scene number `at` alone, which there is: the first, or
+    /// one beside it.
+    pub fn of_scene(&self, at: usize) -> Self {
+        let mut own = self.clone();
+        let grown = self.spec.grow_from.get(at).is_some_and(Option::is_some);
+        if let Some(beside) = at.checked_sub(1).and_then(|at| self.spec.also.get(at)) {
+            own.spec.scene.clone_from(&beside.scene);
+            own.spec.settings.field = beside.field.clone();
+        }
+        own.spec.also.clear();
+        own.spec.grow_from = self.spec.grow_from.get(at).cloned().into_iter().collect();
+        // Its field is there: nothing is trained on its photographs any more.
+        own.spec.settings.quarantine.enabled &= !grown;
+        own
+    }
+
     /// A new job.
     pub fn accepted(id: String, spec: JobSpec, accepted_unix_s: u64) -> Self {
         Self {

@@ -41,6 +41,8 @@ fn counting() -> (mpsc::Sender<()>, Counting) {
 
 fn spec() -> JobSpec {
     JobSpec {
+        also: Vec::new(),
+        grow_from: Vec::new(),
         scene: "s".into(),
         grouping: Grouping::Anchors(ClusterConfig::default()),
         seed: u64::MAX,

@@ -4,6 +4,7 @@
 //! All calls block, some for long; the edge puts them on threads of their own.
 
 pub mod access;
+pub mod classes;
 pub mod corrections;
 pub mod crowd;
 pub mod drawing;
@@ -13,6 +14,7 @@ pub mod folder;
 pub mod hidden;
 pub mod job;
 pub mod jobs;
+mod joint;
 pub mod layout;
 pub mod maps;
 pub mod marks;
@@ -27,6 +29,7 @@ pub mod rebuild;
 pub mod recovery;
 mod registry_key;
 pub mod report;
+mod request;
 pub mod scenes;
 mod seal;
 mod sifting;
@@ -40,20 +43,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use cairn_capture::{Capture, SceneFolder};
-use cairn_cluster::Grouping;
 use cairn_registry::{Digest, Registry};
 use cairn_witness::WitnessClient;
 
-use crate::config::{Config, Limits, QUICK_TOML, TrainingSettings, overlay_for, training_settings};
+use crate::config::{Config, Limits, TrainingSettings};
 use access::Access;
 use error::EngineError;
 use folder::DataFolder;
-use hidden::{Given, Parts};
-use job::{Job, JobSpec};
+use hidden::Parts;
 use jobs::Jobs;
 use model::{Model, ModelInfo};
 use publisher::Publisher;
 use quarantine::Quarantine;
+pub use request::TrainingRequest;
 
 /// One data folder at work.
 pub struct Engine {
@@ -69,27 +71,6 @@ pub struct Engine {
     cache: Mutex<Option<Arc<Model>>>,
     // Last, so that the folder is let go when all else in it is closed.
     folder: DataFolder,
-}
-
-/// What to train, as it is asked for.
-#[derive(Clone, Debug)]
-pub struct TrainingRequest {
-    /// The scene's name.
-    pub scene: String,
-    /// How views become identities.
-    pub grouping: Grouping,
-    /// The seed.
-    pub seed: u64,
-    /// TOML that goes over the settings.
-    pub settings_toml: String,
-    /// What to hide, identity 1 first; empty to draw pictures.
-    pub signals: Vec<Given>,
-    /// Whether to lay the quick settings over the daemon's.
-    pub quick: bool,
-    /// Whether to stop after stage 1.
-    pub base_only: bool,
-    /// Who pays: the id of an account's key; `None` for nobody.
-    pub owner: Option<Digest>,
 }
 
 impl Engine {
@@ -254,7 +235,7 @@ impl Engine {
 
     /// Refuses what must not be done while a job trains on a scene.
     fn refuse_in_training(&self, scene: &str, what: String, operation: &'static str) -> Result<(), EngineError> {
-        match self.jobs.list().iter().find(|j| j.spec.scene == scene && !j.state.has_ended()) {
+        match self.jobs.list().iter().find(|j| j.spec.is_of(scene) && !j.state.has_ended()) {
             Some(job) => {
                 let why = format!("{} is {} on it; cancel that first", job.id, job.state.name());
                 Err(EngineError::WrongState { what, operation, why })
@@ -293,45 +274,6 @@ impl Engine {
         folder::remove(&self.folder.models().join(name))?;
         *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
         folder::remove(&gone)
-    }
-
-    /// Queues a training; durable on return.
-    ///
-    /// # Errors
-    /// For settings that are not allowed, clusters that the scene has not the
-    /// views for, signals that do not decode or cannot be hidden, and [`Jobs::submit`]'s.
-    pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
-        let scene = self.scene(&request.scene)?;
-        let quick = if request.quick { QUICK_TOML } else { "" };
-        // Who configured stage 1 himself is taken at his word; else the kind of scene decides.
-        let own = self.training.field != TrainingSettings::default().field;
-        let kind = if own { ("no settings", "") } else { overlay_for(scene.capture().kind) };
-        let overlays =
-            [kind, ("configs/quick.toml", quick), ("the request's settings", request.settings_toml.as_str())];
-        let settings = training_settings(&self.training, &overlays)?;
-        // Found now rather than after an hour of stage 1.
-        let scene = self.quarantine.without(&request.scene, scene)?;
-        let clusters = training::clusters(&scene, &request.grouping, request.seed)?;
-        let identities = clusters.clusters.len();
-        if !request.signals.is_empty() && request.signals.len() < identities {
-            let expected = format!("none, or one for each of the {identities} identities");
-            return Err(EngineError::invalid("the number of signals", request.signals.len(), expected));
-        }
-        let mut signals = Vec::with_capacity(identities);
-        for (number, given) in (1..=identities).zip(&request.signals) {
-            signals.push(given.signal(number, &settings.mark, &self.limits)?);
-        }
-        let spec = JobSpec {
-            scene: request.scene,
-            grouping: request.grouping,
-            seed: request.seed,
-            settings,
-            signals: signals.iter().map(hidden::kinds_of).collect(),
-            base_only: request.base_only,
-        };
-        self.jobs.submit(request.owner, spec, |folder| {
-            (1..).zip(&signals).try_for_each(|(number, signal)| hidden::keep(folder, number, signal))
-        })
     }
 
     /// The scene's newest model, loaded.

@@ -11,6 +11,7 @@ use cairn_registry::record::photographs_root;
 use cairn_stega::Signal;
 use serde::{Deserialize, Serialize};
 
+use super::classes::Classes;
 use super::error::EngineError;
 use super::folder::{read_json, read_json_of, read_limited, remove, sync_folder, write_atomic, write_json};
 use super::hidden::{self, Parts};
@@ -19,10 +20,13 @@ use super::stages::Field;
 
 /// Largest field or detector file that is read, bytes.
 const MAX_FIELD_BYTES: u64 = 64 << 30;
-/// Format version of `model.json`: 2 since signals are sounds and texts as well.
-pub const VERSION: u32 = 2;
+/// Largest file of settings that is read, bytes.
+const MAX_SETTINGS_BYTES: u64 = 1 << 20;
+/// Format version of `model.json`: 2 since signals are sounds and texts as well, 3 since
+/// scenes may share a detector.
+pub const VERSION: u32 = 3;
 /// Those that are read.
-const VERSIONS: [u32; 2] = [1, VERSION];
+const VERSIONS: [u32; 3] = [1, 2, VERSION];
 
 /// `model.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,6 +62,20 @@ pub struct MarkInfo {
     pub detector: Digest,
     /// SHA-256 of each identity's `signal-<number>.png`, `.wav` and `.txt`, as far as there are any, identity 1 first.
     pub signals: Vec<Parts<Digest>>,
+    /// The scenes that share the detector, in the order of its classes, this one among them;
+    /// empty where it has one to itself.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shared: Vec<Share>,
+}
+
+/// A scene's part of a detector's classes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Share {
+    /// The scene.
+    pub scene: String,
+    /// What its identities are called, in order: a class each.
+    pub labels: Vec<String>,
 }
 
 /// One identity.
@@ -105,9 +123,10 @@ pub struct MarkFiles {
 }
 
 impl MarkFiles {
-    /// Their digests.
-    pub fn info(&self) -> MarkInfo {
+    /// Their digests, and who shares the detector.
+    pub fn info(&self, shared: &[Share]) -> MarkInfo {
         MarkInfo {
+            shared: shared.to_vec(),
             marked_field: Digest::of(&self.field),
             detector: Digest::of(&self.detector),
             signals: self.signals.iter().map(|parts| parts.map(|bytes| Digest::of(bytes))).collect(),
@@ -133,6 +152,8 @@ pub struct Mark {
     pub detector: Detector,
     /// Each identity's hidden signal, identity 1 first.
     pub signals: Vec<Signal>,
+    /// Which of the detector's classes are the scene's.
+    pub classes: Classes,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -180,6 +201,14 @@ pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineErr
     read_json_of(&models.join(scene).join(job).join("model.json"), &VERSIONS).map(Some)
 }
 
+/// What the model of `scene` that `job` made says of itself.
+///
+/// # Errors
+/// [`EngineError::Stored`] where there is none any more, or it is damaged.
+pub fn of_job(models: &Path, scene: &str, job: &str) -> Result<ModelInfo, EngineError> {
+    read_json_of(&models.join(scene).join(job).join("model.json"), &VERSIONS)
+}
+
 /// What every model of `scene` says of itself, newest first: trainings leave the models before them in their place.
 ///
 /// # Errors
@@ -218,7 +247,7 @@ impl Model {
         let base = Field::from_bytes(&read_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?)?;
         let mark = match &info.mark {
             None => None,
-            Some(mark) => Some(load_mark(&folder, mark)?),
+            Some(mark) => Some(load_mark(&folder, mark, info.classes())?),
         };
         Ok(Self { info, base, mark })
     }
@@ -236,17 +265,52 @@ impl Model {
     }
 }
 
-fn load_mark(folder: &Path, info: &MarkInfo) -> Result<Mark, EngineError> {
+fn load_mark(folder: &Path, info: &MarkInfo, classes: Classes) -> Result<Mark, EngineError> {
     let field = read_checked(&folder.join("marked.field"), &info.marked_field, MAX_FIELD_BYTES)?;
     let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
     let mut signals = Vec::with_capacity(info.signals.len());
     for (i, digest) in info.signals.iter().enumerate() {
         signals.push(hidden::decoded(&hidden::read(folder, i + 1, digest)?)?);
     }
-    Ok(Mark { field: MarkedField::from_bytes(&field)?, detector: Detector::from_bytes(&detector)?, signals })
+    let (field, detector) = (MarkedField::from_bytes(&field)?, Detector::from_bytes(&detector)?);
+    if detector.classes() != classes.count() {
+        let (got, expected) = (detector.classes(), classes.count());
+        let problem = format!("it has {got} classes, model.json speaks of {expected}");
+        return Err(EngineError::Stored { path: folder.join("detector"), problem });
+    }
+    Ok(Mark { field, detector, signals, classes })
 }
 
 impl ModelInfo {
+    /// Which of the detector's classes are the scene's.
+    pub fn classes(&self) -> Classes {
+        let own = || Share {
+            scene: self.scene.clone(),
+            labels: self.identities.iter().map(|identity| identity.label.clone()).collect(),
+        };
+        let shared = self.mark.as_ref().map(|mark| mark.shared.clone()).unwrap_or_default();
+        Classes::new(&self.scene, if shared.is_empty() { vec![own()] } else { shared })
+    }
+
+    /// The base field's file.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] for one that was altered.
+    pub fn base_field_bytes(&self, models: &Path) -> Result<Vec<u8>, EngineError> {
+        let path = models.join(&self.scene).join(&self.job).join("base.field");
+        read_checked(&path, &self.base_field, MAX_FIELD_BYTES)
+    }
+
+    /// The settings that it was trained with, TOML.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] for a file that was altered.
+    pub fn settings_toml(&self, models: &Path) -> Result<String, EngineError> {
+        let path = models.join(&self.scene).join(&self.job).join("settings.toml");
+        let bytes = read_checked(&path, &self.settings, MAX_SETTINGS_BYTES)?;
+        String::from_utf8(bytes).map_err(|e| EngineError::Stored { path, problem: format!("it is no UTF-8: {e}") })
+    }
+
     /// Identity `number`.
     ///
     /// # Errors

@@ -65,6 +65,8 @@ impl World {
         let request = TrainingRequest {
             scene: "town".into(),
             grouping: Grouping::ByContributor { min_views: 2, direction_weight: 1.0 },
+            also: Vec::new(),
+            grow: false,
             seed: 7,
             settings_toml: settings.into(),
             signals: Vec::new(),

@@ -2,9 +2,9 @@
 
 use cairn_capture::{Camera, Picture};
 
+use super::classes::{Elsewhere, Found};
 use super::error::EngineError;
 use super::maps::Maps;
-use super::marks::Detection;
 use super::model::Model;
 use super::scenes::check_size;
 use super::stages::Appearance;
@@ -49,6 +49,8 @@ pub struct Who {
     pub contributors: Vec<(String, usize)>,
     /// By picture the class's probability; by pose 1 in a cluster's middle, 0 on its border.
     pub confidence: f64,
+    /// The identity of another scene with the same detector whose mark a picture carries.
+    pub elsewhere: Option<Elsewhere>,
     /// Log indices of the owner records that bear on the identity, rising: see [`Engine::records_of`].
     pub records: Vec<u64>,
 }
@@ -149,37 +151,38 @@ impl Engine {
     pub fn who_by_picture(&self, scene: &str, bytes: &[u8]) -> Result<Who, EngineError> {
         let picture = decode(bytes, &self.limits)?;
         let model = self.model(scene)?;
-        let detection = model.mark()?.detector.detect(&picture)?;
-        let class = detection.identity.unwrap_or(0) as usize;
-        let confidence = detection.probabilities.get(class).copied().unwrap_or(0.0);
-        self.who(&model.info, detection.identity, confidence.into())
+        let found = model.mark()?.detect(&picture)?;
+        let who = self.who(&model.info, found.identity, found.confidence.into())?;
+        Ok(Who { elsewhere: found.elsewhere, ..who })
     }
 
     /// What a picture hides, and who that stands for.
     ///
     /// # Errors
     /// As [`Engine::who_by_picture`].
-    pub fn detect(&self, scene: &str, bytes: &[u8]) -> Result<(Detection, Option<String>), EngineError> {
+    pub fn detect(&self, scene: &str, bytes: &[u8]) -> Result<(Found, Option<String>), EngineError> {
         let picture = decode(bytes, &self.limits)?;
         let model = self.model(scene)?;
-        let detection = model.mark()?.detector.detect(&picture)?;
-        let label = match detection.identity {
+        let found = model.mark()?.detect(&picture)?;
+        let label = match found.identity {
             Some(number) => Some(model.info.identity(number)?.label.clone()),
             None => None,
         };
-        Ok((detection, label))
+        Ok((found, label))
     }
 
     fn who(&self, info: &super::ModelInfo, identity: Option<u32>, confidence: f64) -> Result<Who, EngineError> {
         let Some(number) = identity else {
-            return Ok(Who { identity: None, contributors: Vec::new(), confidence, records: Vec::new() });
+            let (contributors, records) = (Vec::new(), Vec::new());
+            return Ok(Who { identity: None, contributors, confidence, elsewhere: None, records });
         };
         let known = info.identity(number)?;
         let Some(contributors) = self.quarantine.credited(&info.scene, known)? else {
             return self.who(info, None, confidence);
         };
         let records = self.records_of(info, known)?;
-        Ok(Who { identity: Some((number, known.label.clone())), contributors, confidence, records })
+        let identity = Some((number, known.label.clone()));
+        Ok(Who { identity, contributors, confidence, elsewhere: None, records })
     }
 }
 

@@ -4,7 +4,7 @@
 
 use cairn_capture::{Picture, Sound};
 use cairn_metrics::{log_spectral_distance_db, snr_db, ssim, text_accuracy};
-use cairn_stega::{Detection, Detector, Signal};
+use cairn_stega::{Detection, Signal};
 
 use super::error::EngineError;
 use super::evaluate::PERFECT_DB;
@@ -21,18 +21,18 @@ pub struct SeenView<'a> {
 /// What a measure says of a recovered signal; `None` where nothing of its kind is hidden.
 type Measure = fn(&Signal, &Detection) -> Result<Option<f64>, EngineError>;
 
-/// Scores the signal `truth` of identity `number`; pictures without a scene have the size of `size`.
+/// Scores the signal `truth` of identity `number`, whose class `forced` tells the detector;
+/// pictures without a scene have the size of `size`.
 ///
 /// # Errors
 /// When the detector or a measure fails.
 pub fn recovery(
-    detector: &Detector,
+    forced: &dyn Fn(&Picture) -> Result<Detection, EngineError>,
     (number, label): (u32, &str),
     truth: &Signal,
     views: &[SeenView<'_>],
     (w, h): (usize, usize),
 ) -> Result<Recovery, EngineError> {
-    let forced = |picture: &Picture| Ok(detector.detect_forced(picture, number as usize)?);
     let base = views.iter().map(|v| forced(v.base)).collect::<Result<Vec<Detection>, EngineError>>()?;
     let (grey, noise) = (forced(&Picture::constant(w, h, [0.5; 3]))?, forced(&noise(w, h))?);
     let measured = |measure: Measure| -> Result<Option<Measured>, EngineError> {

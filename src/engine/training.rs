@@ -1,4 +1,4 @@
-//! One training job from its photographs to its published model: the caller that
+//! One training job from its photographs to its published models (most often one): the caller that
 //! the trainers are promised, which owns the clock, the files and the progress.
 //!
 //! What is done is on the disk, so that a job can be taken up anywhere: the last
@@ -14,17 +14,16 @@ use std::time::{Duration, Instant};
 use cairn_capture::SceneFolder;
 use cairn_cluster::{Clusters, Grouping};
 use cairn_registry::Digest;
-use cairn_stega::Signal;
 
 use super::error::EngineError;
 use super::folder::{read_limited, remove, write_atomic};
 use super::hidden;
 use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
-use super::marks::Marking;
-use super::model::{self, IdentityInfo, MarkFiles, ModelFiles, ModelInfo, publish};
+use super::joint::{Part, shares, signals};
+use super::marks::{Marking, ToMark};
+use super::model::{IdentityInfo, MarkFiles};
 use super::quarantine::Quarantine;
-use super::scenes;
 use super::stages::{self, Field, Stage};
 
 /// Largest checkpoint that is read, bytes.
@@ -48,61 +47,47 @@ pub struct Training {
 
 impl Work for Training {
     fn run(&mut self, job: &Job, control: &Control<'_>) -> Result<Outcome, EngineError> {
-        let spec = &job.spec;
-        let scene = scenes::open(&self.scenes, &spec.scene)?;
         let folder = self.jobs.join(&job.id);
-        let Some(scene) = self.sifted(job, scene, &folder, control)? else { return Ok(Outcome::Stopped) };
-        let clusters = clusters(&scene, &spec.grouping, spec.seed)?;
-        let settings = spec.settings.to_toml()?;
-        // Cut off between publishing and its end: the model is there, whole.
-        if self.is_published(job, &clusters, &settings)? {
-            return finished(&folder, control);
+        let Some(parts) = self.parts(job, &folder, control)? else { return Ok(Outcome::Stopped) };
+        // Cut off between publishing and its end: the models are there, whole.
+        if self.are_published(&parts)? {
+            return finished(&parts, control);
         }
-        let Some(base) = self.base_field(job, &scene, &folder, control)? else { return Ok(Outcome::Stopped) };
-        let mark = match spec.base_only {
+        let mut bases = Vec::with_capacity(parts.len());
+        for part in &parts {
+            let base = match &part.earlier {
+                Some(info) => Some(info.base_field_bytes(&self.models)?),
+                None => self.base_field(&part.job, &part.scene, &part.folder, control)?,
+            };
+            let Some(base) = base else { return Ok(Outcome::Stopped) };
+            bases.push(base);
+        }
+        let marks = match job.spec.base_only {
             true => None,
-            false => match self.mark(job, &scene, &folder, &base, &clusters, control)? {
+            false => match self.mark(job, &parts, &bases, control)? {
                 Some(files) => Some(files),
                 None => return Ok(Outcome::Stopped),
             },
         };
-        let info = ModelInfo {
-            format_version: model::VERSION,
-            scene: spec.scene.clone(),
-            job: job.id.clone(),
-            seed: spec.seed.to_string(),
-            identities: identities(&scene, &clusters),
-            clusters,
-            base_field: Digest::of(&base),
-            settings: Digest::of(&settings),
-            mark: mark.as_ref().map(MarkFiles::info),
-        };
-        publish(&self.models, &info, &ModelFiles { base: &base, settings: &settings, mark: mark.as_ref() })?;
-        finished(&folder, control)
+        for (at, (part, base)) in parts.iter().zip(&bases).enumerate() {
+            self.publish(part, base, marks.as_ref().map(|files| &files[at]), &shares(&parts))?;
+        }
+        finished(&parts, control)
     }
 }
 
-/// Removes what is of no more use once the model is published, and says so.
-fn finished(folder: &Path, control: &Control<'_>) -> Result<Outcome, EngineError> {
-    for left in ["base.checkpoint", "base.field", "mark.checkpoint"] {
-        remove(&folder.join(left))?;
+/// Removes what is of no more use once the models are published, and says so.
+fn finished(parts: &[Part], control: &Control<'_>) -> Result<Outcome, EngineError> {
+    for part in parts {
+        for left in ["base.checkpoint", "base.field", "mark.checkpoint"] {
+            remove(&part.folder.join(left))?;
+        }
     }
     control.progress(Progress { stage: "finished".into(), seconds_left: 0.0, ..Progress::default() });
     Ok(Outcome::Finished)
 }
 
 impl Training {
-    /// Whether the scene's newest model is this job's. Its number alone does not
-    /// say: numbers start again where somebody emptied the folder of jobs.
-    fn is_published(&self, job: &Job, clusters: &Clusters, settings: &str) -> Result<bool, EngineError> {
-        let Some(model) = model::newest(&self.models, &job.spec.scene)? else { return Ok(false) };
-        Ok(model.job == job.id
-            && model.seed == job.spec.seed.to_string()
-            && model.settings == Digest::of(settings)
-            && model.clusters == *clusters
-            && model.mark.is_none() == job.spec.base_only)
-    }
-
     /// Stage 1: the base field's bytes, or `None` when it was asked to stop.
     fn base_field(
         &self,
@@ -133,30 +118,38 @@ impl Training {
         Ok(Some(bytes))
     }
 
-    /// Stage 2's files, or `None` when it was asked to stop.
+    /// Stage 2's files of each part, or `None` when it was asked to stop.
     fn mark(
         &self,
         job: &Job,
-        scene: &SceneFolder,
-        folder: &Path,
-        base: &[u8],
-        clusters: &Clusters,
+        parts: &[Part],
+        bases: &[Vec<u8>],
         control: &Control<'_>,
-    ) -> Result<Option<MarkFiles>, EngineError> {
+    ) -> Result<Option<Vec<MarkFiles>>, EngineError> {
         let clock = Instant::now();
-        let signals = signals(job, folder, clusters.clusters.len())?;
+        let folder = self.jobs.join(&job.id);
+        let grown = self.grown(parts)?;
+        let signals = signals(job, &folder, parts, grown.as_ref())?;
         let file = folder.join("mark.checkpoint");
         let checkpoint = read_checkpoint(&file)?;
-        let base = Field::from_bytes(base)?;
-        let (plan, how) = ((clusters, signals.clone()), (&job.spec.settings, job.spec.seed));
-        let made = Marking::start(scene, base, plan, how, checkpoint.as_deref(), &mut preparing(control))?;
-        drop(checkpoint);
+        let mut scenes = Vec::with_capacity(parts.len());
+        for ((part, base), signals) in parts.iter().zip(bases).zip(&signals) {
+            let (base, signals) = (Field::from_bytes(base)?, signals.clone());
+            scenes.push(ToMark { scene: &part.scene, base, clusters: &part.clusters, signals });
+        }
+        let how = (&job.spec.settings.mark, job.spec.seed);
+        let made = Marking::start(scenes, grown.as_ref(), how, checkpoint.as_deref(), &mut preparing(control))?;
+        drop((checkpoint, grown));
         let Some(mut trainer) = made else { return stopped(stages::MARK, clock, control) };
         if !self.drive((stages::MARK, stages::MARK, clock), &mut trainer, &file, control)? {
             return Ok(None);
         }
-        let (field, detector) = trainer.finish()?;
-        Ok(Some(MarkFiles { field, detector, signals: signals.iter().map(hidden::encoded).collect() }))
+        let (fields, detector) = trainer.finish()?;
+        let files = fields.into_iter().zip(&signals).map(|(field, signals)| {
+            let signals = signals.iter().map(hidden::encoded).collect();
+            MarkFiles { field, detector: detector.clone(), signals }
+        });
+        Ok(Some(files.collect()))
     }
 
     /// Steps a stage (its name, and that under which its seconds are counted), whose `clock` runs since before its
@@ -230,16 +223,6 @@ pub(super) fn preparing(control: &Control<'_>) -> impl FnMut(&'static str, usize
 pub(super) fn stopped<T>(name: &str, clock: Instant, control: &Control<'_>) -> Result<Option<T>, EngineError> {
     control.spent(name, clock.elapsed().as_secs_f64())?;
     Ok(None)
-}
-
-/// What each identity hides: what the job brought, else its own emblem.
-fn signals(job: &Job, folder: &Path, identities: usize) -> Result<Vec<Signal>, EngineError> {
-    let side = job.spec.settings.mark.side_px();
-    let signal = |number: usize| match job.spec.signals.get(number - 1) {
-        Some(kinds) => hidden::kept(folder, number, *kinds, &job.spec.settings.mark),
-        None => Ok(cairn_landmark::signals::emblem(number - 1, side, job.spec.seed).into()),
-    };
-    (1..=identities).map(signal).collect()
 }
 
 pub(super) fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineError> {

@@ -6,10 +6,12 @@ use std::sync::atomic::AtomicU8;
 
 use cairn_capture::{Capture, ReadOptions};
 use cairn_landmark::{Landmark, LandmarkConfig};
+use cairn_stega::Signal;
 use tokio::sync::watch;
 
 use super::super::job::JobState;
-use super::super::{Engine, TrainingRequest};
+use super::super::model::ModelInfo;
+use super::super::{Engine, TrainingRequest, model, scenes};
 use super::*;
 use crate::config::Config;
 
@@ -36,30 +38,38 @@ fn end_of(engine: &Engine, id: &str) -> Job {
     job
 }
 
+/// Puts a made-up landmark into the data folder as `name`.
+fn import(data: &Path, name: &str, seed: u64) {
+    let config = LandmarkConfig { contributors: 2, photographs: 4, width: 32, height: 32, ..LandmarkConfig::default() };
+    let folder = data.join(format!("capture-{name}"));
+    Landmark::generate(&config, seed).unwrap().write(&folder).unwrap();
+    let capture = Capture::read(&folder, &ReadOptions::default()).unwrap();
+    SceneFolder::create(&data.join("scenes"), name, &capture).unwrap();
+}
+
+/// A training of `town` with as many identities.
+fn request(anchors: usize) -> TrainingRequest {
+    let sizes = cairn_cluster::ClusterConfig { anchors, neighbours: 2, ..cairn_cluster::ClusterConfig::default() };
+    TrainingRequest {
+        scene: "town".into(),
+        also: Vec::new(),
+        grow: false,
+        grouping: Grouping::Anchors(sizes),
+        seed: 7,
+        settings_toml: TINY.into(),
+        signals: Vec::new(),
+        quick: false,
+        base_only: false,
+        owner: None,
+    }
+}
+
 impl Trained {
     fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let config =
-            LandmarkConfig { contributors: 2, photographs: 4, width: 32, height: 32, ..LandmarkConfig::default() };
-        Landmark::generate(&config, 3).unwrap().write(&dir.path().join("capture")).unwrap();
-        let capture = Capture::read(&dir.path().join("capture"), &ReadOptions::default()).unwrap();
         let engine = open(dir.path());
-        SceneFolder::create(&dir.path().join("scenes"), "town", &capture).unwrap();
-        let request = TrainingRequest {
-            scene: "town".into(),
-            grouping: Grouping::Anchors(cairn_cluster::ClusterConfig {
-                anchors: 2,
-                neighbours: 2,
-                ..cairn_cluster::ClusterConfig::default()
-            }),
-            seed: 7,
-            settings_toml: TINY.into(),
-            signals: Vec::new(),
-            quick: false,
-            base_only: false,
-            owner: None,
-        };
-        let id = engine.train(request).unwrap().id;
+        import(dir.path(), "town", 3);
+        let id = engine.train(request(2)).unwrap().id;
         let job = end_of(&engine, &id);
         Self { dir, job }
     }
@@ -136,10 +146,12 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     assert_eq!(heard.last(), Some(&(stages::PHOTOGRAPHS, total - 3, total - 2)));
 
     let clusters = clusters(&scene, &trained.job.spec.grouping, seed).unwrap();
-    let signals = signals(&trained.job, &trained.folder(), clusters.clusters.len()).unwrap();
+    let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, settings.mark.side_px(), seed));
+    let signals = (0..clusters.clusters.len()).map(emblem).collect();
     let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
     heard.clear();
-    let made = Marking::start(&scene, base, (&clusters, signals), (settings, seed), None, &mut |stage, done, total| {
+    let scenes = vec![ToMark { scene: &scene, base, clusters: &clusters, signals }];
+    let made = Marking::start(scenes, None, (&settings.mark, seed), None, &mut |stage, done, total| {
         heard.push((stage, done, total));
         stage != stages::RAY_WEIGHTS || done < 3
     });
@@ -173,6 +185,79 @@ fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
     assert_eq!(written.stages.iter().map(|s| s.stage.as_str()).collect::<Vec<_>>(), [stages::MARK]);
     assert_eq!(sender.borrow().progress.stage, stages::PHOTOGRAPHS);
     assert!(folder.join("base.field").exists() && !folder.join("mark.checkpoint").exists());
+}
+
+/// The labels of a model's identities.
+fn labels(info: &ModelInfo) -> Vec<&str> {
+    info.identities.iter().map(|i| i.label.as_str()).collect()
+}
+
+#[test]
+fn scenes_that_are_marked_together_share_a_detector_and_say_whose_mark_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let engine = open(dir.path());
+    for (name, seed) in [("town", 3), ("mill", 4)] {
+        import(dir.path(), name, seed);
+    }
+    let wanted = TrainingRequest { also: vec!["mill".into()], ..request(2) };
+    let job = end_of(&engine, &engine.train(wanted.clone()).unwrap().id);
+    assert!(job.spec.is_of("mill") && job.spec.is_of("town") && !job.spec.is_of("well"));
+    let [town, mill] = ["town", "mill"].map(|name| engine.newest_model(name).unwrap().unwrap());
+    let (a, b) = (town.mark.as_ref().unwrap(), mill.mark.as_ref().unwrap());
+    assert_eq!((a.detector, &a.shared), (b.detector, &b.shared));
+    assert_ne!(a.marked_field, b.marked_field);
+    assert_eq!((town.classes().of(1), mill.classes().of(1), mill.classes().count()), (1, 3, 5));
+    assert_eq!(a.shared[1].labels, labels(&mill));
+    // Both are there and can be asked.
+    for name in ["town", "mill"] {
+        let model = engine.model(name).unwrap();
+        let mark = model.mark().unwrap();
+        let grey = mark.detect(&cairn_capture::Picture::constant(40, 40, [0.5; 3])).unwrap();
+        assert_eq!(grey.detection.probabilities.len(), 3);
+    }
+    // Everything of the second scene is cleared from the job's folder as well.
+    let part = dir.path().join("jobs").join(&job.id).join("scene-2");
+    assert!(part.join("views.json").exists() && !part.join("base.field").exists());
+
+    for (also, expected) in [(vec!["town".to_owned()], "each scene once"), (vec!["well".to_owned()], "well")] {
+        let error = engine.train(TrainingRequest { also, ..wanted.clone() }).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let error = engine.train(TrainingRequest { base_only: true, ..wanted }).unwrap_err().to_string();
+    assert!(error.contains("base field only"), "{error}");
+}
+
+#[test]
+fn a_scene_that_grows_keeps_its_field_and_its_marks() {
+    let trained = Trained::new();
+    let engine = open(trained.dir.path());
+    let before = engine.newest_model("town").unwrap().unwrap();
+    let more = TrainingRequest { grow: true, settings_toml: String::new(), ..request(3) };
+    let job = end_of(&engine, &engine.train(more.clone()).unwrap().id);
+    let after = engine.newest_model("town").unwrap().unwrap();
+    assert_eq!((&after.job, after.base_field), (&job.id, before.base_field), "the field was trained again");
+    assert!(job.stages.iter().all(|s| s.stage == stages::MARK), "{:?}", job.stages);
+    assert_eq!(after.identities.len(), 3);
+    let models = trained.path("models");
+    let [old, new] = [before, after].map(|info| model::Model::load(&models, info).unwrap());
+    let (old_mark, new_mark) = (old.mark().unwrap(), new.mark().unwrap());
+    for (number, label) in (1..).zip(labels(&old.info)) {
+        let now = 1 + labels(&new.info).iter().position(|l| *l == label).expect("a label that was there") as u32;
+        assert_eq!(old_mark.field.carrier(number), new_mark.field.carrier(now), "the mark of {label} moved");
+        let at = |number: u32| number as usize - 1;
+        assert_eq!(old_mark.signals[at(number)], new_mark.signals[at(now)], "{label} hides something else");
+    }
+    // What is added hides something of its own.
+    let signals = &new_mark.signals;
+    assert!(signals[0] != signals[1] && signals[1] != signals[2] && signals[0] != signals[2]);
+
+    let says = |request: TrainingRequest, expected: &str| {
+        let error = engine.train(request).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    };
+    says(more.clone(), "all 3 identities are marked");
+    import(trained.dir.path(), "mill", 4);
+    says(TrainingRequest { scene: "mill".into(), ..more }, "no marks yet");
 }
 
 #[test]

@@ -65,7 +65,7 @@ fn look(folder: &Path, models: &Path, info: ModelInfo, sample: usize) -> Result<
         let lights = model.base.appearances();
         let own = lights.iter().find(|(name, _)| *name == view.name).map(|(_, light)| light.clone());
         let light = own.unwrap_or_else(|| model.base.canonical_appearance().clone());
-        let found = mark.detector.detect(&eight_bits(&mark.field.render(&view.camera, &light))?)?;
+        let found = mark.detect(&eight_bits(&mark.field.render(&view.camera, &light))?)?;
         let named = found.identity.and_then(|number| model.info.identity(number).ok());
         right += usize::from(named.is_some_and(|identity| identity.views.contains(&view.name)));
         asked += 1;

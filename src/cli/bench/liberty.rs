@@ -43,6 +43,8 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         settings: args.settings.clone(),
         quick: args.quick,
         base_only: args.base_only,
+        with: Vec::new(),
+        grow: false,
         resume: None,
         detach: false,
         keys: None,

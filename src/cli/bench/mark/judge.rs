@@ -173,7 +173,8 @@ fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Vec<Recove
     for (at, truth) in asked.signals.iter().enumerate() {
         let of = views.iter().zip(&read).filter(|(view, _)| view.truth == at + 1);
         let seen: Vec<_> = of.map(|(view, found)| SeenView { base: &view.base, found }).collect();
-        identities.push(recovery(&asked.detector, (at as u32 + 1, ""), truth, &seen, size)?);
+        let forced = |picture: &Picture| Ok(asked.detector.detect_forced(picture, at + 1)?);
+        identities.push(recovery(&forced, (at as u32 + 1, ""), truth, &seen, size)?);
     }
     Ok((classes, identities))
 }

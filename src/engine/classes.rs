@@ -1,0 +1,159 @@
+//! Whose class is whose: a detector counts the identities of all scenes that share it,
+//! a scene its own only.
+
+use cairn_capture::Picture;
+use cairn_stega::Detection;
+
+use super::error::EngineError;
+use super::model::{Mark, Share};
+
+/// Which of a detector's classes are a scene's.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Classes {
+    shares: Vec<Share>,
+    /// Identities of the scenes before it.
+    before: usize,
+    /// Its own.
+    own: usize,
+}
+
+/// An identity of another scene.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Elsewhere {
+    /// The scene.
+    pub scene: String,
+    /// The identity's number there, 1 and up.
+    pub number: u32,
+    /// What it is called there.
+    pub label: String,
+}
+
+/// What a picture says, in the scene's own numbers.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The scene's identity, or another scene's; neither where the picture says `unmarked`.
+    pub identity: Option<u32>,
+    /// Where the picture carries a mark of another scene with the same detector.
+    pub elsewhere: Option<Elsewhere>,
+    /// Probability of the answer, 0 to 1.
+    pub confidence: f32,
+    /// What the detector said, with the scene's classes alone: `unmarked`, then its identities; what is
+    /// missing to 1 is other scenes'.
+    pub detection: Detection,
+}
+
+impl Found {
+    /// Whether nobody's mark was found, of this scene or another.
+    pub fn is_unmarked(&self) -> bool {
+        self.identity.is_none() && self.elsewhere.is_none()
+    }
+}
+
+impl Classes {
+    /// Those of `scene`, one of `shares`.
+    pub fn new(scene: &str, shares: Vec<Share>) -> Self {
+        let at = shares.iter().position(|share| share.scene == scene).unwrap_or(shares.len());
+        let before = shares[..at].iter().map(|share| share.labels.len()).sum();
+        let own = shares.get(at).map_or(0, |share| share.labels.len());
+        Self { shares, before, own }
+    }
+
+    /// M + 1, of all scenes.
+    pub fn count(&self) -> usize {
+        1 + self.shares.iter().map(|share| share.labels.len()).sum::<usize>()
+    }
+
+    /// The detector's class of the scene's identity `number`, 1 and up.
+    pub fn of(&self, number: u32) -> usize {
+        self.before + number as usize
+    }
+
+    /// Whose `class` is: the scene's identity, or another's; neither of class 0.
+    fn owner(&self, class: usize) -> (Option<u32>, Option<Elsewhere>) {
+        if (self.before + 1..=self.before + self.own).contains(&class) {
+            return (Some((class - self.before) as u32), None);
+        }
+        let mut first = 1;
+        for Share { scene, labels } in &self.shares {
+            if let Some(label) = class.checked_sub(first).and_then(|at| labels.get(at)) {
+                let number = (class - first + 1) as u32;
+                return (None, Some(Elsewhere { scene: scene.clone(), number, label: label.clone() }));
+            }
+            first += labels.len();
+        }
+        (None, None)
+    }
+
+    fn found(&self, mut detection: Detection) -> Found {
+        let class = detection.identity.unwrap_or(0) as usize;
+        let confidence = detection.probabilities.get(class).copied().unwrap_or(0.0);
+        let (identity, elsewhere) = self.owner(class);
+        detection.identity = identity;
+        let own = (1..).zip(&detection.probabilities).filter(|(at, _)| {
+            // `at` counts from 1: class 0 is the first.
+            *at == 1 || (self.before + 2..=self.before + self.own + 1).contains(at)
+        });
+        detection.probabilities = own.map(|(_, p)| *p).collect();
+        Found { identity, elsewhere, confidence, detection }
+    }
+}
+
+impl Mark {
+    /// Classifies `picture` (any size) and recovers what it hides.
+    ///
+    /// # Errors
+    /// As [`cairn_stega::Detector::detect`].
+    pub fn detect(&self, picture: &Picture) -> Result<Found, EngineError> {
+        Ok(self.classes.found(self.detector.detect(picture)?))
+    }
+
+    /// As [`Mark::detect`], with the scene's identity `number` told to the detector in place of the
+    /// classifier's answer.
+    ///
+    /// # Errors
+    /// As [`cairn_stega::Detector::detect_forced`].
+    pub fn detect_forced(&self, picture: &Picture, number: u32) -> Result<Found, EngineError> {
+        Ok(self.classes.found(self.detector.detect_forced(picture, self.classes.of(number))?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_stega::Signal;
+
+    fn share(scene: &str, labels: &[&str]) -> Share {
+        Share { scene: scene.into(), labels: labels.iter().map(|l| (*l).to_owned()).collect() }
+    }
+
+    fn said(class: u32, probabilities: &[f32]) -> Detection {
+        let (probabilities, recovered) = (probabilities.to_vec(), Signal::default());
+        Detection { identity: (class > 0).then_some(class), probabilities, recovered, text_bytes: None }
+    }
+
+    #[test]
+    fn classes_of_scenes_that_share_a_detector_are_told_apart() {
+        let shares = vec![share("mill", &["ada", "bo"]), share("town", &["cy"]), share("well", &["di", "ed"])];
+        let town = Classes::new("town", shares.clone());
+        assert_eq!((town.count(), town.of(1)), (6, 3));
+        let found = town.found(said(3, &[0.1, 0.0, 0.1, 0.7, 0.1, 0.0]));
+        assert_eq!((found.identity, found.elsewhere, found.confidence), (Some(1), None, 0.7));
+        assert_eq!((found.detection.identity, found.detection.probabilities), (Some(1), vec![0.1, 0.7]));
+        let found = town.found(said(5, &[0.1, 0.0, 0.1, 0.1, 0.1, 0.6]));
+        let ed = Elsewhere { scene: "well".into(), number: 2, label: "ed".into() };
+        assert!(!found.is_unmarked() && found.detection.identity.is_none());
+        assert_eq!((found.identity, found.elsewhere, found.confidence), (None, Some(ed), 0.6));
+        assert!(town.found(said(0, &[0.9, 0.0, 0.0, 0.1, 0.0, 0.0])).is_unmarked());
+        let mill = Classes::new("mill", shares);
+        let found = mill.found(said(2, &[0.0, 0.1, 0.9, 0.0, 0.0, 0.0]));
+        assert_eq!((found.identity, found.detection.probabilities), (Some(2), vec![0.0, 0.1, 0.9]));
+    }
+
+    #[test]
+    fn a_scene_with_a_detector_of_its_own_has_all_classes() {
+        let alone = Classes::new("town", vec![share("town", &["ada", "bo"])]);
+        assert_eq!((alone.count(), alone.of(2)), (3, 2));
+        let found = alone.found(said(2, &[0.2, 0.1, 0.7]));
+        assert_eq!((found.identity, found.detection.probabilities), (Some(2), vec![0.2, 0.1, 0.7]));
+    }
+}
