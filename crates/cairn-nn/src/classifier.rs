@@ -42,6 +42,7 @@ impl Default for ClassifierConfig {
 pub struct Classifier {
     config: ClassifierConfig,
     classes: usize,
+    features: usize,
     blocks: Vec<ConvBlock>,
     hidden: Linear,
     head: Linear,
@@ -74,12 +75,17 @@ impl Classifier {
         let head = Linear::new(&mut scope.sub("head"), HIDDEN, classes, Init::Uniform(0.02))?;
         scope.by_class("head.weight", 0, 0);
         scope.by_class("head.bias", 0, 0);
-        Ok(Self { config: config.clone(), classes, blocks, hidden, head })
+        Ok(Self { config: config.clone(), classes, features, blocks, hidden, head })
     }
 
     /// M + 1.
     pub fn classes(&self) -> usize {
         self.classes
+    }
+
+    /// F, the numbers that [`Classifier::features`] gives of a picture.
+    pub fn feature_count(&self) -> usize {
+        self.features
     }
 
     /// Logits, N x (M + 1), of `images`, N x C x H x W in [0, 1], with H and W
@@ -88,6 +94,23 @@ impl Classifier {
     /// # Errors
     /// [`NnError::Input`] for another shape.
     pub fn forward(&self, images: &Tensor) -> Result<Tensor> {
+        self.classify(&self.features(images)?)
+    }
+
+    /// Logits, N x (M + 1), of [`Classifier::features`].
+    ///
+    /// # Errors
+    /// [`NnError::Tensor`] for another shape.
+    pub fn classify(&self, features: &Tensor) -> Result<Tensor> {
+        self.head.forward(&leaky_relu(&self.hidden.forward(features)?, LEAKY_SLOPE)?)
+    }
+
+    /// What the answer is worked out from, N x F: statistics over the picture of the last
+    /// convolution's channels, and the energies of colour. `images` as for [`Classifier::forward`].
+    ///
+    /// # Errors
+    /// As [`Classifier::forward`].
+    pub fn features(&self, images: &Tensor) -> Result<Tensor> {
         check_image("the classifier", images, self.config.inputs, 1 << self.blocks.len())?;
         let mut x = front_end(images, self.config.high_pass_gain, None)?;
         if self.config.high_pass_gain != 0.0 {
@@ -100,11 +123,11 @@ impl Classifier {
         for block in &self.blocks {
             x = block.forward(&x)?;
         }
-        let mut features = pool_moments(&x)?;
-        if let Some(energies) = energies {
-            features = Tensor::cat(&[&features, &energies], 1)?;
-        }
-        self.head.forward(&leaky_relu(&self.hidden.forward(&features)?, LEAKY_SLOPE)?)
+        let features = pool_moments(&x)?;
+        Ok(match energies {
+            Some(energies) => Tensor::cat(&[&features, &energies], 1)?,
+            None => features,
+        })
     }
 }
 

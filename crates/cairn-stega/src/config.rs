@@ -138,6 +138,9 @@ pub struct MarkConfig {
     pub enough_snr_db: f64,
     /// The same for the share of hidden texts' characters, 0 to 10; above 1 = never.
     pub enough_characters: f64,
+    /// An owner is no longer believed of pictures that lie this many times as far from the
+    /// owner's renders as the furthest of those does, 1 to 100; 0 = believed of any.
+    pub unfamiliar_beyond: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
     /// The classifier.
@@ -184,6 +187,7 @@ impl Default for MarkConfig {
             enough_ssim: 0.985,
             enough_snr_db: 25.0,
             enough_characters: 1.0,
+            unfamiliar_beyond: 1.5,
             robust: RobustConfig::default(),
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),
@@ -236,6 +240,13 @@ impl MarkConfig {
         ] {
             check((low..=high).contains(&value), key, value.to_string(), allowed)?;
         }
+        let beyond = self.unfamiliar_beyond;
+        check(
+            beyond == 0.0 || (1.0..=100.0).contains(&beyond),
+            "mark.unfamiliar_beyond",
+            beyond.to_string(),
+            "0 (off) or 1 to 100",
+        )?;
         check(
             self.guidance != Guidance::NoClassifier || self.recover_moves_marks,
             "mark.recover_moves_marks",

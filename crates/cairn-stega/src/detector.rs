@@ -2,6 +2,7 @@
 
 use crate::config::MarkConfig;
 use crate::error::MarkError;
+use crate::familiar::Familiar;
 use crate::judge::winner;
 use crate::marked::{read_header, stored};
 use crate::negatives::shrunk;
@@ -13,8 +14,11 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
-/// Format of a stored detector; another number is refused by name.
-pub const DETECTOR_FORMAT: &str = "cairn.detector/3";
+/// Format of a stored detector: 4 since it knows where its owners' renders lie. Another
+/// number is refused by name, but for 3.
+pub const DETECTOR_FORMAT: &str = "cairn.detector/4";
+/// Those that are read.
+const DETECTOR_FORMATS: [&str; 2] = ["cairn.detector/3", DETECTOR_FORMAT];
 
 /// F_psi and Fc_psi after training.
 pub struct Detector {
@@ -125,7 +129,12 @@ impl Detector {
         };
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
         let params = self.networks.params.to_bytes()?;
-        let tensors = [("parameters", TensorView::new(Dtype::U8, vec![params.len()], &params).map_err(bad)?)];
+        let mut parts = vec![("parameters", params)];
+        parts.extend(self.networks.familiar.iter().flat_map(|familiar| familiar.parts()));
+        let mut tensors = Vec::with_capacity(parts.len());
+        for (name, bytes) in &parts {
+            tensors.push((*name, TensorView::new(Dtype::U8, vec![bytes.len()], bytes).map_err(bad)?));
+        }
         let json = serde_json::to_string(&header).map_err(|e| stored("detector", e.to_string()))?;
         safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
     }
@@ -136,7 +145,7 @@ impl Detector {
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "detector")?;
-        if header.format != DETECTOR_FORMAT {
+        if !DETECTOR_FORMATS.contains(&header.format.as_str()) {
             let why = format!("format `{}`, this program reads `{DETECTOR_FORMAT}`", header.format);
             return Err(stored("detector", why));
         }
@@ -145,7 +154,8 @@ impl Detector {
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
         let file = SafeTensors::deserialize(bytes).map_err(bad)?;
         let params = Params::from_bytes(file.tensor("parameters").map_err(bad)?.data())?;
-        let networks = Networks::with(&header.config, header.classes, header.heads, params)?;
+        let mut networks = Networks::with(&header.config, header.classes, header.heads, params)?;
+        networks.familiar = Familiar::from_file(&file, header.classes, networks.classifier.feature_count())?;
         Ok(Self { config: header.config, networks })
     }
 }

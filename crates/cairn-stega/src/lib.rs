@@ -16,6 +16,7 @@ mod config;
 mod detector;
 mod distort;
 mod error;
+mod familiar;
 mod growth;
 mod heads;
 mod judge;

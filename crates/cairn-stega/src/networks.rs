@@ -2,6 +2,7 @@
 
 use crate::config::{Guidance, MarkConfig};
 use crate::error::MarkError;
+use crate::familiar::Familiar;
 use crate::heads::Heads;
 use crate::judge::winner;
 use crate::signal::{HeadSizes, Numbers};
@@ -16,6 +17,8 @@ pub(crate) struct Networks {
     pub(crate) params: Params,
     pub(crate) classifier: Classifier,
     pub(crate) detector: Heads,
+    /// Where owners' renders lie; none while training.
+    pub(crate) familiar: Option<Familiar>,
     guidance: Guidance,
 }
 
@@ -34,7 +37,7 @@ impl Networks {
     ) -> Result<Self, MarkError> {
         let classifier = Classifier::new(&config.classifier, classes, params.scope("classifier"))?;
         let detector = Heads::new(config, classes, sizes, &mut params)?;
-        Ok(Self { params, classifier, detector, guidance: config.guidance })
+        Ok(Self { params, classifier, detector, familiar: None, guidance: config.guidance })
     }
 
     /// What the detector is told of class probabilities, N x (M + 1): nothing, as zeros,
@@ -47,7 +50,7 @@ impl Networks {
     }
 
     /// Class probabilities and hidden signals for `pictures`
-    /// (each `side x side x 3`). With `forced`, that class is told to the
+    /// (each `side x side x 3`); owners count for less on pictures unlike their renders. With `forced`, that class is told to the
     /// detector in place of the classifier's own answer.
     ///
     /// # Errors
@@ -59,9 +62,14 @@ impl Networks {
         forced: Option<usize>,
     ) -> Result<Vec<Reading>, MarkError> {
         let images = to_tensor(pictures, side)?;
-        let probabilities = softmax(&self.classifier.forward(&images)?)?;
-        let probabilities = probabilities.to_vec2::<f32>()?;
+        let features = self.classifier.features(&images)?;
+        let mut probabilities = softmax(&self.classifier.classify(&features)?)?.to_vec2::<f32>()?;
         probabilities.iter().try_for_each(|p| finite(p, "a class's probability"))?;
+        if let Some(familiar) = &self.familiar {
+            for (probabilities, features) in probabilities.iter_mut().zip(features.to_vec2::<f32>()?) {
+                familiar.doubt(probabilities, &features);
+            }
+        }
         // The detector is told the decision, not its odds: half an owner's signal is nobody's.
         let told = probabilities.iter().flat_map(|p| {
             let class = forced.unwrap_or_else(|| winner(p));

@@ -76,6 +76,13 @@ impl MarkTrainer {
         shown
     }
 
+    /// A marked render of an identity (from 0) as a step shows it.
+    pub(crate) fn one_of(&self, identity: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        let site = self.site_of(identity);
+        let view = self.sites[site].bank.draw(identity - self.sites[site].identities.start, rng);
+        self.render((site, view), Some(identity), rng).0
+    }
+
     /// A scene's view with the mark of `identity` (from 0) and without it, as the networks see
     /// them; `None` where one carrier is seen from everywhere and nobody's cluster is shown.
     fn render(

@@ -12,9 +12,10 @@ use crate::checkpoint::fingerprint;
 use crate::config::{Guidance, MarkConfig};
 use crate::detector::Detector;
 use crate::error::MarkError;
+use crate::familiar::Familiar;
 use crate::judge::{Judgement, State};
 use crate::marked::MarkedField;
-use crate::networks::{Networks, planar};
+use crate::networks::{Networks, planar, to_tensor};
 use crate::poses::PlannedView;
 use crate::renders::Tone;
 use crate::signal::{HeadSizes, Numbers, Signal};
@@ -27,6 +28,12 @@ use candle_core::{Device, Var};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
+
+/// Marked renders of an owner, at least, from which it is learnt where they lie; and of all owners together.
+const LEAST_RENDERS_EACH: usize = 96;
+const LEAST_RENDERS: usize = 256;
+/// Stream of their draws, apart from steps' and the judge's.
+const FAMILIAR_STREAM: u64 = 1 << 34;
 
 /// What stage 2 is to do in a scene.
 #[derive(Clone, Debug)]
@@ -236,6 +243,7 @@ impl MarkTrainer {
                 carrier.values = values;
             }
         }
+        self.networks.familiar = self.familiar()?;
         let mut carriers = self.carriers.into_iter().map(|c| c.values);
         let (mut fields, kind) = (Vec::new(), self.config.carrier);
         for Site { scene: MarkScene { field, plan }, carriers: own, .. } in self.sites {
@@ -243,6 +251,31 @@ impl MarkTrainer {
             fields.push(MarkedField::new(field, plan.clusters, kind, own)?);
         }
         Ok((fields, Detector::new(self.config, self.networks)))
+    }
+
+    /// Where each owner's renders lie, from renders like those of training; `None` where nobody asks.
+    fn familiar(&self) -> Result<Option<Familiar>, MarkError> {
+        let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
+        if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
+            return Ok(None);
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(FAMILIAR_STREAM);
+        let each = LEAST_RENDERS_EACH.max(LEAST_RENDERS.div_ceil(owners));
+        let mut classes = Vec::with_capacity(owners);
+        for identity in 0..owners {
+            let mut renders = Vec::with_capacity(each);
+            for _ in 0..each {
+                let picture = self.one_of(identity, &mut rng);
+                let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.side_px())?)?;
+                renders.push(features.flatten_all()?.to_vec1::<f32>()?);
+            }
+            classes.push(renders);
+        }
+        let fitted = Familiar::fit(&classes, beyond);
+        fitted
+            .map(Some)
+            .ok_or_else(|| MarkError::NotFinite { step: None, place: "the spread of marked renders".into() })
     }
 
     /// The best judgement so far.

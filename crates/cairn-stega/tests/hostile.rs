@@ -145,7 +145,7 @@ fn what_does_not_fit_is_refused_by_name() {
     }
     let old = altered(&detector, |h| h["format"] = "cairn.detector/1".into(), "", <[u8]>::to_vec);
     let error = Detector::from_bytes(&old).err().unwrap().to_string();
-    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/3"), "{error}");
+    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/4"), "{error}");
     for heads in [
         serde_json::json!({ "picture": true, "audio": u32::MAX, "text": null }),
         serde_json::json!({ "picture": true, "audio": null, "text": 1u64 << 40 }),
