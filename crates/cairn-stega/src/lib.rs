@@ -12,6 +12,7 @@ mod bank;
 mod carrier;
 mod checkpoint;
 mod config;
+mod deepstega;
 mod detector;
 mod distort;
 mod error;
@@ -32,6 +33,7 @@ mod window;
 
 pub use carrier::Carrier;
 pub use config::{CarrierKind, Guidance, LossKind, MarkConfig, MaskKind};
+pub use deepstega::{DeepConfig, DeepStats, DeepStega, DeepTrainer};
 pub use detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use distort::{Distortion, RobustConfig};
 pub use error::MarkError;

@@ -263,7 +263,7 @@ impl Run {
             source: self.source.clone(),
             config: self.field.clone(),
             seed: self.seed,
-            lowest_bits: None,
+            stego: None,
             field: field.clone(),
             label: format!("{}, base field", self.name),
         };
