@@ -88,6 +88,14 @@ impl MarkedField {
         }
     }
 
+    /// The field whose cluster of identity i carries the mark of identity i + `by`, counted
+    /// round ([`Clusters::permuted`]): for tests of whether a class comes from the mark or
+    /// from the view. One set of harmonics for all stays as it is, and only its owners change.
+    #[must_use]
+    pub fn permuted(&self, by: usize) -> Self {
+        Self { clusters: self.clusters.permuted(by), ..self.clone() }
+    }
+
     /// The field without its smallest weights: the `share`, 0 to 1, of all colour
     /// coefficients, theta_0's and the carriers' alike, that are nearest to zero become zero.
     #[must_use]
