@@ -1,13 +1,14 @@
 //! The views stage 2 trains on: each cluster's photographs' poses and virtual
 //! ones between them, with ray weights worked out once, and unmarked pictures.
 
-use crate::config::{CarrierKind, MarkConfig};
+use crate::config::{CarrierKind, DensityKind, MarkConfig};
 use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, virtual_views};
 use crate::trainer::MarkPlan;
 use crate::window::Window;
+use cairn_field::marched::MarchedView;
 use cairn_field::operator::{LinearView, MarkableField};
 use cairn_field::{Appearance, Field};
 use rand::{RngExt, SeedableRng};
@@ -23,8 +24,18 @@ const MOST_RAYS: usize = 3;
 
 /// A view to train on.
 pub(crate) struct BankView {
+    /// theta_0's picture, and where colours alone move what a carrier adds to it.
     pub(crate) linear: LinearView,
+    /// For theta's, where densities are free and a carrier is seen here.
+    marched: Option<MarchedView>,
     pub(crate) appearance: Appearance,
+}
+
+impl BankView {
+    /// The view to be marched, of a bank for free densities.
+    pub(crate) fn marched(&self) -> &MarchedView {
+        self.marched.as_ref().expect("a bank for free densities marches the views that marks are seen on")
+    }
 }
 
 /// See the module's text.
@@ -115,6 +126,8 @@ struct Prepare<'a> {
     field: &'a Field,
     /// Rays across a pixel of the views.
     rays: usize,
+    /// Whether densities move as well.
+    free: bool,
     done: usize,
     total: usize,
     progress: &'a mut dyn FnMut(usize, usize) -> bool,
@@ -129,7 +142,10 @@ impl Prepare<'_> {
 
     fn view(&mut self, v: PlannedView, cutoff: f32) -> Result<BankView, MarkError> {
         self.go_on()?;
-        Ok(BankView { linear: self.field.view(&v.camera, cutoff, self.rays), appearance: v.appearance })
+        // Entries are for colours alone.
+        let marched = (self.free && cutoff.is_finite()).then(|| MarchedView::new(&v.camera, self.rays));
+        let cutoff = if self.free { f32::INFINITY } else { cutoff };
+        Ok(BankView { linear: self.field.view(&v.camera, cutoff, self.rays), marched, appearance: v.appearance })
     }
 }
 
@@ -146,7 +162,8 @@ impl Bank {
     ) -> Result<Self, MarkError> {
         let side = config.side_px();
         let chosen = Chosen::draw(plan, config, seed)?;
-        let mut prepare = Prepare { field, rays: rays_across(plan, config), done: 0, total: chosen.len(), progress };
+        let (rays, free) = (rays_across(plan, config), config.density == DensityKind::Free);
+        let mut prepare = Prepare { field, rays, free, done: 0, total: chosen.len(), progress };
         let (mut views, mut of, mut judged) = (Vec::new(), Vec::new(), Vec::new());
         for (identity, (teach, judge)) in chosen.of.into_iter().enumerate() {
             let first = views.len();

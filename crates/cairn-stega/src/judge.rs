@@ -12,6 +12,7 @@ use crate::signal::Numbers;
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
 use cairn_capture::Picture;
+use cairn_field::Field;
 use cairn_nn::text_bytes;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -153,7 +154,10 @@ impl MarkTrainer {
         for (at, (identity, view)) in self.bank.judged.iter().enumerate() {
             let carrier = &self.carriers[self.carrier_of(*identity)];
             let none = Attack::none();
-            let read = self.read(&[seen(view, Some(carrier), &none, side), seen(view, None, &none, side)])?;
+            let read = self.read(&[
+                seen(&self.field, view, Some(carrier), &none, side),
+                seen(&self.field, view, None, &none, side),
+            ])?;
             right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
             asked += 2;
             attacked.extend(self.attacked(at as u64, (*identity, carrier), view)?);
@@ -167,7 +171,7 @@ impl MarkTrainer {
             .bank
             .judged_outside
             .iter()
-            .map(|view| seen(view, self.carriers.first(), &Attack::none(), side))
+            .map(|view| seen(&self.field, view, self.carriers.first(), &Attack::none(), side))
             .collect();
         for chunk in self.bank.judged_unmarked.chunks(4).chain(outside.chunks(4)) {
             for (probabilities, _) in self.read(chunk)? {
@@ -214,7 +218,8 @@ impl MarkTrainer {
         let (side, mut right) = (self.config.side_px(), Vec::new());
         for _ in 0..ATTACKS {
             let attack = Attack::always(&self.config.robust, &mut rng);
-            let pictures = [seen(view, Some(carrier), &attack, side), seen(view, None, &attack, side)];
+            let pictures =
+                [seen(&self.field, view, Some(carrier), &attack, side), seen(&self.field, view, None, &attack, side)];
             let classes = self.read(&pictures)?.into_iter().map(|(probabilities, _)| winner(&probabilities));
             right.extend(classes.zip([identity + 1, 0]).map(|(said, true_class)| said == true_class));
         }
@@ -230,10 +235,10 @@ impl MarkTrainer {
 }
 
 /// A view as the networks read it from a file, `side x side x 3`.
-fn seen(view: &BankView, carrier: Option<&Carrier>, attack: &Attack, side: usize) -> Vec<f32> {
+fn seen(field: &Field, view: &BankView, carrier: Option<&Carrier>, attack: &Attack, side: usize) -> Vec<f32> {
     let mut rgb = view.linear.base(&view.appearance);
     if let Some(carrier) = carrier {
-        view.linear.apply(&carrier.values, carrier.basis, &view.appearance, &mut rgb);
+        carrier.show(field, view, &view.appearance, &mut rgb);
     }
     let file = attack.apply(eight_bits(rgb), [view.linear.width(), view.linear.height()]);
     Window::whole(file.size[0], file.size[1], side).apply(&file.rgb)

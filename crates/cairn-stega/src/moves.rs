@@ -52,7 +52,7 @@ impl MarkTrainer {
                 };
                 *s = if *inside { *s * m.gain } else { 0.0 } + keep * own;
             }
-            self.carriers[m.carrier].owe(&self.bank.view(m.view).linear, &slope, &m.appearance);
+            self.carriers[m.carrier].owe(&self.field, self.bank.view(m.view), &slope, &m.appearance);
             let square = m.change.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / m.change.len() as f64;
             self.finite(square, "a marked render")?;
             worst[m.carrier] = Some(worst[m.carrier].unwrap_or(0.0).max(square));

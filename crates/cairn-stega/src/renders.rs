@@ -1,7 +1,6 @@
 //! What the networks are shown in a step: marked renders, the same renders
 //! without the mark, and what cameras and files do to either.
 
-use crate::bank::BankView;
 use crate::distort::{Attack, Attacked};
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
@@ -72,12 +71,13 @@ impl MarkTrainer {
     /// A view with the mark of `class` and without it, as the networks see them.
     fn render(&self, view: usize, class: u32, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>, Render) {
         let appearance = self.bank.appearance(view, rng);
-        let BankView { linear, .. } = self.bank.view(view);
+        let seen_from = self.bank.view(view);
+        let linear = &seen_from.linear;
         let at = self.carrier_of((class as usize).saturating_sub(1));
         let mut base = linear.base(&appearance);
         let mut picture = base.clone();
         let carrier = &self.carriers[at];
-        linear.apply(&carrier.values, carrier.basis, &appearance, &mut picture);
+        carrier.show(&self.field, seen_from, &appearance, &mut picture);
         let change = picture.iter().zip(&base).map(|(a, b)| a - b).collect();
         let inside = picture.iter().map(|v| (0.0..=1.0).contains(v)).collect();
         picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));

@@ -3,8 +3,8 @@
 //! A step takes marked renders of some identities and as many unmarked
 //! pictures (`renders`), runs classifier and detector, and pushes the loss's
 //! gradient with respect to the pictures back through the views' fixed linear
-//! maps into the carriers (`moves`; deferred back-propagation). Density never
-//! moves. Like stage 1, a step reads no clock and no file and draws only from its
+//! maps into the carriers (`moves`; deferred back-propagation), or along rays marched
+//! anew where `mark.density` is free. Like stage 1, a step reads no clock and no file and draws only from its
 //! seed.
 
 use crate::bank::Bank;
@@ -15,15 +15,14 @@ use crate::detector::Detector;
 use crate::error::MarkError;
 use crate::judge::{Judgement, State};
 use crate::marked::MarkedField;
-use crate::mask::gradient_mask;
 use crate::networks::{Networks, planar};
 use crate::poses::PlannedView;
 use crate::renders::Tone;
+use crate::shape::{CarrierShape, carrier_mask};
 use crate::signal::{HeadSizes, Numbers, Signal};
 use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_field::Field;
-use cairn_field::operator::CarrierBasis;
 use cairn_nn::{Adam, AdamConfig, NnError, Rate};
 use candle_core::{Device, Var};
 use rand::SeedableRng;
@@ -123,19 +122,12 @@ impl MarkTrainer {
         let heads = HeadSizes::of(&plan.signals, &config);
         let signals = plan.signals.iter().map(|s| Numbers::of(s, &heads, config.side_px())).collect();
         let bank = Bank::new(&field, &plan, &config, seed, progress)?;
-        let (basis, count) = match config.carrier {
-            CarrierKind::PerCluster => (CarrierBasis::Constant, identities),
-            CarrierKind::Harmonics => (CarrierBasis::Harmonics, 1),
-        };
+        let shape = CarrierShape::of(config.carrier, config.density);
+        let count = if config.carrier == CarrierKind::PerCluster { identities } else { 1 };
         let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
         let carriers =
-            (0..count).map(|i| Carrier::pattern(field.as_ref(), basis, seed, (i, count), amplitude)).collect();
-        let mask = gradient_mask(
-            config.mask,
-            (config.mask_alpha, config.mask_least, config.mask_share),
-            field.as_ref(),
-            basis,
-        );
+            (0..count).map(|i| Carrier::pattern(field.as_ref(), shape, seed, (i, count), amplitude)).collect();
+        let mask = carrier_mask(&config, field.as_ref(), shape);
         let networks = Networks::new(&config, identities + 1, heads, seed)?;
         let rate = Rate::falling(
             config.learning_rate_networks,
@@ -235,7 +227,8 @@ impl MarkTrainer {
             }
         }
         let carriers = self.carriers.into_iter().map(|c| c.values).collect();
-        let marked = MarkedField::new(self.field, self.plan.clusters, self.config.carrier, carriers)?;
+        let marked =
+            MarkedField::new(self.field, self.plan.clusters, (self.config.carrier, self.config.density), carriers)?;
         Ok((marked, Detector::new(self.config, self.networks)))
     }
 
