@@ -10,6 +10,9 @@ use crate::engine::evaluate::eight_bits;
 use crate::engine::recovery::picture_ssim;
 use crate::engine::report::Right;
 
+/// SSIM from which a picture counts as recovered; black is a little like anything.
+const LEAST: f64 = 0.5;
+
 /// Of renders whose mark and view speak for different identities, how many follow which.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Followed {
@@ -17,7 +20,7 @@ pub struct Followed {
     pub mark: Right,
     /// The class is that which the view had before.
     pub view: Right,
-    /// What is recovered is more like the mark's hidden picture than like the view's.
+    /// What is recovered is the mark's hidden picture: like it ([`LEAST`]), and more so than like the view's.
     pub hidden_mark: Right,
     /// The other way round.
     pub hidden_view: Right,
@@ -35,8 +38,8 @@ impl Followed {
         self.view.count(found.identity == Some(view));
         let likeness = |identity: u32| picture_ssim(&signals[identity as usize - 1], found);
         if let (Some(mark), Some(view)) = (likeness(mark)?, likeness(view)?) {
-            self.hidden_mark.count(mark > view);
-            self.hidden_view.count(view > mark);
+            self.hidden_mark.count(mark > view && mark >= LEAST);
+            self.hidden_view.count(view > mark && view >= LEAST);
         }
         Ok(())
     }
@@ -69,4 +72,33 @@ pub fn follow(
         }
     }
     Ok(followed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_capture::Picture;
+
+    #[test]
+    fn what_is_neither_the_marks_nor_the_views_counts_for_neither() {
+        let ramp = |down: bool| {
+            let pixel = |i: usize| [if down { i / 16 } else { i % 16 } as f32 / 15.0; 3];
+            Picture::new(16, 16, (0..256).flat_map(pixel).collect()).unwrap()
+        };
+        let signals = [Signal::from(ramp(false)), Signal::from(ramp(true))];
+        let found = |identity, picture: &Picture| Detection {
+            identity,
+            probabilities: Vec::new(),
+            recovered: picture.clone().into(),
+            text_bytes: None,
+        };
+        let mut followed = Followed::default();
+        // As the mark says, as the view says, and nothing at all.
+        followed.count(&signals, &found(Some(1), &ramp(false)), [1, 2]).unwrap();
+        followed.count(&signals, &found(Some(2), &ramp(true)), [1, 2]).unwrap();
+        followed.count(&signals, &found(None, &Picture::constant(16, 16, [0.0; 3])), [1, 2]).unwrap();
+        let one = Right { right: 1, asked: 3 };
+        assert_eq!([followed.mark, followed.view, followed.hidden_mark, followed.hidden_view], [one; 4]);
+        assert_eq!(followed.unmarked, Right::default());
+    }
 }
