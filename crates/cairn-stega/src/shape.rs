@@ -70,3 +70,60 @@ pub(crate) fn carrier_mask(config: &MarkConfig, field: &dyn MarkableField, shape
     }
     mask
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_capture::Camera;
+    use cairn_field::operator::LinearView;
+
+    /// Two vertices of like colours, one twice as dense as the other.
+    struct Two;
+
+    impl MarkableField for Two {
+        fn rows(&self) -> usize {
+            3
+        }
+        fn lattice(&self) -> Vec<[u32; 3]> {
+            vec![[0; 3]; 3]
+        }
+        fn row_magnitudes(&self) -> Vec<f32> {
+            vec![1.0; 3]
+        }
+        fn coefficient_magnitudes(&self) -> Vec<f32> {
+            vec![1.0; 3 * 27]
+        }
+        fn densities(&self) -> Vec<f32> {
+            vec![0.0, 1.0, 2.0]
+        }
+        fn view(&self, _: &Camera, _: f32, _: usize) -> LinearView {
+            unreachable!("a mask looks at no view")
+        }
+    }
+
+    #[test]
+    fn densities_have_their_own_mask_and_rate() {
+        let shape = CarrierShape::of(CarrierKind::Harmonics, DensityKind::Free);
+        assert_eq!((shape.width(), shape.colours()), (28, 27));
+        for (mask, densities) in [
+            // Twice the density moves an eighth (alpha 3); the rate is twice that of colours.
+            (MaskKind::PerWeight, [2.0, 2.0, 0.25]),
+            (MaskKind::Binary, [2.0, 2.0, 0.0]),
+            (MaskKind::PerCoefficientGroup, [2.0; 3]),
+            (MaskKind::None, [2.0; 3]),
+        ] {
+            let rates =
+                MarkConfig { learning_rate_density: 1e-3, learning_rate_carrier: 5e-4, ..MarkConfig::default() };
+            let config = MarkConfig { mask, mask_least: 0.0, ..rates };
+            let all = carrier_mask(&config, &Two, shape);
+            assert_eq!(all.len(), 3 * 28, "{mask:?}");
+            for (row, density) in all.chunks_exact(28).zip(densities) {
+                assert!((row[27] - density).abs() < 1e-6, "{mask:?}: {} for {density}", row[27]);
+            }
+            let colours = carrier_mask(&config, &Two, CarrierShape::Colours(CarrierBasis::Harmonics));
+            for (free, alone) in all.chunks_exact(28).zip(colours.chunks_exact(27)) {
+                assert_eq!(&free[..27], alone, "{mask:?}: colours are masked as without densities");
+            }
+        }
+    }
+}
