@@ -62,8 +62,9 @@ pub enum What {
     Ablation,
 }
 
-/// The rows of the paper's table of ablations, and two values of alpha: what is laid over the settings.
-const ABLATIONS: [(&str, &str); 8] = [
+/// The rows of the paper's table of ablations, two values of alpha, and the paper's carrier with its densities as they
+/// are and free: what is laid over the settings.
+const ABLATIONS: [(&str, &str); 10] = [
     ("full", ""),
     ("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
     ("classifier not guiding", "[mark]\nguidance = \"untold\"\nrecover_moves_marks = true\n"),
@@ -72,6 +73,8 @@ const ABLATIONS: [(&str, &str); 8] = [
     ("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
     ("alpha 1", "[mark]\nmask_alpha = 1.0\n"),
     ("alpha 5", "[mark]\nmask_alpha = 5.0\n"),
+    ("harmonics", "[mark]\ncarrier = \"harmonics\"\n"),
+    ("harmonics, free density", "[mark]\ncarrier = \"harmonics\"\ndensity = \"free\"\n"),
 ];
 
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
