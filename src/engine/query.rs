@@ -110,11 +110,15 @@ impl Engine {
         if !maps {
             return Ok((model.look(field, &camera, &appearance)?, None));
         }
-        let seen = model.base.render_maps(&camera, &appearance);
+        // Where densities are frozen a mark is colour alone, and what lies behind it the base field's.
+        let shapes = match field {
+            FieldKind::Base => &model.base,
+            FieldKind::Marked => model.mark()?.field.theta(),
+        };
+        let seen = shapes.render_maps(&camera, &appearance);
         let maps = Maps::new(model.base.frame(), &camera, &seen);
         let picture = match field {
             FieldKind::Base => seen.picture.clamped(),
-            // A mark is colour alone: what lies behind it is the base field's.
             FieldKind::Marked => model.look(field, &camera, &appearance)?,
         };
         Ok((picture, Some(maps)))

@@ -293,6 +293,21 @@ impl Clusters {
         Membership { identity: nearest.filter(|_| inside), distance, margin }
     }
 
+    /// The same clusters with other owners: what was identity i's is identity i + `by`'s,
+    /// counted round from M to 1. For tests of whether an answer comes from what is hidden
+    /// or from what is seen; all M - 1 permutations of this kind together give every
+    /// cluster to every other identity once.
+    #[must_use]
+    pub fn permuted(&self, by: usize) -> Self {
+        let all = self.clusters.len().max(1);
+        let other = |identity: u32| ((identity as usize - 1 + by) % all) as u32 + 1;
+        let mut permuted = self.clone();
+        permuted.clusters.iter_mut().for_each(|c| c.identity = other(c.identity));
+        permuted.clusters.sort_by_key(|c| c.identity);
+        permuted.references.iter_mut().for_each(|r| r.identity = r.identity.map(other));
+        permuted
+    }
+
     pub(crate) fn cluster(&self, identity: u32) -> Option<&Cluster> {
         self.clusters.get(usize::try_from(identity).ok()?.checked_sub(1)?)
     }

@@ -275,6 +275,28 @@ fn what_cannot_be_is_refused() {
 }
 
 #[test]
+fn permuted_clusters_are_the_same_places_under_other_identities() {
+    let poses = scattered(40, 6);
+    for (clusters, all) in [
+        (Clusters::build(&poses, &anchors(3, 6), &[], 2).unwrap(), 3),
+        (Clusters::build(&poses, &by_contributor(2), &runs(40, 12), 2).unwrap(), 3),
+    ] {
+        assert_eq!(clusters.clusters.len(), all);
+        for by in 1..all {
+            let permuted = clusters.permuted(by);
+            check_consistent(&permuted, &poses);
+            for pose in poses.iter().chain(&scattered(60, 7)) {
+                let other = |identity: u32| (identity as usize - 1 + by) as u32 % all as u32 + 1;
+                let (was, is) = (clusters.identity_of(pose), permuted.identity_of(pose));
+                assert_eq!(is.identity, was.identity.map(other), "by {by}");
+                assert_eq!((is.distance, is.margin), (was.distance, was.margin), "by {by}");
+            }
+            assert_eq!(permuted.permuted(all - by), clusters, "and back");
+        }
+    }
+}
+
+#[test]
 fn stored_clusters_come_back_or_are_refused() {
     let poses = scattered(60, 2);
     for grouping in [anchors(3, 10), by_contributor(3)] {

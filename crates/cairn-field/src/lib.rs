@@ -5,7 +5,7 @@
 //! the unit cube, `march` finds the samples, `composite` turns them into light
 //! and walks back, `patch` sums what a tile's rays owe, `optimise` moves the grid, [`Appearance`] tints
 //! the result as a view's day and camera had it. [`BaseTrainer`] drives them
-//! (stage 1), [`Field`] is the outcome. Before it, [`Screening`] asks of each photograph whether the others explain it. What stage 2 needs is in [`operator`].
+//! (stage 1), [`Field`] is the outcome. Before it, [`Screening`] asks of each photograph whether the others explain it. What stage 2 needs is in [`operator`], and in [`marched`] where densities move as well.
 //!
 //! The renderer is generic over [`Real`]: the same source is checked in f64
 //! against finite differences and shipped in f32.
@@ -21,6 +21,7 @@ mod frame;
 pub mod grid;
 mod light;
 pub mod march;
+pub mod marched;
 mod memory;
 mod occupancy;
 pub mod operator;

@@ -11,6 +11,7 @@ use crate::composite::{Kept, Thresholds, corner_shares, runs, see};
 use crate::field::Field;
 use crate::frame::RayPath;
 use crate::rays::Lens;
+use crate::real::Real;
 use crate::sh::{SH, SH_DC};
 use cairn_capture::Camera;
 use rayon::prelude::*;
@@ -37,7 +38,7 @@ impl CarrierBasis {
     }
 }
 
-/// A field that stage 2 can mark: colours may move, geometry may not.
+/// A field that stage 2 can mark: colours may move, geometry may not (for that see [`crate::marched`]).
 pub trait MarkableField: Sync {
     /// Rows of colour coefficients, the unused row 0 included.
     fn rows(&self) -> usize;
@@ -47,6 +48,9 @@ pub trait MarkableField: Sync {
     fn row_magnitudes(&self) -> Vec<f32>;
     /// The magnitudes of single coefficients, `rows x 3 x 9`, channel-major.
     fn coefficient_magnitudes(&self) -> Vec<f32>;
+    /// Density of each row's vertex relative to the raw unit (softplus of the raw density),
+    /// `rows` long, for the mask of densities.
+    fn densities(&self) -> Vec<f32>;
     /// The linear map of `camera`, whose pixels are means over `rays x rays` rays each, as if
     /// a picture `rays` times larger had been made smaller; entries weighing less than
     /// `cutoff` of a ray are left out.
@@ -92,6 +96,11 @@ impl MarkableField for Field {
     fn coefficient_magnitudes(&self) -> Vec<f32> {
         let channel_major = |row: &[f32]| -> [f32; 3 * SH] { std::array::from_fn(|i| row[i % SH * 3 + i / SH].abs()) };
         self.grid.colour.chunks_exact(crate::grid::ROW).flat_map(channel_major).collect()
+    }
+
+    fn densities(&self) -> Vec<f32> {
+        // Row 0 is nobody's.
+        std::iter::once(0.0).chain(self.grid.raw_rows().map(|raw| raw.softplus_and_slope().0)).collect()
     }
 
     fn view(&self, camera: &Camera, cutoff: f32, rays: usize) -> LinearView {

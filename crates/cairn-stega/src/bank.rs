@@ -1,7 +1,7 @@
 //! The views stage 2 trains on: each cluster's photographs' poses and virtual
 //! ones between them, with ray weights worked out once, and unmarked pictures.
 
-use crate::config::{CarrierKind, MarkConfig};
+use crate::config::{CarrierKind, DensityKind, MarkConfig};
 use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
@@ -9,6 +9,7 @@ use crate::poses::{PlannedView, at_most, virtual_views};
 use crate::site::MarkScene;
 use crate::trainer::MarkPlan;
 use crate::window::Window;
+use cairn_field::marched::MarchedView;
 use cairn_field::operator::{LinearView, MarkableField};
 use cairn_field::{Appearance, Field};
 use rand::{RngExt, SeedableRng};
@@ -24,8 +25,18 @@ const MOST_RAYS: usize = 3;
 
 /// A view to train on.
 pub(crate) struct BankView {
+    /// theta_0's picture, and where colours alone move what a carrier adds to it.
     pub(crate) linear: LinearView,
+    /// For theta's, where densities are free and a carrier is seen here.
+    marched: Option<MarchedView>,
     pub(crate) appearance: Appearance,
+}
+
+impl BankView {
+    /// The view to be marched, of a bank for free densities.
+    pub(crate) fn marched(&self) -> &MarchedView {
+        self.marched.as_ref().expect("a bank for free densities marches the views that marks are seen on")
+    }
 }
 
 /// See the module's text.
@@ -119,6 +130,8 @@ pub(crate) struct Prepare<'a> {
     field: &'a Field,
     /// Rays across a pixel of the views.
     rays: usize,
+    /// Whether densities move as well.
+    free: bool,
     done: usize,
     total: usize,
     progress: &'a mut dyn FnMut(usize, usize) -> bool,
@@ -134,7 +147,8 @@ impl<'a> Prepare<'a> {
         (done, total): (usize, usize),
         progress: &'a mut dyn FnMut(usize, usize) -> bool,
     ) -> Self {
-        Self { field: &scene.field, rays: rays_across(&scene.plan, config), done, total, progress }
+        let (rays, free) = (rays_across(&scene.plan, config), config.density == DensityKind::Free);
+        Self { field: &scene.field, rays, free, done, total, progress }
     }
 
     fn go_on(&mut self) -> Result<(), MarkError> {
@@ -145,7 +159,10 @@ impl<'a> Prepare<'a> {
 
     fn view(&mut self, v: PlannedView, cutoff: f32) -> Result<BankView, MarkError> {
         self.go_on()?;
-        Ok(BankView { linear: self.field.view(&v.camera, cutoff, self.rays), appearance: v.appearance })
+        // Entries are for colours alone.
+        let marched = (self.free && cutoff.is_finite()).then(|| MarchedView::new(&v.camera, self.rays));
+        let cutoff = if self.free { f32::INFINITY } else { cutoff };
+        Ok(BankView { linear: self.field.view(&v.camera, cutoff, self.rays), marched, appearance: v.appearance })
     }
 
     fn views(&mut self, views: Vec<PlannedView>, cutoff: f32) -> Result<Vec<BankView>, MarkError> {

@@ -1,19 +1,22 @@
-//! A carrier: the colour coefficients that hold a mark, and how they move.
+//! A carrier: the coefficients that hold a mark, how they show, and how they move.
 
+use crate::bank::BankView;
 use crate::error::MarkError;
-use cairn_field::Appearance;
-use cairn_field::operator::{CarrierBasis, LinearView, MarkableField};
+use crate::shape::CarrierShape;
+use cairn_field::operator::MarkableField;
+use cairn_field::{Appearance, Field};
 use rayon::prelude::*;
+use std::sync::{Arc, OnceLock};
 
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.99;
 /// Rows a task handles.
 const TASK: usize = 8192;
 
-/// The coefficients of one mark, `rows x basis.width()`, with its momentum.
+/// The coefficients of one mark, `rows x shape.width()`, with its momentum.
 #[derive(Clone, Debug)]
 pub struct Carrier {
-    pub(crate) basis: CarrierBasis,
+    pub(crate) shape: CarrierShape,
     pub(crate) values: Vec<f32>,
     pub(crate) first: Vec<f32>,
     /// Mean square of the gradient, one number for the whole carrier: Adam's own,
@@ -22,6 +25,8 @@ pub struct Carrier {
     pub(crate) steps: u64,
     gradient: Vec<f32>,
     touched: Vec<bool>,
+    /// theta at these values, where densities are free and it was looked at.
+    theta: OnceLock<Arc<Field>>,
 }
 
 /// How a carrier moves in one step.
@@ -40,50 +45,72 @@ impl Carrier {
     /// so that what tells them apart is the same from every view.
     pub fn pattern(
         field: &dyn MarkableField,
-        basis: CarrierBasis,
+        shape: CarrierShape,
         seed: u64,
         (which, hue): (usize, f32),
         amplitude: f32,
     ) -> Self {
-        let width = basis.width();
+        let (width, colours) = (shape.width(), shape.colours());
         let colour = colour_direction(hue);
         let mut values = vec![0.0f32; field.rows() * width];
         for (row, at) in field.lattice().iter().enumerate().skip(1) {
             let at = at.map(u64::from);
             let key = (at[0] << 42) ^ (at[1] << 21) ^ at[2];
-            for k in 0..width {
+            // Densities start as they are.
+            for k in 0..colours {
                 // One sign a coefficient of a channel's kind, shared by the channels.
-                let harmonic = (k % (width / 3)) as u64;
+                let harmonic = (k % (colours / 3)) as u64;
                 let bits = scramble(key ^ scramble(seed ^ (which as u64) << 48 ^ harmonic << 56));
                 let sign = if bits & 1 == 1 { amplitude } else { -amplitude };
-                values[row * width + k] = sign * colour[k / (width / 3)];
+                values[row * width + k] = sign * colour[k / (colours / 3)];
             }
         }
-        Self::from_values(basis, values)
+        Self::from_values(shape, values)
     }
 
     /// A carrier at rest with given coefficients.
-    pub(crate) fn from_values(basis: CarrierBasis, values: Vec<f32>) -> Self {
-        let (n, rows) = (values.len(), values.len() / basis.width());
+    pub(crate) fn from_values(shape: CarrierShape, values: Vec<f32>) -> Self {
+        let (n, rows) = (values.len(), values.len() / shape.width());
         Self {
-            basis,
+            shape,
             values,
             first: vec![0.0; n],
             second: 0.0,
             steps: 0,
             gradient: vec![0.0; n],
             touched: vec![false; rows],
+            theta: OnceLock::new(),
         }
     }
 
-    /// The coefficients, `rows x basis.width()`.
+    /// The coefficients, `rows x shape.width()`.
     pub fn values(&self) -> &[f32] {
         &self.values
     }
 
     /// Adds d(loss)/d(picture) of one view to the gradient.
-    pub(crate) fn owe(&mut self, view: &LinearView, slope: &[f32], appearance: &Appearance) {
-        view.push_back(slope, self.basis, appearance, &mut self.gradient, &mut self.touched);
+    pub(crate) fn owe(&mut self, field: &Field, view: &BankView, slope: &[f32], appearance: &Appearance) {
+        match self.shape {
+            CarrierShape::Colours(basis) => {
+                view.linear.push_back(slope, basis, appearance, &mut self.gradient, &mut self.touched);
+            }
+            CarrierShape::Free => {
+                let theta = self.theta(field).clone();
+                view.marched().push_back(&theta, slope, appearance, &mut self.gradient, &mut self.touched);
+            }
+        }
+    }
+
+    /// Turns `picture`, theta_0's of `view`, into theta's, theta_0 being `field`.
+    pub(crate) fn show(&self, field: &Field, view: &BankView, appearance: &Appearance, picture: &mut Vec<f32>) {
+        match self.shape {
+            CarrierShape::Colours(basis) => view.linear.apply(&self.values, basis, appearance, picture),
+            CarrierShape::Free => *picture = view.marched().render(self.theta(field), appearance),
+        }
+    }
+
+    fn theta(&self, field: &Field) -> &Arc<Field> {
+        self.theta.get_or_init(|| Arc::new(field.changed_by(&self.values)))
     }
 
     /// The mean square that [`Carrier::apply`] is to go on with, from the gradient
@@ -93,7 +120,7 @@ impl Carrier {
     /// [`MarkError::NotFinite`] when the gradient, or its mean square as f32, is not
     /// finite; `step` is the trainer's.
     pub(crate) fn check(&self, step: u64) -> Result<f32, MarkError> {
-        let width = self.basis.width();
+        let width = self.shape.width();
         // Sums in fixed pieces, so that threads do not change them.
         let squares: Vec<f64> =
             self.gradient.par_chunks(TASK).map(|c| c.iter().map(|g| f64::from(*g).powi(2)).sum()).collect();
@@ -115,7 +142,8 @@ impl Carrier {
     /// One step: the gradient's running mean over its size, times the mask, then the
     /// pull. Clears the gradient. `second` is what [`Carrier::check`] gave.
     pub(crate) fn apply(&mut self, second: f32, how: &Move<'_>) {
-        let width = self.basis.width();
+        let width = self.shape.width();
+        self.theta.take();
         self.steps += 1;
         let n = self.steps as i32;
         self.second = second;
@@ -143,6 +171,7 @@ impl Carrier {
 
     /// Makes the mark weaker or stronger by `factor`.
     pub(crate) fn scale(&mut self, factor: f32) {
+        self.theta.take();
         self.values.par_iter_mut().with_min_len(TASK).for_each(|v| *v *= factor);
     }
 }
@@ -204,6 +233,7 @@ pub(crate) fn scramble(mut x: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cairn_field::operator::CarrierBasis;
 
     /// As if one view had been pushed back.
     fn owing(carrier: &mut Carrier, gradient: &[f32]) {
@@ -232,7 +262,7 @@ mod tests {
 
     #[test]
     fn a_refused_gradient_leaves_no_trace() {
-        let mut plain = Carrier::from_values(CarrierBasis::Constant, vec![0.1; 6]);
+        let mut plain = Carrier::from_values(CarrierShape::Colours(CarrierBasis::Constant), vec![0.1; 6]);
         let mut refused = plain.clone();
         // The second is finite; its square is not, as f32.
         for bad in [f32::NAN, 1e25] {

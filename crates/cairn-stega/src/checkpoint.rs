@@ -179,7 +179,7 @@ impl MarkTrainer {
         self.adam.load(&self.networks.params, &part(file, "adam")?)?;
         for (i, (carrier, steps)) in self.carriers.iter_mut().zip(&header.carrier_steps).enumerate() {
             let len = carrier.values.len();
-            *carrier = Carrier::from_values(carrier.basis, numbers(file, &format!("carrier{i}.values"), len)?);
+            *carrier = Carrier::from_values(carrier.shape, numbers(file, &format!("carrier{i}.values"), len)?);
             carrier.first = numbers(file, &format!("carrier{i}.first"), len)?;
             carrier.second = numbers(file, &format!("carrier{i}.second"), 1)?[0];
             carrier.steps = *steps;

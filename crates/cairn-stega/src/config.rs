@@ -18,6 +18,19 @@ pub enum CarrierKind {
     Harmonics,
 }
 
+/// Whether densities move with the mark.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DensityKind {
+    /// Colours alone move (the authors' code): a view is a fixed linear map.
+    #[default]
+    Frozen,
+    /// All of theta moves (the paper's equations): every look at a view marches its rays.
+    /// With one set of harmonics for all identities only: what stands where cannot hang on
+    /// who looks.
+    Free,
+}
+
 /// What weighs a coefficient's update (adaptive gradient masking).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -90,6 +103,8 @@ pub struct MarkConfig {
     pub recover_moves_marks: bool,
     /// Where marks live.
     pub carrier: CarrierKind,
+    /// Whether densities move as well.
+    pub density: DensityKind,
     /// What weighs updates.
     pub mask: MaskKind,
     /// alpha, the mask's exponent, 0 to 10.
@@ -116,6 +131,8 @@ pub struct MarkConfig {
     pub pull: f64,
     /// Mean step of a colour coefficient, > 0, in colour units.
     pub learning_rate_carrier: f64,
+    /// Mean step of a raw density where densities are free, > 0.
+    pub learning_rate_density: f64,
     /// Learning rate of classifier and detector at the start, > 0.
     pub learning_rate_networks: f64,
     /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
@@ -167,6 +184,7 @@ impl Default for MarkConfig {
             picture_loss: LossKind::Squared,
             recover_moves_marks: false,
             carrier: CarrierKind::PerCluster,
+            density: DensityKind::Frozen,
             mask: MaskKind::PerWeight,
             mask_alpha: 3.0,
             mask_least: 0.2,
@@ -178,6 +196,7 @@ impl Default for MarkConfig {
             budget_ramp: 0.4,
             pull: 1e-3,
             learning_rate_carrier: 5e-4,
+            learning_rate_density: 1e-3,
             learning_rate_networks: 3e-3,
             final_rate: 0.1,
             classify_until: 0.3,
@@ -230,6 +249,7 @@ impl MarkConfig {
             ("mark.budget_ramp", self.budget_ramp, 0.0, 1.0, "0 to 1"),
             ("mark.pull", self.pull, 0.0, 1.0, "0 to 1"),
             ("mark.learning_rate_carrier", self.learning_rate_carrier, 1e-9, 1.0, "1e-9 to 1"),
+            ("mark.learning_rate_density", self.learning_rate_density, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.learning_rate_networks", self.learning_rate_networks, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
@@ -252,6 +272,12 @@ impl MarkConfig {
             "mark.recover_moves_marks",
             self.recover_moves_marks.to_string(),
             "true where mark.guidance is no_classifier: nothing else moves marks then",
+        )?;
+        check(
+            self.density == DensityKind::Frozen || self.carrier == CarrierKind::Harmonics,
+            "mark.density",
+            "free".into(),
+            "frozen where mark.carrier is per_cluster: what stands where cannot hang on who looks; set mark.carrier = \"harmonics\" as well",
         )?;
         self.robust.validate()?;
         let [h, w] = self.detector.size;

@@ -65,8 +65,8 @@ impl MarkTrainer {
         let patterns = trainer.sites.iter().flat_map(|s| s.patterns(&trainer.config, seed, &colours)).collect();
         trainer.carriers = patterns;
         for (i, known) in known() {
-            let basis = trainer.carriers[i].basis;
-            trainer.carriers[i] = Carrier::from_values(basis, known.carrier.to_vec());
+            let shape = trainer.carriers[i].shape;
+            trainer.carriers[i] = Carrier::from_values(shape, known.carrier.to_vec());
             trainer.settled[i] = true;
         }
         Ok(trainer)

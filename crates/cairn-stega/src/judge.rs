@@ -13,6 +13,7 @@ use crate::site::Site;
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
 use cairn_capture::Picture;
+use cairn_field::Field;
 use cairn_nn::text_bytes;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -153,12 +154,10 @@ impl MarkTrainer {
         let mut tally = Tally::default();
         for (at, (site, own, view)) in self.judged().enumerate() {
             let identity = site.identities.start + own;
-            let carrier = &self.carriers[site.carrier_of(identity)];
-            let none = Attack::none();
-            let read = self.read(&[seen(view, Some(carrier), &none, side), seen(view, None, &none, side)])?;
+            let read = self.read(&self.pair(site, identity, view, &Attack::none()))?;
             right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
             asked += 2;
-            attacked.extend(self.attacked(at as u64, (identity, carrier), view)?);
+            attacked.extend(self.attacked(at as u64, (site, identity), view)?);
             // Before the detector has joined it says nothing, and is asked nothing.
             if self.joined {
                 tally.count(&read[0].1, &self.signals[identity], side)?;
@@ -167,8 +166,9 @@ impl MarkTrainer {
         for site in &self.sites {
             // What one carrier for all shows where it must say nothing.
             let carrier = self.carriers.get(site.carriers.start);
+            let (field, none) = (&site.scene.field, Attack::none());
             let outside: Vec<_> =
-                site.bank.judged_outside.iter().map(|view| seen(view, carrier, &Attack::none(), side)).collect();
+                site.bank.judged_outside.iter().map(|view| seen(field, view, carrier, &none, side)).collect();
             for chunk in site.bank.judged_unmarked.chunks(4).chain(outside.chunks(4)) {
                 for (probabilities, _) in self.read(chunk)? {
                     right += usize::from(winner(&probabilities) == 0);
@@ -206,25 +206,28 @@ impl MarkTrainer {
 
     /// Whether each of a judged view's attacked renders, marked and not, is answered
     /// right; none where marks are not trained for attacks. The same attacks every time.
-    fn attacked(
-        &self,
-        at: u64,
-        (identity, carrier): (usize, &Carrier),
-        view: &BankView,
-    ) -> Result<Vec<bool>, MarkError> {
+    fn attacked(&self, at: u64, (site, identity): (&Site, usize), view: &BankView) -> Result<Vec<bool>, MarkError> {
         if !self.config.robust.enabled {
             return Ok(Vec::new());
         }
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(STREAM + at);
-        let (side, mut right) = (self.config.side_px(), Vec::new());
+        let mut right = Vec::new();
         for _ in 0..ATTACKS {
             let attack = Attack::always(&self.config.robust, &mut rng);
-            let pictures = [seen(view, Some(carrier), &attack, side), seen(view, None, &attack, side)];
-            let classes = self.read(&pictures)?.into_iter().map(|(probabilities, _)| winner(&probabilities));
+            let classes = self
+                .read(&self.pair(site, identity, view, &attack))?
+                .into_iter()
+                .map(|(probabilities, _)| winner(&probabilities));
             right.extend(classes.zip([identity + 1, 0]).map(|(said, true_class)| said == true_class));
         }
         Ok(right)
+    }
+
+    /// A judged view with the mark of `identity` and without it, `attack` done to both.
+    fn pair(&self, site: &Site, identity: usize, view: &BankView, attack: &Attack) -> [Vec<f32>; 2] {
+        let carrier = &self.carriers[site.carrier_of(identity)];
+        [Some(carrier), None].map(|c| seen(&site.scene.field, view, c, attack, self.config.side_px()))
     }
 
     fn read(&self, pictures: &[Vec<f32>]) -> Result<Vec<Reading>, MarkError> {
@@ -236,10 +239,10 @@ impl MarkTrainer {
 }
 
 /// A view as the networks read it from a file, `side x side x 3`.
-fn seen(view: &BankView, carrier: Option<&Carrier>, attack: &Attack, side: usize) -> Vec<f32> {
+fn seen(field: &Field, view: &BankView, carrier: Option<&Carrier>, attack: &Attack, side: usize) -> Vec<f32> {
     let mut rgb = view.linear.base(&view.appearance);
     if let Some(carrier) = carrier {
-        view.linear.apply(&carrier.values, carrier.basis, &view.appearance, &mut rgb);
+        carrier.show(field, view, &view.appearance, &mut rgb);
     }
     let file = attack.apply(eight_bits(rgb), [view.linear.width(), view.linear.height()]);
     Window::whole(file.size[0], file.size[1], side).apply(&file.rgb)

@@ -1,11 +1,12 @@
 //! The marked field: the base field and the carriers, in one file.
 
-use crate::config::CarrierKind;
+use crate::config::{CarrierKind, DensityKind};
 use crate::distort::Gaussian;
 use crate::error::MarkError;
+use crate::shape::CarrierShape;
 use cairn_capture::{Camera, Picture};
 use cairn_cluster::Clusters;
-use cairn_field::operator::{CarrierBasis, MarkableField};
+use cairn_field::operator::MarkableField;
 use cairn_field::{Appearance, Field};
 use half::f16;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -13,16 +14,20 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Format of a stored marked field; another number is refused by name.
+/// Format of a stored marked field whose densities are theta_0's; another number is refused by name.
 pub const MARKED_FORMAT: &str = "cairn.marked/1";
+/// Format of one whose densities moved as well: programs that know colours only refuse it.
+const FREE_FORMAT: &str = "cairn.marked/2";
 
 /// theta: renders carry the mark of the identity whose cluster the pose is in.
 #[derive(Clone, Debug)]
 pub struct MarkedField {
     base: Arc<Field>,
     clusters: Clusters,
-    kind: CarrierKind,
+    kind: (CarrierKind, DensityKind),
     carriers: Vec<Vec<f32>>,
+    /// theta itself, where densities moved as well.
+    free: Option<Arc<Field>>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -38,11 +43,11 @@ impl MarkedField {
     pub(crate) fn new(
         base: Arc<Field>,
         clusters: Clusters,
-        kind: CarrierKind,
+        kind: (CarrierKind, DensityKind),
         mut carriers: Vec<Vec<f32>>,
     ) -> Result<Self, MarkError> {
-        let width = basis_of(kind).width();
-        let expected = match kind {
+        let width = CarrierShape::of(kind.0, kind.1).width();
+        let expected = match kind.0 {
             CarrierKind::PerCluster => clusters.clusters.len(),
             CarrierKind::Harmonics => 1,
         };
@@ -55,7 +60,8 @@ impl MarkedField {
                 return Err(stored("marked field", "a carrier is not finite".into()));
             }
         }
-        Ok(Self { base, clusters, kind, carriers })
+        let free = (kind.1 == DensityKind::Free).then(|| Arc::new(base.changed_by(&carriers[0])));
+        Ok(Self { base, clusters, kind, carriers, free })
     }
 
     /// theta_0.
@@ -70,7 +76,7 @@ impl MarkedField {
 
     /// The carrier of `identity`, 1 and up, `rows x 3`; `None` where there is none of its own.
     pub fn carrier(&self, identity: u32) -> Option<&[f32]> {
-        let own = self.kind == CarrierKind::PerCluster;
+        let own = self.kind.0 == CarrierKind::PerCluster;
         let at = (identity as usize).checked_sub(1).filter(|_| own)?;
         self.carriers.get(at).map(Vec::as_slice)
     }
@@ -85,21 +91,33 @@ impl MarkedField {
     /// for tests of whether a class comes from the mark or from the view.
     /// `None` is theta_0 with per-cluster carriers.
     pub fn render_as(&self, camera: &Camera, appearance: &Appearance, identity: Option<u32>) -> Picture {
-        let carrier = match self.kind {
+        let CarrierShape::Colours(basis) = self.shape() else {
+            return self.theta().render(camera, appearance);
+        };
+        let carrier = match self.kind.0 {
             CarrierKind::Harmonics => self.carriers.first(),
             CarrierKind::PerCluster => identity.and_then(|i| self.carriers.get((i as usize).wrapping_sub(1))),
         };
         match carrier {
-            Some(carrier) => self.base.render_with(camera, appearance, carrier, basis_of(self.kind)),
+            Some(carrier) => self.base.render_with(camera, appearance, carrier, basis),
             None => self.base.render(camera, appearance),
         }
+    }
+
+    /// The field whose cluster of identity i carries the mark of identity i + `by`, counted
+    /// round ([`Clusters::permuted`]): for tests of whether a class comes from the mark or
+    /// from the view. One set of harmonics for all stays as it is, and only its owners change.
+    #[must_use]
+    pub fn permuted(&self, by: usize) -> Self {
+        Self { clusters: self.clusters.permuted(by), ..self.clone() }
     }
 
     /// The field without its smallest weights: the `share`, 0 to 1, of all colour
     /// coefficients, theta_0's and the carriers' alike, that are nearest to zero become zero.
     #[must_use]
     pub fn pruned(&self, share: f64) -> Self {
-        let mut sizes: Vec<f32> = self.carriers.iter().flatten().map(|v| v.abs()).collect();
+        let colours = self.carriers.iter().flat_map(|carrier| self.colours(carrier));
+        let mut sizes: Vec<f32> = colours.map(|v| v.abs()).collect();
         let base = self.base.with_colours(|colours| sizes.extend(colours.iter().map(|v| v.abs())));
         let count = ((sizes.len() as f64 * share) as usize).min(sizes.len());
         if count == 0 {
@@ -126,9 +144,30 @@ impl MarkedField {
     }
 
     fn changed(&self, base: Field, mut change: impl FnMut(&mut [f32])) -> Self {
-        let mut carriers = self.carriers.clone();
-        carriers.iter_mut().for_each(|carrier| change(carrier));
-        Self { base: Arc::new(base), clusters: self.clusters.clone(), kind: self.kind, carriers }
+        let (mut carriers, shape) = (self.carriers.clone(), self.shape());
+        for carrier in &mut carriers {
+            let mut colours = self.colours(carrier);
+            change(&mut colours);
+            let rows = carrier.chunks_exact_mut(shape.width()).zip(colours.chunks_exact(shape.colours()));
+            rows.for_each(|(row, colours)| row[..colours.len()].copy_from_slice(colours));
+        }
+        let free = self.free.as_ref().map(|_| Arc::new(base.changed_by(&carriers[0])));
+        Self { base: Arc::new(base), clusters: self.clusters.clone(), kind: self.kind, carriers, free }
+    }
+
+    /// The field whose densities renders see, for maps: theta_0 where they are frozen.
+    pub fn theta(&self) -> &Arc<Field> {
+        self.free.as_ref().unwrap_or(&self.base)
+    }
+
+    fn shape(&self) -> CarrierShape {
+        CarrierShape::of(self.kind.0, self.kind.1)
+    }
+
+    /// The colour coefficients of a carrier, without what it changes of densities.
+    fn colours(&self, carrier: &[f32]) -> Vec<f32> {
+        let shape = self.shape();
+        carrier.chunks_exact(shape.width()).flat_map(|row| &row[..shape.colours()]).copied().collect()
     }
 
     /// The marked field, its base field included, as safetensors. Equal fields
@@ -138,15 +177,15 @@ impl MarkedField {
     /// [`MarkError::Stored`] when it cannot be written out.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MarkError> {
         let header = Header {
-            format: MARKED_FORMAT.into(),
-            carrier: self.kind,
+            format: format_of(self.kind.1).into(),
+            carrier: self.kind.0,
             clusters: self.clusters.clone(),
             carriers: self.carriers.len(),
         };
         let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
         let base = self.base.to_bytes()?;
         let carriers: Vec<u8> = self.carriers.iter().flatten().flat_map(|v| f16::from_f32(*v).to_le_bytes()).collect();
-        let shape = vec![self.carriers.len(), self.base.rows(), basis_of(self.kind).width()];
+        let shape = vec![self.carriers.len(), self.base.rows(), self.shape().width()];
         let tensors = [
             ("base", TensorView::new(Dtype::U8, vec![base.len()], &base).map_err(bad)?),
             ("carriers", TensorView::new(Dtype::F16, shape, &carriers).map_err(bad)?),
@@ -161,15 +200,19 @@ impl MarkedField {
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "marked field")?;
-        if header.format != MARKED_FORMAT {
-            let why = format!("format `{}`, this program reads `{MARKED_FORMAT}`", header.format);
+        let known = [DensityKind::Frozen, DensityKind::Free].into_iter().find(|d| header.format == format_of(*d));
+        let Some(density) = known else {
+            let why = format!("format `{}`, this program reads `{MARKED_FORMAT}` and `{FREE_FORMAT}`", header.format);
             return Err(stored("marked field", why));
+        };
+        if density == DensityKind::Free && header.carrier != CarrierKind::Harmonics {
+            return Err(stored("marked field", "its densities moved for one identity alone".into()));
         }
         let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
         let file = SafeTensors::deserialize(bytes).map_err(bad)?;
         let base = Arc::new(Field::from_bytes(file.tensor("base").map_err(bad)?.data())?);
         let tensor = file.tensor("carriers").map_err(bad)?;
-        let each = base.rows() * basis_of(header.carrier).width();
+        let each = base.rows() * CarrierShape::of(header.carrier, density).width();
         if tensor.dtype() != Dtype::F16 || tensor.data().len() != header.carriers.saturating_mul(each * 2) {
             return Err(stored("marked field", "its carriers do not fit its base field".into()));
         }
@@ -178,14 +221,14 @@ impl MarkedField {
             .chunks_exact(each * 2)
             .map(|c| c.chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]]).to_f32()).collect())
             .collect();
-        Self::new(base, header.clusters, header.carrier, carriers)
+        Self::new(base, header.clusters, (header.carrier, density), carriers)
     }
 }
 
-fn basis_of(kind: CarrierKind) -> CarrierBasis {
-    match kind {
-        CarrierKind::PerCluster => CarrierBasis::Constant,
-        CarrierKind::Harmonics => CarrierBasis::Harmonics,
+fn format_of(density: DensityKind) -> &'static str {
+    match density {
+        DensityKind::Frozen => MARKED_FORMAT,
+        DensityKind::Free => FREE_FORMAT,
     }
 }
 

@@ -56,7 +56,7 @@ pub fn gradient_mask(
 }
 
 /// `(e_free / max(e, e_free))^alpha`, clipped below at `least`.
-fn from_magnitudes(magnitudes: &[f32], alpha: f64, least: f64) -> Vec<f32> {
+pub(crate) fn from_magnitudes(magnitudes: &[f32], alpha: f64, least: f64) -> Vec<f32> {
     let mut sorted: Vec<f32> = magnitudes.iter().copied().filter(|m| *m > 0.0).collect();
     if sorted.is_empty() {
         return vec![1.0; magnitudes.len()];
@@ -72,7 +72,7 @@ fn from_magnitudes(magnitudes: &[f32], alpha: f64, least: f64) -> Vec<f32> {
 }
 
 /// 0 for the `share` of the magnitudes above zero that are largest, else 1.
-fn all_or_nothing(magnitudes: &[f32], share: f64) -> Vec<f32> {
+pub(crate) fn all_or_nothing(magnitudes: &[f32], share: f64) -> Vec<f32> {
     let mut sorted: Vec<f32> = magnitudes.iter().copied().filter(|m| *m > 0.0).collect();
     let free = sorted.len() - ((sorted.len() as f64 * share).round() as usize).min(sorted.len());
     if free == sorted.len() {

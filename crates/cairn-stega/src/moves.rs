@@ -54,8 +54,8 @@ impl MarkTrainer {
             }
             // A mark of an earlier training stays as it is.
             if !self.settled[m.carrier] {
-                let view = self.sites[m.site].bank.view(m.view);
-                self.carriers[m.carrier].owe(&view.linear, &slope, &m.appearance);
+                let site = &self.sites[m.site];
+                self.carriers[m.carrier].owe(&site.scene.field, site.bank.view(m.view), &slope, &m.appearance);
             }
             let square = m.change.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / m.change.len() as f64;
             self.finite(square, "a marked render")?;

@@ -1,7 +1,6 @@
 //! What the networks are shown in a step: marked renders, the same renders
 //! without the mark, and what cameras and files do to either.
 
-use crate::bank::BankView;
 use crate::distort::{Attack, Attacked};
 use crate::site::Site;
 use crate::trainer::MarkTrainer;
@@ -91,15 +90,16 @@ impl MarkTrainer {
         identity: Option<usize>,
         rng: &mut ChaCha8Rng,
     ) -> (Vec<f32>, Vec<f32>, Render) {
-        let Site { bank, identities, .. } = &self.sites[site];
+        let Site { scene, bank, identities, .. } = &self.sites[site];
         let appearance = bank.appearance(view, rng);
-        let BankView { linear, .. } = bank.view(view);
+        let seen_from = bank.view(view);
+        let linear = &seen_from.linear;
         let at = self.sites[site].carrier_of(identity.unwrap_or(identities.start));
         let class = identity.map_or(0, |i| i as u32 + 1);
         let mut base = linear.base(&appearance);
         let mut picture = base.clone();
         let carrier = &self.carriers[at];
-        linear.apply(&carrier.values, carrier.basis, &appearance, &mut picture);
+        carrier.show(&scene.field, seen_from, &appearance, &mut picture);
         let change = picture.iter().zip(&base).map(|(a, b)| a - b).collect();
         let inside = picture.iter().map(|v| (0.0..=1.0).contains(v)).collect();
         picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));

@@ -6,10 +6,9 @@ use crate::bank::{Bank, Chosen, Prepare};
 use crate::carrier::Carrier;
 use crate::config::{CarrierKind, MarkConfig};
 use crate::error::MarkError;
-use crate::mask::gradient_mask;
+use crate::shape::{CarrierShape, carrier_mask};
 use crate::trainer::MarkPlan;
 use cairn_field::Field;
-use cairn_field::operator::CarrierBasis;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -61,12 +60,9 @@ impl Site {
             done += views;
             let (first, first_carrier) = sites.last().map_or((0, 0), |s| (s.identities.end, s.carriers.end));
             let identities = first..first + scene.plan.signals.len();
-            let (basis, carriers) = match config.carrier {
-                CarrierKind::PerCluster => (CarrierBasis::Constant, identities.len()),
-                CarrierKind::Harmonics => (CarrierBasis::Harmonics, 1),
-            };
-            let how = (config.mask_alpha, config.mask_least, config.mask_share);
-            let mask = gradient_mask(config.mask, how, scene.field.as_ref(), basis);
+            let carriers = if config.carrier == CarrierKind::PerCluster { identities.len() } else { 1 };
+            let shape = CarrierShape::of(config.carrier, config.density);
+            let mask = carrier_mask(config, scene.field.as_ref(), shape);
             sites.push(Self { scene, bank, mask, identities, carriers: first_carrier..first_carrier + carriers });
         }
         Ok(sites)
@@ -79,13 +75,10 @@ impl Site {
         seed: u64,
         hues: &'a [f32],
     ) -> impl Iterator<Item = Carrier> + 'a {
-        let basis = match config.carrier {
-            CarrierKind::PerCluster => CarrierBasis::Constant,
-            CarrierKind::Harmonics => CarrierBasis::Harmonics,
-        };
+        let shape = CarrierShape::of(config.carrier, config.density);
         let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
         let field = self.scene.field.as_ref();
-        self.carriers.clone().map(move |i| Carrier::pattern(field, basis, seed, (i, hues[i]), amplitude))
+        self.carriers.clone().map(move |i| Carrier::pattern(field, shape, seed, (i, hues[i]), amplitude))
     }
 
     /// Which carrier the scene's identity `i` (of all scenes', from 0) is in.

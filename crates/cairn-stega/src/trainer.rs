@@ -3,8 +3,8 @@
 //! A step takes marked renders of some identities and as many unmarked
 //! pictures (`renders`), runs classifier and detector, and pushes the loss's
 //! gradient with respect to the pictures back through the views' fixed linear
-//! maps into the carriers (`moves`; deferred back-propagation). Density never
-//! moves. Like stage 1, a step reads no clock and no file and draws only from its
+//! maps into the carriers (`moves`; deferred back-propagation), or along rays marched
+//! anew where `mark.density` is free. Like stage 1, a step reads no clock and no file and draws only from its
 //! seed.
 
 use crate::carrier::{Carrier, hues};
@@ -240,12 +240,12 @@ impl MarkTrainer {
         if let Some(best) = self.best.take() {
             self.networks.params.load(&best.params)?;
             for (carrier, values) in self.carriers.iter_mut().zip(best.carriers) {
-                carrier.values = values;
+                *carrier = Carrier::from_values(carrier.shape, values);
             }
         }
         self.networks.familiar = self.familiar()?;
         let mut carriers = self.carriers.into_iter().map(|c| c.values);
-        let (mut fields, kind) = (Vec::new(), self.config.carrier);
+        let (mut fields, kind) = (Vec::new(), (self.config.carrier, self.config.density));
         for Site { scene: MarkScene { field, plan }, carriers: own, .. } in self.sites {
             let own = carriers.by_ref().take(own.len()).collect();
             fields.push(MarkedField::new(field, plan.clusters, kind, own)?);

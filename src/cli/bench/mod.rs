@@ -89,7 +89,7 @@ enum Suite {
     Honesty,
     /// Fern, or what is named, marked with a part of the method switched off at a time
     Ablation,
-    /// What is left of a picture hidden in photographs' lowest bits once a field was trained on them
+    /// What is left of a picture hidden in photographs, in their lowest bits and by networks, once a field was trained on them
     Baseline,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
     Conv,

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::field::{score, serve, tradeoff, train};
-use super::{mark, registry};
+use super::{baseline, mark, registry};
 
 /// A piece of the suite's work.
 #[derive(Serialize, Deserialize)]
@@ -22,6 +22,8 @@ pub enum Part {
     Serve(serve::Task),
     /// What each limit of a render costs.
     Tradeoff(tradeoff::Task),
+    /// DeepStega's networks, trained and stored.
+    Networks(baseline::TrainNetworks),
     /// Stage 2 from a stored base field to the stored detector.
     Mark(mark::Mark),
     /// A marked field and its detector, judged.
@@ -67,6 +69,7 @@ work! {
     score::Task: Score -> score::Scored,
     serve::Task: Serve -> serve::Served,
     tradeoff::Task: Tradeoff -> Vec<tradeoff::Tradeoff>,
+    baseline::TrainNetworks: Networks -> baseline::Networks,
     mark::Mark: Mark -> mark::Marked,
     mark::Judge: Judge -> mark::Judged,
     registry::Load: Load -> registry::Loaded,
@@ -90,6 +93,7 @@ pub fn part() -> anyhow::Result<()> {
         Part::Score(task) => serde_json::to_string(&score::run(&task)?)?,
         Part::Serve(task) => serde_json::to_string(&serve::run(&task)?)?,
         Part::Tradeoff(task) => serde_json::to_string(&tradeoff::run(&task)?)?,
+        Part::Networks(task) => serde_json::to_string(&baseline::train_networks(&task)?)?,
         Part::Mark(task) => serde_json::to_string(&mark::mark(&task)?)?,
         Part::Judge(task) => serde_json::to_string(&mark::judge(&task)?)?,
         Part::Load(task) => serde_json::to_string(&registry::load(&task)?)?,

@@ -150,7 +150,7 @@ impl Run {
             source: self.source.clone(),
             config,
             seed: self.seed,
-            lowest_bits: None,
+            stego: None,
             field: field.clone(),
             label: format!("{name}, training, {}", share.of_the_steps()),
         };

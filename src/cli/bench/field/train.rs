@@ -5,9 +5,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use cairn_field::{BaseTrainer, FieldConfig};
-use cairn_stega::hide_in_lowest_bits;
 use serde::{Deserialize, Serialize};
 
+use super::super::baseline::Stego;
 use super::super::memory::peak_mib;
 use super::progress::Progress;
 use super::source::Source;
@@ -24,8 +24,8 @@ pub struct Task {
     pub config: FieldConfig,
     /// The seed.
     pub seed: u64,
-    /// A picture that the photographs have in their lowest bits (suite `baseline`).
-    pub lowest_bits: Option<PathBuf>,
+    /// How a picture is hidden in the photographs (suite `baseline`).
+    pub stego: Option<Stego>,
     /// The file to store the field in.
     pub field: PathBuf,
     /// What people are told.
@@ -57,11 +57,11 @@ pub struct Trained {
 /// For photographs that do not decode, settings out of range, and the trainer's.
 pub fn run(task: &Task) -> anyhow::Result<Trained> {
     let opened = task.source.open()?;
-    let hidden = task.lowest_bits.as_ref().map(|path| super::super::decoded(path)).transpose()?;
+    let stego = task.stego.as_ref().map(Stego::open).transpose()?;
     let view = |index: usize| {
         let mut view = opened.view(index)?;
-        if let Some(hidden) = &hidden {
-            view.picture = Arc::new(hide_in_lowest_bits(&view.picture, hidden)?);
+        if let Some(stego) = &stego {
+            view.picture = Arc::new(stego.hide(&view.picture)?);
         }
         Ok(view)
     };

@@ -14,7 +14,7 @@ use super::super::field::source::{Opened, Source};
 use super::harm::{self, Set};
 use super::scored::Harmed;
 pub use super::scored::Judged;
-use super::{sheet, train, unmarked};
+use super::{permuted, sheet, train, unmarked};
 use crate::engine::evaluate::{PERFECT_DB, eight_bits, half};
 use crate::engine::recovery::{SeenView, picture_ssim, recovery};
 use crate::engine::report::{Recovery, Right};
@@ -37,6 +37,8 @@ pub struct Task {
     pub signals: Vec<train::Files>,
     /// The settings it was hidden with.
     pub config: MarkConfig,
+    /// By how many identities the clusters' owners were permuted for the training.
+    pub permuted: usize,
     /// Whether light is fitted on left halves and right halves are scored.
     pub right_half: bool,
     /// The file for a contact sheet.
@@ -101,7 +103,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     progress.at(1, "");
     let harms = harms(&mut asked, &marked, &views)?;
     progress.at(2, "");
-    let (stranger_marks, stranger_views) = strangers(&asked, &marked, &views)?;
+    let followed = permuted::follow((&asked.detector, &asked.signals), (&marked, task.permuted), &views)?;
     progress.at(3, "");
     let unmarked = unmarked::ask(&mut asked, (&opened, &task.foreign), &views)?;
     drop(progress);
@@ -129,8 +131,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         classes,
         identities,
         harms,
-        stranger_marks,
-        stranger_views,
+        followed,
         unmarked,
         calibration_error: expected_calibration_error(&asked.answers, BINS)?,
         answers: asked.answers.len(),
@@ -232,20 +233,6 @@ fn harmed(
         }
     }
     Ok(Harmed { name: name.to_owned(), set, classes, ssim: mean(&hidden) })
-}
-
-/// Marks of other identities on each view: how often the mark's class is told, and how often the view's.
-fn strangers(asked: &Asked, marked: &MarkedField, views: &[View]) -> anyhow::Result<(Right, Right)> {
-    let (mut by_mark, mut by_view) = (Right::default(), Right::default());
-    for view in views.iter().filter(|v| v.truth > 0) {
-        for other in (1..=asked.signals.len()).filter(|identity| *identity != view.truth) {
-            let render = eight_bits(&marked.render_as(&view.camera, &view.appearance, Some(other as u32)))?;
-            let class = asked.detector.detect(&render)?.identity.unwrap_or(0) as usize;
-            by_mark.count(class == other);
-            by_view.count(class == view.truth);
-        }
-    }
-    Ok((by_mark, by_view))
 }
 
 /// A row for each bin of confidence that has answers: how sure, how often right, how many.

@@ -11,6 +11,7 @@
 mod case;
 mod harm;
 mod judge;
+mod permuted;
 mod report;
 mod scored;
 mod sheet;
@@ -61,8 +62,9 @@ pub enum What {
     Ablation,
 }
 
-/// The rows of the paper's table of ablations, and two values of alpha: what is laid over the settings.
-const ABLATIONS: [(&str, &str); 8] = [
+/// The rows of the paper's table of ablations, two values of alpha, and the paper's carrier with its densities as they
+/// are and free: what is laid over the settings.
+const ABLATIONS: [(&str, &str); 10] = [
     ("full", ""),
     ("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
     ("classifier not guiding", "[mark]\nguidance = \"untold\"\nrecover_moves_marks = true\n"),
@@ -71,6 +73,8 @@ const ABLATIONS: [(&str, &str); 8] = [
     ("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
     ("alpha 1", "[mark]\nmask_alpha = 1.0\n"),
     ("alpha 5", "[mark]\nmask_alpha = 5.0\n"),
+    ("harmonics", "[mark]\ncarrier = \"harmonics\"\n"),
+    ("harmonics, free density", "[mark]\ncarrier = \"harmonics\"\ndensity = \"free\"\n"),
 ];
 
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
@@ -92,7 +96,8 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
     for case in cases {
         let ablations: &[(&str, &str)] = if what == What::Ablation { &ABLATIONS } else { &[("", "")] };
         for over in ablations {
-            let run = Run::new(place, args, case, (&captures, &pictures), *over)?;
+            let mut run = Run::new(place, args, case, (&captures, &pictures), *over)?;
+            run.permute = what == What::Honesty && case.anchors > 1;
             let name = run.name.clone();
             let work = tokio::task::spawn_blocking({
                 let children = children.clone();
@@ -146,6 +151,8 @@ pub struct Outcome {
     pub robust: bool,
     /// Each training and its judgement.
     pub runs: Vec<(Marked, Judged)>,
+    /// The first training again with permuted identities, where it was asked for.
+    pub permuted: Option<(Marked, Judged)>,
 }
 
 /// One capture's measurements, as they are asked for.
@@ -161,6 +168,8 @@ struct Run {
     mark: MarkConfig,
     seed: u64,
     runs: u64,
+    /// Whether to train once more with permuted identities.
+    permute: bool,
     name: String,
     out: PathBuf,
 }
@@ -201,6 +210,7 @@ impl Run {
             mark: training.mark,
             seed: args.seed,
             runs: if args.quick || !ablation.is_empty() { 1 } else { RUNS },
+            permute: false,
             name: match ablation {
                 "" => args.case_name(case.name.as_str()),
                 ablation => format!("{}, {ablation}", args.case_name(case.name.as_str())),
@@ -211,42 +221,58 @@ impl Run {
 
     fn outcome(&self, children: &Children) -> anyhow::Result<Outcome> {
         let (field, base) = self.base(children)?;
-        let mut outcome = Outcome { base, robust: self.mark.robust.enabled, runs: Vec::new() };
-        let slug: String = self.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+        let mut outcome = Outcome { base, robust: self.mark.robust.enabled, ..Outcome::default() };
         for run in 0..self.runs {
-            let label = |what: &str| format!("{}, {what}, {} of {}", self.name, run + 1, self.runs);
-            let file = |what: &str| self.out.join(format!("{slug}-{}.{what}", self.seed + run));
-            let signals = (0..self.case.anchors).map(|i| {
-                let at = run as usize * self.case.anchors + i;
-                Files { picture: Some(self.pictures[at % self.pictures.len()].clone()), ..self.others.clone() }
-            });
-            let mark = Mark {
-                source: self.source.clone(),
-                base: field.clone(),
-                config: self.mark.clone(),
-                anchors: self.case.anchors,
-                neighbours: self.case.neighbours,
-                signals: signals.collect(),
-                seed: self.seed + run,
-                marked: file("marked"),
-                detector: file("detector"),
-                label: label("marking"),
-            };
-            let judge = Judge {
-                source: self.source.clone(),
-                foreign: self.foreign.clone(),
-                marked: mark.marked.clone(),
-                detector: mark.detector.clone(),
-                signals: mark.signals.clone(),
-                config: self.mark.clone(),
-                right_half: self.case.right_half,
-                sheet: file("png"),
-                reliability: file("csv"),
-                label: label("judging"),
-            };
-            outcome.runs.push((children.run(&mark)?, children.run(&judge)?));
+            outcome.runs.push(self.training(children, &field, (run, 0))?);
+        }
+        if self.permute {
+            outcome.permuted = Some(self.training(children, &field, (0, 1))?);
         }
         Ok(outcome)
+    }
+
+    /// Training `run` on the base field `field`, with identities `permuted` by so many, and its judgement.
+    fn training(
+        &self,
+        children: &Children,
+        field: &Path,
+        (run, permuted): (u64, usize),
+    ) -> anyhow::Result<(Marked, Judged)> {
+        let slug: String = self.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+        let (tag, told) = if permuted > 0 { ("-permuted", ", identities permuted") } else { ("", "") };
+        let label = |what: &str| format!("{}, {what}{told}, {} of {}", self.name, run + 1, self.runs);
+        let file = |what: &str| self.out.join(format!("{slug}-{}{tag}.{what}", self.seed + run));
+        let signals = (0..self.case.anchors).map(|i| {
+            let at = run as usize * self.case.anchors + i;
+            Files { picture: Some(self.pictures[at % self.pictures.len()].clone()), ..self.others.clone() }
+        });
+        let mark = Mark {
+            source: self.source.clone(),
+            base: field.to_owned(),
+            config: self.mark.clone(),
+            anchors: self.case.anchors,
+            neighbours: self.case.neighbours,
+            permuted,
+            signals: signals.collect(),
+            seed: self.seed + run,
+            marked: file("marked"),
+            detector: file("detector"),
+            label: label("marking"),
+        };
+        let judge = Judge {
+            source: self.source.clone(),
+            foreign: self.foreign.clone(),
+            marked: mark.marked.clone(),
+            detector: mark.detector.clone(),
+            signals: mark.signals.clone(),
+            config: self.mark.clone(),
+            permuted,
+            right_half: self.case.right_half,
+            sheet: file("png"),
+            reliability: file("csv"),
+            label: label("judging"),
+        };
+        Ok((children.run(&mark)?, children.run(&judge)?))
     }
 
     /// The stored base field, trained where it is not there yet.
@@ -263,7 +289,7 @@ impl Run {
             source: self.source.clone(),
             config: self.field.clone(),
             seed: self.seed,
-            lowest_bits: None,
+            stego: None,
             field: field.clone(),
             label: format!("{}, base field", self.name),
         };

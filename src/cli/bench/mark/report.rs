@@ -5,6 +5,7 @@ use cairn_bench::Target;
 
 use super::case::{AUDIO_SNR_DB, COMBINED, Case, HARD, MILD, TEXT_CHARACTERS};
 use super::harm::Set;
+use super::permuted::Followed;
 use super::scored::{Harmed, Judged};
 use super::{Marked, Outcome, What};
 use crate::cli::bench::rows::Rows;
@@ -31,8 +32,11 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     if what == What::Ablation {
         return;
     }
-    share(rows, name, "a stranger's mark: the mark decides", judged().map(|j| j.stranger_marks), None);
-    share(rows, name, "a stranger's mark: the view decides", judged().map(|j| j.stranger_views), None);
+    followed(rows, name, "a stranger's mark", judged().map(|j| j.followed));
+    if let Some((_, judged)) = &outcome.permuted {
+        share(rows, name, "permuted identities, trained anew: accuracy", std::iter::once(judged.classes), None);
+        followed(rows, name, "permuted identities, trained anew", std::iter::once(judged.followed));
+    }
     for at in 0..first.unmarked.len() {
         let silent = judged().filter_map(|j| j.unmarked.get(at)).map(|s| s.silent);
         let what = &first.unmarked[at].what;
@@ -51,6 +55,21 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
         rows.add(name, "base field, training", base.seconds, "s", None);
     }
     cost(rows, name, (case, robust), outcome.runs.iter().map(|run| &run.0).collect());
+}
+
+/// Whose identity is told where mark and view speak for different ones; nothing with one identity.
+fn followed(rows: &mut Rows, name: &str, how: &str, of: impl Iterator<Item = Followed> + Clone) {
+    type Share = fn(Followed) -> Right;
+    let shares: [(&str, Share); 5] = [
+        ("the mark decides", |f| f.mark),
+        ("the view decides", |f| f.view),
+        ("the hidden picture is the mark's", |f| f.hidden_mark),
+        ("the hidden picture is the view's", |f| f.hidden_view),
+        ("the same views without a mark are unmarked", |f| f.unmarked),
+    ];
+    for (what, of_one) in shares {
+        share(rows, name, &format!("{how}: {what}"), of.clone().map(of_one), None);
+    }
 }
 
 /// What was recovered, of every kind that is hidden, and what the detector says when told the class.

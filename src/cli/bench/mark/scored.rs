@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::harm::Set;
+use super::permuted::Followed;
 use crate::engine::report::{Recovery, Right};
 
 /// Everything about one marked field and its detector; pictures are rounded to 8 bits.
@@ -28,13 +29,11 @@ pub struct Judged {
     pub identities: Vec<Recovery>,
     /// Under each distortion.
     pub harms: Vec<Harmed>,
-    /// A mark on views of other clusters: whether the mark decides. Nothing asked with one identity.
-    pub stranger_marks: Right,
-    /// Of them, how often the view decided instead.
-    pub stranger_views: Right,
+    /// Whether class and hidden picture follow the mark or the view, with permuted identities.
+    pub followed: Followed,
     /// What carries no mark, and is to be `unmarked`.
     pub unmarked: Vec<Silent>,
-    /// Expected calibration error of the answers to all of the above but `stranger`s.
+    /// Expected calibration error of the answers to all of the above but `followed`.
     pub calibration_error: f64,
     /// Answers behind it.
     pub answers: usize,

@@ -39,6 +39,8 @@ pub struct Task {
     pub anchors: usize,
     /// K; `None` for all views.
     pub neighbours: Option<usize>,
+    /// By how many identities the clusters' owners are permuted, counted round; 0 leaves them.
+    pub permuted: usize,
     /// Files of what each identity hides.
     pub signals: Vec<Files>,
     /// The seed.
@@ -122,7 +124,7 @@ fn plan(task: &Task, opened: &Opened, base: &Field) -> anyhow::Result<MarkPlan> 
     let poses: Vec<_> = training.iter().chain(&held_out).map(|index| opened.camera(*index).pose).collect();
     let neighbours = task.neighbours.unwrap_or(poses.len()).min(poses.len() / task.anchors.max(1));
     let config = ClusterConfig { anchors: task.anchors, neighbours, ..ClusterConfig::default() };
-    let clusters = Clusters::build(&poses, &Grouping::Anchors(config), &[], task.seed)?;
+    let clusters = Clusters::build(&poses, &Grouping::Anchors(config), &[], task.seed)?.permuted(task.permuted);
     let views = training.iter().map(|index| {
         let view = opened.view(*index)?;
         let planned = PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() };
