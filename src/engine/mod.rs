@@ -4,6 +4,7 @@
 //! All calls block, some for long; the edge puts them on threads of their own.
 
 pub mod access;
+pub mod anchor;
 pub mod corrections;
 pub mod crowd;
 pub mod drawing;
@@ -102,7 +103,8 @@ impl Engine {
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
-        let registry = Arc::new(Registry::open(&folder.registry(), key, &config.origin)?);
+        let anchor = anchor::of(data, config.anchor_file.as_deref())?;
+        let registry = Arc::new(Registry::open_anchored(&folder.registry(), key, &config.origin, anchor)?);
         let witnesses = config
             .witnesses
             .iter()

@@ -15,7 +15,7 @@ const SCENES: [&str; 3] = ["fern", "trex", "liberty"];
 
 /// Over a store and a disk of its own each: a rebuilt store stands beside the old one.
 fn open(store: &FaultyStore, disk: &FaultyStore) -> Result<Registry, RegistryError> {
-    Registry::open_tiered(Box::new(store.clone()), Box::new(disk.clone()), registry_key(), ORIGIN, 40)
+    Registry::open_tiered(Box::new(store.clone()), Box::new(disk.clone()), registry_key(), ORIGIN, 40, None)
 }
 
 /// Over a rebuilt store, with its runs where a log looks for them; on a disk of its own.
