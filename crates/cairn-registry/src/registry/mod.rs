@@ -211,7 +211,7 @@ impl Registry {
         let store = Box::new(TieredStore::open(store, files.clone(), layout::RUNS, layout::COLD, enough)?);
         let loaded = reload::reload(&*store, &files, &key, origin, anchor.as_ref())?;
         let registry = Self {
-            nonces: nonce::Nonces::new(&key, origin),
+            nonces: nonce::Nonces::new(&key, origin, loaded.nonces_from),
             origin: origin.to_owned(),
             key,
             state: RwLock::new(loaded.state),

@@ -44,6 +44,8 @@ pub(super) struct Loaded {
     pub(super) state: State,
     pub(super) writer: Writer,
     pub(super) publisher: Publisher,
+    /// See [`layout::NONCES_FROM`].
+    pub(super) nonces_from: u64,
     /// How the log stands to its anchor, where it has one.
     pub(super) standing: Standing,
 }
@@ -87,6 +89,7 @@ pub(super) fn reload(
         state: State { tree, map, size, root, checkpoint, cosigned, halted: None },
         writer,
         publisher: Publisher::new(filed, published.map(|(note, known)| (known.size, note))),
+        nonces_from: number_at(store, layout::NONCES_FROM, || "first size of good nonces".into())?.unwrap_or(0),
         standing,
     })
 }
