@@ -297,6 +297,8 @@ async fn a_quota_of_views_refuses_an_import_and_leaves_nothing() {
     assert!(world.ok("ada", &["access", "quota"]).contains("views             12 of 20"));
     assert!(world.import("ada", "fern").unwrap_err().contains("12 used, 12 more asked for; deleting a scene"));
     assert!(world.import("root", "fern").is_ok(), "others have their own");
+    world.ok("root", &["quarantine", "remove", "town", "images/ada_002.png"]);
+    assert!(world.ok("ada", &["access", "quota"]).contains("views             11 of 20"), "given back");
     world.ok("ada", &["scene", "delete", "town"]);
     assert!(world.ok("ada", &["access", "quota"]).contains("views             0 of 20"));
 }
