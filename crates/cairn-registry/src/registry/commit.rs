@@ -2,7 +2,9 @@
 //!
 //! There is no writer thread. The first submitter who finds nobody writing takes
 //! all that waits and writes it; those who come meanwhile wait for the next round. A flush
-//! costs milliseconds, so under load a round carries many records.
+//! costs milliseconds, so under load a round carries many records. Whoever waits sleeps until their round is
+//! over, or until it is theirs to write: to wake them all after each round, hundreds of times a second, cost
+//! more than the rounds.
 //!
 //! A round's order is what a crash at any moment leaves right: envelopes into their pack, flushed; then leaves,
 //! indices, the map's rows and the size and root that are about to be signed, all in one write of the store, flushed,
@@ -13,12 +15,12 @@ use std::{
     collections::{BTreeMap, HashMap},
     mem,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    thread,
+    thread::{self, Thread},
 };
 
 use super::{
     Receipt, Registry, RegistryError, State,
-    anchor::Round,
+    anchor::{Anchor, Round},
     layout,
     nonce::NONCE_LIFETIME,
     reload::inconsistent,
@@ -44,6 +46,8 @@ type Outcome = Result<Placed, RegistryError>;
 #[derive(Default)]
 pub(super) struct Queue {
     waiting: Vec<Waiting>,
+    /// Who wants the turn for something else.
+    others: Vec<Thread>,
     busy: bool,
 }
 
@@ -58,6 +62,8 @@ pub(super) struct Writer {
 struct Waiting {
     candidate: Candidate,
     slot: Arc<Mutex<Option<Outcome>>>,
+    /// Sleeps until there is something for it to do.
+    thread: Thread,
 }
 
 /// Where a submission of this round ends up.
@@ -98,8 +104,13 @@ impl Drop for Turn<'_> {
                 *slot = Some(Err(RegistryError::Halted { cause }));
             }
         }
-        lock(&self.registry.queue).busy = false;
-        self.registry.wake.notify_all();
+        let mut queue = lock(&self.registry.queue);
+        queue.busy = false;
+        // The first of those who came meanwhile writes for all of them, unless somebody new is faster and does.
+        queue.waiting.first().iter().for_each(|next| next.thread.unpark());
+        queue.others.iter().for_each(Thread::unpark);
+        drop(queue);
+        self.batch.iter().for_each(|done| done.thread.unpark());
     }
 }
 
@@ -115,15 +126,17 @@ impl Registry {
     pub fn submit(&self, envelope: &Envelope) -> Result<Receipt, RegistryError> {
         let candidate = Candidate::check(envelope, &self.origin)?;
         let slot = Arc::new(Mutex::new(None));
-        let mut queue = lock(&self.queue);
-        queue.waiting.push(Waiting { candidate, slot: slot.clone() });
+        lock(&self.queue).waiting.push(Waiting { candidate, slot: slot.clone(), thread: thread::current() });
         loop {
+            let mut queue = lock(&self.queue);
             if let Some(outcome) = lock(&slot).take() {
                 drop(queue);
                 return self.receipt(outcome?);
             }
             if queue.busy {
-                queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+                drop(queue);
+                // Who has the turn wakes us when there is an outcome, or the turn is ours: also where that was before this.
+                thread::park();
                 continue;
             }
             queue.busy = true;
@@ -131,21 +144,28 @@ impl Registry {
             drop(queue);
             let outcomes = self.write_round(&turn.batch);
             // Out of the turn: whoever wakes early takes an outcome away, and must not look like one who got none.
-            for (waiting, outcome) in mem::take(&mut turn.batch).iter().zip(outcomes) {
+            let done = mem::take(&mut turn.batch);
+            for (waiting, outcome) in done.iter().zip(outcomes) {
                 *lock(&waiting.slot) = Some(outcome);
             }
+            // The next round begins before this one's submitters are told.
             drop(turn);
-            queue = lock(&self.queue);
+            done.iter().for_each(|waiting| waiting.thread.unpark());
         }
     }
 
     /// The turn to write, taken for something that no submission waits for.
     pub(super) fn turn(&self) -> Turn<'_> {
+        let this = thread::current();
         let mut queue = lock(&self.queue);
+        queue.others.push(this.clone());
         while queue.busy {
-            queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            drop(queue);
+            thread::park();
+            queue = lock(&self.queue);
         }
         queue.busy = true;
+        queue.others.retain(|other| other.id() != this.id());
         Turn { registry: self, batch: Vec::new() }
     }
 
@@ -210,16 +230,18 @@ impl Registry {
             (new_size, merkle::root_at(&state.tree, new_size)?)
         };
         let signed = Checkpoint::new(&self.origin, new_size, root);
-        let pack_length = match &batch.found {
-            Some(round) => round.comes_to(&signed, size)?,
-            None => self.append_to_packs(size, writer.pack_length, &batch.leaves)?,
+        let envelopes = || match &batch.found {
+            Some(round) => round.comes_to(&signed, size),
+            None => self.append_to_packs(size, writer.pack_length, &batch.leaves),
         };
+        let pack_length = self.beside_anchor(envelopes, |anchor| anchor.prepare(&signed))?;
         // Somebody may have stopped the log meanwhile, who knows better what it is.
         if let Some(cause) = self.halted() {
             return Err(RegistryError::Halted { cause });
         }
         batch.entries.push((layout::SIGNED.to_vec(), Some(layout::signed(new_size, &root))));
-        self.write_down(batch.entries, &signed)?;
+        let rows = || Ok(self.store.put(batch.entries).and_then(|()| self.store.flush())?);
+        self.beside_anchor(rows, Anchor::adopt)?;
         self.read_back(size, &batch.leaves)?;
         let note = signed.sign(&self.key)?;
         writer.pack_length = pack_length;
@@ -233,17 +255,21 @@ impl Registry {
         Ok(())
     }
 
-    /// Makes a round's rows durable, and at the same time the anchor.
-    fn write_down(&self, rows: Vec<Change>, signed: &Checkpoint) -> Result<(), RegistryError> {
-        let put = || self.store.put(rows).and_then(|()| self.store.flush());
-        let Some(anchor) = &self.anchor else { return Ok(put()?) };
-        let (put, anchored) = thread::scope(|scope| {
-            let anchored = scope.spawn(|| anchor.write(signed));
-            (put(), anchored.join())
+    /// Does a part of a round, and at the same time, where there is an anchor, something with that: a file system flushes
+    /// both for the price of one.
+    fn beside_anchor<T>(
+        &self,
+        part: impl FnOnce() -> Result<T, RegistryError>,
+        act: impl FnOnce(&Anchor) -> Result<(), StoreError> + Send,
+    ) -> Result<T, RegistryError> {
+        let Some(anchor) = &self.anchor else { return part() };
+        let (done, anchored) = thread::scope(|scope| {
+            let anchored = scope.spawn(|| act(anchor));
+            (part(), anchored.join())
         });
-        put?;
-        let panicked = |_| RegistryError::Halted { cause: "the anchor's writer panicked".into() };
-        Ok(anchored.map_err(panicked)??)
+        let done = done?;
+        anchored.map_err(|_| RegistryError::Halted { cause: "the anchor's writer panicked".into() })??;
+        Ok(done)
     }
 
     /// Takes in a round that a crash left in the packs after the anchor was told of it.
