@@ -297,6 +297,8 @@ async fn a_quota_of_views_refuses_an_import_and_leaves_nothing() {
     assert!(world.ok("ada", &["access", "quota"]).contains("views             12 of 20"));
     assert!(world.import("ada", "fern").unwrap_err().contains("12 used, 12 more asked for; deleting a scene"));
     assert!(world.import("root", "fern").is_ok(), "others have their own");
+    world.ok("root", &["quarantine", "remove", "town", "images/ada_002.png"]);
+    assert!(world.ok("ada", &["access", "quota"]).contains("views             11 of 20"), "given back");
     world.ok("ada", &["scene", "delete", "town"]);
     assert!(world.ok("ada", &["access", "quota"]).contains("views             0 of 20"));
 }
@@ -408,14 +410,18 @@ async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_wi
     world.refused("ada", &["access", "register", "--name", "again"], "was ended by record");
     // Also after a restart; and registering the new key changes nothing.
     assert!(world.daemon.terminate().success());
-    world.daemon = Daemon::start(&world.place.path("data"), ACCOUNTS);
+    world.daemon = Daemon::start(&world.place.path("data"), CLOSED);
     let again = world.ok("next", &["access", "register", "--name", "another"]);
     assert!(again.contains(&ada) && again.contains("contributor"), "{again}");
     world.refused("ada", &["scene", "delete", "town"], "continues under key");
 
-    // Revoked: nobody acts for the account, and the key gets no other.
+    // Revoked: nobody acts for the account, and the key gets no other. It reads no more either, but the proof of this very
+    // record came with its acknowledgement.
     let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "lost", "--out"];
     world.ok("next", &[&revoke[..], &[&world.place.text("revocation")]].concat());
+    world.refused("next", &["scene", "list"], "was ended by record");
+    let (bundle, vkey) = (world.place.text("revocation"), world.place.text("revocation/log.vkey"));
+    assert!(world.place.cairn_ok(&["audit", "bundle", &bundle, "--vkey", &vkey]).starts_with("trusted"));
     for who in ["ada", "next"] {
         world.refused(who, &["scene", "delete", "town"], "was ended by record");
         world.refused(who, &["access", "register", "--name", "again"], "was ended by record");

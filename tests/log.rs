@@ -1,5 +1,5 @@
 //! A log at work, through real processes: cosigned by a witness, served over HTTP, followed, asked completely; and an
-//! older backup of it that is refused at the start, whoever notices.
+//! older backup of it that is refused at the start, whoever notices: a witness, what was published, or the anchor.
 
 mod common;
 
@@ -149,5 +149,50 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
     let said = refused(&place, "backup", "");
     assert!(said.contains("known is a checkpoint over"), "{said}");
     // The log itself starts again.
+    assert!(Daemon::start(&place.path("data"), &settings).terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_whole_folder_restored_from_an_older_backup_is_refused_by_the_anchor_alone() {
+    let place = Place::new();
+    let anchored = |file: &str| format!("[registry]\nanchor_file = {:?}\n", place.text(file));
+    let settings = anchored("log.anchor");
+    let daemon = Daemon::start(&place.path("data"), &settings);
+    let mut client = OwnerServiceClient::connect(daemon.url.clone()).await.unwrap();
+    contribute(&mut client, 1, 0..4).await;
+    assert!(daemon.terminate().success());
+    // Whole, the checkpoint that was published last included.
+    copy(&place.path("data"), &place.path("backup"));
+    let daemon = Daemon::start(&place.path("data"), &settings);
+    let mut client = OwnerServiceClient::connect(daemon.url.clone()).await.unwrap();
+    contribute(&mut client, 2, 0..4).await;
+    daemon.kill();
+    let said = refused(&place, "backup", &settings);
+    for part in ["log.anchor", "over 4 log entries", "holds 2", "restore the newest"] {
+        assert!(said.contains(part), "{said}");
+    }
+
+    // Taken away it is not made again unasked; accepted it is, and then the older folder is what it was.
+    let kept = std::fs::read(place.path("log.anchor")).unwrap();
+    std::fs::remove_file(place.path("log.anchor")).unwrap();
+    let said = refused(&place, "data", &settings);
+    assert!(said.contains("log.anchor is missing") && said.contains("cairn registry anchor --accept"), "{said}");
+    let (data, config) = (place.text("data"), place.text("refused.toml"));
+    let anchor = ["registry", "anchor", "--data", &data, "--config", &config];
+    assert!(!place.cairn(&anchor).status.success() && !place.path("log.anchor").exists());
+    let accept = [&anchor[..], &["--accept"]].concat();
+    assert!(place.cairn_ok(&accept).contains("goes on from its anchor: size 4, root "));
+    assert_eq!(std::fs::read(place.path("log.anchor")).unwrap(), kept);
+    place.cairn_ok(&anchor);
+    assert!(refused(&place, "backup", &settings).contains("restore the newest"));
+
+    // One that would be restored with the folder is none, by whichever name.
+    std::os::unix::fs::symlink(place.path("data"), place.path("link")).unwrap();
+    for inside in ["data/log.anchor", "data/registry/log.anchor", "link/log.anchor"] {
+        let said = refused(&place, "data", &anchored(inside));
+        assert!(said.contains("registry.anchor_file") && said.contains("outside the data folder"), "{inside}: {said}");
+    }
+    let said = refused(&place, "data", &anchored("nowhere/log.anchor"));
+    assert!(said.contains("nowhere/log.anchor") && said.contains("make the folder"), "{said}");
     assert!(Daemon::start(&place.path("data"), &settings).terminate().success());
 }

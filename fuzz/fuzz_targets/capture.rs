@@ -3,10 +3,11 @@
 
 #[path = "../../crates/cairn-capture/tests/common/mod.rs"]
 mod common;
+mod seeds;
 #[path = "../../crates/cairn-capture/tests/targets/mod.rs"]
 mod targets;
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+libfuzzer_sys::fuzz_target!(init: seeds::write(targets::TARGETS.iter().map(|t| (t.name, (t.good)()))), |data: &[u8]| {
     if let Some((which, input)) = data.split_first() {
         (targets::TARGETS[usize::from(*which) % targets::TARGETS.len()].read)(input);
     }

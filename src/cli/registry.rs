@@ -5,6 +5,7 @@ use std::time::Instant;
 use super::connect::Where;
 use super::progress::Progress;
 use crate::config::Config;
+use crate::engine::anchor;
 use crate::engine::rebuild::rebuild_registry;
 
 /// What to do with the log.
@@ -15,6 +16,16 @@ pub enum Command {
     /// Move DIR/registry/working away first, with the seal beside it. Nothing acknowledged is lost: what was not
     /// published yet follows from the envelopes.
     Rebuild,
+    /// Hold the log to its anchor (`registry.anchor_file` of --config) and say where it is
+    ///
+    /// A log that is not empty does not start without its anchor, since nobody could tell a new setting from a file that was
+    /// taken away.
+    Anchor {
+        /// Write the anchor from the log as it is where the file is missing; compare the log's size with what a witness, a
+        /// follower or a receipt says first
+        #[arg(long)]
+        accept: bool,
+    },
 }
 
 /// Answers `cairn registry`.
@@ -22,11 +33,21 @@ pub enum Command {
 /// # Errors
 /// For a folder that is in use, or without the log's key; what stands against the log's own word.
 pub fn run(place: &Where, config: &Config, command: &Command) -> anyhow::Result<()> {
-    let Command::Rebuild = command;
     anyhow::ensure!(
         place.connect.is_none(),
-        "`cairn registry rebuild` works on a data folder on this machine; leave --connect out"
+        "`cairn registry` works on a data folder on this machine; leave --connect out"
     );
+    match command {
+        Command::Rebuild => rebuild(place, config),
+        Command::Anchor { accept } => {
+            let head = anchor::hold(&place.data, config, *accept)?;
+            println!("the log {} goes on from its anchor: size {}, root {}", head.origin, head.size, head.root);
+            Ok(())
+        }
+    }
+}
+
+fn rebuild(place: &Where, config: &Config) -> anyhow::Result<()> {
     let (begun, mut progress) = (Instant::now(), Progress::new(true));
     let rebuilt = rebuild_registry(&place.data, config, &mut |done, of| {
         let left = begun.elapsed().as_secs_f64() * of.saturating_sub(done) as f64 / done.max(1) as f64;

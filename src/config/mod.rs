@@ -65,6 +65,8 @@ pub struct Config {
     pub origin: String,
     /// What the registry's signing key is sealed with; `None` where it lies in plain PEM. Read when the log is opened.
     pub registry_key_file: Option<PathBuf>,
+    /// Where the log's anchor lies; `None` without one. Whether that is outside the data folder is seen when the log is opened.
+    pub anchor_file: Option<PathBuf>,
     /// Where the log's public files are served, and what stands in front of their paths.
     pub public_http: Option<PublicHttp>,
     /// Who cosigns the log's checkpoints.
@@ -223,6 +225,7 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
         checkpoint_every_s: raw.training.checkpoint_every_s,
         public_http: registry::public_http(&raw.registry)?,
         witnesses: registry::witnesses(&raw.registry.witnesses)?,
+        anchor_file: registry::anchor_file(&raw.registry.anchor_file)?,
         origin: raw.registry.origin,
         registry_key_file: Some(raw.registry.key_file).filter(|path| !path.is_empty()).map(PathBuf::from),
         log_filter: raw.log.filter,

@@ -112,6 +112,7 @@ pub struct Training {
 pub struct Registry {
     pub origin: String,
     pub key_file: String,
+    pub anchor_file: String,
     pub http_bind: String,
     pub http_prefix: String,
     pub witnesses: Vec<String>,
@@ -175,6 +176,7 @@ impl Default for Registry {
         Self {
             origin: "cairn.localhost/owners".into(),
             key_file: String::new(),
+            anchor_file: String::new(),
             http_bind: String::new(),
             http_prefix: String::new(),
             witnesses: Vec::new(),

@@ -1,6 +1,7 @@
-//! The checked half of `[registry]`: the log's name, where its public files are served, and who cosigns it.
+//! The checked half of `[registry]`: the log's name, its anchor, where its public files are served, and who cosigns it.
 
 use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 
 use cairn_registry::WitnessVerifier;
 use cairn_witness::WitnessClient;
@@ -46,6 +47,18 @@ pub(super) fn check_origin(origin: &str) -> Result<(), ConfigError> {
         return Err(out_of_range("registry.origin", origin, "1 to 256 bytes without spaces or plus signs"));
     }
     Ok(())
+}
+
+pub(super) fn anchor_file(path: &str) -> Result<Option<PathBuf>, ConfigError> {
+    if path.is_empty() {
+        return Ok(None);
+    }
+    // From another working directory a relative one would be missing.
+    if !Path::new(path).is_absolute() || Path::new(path).file_name().is_none() {
+        let wanted = "the absolute path of a file outside the data folder, or nothing";
+        return Err(out_of_range("registry.anchor_file", path, wanted));
+    }
+    Ok(Some(path.into()))
 }
 
 pub(super) fn public_http(raw: &raw::Registry) -> Result<Option<PublicHttp>, ConfigError> {

@@ -94,6 +94,8 @@ fn refusals_name_key_value_and_what_is_allowed() {
         ("[server.tls]\nclient_ca = \"c\"", ["`server.tls.certificate`", "PEM"]),
         ("[server]\nbind = \"home\"", ["`server.bind` = home", "an IP address"]),
         ("[registry]\norigin = \"a b\"", ["`registry.origin` = a b", "without spaces"]),
+        ("[registry]\nanchor_file = \"log.anchor\"", ["`registry.anchor_file` = log.anchor", "absolute path"]),
+        ("[registry]\nanchor_file = \"/\"", ["`registry.anchor_file` = /", "of a file"]),
         ("[registry]\nhttp_bind = \"home\"", ["`registry.http_bind` = home", "an IP address"]),
         ("[registry]\nhttp_prefix = \"log\"", ["`registry.http_prefix` = log", "as /log"]),
         ("[registry]\nhttp_prefix = \"/a/../b\"", ["`registry.http_prefix` = /a/../b", "segments"]),

@@ -68,10 +68,13 @@ impl OwnerService for Shared {
             .run(move |engine| {
                 let receipt = engine.submit_record(&envelope, payer)?;
                 let (record, _) = OwnerRecord::open(&receipt.envelope).map_err(RegistryError::from)?;
+                let tlog_proof = receipt.tlog_proof().to_text();
                 Ok(v1::SubmitRecordResponse {
                     format_version: to_proto::VERSION,
                     record: Some(to_proto::record(receipt.index, &receipt.leaf_hash, &receipt.envelope, &record)),
                     checkpoint: receipt.checkpoint,
+                    tlog_proof,
+                    vkey: engine.registry().verifier()?.to_string(),
                 })
             })
             .await?;

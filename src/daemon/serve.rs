@@ -142,6 +142,14 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     for witness in &config.witnesses {
         tracing::info!(witness = %witness.verifier, url = witness.url, "configured witness");
     }
+    match &config.anchor_file {
+        Some(file) => tracing::info!(file = %file.display(), "the log is anchored"),
+        None => tracing::warn!(
+            witnesses = config.witnesses.len(),
+            "no registry.anchor_file: that the data folder was restored from an older backup is found out by witnesses and \
+             followers only"
+        ),
+    }
     shared.loaded(engine.clone())?;
     tell(&reporter, ServingStatus::Serving).await;
     // Before anybody is told where it is, who may then stop it at once.

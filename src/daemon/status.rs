@@ -165,7 +165,10 @@ fn registry(error: &RegistryError) -> Code {
         RegistryError::Answer(_) => Code::ResourceExhausted,
         RegistryError::Locked { .. } | RegistryError::Halted { .. } => Code::Unavailable,
         RegistryError::WrongStore { .. } | RegistryError::Origin(_) => Code::FailedPrecondition,
+        RegistryError::AnchorMissing { .. } => Code::FailedPrecondition,
         RegistryError::Inconsistent { .. }
+        | RegistryError::RolledBack { .. }
+        | RegistryError::BadAnchor { .. }
         | RegistryError::Map(_)
         | RegistryError::Pack(_)
         | RegistryError::Rebuild { .. } => Code::DataLoss,

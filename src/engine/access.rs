@@ -13,6 +13,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use cairn_access::quota::check_jobs;
 use cairn_access::{AccessError, Account, Accounts, Charge, Limits, Quotas, Reserved, Role, Usage};
+use cairn_capture::SceneFolder;
 use cairn_registry::{Digest, Heir, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError};
 use serde::{Deserialize, Serialize};
 
@@ -256,6 +257,27 @@ impl Access {
         self.quotas.release(&found.owner, scene).map_err(AccessError::from)?;
         remove(&path)?;
         sync_folder(&self.owners)
+    }
+
+    /// Views of a scene are gone: its owner, if any, is charged with what is left. Written down before it counts, for the
+    /// next start.
+    ///
+    /// # Errors
+    /// The file system's; the next start sets it right.
+    pub fn lower(&self, name: &str, scene: &SceneFolder) -> Result<(), EngineError> {
+        let path = self.file(name);
+        if !path.exists() {
+            return Ok(());
+        }
+        let found: SceneOwner = read_json(&path)?;
+        let charge = scenes::takes(scene)?;
+        let left =
+            SceneOwner { bytes: found.bytes.min(charge.bytes), views: found.views.min(charge.views), ..found.clone() };
+        if left != found {
+            write_json(&path, &left)?;
+        }
+        self.quotas.lower(&found.owner, name, charge).map_err(AccessError::from)?;
+        Ok(())
     }
 
     /// Whether an owner, of whose trainings `open` have not ended, may have one more.

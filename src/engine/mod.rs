@@ -4,6 +4,7 @@
 //! All calls block, some for long; the edge puts them on threads of their own.
 
 pub mod access;
+pub mod anchor;
 pub mod classes;
 pub mod corrections;
 pub mod crowd;
@@ -83,7 +84,8 @@ impl Engine {
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
-        let registry = Arc::new(Registry::open(&folder.registry(), key, &config.origin)?);
+        let anchor = anchor::of(data, config.anchor_file.as_deref())?;
+        let registry = Arc::new(Registry::open_anchored(&folder.registry(), key, &config.origin, anchor)?);
         let witnesses = config
             .witnesses
             .iter()
@@ -100,6 +102,12 @@ impl Engine {
         };
         let access = Arc::new(Access::open(&folder, config.access.quota)?);
         access.follow_all(&registry)?;
+        // The daemon may have died between a removal and giving its owner back what was removed.
+        for name in scenes::list(&folder.scenes())? {
+            if quarantine.has_removed(&name)? {
+                give_back(&access, &folder.scenes(), &name);
+            }
+        }
         let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
         folder.seal_at_end();
         Ok(Self {
@@ -230,7 +238,9 @@ impl Engine {
     ) -> Result<Vec<quarantine::Entry>, EngineError> {
         let folder = self.scene(scene)?;
         self.refuse_in_training(scene, format!("views of scene {scene:?}"), "removed")?;
-        self.quarantine.remove((scene, &folder), views, by)
+        let removed = self.quarantine.remove((scene, &folder), views, by)?;
+        give_back(&self.access, &self.folder.scenes(), scene);
+        Ok(removed)
     }
 
     /// Refuses what must not be done while a job trains on a scene.
@@ -312,6 +322,13 @@ impl Engine {
     /// Publishes what is left. After the last request: what comes in later is published at the next start.
     pub fn close(&self) {
         self.publisher.stop();
+    }
+}
+
+/// Charges a scene's owner, if any, with no more than what is left of it: the removed views are gone in any case.
+fn give_back(access: &Access, scenes: &Path, scene: &str) {
+    if let Err(error) = scenes::open(scenes, scene).and_then(|left| access.lower(scene, &left)) {
+        tracing::warn!(scene, %error, "removed views stay charged until a start at which they can be measured");
     }
 }
 

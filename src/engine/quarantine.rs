@@ -147,6 +147,14 @@ impl Quarantine {
         Ok(stored.views)
     }
 
+    /// Whether views of a scene were removed.
+    ///
+    /// # Errors
+    /// As [`Quarantine::of`].
+    pub fn has_removed(&self, scene: &str) -> Result<bool, EngineError> {
+        Ok(self.of(scene)?.iter().any(|entry| entry.standing == Standing::Removed))
+    }
+
     fn write(&self, scene: &str, mut views: Vec<Entry>) -> Result<(), EngineError> {
         views.sort_by(|a, b| a.view.cmp(&b.view));
         write_json(&self.file(scene), &Stored { format_version: 1, views })

@@ -227,6 +227,34 @@ fn a_removal_that_was_cut_off_is_finished_at_the_next_start() {
 }
 
 #[test]
+fn what_a_removed_view_took_is_given_back_to_its_scenes_owner() {
+    let World { dir, engine } = World::new(&[]);
+    let takes = |engine: &Engine| scenes::takes(&engine.scene("town").unwrap()).unwrap();
+    let whole = takes(&engine);
+    drop(engine);
+    let (ada, file) = (Digest::of("ada"), dir.path().join("owners/town.json"));
+    let owned =
+        format!(r#"{{"format_version": 1, "owner": "{ada}", "bytes": {}, "views": {}}}"#, whole.bytes, whole.views);
+    std::fs::write(&file, &owned).unwrap();
+    let used = |engine: &Engine| (engine.access().usage(&ada).bytes, engine.access().usage(&ada).views);
+    let engine = open(dir.path());
+    assert_eq!(used(&engine), (whole.bytes, whole.views));
+    let photograph = dir.path().join("scenes/town").join(&engine.scene("town").unwrap().capture().views[4].photograph);
+    let view = engine.scene("town").unwrap().capture().views[4].name.clone();
+    let bytes = photograph.metadata().unwrap().len();
+    engine.remove_views("town", &[view], None).unwrap();
+    let left = (whole.bytes - bytes, whole.views - 1);
+    assert!(!photograph.exists() && used(&engine) == left, "{:?}, {left:?} expected", used(&engine));
+    drop(engine);
+    let engine = open(dir.path());
+    assert_eq!(used(&engine), left, "written down");
+    drop(engine);
+    // As it is where the process died before it was.
+    std::fs::write(&file, &owned).unwrap();
+    assert_eq!(used(&open(dir.path())), left);
+}
+
+#[test]
 fn bad_requests_are_refused_by_name_and_change_nothing() {
     let world = World::new(&[]);
     let engine = &world.engine;

@@ -280,3 +280,17 @@ pub fn open(folder: &Path, name: &str) -> Result<SceneFolder, EngineError> {
     }
     Ok(SceneFolder::open(folder, name)?)
 }
+
+/// What a scene takes of its owner's quotas as it is now.
+///
+/// # Errors
+/// The file system's, naming the photograph.
+pub fn takes(scene: &SceneFolder) -> Result<Charge, EngineError> {
+    let capture = scene.capture();
+    let mut charge = Charge { bytes: 0, views: capture.views.len() as u64 };
+    for view in &capture.views {
+        let path = capture.root.join(&view.photograph);
+        charge.bytes += path.metadata().map_err(EngineError::io("measure", &path))?.len();
+    }
+    Ok(charge)
+}

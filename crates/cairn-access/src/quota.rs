@@ -76,7 +76,7 @@ pub struct Limits {
 /// When a used-up quota has room again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Frees {
-    /// When a scene is deleted.
+    /// When a scene is deleted, or views of it are removed.
     OnDelete,
     /// When a training ends or is cancelled.
     OnEnd,
@@ -89,7 +89,7 @@ pub enum Frees {
 impl fmt::Display for Frees {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::OnDelete => f.write_str("deleting a scene frees what it takes"),
+            Self::OnDelete => f.write_str("deleting a scene frees what it takes, removing views what they take"),
             Self::OnEnd => f.write_str("it frees when a training ends or is cancelled"),
             Self::At(time) => write!(f, "it frees at {time} (seconds since 1970)"),
             Self::OnRaise => f.write_str("it does not free by itself; an operator can raise it (cairn access quota)"),
@@ -233,6 +233,20 @@ impl Quotas {
                 && let Some(charge) = owner.stored.remove(from)
             {
                 owner.stored.insert(to.to_owned(), charge);
+            }
+            Ok(())
+        })
+    }
+
+    /// Lowers what an item was charged with to what it takes now: some of it was removed. Nothing where it was not charged, or
+    /// with no more.
+    ///
+    /// # Errors
+    /// [`FileError`]; the charge still stands then.
+    pub fn lower(&self, owner: &Digest, item: &str, now: Charge) -> Result<(), FileError> {
+        self.change(|all| {
+            if let Some(charge) = all.get_mut(&owner.to_string()).and_then(|owner| owner.stored.get_mut(item)) {
+                *charge = Charge { bytes: charge.bytes.min(now.bytes), views: charge.views.min(now.views) };
             }
             Ok(())
         })

@@ -53,4 +53,4 @@ pub use policy::{Policy, PolicyError, PolicyVerdict, Quorum};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
 #[cfg(feature = "store")]
-pub use registry::{LogEntry, Published, Receipt, Registry, RegistryError, StoredRecord};
+pub use registry::{Anchor, LogEntry, Published, Receipt, Registry, RegistryError, StoredRecord};

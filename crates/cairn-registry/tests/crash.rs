@@ -14,7 +14,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cairn_registry::{Checkpoint, Digest, Registry, files::RealDisk, merkle, store::DiskStore};
+use cairn_registry::{Anchor, Checkpoint, Digest, Registry, files::RealDisk, merkle, store::DiskStore};
 use common::*;
 use rand::{RngExt as _, SeedableRng as _};
 
@@ -31,11 +31,18 @@ struct Acknowledged {
     root: Digest,
 }
 
+/// The log's anchor, beside its folder.
+fn anchor(folder: &Path) -> Anchor {
+    Anchor::at(&folder.with_extension("anchor")).unwrap()
+}
+
 /// Submits until it is killed; one line an acknowledgement. Its store moves rows all the time.
 fn child(folder: &Path) {
     let store = DiskStore::open(&folder.join("working")).unwrap();
     let disk = RealDisk::new(folder);
-    let registry = Registry::open_tiered(Box::new(store), Box::new(disk), registry_key(), ORIGIN, ENOUGH).unwrap();
+    let anchor = anchor(folder);
+    let registry =
+        Registry::open_tiered(Box::new(store), Box::new(disk), registry_key(), ORIGIN, ENOUGH, Some(anchor)).unwrap();
     let log = registry.verifier().unwrap();
     let count = AtomicU64::new(0);
     std::thread::scope(|scope| {
@@ -112,19 +119,21 @@ fn what_was_acknowledged_survives_a_kill_at_any_moment() {
     if let Some(folder) = env::var_os(CHILD) {
         return child(Path::new(&folder));
     }
-    let folder = tempfile::tempdir().unwrap();
+    let outer = tempfile::tempdir().unwrap();
+    let folder = outer.path().join("log");
+    std::fs::create_dir(&folder).unwrap();
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(20_261_121);
     let mut records: HashMap<u64, Digest> = HashMap::new();
     let mut roots: HashMap<u64, Digest> = HashMap::new();
     for round in 0..ROUNDS {
         let (wanted, micros) = (random.random_range(1..25), random.random_range(0..8000));
-        for acknowledged in run_and_kill(folder.path(), wanted, Duration::from_micros(micros)) {
+        for acknowledged in run_and_kill(&folder, wanted, Duration::from_micros(micros)) {
             let old = records.insert(acknowledged.index, acknowledged.record);
             assert_eq!(old, None, "round {round}: index {} was given twice", acknowledged.index);
             let root = roots.entry(acknowledged.size).or_insert(acknowledged.root);
             assert_eq!(*root, acknowledged.root, "round {round}: two roots of size {}", acknowledged.size);
         }
-        let registry = Registry::open(folder.path(), registry_key(), ORIGIN).unwrap();
+        let registry = Registry::open_anchored(&folder, registry_key(), ORIGIN, Some(anchor(&folder))).unwrap();
         let head = Checkpoint::verify(&registry.checkpoint(), &registry.verifier().unwrap()).unwrap();
         let faults = registry.check().unwrap();
         assert!(faults.is_empty(), "round {round}: {faults:?}");
@@ -140,12 +149,13 @@ fn what_was_acknowledged_survives_a_kill_at_any_moment() {
         }
     }
     assert!(records.len() as u64 >= ROUNDS);
-    let working = folder.path().join("working");
+    let working = folder.join("working");
     assert_ne!(std::fs::read_dir(working.join("runs")).unwrap().count(), 0, "no row ever moved");
     // And all of it is there still where the working state is lost as well.
     std::fs::remove_dir_all(working).unwrap();
-    let rebuilt = Registry::rebuild(folder.path(), &registry_key(), ORIGIN, &mut |_, _| {}).unwrap();
-    let registry = Registry::open(folder.path(), registry_key(), ORIGIN).unwrap();
+    let rebuilt = Registry::rebuild(&folder, &registry_key(), ORIGIN, &mut |_, _| {}).unwrap();
+    let anchored = Some(anchor(&folder));
+    let registry = Registry::open_anchored(&folder, registry_key(), ORIGIN, anchored).unwrap();
     assert_eq!(registry.size(), rebuilt.size);
     assert!(records.iter().all(|(index, record)| registry.find(record).unwrap() == Some(*index)));
 }

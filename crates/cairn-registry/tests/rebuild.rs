@@ -15,7 +15,7 @@ const SCENES: [&str; 3] = ["fern", "trex", "liberty"];
 
 /// Over a store and a disk of its own each: a rebuilt store stands beside the old one.
 fn open(store: &FaultyStore, disk: &FaultyStore) -> Result<Registry, RegistryError> {
-    Registry::open_tiered(Box::new(store.clone()), Box::new(disk.clone()), registry_key(), ORIGIN, 40)
+    Registry::open_tiered(Box::new(store.clone()), Box::new(disk.clone()), registry_key(), ORIGIN, 40, None)
 }
 
 /// Over a rebuilt store, with its runs where a log looks for them; on a disk of its own.
@@ -107,6 +107,37 @@ fn what_was_lost_is_made_again_to_the_last_acknowledged_record() {
     submit(&again, &owner(6), "trex", "next").unwrap();
     again.publish().unwrap();
     assert!(again.check().unwrap().is_empty());
+}
+
+#[test]
+fn an_erased_records_nonce_serves_nobody_again_though_it_is_forgotten() {
+    let (store, disk) = (FaultyStore::new(), FaultyStore::new());
+    let registry = open(&store, &disk).unwrap();
+    submit(&registry, &owner(2), "fern", "before").unwrap();
+    // Two records over one nonce, both signed; whoever has the second keeps it.
+    let first = record(&registry, &owner(1), "fern", "first");
+    let mut second = record(&registry, &owner(1), "fern", "second");
+    second.nonce = first.nonce;
+    let (first, second) = (first.seal(&owner(1)).unwrap(), second.seal(&owner(1)).unwrap());
+    let old = record(&registry, &owner(1), "fern", "a nonce that was not used yet");
+    let erased = registry.submit(&first).unwrap();
+    let fresh = sealed(&registry, &owner(1), "fern", "a nonce from behind it");
+    registry.erase_index(erased.index).unwrap();
+    assert!(matches!(registry.submit(&second), Err(RegistryError::NonceUsed { .. })));
+    registry.publish().unwrap();
+    drop(registry);
+
+    let (store, _) = rebuild(&disk).unwrap();
+    let again = open_rebuilt(&store, &disk);
+    let size = again.size();
+    assert!(matches!(again.submit(&first), Err(RegistryError::Erased { index }) if index == erased.index));
+    for refused in [second, old.seal(&owner(1)).unwrap()] {
+        let refused = again.submit(&refused).unwrap_err();
+        assert!(matches!(refused, RegistryError::NonceExpired { issued: 2, .. }), "{refused}");
+    }
+    assert_eq!(again.size(), size);
+    // Nobody else has to ask again.
+    assert_eq!(again.submit(&fresh).unwrap().index, erased.index + 2);
 }
 
 #[test]

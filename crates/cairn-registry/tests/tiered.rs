@@ -272,7 +272,7 @@ fn rows_that_only_accumulate_are_not_taken_away() {
 
 /// A log whose rows move as soon as there are a few.
 fn open_log(store: &FaultyStore) -> Registry {
-    Registry::open_tiered(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN, 8).unwrap()
+    Registry::open_tiered(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN, 8, None).unwrap()
 }
 
 #[test]

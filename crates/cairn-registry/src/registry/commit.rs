@@ -2,20 +2,26 @@
 //!
 //! There is no writer thread. The first submitter who finds nobody writing takes
 //! all that waits and writes it; those who come meanwhile wait for the next round. A flush
-//! costs milliseconds, so under load a round carries many records.
+//! costs milliseconds, so under load a round carries many records. Whoever waits sleeps until their round is
+//! over, or until it is theirs to write: to wake them all after each round, hundreds of times a second, cost
+//! more than the rounds.
 //!
 //! A round's order is what a crash at any moment leaves right: envelopes into their pack, flushed; then leaves,
-//! indices, the map's rows and the size and root that are about to be signed, all in one write of the store, flushed;
-//! only then the signature. Envelopes that no leaf speaks of are overwritten by the next round.
+//! indices, the map's rows and the size and root that are about to be signed, all in one write of the store, flushed,
+//! and at the same time the anchor, where there is one; only then the signature. Envelopes that no leaf speaks of are
+//! overwritten by the next round, or taken in by the next start where the anchor speaks of them.
 
 use std::{
     collections::{BTreeMap, HashMap},
     mem,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
+    thread::{self, Thread},
 };
 
 use super::{
-    Receipt, Registry, RegistryError, State, layout,
+    Receipt, Registry, RegistryError, State,
+    anchor::{Anchor, Round},
+    layout,
     nonce::NONCE_LIFETIME,
     reload::inconsistent,
     submit::{Admitted, Candidate, Planned},
@@ -40,6 +46,8 @@ type Outcome = Result<Placed, RegistryError>;
 #[derive(Default)]
 pub(super) struct Queue {
     waiting: Vec<Waiting>,
+    /// Who wants the turn for something else.
+    others: Vec<Thread>,
     busy: bool,
 }
 
@@ -54,6 +62,8 @@ pub(super) struct Writer {
 struct Waiting {
     candidate: Candidate,
     slot: Arc<Mutex<Option<Outcome>>>,
+    /// Sleeps until there is something for it to do.
+    thread: Thread,
 }
 
 /// Where a submission of this round ends up.
@@ -72,6 +82,8 @@ pub(super) struct Batch {
     pub(super) map: BTreeMap<MapKey, Vec<MapEntry>>,
     planned: Planned,
     kept: Vec<Envelope>,
+    /// Where its envelopes are in their pack already: what it must come to.
+    found: Option<Round>,
 }
 
 /// One writer's turn. However it ends, nobody is left waiting.
@@ -92,8 +104,13 @@ impl Drop for Turn<'_> {
                 *slot = Some(Err(RegistryError::Halted { cause }));
             }
         }
-        lock(&self.registry.queue).busy = false;
-        self.registry.wake.notify_all();
+        let mut queue = lock(&self.registry.queue);
+        queue.busy = false;
+        // The first of those who came meanwhile writes for all of them, unless somebody new is faster and does.
+        queue.waiting.first().iter().for_each(|next| next.thread.unpark());
+        queue.others.iter().for_each(Thread::unpark);
+        drop(queue);
+        self.batch.iter().for_each(|done| done.thread.unpark());
     }
 }
 
@@ -109,15 +126,17 @@ impl Registry {
     pub fn submit(&self, envelope: &Envelope) -> Result<Receipt, RegistryError> {
         let candidate = Candidate::check(envelope, &self.origin)?;
         let slot = Arc::new(Mutex::new(None));
-        let mut queue = lock(&self.queue);
-        queue.waiting.push(Waiting { candidate, slot: slot.clone() });
+        lock(&self.queue).waiting.push(Waiting { candidate, slot: slot.clone(), thread: thread::current() });
         loop {
+            let mut queue = lock(&self.queue);
             if let Some(outcome) = lock(&slot).take() {
                 drop(queue);
                 return self.receipt(outcome?);
             }
             if queue.busy {
-                queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+                drop(queue);
+                // Who has the turn wakes us when there is an outcome, or the turn is ours: also where that was before this.
+                thread::park();
                 continue;
             }
             queue.busy = true;
@@ -125,21 +144,28 @@ impl Registry {
             drop(queue);
             let outcomes = self.write_round(&turn.batch);
             // Out of the turn: whoever wakes early takes an outcome away, and must not look like one who got none.
-            for (waiting, outcome) in mem::take(&mut turn.batch).iter().zip(outcomes) {
+            let done = mem::take(&mut turn.batch);
+            for (waiting, outcome) in done.iter().zip(outcomes) {
                 *lock(&waiting.slot) = Some(outcome);
             }
+            // The next round begins before this one's submitters are told.
             drop(turn);
-            queue = lock(&self.queue);
+            done.iter().for_each(|waiting| waiting.thread.unpark());
         }
     }
 
     /// The turn to write, taken for something that no submission waits for.
     pub(super) fn turn(&self) -> Turn<'_> {
+        let this = thread::current();
         let mut queue = lock(&self.queue);
+        queue.others.push(this.clone());
         while queue.busy {
-            queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            drop(queue);
+            thread::park();
+            queue = lock(&self.queue);
         }
         queue.busy = true;
+        queue.others.retain(|other| other.id() != this.id());
         Turn { registry: self, batch: Vec::new() }
     }
 
@@ -203,16 +229,21 @@ impl Registry {
             let new_size = size + batch.leaves.len() as u64;
             (new_size, merkle::root_at(&state.tree, new_size)?)
         };
-        let pack_length = self.append_to_packs(size, writer.pack_length, &batch.leaves)?;
+        let signed = Checkpoint::new(&self.origin, new_size, root);
+        let envelopes = || match &batch.found {
+            Some(round) => round.comes_to(&signed, size),
+            None => self.append_to_packs(size, writer.pack_length, &batch.leaves),
+        };
+        let pack_length = self.beside_anchor(envelopes, |anchor| anchor.prepare(&signed))?;
         // Somebody may have stopped the log meanwhile, who knows better what it is.
         if let Some(cause) = self.halted() {
             return Err(RegistryError::Halted { cause });
         }
         batch.entries.push((layout::SIGNED.to_vec(), Some(layout::signed(new_size, &root))));
-        self.store.put(batch.entries)?;
-        self.store.flush()?;
+        let rows = || Ok(self.store.put(batch.entries).and_then(|()| self.store.flush())?);
+        self.beside_anchor(rows, Anchor::adopt)?;
         self.read_back(size, &batch.leaves)?;
-        let note = Checkpoint::new(&self.origin, new_size, root).sign(&self.key)?;
+        let note = signed.sign(&self.key)?;
         writer.pack_length = pack_length;
         writer.used.extend(batch.planned.nonces);
         writer.used.retain(|_, index| new_size - *index <= NONCE_LIFETIME);
@@ -222,6 +253,45 @@ impl Registry {
         state.root = root;
         state.checkpoint = note.to_string();
         Ok(())
+    }
+
+    /// Does a part of a round, and at the same time, where there is an anchor, something with that: a file system flushes
+    /// both for the price of one.
+    fn beside_anchor<T>(
+        &self,
+        part: impl FnOnce() -> Result<T, RegistryError>,
+        act: impl FnOnce(&Anchor) -> Result<(), StoreError> + Send,
+    ) -> Result<T, RegistryError> {
+        let Some(anchor) = &self.anchor else { return part() };
+        let (done, anchored) = thread::scope(|scope| {
+            let anchored = scope.spawn(|| act(anchor));
+            (part(), anchored.join())
+        });
+        let done = done?;
+        anchored.map_err(|_| RegistryError::Halted { cause: "the anchor's writer panicked".into() })??;
+        Ok(done)
+    }
+
+    /// Takes in a round that a crash left in the packs after the anchor was told of it.
+    ///
+    /// # Errors
+    /// [`RegistryError::RolledBack`] where its envelopes do not come to what was about to be signed; [`RegistryError::Store`].
+    pub(super) fn take_up(&self, round: Round) -> Result<(), RegistryError> {
+        let (size, mut writer, mut batch) = (self.size(), lock(&self.writer), Batch::default());
+        for envelope in &round.envelopes {
+            let placed = Candidate::check(envelope, &self.origin)
+                .and_then(|candidate| self.place(&candidate, size, &writer, &mut batch));
+            let problem = match placed {
+                Ok(placed) if placed.resubmitted => "a record that is in the log before".into(),
+                Ok(placed) if placed.envelope != *envelope => "a record with other signatures than it would get".into(),
+                Ok(_) => continue,
+                Err(e @ RegistryError::Store(_)) => return Err(e),
+                Err(e) => e.to_string(),
+            };
+            return Err(round.refuse(size, &problem));
+        }
+        batch.found = Some(round);
+        self.write_batch(size, &mut writer, batch)
     }
 
     /// Works out the map with the batch's records in it, and appends its leaf.
@@ -349,150 +419,5 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::sync::{
-        Barrier,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    };
-
-    use super::*;
-    use crate::{
-        keys::OwnerKey,
-        record::{Digests, Identity, OwnerRecord, RecordKind, Seen, VERSION},
-        store::{Entry, FaultyStore, Store, StoreError},
-    };
-
-    fn open(store: &Gated, found: &FaultyStore) -> Registry {
-        let key = OwnerKey::from_seed(&[200; 32]);
-        Registry::open_store(Box::new(store.clone()), Box::new(found.clone()), key, "cairn.example/log").unwrap()
-    }
-
-    /// Holds the first flush after arming until it is let go; counts flushes.
-    #[derive(Clone, Default)]
-    struct Gated {
-        inner: FaultyStore,
-        armed: Arc<AtomicBool>,
-        entered: Arc<Gate>,
-        flushes: Arc<AtomicU64>,
-        panics: Arc<AtomicBool>,
-    }
-
-    struct Gate(Barrier, Barrier);
-
-    impl Default for Gate {
-        fn default() -> Self {
-            Self(Barrier::new(2), Barrier::new(2))
-        }
-    }
-
-    impl Store for Gated {
-        fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, StoreError> {
-            self.inner.get(key)
-        }
-
-        fn put(&self, batch: Vec<Change>) -> Result<(), StoreError> {
-            assert!(!self.panics.load(Ordering::SeqCst), "a store that panics");
-            self.inner.put(batch)
-        }
-
-        fn flush(&self) -> Result<(), StoreError> {
-            if self.armed.swap(false, Ordering::SeqCst) {
-                self.entered.0.wait();
-                self.entered.1.wait();
-            }
-            self.flushes.fetch_add(1, Ordering::SeqCst);
-            self.inner.flush()
-        }
-
-        fn range(&self, from: &[u8], to: Option<&[u8]>, limit: usize) -> Result<Vec<Entry>, StoreError> {
-            self.inner.range(from, to, limit)
-        }
-    }
-
-    fn sealed(registry: &Registry, number: u8) -> Envelope {
-        let owner = OwnerKey::from_seed(&[number; 32]);
-        let head = registry.head().unwrap();
-        let record = OwnerRecord {
-            version: VERSION,
-            kind: RecordKind::Contribution,
-            origin: registry.origin().into(),
-            scene: "fern".into(),
-            scene_salt: Digest::of("salt"),
-            identity: Identity { number: 1, contributor: "Ada".into() },
-            owner_key: owner.public(),
-            digests: Digests { photographs: Some(Digest::of("photographs")), ..Digests::default() },
-            seed: None,
-            purpose: "credit".into(),
-            nonce: registry.nonce("fern", &owner.public()).unwrap(),
-            seen: Seen { size: head.size, root: head.root },
-            replaces: None,
-            views: None,
-        };
-        record.seal(&owner).unwrap()
-    }
-
-    #[test]
-    fn a_writer_that_panics_leaves_nobody_waiting() {
-        let store = Gated::default();
-        let registry = open(&store, &store.inner);
-        registry.submit(&sealed(&registry, 1)).unwrap();
-        store.panics.store(true, Ordering::SeqCst);
-        std::thread::scope(|scope| {
-            let writers = [2, 3, 4].map(|number| {
-                let registry = &registry;
-                scope.spawn(move || registry.submit(&sealed(registry, number)))
-            });
-            let ends = writers.map(|writer| writer.join());
-            assert!(ends.iter().any(Result::is_err), "one of them was the writer");
-            for end in ends.into_iter().flatten() {
-                assert!(matches!(end, Err(RegistryError::Halted { .. })), "{end:?}");
-            }
-        });
-        store.panics.store(false, Ordering::SeqCst);
-        let refused = registry.submit(&sealed(&registry, 5)).unwrap_err();
-        assert!(matches!(refused, RegistryError::Halted { .. }), "{refused}");
-        assert_eq!(registry.size(), 2);
-        drop(registry);
-        let found = Gated { inner: store.inner.crash(), ..Gated::default() };
-        let registry = open(&found, &found.inner);
-        assert_eq!(registry.submit(&sealed(&registry, 5)).unwrap().index, 2);
-    }
-
-    #[test]
-    fn those_who_wait_during_a_flush_share_the_next() {
-        let store = Gated::default();
-        let registry = open(&store, &store.inner);
-        let before = store.flushes.load(Ordering::SeqCst);
-        store.armed.store(true, Ordering::SeqCst);
-        std::thread::scope(|scope| {
-            let first = scope.spawn(|| registry.submit(&sealed(&registry, 1)).unwrap());
-            store.entered.0.wait();
-            let same = sealed(&registry, 9);
-            let mut envelopes: Vec<_> = (2..=8).map(|number| sealed(&registry, number)).collect();
-            envelopes.extend([same.clone(), same]);
-            let others: Vec<_> = (envelopes.into_iter())
-                .map(|envelope| {
-                    let registry = &registry;
-                    scope.spawn(move || registry.submit(&envelope).unwrap())
-                })
-                .collect();
-            while lock(&registry.queue).waiting.len() < 9 {
-                std::thread::yield_now();
-            }
-            // Not published while its flush has not returned.
-            assert_eq!(registry.size(), 0);
-            store.entered.1.wait();
-            assert_eq!(first.join().unwrap().index, 0);
-            let mut indices: Vec<_> =
-                others.into_iter().map(|t| t.join().unwrap()).map(|r| (r.index, r.size)).collect();
-            indices.sort_unstable();
-            indices.dedup();
-            // Two map leaves: behind the first record, and behind the eight that shared a round.
-            assert_eq!(indices, (2..=9).map(|index| (index, 11)).collect::<Vec<_>>());
-        });
-        // The rounds themselves: a receipt is made after its round, and may stand under the next one's checkpoint.
-        let is_map = |index: &u64| matches!(registry.entry(*index), Ok(super::super::LogEntry::Map { .. }));
-        assert_eq!((0..registry.size()).filter(is_map).collect::<Vec<_>>(), [1, 10]);
-        assert_eq!(store.flushes.load(Ordering::SeqCst) - before, 2);
-    }
-}
+#[path = "commit_tests.rs"]
+mod tests;

@@ -140,6 +140,45 @@ pub enum RegistryError {
         /// What is wrong, with expected and got.
         what: String,
     },
+    /// The log is older than what its anchor says was signed, or another.
+    #[error(
+        "the anchor {anchor} says that a checkpoint over {anchored} log entries was signed, the data folder holds {size}: \
+         {what}; it was restored from an older backup: restore the newest one, or, where its envelopes are newer than its \
+         working folder, have that made again (`cairn registry rebuild`), and never let it go on from an older one"
+    )]
+    RolledBack {
+        /// The anchor's file.
+        anchor: String,
+        /// The size that was signed, or about to be.
+        anchored: u64,
+        /// The log's size.
+        size: u64,
+        /// What does not fit.
+        what: String,
+    },
+    /// A log that is not empty has no anchor where the settings name one.
+    #[error(
+        "the anchor {anchor} is missing, and the log holds {size} entries; restore the file, or, where the setting is new or \
+         the file lost for good, see that the log is the newest (a witness, a follower, a receipt) and run `cairn registry \
+         anchor --accept`"
+    )]
+    AnchorMissing {
+        /// The anchor's file.
+        anchor: String,
+        /// The log's size.
+        size: u64,
+    },
+    /// The anchor cannot be read, or is another log's.
+    #[error(
+        "the anchor {anchor}: {what}; restore the file, or move it away, see that the log is the newest (a witness, a \
+         follower, a receipt) and run `cairn registry anchor --accept`"
+    )]
+    BadAnchor {
+        /// The anchor's file.
+        anchor: String,
+        /// What is wrong with it.
+        what: String,
+    },
     /// The stored map contradicts itself.
     #[error("store, map: {0}; restore a backup that holds at least the last signed checkpoint")]
     Map(#[from] MapError),

@@ -44,6 +44,9 @@ pub(super) const SIGNED: &[u8] = b"meta/signed";
 /// Leaves (u64, a multiple of 256) that are in full tiles and bundles on disk.
 pub(super) const FILED: &[u8] = b"meta/filed";
 
+/// Size (u64) from which on nonces are good that were issued then; 0 or absent where all are that are not too old.
+pub(super) const NONCES_FROM: &[u8] = b"meta/nonces-from";
+
 /// index -> leaf, 162 bytes, from [`FILED`] on.
 pub(super) const LEAVES: &[u8] = b"leaf/";
 const INDEX: &[u8] = b"index/";

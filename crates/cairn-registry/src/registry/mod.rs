@@ -13,6 +13,7 @@
 //! When a write fails it is unknown what the disk holds; the registry then halts: it
 //! still reads and proves, and writes again only after a new start has re-read everything.
 
+mod anchor;
 mod answer;
 mod commit;
 mod erase;
@@ -31,7 +32,7 @@ mod tiles;
 use std::{
     fs,
     path::Path,
-    sync::{Arc, Condvar, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
+    sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
 };
 
 use crate::{
@@ -47,6 +48,7 @@ use crate::{
     store::{DiskStore, Store, StoreError, StoreLock, TieredStore},
 };
 
+pub use anchor::Anchor;
 pub use error::RegistryError;
 pub use fill::ORIGIN_PREFIX as BENCH_ORIGIN_PREFIX;
 pub use nonce::NONCE_LIFETIME;
@@ -115,11 +117,11 @@ pub struct Registry {
     nonces: nonce::Nonces,
     state: RwLock<State>,
     queue: Mutex<commit::Queue>,
-    wake: Condvar,
     /// Whoever holds the turn locks it, and nobody else.
     writer: Mutex<commit::Writer>,
     publisher: Mutex<publish::Publisher>,
     files: Arc<Files>,
+    anchor: Option<anchor::Anchor>,
     store: Box<dyn Store>,
     // After the store, which must be closed to be sealed, and before the lock, under which that has to happen.
     seal: Option<seal::Seal>,
@@ -138,6 +140,20 @@ impl Registry {
     /// [`RegistryError::Inconsistent`] where it contradicts what was signed, [`RegistryError::Origin`],
     /// [`RegistryError::Store`].
     pub fn open(path: &Path, key: OwnerKey, origin: &str) -> Result<Self, RegistryError> {
+        Self::open_anchored(path, key, origin, None)
+    }
+
+    /// As [`Registry::open`], held to an anchor, which is from then on flushed before any signature leaves.
+    ///
+    /// # Errors
+    /// As [`Registry::open`]; [`RegistryError::RolledBack`] for a log that is older than its anchor or contradicts it,
+    /// [`RegistryError::AnchorMissing`], [`RegistryError::BadAnchor`].
+    pub fn open_anchored(
+        path: &Path,
+        key: OwnerKey,
+        origin: &str,
+        anchor: Option<Anchor>,
+    ) -> Result<Self, RegistryError> {
         fs::create_dir_all(path).map_err(|e| StoreError {
             operation: "open",
             place: path.display().to_string(),
@@ -157,7 +173,8 @@ impl Registry {
         }
         let seal = seal::Seal::break_open(path)?;
         let store = DiskStore::open(&path.join(layout::WORKING))?;
-        let mut registry = Self::open_store(Box::new(store), Box::new(RealDisk::new(path)), key, origin)?;
+        let disk = Box::new(RealDisk::new(path));
+        let mut registry = Self::open_tiered(Box::new(store), disk, key, origin, layout::ENOUGH, anchor)?;
         // Only now: a start that is refused must not seal what it was refused for.
         (registry.seal, registry._lock) = (Some(seal), Some(lock));
         Ok(registry)
@@ -173,37 +190,50 @@ impl Registry {
         key: OwnerKey,
         origin: &str,
     ) -> Result<Self, RegistryError> {
-        Self::open_tiered(store, disk, key, origin, layout::ENOUGH)
+        Self::open_tiered(store, disk, key, origin, layout::ENOUGH, None)
     }
 
-    /// As [`Registry::open_store`]; rows go out of the store once there are `enough` of those that only accumulate.
+    /// As [`Registry::open_store`]; rows go out of the store once there are `enough` of those that only accumulate, and the
+    /// log is held to its anchor, where it has one.
     ///
     /// # Errors
-    /// As [`Registry::open_store`].
+    /// As [`Registry::open_store`] and [`Registry::open_anchored`].
     pub fn open_tiered(
         store: Box<dyn Store>,
         disk: Box<dyn Disk>,
         key: OwnerKey,
         origin: &str,
         enough: usize,
+        anchor: Option<Anchor>,
     ) -> Result<Self, RegistryError> {
         let files = Arc::new(Files::new(disk));
         let store = Box::new(TieredStore::open(store, files.clone(), layout::RUNS, layout::COLD, enough)?);
-        let loaded = reload::reload(&*store, &files, &key, origin)?;
-        Ok(Self {
-            nonces: nonce::Nonces::new(&key, origin),
+        let loaded = reload::reload(&*store, &files, &key, origin, anchor.as_ref())?;
+        let registry = Self {
+            nonces: nonce::Nonces::new(&key, origin, loaded.nonces_from),
             origin: origin.to_owned(),
             key,
             state: RwLock::new(loaded.state),
             queue: Mutex::default(),
-            wake: Condvar::new(),
             writer: Mutex::new(loaded.writer),
             publisher: Mutex::new(loaded.publisher),
             files,
+            anchor,
             store,
             seal: None,
             _lock: None,
-        })
+        };
+        match loaded.standing {
+            anchor::Standing::Ahead(round) => registry.take_up(round)?,
+            anchor::Standing::Behind => {
+                if let Some(anchor) = &registry.anchor {
+                    anchor.write(&registry.head()?)?;
+                }
+            }
+        }
+        let pack_length = commit::lock(&registry.writer).pack_length;
+        reload::cut_packs(&registry.files, registry.size(), pack_length)?;
+        Ok(registry)
     }
 
     /// The log's name.

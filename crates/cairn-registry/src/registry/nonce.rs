@@ -3,7 +3,8 @@
 //! A nonce is good for one record, one scene and one owner's key. It carries the log's size when
 //! it was issued, random bytes, and a MAC over them under a secret derived from
 //! the registry's key. So issued nonces take no memory (nobody can fill it by asking),
-//! survive a restart, and age by the log's growth, not by anybody's clock; used ones stand in the store.
+//! survive a restart, and age by the log's growth, not by anybody's clock; used ones stand in the store. Where that was made
+//! again, nobody knows which nonces erased records used: then none that one of them can have used is good any more.
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::Sha256;
@@ -23,6 +24,8 @@ const TAG: usize = 16;
 pub(super) struct Nonces {
     secret: Zeroizing<[u8; 32]>,
     origin: String,
+    /// Those issued at a smaller size are no longer good, whatever their age.
+    from: u64,
 }
 
 /// Why a nonce is no good.
@@ -33,8 +36,8 @@ pub(super) enum BadNonce {
 }
 
 impl Nonces {
-    pub(super) fn new(key: &OwnerKey, origin: &str) -> Self {
-        Self { secret: key.derive("cairn registry nonces v1"), origin: origin.to_owned() }
+    pub(super) fn new(key: &OwnerKey, origin: &str, from: u64) -> Self {
+        Self { secret: key.derive("cairn registry nonces v1"), origin: origin.to_owned(), from }
     }
 
     pub(super) fn issue(&self, size: u64, scene: &str, owner: &PublicKey) -> Result<Digest, KeyError> {
@@ -54,7 +57,7 @@ impl Nonces {
         issued.copy_from_slice(&head[..8]);
         let issued = u64::from_be_bytes(issued);
         // Issued at a size that the log has not: the store is older than the nonce.
-        if issued > size || size - issued > NONCE_LIFETIME {
+        if issued > size || size - issued > NONCE_LIFETIME || issued < self.from {
             return Err(BadNonce::Expired { issued });
         }
         Ok(())
@@ -78,7 +81,7 @@ mod tests {
     fn a_nonce_is_good_for_its_scene_owner_log_and_age_only() {
         let key = OwnerKey::from_seed(&[7; 32]);
         let (owner, other) = (OwnerKey::from_seed(&[8; 32]).public(), OwnerKey::from_seed(&[9; 32]).public());
-        let nonces = Nonces::new(&key, "log");
+        let nonces = Nonces::new(&key, "log", 0);
         let nonce = nonces.issue(10, "liberty", &owner).unwrap();
         assert_ne!(nonce, nonces.issue(10, "liberty", &owner).unwrap());
         assert_eq!(nonces.check(&nonce, 10, "liberty", &owner), Ok(()));
@@ -88,9 +91,11 @@ mod tests {
         assert_eq!(nonces.check(&nonce, 9, "liberty", &owner), expired);
         assert_eq!(nonces.check(&nonce, 10, "fern", &owner), Err(BadNonce::Foreign));
         assert_eq!(nonces.check(&nonce, 10, "liberty", &other), Err(BadNonce::Foreign));
-        assert_eq!(Nonces::new(&key, "log2").check(&nonce, 10, "liberty", &owner), Err(BadNonce::Foreign));
-        let restarted = Nonces::new(&key, "log");
-        assert_eq!(restarted.check(&nonce, 10, "liberty", &owner), Ok(()));
+        assert_eq!(Nonces::new(&key, "log2", 0).check(&nonce, 10, "liberty", &owner), Err(BadNonce::Foreign));
+        let restarted = |from| Nonces::new(&key, "log", from);
+        assert_eq!(restarted(0).check(&nonce, 10, "liberty", &owner), Ok(()));
+        assert_eq!(restarted(10).check(&nonce, 10, "liberty", &owner), Ok(()));
+        assert_eq!(restarted(11).check(&nonce, 12, "liberty", &owner), expired);
         for at in 0..32 {
             let mut bytes = *nonce.as_bytes();
             bytes[at] ^= 1;

@@ -1,7 +1,7 @@
 //! Making the working state again from what is public: leaves and envelopes.
 //!
 //! Everything in the store follows from them, so that losing it, or finding it damaged, loses no record; only which nonces
-//! erased records had used is forgotten. What was acknowledged and not published yet is there as well: its envelopes
+//! erased records had used is forgotten, so that from then on none is good that one of them can have used. What was acknowledged and not published yet is there as well: its envelopes
 //! were flushed before anything was signed, and the map leaf behind them follows from origin, index and root. Each map leaf
 //! on the way must commit to the very map that comes out, and the root at the published size must be the one that was signed.
 //! Until that is known no public file that is there is written over.
@@ -122,6 +122,7 @@ impl Registry {
             map: BucketMap::new(),
             batch: Batch::default(),
             owners: HashSet::new(),
+            nonces_from: 0,
             bundle: Vec::new(),
             wrong: Vec::new(),
             done: Rebuilt::default(),
@@ -165,6 +166,8 @@ struct Making<'a> {
     batch: Batch,
     /// Key ids of all owners so far: whom an erased rotation ended shows only by trying.
     owners: HashSet<Digest>,
+    /// Behind the newest erased record: one issued at a smaller size it may have used.
+    nonces_from: u64,
     /// Leaves since the last full bundle.
     bundle: Vec<Vec<u8>>,
     /// Public files that differ from what the records give, and what these give.
@@ -231,6 +234,7 @@ impl Making<'_> {
                 let leaf = published.ok_or_else(|| refuse("it is erased, and its leaf is missing".into()))?;
                 let leaf = Leaf::decode(leaf).map_err(|e| refuse(e.to_string()))?;
                 self.list(index, &leaf, keys);
+                self.nonces_from = index + 1;
                 if leaf.kind == RecordKind::Rotation
                     && let Some(ended) = self.owners.iter().find(|id| keys.contains(&MapKey::ended(id))).copied()
                 {
@@ -394,6 +398,7 @@ impl Making<'_> {
             put(layout::REGISTRY_KEY, self.key.public().to_string().into()),
             put(layout::SIGNED, layout::signed(self.tree.size(), &root)),
             put(layout::FILED, self.filed.to_be_bytes().to_vec()),
+            put(layout::NONCES_FROM, self.nonces_from.to_be_bytes().to_vec()),
         ])?;
         Ok(self.store.flush()?)
     }

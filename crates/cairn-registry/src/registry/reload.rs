@@ -8,6 +8,7 @@ use std::{collections::HashMap, sync::Arc};
 
 use super::{
     RegistryError, State,
+    anchor::{Anchor, Standing},
     commit::Writer,
     layout,
     nonce::NONCE_LIFETIME,
@@ -43,14 +44,20 @@ pub(super) struct Loaded {
     pub(super) state: State,
     pub(super) writer: Writer,
     pub(super) publisher: Publisher,
+    /// See [`layout::NONCES_FROM`].
+    pub(super) nonces_from: u64,
+    /// How the log stands to its anchor, where it has one.
+    pub(super) standing: Standing,
 }
 
-/// Reads the log and refuses it where it contradicts what was signed; makes an empty one in an empty store.
+/// Reads the log and refuses it where it contradicts what was signed; makes an empty one in an empty store. Nothing is signed
+/// for others to see, and nothing taken away behind the log's end, before the anchor is where the log is.
 pub(super) fn reload(
     store: &dyn Store,
     files: &Arc<Files>,
     key: &OwnerKey,
     origin: &str,
+    anchor: Option<&Anchor>,
 ) -> Result<Loaded, RegistryError> {
     check_name(origin)?;
     match store.get(layout::FORMAT)? {
@@ -69,10 +76,10 @@ pub(super) fn reload(
     if let Some((_, known)) = &published {
         extends(&tree, size, known)?;
     }
+    let standing = anchor.map_or(Ok(Standing::Behind), |anchor| anchor.hold(&tree, size, files, origin))?;
     let map = read_map(store)?;
     hold_to_map_leaf(store, files, size, &map, key, origin)?;
     let writer = Writer { pack_length: pack_length(files, size)?, used: read_nonces(store, size)? };
-    cut_packs(files, size, writer.pack_length)?;
     // Also where nothing changed: what was read may be written and not yet durable.
     store.flush()?;
     let checkpoint = Checkpoint::new(origin, size, root).sign(key)?.to_string();
@@ -82,6 +89,8 @@ pub(super) fn reload(
         state: State { tree, map, size, root, checkpoint, cosigned, halted: None },
         writer,
         publisher: Publisher::new(filed, published.map(|(note, known)| (known.size, note))),
+        nonces_from: number_at(store, layout::NONCES_FROM, || "first size of good nonces".into())?.unwrap_or(0),
+        standing,
     })
 }
 
@@ -267,7 +276,7 @@ fn pack_length(files: &Files, size: u64) -> Result<u64, RegistryError> {
 
 /// Takes away what a round left in packs that did not come to its end: somebody may want it erased when nobody
 /// knows of it any more.
-fn cut_packs(files: &Files, size: u64, length: u64) -> Result<(), RegistryError> {
+pub(super) fn cut_packs(files: &Files, size: u64, length: u64) -> Result<(), RegistryError> {
     let current = size / u64::from(TILE_WIDTH);
     if length > 0 {
         let path = layout::pack(current);
