@@ -221,8 +221,10 @@ fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<
 }
 
 fn ring(bell: &Bell) {
-    lock(&bell.0).work = true;
-    bell.1.notify_one();
+    // Once is enough until it is heard: a submitter a record would wake a thread that is in its pause.
+    if !std::mem::replace(&mut lock(&bell.0).work, true) {
+        bell.1.notify_one();
+    }
 }
 
 /// Waits out a pause, which only the end cuts short, and then for work, or for `later`; whether it is the end.

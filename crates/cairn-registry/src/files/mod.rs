@@ -148,6 +148,23 @@ impl Files {
     /// [`StoreError`]; then it has its name or not.
     pub fn complete(&self, path: &str) -> Result<(), StoreError> {
         self.disk.sync(&fresh(path))?;
+        self.adopt(path)
+    }
+
+    /// Writes and flushes what is to become `path`, which stays what it is before [`Files::adopt`].
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn prepare(&self, path: &str, bytes: &[u8]) -> Result<(), StoreError> {
+        self.disk.write(&fresh(path), 0, bytes)?;
+        self.disk.sync(&fresh(path))
+    }
+
+    /// Gives what was prepared its name; durable on return.
+    ///
+    /// # Errors
+    /// [`StoreError`]; then it has its name or not.
+    pub fn adopt(&self, path: &str) -> Result<(), StoreError> {
         self.disk.rename(&fresh(path), path)?;
         self.disk.sync_folder(folder(path))
     }

@@ -11,8 +11,8 @@
 //! sha256 <hex digest of the lines above>
 //! ```
 //!
-//! It is flushed before a signature over its size leaves, at the same time as the round's rows: a crash leaves either of
-//! the two one round ahead. Where that is the store, the anchor catches up. Where it is the anchor, the round's envelopes are
+//! It is flushed before a signature over its size leaves: its bytes at the same time as the round's envelopes, its name at the
+//! same time as the round's rows. A crash leaves either of anchor and rows one round ahead. Where that is the store, the anchor catches up. Where it is the anchor, the round's envelopes are
 //! in their pack, which was flushed before both, and the start takes that round in again ([`round_behind`]), which
 //! comes to the anchor's very root. A log that can do neither is older than its own word.
 
@@ -113,9 +113,20 @@ impl Anchor {
 
     /// Writes down what is about to be signed; durable on return.
     pub(super) fn write(&self, signed: &Checkpoint) -> Result<(), StoreError> {
+        self.prepare(signed)?;
+        self.adopt()
+    }
+
+    /// Half of that: everything is on the disk, and the anchor is still the one before.
+    pub(super) fn prepare(&self, signed: &Checkpoint) -> Result<(), StoreError> {
         let text = format!("{FORMAT}\n{}", signed.to_text());
         let text = format!("{text}sha256 {}\n", Digest::of(&text));
-        self.files.replace(&[(self.name.clone(), text.into_bytes())])
+        self.files.prepare(&self.name, text.as_bytes())
+    }
+
+    /// The other half.
+    pub(super) fn adopt(&self) -> Result<(), StoreError> {
+        self.files.adopt(&self.name)
     }
 
     fn read(&self, origin: &str) -> Result<Option<Checkpoint>, RegistryError> {

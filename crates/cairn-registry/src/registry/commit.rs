@@ -18,7 +18,7 @@ use std::{
 
 use super::{
     Receipt, Registry, RegistryError, State,
-    anchor::Round,
+    anchor::{Anchor, Round},
     layout,
     nonce::NONCE_LIFETIME,
     reload::inconsistent,
@@ -210,16 +210,18 @@ impl Registry {
             (new_size, merkle::root_at(&state.tree, new_size)?)
         };
         let signed = Checkpoint::new(&self.origin, new_size, root);
-        let pack_length = match &batch.found {
-            Some(round) => round.comes_to(&signed, size)?,
-            None => self.append_to_packs(size, writer.pack_length, &batch.leaves)?,
+        let envelopes = || match &batch.found {
+            Some(round) => round.comes_to(&signed, size),
+            None => self.append_to_packs(size, writer.pack_length, &batch.leaves),
         };
+        let pack_length = self.beside_anchor(envelopes, |anchor| anchor.prepare(&signed))?;
         // Somebody may have stopped the log meanwhile, who knows better what it is.
         if let Some(cause) = self.halted() {
             return Err(RegistryError::Halted { cause });
         }
         batch.entries.push((layout::SIGNED.to_vec(), Some(layout::signed(new_size, &root))));
-        self.write_down(batch.entries, &signed)?;
+        let rows = || Ok(self.store.put(batch.entries).and_then(|()| self.store.flush())?);
+        self.beside_anchor(rows, Anchor::adopt)?;
         self.read_back(size, &batch.leaves)?;
         let note = signed.sign(&self.key)?;
         writer.pack_length = pack_length;
@@ -233,17 +235,21 @@ impl Registry {
         Ok(())
     }
 
-    /// Makes a round's rows durable, and at the same time the anchor.
-    fn write_down(&self, rows: Vec<Change>, signed: &Checkpoint) -> Result<(), RegistryError> {
-        let put = || self.store.put(rows).and_then(|()| self.store.flush());
-        let Some(anchor) = &self.anchor else { return Ok(put()?) };
-        let (put, anchored) = thread::scope(|scope| {
-            let anchored = scope.spawn(|| anchor.write(signed));
-            (put(), anchored.join())
+    /// Does a part of a round, and at the same time, where there is an anchor, something with that: a file system flushes
+    /// both for the price of one.
+    fn beside_anchor<T>(
+        &self,
+        part: impl FnOnce() -> Result<T, RegistryError>,
+        act: impl FnOnce(&Anchor) -> Result<(), StoreError> + Send,
+    ) -> Result<T, RegistryError> {
+        let Some(anchor) = &self.anchor else { return part() };
+        let (done, anchored) = thread::scope(|scope| {
+            let anchored = scope.spawn(|| act(anchor));
+            (part(), anchored.join())
         });
-        put?;
-        let panicked = |_| RegistryError::Halted { cause: "the anchor's writer panicked".into() };
-        Ok(anchored.map_err(panicked)??)
+        let done = done?;
+        anchored.map_err(|_| RegistryError::Halted { cause: "the anchor's writer panicked".into() })??;
+        Ok(done)
     }
 
     /// Takes in a round that a crash left in the packs after the anchor was told of it.

@@ -144,3 +144,36 @@ fn those_who_wait_during_a_flush_share_the_next() {
     assert_eq!((0..registry.size()).filter(is_map).collect::<Vec<_>>(), [1, 10]);
     assert_eq!(store.flushes.load(Ordering::SeqCst) - before, 2);
 }
+
+#[test]
+fn submitters_and_whoever_wants_the_turn_for_something_else_all_get_it() {
+    const EACH: u8 = 20;
+    let store = Gated::default();
+    let registry = open(&store, &store.inner);
+    let done = AtomicU64::new(0);
+    std::thread::scope(|scope| {
+        for submitter in 0..8_u8 {
+            let (registry, done) = (&registry, &done);
+            scope.spawn(move || {
+                for number in 0..EACH {
+                    registry.submit(&sealed(registry, submitter * EACH + number + 1)).unwrap();
+                    done.fetch_add(1, Ordering::SeqCst);
+                }
+            });
+        }
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while done.load(Ordering::SeqCst) < 8 * u64::from(EACH) {
+                    // Map leaves are not to be erased, and asked for all the same: it takes the turn.
+                    for index in 0..registry.size() {
+                        let _ = registry.erase_index(index);
+                    }
+                }
+            });
+        }
+    });
+    let records = (0..registry.size()).filter(|index| registry.leaf(*index).is_ok()).count();
+    assert_eq!(records, 8 * usize::from(EACH));
+    assert!(registry.check().unwrap().is_empty());
+    assert!(lock(&registry.queue).waiting.is_empty());
+}

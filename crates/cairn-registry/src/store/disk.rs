@@ -5,7 +5,7 @@
 //!
 //! Sled 0.34's `flush` is not enough for that: on Linux it ends in `sync_file_range`, which leaves the
 //! file's size and the drive's cache alone, and it never syncs the blob files that large values go to
-//! (sled 0.34.7, pagecache/iobuf.rs and pagecache/blob_io.rs). So ours goes on to `fsync` the files themselves.
+//! (sled 0.34.7, pagecache/iobuf.rs and pagecache/blob_io.rs). So ours goes on to flush the files themselves.
 
 use std::{
     collections::HashSet,
@@ -32,7 +32,7 @@ const OPEN_PAUSE: Duration = Duration::from_millis(20);
 pub struct DiskStore {
     db: sled::Db,
     folder: PathBuf,
-    /// Sled's log file, opened once more: `fsync` is about the file, not the handle.
+    /// Sled's log file, opened once more: a flush is about the file, not the handle.
     log: File,
     /// Blob files that are synced; sled never changes one.
     synced_blobs: Mutex<HashSet<OsString>>,
@@ -120,7 +120,8 @@ impl DiskStore {
             sync_folder(&blobs)?;
             synced.extend(fresh);
         }
-        self.log.sync_all()
+        // `fdatasync`: the length as well, where it changed. Where it did not the file system's journal is spared.
+        self.log.sync_data()
     }
 
     fn error(&self, operation: &'static str, cause: &sled::Error) -> StoreError {
