@@ -156,7 +156,7 @@ pub struct MarkConfig {
     /// The same for the share of hidden texts' characters, 0 to 10; above 1 = never.
     pub enough_characters: f64,
     /// An owner is no longer believed of pictures that lie this many times as far from the
-    /// owner's renders as the furthest of those does, 1 to 100; 0 = believed of any.
+    /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
@@ -206,7 +206,7 @@ impl Default for MarkConfig {
             enough_ssim: 0.985,
             enough_snr_db: 25.0,
             enough_characters: 1.0,
-            unfamiliar_beyond: 1.5,
+            unfamiliar_beyond: 1.25,
             robust: RobustConfig::default(),
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),

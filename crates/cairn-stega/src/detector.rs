@@ -129,11 +129,11 @@ impl Detector {
         };
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
         let params = self.networks.params.to_bytes()?;
-        let mut parts = vec![("parameters", params)];
+        let mut parts = vec![("parameters".to_owned(), params)];
         parts.extend(self.networks.familiar.iter().flat_map(|familiar| familiar.parts()));
         let mut tensors = Vec::with_capacity(parts.len());
         for (name, bytes) in &parts {
-            tensors.push((*name, TensorView::new(Dtype::U8, vec![bytes.len()], bytes).map_err(bad)?));
+            tensors.push((name.as_str(), TensorView::new(Dtype::U8, vec![bytes.len()], bytes).map_err(bad)?));
         }
         let json = serde_json::to_string(&header).map_err(|e| stored("detector", e.to_string()))?;
         safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)

@@ -3,81 +3,87 @@
 //! A classifier has to answer, and on pictures unlike any it has seen (another place's
 //! photographs, strokes of strong colour) it answers with the nearest class, as surely as on
 //! a marked render. What it works its answer out from does say that it is lost: such
-//! pictures lie far from where a class's renders lie. That is measured by the Mahalanobis
-//! distance in the classifier's features, with one covariance for all classes (Lee et al.
-//! 2018, arXiv 1807.03888), shrunk half way to its diagonal, because a few hundred renders
-//! say little about a hundred features' covariances.
+//! pictures lie far from wherever a class's renders lie. That is measured by the distance to the
+//! nearest of some renders, as they are and after what happens to pictures (deep
+//! nearest neighbours: Sun et al. 2022, arXiv 2204.06507), in units of each feature's
+//! spread over renders that nothing happened to. One Gaussian for all renders was tried first (Lee
+//! et al. 2018): wide enough for a rotated render, it took in other places' photographs.
 
 use crate::error::MarkError;
 use crate::marked::stored;
 use safetensors::tensor::SafeTensors;
 
-/// Share of the covariance that its diagonal makes up.
-const SHRINKAGE: f64 = 0.5;
-/// Added to each variance, in mean variances: a feature that never moved has one too.
+/// Added to each feature's variance, in mean variances: one that never moved has a spread too.
 const FLOOR: f64 = 1e-6;
-/// How sharply trust falls about the limit: at two thirds of it, where the furthest render of
-/// training lies by default, it is 0.96, at one and a half of it 0.04.
+/// Share of a class's own renders that lie nearer to the others than its reach.
+const REACHED: f64 = 0.98;
+/// How sharply trust falls about the limit: at four fifths of it, where the furthest renders
+/// lie by default, it is 0.86, at a half 0.996, at one and a half 0.04.
 const SHARPNESS: i32 = 8;
+
+/// Features of a class's marked renders.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Renders {
+    /// As they are.
+    pub(crate) plain: Vec<Vec<f32>>,
+    /// After what happens to pictures, as far as they are still read.
+    pub(crate) harmed: Vec<Vec<f32>>,
+}
 
 /// Where each class's renders lie.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Familiar {
-    /// Features of a picture.
-    features: usize,
-    /// The middle of each class's renders, M x features.
-    means: Vec<f32>,
-    /// Lower triangle of the covariance's Cholesky factor, row after row, features x features.
-    factor: Vec<f32>,
+    /// Each feature's spread.
+    spreads: Vec<f32>,
+    /// Each class's renders, in units of the spreads.
+    renders: Vec<Vec<f32>>,
     /// Distance at which each class is trusted half, M.
     limits: Vec<f32>,
 }
 
 impl Familiar {
-    /// From each class's renders' features; limits are `beyond` times the furthest render's
-    /// distance. `None` where a class has none, or a number is not finite.
-    pub(crate) fn fit(classes: &[Vec<Vec<f32>>], beyond: f64) -> Option<Self> {
-        let features = classes.first()?.first()?.len();
-        let mut means = Vec::with_capacity(classes.len() * features);
-        for renders in classes {
-            let count = (!renders.is_empty()).then_some(renders.len() as f64)?;
-            means.extend((0..features).map(|f| (renders.iter().map(|r| f64::from(r[f])).sum::<f64>() / count) as f32));
-        }
-        let mut covariance = vec![0.0f64; features * features];
-        let count = classes.iter().map(Vec::len).sum::<usize>().max(2) as f64;
-        for (renders, mean) in classes.iter().zip(means.chunks_exact(features)) {
-            for render in renders {
-                let apart: Vec<f64> = render.iter().zip(mean).map(|(r, m)| f64::from(*r) - f64::from(*m)).collect();
-                for (row, a) in covariance.chunks_exact_mut(features).zip(&apart) {
-                    row.iter_mut().zip(&apart).for_each(|(c, b)| *c += a * b / (count - 1.0));
-                }
+    /// From each class's renders; limits are `beyond` times a class's reach. `None` where a class has fewer
+    /// than two, or a number is not finite.
+    pub(crate) fn fit(classes: &[Renders], beyond: f64) -> Option<Self> {
+        let features = classes.first()?.plain.first()?.len();
+        let mut variances = vec![0.0f64; features];
+        let count = classes.iter().map(|c| c.plain.len()).sum::<usize>() as f64;
+        for Renders { plain, .. } in classes {
+            for (f, variance) in variances.iter_mut().enumerate() {
+                let mean = plain.iter().map(|r| f64::from(r[f])).sum::<f64>() / plain.len() as f64;
+                *variance += plain.iter().map(|r| (f64::from(r[f]) - mean).powi(2)).sum::<f64>() / count;
             }
         }
-        let mean_variance = (0..features).map(|f| covariance[f * features + f]).sum::<f64>() / features as f64;
-        for (at, c) in covariance.iter_mut().enumerate() {
-            let diagonal = at / features == at % features;
-            *c = if diagonal { *c + FLOOR * mean_variance.max(f64::MIN_POSITIVE) } else { *c * (1.0 - SHRINKAGE) };
-        }
-        let factor = cholesky(covariance, features)?;
-        let mut fitted = Self { features, means, factor, limits: vec![1.0; classes.len()] };
-        for (class, renders) in classes.iter().enumerate() {
-            let furthest = renders.iter().map(|r| fitted.distance(class, r)).fold(0.0f64, f64::max);
-            fitted.limits[class] = (beyond * furthest) as f32;
+        let floor = FLOOR * variances.iter().sum::<f64>() / features as f64;
+        let mut fitted = Self {
+            spreads: variances.iter().map(|v| (v + floor).sqrt() as f32).collect(),
+            renders: Vec::with_capacity(classes.len()),
+            limits: Vec::with_capacity(classes.len()),
+        };
+        for Renders { plain, harmed } in classes {
+            let all: Vec<Vec<f32>> = plain.iter().chain(harmed).map(|r| fitted.scaled(r)).collect();
+            let nearest = |at: usize| {
+                let others = all.iter().enumerate().filter(|(other, _)| *other != at);
+                others.map(|(_, other)| apart(other, &all[at])).fold(f64::INFINITY, f64::min)
+            };
+            let mut apart: Vec<f64> = (0..all.len()).map(nearest).collect();
+            apart.sort_by(f64::total_cmp);
+            let reach = *apart.get(((apart.len() as f64 * REACHED) as usize).min(apart.len().checked_sub(1)?))?;
+            fitted.limits.push((beyond * reach) as f32);
+            fitted.renders.push(all.concat());
         }
         fitted.is_sound().then_some(fitted)
     }
 
-    /// Mahalanobis distance of a picture from class `class` (from 0), over the root of the number of features:
-    /// about 1 for a render like those that it was fitted to.
+    fn scaled(&self, picture: &[f32]) -> Vec<f32> {
+        picture.iter().zip(&self.spreads).map(|(v, spread)| v / spread).collect()
+    }
+
+    /// How far a picture lies from the nearest render of class `class` (from 0), root mean square over the features, in spreads.
     fn distance(&self, class: usize, picture: &[f32]) -> f64 {
-        let mean = &self.means[class * self.features..];
-        let mut solved = Vec::<f64>::with_capacity(self.features);
-        // Forward substitution: the distance's square is that of the solution.
-        for (i, row) in self.factor.chunks_exact(self.features).enumerate() {
-            let known: f64 = row[..i].iter().zip(&solved).map(|(l, y)| f64::from(*l) * y).sum();
-            solved.push((f64::from(picture[i]) - f64::from(mean[i]) - known) / f64::from(row[i]));
-        }
-        (solved.iter().map(|y| y * y).sum::<f64>() / self.features as f64).sqrt()
+        let picture = self.scaled(picture);
+        let renders = self.renders[class].chunks_exact(self.spreads.len());
+        renders.map(|render| apart(render, &picture)).fold(f64::INFINITY, f64::min)
     }
 
     /// Class probabilities (M + 1) of a picture with these features, those of owners less what is
@@ -95,20 +101,17 @@ impl Familiar {
     }
 
     fn is_sound(&self) -> bool {
-        let finite = [&self.means, &self.factor, &self.limits].iter().all(|v| v.iter().all(|v| v.is_finite()));
-        let positive = self.limits.iter().all(|l| *l > 0.0)
-            && (0..self.features).all(|i| self.factor[i * self.features + i] > 0.0);
-        finite && positive
+        let numbers = self.renders.iter().flatten().chain(&self.limits).chain(&self.spreads);
+        let positive = self.limits.iter().chain(&self.spreads).all(|v| *v > 0.0);
+        positive && { numbers }.all(|v| v.is_finite()) && self.renders.iter().all(|renders| !renders.is_empty())
     }
 
     /// Named parts for a file, f32 little-endian.
-    pub(crate) fn parts(&self) -> [(&'static str, Vec<u8>); 3] {
+    pub(crate) fn parts(&self) -> Vec<(String, Vec<u8>)> {
         let bytes = |v: &[f32]| v.iter().flat_map(|v| v.to_le_bytes()).collect();
-        [
-            ("familiar.means", bytes(&self.means)),
-            ("familiar.factor", bytes(&self.factor)),
-            ("familiar.limits", bytes(&self.limits)),
-        ]
+        let mut parts = vec![(SPREADS.into(), bytes(&self.spreads)), (LIMITS.into(), bytes(&self.limits))];
+        parts.extend((1..).zip(&self.renders).map(|(class, renders)| (renders_of(class), bytes(renders))));
+        parts
     }
 
     /// Reads back what [`Familiar::parts`] gave, for `classes` = M + 1 classes; `None` where there is nothing.
@@ -120,23 +123,21 @@ impl Familiar {
         classes: usize,
         features: usize,
     ) -> Result<Option<Self>, MarkError> {
-        let part = |name: &str, len: usize| {
+        if !file.names().iter().any(|name| *name == LIMITS) {
+            return Ok(None);
+        }
+        let part = |name: &str, each: usize, some: bool| {
             let tensor = file.tensor(name).map_err(|e| stored("detector", format!("`{name}`: {e}")))?;
-            if tensor.data().len() != len * 4 {
-                let got = tensor.data().len();
-                return Err(stored("detector", format!("`{name}` has {got} bytes, {len} numbers take {}", len * 4)));
+            let (got, size) = (tensor.data().len(), each * 4);
+            if if some { !got.is_multiple_of(size) } else { got != size } {
+                return Err(stored("detector", format!("`{name}` has {got} bytes, which are not {each} numbers each")));
             }
             Ok(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
         };
-        if !file.names().iter().any(|name| name.starts_with("familiar.")) {
-            return Ok(None);
-        }
-        let owners = classes - 1;
         let read = Self {
-            features,
-            means: part("familiar.means", owners * features)?,
-            factor: part("familiar.factor", features * features)?,
-            limits: part("familiar.limits", owners)?,
+            spreads: part(SPREADS, features, false)?,
+            limits: part(LIMITS, classes - 1, false)?,
+            renders: (1..classes).map(|class| part(&renders_of(class), features, true)).collect::<Result<_, _>>()?,
         };
         match read.is_sound() {
             true => Ok(Some(read)),
@@ -145,21 +146,17 @@ impl Familiar {
     }
 }
 
-/// The lower triangle L of A = L L^T, row after row, in place of A's; `None` where A, n x n, is not positive definite.
-fn cholesky(mut a: Vec<f64>, n: usize) -> Option<Vec<f32>> {
-    for i in 0..n {
-        for j in 0..=i {
-            let known: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
-            let rest = a[i * n + j] - known;
-            a[i * n + j] = match i == j {
-                true if rest > 0.0 => rest.sqrt(),
-                true => return None,
-                false => rest / a[j * n + j],
-            };
-        }
-        a[i * n + i + 1..(i + 1) * n].fill(0.0);
-    }
-    Some(a.into_iter().map(|v| v as f32).collect())
+const SPREADS: &str = "familiar.spreads";
+const LIMITS: &str = "familiar.limits";
+
+fn renders_of(class: usize) -> String {
+    format!("familiar.renders{class}")
+}
+
+/// Root mean square of the difference.
+fn apart(a: &[f32], b: &[f32]) -> f64 {
+    let square: f64 = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+    (square / a.len() as f64).sqrt()
 }
 
 #[cfg(test)]
@@ -167,67 +164,66 @@ mod tests {
     use super::*;
     use crate::distort::Gaussian;
 
-    #[test]
-    fn a_factor_times_itself_is_the_matrix() {
-        let a = vec![4.0, 2.0, -1.0, 2.0, 5.0, 0.5, -1.0, 0.5, 3.0];
-        let l = cholesky(a.clone(), 3).unwrap();
-        for (at, expected) in a.iter().enumerate() {
-            let (i, j) = (at / 3, at % 3);
-            let got: f32 = (0..3).map(|k| l[i * 3 + k] * l[j * 3 + k]).sum();
-            assert!((f64::from(got) - expected).abs() < 1e-5, "({i}, {j}): {got} for {expected}");
-        }
-        assert!(cholesky(vec![1.0, 2.0, 2.0, 1.0], 2).is_none());
-    }
-
-    /// Two classes of renders with four features, of which one goes with another.
-    fn renders() -> Vec<Vec<Vec<f32>>> {
+    /// Two classes of renders with four features, harmed ones elsewhere in one of them.
+    fn renders() -> Vec<Renders> {
         let mut noise = Gaussian::new(3);
-        let mut render = |middle: f32| {
-            let [a, b, c] = [noise.draw(), noise.draw(), noise.draw()];
-            vec![middle + a, a + 0.1 * b, 5.0 + 0.01 * c, middle - b]
+        let mut some = |middle: f32, harm: f32| -> Vec<Vec<f32>> {
+            let mut one = || [noise.draw(), noise.draw(), noise.draw()];
+            (0..200)
+                .map(|_| one())
+                .map(|[a, b, c]| vec![middle + a, harm + 0.1 * b, 5.0 + 0.01 * c, middle - b])
+                .collect()
         };
-        [0.0, 3.0].map(|middle| (0..200).map(|_| render(middle)).collect()).to_vec()
+        [0.0, 3.0].map(|middle| Renders { plain: some(middle, 0.0), harmed: some(middle, 4.0) }).to_vec()
     }
 
     #[test]
     fn what_lies_where_a_class_lies_is_trusted_and_what_lies_elsewhere_is_unmarked() {
         let classes = renders();
-        let familiar = Familiar::fit(&classes, 1.5).unwrap();
+        let familiar = Familiar::fit(&classes, 1.25).unwrap();
+        let trusted = |class: usize, picture: &[f32]| {
+            let mut p = [0.1, 0.0, 0.0];
+            p[class + 1] = 0.9;
+            familiar.doubt(&mut p, picture);
+            assert!((p.iter().sum::<f32>() - 1.0).abs() < 1e-6, "{p:?}");
+            p[class + 1] / 0.9
+        };
         for (class, renders) in classes.iter().enumerate() {
-            for render in renders {
-                let mut p = [0.1, 0.0, 0.0];
-                p[class + 1] = 0.9;
-                familiar.doubt(&mut p, render);
-                assert!(p[class + 1] > 0.85 && (p.iter().sum::<f32>() - 1.0).abs() < 1e-6, "{p:?}");
+            for render in renders.plain.iter().chain(&renders.harmed) {
+                assert!(trusted(class, render) > 0.99);
             }
         }
-        // Every feature alone may be that large; the third never is, and what is far out is far out.
-        for stranger in [[0.0, 0.0, 6.0, 0.0], [40.0, 0.0, 5.0, 0.0], [f32::INFINITY, 0.0, 5.0, 0.0]] {
-            let mut p = [0.0, 1.0, 0.0];
-            familiar.doubt(&mut p, &stranger);
-            assert!(p[0] > 0.99, "{stranger:?}: {p:?}");
+        // Like others of the class, but none that it was fitted to.
+        assert!(trusted(0, &[0.2, 0.03, 5.003, -0.1]) > 0.9 && trusted(1, &[2.9, 4.02, 5.001, 3.2]) > 0.9);
+        // The second feature is there without harm or with it, not between; the third never moves; far out is far out.
+        for stranger in
+            [[0.0, 2.0, 5.0, 0.0], [0.0, 0.0, 6.0, 0.0], [40.0, 0.0, 5.0, 0.0], [f32::INFINITY, 0.0, 5.0, 0.0]]
+        {
+            assert!(trusted(0, &stranger) < 0.01, "{stranger:?}: {}", trusted(0, &stranger));
         }
     }
 
     #[test]
-    fn distances_follow_the_covariance() {
-        // Variances 4 and 1 without covariance, about (1, 2): the mean square of the two z-scores.
+    fn distances_are_in_spreads_from_the_nearest_render() {
+        // Variances 2 and 0.5 about (1, 2).
         let ring = [[3.0, 2.0], [-1.0, 2.0], [1.0, 3.0], [1.0, 1.0]];
-        let class = ring.iter().map(|r| r.to_vec()).collect();
-        let familiar = Familiar::fit(&[class], 1.0).unwrap();
-        // Sums over n - 1: 8 / 3 and 2 / 3.
-        let expected = ((4.0f64 / (8.0 / 3.0)) / 2.0).sqrt();
-        assert!((familiar.distance(0, &[3.0, 2.0]) - expected).abs() < 1e-4);
-        assert!((familiar.distance(0, &[1.0, 3.0]) - (1.0f64 / (2.0 / 3.0) / 2.0).sqrt()).abs() < 1e-4);
-        assert!(familiar.distance(0, &[1.0, 2.0]) < 1e-9);
+        let plain = ring.iter().map(|r| r.to_vec()).collect();
+        let familiar = Familiar::fit(&[Renders { plain, harmed: Vec::new() }], 1.0).unwrap();
+        let expected = |dx: f64, dy: f64| ((dx * dx / 2.0 + dy * dy / 0.5) / 2.0).sqrt();
+        assert!((familiar.distance(0, &[3.0, 2.5]) - expected(0.0, 0.5)).abs() < 1e-4);
+        assert!((familiar.distance(0, &[-3.0, 2.0]) - expected(2.0, 0.0)).abs() < 1e-4);
+        // From each corner to the next: the reach.
+        assert!((f64::from(familiar.limits[0]) - expected(2.0, 1.0)).abs() < 1e-4);
     }
 
     #[test]
     fn what_cannot_be_fitted_is_not() {
-        assert!(Familiar::fit(&[], 1.5).is_none());
-        assert!(Familiar::fit(&[vec![vec![1.0, 2.0]], Vec::new()], 1.5).is_none());
-        assert!(Familiar::fit(&[vec![vec![1.0, f32::NAN], vec![2.0, 1.0]]], 1.5).is_none());
+        let of = |plain: Vec<Vec<f32>>| Renders { plain, harmed: Vec::new() };
+        assert!(Familiar::fit(&[], 1.25).is_none());
+        assert!(Familiar::fit(&[of(vec![vec![1.0, 2.0]; 2]), Renders::default()], 1.25).is_none());
+        assert!(Familiar::fit(&[of(vec![vec![1.0, 2.0]])], 1.25).is_none());
+        assert!(Familiar::fit(&[of(vec![vec![1.0, f32::NAN], vec![2.0, 1.0]])], 1.25).is_none());
         // Renders that are all the same have no spread to measure by.
-        assert!(Familiar::fit(&[vec![vec![1.0, 2.0]; 5]], 1.5).is_none());
+        assert!(Familiar::fit(&[of(vec![vec![1.0, 2.0]; 5])], 1.25).is_none());
     }
 }

@@ -11,9 +11,10 @@ use crate::carrier::{Carrier, hues};
 use crate::checkpoint::fingerprint;
 use crate::config::{Guidance, MarkConfig};
 use crate::detector::Detector;
+use crate::distort::Attack;
 use crate::error::MarkError;
-use crate::familiar::Familiar;
-use crate::judge::{Judgement, State};
+use crate::familiar::{Familiar, Renders};
+use crate::judge::{Judgement, State, winner};
 use crate::marked::MarkedField;
 use crate::networks::{Networks, planar, to_tensor};
 use crate::poses::PlannedView;
@@ -253,7 +254,7 @@ impl MarkTrainer {
         Ok((fields, Detector::new(self.config, self.networks)))
     }
 
-    /// Where each owner's renders lie, from renders like those of training; `None` where nobody asks.
+    /// Where each owner's renders lie, as training shows them and after attacks; `None` where nobody asks.
     fn familiar(&self) -> Result<Option<Familiar>, MarkError> {
         let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
         if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
@@ -264,11 +265,20 @@ impl MarkTrainer {
         let each = LEAST_RENDERS_EACH.max(LEAST_RENDERS.div_ceil(owners));
         let mut classes = Vec::with_capacity(owners);
         for identity in 0..owners {
-            let mut renders = Vec::with_capacity(each);
-            for _ in 0..each {
-                let picture = self.one_of(identity, &mut rng);
+            let mut renders = Renders::default();
+            for at in 0..2 * each {
+                let harmed = at % 2 == 1;
+                let attack = if harmed { Attack::always(&self.config.robust, &mut rng) } else { Attack::none() };
+                let picture = self.one_of(identity, &attack, &mut rng);
                 let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.side_px())?)?;
-                renders.push(features.flatten_all()?.to_vec1::<f32>()?);
+                let said = self.networks.classifier.classify(&features)?.flatten_all()?.to_vec1::<f32>()?;
+                let features = features.flatten_all()?.to_vec1::<f32>()?;
+                match harmed {
+                    false => renders.plain.push(features),
+                    // What harm has made unreadable says nothing of where a mark is read.
+                    true if winner(&said) == identity + 1 => renders.harmed.push(features),
+                    true => {}
+                }
             }
             classes.push(renders);
         }

@@ -2,9 +2,7 @@
 //!
 //! There is no writer thread. The first submitter who finds nobody writing takes
 //! all that waits and writes it; those who come meanwhile wait for the next round. A flush
-//! costs milliseconds, so under load a round carries many records. Whoever waits sleeps until their round is
-//! over, or until it is theirs to write: to wake them all after each round, hundreds of times a second, cost
-//! more than the rounds.
+//! costs milliseconds, so under load a round carries many records.
 //!
 //! A round's order is what a crash at any moment leaves right: envelopes into their pack, flushed; then leaves,
 //! indices, the map's rows and the size and root that are about to be signed, all in one write of the store, flushed,
@@ -15,7 +13,7 @@ use std::{
     collections::{BTreeMap, HashMap},
     mem,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    thread::{self, Thread},
+    thread,
 };
 
 use super::{
@@ -46,8 +44,6 @@ type Outcome = Result<Placed, RegistryError>;
 #[derive(Default)]
 pub(super) struct Queue {
     waiting: Vec<Waiting>,
-    /// Who wants the turn for something else.
-    others: Vec<Thread>,
     busy: bool,
 }
 
@@ -62,8 +58,6 @@ pub(super) struct Writer {
 struct Waiting {
     candidate: Candidate,
     slot: Arc<Mutex<Option<Outcome>>>,
-    /// Sleeps until there is something for it to do.
-    thread: Thread,
 }
 
 /// Where a submission of this round ends up.
@@ -104,13 +98,8 @@ impl Drop for Turn<'_> {
                 *slot = Some(Err(RegistryError::Halted { cause }));
             }
         }
-        let mut queue = lock(&self.registry.queue);
-        queue.busy = false;
-        // The first of those who came meanwhile writes for all of them, unless somebody new is faster and does.
-        queue.waiting.first().iter().for_each(|next| next.thread.unpark());
-        queue.others.iter().for_each(Thread::unpark);
-        drop(queue);
-        self.batch.iter().for_each(|done| done.thread.unpark());
+        lock(&self.registry.queue).busy = false;
+        self.registry.wake.notify_all();
     }
 }
 
@@ -126,17 +115,15 @@ impl Registry {
     pub fn submit(&self, envelope: &Envelope) -> Result<Receipt, RegistryError> {
         let candidate = Candidate::check(envelope, &self.origin)?;
         let slot = Arc::new(Mutex::new(None));
-        lock(&self.queue).waiting.push(Waiting { candidate, slot: slot.clone(), thread: thread::current() });
+        let mut queue = lock(&self.queue);
+        queue.waiting.push(Waiting { candidate, slot: slot.clone() });
         loop {
-            let mut queue = lock(&self.queue);
             if let Some(outcome) = lock(&slot).take() {
                 drop(queue);
                 return self.receipt(outcome?);
             }
             if queue.busy {
-                drop(queue);
-                // Who has the turn wakes us when there is an outcome, or the turn is ours: also where that was before this.
-                thread::park();
+                queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
                 continue;
             }
             queue.busy = true;
@@ -144,28 +131,21 @@ impl Registry {
             drop(queue);
             let outcomes = self.write_round(&turn.batch);
             // Out of the turn: whoever wakes early takes an outcome away, and must not look like one who got none.
-            let done = mem::take(&mut turn.batch);
-            for (waiting, outcome) in done.iter().zip(outcomes) {
+            for (waiting, outcome) in mem::take(&mut turn.batch).iter().zip(outcomes) {
                 *lock(&waiting.slot) = Some(outcome);
             }
-            // The next round begins before this one's submitters are told.
             drop(turn);
-            done.iter().for_each(|waiting| waiting.thread.unpark());
+            queue = lock(&self.queue);
         }
     }
 
     /// The turn to write, taken for something that no submission waits for.
     pub(super) fn turn(&self) -> Turn<'_> {
-        let this = thread::current();
         let mut queue = lock(&self.queue);
-        queue.others.push(this.clone());
         while queue.busy {
-            drop(queue);
-            thread::park();
-            queue = lock(&self.queue);
+            queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
         }
         queue.busy = true;
-        queue.others.retain(|other| other.id() != this.id());
         Turn { registry: self, batch: Vec::new() }
     }
 

@@ -32,7 +32,7 @@ mod tiles;
 use std::{
     fs,
     path::Path,
-    sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
+    sync::{Arc, Condvar, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
 };
 
 use crate::{
@@ -117,6 +117,7 @@ pub struct Registry {
     nonces: nonce::Nonces,
     state: RwLock<State>,
     queue: Mutex<commit::Queue>,
+    wake: Condvar,
     /// Whoever holds the turn locks it, and nobody else.
     writer: Mutex<commit::Writer>,
     publisher: Mutex<publish::Publisher>,
@@ -215,6 +216,7 @@ impl Registry {
             key,
             state: RwLock::new(loaded.state),
             queue: Mutex::default(),
+            wake: Condvar::new(),
             writer: Mutex::new(loaded.writer),
             publisher: Mutex::new(loaded.publisher),
             files,
