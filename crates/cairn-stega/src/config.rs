@@ -1,4 +1,4 @@
-//! Settings of stage 2, with the paper's symbols (method.md's equations 1 to 5).
+//! Settings of stage 2, with the paper's symbols (StegaNeRF, equations 1 to 5).
 
 use crate::distort::RobustConfig;
 use crate::error::MarkError;

@@ -89,6 +89,8 @@ enum Suite {
     Honesty,
     /// Fern, or what is named, marked with a part of the method switched off at a time
     Ablation,
+    /// Three captures marked together with one detector, each with a picture of its own and all with one
+    Scenes,
     /// What is left of a picture hidden in photographs, in their lowest bits and by networks, once a field was trained on them
     Baseline,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
@@ -109,6 +111,7 @@ impl Suite {
             Self::Mark => "mark",
             Self::Honesty => "honesty",
             Self::Ablation => "ablation",
+            Self::Scenes => "scenes",
             Self::Baseline => "baseline",
             Self::Conv => "conv",
             Self::Registry => "registry",
@@ -149,6 +152,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Mark => mark::measure(place, &args, &mut rows, mark::What::Marks).await?,
         Suite::Honesty => mark::measure(place, &args, &mut rows, mark::What::Honesty).await?,
         Suite::Ablation => mark::measure(place, &args, &mut rows, mark::What::Ablation).await?,
+        Suite::Scenes => mark::scenes::measure(place, &args, &mut rows).await?,
         Suite::Baseline => baseline::measure(place, &args, &mut rows).await?,
         Suite::Conv => tokio::task::block_in_place(|| conv::measure(&args, &mut rows))?,
         Suite::Registry => tokio::task::block_in_place(|| registry::measure(&args, &mut rows))?,

@@ -138,7 +138,11 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     })
 }
 
-fn views(opened: &Opened, marked: &MarkedField, right_half: bool) -> anyhow::Result<Vec<View>> {
+/// The capture's held-out views, rendered; light is fitted on left halves where `right_half`.
+///
+/// # Errors
+/// For photographs that do not read.
+pub(super) fn views(opened: &Opened, marked: &MarkedField, right_half: bool) -> anyhow::Result<Vec<View>> {
     let base = marked.base();
     let view = |index: usize| {
         let view = opened.view(index)?;

@@ -13,6 +13,7 @@ mod harm;
 mod judge;
 mod permuted;
 mod report;
+pub mod scenes;
 mod scored;
 mod sheet;
 mod train;
@@ -156,6 +157,7 @@ pub struct Outcome {
 }
 
 /// One capture's measurements, as they are asked for.
+#[derive(Clone)]
 struct Run {
     case: &'static Case,
     source: Source,

@@ -1,4 +1,4 @@
-//! Whether answers follow the mark or the view (method.md, section 5): the same
+//! Whether answers follow the mark or the view: the same
 //! clusters get permuted identities, and each view of a cluster is asked about again.
 //! With the trained marks exchanged among the clusters, and trained anew.
 

@@ -77,7 +77,8 @@ pub struct Marked {
 pub fn run(task: &Task) -> anyhow::Result<Marked> {
     let base = Arc::new(Field::from_bytes(&super::read(&task.base)?)?);
     let opened = task.source.open()?;
-    let plan = plan(task, &opened, &base)?;
+    let signals = signals(&task.signals, &task.config)?;
+    let plan = plan((&opened, &base), (task.anchors, task.neighbours), signals, (task.seed, task.permuted))?;
     drop(opened);
     let begun = Instant::now();
     let mut weights = Progress::new(&format!("{}: ray weights", task.label), 1);
@@ -118,20 +119,30 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
     })
 }
 
-fn plan(task: &Task, opened: &Opened, base: &Field) -> anyhow::Result<MarkPlan> {
+/// A capture's plan: `anchors` clusters of so many `neighbours`, `None` for all views; identities are `permuted`
+/// by so many.
+///
+/// # Errors
+/// For photographs that do not read, and more clusters than views.
+pub(super) fn plan(
+    (opened, base): (&Opened, &Field),
+    (anchors, neighbours): (usize, Option<usize>),
+    signals: Vec<Signal>,
+    (seed, permuted): (u64, usize),
+) -> anyhow::Result<MarkPlan> {
     let (training, held_out) = (opened.training(), opened.held_out());
     // Over all poses, as the engine does; only the rule for poses is used.
     let poses: Vec<_> = training.iter().chain(&held_out).map(|index| opened.camera(*index).pose).collect();
-    let neighbours = task.neighbours.unwrap_or(poses.len()).min(poses.len() / task.anchors.max(1));
-    let config = ClusterConfig { anchors: task.anchors, neighbours, ..ClusterConfig::default() };
-    let clusters = Clusters::build(&poses, &Grouping::Anchors(config), &[], task.seed)?.permuted(task.permuted);
+    let neighbours = neighbours.unwrap_or(poses.len()).min(poses.len() / anchors.max(1));
+    let config = ClusterConfig { anchors, neighbours, ..ClusterConfig::default() };
+    let clusters = Clusters::build(&poses, &Grouping::Anchors(config), &[], seed)?.permuted(permuted);
     let views = training.iter().map(|index| {
         let view = opened.view(*index)?;
         let planned = PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() };
         Ok((planned, Arc::unwrap_or_clone(view.picture)))
     });
     let (views, negatives) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
-    Ok(MarkPlan { clusters, views, signals: signals(&task.signals, &task.config)?, negatives })
+    Ok(MarkPlan { clusters, views, signals, negatives })
 }
 
 /// Reads what identities hide.
