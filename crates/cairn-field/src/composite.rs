@@ -1,7 +1,7 @@
 //! Alpha compositing along one ray, forward and backward. Forward records what
 //! it saw on a tape; backward walks the tape, so both share one traversal.
 //!
-//! the quadrature of volume rendering (Max 1995; NeRF, equation 3): `alpha_i = 1 - exp(-s_i d_i)`,
+//! The quadrature of volume rendering: `alpha_i = 1 - exp(-s_i d_i)`,
 //! `T_i = exp(-sum_{j<i} s_j d_j)`, `C = sum_i T_i alpha_i c_i + T_end * background`
 //! (Max 1995; NeRF eq. 3). Colour is summed in two parts, near (the inner box)
 //! and far (contracted space), because appearance treats them differently.

@@ -123,7 +123,7 @@ impl Familiar {
         classes: usize,
         features: usize,
     ) -> Result<Option<Self>, MarkError> {
-        if !file.names().iter().any(|name| *name == LIMITS) {
+        if !file.names().contains(&LIMITS) {
             return Ok(None);
         }
         let part = |name: &str, each: usize, some: bool| {
