@@ -327,6 +327,10 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     world.refused("ada", &base, "there is no view");
     world.refused("bob", &["evaluate", "town"], "belongs to another account");
 
+    // Nobody takes another's scene along in a training of their own.
+    world.import("bob", "mill").unwrap();
+    world.refused("bob", &["train", "mill", "--with", "town", "--by-contributor"], "belongs to another account");
+
     // One at a time; cancelling frees it. Nobody but its owner or a curator cancels it.
     let (key, here) = (world.key("ada"), world.identity().await);
     let mut training = TrainingServiceClient::new(world.channel().await);

@@ -5,7 +5,7 @@
 mod common;
 
 use cairn_registry::{
-    Anchor, Checkpoint, Envelope, Registry, RegistryError, merkle,
+    Anchor, Registry, RegistryError,
     store::{Fault, FaultyStore},
 };
 use common::*;
@@ -56,21 +56,6 @@ fn begun() -> (Disks, Registry) {
         submit(&registry, &owner(1), "fern", what).unwrap();
     }
     (disks, registry)
-}
-
-fn must_honour(registry: &Registry, signed: &[String], acknowledged: &[Envelope]) {
-    let log = registry.verifier().unwrap();
-    let head = Checkpoint::verify(&registry.checkpoint(), &log).unwrap();
-    for note in signed {
-        let old = Checkpoint::verify(note, &log).unwrap();
-        let proof = registry.prove_consistency(old.size, head.size).unwrap();
-        merkle::verify_consistency(old.size, head.size, &proof, &old.root, &head.root).unwrap();
-    }
-    for envelope in acknowledged {
-        assert!(registry.find(&envelope.digest()).unwrap().is_some());
-    }
-    let faults = registry.check().unwrap();
-    assert!(faults.is_empty(), "{faults:?}");
 }
 
 #[test]

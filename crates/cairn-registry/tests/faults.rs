@@ -6,7 +6,7 @@
 mod common;
 
 use cairn_registry::{
-    Checkpoint, Envelope, OwnerKey, Registry, RegistryError, merkle,
+    Checkpoint, OwnerKey, Registry, RegistryError,
     store::{Fault, FaultyStore},
 };
 use common::*;
@@ -29,22 +29,6 @@ fn begun() -> (FaultyStore, Registry) {
         submit(&registry, &owner(1), "fern", what).unwrap();
     }
     (store, registry)
-}
-
-/// Everything that must hold in a log found again, given what had been signed and acknowledged before.
-fn must_honour(registry: &Registry, signed: &[String], acknowledged: &[Envelope]) {
-    let log = registry.verifier().unwrap();
-    let head = Checkpoint::verify(&registry.checkpoint(), &log).unwrap();
-    for note in signed {
-        let old = Checkpoint::verify(note, &log).unwrap();
-        let proof = registry.prove_consistency(old.size, head.size).unwrap();
-        merkle::verify_consistency(old.size, head.size, &proof, &old.root, &head.root).unwrap();
-    }
-    for envelope in acknowledged {
-        assert!(registry.find(&envelope.digest()).unwrap().is_some());
-    }
-    let faults = registry.check().unwrap();
-    assert!(faults.is_empty(), "{faults:?}");
 }
 
 fn try_one(nth: u64, fault: Fault, power_lost: bool) -> bool {

@@ -51,3 +51,19 @@ pub fn verify_receipt(registry: &Registry, receipt: &Receipt) {
     assert!(receipt.envelope.signature_by(&registry.public_key()).is_some());
     assert_eq!(cairn_registry::Leaf::of(&receipt.envelope).unwrap().hash(), receipt.leaf_hash);
 }
+
+/// Everything that must hold in a log found again, given what had been signed and acknowledged before.
+pub fn must_honour(registry: &Registry, signed: &[String], acknowledged: &[Envelope]) {
+    let log = registry.verifier().unwrap();
+    let head = Checkpoint::verify(&registry.checkpoint(), &log).unwrap();
+    for note in signed {
+        let old = Checkpoint::verify(note, &log).unwrap();
+        let proof = registry.prove_consistency(old.size, head.size).unwrap();
+        merkle::verify_consistency(old.size, head.size, &proof, &old.root, &head.root).unwrap();
+    }
+    for envelope in acknowledged {
+        assert!(registry.find(&envelope.digest()).unwrap().is_some());
+    }
+    let faults = registry.check().unwrap();
+    assert!(faults.is_empty(), "{faults:?}");
+}
