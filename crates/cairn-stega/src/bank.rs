@@ -240,6 +240,11 @@ impl Bank {
         some.then(|| self.views.len() + rng.random_range(0..self.outside.len()))
     }
 
+    /// The views of `identity` (from 0).
+    pub(crate) fn views_of(&self, identity: usize) -> &[usize] {
+        &self.of[identity]
+    }
+
     /// A view of `identity` (from 0).
     pub(crate) fn draw(&self, identity: usize, rng: &mut ChaCha8Rng) -> usize {
         let of = &self.of[identity];

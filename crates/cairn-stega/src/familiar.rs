@@ -15,19 +15,20 @@ use safetensors::tensor::SafeTensors;
 
 /// Added to each feature's variance, in mean variances: one that never moved has a spread too.
 const FLOOR: f64 = 1e-6;
-/// Share of a class's own renders that lie nearer to the others than its reach.
-const REACHED: f64 = 0.98;
+/// Share of a class's own renders that lie nearer to those of other views than its reach.
+const REACHED: f64 = 0.95;
 /// How sharply trust falls about the limit: at four fifths of it, where the furthest renders
 /// lie by default, it is 0.86, at a half 0.996, at one and a half 0.04.
 const SHARPNESS: i32 = 8;
 
-/// Features of a class's marked renders.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Renders {
-    /// As they are.
-    pub(crate) plain: Vec<Vec<f32>>,
-    /// After what happens to pictures, as far as they are still read.
-    pub(crate) harmed: Vec<Vec<f32>>,
+/// A marked render's features.
+#[derive(Clone, Debug)]
+pub(crate) struct Shown {
+    /// The view it is of.
+    pub(crate) view: usize,
+    /// Whether something happened to it.
+    pub(crate) harmed: bool,
+    pub(crate) features: Vec<f32>,
 }
 
 /// Where each class's renders lie.
@@ -42,13 +43,15 @@ pub(crate) struct Familiar {
 }
 
 impl Familiar {
-    /// From each class's renders; limits are `beyond` times a class's reach. `None` where a class has fewer
-    /// than two, or a number is not finite.
-    pub(crate) fn fit(classes: &[Renders], beyond: f64) -> Option<Self> {
-        let features = classes.first()?.plain.first()?.len();
+    /// From each class's renders; limits are `beyond` times a class's reach. `None` where a class has not
+    /// renders of two views, or a number is not finite.
+    pub(crate) fn fit(classes: &[Vec<Shown>], beyond: f64) -> Option<Self> {
+        let features = classes.first()?.first()?.features.len();
         let mut variances = vec![0.0f64; features];
-        let count = classes.iter().map(|c| c.plain.len()).sum::<usize>() as f64;
-        for Renders { plain, .. } in classes {
+        let plain = |class: &[Shown]| class.iter().filter(|r| !r.harmed).map(|r| &r.features).cloned().collect();
+        let count = classes.iter().flatten().filter(|r| !r.harmed).count() as f64;
+        for class in classes {
+            let plain: Vec<Vec<f32>> = plain(class);
             for (f, variance) in variances.iter_mut().enumerate() {
                 let mean = plain.iter().map(|r| f64::from(r[f])).sum::<f64>() / plain.len() as f64;
                 *variance += plain.iter().map(|r| (f64::from(r[f]) - mean).powi(2)).sum::<f64>() / count;
@@ -60,10 +63,11 @@ impl Familiar {
             renders: Vec::with_capacity(classes.len()),
             limits: Vec::with_capacity(classes.len()),
         };
-        for Renders { plain, harmed } in classes {
-            let all: Vec<Vec<f32>> = plain.iter().chain(harmed).map(|r| fitted.scaled(r)).collect();
+        for class in classes {
+            let all: Vec<Vec<f32>> = class.iter().map(|r| fitted.scaled(&r.features)).collect();
+            // Of another view: a new one has no twin among them.
             let nearest = |at: usize| {
-                let others = all.iter().enumerate().filter(|(other, _)| *other != at);
+                let others = class.iter().zip(&all).filter(|(other, _)| other.view != class[at].view);
                 others.map(|(_, other)| apart(other, &all[at])).fold(f64::INFINITY, f64::min)
             };
             let mut apart: Vec<f64> = (0..all.len()).map(nearest).collect();
@@ -164,17 +168,20 @@ mod tests {
     use super::*;
     use crate::distort::Gaussian;
 
+    fn plain(features: &[&[f32]]) -> Vec<Shown> {
+        let shown = |(view, f): (usize, &&[f32])| Shown { view, harmed: false, features: f.to_vec() };
+        features.iter().enumerate().map(shown).collect()
+    }
+
     /// Two classes of renders with four features, harmed ones elsewhere in one of them.
-    fn renders() -> Vec<Renders> {
+    fn renders() -> Vec<Vec<Shown>> {
         let mut noise = Gaussian::new(3);
-        let mut some = |middle: f32, harm: f32| -> Vec<Vec<f32>> {
-            let mut one = || [noise.draw(), noise.draw(), noise.draw()];
-            (0..200)
-                .map(|_| one())
-                .map(|[a, b, c]| vec![middle + a, harm + 0.1 * b, 5.0 + 0.01 * c, middle - b])
-                .collect()
+        let mut one = |middle: f32, view: usize| {
+            let ([a, b, c], harmed) = ([noise.draw(), noise.draw(), noise.draw()], view % 2 == 1);
+            let harm = if harmed { 4.0 } else { 0.0 };
+            Shown { view, harmed, features: vec![middle + a, harm + 0.1 * b, 5.0 + 0.01 * c, middle - b] }
         };
-        [0.0, 3.0].map(|middle| Renders { plain: some(middle, 0.0), harmed: some(middle, 4.0) }).to_vec()
+        [0.0, 3.0].map(|middle| (0..400).map(|view| one(middle, view)).collect()).to_vec()
     }
 
     #[test]
@@ -189,8 +196,8 @@ mod tests {
             p[class + 1] / 0.9
         };
         for (class, renders) in classes.iter().enumerate() {
-            for render in renders.plain.iter().chain(&renders.harmed) {
-                assert!(trusted(class, render) > 0.99);
+            for render in renders {
+                assert!(trusted(class, &render.features) > 0.99);
             }
         }
         // Like others of the class, but none that it was fitted to.
@@ -206,9 +213,8 @@ mod tests {
     #[test]
     fn distances_are_in_spreads_from_the_nearest_render() {
         // Variances 2 and 0.5 about (1, 2).
-        let ring = [[3.0, 2.0], [-1.0, 2.0], [1.0, 3.0], [1.0, 1.0]];
-        let plain = ring.iter().map(|r| r.to_vec()).collect();
-        let familiar = Familiar::fit(&[Renders { plain, harmed: Vec::new() }], 1.0).unwrap();
+        let ring = plain(&[&[3.0, 2.0], &[-1.0, 2.0], &[1.0, 3.0], &[1.0, 1.0]]);
+        let familiar = Familiar::fit(std::slice::from_ref(&ring), 1.0).unwrap();
         let expected = |dx: f64, dy: f64| ((dx * dx / 2.0 + dy * dy / 0.5) / 2.0).sqrt();
         assert!((familiar.distance(0, &[3.0, 2.5]) - expected(0.0, 0.5)).abs() < 1e-4);
         assert!((familiar.distance(0, &[-3.0, 2.0]) - expected(2.0, 0.0)).abs() < 1e-4);
@@ -218,12 +224,14 @@ mod tests {
 
     #[test]
     fn what_cannot_be_fitted_is_not() {
-        let of = |plain: Vec<Vec<f32>>| Renders { plain, harmed: Vec::new() };
         assert!(Familiar::fit(&[], 1.25).is_none());
-        assert!(Familiar::fit(&[of(vec![vec![1.0, 2.0]; 2]), Renders::default()], 1.25).is_none());
-        assert!(Familiar::fit(&[of(vec![vec![1.0, 2.0]])], 1.25).is_none());
-        assert!(Familiar::fit(&[of(vec![vec![1.0, f32::NAN], vec![2.0, 1.0]])], 1.25).is_none());
-        // Renders that are all the same have no spread to measure by.
-        assert!(Familiar::fit(&[of(vec![vec![1.0, 2.0]; 5])], 1.25).is_none());
+        assert!(Familiar::fit(&[plain(&[&[1.0, 2.0], &[2.0, 1.0]]), Vec::new()], 1.25).is_none());
+        assert!(Familiar::fit(&[plain(&[&[1.0, 2.0]])], 1.25).is_none());
+        assert!(Familiar::fit(&[plain(&[&[1.0, f32::NAN], &[2.0, 1.0]])], 1.25).is_none());
+        // Renders that are all the same have no spread to measure by, and those of one view no other view.
+        assert!(Familiar::fit(&[plain(&[&[1.0, 2.0][..]; 5])], 1.25).is_none());
+        let mut one = plain(&[&[1.0, 2.0], &[2.0, 1.0]]);
+        one[1].view = 0;
+        assert!(Familiar::fit(&[one], 1.25).is_none());
     }
 }

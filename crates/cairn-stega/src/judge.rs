@@ -5,7 +5,7 @@
 use crate::bank::BankView;
 use crate::carrier::Carrier;
 use crate::config::MarkConfig;
-use crate::distort::Attack;
+use crate::distort::{Attack, Attacked};
 use crate::error::MarkError;
 use crate::networks::Reading;
 use crate::signal::Numbers;
@@ -240,12 +240,17 @@ impl MarkTrainer {
 
 /// A view as the networks read it from a file, `side x side x 3`.
 fn seen(field: &Field, view: &BankView, carrier: Option<&Carrier>, attack: &Attack, side: usize) -> Vec<f32> {
+    let file = file(field, view, carrier, attack);
+    Window::whole(file.size[0], file.size[1], side).apply(&file.rgb)
+}
+
+/// A view in its own light as it is in a file of 8 bits, with a mark or without, `attack` done to it.
+pub(crate) fn file(field: &Field, view: &BankView, carrier: Option<&Carrier>, attack: &Attack) -> Attacked {
     let mut rgb = view.linear.base(&view.appearance);
     if let Some(carrier) = carrier {
         carrier.show(field, view, &view.appearance, &mut rgb);
     }
-    let file = attack.apply(eight_bits(rgb), [view.linear.width(), view.linear.height()]);
-    Window::whole(file.size[0], file.size[1], side).apply(&file.rgb)
+    attack.apply(eight_bits(rgb), [view.linear.width(), view.linear.height()])
 }
 
 /// What remains of a render in an 8-bit file.

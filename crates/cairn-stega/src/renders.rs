@@ -2,6 +2,7 @@
 //! without the mark, and what cameras and files do to either.
 
 use crate::distort::{Attack, Attacked};
+use crate::judge::file;
 use crate::site::Site;
 use crate::trainer::MarkTrainer;
 use crate::window::Window;
@@ -60,16 +61,14 @@ impl MarkTrainer {
             let stranger = self.sites[site].carriers.len() > 1 && rng.random_range(0..ONE_IN_STRANGERS) == 0;
             let whose = if stranger { rng.random_range(of_site.clone()) } else { identity };
             let view = self.sites[site].bank.draw(whose - of_site.start, rng);
-            let attack = self.attack(rng);
-            let (marked, twin, render) = self.render((site, view), Some(identity), &attack, rng);
+            let (marked, twin, render) = self.render((site, view), Some(identity), rng);
             shown.marked.push(marked);
             shown.twins.push(twin);
             shown.renders.push(render);
         }
         for (site, at) in self.sites.iter().enumerate() {
             if let Some(view) = at.bank.draw_outside(rng) {
-                let attack = self.attack(rng);
-                let (marked, _, render) = self.render((site, view), None, &attack, rng);
+                let (marked, _, render) = self.render((site, view), None, rng);
                 shown.marked.push(marked);
                 shown.renders.push(render);
             }
@@ -77,11 +76,23 @@ impl MarkTrainer {
         shown
     }
 
-    /// A marked render of an identity (from 0) as a step shows it, after `attack`.
-    pub(crate) fn one_of(&self, identity: usize, attack: &Attack, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        let site = self.site_of(identity);
-        let view = self.sites[site].bank.draw(identity - self.sites[site].identities.start, rng);
-        self.render((site, view), Some(identity), attack, rng).0
+    /// A view with the mark of `identity` (from 0) as the networks see it from a file, after
+    /// `attack`; the whole picture, or a part where something `happened` to it.
+    pub(crate) fn as_a_file(
+        &self,
+        site: &Site,
+        identity: usize,
+        view: usize,
+        (attack, happened): (&Attack, bool),
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<f32> {
+        let view = site.bank.view(view);
+        let carrier = &self.carriers[site.carrier_of(identity)];
+        let file = file(&site.scene.field, view, Some(carrier), attack);
+        let [w, h] = file.size;
+        let side = self.config.side_px();
+        let window = if happened { Window::draw(w, h, side, rng) } else { Window::whole(w, h, side) };
+        window.apply(&file.rgb)
     }
 
     /// A scene's view with the mark of `identity` (from 0) and without it, as the networks see
@@ -90,7 +101,6 @@ impl MarkTrainer {
         &self,
         (site, view): (usize, usize),
         identity: Option<usize>,
-        attack: &Attack,
         rng: &mut ChaCha8Rng,
     ) -> (Vec<f32>, Vec<f32>, Render) {
         let Site { scene, bank, identities, .. } = &self.sites[site];
@@ -108,6 +118,7 @@ impl MarkTrainer {
         picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         let size = [linear.width(), linear.height()];
+        let attack = self.attack(rng);
         let (mut attacked, twin) = rayon::join(|| attack.apply(picture, size), || attack.apply(base, size));
         let window = Window::draw(attacked.size[0], attacked.size[1], self.config.side_px(), rng);
         let tone = Tone::draw(rng);

@@ -13,7 +13,7 @@ use crate::config::{Guidance, MarkConfig};
 use crate::detector::Detector;
 use crate::distort::Attack;
 use crate::error::MarkError;
-use crate::familiar::{Familiar, Renders};
+use crate::familiar::{Familiar, Shown};
 use crate::judge::{Judgement, State, winner};
 use crate::marked::MarkedField;
 use crate::networks::{Networks, planar, to_tensor};
@@ -31,8 +31,8 @@ use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
 /// Marked renders of an owner, at least, from which it is learnt where they lie; and of all owners together.
-const LEAST_RENDERS_EACH: usize = 96;
-const LEAST_RENDERS: usize = 256;
+const RENDERS_EACH: usize = 192;
+const RENDERS: usize = 384;
 /// Stream of their draws, apart from steps' and the judge's.
 const FAMILIAR_STREAM: u64 = 1 << 34;
 
@@ -254,7 +254,7 @@ impl MarkTrainer {
         Ok((fields, Detector::new(self.config, self.networks)))
     }
 
-    /// Where each owner's renders lie, as training shows them and after attacks; `None` where nobody asks.
+    /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks.
     fn familiar(&self) -> Result<Option<Familiar>, MarkError> {
         let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
         if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
@@ -262,22 +262,22 @@ impl MarkTrainer {
         }
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(FAMILIAR_STREAM);
-        let each = LEAST_RENDERS_EACH.max(LEAST_RENDERS.div_ceil(owners));
+        let each = RENDERS_EACH.max(RENDERS.div_ceil(owners));
         let mut classes = Vec::with_capacity(owners);
         for identity in 0..owners {
-            let mut renders = Renders::default();
-            for at in 0..2 * each {
-                let harmed = at % 2 == 1;
-                let attack = if harmed { Attack::always(&self.config.robust, &mut rng) } else { Attack::none() };
-                let picture = self.one_of(identity, &attack, &mut rng);
+            let site = &self.sites[self.site_of(identity)];
+            let views = site.bank.views_of(identity - site.identities.start);
+            let mut renders = Vec::with_capacity(each);
+            for at in 0..each.max(views.len()) {
+                // Each view as it is, then again and again after something.
+                let (view, harmed) = (views[at % views.len()], at >= views.len());
+                let attack = if harmed { Attack::one(&self.config.robust, &mut rng) } else { Attack::none() };
+                let picture = self.as_a_file(site, identity, view, (&attack, harmed), &mut rng);
                 let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.side_px())?)?;
                 let said = self.networks.classifier.classify(&features)?.flatten_all()?.to_vec1::<f32>()?;
-                let features = features.flatten_all()?.to_vec1::<f32>()?;
-                match harmed {
-                    false => renders.plain.push(features),
-                    // What harm has made unreadable says nothing of where a mark is read.
-                    true if winner(&said) == identity + 1 => renders.harmed.push(features),
-                    true => {}
+                // What harm has made unreadable says nothing of where a mark is read.
+                if !harmed || winner(&said) == identity + 1 {
+                    renders.push(Shown { view, harmed, features: features.flatten_all()?.to_vec1::<f32>()? });
                 }
             }
             classes.push(renders);

@@ -151,6 +151,16 @@ impl Attack {
         Self { steps: steps.into_iter().map(|step| (step, rng.random())).collect(), native_px }
     }
 
+    /// One distortion alone, of any strength up to the settings' limits; none where all of them are harmless.
+    pub(crate) fn one(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
+        let mut all = config.all(rng);
+        if all.is_empty() {
+            return Self::none();
+        }
+        let step = all.swap_remove(rng.random_range(0..all.len()));
+        Self { steps: vec![(step, rng.random())], native_px: config.native_px as f32 }
+    }
+
     /// Does it to a picture of `size` = [width, height] with numbers in [0, 1].
     pub(crate) fn apply(&self, rgb: Vec<f32>, size: [usize; 2]) -> Attacked {
         let ratio = (self.native_px / size[0].max(size[1]) as f32).max(1.0);
