@@ -43,8 +43,8 @@ pub(crate) struct Familiar {
 }
 
 impl Familiar {
-    /// From each class's renders; limits are `beyond` times a class's reach. `None` where a class has not
-    /// renders of two views, or a number is not finite.
+    /// From each class's renders; limits are `beyond` times a class's reach. `None` where a class has fewer than
+    /// two, all of its renders are the same, or a number is not finite.
     pub(crate) fn fit(classes: &[Vec<Shown>], beyond: f64) -> Option<Self> {
         let features = classes.first()?.first()?.features.len();
         let mut variances = vec![0.0f64; features];
@@ -65,10 +65,14 @@ impl Familiar {
         };
         for class in classes {
             let all: Vec<Vec<f32>> = class.iter().map(|r| fitted.scaled(&r.features)).collect();
-            // Of another view: a new one has no twin among them.
+            // Of another view, where there is one: a new one has no twin among them.
+            let one_view = class.iter().all(|r| r.view == class[0].view);
+            let counts = |at: usize, other: usize| {
+                if one_view { other != at } else { class[other].view != class[at].view }
+            };
             let nearest = |at: usize| {
-                let others = class.iter().zip(&all).filter(|(other, _)| other.view != class[at].view);
-                others.map(|(_, other)| apart(other, &all[at])).fold(f64::INFINITY, f64::min)
+                let others = (0..all.len()).filter(|other| counts(at, *other));
+                others.map(|other| apart(&all[other], &all[at])).fold(f64::INFINITY, f64::min)
             };
             let mut apart: Vec<f64> = (0..all.len()).map(nearest).collect();
             apart.sort_by(f64::total_cmp);
@@ -228,10 +232,19 @@ mod tests {
         assert!(Familiar::fit(&[plain(&[&[1.0, 2.0], &[2.0, 1.0]]), Vec::new()], 1.25).is_none());
         assert!(Familiar::fit(&[plain(&[&[1.0, 2.0]])], 1.25).is_none());
         assert!(Familiar::fit(&[plain(&[&[1.0, f32::NAN], &[2.0, 1.0]])], 1.25).is_none());
-        // Renders that are all the same have no spread to measure by, and those of one view no other view.
+        // Renders that are all the same have no spread to measure by.
         assert!(Familiar::fit(&[plain(&[&[1.0, 2.0][..]; 5])], 1.25).is_none());
-        let mut one = plain(&[&[1.0, 2.0], &[2.0, 1.0]]);
-        one[1].view = 0;
-        assert!(Familiar::fit(&[one], 1.25).is_none());
+    }
+
+    #[test]
+    fn a_class_of_one_view_is_measured_by_itself() {
+        let mut one = plain(&[&[1.0, 2.0], &[2.0, 1.0], &[1.5, 1.0]]);
+        let apart = |renders: &[Shown]| Familiar::fit(&[renders.to_vec()], 1.0).unwrap().limits[0];
+        let views = apart(&one);
+        one.iter_mut().for_each(|r| r.view = 0);
+        assert_eq!(apart(&one), views);
+        // Of two views, the nearest of the same does not count.
+        one[0].view = 1;
+        assert!(apart(&one) > views);
     }
 }

@@ -254,7 +254,8 @@ impl MarkTrainer {
         Ok((fields, Detector::new(self.config, self.networks)))
     }
 
-    /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks.
+    /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks, or
+    /// an owner's are all the same.
     fn familiar(&self) -> Result<Option<Familiar>, MarkError> {
         let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
         if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
@@ -282,10 +283,10 @@ impl MarkTrainer {
             }
             classes.push(renders);
         }
-        let fitted = Familiar::fit(&classes, beyond);
-        fitted
-            .map(Some)
-            .ok_or_else(|| MarkError::NotFinite { step: None, place: "the spread of marked renders".into() })
+        match classes.iter().flatten().flat_map(|r| &r.features).all(|v| v.is_finite()) {
+            true => Ok(Familiar::fit(&classes, beyond)),
+            false => Err(MarkError::NotFinite { step: None, place: "a feature of a marked render".into() }),
+        }
     }
 
     /// The best judgement so far.
