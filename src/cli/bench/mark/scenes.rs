@@ -172,7 +172,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
             rows.add(&case, "hidden SSIM", found.hidden_ssim, "", target.map(Target::at_least));
             rows.add(&case, "PSNR change by the mark", found.psnr_db[1] - found.psnr_db[0], "dB", None);
         }
-        let case = format!("three scenes, {how}");
+        let case = args.case_name(&format!("three scenes, {how}"));
         rows.add(&case, "stage 2", joined.seconds, "s", None);
         rows.add(&case, "stage 2, steps", joined.steps as f64, "", None);
         for (metric, value, unit) in
