@@ -10,8 +10,10 @@ mod common;
 use std::{
     collections::HashMap,
     env, fs,
+    os::unix::process::CommandExt,
     path::Path,
     process::{Command, Stdio},
+    time::{Duration, Instant},
 };
 
 use cairn_registry::{Checkpoint, Digest, Envelope, Registry, merkle};
@@ -60,9 +62,14 @@ fn acknowledged(said: &str) -> Vec<(u64, Digest, String)> {
     said.lines().filter_map(parse).collect()
 }
 
-/// Runs the child under strace with these options; what it printed.
+/// Long past what a child takes. Where two of sled's threads fail to write at once, sled 0.34 may wait for them for
+/// ever; what such a process leaves behind when it is killed must be as good.
+const HUNG: Duration = Duration::from_secs(60);
+
+/// Runs the child under strace with these options, and kills it where it hangs; what it printed.
 fn run(folder: &Path, options: &[&str]) -> String {
-    let output = Command::new("strace")
+    let printed = folder.join("printed");
+    let mut tracer = Command::new("strace")
         .args(["-f", "-qq", "-o"])
         .arg(folder.join("trace"))
         .args(options)
@@ -70,10 +77,23 @@ fn run(folder: &Path, options: &[&str]) -> String {
         .args(["--exact", TEST, "--nocapture", "--test-threads=1"])
         .env(CHILD, folder)
         .env("RUST_BACKTRACE", "0")
+        .stdout(fs::File::create(&printed).unwrap())
         .stderr(Stdio::null())
-        .output()
+        // A group of their own: the child would outlive a tracer that is killed alone.
+        .process_group(0)
+        .spawn()
         .unwrap();
-    String::from_utf8_lossy(&output.stdout).into_owned()
+    let begun = Instant::now();
+    while tracer.try_wait().unwrap().is_none() {
+        if begun.elapsed() > HUNG {
+            println!("hung and killed: {options:?}");
+            Command::new("kill").args(["-9", "--", &format!("-{}", tracer.id())]).status().unwrap();
+            tracer.wait().unwrap();
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    String::from_utf8_lossy(&fs::read(printed).unwrap()).into_owned()
 }
 
 /// Whether strace is there and may trace.
