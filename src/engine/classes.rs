@@ -11,9 +11,7 @@ use super::model::{Mark, Share};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Classes {
     shares: Vec<Share>,
-    /// Identities of the scenes before it.
-    before: usize,
-    /// Its own.
+    /// Which of the shares is its own.
     own: usize,
 }
 
@@ -50,12 +48,15 @@ impl Found {
 }
 
 impl Classes {
-    /// Those of `scene`, one of `shares`.
-    pub fn new(scene: &str, shares: Vec<Share>) -> Self {
-        let at = shares.iter().position(|share| share.scene == scene).unwrap_or(shares.len());
-        let before = shares[..at].iter().map(|share| share.labels.len()).sum();
-        let own = shares.get(at).map_or(0, |share| share.labels.len());
-        Self { shares, before, own }
+    /// Those of `scene`; `None` where it has no share.
+    pub fn new(scene: &str, shares: Vec<Share>) -> Option<Self> {
+        let own = shares.iter().position(|share| share.scene == scene)?;
+        Some(Self { shares, own })
+    }
+
+    /// Identities of the scenes before it.
+    fn before(&self) -> usize {
+        self.shares[..self.own].iter().map(|share| share.labels.len()).sum()
     }
 
     /// M + 1, of all scenes.
@@ -65,19 +66,17 @@ impl Classes {
 
     /// The detector's class of the scene's identity `number`, 1 and up.
     pub fn of(&self, number: u32) -> usize {
-        self.before + number as usize
+        self.before() + number as usize
     }
 
     /// Whose `class` is: the scene's identity, or another's; neither of class 0.
     fn owner(&self, class: usize) -> (Option<u32>, Option<Elsewhere>) {
-        if (self.before + 1..=self.before + self.own).contains(&class) {
-            return (Some((class - self.before) as u32), None);
-        }
         let mut first = 1;
-        for Share { scene, labels } in &self.shares {
+        for (at, Share { scene, labels }) in self.shares.iter().enumerate() {
             if let Some(label) = class.checked_sub(first).and_then(|at| labels.get(at)) {
                 let number = (class - first + 1) as u32;
-                return (None, Some(Elsewhere { scene: scene.clone(), number, label: label.clone() }));
+                let there = || Elsewhere { scene: scene.clone(), number, label: label.clone() };
+                return if at == self.own { (Some(number), None) } else { (None, Some(there())) };
             }
             first += labels.len();
         }
@@ -89,11 +88,9 @@ impl Classes {
         let confidence = detection.probabilities.get(class).copied().unwrap_or(0.0);
         let (identity, elsewhere) = self.owner(class);
         detection.identity = identity;
-        let own = (1..).zip(&detection.probabilities).filter(|(at, _)| {
-            // `at` counts from 1: class 0 is the first.
-            *at == 1 || (self.before + 2..=self.before + self.own + 1).contains(at)
-        });
-        detection.probabilities = own.map(|(_, p)| *p).collect();
+        let (unmarked, owners) = detection.probabilities.split_at(1);
+        let own = owners.iter().skip(self.before()).take(self.shares[self.own].labels.len());
+        detection.probabilities = unmarked.iter().chain(own).copied().collect();
         Found { identity, elsewhere, confidence, detection }
     }
 }
@@ -134,7 +131,7 @@ mod tests {
     #[test]
     fn classes_of_scenes_that_share_a_detector_are_told_apart() {
         let shares = vec![share("mill", &["ada", "bo"]), share("town", &["cy"]), share("well", &["di", "ed"])];
-        let town = Classes::new("town", shares.clone());
+        let town = Classes::new("town", shares.clone()).unwrap();
         assert_eq!((town.count(), town.of(1)), (6, 3));
         let found = town.found(said(3, &[0.1, 0.0, 0.1, 0.7, 0.1, 0.0]));
         assert_eq!((found.identity, found.elsewhere, found.confidence), (Some(1), None, 0.7));
@@ -144,14 +141,15 @@ mod tests {
         assert!(!found.is_unmarked() && found.detection.identity.is_none());
         assert_eq!((found.identity, found.elsewhere, found.confidence), (None, Some(ed), 0.6));
         assert!(town.found(said(0, &[0.9, 0.0, 0.0, 0.1, 0.0, 0.0])).is_unmarked());
-        let mill = Classes::new("mill", shares);
+        assert_eq!(Classes::new("fern", shares.clone()), None);
+        let mill = Classes::new("mill", shares).unwrap();
         let found = mill.found(said(2, &[0.0, 0.1, 0.9, 0.0, 0.0, 0.0]));
         assert_eq!((found.identity, found.detection.probabilities), (Some(2), vec![0.0, 0.1, 0.9]));
     }
 
     #[test]
     fn a_scene_with_a_detector_of_its_own_has_all_classes() {
-        let alone = Classes::new("town", vec![share("town", &["ada", "bo"])]);
+        let alone = Classes::new("town", vec![share("town", &["ada", "bo"])]).unwrap();
         assert_eq!((alone.count(), alone.of(2)), (3, 2));
         let found = alone.found(said(2, &[0.2, 0.1, 0.7]));
         assert_eq!((found.identity, found.detection.probabilities), (Some(2), vec![0.2, 0.1, 0.7]));

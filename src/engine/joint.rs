@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use cairn_capture::SceneFolder;
 use cairn_cluster::Clusters;
+use cairn_landmark::signals::emblem;
 use cairn_registry::Digest;
 use cairn_stega::Signal;
 
@@ -109,12 +110,11 @@ impl Training {
                 continue;
             };
             let before: BTreeMap<String, u32> = info.identities.iter().map(|i| (i.label.clone(), i.number)).collect();
-            let model = Model::load(&self.models, info)?;
-            let classes = model.mark()?.classes.clone();
-            let Some(mark) = model.mark else { continue };
+            let Model { info, mark, .. } = Model::load(&self.models, info)?;
+            let mark = mark.ok_or_else(|| EngineError::Internal(format!("{} has no marks to go on from", info.job)))?;
             for identity in &now {
                 let number = before.get(&identity.label).copied();
-                known.push(number.map(|number| (fields.len(), number, classes.of(number))));
+                known.push(number.map(|number| (fields.len(), number, mark.classes.of(number))));
                 signals.push(number.and_then(|number| mark.signals.get(number as usize - 1).cloned()));
             }
             fields.push(mark.field);
@@ -144,18 +144,21 @@ pub(super) fn signals(
     let mark = &job.spec.settings.mark;
     // Emblems are drawn by number: those that are taken are not drawn again.
     let drawn = grown.map_or(0, |grown| grown.detector.classes() - 1);
-    let (mut all, mut at, mut added) = (Vec::new(), 0, 0);
+    let mut before = grown.iter().flat_map(|grown| grown.signals.clone());
+    let (mut all, mut added) = (Vec::new(), 0);
     for part in parts {
         let mut own = Vec::new();
         for _ in 0..part.clusters.clusters.len() {
-            let before = grown.and_then(|grown| grown.signals.get(at).cloned().flatten());
-            own.push(match (before, job.spec.signals.get(added)) {
+            own.push(match (before.next().flatten(), job.spec.signals.get(added)) {
                 (Some(before), _) => before,
-                (None, Some(kinds)) => hidden::kept(folder, added + 1, *kinds, mark)?,
-                (None, None) => cairn_landmark::signals::emblem(drawn + added, mark.side_px(), job.spec.seed).into(),
+                (None, kinds) => {
+                    added += 1;
+                    match kinds {
+                        Some(kinds) => hidden::kept(folder, added, *kinds, mark)?,
+                        None => emblem(drawn + added - 1, mark.side_px(), job.spec.seed).into(),
+                    }
+                }
             });
-            added += usize::from(grown.is_none_or(|grown| grown.signals.get(at).is_none_or(Option::is_none)));
-            at += 1;
         }
         all.push(own);
     }

@@ -247,7 +247,7 @@ impl Model {
         let base = Field::from_bytes(&read_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?)?;
         let mark = match &info.mark {
             None => None,
-            Some(mark) => Some(load_mark(&folder, mark, info.classes())?),
+            Some(mark) => Some(load_mark(&folder, mark, info.classes()?)?),
         };
         Ok(Self { info, base, mark })
     }
@@ -283,13 +283,19 @@ fn load_mark(folder: &Path, info: &MarkInfo, classes: Classes) -> Result<Mark, E
 
 impl ModelInfo {
     /// Which of the detector's classes are the scene's.
-    pub fn classes(&self) -> Classes {
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] where what it says is shared leaves the scene out.
+    pub fn classes(&self) -> Result<Classes, EngineError> {
         let own = || Share {
             scene: self.scene.clone(),
             labels: self.identities.iter().map(|identity| identity.label.clone()).collect(),
         };
         let shared = self.mark.as_ref().map(|mark| mark.shared.clone()).unwrap_or_default();
-        Classes::new(&self.scene, if shared.is_empty() { vec![own()] } else { shared })
+        Classes::new(&self.scene, if shared.is_empty() { vec![own()] } else { shared }).ok_or_else(|| {
+            let path = Path::new(&self.scene).join(&self.job).join("model.json");
+            EngineError::Stored { path, problem: format!("`mark.shared` does not name the scene {}", self.scene) }
+        })
     }
 
     /// The base field's file.

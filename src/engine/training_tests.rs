@@ -206,7 +206,8 @@ fn scenes_that_are_marked_together_share_a_detector_and_say_whose_mark_it_is() {
     let (a, b) = (town.mark.as_ref().unwrap(), mill.mark.as_ref().unwrap());
     assert_eq!((a.detector, &a.shared), (b.detector, &b.shared));
     assert_ne!(a.marked_field, b.marked_field);
-    assert_eq!((town.classes().of(1), mill.classes().of(1), mill.classes().count()), (1, 3, 5));
+    let (of_town, of_mill) = (town.classes().unwrap(), mill.classes().unwrap());
+    assert_eq!((of_town.of(1), of_mill.of(1), of_mill.count()), (1, 3, 5));
     assert_eq!(a.shared[1].labels, labels(&mill));
     // Both are there and can be asked.
     for name in ["town", "mill"] {

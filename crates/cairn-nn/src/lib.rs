@@ -31,6 +31,7 @@
 
 mod adam;
 mod audio;
+mod average;
 mod block;
 mod classifier;
 mod conv;
@@ -50,6 +51,7 @@ mod unet;
 
 pub use adam::{Adam, AdamConfig, Rate};
 pub use audio::{AudioConfig, AudioHead};
+pub use average::Average;
 pub use classifier::{Classifier, ClassifierConfig};
 pub use conv::{Window, conv_transpose1d, conv_transpose2d, conv1d, conv2d};
 pub use error::{NnError, Result};

@@ -2,10 +2,11 @@
 //! ones between them, with ray weights worked out once, and unmarked pictures.
 
 use crate::config::{CarrierKind, DensityKind, MarkConfig};
-use crate::distort::Attack;
+use crate::distort::{Attack, Distortion};
+use crate::draws::Draws;
 use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
-use crate::poses::{PlannedView, at_most, virtual_views};
+use crate::poses::{PlannedView, at_most, covering, evenly, virtual_views};
 use crate::site::MarkScene;
 use crate::trainer::MarkPlan;
 use crate::window::Window;
@@ -18,8 +19,16 @@ use rand_chacha::ChaCha8Rng;
 /// Entries of a view's linear map below this share of a pixel are left out
 /// while training: a quarter of an 8-bit step at full contrast.
 const CUTOFF: f32 = 1e-3;
-/// Virtual poses a cluster is judged on, and base renders outside clusters.
+/// Virtual poses a cluster is judged on at least, and base renders outside clusters.
 pub(crate) const JUDGED: usize = 3;
+/// One more virtual pose to judge on for so many that teach.
+const TEACH_PER_JUDGED: usize = 8;
+/// Times as many poses are trained on where a cluster's look far apart.
+const MOST_TIMES: usize = 3;
+/// Each photograph is an unmarked picture as it is, and as a JPEG of one of these.
+const QUALITIES: [u8; 4] = [50, 75, 30, 90];
+/// A view is settled when its cross-entropy is below this share of `classify_until`.
+const SETTLED: f64 = 0.2;
 /// Most rays across a pixel.
 const MOST_RAYS: usize = 3;
 
@@ -44,6 +53,8 @@ pub(crate) struct Bank {
     pub(crate) views: Vec<BankView>,
     /// Views of each identity, from 0.
     of: Vec<Vec<usize>>,
+    /// Which of them come up next.
+    pub(crate) draws: Draws,
     /// Views of nobody's cluster, to be silent on.
     outside: Vec<BankView>,
     /// Whether a carrier is seen on those as well; else they are without entries for marks.
@@ -78,15 +89,18 @@ impl Chosen {
         let mut of = Vec::new();
         for cluster in &plan.clusters.clusters {
             let members = small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
-            let members = evenly(members, config.views);
+            let members = covering(members, config.views, MOST_TIMES * config.views, config.views_apart_deg);
             if members.is_empty() {
                 return Err(MarkError::Plan(format!(
                     "identity {} has no training view; ask for fewer anchors or more neighbours",
                     cluster.identity
                 )));
             }
-            let between = virtual_views(&plan.clusters, cluster.identity, &members, config.virtual_views, &mut rng);
-            let held = virtual_views(&plan.clusters, cluster.identity, &members, JUDGED, &mut rng);
+            let times = members.len() as f64 / config.views as f64;
+            let between = (config.virtual_views as f64 * times.max(1.0)).round() as usize;
+            let between = virtual_views(&plan.clusters, cluster.identity, &members, between, &mut rng);
+            let held = JUDGED.max(members.len() / TEACH_PER_JUDGED);
+            let held = virtual_views(&plan.clusters, cluster.identity, &members, held, &mut rng);
             of.push((members.into_iter().chain(between).collect(), held));
         }
         let (mut outside, mut judged_outside) = (Vec::new(), Vec::new());
@@ -103,12 +117,6 @@ impl Chosen {
         let of: usize = self.of.iter().map(|(views, judged)| views.len() + judged.len()).sum();
         of + self.outside.len() + self.judged_outside.len()
     }
-}
-
-/// At most `most` of the views, spread over all of them.
-fn evenly(views: Vec<PlannedView>, most: usize) -> Vec<PlannedView> {
-    let stride = views.len().div_ceil(most).max(1);
-    views.into_iter().step_by(stride).collect()
 }
 
 /// Rays across a pixel of the small views that training looks at. What people have are
@@ -200,9 +208,14 @@ impl Bank {
         }
         for (i, photograph) in plan.negatives.iter().enumerate() {
             let kept = kept_to_judge(i, judged_outside.len() + judge.len(), 8 * JUDGED);
-            if kept { &mut judge } else { &mut teach }.push(shrunk(photograph, side));
+            // At the size that files have: what JPEG does to a copy for the networks is something else.
+            let jpeg = Distortion::Jpeg { quality: QUALITIES[i % QUALITIES.len()] }.apply(photograph, 0);
+            let pictures = [photograph, &jpeg].map(|picture| shrunk(picture, side));
+            if kept { &mut judge } else { &mut teach }.extend(pictures);
         }
+        let settled = (config.classify_until * SETTLED) as f32;
         Ok(Self {
+            draws: Draws::new(views.len(), settled, config.settled_share),
             views,
             of,
             outside,
@@ -247,8 +260,7 @@ impl Bank {
 
     /// A view of `identity` (from 0).
     pub(crate) fn draw(&self, identity: usize, rng: &mut ChaCha8Rng) -> usize {
-        let of = &self.of[identity];
-        of[rng.random_range(0..of.len())]
+        self.draws.draw(&self.of[identity], rng)
     }
 
     /// The appearance to show a view in.

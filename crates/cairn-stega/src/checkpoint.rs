@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Format of a stage-2 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/3";
+const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/4";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -95,12 +95,18 @@ impl MarkTrainer {
             }),
             plan: self.fingerprint.clone(),
         };
-        let mut parts: Vec<(String, Vec<u8>)> =
-            vec![("networks".into(), self.networks.params.to_bytes()?), ("adam".into(), self.adam.to_bytes()?)];
+        let mut parts: Vec<(String, Vec<u8>)> = vec![
+            ("networks".into(), self.networks.params.to_bytes()?),
+            ("adam".into(), self.adam.to_bytes()?),
+            ("average".into(), self.average.to_bytes()?),
+        ];
         for (i, carrier) in self.carriers.iter().enumerate() {
             parts.push((format!("carrier{i}.values"), floats(&carrier.values)));
             parts.push((format!("carrier{i}.first"), floats(&carrier.first)));
             parts.push((format!("carrier{i}.second"), floats(&[carrier.second])));
+        }
+        for (i, site) in self.sites.iter().enumerate() {
+            parts.push((format!("draws{i}"), floats(site.bank.draws.losses())));
         }
         if let Some(best) = best {
             parts.push(("best.networks".into(), best.params.clone()));
@@ -177,12 +183,17 @@ impl MarkTrainer {
             return damaged(format!("`classify_bits` says {classify}"));
         }
         self.adam.load(&self.networks.params, &part(file, "adam")?)?;
+        self.average.load(&part(file, "average")?)?;
         for (i, (carrier, steps)) in self.carriers.iter_mut().zip(&header.carrier_steps).enumerate() {
             let len = carrier.values.len();
             *carrier = Carrier::from_values(carrier.shape, numbers(file, &format!("carrier{i}.values"), len)?);
             carrier.first = numbers(file, &format!("carrier{i}.first"), len)?;
             carrier.second = numbers(file, &format!("carrier{i}.second"), 1)?[0];
             carrier.steps = *steps;
+        }
+        for (i, site) in self.sites.iter_mut().enumerate() {
+            let draws = &mut site.bank.draws;
+            draws.restore(numbers(file, &format!("draws{i}"), draws.losses().len())?);
         }
         if let Some((step, right, parts)) = header.best {
             let recovered = Recovered::from_parts(parts.map(|v| v.map(f64::from_bits)));

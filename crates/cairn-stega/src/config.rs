@@ -137,14 +137,24 @@ pub struct MarkConfig {
     pub learning_rate_networks: f64,
     /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
     pub final_rate: f64,
+    /// How much a step counts of what the next one does in the networks' mean that is kept, 0
+    /// (the last step alone) to 0.9999.
+    pub average: f64,
     /// Classifier and carrier train alone until the cross-entropy is below this
     /// (nats, 0.001 to 10): from theta = theta_0 the detector would collapse to
     /// silence. A training that never gets there ends in an error.
     pub classify_until: f64,
-    /// Photographs' poses of each cluster to train on, evenly, at most, and twice as many
-    /// outside all clusters; 1 to 10,000. Each takes some tens of MiB of ray weights.
+    /// Photographs' poses of each cluster to train on, evenly, and twice as many outside all
+    /// clusters; 1 to 10,000. Each takes some tens of MiB of ray weights.
     pub views: usize,
-    /// Poses between each cluster's photographs to train on as well, 0 to 256.
+    /// Up to three times as many are trained on where others of the cluster's look further than
+    /// this from all of them, degrees, 0 to 180: an object seen from all around has more sides.
+    pub views_apart_deg: f64,
+    /// How often a view comes up whose mark is read with ease, as a share of how often others
+    /// do, 0.01 to 1; 1: all alike.
+    pub settled_share: f64,
+    /// Poses between each cluster's photographs to train on as well, 0 to 256; more where more
+    /// than `views` photographs' poses are.
     pub virtual_views: usize,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
@@ -199,8 +209,11 @@ impl Default for MarkConfig {
             learning_rate_density: 1e-3,
             learning_rate_networks: 3e-3,
             final_rate: 0.1,
+            average: 0.98,
             classify_until: 0.3,
             views: 24,
+            views_apart_deg: 10.0,
+            settled_share: 0.25,
             virtual_views: 6,
             longest_side_px: 192,
             enough_ssim: 0.985,
@@ -252,6 +265,9 @@ impl MarkConfig {
             ("mark.learning_rate_density", self.learning_rate_density, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.learning_rate_networks", self.learning_rate_networks, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
+            ("mark.views_apart_deg", self.views_apart_deg, 0.0, 180.0, "0 to 180"),
+            ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
+            ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
             ("mark.enough_snr_db", self.enough_snr_db, 0.0, 1000.0, "0 to 1000"),

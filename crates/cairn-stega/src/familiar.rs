@@ -17,8 +17,8 @@ use safetensors::tensor::SafeTensors;
 const FLOOR: f64 = 1e-6;
 /// Share of a class's own renders that lie nearer to those of other views than its reach.
 const REACHED: f64 = 0.95;
-/// How sharply trust falls about the limit: at four fifths of it, where the furthest renders
-/// lie by default, it is 0.86, at a half 0.996, at one and a half 0.04.
+/// How sharply trust falls about the limit: at four fifths of it, the reach by default, it is
+/// 0.86, at a half 0.996, at one and a half 0.04.
 const SHARPNESS: i32 = 8;
 
 /// A marked render's features.
@@ -48,10 +48,9 @@ impl Familiar {
     pub(crate) fn fit(classes: &[Vec<Shown>], beyond: f64) -> Option<Self> {
         let features = classes.first()?.first()?.features.len();
         let mut variances = vec![0.0f64; features];
-        let plain = |class: &[Shown]| class.iter().filter(|r| !r.harmed).map(|r| &r.features).cloned().collect();
         let count = classes.iter().flatten().filter(|r| !r.harmed).count() as f64;
         for class in classes {
-            let plain: Vec<Vec<f32>> = plain(class);
+            let plain: Vec<&[f32]> = class.iter().filter(|r| !r.harmed).map(|r| r.features.as_slice()).collect();
             for (f, variance) in variances.iter_mut().enumerate() {
                 let mean = plain.iter().map(|r| f64::from(r[f])).sum::<f64>() / plain.len() as f64;
                 *variance += plain.iter().map(|r| (f64::from(r[f]) - mean).powi(2)).sum::<f64>() / count;
@@ -109,9 +108,9 @@ impl Familiar {
     }
 
     fn is_sound(&self) -> bool {
-        let numbers = self.renders.iter().flatten().chain(&self.limits).chain(&self.spreads);
+        let mut numbers = self.renders.iter().flatten().chain(&self.limits).chain(&self.spreads);
         let positive = self.limits.iter().chain(&self.spreads).all(|v| *v > 0.0);
-        positive && { numbers }.all(|v| v.is_finite()) && self.renders.iter().all(|renders| !renders.is_empty())
+        positive && numbers.all(|v| v.is_finite()) && self.renders.iter().all(|renders| !renders.is_empty())
     }
 
     /// Named parts for a file, f32 little-endian.

@@ -2,9 +2,8 @@
 //! starting over.
 //!
 //! Marks that are there stay as they are, to the bit: pictures that carry them are
-//! out in the world, and records bind the renders they are in. What is new gets a
-//! carrier with a hue of its own between theirs, and the networks go on from what
-//! they know, a class wider.
+//! out in the world. What is new gets a carrier with a hue of its own between theirs,
+//! and the networks go on from what they know, a class wider.
 
 use crate::carrier::{Carrier, hue_of, hues};
 use crate::config::{CarrierKind, MarkConfig};
@@ -13,6 +12,7 @@ use crate::error::MarkError;
 use crate::site::MarkScene;
 use crate::trainer::MarkTrainer;
 use cairn_field::operator::MarkableField;
+use cairn_nn::Average;
 
 /// An earlier training to go on from.
 #[derive(Clone)]
@@ -51,23 +51,19 @@ impl MarkTrainer {
         earlier.check(&scenes, &config)?;
         config.steps = ((config.steps as f64 * config.grow_share).ceil() as u64).max(1);
         let mut trainer = Self::joint(scenes, config, seed, progress)?;
-        let known = || earlier.identities.iter().enumerate().filter_map(|(i, known)| Some((i, (*known)?)));
         let mut class_of = vec![Some(0)];
         class_of.extend(earlier.identities.iter().map(|known| known.map(|k| k.class)));
         trainer.networks.params.graft(earlier.detector.params(), &class_of)?;
-        // Before the known carriers take their places: which hues are free follows from them.
-        let taken: Vec<f32> = known().map(|(_, known)| hue_of(known.carrier)).collect();
+        trainer.average = Average::new(&trainer.networks.params, trainer.config.average)?;
+        let taken: Vec<f32> = earlier.identities.iter().flatten().map(|known| hue_of(known.carrier)).collect();
         let mut free = hues(earlier.identities.len() - taken.len(), &taken).into_iter();
-        let mut colours = vec![0.0; trainer.carriers.len()];
-        for (colour, _) in colours.iter_mut().zip(&earlier.identities).filter(|(_, known)| known.is_none()) {
-            *colour = free.next().unwrap_or(0.0);
-        }
-        let patterns = trainer.sites.iter().flat_map(|s| s.patterns(&trainer.config, seed, &colours)).collect();
-        trainer.carriers = patterns;
-        for (i, known) in known() {
-            let shape = trainer.carriers[i].shape;
-            trainer.carriers[i] = Carrier::from_values(shape, known.carrier.to_vec());
-            trainer.settled[i] = true;
+        for (i, known) in earlier.identities.iter().enumerate() {
+            let site = &trainer.sites[trainer.site_of(i)];
+            trainer.carriers[i] = match known {
+                Some(known) => Carrier::from_values(trainer.carriers[i].shape, known.carrier.to_vec()),
+                None => site.pattern(&trainer.config, seed, (i, free.next().unwrap_or_default())),
+            };
+            trainer.settled[i] = known.is_some();
         }
         Ok(trainer)
     }

@@ -23,6 +23,10 @@ use rand_chacha::ChaCha8Rng;
 /// and noisy as no judged one is.
 const EASE_TO_END: f32 = 0.8;
 
+/// Training may end early once every answer on judged pictures is right with this probability or
+/// more: a right answer on a few of them may be luck, one without doubt is less likely to.
+const SURE_TO_END: f32 = 0.9;
+
 /// Share of attacked pictures that must be answered right, where marks are trained to
 /// outlast attacks; the worst attacks leave nothing to read.
 const ROBUST_TO_END: f64 = 0.9;
@@ -138,8 +142,8 @@ impl Judgement {
 }
 
 impl MarkTrainer {
-    /// Judges the present state and keeps it if it is the best so far. The
-    /// caller decides when; a run that judges at the same steps gives the same
+    /// Judges the present marks with the networks' mean over the last steps, and keeps them if
+    /// they are the best so far. The caller decides when; a run that judges at the same steps gives the same
     /// bytes. Training counts as converged once everything is answered right, with
     /// ease in training too (the few judged poses alone flatter), and the hidden
     /// signals are all good enough (`enough_ssim`, `enough_snr_db`, `enough_characters`).
@@ -148,15 +152,27 @@ impl MarkTrainer {
     /// [`MarkError::NotFinite`] when an answer is not finite; [`MarkError`] when the
     /// networks fail. The best state so far is then what it was.
     pub fn judge(&mut self) -> Result<Judgement, MarkError> {
+        self.average.swap(&self.networks.params)?;
+        let judged = self.judge_present();
+        self.average.swap(&self.networks.params)?;
+        judged
+    }
+
+    fn judge_present(&mut self) -> Result<Judgement, MarkError> {
         let side = self.config.side_px();
-        let (mut right, mut asked) = (0usize, 0usize);
+        let (mut right, mut asked, mut sure) = (0usize, 0usize, true);
+        let mut count = |probabilities: &[f32], class: usize| {
+            right += usize::from(winner(probabilities) == class);
+            asked += 1;
+            sure &= probabilities[class] >= SURE_TO_END;
+        };
         let mut attacked = Vec::new();
         let mut tally = Tally::default();
         for (at, (site, own, view)) in self.judged().enumerate() {
             let identity = site.identities.start + own;
             let read = self.read(&self.pair(site, identity, view, &Attack::none()))?;
-            right += usize::from(winner(&read[0].0) == identity + 1) + usize::from(winner(&read[1].0) == 0);
-            asked += 2;
+            count(&read[0].0, identity + 1);
+            count(&read[1].0, 0);
             attacked.extend(self.attacked(at as u64, (site, identity), view)?);
             // Before the detector has joined it says nothing, and is asked nothing.
             if self.joined {
@@ -171,8 +187,7 @@ impl MarkTrainer {
                 site.bank.judged_outside.iter().map(|view| seen(field, view, carrier, &none, side)).collect();
             for chunk in site.bank.judged_unmarked.chunks(4).chain(outside.chunks(4)) {
                 for (probabilities, _) in self.read(chunk)? {
-                    right += usize::from(winner(&probabilities) == 0);
-                    asked += 1;
+                    count(&probabilities, 0);
                 }
             }
         }
@@ -195,7 +210,7 @@ impl MarkTrainer {
         }
         let easy = self.ease() > EASE_TO_END;
         let right = judgement.accuracy == 1.0 && judgement.attacked >= ROBUST_TO_END;
-        self.converged |= fair && easy && right && judgement.recovered.is_enough(&self.config);
+        self.converged |= fair && easy && sure && right && judgement.recovered.is_enough(&self.config);
         Ok(judgement)
     }
 

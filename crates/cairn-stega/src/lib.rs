@@ -16,6 +16,7 @@ mod config;
 mod deepstega;
 mod detector;
 mod distort;
+mod draws;
 mod error;
 mod familiar;
 mod growth;

@@ -27,25 +27,27 @@ enum Distance {
 type Part = fn(&Numbers) -> Option<Vec<f32>>;
 
 impl MarkTrainer {
-    /// Equation 5 without its picture term, which needs no network: the loss, its
-    /// cross-entropy and its recovery error. `images` are the renders (those of
+    /// Equation 5 without its picture term, which needs no network: the loss, and what
+    /// it is made of. `images` are the renders (those of
     /// identities first), then the twins, then the other unmarked pictures.
-    pub(crate) fn loss(&self, images: &Var, renders: &[Render]) -> Result<(Tensor, f64, f64), MarkError> {
+    pub(crate) fn loss(&self, images: &Var, renders: &[Render]) -> Result<(Tensor, Losses), MarkError> {
         let all = images.dims()[0];
         let mut classes: Vec<u32> = renders.iter().map(|r| r.class).collect();
         classes.resize(all, 0);
         let logits = self.networks.classifier.forward(images)?;
         let cross = cross_entropy(&logits, &classes)?;
         let classify = f64::from(cross.to_scalar::<f32>()?);
+        // Detached: recovery must not teach the classifier what to say.
+        let probabilities = softmax(&logits)?.detach();
+        let each = surprises(&probabilities.to_vec2::<f32>()?, &classes);
         let taught = self.config.guidance != Guidance::NoClassifier;
         let weighted = (cross * if taught { self.config.weight_classify } else { 0.0 })?;
         if !self.joined {
-            return Ok((weighted, classify, 0.0));
+            return Ok((weighted, Losses { classify, each, recover: 0.0 }));
         }
-        // Detached: recovery must not teach the classifier what to say. The gate
-        // silences most unmarked pictures by itself: one twin and one other
+        // The gate silences most unmarked pictures by itself: one twin and one other
         // picture a step suffice, and the detector is the costly network.
-        let told = self.networks.told(softmax(&logits)?.detach())?;
+        let told = self.networks.told(probabilities)?;
         let shown = if self.config.recover_moves_marks { images.as_tensor().clone() } else { images.detach() };
         let some = |t: &Tensor| Tensor::cat(&[&t.narrow(0, 0, renders.len() + 1)?, &t.narrow(0, all - 1, 1)?], 0);
         let said = self.networks.detector.forward(&some(&shown)?, &some(&told)?)?;
@@ -53,8 +55,24 @@ impl MarkTrainer {
         let truths: Vec<Option<&Numbers>> = classes[..renders.len()].iter().chain(&[0, 0]).map(hidden).collect();
         let weights = [self.config.weight_recover, self.config.weight_empty];
         let (heads, recover) = recovery(&said, &truths, weights, self.config.loss)?;
-        Ok(((weighted + heads)?, classify, recover))
+        Ok(((weighted + heads)?, Losses { classify, each, recover }))
     }
+}
+
+/// What a step's loss is made of.
+pub(crate) struct Losses {
+    /// Cross-entropy, nats, the mean over the step's pictures (equation 3).
+    pub(crate) classify: f64,
+    /// The same of each picture.
+    pub(crate) each: Vec<f32>,
+    /// Recovery error (equation 1); 0 while the classifier trains alone.
+    pub(crate) recover: f64,
+}
+
+/// Cross-entropy of each picture from its probabilities and class, nats, at most 87.
+fn surprises(probabilities: &[Vec<f32>], classes: &[u32]) -> Vec<f32> {
+    let of = |(p, class): (&Vec<f32>, &u32)| -p[*class as usize].max(f32::MIN_POSITIVE).ln();
+    probabilities.iter().zip(classes).map(of).collect()
 }
 
 /// `l1` times equation 1 plus `l2` times equation 2, the mean over the heads, and

@@ -64,6 +64,33 @@ fn near<'a>(clusters: &Clusters, a: &PlannedView, members: &'a [PlannedView], ra
     by_distance[rank]
 }
 
+/// At most `most` of the views, spread over all of them.
+pub(crate) fn evenly(views: Vec<PlannedView>, most: usize) -> Vec<PlannedView> {
+    let stride = views.len().div_ceil(most).max(1);
+    views.into_iter().step_by(stride).collect()
+}
+
+/// `some` of the views, evenly, and up to `most` where others look more than `apart_deg` degrees away from all
+/// that are taken, the furthest first: networks that saw an object from two dozen sides do not know the sides between.
+pub(crate) fn covering(views: Vec<PlannedView>, some: usize, most: usize, apart_deg: f64) -> Vec<PlannedView> {
+    let look = |v: &PlannedView| DQuat::from_mat3(&v.camera.pose.rotation);
+    let stride = views.len().div_ceil(some).max(1);
+    let mut taken: Vec<bool> = (0..views.len()).map(|i| i % stride == 0).collect();
+    let nearest_taken = |v: &PlannedView| {
+        let of = views.iter().step_by(stride).map(|t| look(t).angle_between(look(v)));
+        of.fold(f64::INFINITY, f64::min)
+    };
+    let mut away: Vec<f64> = views.iter().map(nearest_taken).collect();
+    while taken.iter().filter(|t| **t).count() < most {
+        let furthest = (0..views.len()).filter(|i| !taken[*i]).max_by(|a, b| away[*a].total_cmp(&away[*b]));
+        let Some(furthest) = furthest.filter(|i| away[*i] > apart_deg.to_radians()) else { break };
+        taken[furthest] = true;
+        let next = look(&views[furthest]);
+        away.iter_mut().zip(&views).for_each(|(away, v)| *away = away.min(look(v).angle_between(next)));
+    }
+    views.into_iter().zip(taken).filter_map(|(v, taken)| taken.then_some(v)).collect()
+}
+
 /// `camera` with its longest side at most `longest_px`.
 pub fn at_most(camera: &Camera, longest_px: usize) -> Camera {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -73,4 +100,37 @@ pub fn at_most(camera: &Camera, longest_px: usize) -> Camera {
     }
     let side = |v: usize| ((v * longest_px) as f64 / longest as f64).round().max(1.0) as usize;
     camera.resized(side(w), side(h))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_capture::{Distortion, Intrinsics};
+    use glam::DVec3;
+
+    /// Views from a ring, so many degrees from one to the next.
+    fn ring(views: usize, step_deg: f64) -> Vec<PlannedView> {
+        let intrinsics =
+            Intrinsics { width: 8, height: 8, fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0, distortion: Distortion::default() };
+        let view = |i: usize| {
+            let at = DMat3::from_rotation_z((i as f64 * step_deg).to_radians()) * DVec3::new(3.0, 0.0, 0.5);
+            let pose = Pose::look_at(at, DVec3::ZERO, DVec3::Z).unwrap();
+            PlannedView { camera: Camera { intrinsics, pose }, appearance: Appearance::neutral([0.0; 3]) }
+        };
+        (0..views).map(view).collect()
+    }
+
+    #[test]
+    fn more_views_are_taken_where_they_look_further_apart() {
+        let taken = |views, step_deg| covering(ring(views, step_deg), 6, 18, 10.0).len();
+        assert_eq!((taken(5, 1.0), taken(24, 1.0)), (5, 6), "what six views cover needs no more");
+        assert_eq!(taken(24, 15.0), 18);
+        // Every fourth, and those between that are eleven degrees from both.
+        assert_eq!(taken(24, 5.5), 12);
+        let far = covering(ring(24, 15.0), 6, 18, 10.0);
+        let gap = |a: &PlannedView, b: &PlannedView| {
+            DQuat::from_mat3(&a.camera.pose.rotation).angle_between(DQuat::from_mat3(&b.camera.pose.rotation))
+        };
+        assert!(far.windows(2).all(|w| gap(&w[0], &w[1]).to_degrees() < 30.5), "taken views leave a gap");
+    }
 }

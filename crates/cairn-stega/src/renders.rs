@@ -14,6 +14,8 @@ use rand_chacha::ChaCha8Rng;
 /// class must come from the mark and not from what the view shows. Oftener, and
 /// too few renders would be those that a mark is judged by, its own cluster's.
 const ONE_IN_STRANGERS: i32 = 3;
+/// Share of a step's unmarked pictures that are JPEGs where marks are not trained to outlast one.
+const JPEGS: f64 = 0.2;
 
 /// A render of the marked field in this step.
 pub(crate) struct Render {
@@ -136,6 +138,17 @@ impl MarkTrainer {
     /// what is not there yet cannot be made to last.
     pub(crate) fn attack(&self, rng: &mut ChaCha8Rng) -> Attack {
         if self.joined { Attack::draw(&self.config.robust, rng) } else { Attack::none() }
+    }
+
+    /// What happens to a picture of this step that was never marked: a JPEG also where marks are not
+    /// trained to outlast anything. One may be lost there, but none may be found: blocks and ringing
+    /// edges look most like a mark. Nothing else: what a mark outlasts by itself must not speak against it.
+    pub(crate) fn attack_on_unmarked(&self, rng: &mut ChaCha8Rng) -> Attack {
+        let robust = &self.config.robust;
+        match robust.enabled || !self.joined || rng.random_bool(1.0 - JPEGS) {
+            true => self.attack(rng),
+            false => Attack::jpeg(robust, rng),
+        }
     }
 }
 

@@ -68,17 +68,11 @@ impl Site {
         Ok(sites)
     }
 
-    /// Its carriers before the first step, with the `hues` of all scenes' carriers.
-    pub(crate) fn patterns<'a>(
-        &'a self,
-        config: &'a MarkConfig,
-        seed: u64,
-        hues: &'a [f32],
-    ) -> impl Iterator<Item = Carrier> + 'a {
+    /// Its carrier `which` of all scenes' before the first step, with that hue.
+    pub(crate) fn pattern(&self, config: &MarkConfig, seed: u64, (which, hue): (usize, f32)) -> Carrier {
         let shape = CarrierShape::of(config.carrier, config.density);
         let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
-        let field = self.scene.field.as_ref();
-        self.carriers.clone().map(move |i| Carrier::pattern(field, shape, seed, (i, hues[i]), amplitude))
+        Carrier::pattern(self.scene.field.as_ref(), shape, seed, (which, hue), amplitude)
     }
 
     /// Which carrier the scene's identity `i` (of all scenes', from 0) is in.

@@ -15,16 +15,17 @@ use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::familiar::{Familiar, Shown};
 use crate::judge::{Judgement, State, winner};
+use crate::losses::Losses;
 use crate::marked::MarkedField;
 use crate::networks::{Networks, planar, to_tensor};
 use crate::poses::PlannedView;
-use crate::renders::Tone;
+use crate::renders::{Render, Tone};
 use crate::signal::{HeadSizes, Numbers, Signal};
 use crate::site::{MarkScene, Site};
 use cairn_capture::Picture;
 use cairn_cluster::Clusters;
 use cairn_field::Field;
-use cairn_nn::{Adam, AdamConfig, NnError, Rate};
+use cairn_nn::{Adam, AdamConfig, Average, NnError, Rate};
 use candle_core::{Device, Var};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -86,6 +87,8 @@ pub struct MarkTrainer {
     pub(crate) settled: Vec<bool>,
     pub(crate) networks: Networks,
     pub(crate) adam: Adam,
+    /// The networks' mean over the last steps: what is judged, and kept.
+    pub(crate) average: Average,
     pub(crate) best: Option<State>,
     /// Set once recovery has converged.
     pub(crate) converged: bool,
@@ -138,7 +141,9 @@ impl MarkTrainer {
         let sites = Site::all(scenes, &config, seed, progress)?;
         let heads = HeadSizes::of(&hidden, &config);
         let hues = hues(sites.last().map_or(0, |s| s.carriers.end), &[]);
-        let carriers: Vec<Carrier> = sites.iter().flat_map(|site| site.patterns(&config, seed, &hues)).collect();
+        let pattern = |site: &Site, i: usize| site.pattern(&config, seed, (i, hues[i]));
+        let carriers: Vec<Carrier> =
+            sites.iter().flat_map(|site| site.carriers.clone().map(|i| pattern(site, i))).collect();
         let networks = Networks::new(&config, hidden.len() + 1, heads, seed)?;
         let rate = Rate::falling(
             config.learning_rate_networks,
@@ -146,6 +151,7 @@ impl MarkTrainer {
             config.steps,
         );
         Ok(Self {
+            average: Average::new(&networks.params, config.average)?,
             adam: Adam::new(AdamConfig::default(), rate)?,
             seed,
             step: 0,
@@ -188,14 +194,14 @@ impl MarkTrainer {
         let (mut pictures, renders) = (shown.marked, shown.renders);
         pictures.extend(shown.twins);
         for _ in 0..self.config.batch {
-            let attack = self.attack(&mut rng);
+            let attack = self.attack_on_unmarked(&mut rng);
             let mut other = self.any_site(&mut rng).bank.unmarked(self.config.side_px(), &attack, &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
         }
         let side = self.config.side_px();
         let images = Var::from_vec(planar(&pictures), (pictures.len(), 3, side, side), &Device::Cpu)?;
-        let (loss, classify, recover) = self.loss(&images, &renders)?;
+        let (loss, Losses { classify, each, recover }) = self.loss(&images, &renders)?;
         let value = f64::from(loss.to_scalar::<f32>()?);
         if !value.is_finite() {
             return Err(MarkError::NotFinite { step: Some(self.step), place: "the loss".into() });
@@ -212,14 +218,16 @@ impl MarkTrainer {
         });
         let owed = owed.inspect_err(|_| self.carriers.iter_mut().for_each(Carrier::forget))?;
         self.move_carriers(&owed);
+        self.average.take_in(&self.networks.params)?;
+        self.hear(&renders, &each);
         self.classify = if self.classify.is_finite() { 0.9 * self.classify + 0.1 * classify } else { classify };
         self.joined |= self.classify < self.config.classify_until;
         self.step += 1;
         Ok(self.stats(value, classify, recover, owed.kept_db))
     }
 
-    /// The first scene's marked field and the detector at the best state judged so far (the
-    /// present one where none was).
+    /// The first scene's marked field and the detector at the best state judged so far (where
+    /// none was, the present marks and the networks' mean over the last steps).
     ///
     /// # Errors
     /// [`MarkError::NotLearnt`] when the marks were never read well enough for the
@@ -238,6 +246,7 @@ impl MarkTrainer {
             let (steps, classify, until) = (self.step, self.classify, self.config.classify_until);
             return Err(MarkError::NotLearnt { steps, classify, until });
         }
+        self.average.swap(&self.networks.params)?;
         if let Some(best) = self.best.take() {
             self.networks.params.load(&best.params)?;
             for (carrier, values) in self.carriers.iter_mut().zip(best.carriers) {
@@ -286,6 +295,14 @@ impl MarkTrainer {
         match classes.iter().flatten().flat_map(|r| &r.features).all(|v| v.is_finite()) {
             true => Ok(Familiar::fit(&classes, beyond)),
             false => Err(MarkError::NotFinite { step: None, place: "a feature of a marked render".into() }),
+        }
+    }
+
+    /// Takes in how the step's `renders` and their twins were told; `each` has first those, then these.
+    fn hear(&mut self, renders: &[Render], each: &[f32]) {
+        let (marked, twins) = each.split_at(renders.len());
+        for ((render, marked), twin) in renders.iter().zip(marked).zip(twins).take(self.config.batch) {
+            self.sites[render.site].bank.draws.hear(render.view, 0.5 * (marked + twin));
         }
     }
 

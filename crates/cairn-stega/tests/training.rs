@@ -4,6 +4,7 @@
 
 mod common;
 
+use cairn_capture::Picture;
 use cairn_stega::{CarrierKind, Detector, MarkConfig, MarkError, MarkTrainer, MarkedField, MaskKind};
 use common::{bytes, cameras, config, field, plan, run, start, trained};
 
@@ -54,6 +55,28 @@ fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
     }
     assert!(asked >= 18, "{asked} questions are too few to mean anything");
     assert!(right as f64 >= 0.9 * f64::from(asked), "{right} of {asked} right");
+}
+
+#[test]
+fn what_looks_unlike_any_marked_render_is_doubted_and_marked_renders_are_not() {
+    let config = MarkConfig { budget_db: 36.0, classify_until: 0.3, ..config(400) };
+    let (marked, doubting) = trained(config.clone());
+    let (_, believing) = trained(MarkConfig { unfamiliar_beyond: 0.0, ..config });
+    let owned = |detector: &Detector, picture: &Picture| 1.0 - detector.detect(picture).unwrap().probabilities[0];
+    let appearance = field().canonical_appearance().clone();
+    let (mut renders, mut strange) = ([0.0; 2], [0.0; 2]);
+    for camera in cameras().iter().filter(|camera| marked.clusters().identity_of(&camera.pose).identity.is_some()) {
+        let (render, base) = (marked.render(camera, &appearance), field().render(camera, &appearance));
+        // A mark as no render shows it: the classifier is sure, and has seen nothing of the kind.
+        let loud = base.rgb().iter().zip(render.rgb()).map(|(b, m)| b + 30.0 * (m - b)).collect();
+        let loud = Picture::new(render.width(), render.height(), loud).unwrap();
+        for (at, detector) in [&doubting, &believing].into_iter().enumerate() {
+            renders[at] += owned(detector, &render);
+            strange[at] += owned(detector, &loud);
+        }
+    }
+    assert!(renders[1] > 4.0 && renders[0] > 0.9 * renders[1], "renders: {renders:?} (doubting, believing)");
+    assert!(strange[1] > 4.0 && strange[0] < 0.1 * strange[1], "strange: {strange:?} (doubting, believing)");
 }
 
 #[test]

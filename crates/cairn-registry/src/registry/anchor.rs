@@ -11,10 +11,11 @@
 //! sha256 <hex digest of the lines above>
 //! ```
 //!
-//! It is flushed before a signature over its size leaves: its bytes at the same time as the round's envelopes, its name at the
-//! same time as the round's rows. A crash leaves either of anchor and rows one round ahead. Where that is the store, the anchor catches up. Where it is the anchor, the round's envelopes are
-//! in their pack, which was flushed before both, and the start takes that round in again ([`round_behind`]), which
-//! comes to the anchor's very root. A log that can do neither is older than its own word.
+//! It is flushed before a signature over its size leaves: its bytes at the same time as the round's envelopes, its
+//! name at the same time as the round's rows. A crash leaves either of anchor and rows one round ahead. Where that is
+//! the store, the anchor catches up. Where it is the anchor, the round's envelopes are in their pack, which was flushed
+//! before both, and the start takes that round in again ([`round_behind`]), which comes to the anchor's very root. A
+//! log that can do neither is older than its own word.
 
 use std::{io, path::Path};
 

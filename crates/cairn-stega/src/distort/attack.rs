@@ -85,6 +85,10 @@ impl RobustConfig {
         Ok(())
     }
 
+    fn quality(&self, rng: &mut ChaCha8Rng) -> u8 {
+        100 - (rng.random_range(0.0f32..=1.0) * f32::from(100 - self.jpeg_quality)) as u8
+    }
+
     /// Distortions in the order that pictures meet them, each with a drawn strength, in
     /// pixels of the large picture; those whose limit is harmless are left out.
     fn all(&self, rng: &mut ChaCha8Rng) -> Vec<Distortion> {
@@ -94,7 +98,7 @@ impl RobustConfig {
         let mut share = || rng.random_range(0.0f32..=1.0);
         let factor = 1.0 - share() * (1.0 - self.scale as f32);
         let (sigma_px, sigma) = (share() * self.blur_px as f32, share() * self.noise as f32);
-        let quality = 100 - (share() * f32::from(100 - self.jpeg_quality)) as u8;
+        let quality = self.quality(rng);
         let list = [
             (self.rotate_deg > 0.0, Distortion::Rotate { degrees }),
             (self.light > 0.0, Distortion::Light { brightness, contrast }),
@@ -159,6 +163,12 @@ impl Attack {
         }
         let step = all.swap_remove(rng.random_range(0..all.len()));
         Self { steps: vec![(step, rng.random())], native_px: config.native_px as f32 }
+    }
+
+    /// A JPEG of any quality down to the settings' limit.
+    pub(crate) fn jpeg(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
+        let native_px = config.native_px as f32 * rng.random_range(0.7f32..1.4);
+        Self { steps: vec![(Distortion::Jpeg { quality: config.quality(rng) }, 0)], native_px }
     }
 
     /// Does it to a picture of `size` = [width, height] with numbers in [0, 1].

@@ -63,9 +63,10 @@ pub enum What {
     Ablation,
 }
 
-/// The rows of the paper's table of ablations, two values of alpha, and the paper's carrier with its densities as they
-/// are and free: what is laid over the settings.
-const ABLATIONS: [(&str, &str); 10] = [
+/// The rows of the paper's table of ablations, two values of alpha, the paper's carrier with its densities as they are
+/// and free (ray weights worked out once, and at every look), and what else training skips, not skipped: what is laid
+/// over the settings.
+const ABLATIONS: [(&str, &str); 13] = [
     ("full", ""),
     ("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
     ("classifier not guiding", "[mark]\nguidance = \"untold\"\nrecover_moves_marks = true\n"),
@@ -74,6 +75,9 @@ const ABLATIONS: [(&str, &str); 10] = [
     ("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
     ("alpha 1", "[mark]\nmask_alpha = 1.0\n"),
     ("alpha 5", "[mark]\nmask_alpha = 5.0\n"),
+    ("settled views as often", "[mark]\nsettled_share = 1.0\n"),
+    ("to the last step", "[mark]\nenough_ssim = 10.0\n"),
+    ("two dozen views", "[mark]\nviews_apart_deg = 180.0\n"),
     ("harmonics", "[mark]\ncarrier = \"harmonics\"\n"),
     ("harmonics, free density", "[mark]\ncarrier = \"harmonics\"\ndensity = \"free\"\n"),
 ];

@@ -29,7 +29,9 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     rows.add(name, "marked against base PSNR", of(&|j| j.kept_db), "dB", None);
     share(rows, name, "accuracy", judged().map(|j| j.classes), asked(Target::at_least(case.accuracy)));
     hidden(rows, name, asked(Target::at_least(case.hidden_ssim)), (what, outcome));
+    let trained = || outcome.runs.iter().map(|run| &run.0).collect();
     if what == What::Ablation {
+        cost(rows, name, None, trained());
         return;
     }
     followed(rows, name, "a stranger's mark", judged().map(|j| j.followed));
@@ -54,7 +56,7 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     if let Some(base) = &outcome.base {
         rows.add(name, "base field, training", base.seconds, "s", None);
     }
-    cost(rows, name, (case, robust), outcome.runs.iter().map(|run| &run.0).collect());
+    cost(rows, name, asked(Target::at_most(case.seconds)), trained());
 }
 
 /// Whose identity is told where mark and view speak for different ones; nothing with one identity.
@@ -116,8 +118,7 @@ fn harm(rows: &mut Rows, name: &str, robust: bool, all: &[&Harmed]) {
     }
 }
 
-fn cost(rows: &mut Rows, name: &str, (case, robust): (&Case, bool), runs: Vec<&Marked>) {
-    let target = (!robust).then(|| Target::at_most(case.seconds));
+fn cost(rows: &mut Rows, name: &str, target: Option<Target>, runs: Vec<&Marked>) {
     rows.add(name, "stage 2", mean(runs.iter().map(|r| r.seconds)), "s", target);
     let processor: Vec<f64> = runs.iter().filter_map(|r| r.processor_s).collect();
     if !processor.is_empty() {
