@@ -7,6 +7,9 @@ use cairn_capture::{AreaFilter, Picture};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
+/// Share of the pictures from the bank that are shown as they are.
+const AS_IT_IS: f64 = 0.4;
+
 /// A bank of unmarked pictures at the networks' size.
 pub(crate) struct Negatives {
     side: usize,
@@ -31,7 +34,7 @@ impl Negatives {
             return (0..n).map(|_| (level + depth * rng.random_range(-1.0f32..1.0)).clamp(0.0, 1.0)).collect();
         }
         let mut picture = self.pictures[rng.random_range(0..self.pictures.len())].clone();
-        if rng.random_range(0..4) == 0 {
+        if rng.random_bool(AS_IT_IS) {
             return picture;
         }
         if rng.random_range(0..2) == 0 {
