@@ -23,7 +23,8 @@ const CUTOFF: f32 = 1e-3;
 pub(crate) const JUDGED: usize = 3;
 /// One more virtual pose to judge on for so many that teach.
 const TEACH_PER_JUDGED: usize = 8;
-/// Times as many poses are trained on where a cluster's look far apart.
+/// Times as many poses are trained on where those of the only cluster look far apart; of several, each has
+/// its part, so that ray weights of many clusters still fit.
 const MOST_TIMES: usize = 3;
 /// Each photograph is an unmarked picture as it is, and as a JPEG of one of these.
 const QUALITIES: [u8; 4] = [50, 75, 30, 90];
@@ -86,10 +87,11 @@ impl Chosen {
         };
         let small: Vec<PlannedView> = plan.views.iter().map(shrink).collect();
         let identity_of = |v: &PlannedView| plan.clusters.identity_of(&v.camera.pose).identity;
+        let most = config.views.max(MOST_TIMES * config.views / plan.clusters.clusters.len().max(1));
         let mut of = Vec::new();
         for cluster in &plan.clusters.clusters {
             let members = small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
-            let members = covering(members, config.views, MOST_TIMES * config.views, config.views_apart_deg);
+            let members = covering(members, config.views, most, config.views_apart_deg);
             if members.is_empty() {
                 return Err(MarkError::Plan(format!(
                     "identity {} has no training view; ask for fewer anchors or more neighbours",

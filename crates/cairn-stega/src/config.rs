@@ -147,8 +147,8 @@ pub struct MarkConfig {
     /// Photographs' poses of each cluster to train on, evenly, and twice as many outside all
     /// clusters; 1 to 10,000. Each takes some tens of MiB of ray weights.
     pub views: usize,
-    /// Up to three times as many are trained on where others of the cluster's look further than
-    /// this from all of them, degrees, 0 to 180: an object seen from all around has more sides.
+    /// Up to three times as many, over all clusters, are trained on where others of the cluster's look further
+    /// than this from all of them, degrees, 0 to 180: an object seen from all around has more sides.
     pub views_apart_deg: f64,
     /// How often a view comes up whose mark is read with ease, as a share of how often others
     /// do, 0.01 to 1; 1: all alike.

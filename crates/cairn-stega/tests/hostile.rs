@@ -93,7 +93,7 @@ fn a_poisoned_step_is_not_taken() {
 fn answers_that_are_not_finite_are_no_answers() {
     let bytes = checkpoint(MarkConfig { budget_ramp: 0.0, ..config(20) });
     for (name, place) in [("classifier.head.weight", "probability"), ("detector.out.weight", "recovered picture")] {
-        let mut trainer = resume(&filled_within(&bytes, "networks", name, 3e38)).unwrap();
+        let mut trainer = resume(&filled_within(&bytes, "average", name, 3e38)).unwrap();
         let before = *trainer.best().unwrap();
         match trainer.judge() {
             Err(MarkError::NotFinite { step: Some(3), place: found }) => assert!(found.contains(place), "{found}"),
@@ -215,11 +215,14 @@ fn damaged_checkpoints_are_refused_by_part() {
         ("carrier1.first", f32::INFINITY),
         ("carrier0.second", f32::NEG_INFINITY),
         ("best.carrier1", f32::NAN),
+        ("draws0", f32::NAN),
     ] {
         refused(&filled(&bytes, part, bad), &[part, "not finite"]);
     }
     refused(&altered(&bytes, |_| (), "carrier1.first", |data| data[4..].to_vec()), &["carrier1.first", "bytes"]);
     refused(&filled_within(&bytes, "networks", "classifier.head.bias", f32::NAN), &["NaN", "classifier.head.bias"]);
+    refused(&filled_within(&bytes, "average", "classifier.head.bias", f32::NAN), &["NaN", "classifier.head.bias"]);
+    refused(&altered(&bytes, |_| (), "draws0", |data| data[4..].to_vec()), &["draws0", "bytes"]);
     refused(&filled_within(&bytes, "adam", "square/classifier.head.bias", f32::INFINITY), &["optimiser", "inf"]);
     refused(&filled_within(&bytes, "best.networks", "classifier.head.bias", f32::NAN), &["NaN"]);
     for cut in (0..bytes.len()).step_by(bytes.len() / 40) {
