@@ -98,8 +98,9 @@ impl Chosen {
                     cluster.identity
                 )));
             }
-            let times = members.len() as f64 / config.views as f64;
-            let between = (config.virtual_views as f64 * times.max(1.0)).round() as usize;
+            // Where photographs look far apart, there is as much to see between them.
+            let apart = members.len() > config.views && config.virtual_views > 0;
+            let between = if apart { members.len() } else { config.virtual_views };
             let between = virtual_views(&plan.clusters, cluster.identity, &members, between, &mut rng);
             let held = JUDGED.max(members.len() / TEACH_PER_JUDGED);
             let held = virtual_views(&plan.clusters, cluster.identity, &members, held, &mut rng);

@@ -153,8 +153,8 @@ pub struct MarkConfig {
     /// How often a view comes up whose mark is read with ease, as a share of how often others
     /// do, 0.01 to 1; 1: all alike.
     pub settled_share: f64,
-    /// Poses between each cluster's photographs to train on as well, 0 to 256; more where more
-    /// than `views` photographs' poses are.
+    /// Poses between each cluster's photographs to train on as well, 0 to 256; where more than
+    /// `views` photographs' poses are, as many as those.
     pub virtual_views: usize,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,

@@ -40,7 +40,7 @@ const STREAM: u64 = 1 << 33;
 pub struct Judgement {
     /// After this many steps.
     pub step: u64,
-    /// Right answers of the classifier, over marked and unmarked pictures, [0, 1].
+    /// Right answers of the classifier, the mean of the shares of marked and of unmarked pictures, [0, 1].
     pub accuracy: f64,
     /// The same after attacks (`[mark.robust]`); as `accuracy` where there are none.
     pub attacked: f64,
@@ -160,10 +160,12 @@ impl MarkTrainer {
 
     fn judge_present(&mut self) -> Result<Judgement, MarkError> {
         let side = self.config.side_px();
-        let (mut right, mut asked, mut sure) = (0usize, 0usize, true);
+        // Of unmarked pictures and of marked ones: right answers, and all.
+        let (mut told, mut sure) = ([(0usize, 0usize); 2], true);
         let mut count = |probabilities: &[f32], class: usize| {
-            right += usize::from(winner(probabilities) == class);
-            asked += 1;
+            let (right, asked) = &mut told[usize::from(class > 0)];
+            *right += usize::from(winner(probabilities) == class);
+            *asked += 1;
             sure &= probabilities[class] >= SURE_TO_END;
         };
         let mut attacked = Vec::new();
@@ -191,7 +193,8 @@ impl MarkTrainer {
                 }
             }
         }
-        let accuracy = right as f64 / asked.max(1) as f64;
+        let shares = told.map(|(right, asked)| right as f64 / asked.max(1) as f64);
+        let accuracy = shares.iter().sum::<f64>() / shares.len() as f64;
         let outlasted = attacked.iter().filter(|right| **right).count() as f64 / attacked.len().max(1) as f64;
         let judgement = Judgement {
             step: self.step,
