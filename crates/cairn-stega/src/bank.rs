@@ -214,7 +214,10 @@ impl Bank {
             // At the size that files have: what JPEG does to a copy for the networks is something else.
             let jpeg = Distortion::Jpeg { quality: QUALITIES[i % QUALITIES.len()] }.apply(photograph, 0);
             let pictures = [photograph, &jpeg].map(|picture| shrunk(picture, side));
-            if kept { &mut judge } else { &mut teach }.extend(pictures);
+            match kept {
+                true => judge.extend(pictures),
+                false => teach.push(pictures),
+            }
         }
         let settled = (config.classify_until * SETTLED) as f32;
         Ok(Self {
@@ -230,11 +233,11 @@ impl Bank {
         })
     }
 
-    /// An unmarked picture: as often the base field's render of any view in any
-    /// light as a picture of something else; `attack` is done to it.
-    pub(crate) fn unmarked(&self, side: usize, attack: &Attack, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    /// An unmarked picture: as often the base field's render of any view in any light as a
+    /// picture of something else, or with `jpegs` as often its JPEG; `attack` is done to it.
+    pub(crate) fn unmarked(&self, side: usize, (attack, jpegs): (&Attack, bool), rng: &mut ChaCha8Rng) -> Vec<f32> {
         if rng.random_range(0..2) == 0 {
-            let seen = attack.apply(self.negatives.draw(rng), [side, side]);
+            let seen = attack.apply(self.negatives.draw(jpegs, rng), [side, side]);
             return Window::whole(seen.size[0], seen.size[1], side).apply(&seen.rgb);
         }
         let at = rng.random_range(0..self.views.len() + self.outside.len());

@@ -193,8 +193,7 @@ impl MarkTrainer {
                 }
             }
         }
-        let shares = told.map(|(right, asked)| right as f64 / asked.max(1) as f64);
-        let accuracy = shares.iter().sum::<f64>() / shares.len() as f64;
+        let accuracy = balanced(told);
         let outlasted = attacked.iter().filter(|right| **right).count() as f64 / attacked.len().max(1) as f64;
         let judgement = Judgement {
             step: self.step,
@@ -256,6 +255,13 @@ impl MarkTrainer {
     }
 }
 
+/// The mean of the shares of right answers over those kinds of pictures of which any was asked about.
+fn balanced(told: [(usize, usize); 2]) -> f64 {
+    let shares = told.iter().filter(|(_, asked)| *asked > 0).map(|(right, asked)| *right as f64 / *asked as f64);
+    let (sum, kinds) = shares.fold((0.0, 0u32), |(sum, kinds), share| (sum + share, kinds + 1));
+    sum / f64::from(kinds.max(1))
+}
+
 /// A view as the networks read it from a file, `side x side x 3`.
 fn seen(field: &Field, view: &BankView, carrier: Option<&Carrier>, attack: &Attack, side: usize) -> Vec<f32> {
     let file = file(field, view, carrier, attack);
@@ -280,4 +286,18 @@ fn eight_bits(mut rgb: Vec<f32>) -> Vec<f32> {
 /// The class with the largest probability.
 pub(crate) fn winner(probabilities: &[f32]) -> usize {
     (0..probabilities.len()).max_by(|a, b| probabilities[*a].total_cmp(&probabilities[*b])).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::balanced;
+
+    #[test]
+    fn few_marked_pictures_count_as_much_as_many_unmarked_ones() {
+        assert_eq!(balanced([(30, 40), (1, 4)]), 0.5);
+        assert_eq!(balanced([(31, 31), (9, 9)]), 1.0);
+        // A cluster may have no virtual pose; what was asked counts alone.
+        assert_eq!(balanced([(3, 4), (0, 0)]), 0.75);
+        assert_eq!(balanced([(0, 0), (0, 0)]), 0.0);
+    }
 }

@@ -13,12 +13,12 @@ const AS_IT_IS: f64 = 0.4;
 /// A bank of unmarked pictures at the networks' size.
 pub(crate) struct Negatives {
     side: usize,
-    /// `side x side x 3` each.
-    pictures: Vec<Vec<f32>>,
+    /// Each as it is, and as it is read from a JPEG; `side x side x 3`.
+    pictures: Vec<[Vec<f32>; 2]>,
 }
 
 impl Negatives {
-    pub(crate) fn new(side: usize, pictures: impl Iterator<Item = Vec<f32>>) -> Self {
+    pub(crate) fn new(side: usize, pictures: impl Iterator<Item = [Vec<f32>; 2]>) -> Self {
         Self { side, pictures: pictures.collect() }
     }
 
@@ -27,13 +27,15 @@ impl Negatives {
     /// or plain noise.
     /// A project has photographs of its landmark only, and the world has others: what
     /// their colours are like must not be what tells a mark.
-    pub(crate) fn draw(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    /// With `jpegs` as often one's JPEG.
+    pub(crate) fn draw(&self, jpegs: bool, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let n = self.side * self.side * 3;
         if self.pictures.is_empty() || rng.random_range(0..12) == 0 {
             let (level, depth) = (rng.random_range(0.0f32..1.0), rng.random_range(0.0f32..0.5));
             return (0..n).map(|_| (level + depth * rng.random_range(-1.0f32..1.0)).clamp(0.0, 1.0)).collect();
         }
-        let mut picture = self.pictures[rng.random_range(0..self.pictures.len())].clone();
+        let [plain, jpeg] = &self.pictures[rng.random_range(0..self.pictures.len())];
+        let mut picture = if jpegs && rng.random_bool(0.5) { jpeg.clone() } else { plain.clone() };
         if rng.random_bool(AS_IT_IS) {
             return picture;
         }
@@ -50,7 +52,7 @@ impl Negatives {
             }
         }
         if rng.random_range(0..3) == 0 {
-            let other = &self.pictures[rng.random_range(0..self.pictures.len())];
+            let [other, _] = &self.pictures[rng.random_range(0..self.pictures.len())];
             let share = rng.random_range(0.2f32..0.8);
             picture.iter_mut().zip(other).for_each(|(v, o)| *v += share * (o - *v));
         }
@@ -162,9 +164,9 @@ mod tests {
     #[test]
     fn what_is_drawn_differs_and_is_a_picture() {
         let half: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
-        let bank = Negatives::new(16, std::iter::once(half));
+        let bank = Negatives::new(16, std::iter::once([half.clone(), half]));
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let drawn: Vec<Vec<f32>> = (0..40).map(|_| bank.draw(&mut rng)).collect();
+        let drawn: Vec<Vec<f32>> = (0..40).map(|_| bank.draw(true, &mut rng)).collect();
         assert!(drawn.iter().all(|p| p.len() == 16 * 16 * 3 && p.iter().all(|v| (0.0..=1.0).contains(v))));
         let different = drawn.windows(2).filter(|pair| pair[0] != pair[1]).count();
         assert!(different > 30, "{different} of 39");

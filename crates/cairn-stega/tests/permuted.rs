@@ -53,7 +53,7 @@ fn scene() -> (Arc<Field>, MarkPlan) {
 
 fn trained(field: &Arc<Field>, plan: MarkPlan) -> (MarkedField, Detector) {
     let config = MarkConfig {
-        steps: 900,
+        steps: 600,
         budget_db: 32.0,
         virtual_views: 2,
         enough_ssim: 2.0,
