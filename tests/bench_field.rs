@@ -1,6 +1,6 @@
 //! `cairn bench field --quick` on tiny made-up captures: every table, chart and
 //! row is there and finite, a missed target is called so, nothing is skipped in
-//! silence, and Ctrl-C leaves the ledger as it was.
+//! silence, and Ctrl-C leaves the ledger as it was. And `cairn bench few` on one of them.
 
 mod common;
 
@@ -148,6 +148,29 @@ fn check_tables(out: &Path) {
         let svg = std::fs::read_to_string(out.join(format!("{chart}.svg"))).unwrap();
         assert!(svg.contains("<polyline") && !svg.contains("NaN") && !svg.contains("inf"), "{chart}: {svg}");
     }
+}
+
+#[test]
+fn ten_views_are_trained_with_and_without_what_their_distance_asks_for() {
+    let place = Place::new();
+    captures(&place);
+    let common = ["bench", "few", "--quick", "--captures", "captures", "--ledger", "l.json", "--out", "out"];
+    place.cairn_ok(&[&common[..], &["--case", "lego"]].concat());
+    let ledger: Value = serde_json::from_slice(&std::fs::read(place.path("l.json")).unwrap()).unwrap();
+    let rows = ledger.as_array().unwrap();
+    let find = |metric: &str| {
+        let row = rows.iter().find(|r| r["metric"] == metric).unwrap_or_else(|| panic!("no row {metric} in {rows:?}"));
+        assert_eq!((&row["suite"], &row["case"]), (&"few".into(), &"lego, quick, ten views".into()));
+        row["value"].as_f64().unwrap()
+    };
+    // The square of how many times as far as 14 degrees.
+    let (apart, smoother) = (find("views look apart"), find("smoother by"));
+    assert!((smoother - (apart / 14.0).powi(2).clamp(1.0, 16.0)).abs() < 1e-9, "{apart} degrees, {smoother} times");
+    assert!(smoother > 1.0, "a few views from all around: {apart} degrees");
+    for metric in ["PSNR", "PSNR, never smoother", "SSIM", "SSIM, never smoother", "training, never smoother"] {
+        assert!(find(metric).is_finite());
+    }
+    assert_ne!(find("PSNR"), find("PSNR, never smoother"), "the same training twice");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use cairn_capture::{Picture, SceneFolder};
-use cairn_field::{BaseTrainer, LightVerdict, SceneFrame, Screening, TrainingView};
+use cairn_field::{BaseTrainer, LightVerdict, SceneFrame, Screening, Spacing, TrainingView};
 
 pub use cairn_field::{Appearance, Field};
 
@@ -69,8 +69,9 @@ impl Stage for BaseTrainer {
     }
 
     fn note(&self) -> Option<String> {
-        match self.light() {
-            LightVerdict::Settled | LightVerdict::Open => None,
+        let light = match self.light() {
+            LightVerdict::Open => return None,
+            LightVerdict::Settled => None,
             LightVerdict::OneLight { spread } => Some(format!(
                 "the photographs share one light: appearances of their own were left out (they would explain errors of {:.1} % of the range, RMS)",
                 100.0 * spread
@@ -79,7 +80,13 @@ impl Stage for BaseTrainer {
                 "the photographs differ in light: every view has an appearance of its own (they explain errors of {:.1} % of the range, RMS)",
                 100.0 * spread
             )),
-        }
+        };
+        let Spacing { apart_deg, smoother } = self.spacing();
+        let far = (smoother > 1.0).then(|| {
+            format!("the views look {apart_deg:.0} degrees apart: the field is kept {smoother:.1} times as smooth")
+        });
+        let notes: Vec<String> = light.into_iter().chain(far).collect();
+        (!notes.is_empty()).then(|| notes.join("; "))
     }
 }
 

@@ -34,6 +34,7 @@ mod real;
 mod sampling;
 pub mod screening;
 pub mod sh;
+mod spacing;
 mod survey;
 mod trainer;
 
@@ -46,4 +47,5 @@ pub use frame::{RayPath, SceneFrame, contract};
 pub use light::LightVerdict;
 pub use real::Real;
 pub use screening::{QuarantineConfig, Screened, Screening, ScreeningOutcome, ViewFit};
+pub use spacing::Spacing;
 pub use trainer::{BaseTrainer, StepStats, TrainingView};

@@ -14,6 +14,7 @@ use crate::light::LightVerdict;
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
 use crate::sampling::{Tile, Tiles};
+use crate::spacing::Spacing;
 use cairn_capture::{Camera, Picture};
 use glam::DVec3;
 use std::sync::Arc;
@@ -71,6 +72,7 @@ pub struct BaseTrainer {
     pub(crate) appearances: Vec<Appearance>,
     pub(crate) appearance_adam: Adam,
     pub(crate) light: LightVerdict,
+    spacing: Spacing,
 }
 
 impl BaseTrainer {
@@ -112,7 +114,9 @@ impl BaseTrainer {
         let grid = Grid::full(dims, raw, level);
         let rows = grid.rows();
         let tiles = Tiles::of(views.iter().map(|v| &v.lens), tile_side(&config, 0));
+        let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
         Self {
+            spacing: Spacing::of(&cameras, &config),
             appearance_adam: Adam::zero(appearances.len() * CODE),
             config,
             frame,
@@ -145,6 +149,11 @@ impl BaseTrainer {
     /// Whether the photographs differ in light, as far as that is known yet.
     pub fn light(&self) -> LightVerdict {
         self.light
+    }
+
+    /// How far apart the photographs look, and how much smoother the field is kept for it.
+    pub fn spacing(&self) -> Spacing {
+        self.spacing
     }
 
     /// Whether views have appearances of their own in this scene.
@@ -207,9 +216,9 @@ impl BaseTrainer {
         let rates = Rates {
             density: self.config.learning_rate_density as f32 * decay,
             colour: self.config.learning_rate_colour as f32 * decay,
-            view_dependence: self.config.view_dependence as f32,
-            smooth_density: self.config.smooth_density as f32,
-            smooth_colour: self.config.smooth_colour as f32,
+            view_dependence: (self.config.view_dependence / self.spacing.smoother) as f32,
+            smooth_density: (self.config.smooth_density * self.spacing.smoother) as f32,
+            smooth_colour: (self.config.smooth_colour * self.spacing.smoother) as f32,
         };
         if !self.rows.step(&mut self.grid, &batch.debts(), &rates) {
             return Err(self.not_finite("a gradient of the grid"));

@@ -11,27 +11,18 @@ use cairn_field::{
     BaseTrainer, Field, FieldConfig, QuarantineConfig, SceneFrame, Screened, Screening, ScreeningOutcome, TrainingView,
 };
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
+use common::landmark::{frame, held_out_db, wild};
 use common::{Numbers, ball_box, tiny, views};
 use glam::DVec3;
-
-/// What the settings for landmarks are, on fewer rays.
-fn wild(steps: u64) -> FieldConfig {
-    FieldConfig {
-        steps,
-        rays_per_step: 2048,
-        voxels: 8_000_000,
-        levels: 4,
-        huber: 0.2,
-        smooth_density: 1e-4,
-        smooth_colour: 1e-3,
-        distortion: 0.03,
-        ..FieldConfig::default()
-    }
-}
 
 fn landmark(seed: u64) -> LandmarkCapture {
     let config = LandmarkConfig { photographs: 12, width: 48, height: 64, ..LandmarkConfig::default() };
     Landmark::generate(&config, seed).expect("sound settings")
+}
+
+/// The photographs that are not trained on.
+fn held_out(capture: &LandmarkCapture) -> impl Iterator<Item = &cairn_landmark::LandmarkView> {
+    capture.views.iter().step_by(6)
 }
 
 /// Photographs to train on: all but every sixth.
@@ -43,12 +34,6 @@ fn seen(capture: &LandmarkCapture) -> Vec<TrainingView> {
         picture: Arc::new(v.picture.clone()),
     };
     of.map(view).collect()
-}
-
-fn frame(capture: &LandmarkCapture) -> SceneFrame {
-    let cameras = capture.views.iter().map(|v| v.camera).collect();
-    SceneFrame::from_capture(&common::capture(SceneKind::Unbounded, cameras, 1.2, DVec3::new(0.0, 0.0, 1.0)))
-        .expect("a box")
 }
 
 /// What is wrong with a photograph.
@@ -130,26 +115,6 @@ fn wrong_photographs_are_found_and_honest_ones_are_not() {
     assert!(missed <= 2, "{missed} of 12 wrong photographs were missed");
 }
 
-/// Mean PSNR of the held-out photographs without passers-by, their light fitted to left halves, right halves scored.
-fn held_out_db(field: &Field, capture: &LandmarkCapture) -> f64 {
-    let of = capture.views.iter().step_by(6);
-    let db = |view: &cairn_landmark::LandmarkView| {
-        let light = field.fit_appearance_left_half(&view.camera, &view.clean).expect("a light");
-        let render = field.render(&view.camera, &light).clamped();
-        let (w, h) = (render.width(), render.height());
-        let (mut sum, mut count) = (0.0f64, 0.0f64);
-        for (x, y) in (0..h).flat_map(|y| (w / 2..w).map(move |x| (x, y))) {
-            for (a, b) in render.pixel(x, y).iter().zip(view.clean.pixel(x, y)) {
-                sum += f64::from(a - b).powi(2);
-                count += 1.0;
-            }
-        }
-        -10.0 * (sum / count).log10()
-    };
-    let count = of.clone().count();
-    of.map(db).sum::<f64>() / count as f64
-}
-
 fn trained(all: Vec<TrainingView>, capture: &LandmarkCapture) -> Field {
     let config = FieldConfig { voxels: 1_000_000, levels: 3, ..wild(400) };
     let mut trainer = BaseTrainer::new(all, frame(capture), None, config, 1).expect("sound settings");
@@ -171,8 +136,10 @@ fn the_field_is_better_without_what_was_found() {
     let found = screened(all.clone(), &capture, 1);
     let ScreeningOutcome::Outliers(outliers) = found.outcome else { panic!("{:?}", found.outcome) };
     let kept = (0..all.len()).filter(|v| !outliers.contains(v)).map(|v| all[v].clone()).collect();
-    let (with, without) =
-        (held_out_db(&trained(all, &capture), &capture), held_out_db(&trained(kept, &capture), &capture));
+    let (with, without) = (
+        held_out_db(&trained(all, &capture), held_out(&capture)),
+        held_out_db(&trained(kept, &capture), held_out(&capture)),
+    );
     println!("held-out views: {with:.2} dB with {} wrong photographs, {without:.2} dB screened", wrong.len());
     assert!(without > with + 0.3, "{with:.2} dB with, {without:.2} dB without");
 }

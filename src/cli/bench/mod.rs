@@ -58,8 +58,8 @@ pub struct Args {
     /// Resample by this factor, above 0, to 1 (suite `liberty`; `field` measures at full size)
     #[arg(long, value_name = "FACTOR", default_value_t = 0.5)]
     scale: f64,
-    /// Measure this capture only; may be given several times (suites `field`, `mark` and
-    /// `baseline`)
+    /// Measure this capture only; may be given several times (suites `field`, `few`,
+    /// `mark` and `baseline`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     cases: Vec<field::Name>,
     /// Also train for twice the configured steps (suite `field`); measure the log of ten million records, alone (suite
@@ -83,6 +83,8 @@ enum Suite {
     Liberty,
     /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
     Field,
+    /// Four captures' fields from ten photographs each
+    Few,
     /// Four captures' marks, three times each: pictures kept, signals recovered, false owners, what marks outlast
     Mark,
     /// Of suite `mark` what says whether answers come from the mark: strangers' marks, pictures without one, calibration
@@ -108,6 +110,7 @@ impl Suite {
             Self::Demo => "demo",
             Self::Liberty => "liberty",
             Self::Field => "field",
+            Self::Few => "few",
             Self::Mark => "mark",
             Self::Honesty => "honesty",
             Self::Ablation => "ablation",
@@ -149,6 +152,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Demo => of_demo(place, &args, &mut rows).await?,
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
+        Suite::Few => field::few::measure(place, &args, &mut rows).await?,
         Suite::Mark => mark::measure(place, &args, &mut rows, mark::What::Marks).await?,
         Suite::Honesty => mark::measure(place, &args, &mut rows, mark::What::Honesty).await?,
         Suite::Ablation => mark::measure(place, &args, &mut rows, mark::What::Ablation).await?,

@@ -3,6 +3,8 @@
 // Each test program uses its own part of this.
 #![allow(dead_code)]
 
+pub mod landmark;
+
 use cairn_capture::{Camera, Capture, Distortion, Intrinsics, Picture, Pose, SceneKind, View};
 use cairn_field::grid::{DENSITY_SCALE, Grid, ROW};
 use cairn_field::sh::SH;

@@ -8,6 +8,7 @@
 
 mod adapter;
 mod case;
+pub(super) mod few;
 mod outcome;
 pub(super) mod progress;
 mod report;

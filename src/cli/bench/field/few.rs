@@ -1,0 +1,100 @@
+//! Suite `few`: what stage 1 makes of ten photographs of a capture, as a visitor brings them home,
+//! with what it does where views look far apart, and without.
+
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use cairn_field::{FieldConfig, Spacing};
+
+use super::super::super::connect::Where;
+use super::super::Args;
+use super::super::children::Children;
+use super::super::rows::Rows;
+use super::case::{CASES, Case};
+use super::{Run, score, train, unless_stopped};
+
+/// Views to train on, and to score on, at most.
+const VIEWS: usize = 10;
+/// `field.views_apart_deg` that never takes effect.
+const NEVER_DEG: f64 = 180.0;
+
+/// What came of one capture.
+struct Found {
+    spacing: Spacing,
+    shipped: (train::Trained, score::Scored),
+    /// With [`NEVER_DEG`]; none where that is the same training.
+    never: Option<(train::Trained, score::Scored)>,
+}
+
+/// Measures the captures that were asked for and puts each one's rows into the ledger.
+pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
+    let captures = args.captures()?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let children = Arc::new(Children::default());
+    for case in CASES.iter().filter(|case| args.cases.is_empty() || args.cases.contains(&case.name)) {
+        let mut run = Run::new(place, args, case, &captures)?;
+        run.source.most_views = Some(VIEWS);
+        let work = tokio::task::spawn_blocking({
+            let children = children.clone();
+            move || run.of_few(&children)
+        });
+        let found = unless_stopped(work, &children).await?;
+        let name = args.case_name(case.name.as_str());
+        add(rows, &format!("{name}, ten views"), case, &found);
+        rows.save(args)?;
+    }
+    Ok(())
+}
+
+impl Run {
+    fn of_few(&self, children: &Children) -> anyhow::Result<Found> {
+        let opened = self.source.open()?;
+        let cameras: Vec<_> = opened.training().into_iter().map(|view| opened.camera(view)).collect();
+        let spacing = Spacing::of(&cameras, &self.config);
+        drop(opened);
+        let shipped = self.trained(children, "as shipped", &self.config)?;
+        let never = FieldConfig { views_apart_deg: NEVER_DEG, ..self.config.clone() };
+        let never = (spacing.smoother > 1.0).then(|| self.trained(children, "never smoother", &never)).transpose()?;
+        Ok(Found { spacing, shipped, never })
+    }
+
+    fn trained(
+        &self,
+        children: &Children,
+        what: &str,
+        config: &FieldConfig,
+    ) -> anyhow::Result<(train::Trained, score::Scored)> {
+        let name = self.case.name.as_str();
+        let field = self.out.join(format!("{name}-few-{}.field", what.replace(' ', "-")));
+        let train = train::Task {
+            source: self.source.clone(),
+            config: config.clone(),
+            seed: self.seed,
+            stego: None,
+            field: field.clone(),
+            label: format!("{name}, ten views, {what}"),
+        };
+        let trained = children.run(&train)?;
+        let score = score::Task {
+            source: self.source.clone(),
+            field,
+            right_half: self.case.right_half,
+            label: format!("{name}, scoring, {what}"),
+        };
+        Ok((trained, children.run(&score)?))
+    }
+}
+
+fn add(rows: &mut Rows, name: &str, case: &Case, found: &Found) {
+    let half = if case.right_half { ", right half" } else { "" };
+    rows.add(name, "views look apart", found.spacing.apart_deg, "degrees", None);
+    rows.add(name, "smoother by", found.spacing.smoother, "", None);
+    for (what, (trained, scored)) in [("", Some(&found.shipped)), (", never smoother", found.never.as_ref())]
+        .into_iter()
+        .filter_map(|(what, one)| one.map(|one| (what, one)))
+    {
+        rows.add(name, &format!("PSNR{half}{what}"), scored.psnr_db, "dB", None);
+        rows.add(name, &format!("SSIM{half}{what}"), scored.ssim, "", None);
+        rows.add(name, &format!("training{what}"), trained.seconds, "s", None);
+    }
+}
