@@ -39,9 +39,9 @@ pub trait Stage {
     fn steps(&self) -> (u64, u64);
     /// The whole state.
     fn checkpoint(&self) -> Result<Vec<u8>, EngineError>;
-    /// What was found out about the scene so far.
-    fn note(&self) -> Option<String> {
-        None
+    /// What was found out about the scene so far, each thing by itself.
+    fn notes(&self) -> Vec<String> {
+        Vec::new()
     }
 }
 
@@ -68,10 +68,9 @@ impl Stage for BaseTrainer {
         Ok(Self::checkpoint(self)?)
     }
 
-    fn note(&self) -> Option<String> {
+    fn notes(&self) -> Vec<String> {
         let light = match self.light() {
-            LightVerdict::Open => return None,
-            LightVerdict::Settled => None,
+            LightVerdict::Settled | LightVerdict::Open => None,
             LightVerdict::OneLight { spread } => Some(format!(
                 "the photographs share one light: appearances of their own were left out (they would explain errors of {:.1} % of the range, RMS)",
                 100.0 * spread
@@ -81,12 +80,13 @@ impl Stage for BaseTrainer {
                 100.0 * spread
             )),
         };
-        let Spacing { apart_deg, smoother } = self.spacing();
-        let far = (smoother > 1.0).then(|| {
-            format!("the views look {apart_deg:.0} degrees apart: the field is kept {smoother:.1} times as smooth")
+        let Spacing { apart_deg, smoothing } = self.spacing();
+        let far = (smoothing > 1.0).then(|| {
+            format!(
+                "the photographs look {apart_deg:.0} degrees apart: the field is kept {smoothing:.1} times as smooth (field.smoother_beyond_deg); photographs from between would sharpen it"
+            )
         });
-        let notes: Vec<String> = light.into_iter().chain(far).collect();
-        (!notes.is_empty()).then(|| notes.join("; "))
+        far.into_iter().chain(light).collect()
     }
 }
 

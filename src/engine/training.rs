@@ -166,9 +166,7 @@ impl Training {
         loop {
             let (step, total) = stage.steps();
             let finished = step >= total;
-            if let Some(note) = stage.note() {
-                control.note(note);
-            }
+            stage.notes().into_iter().for_each(|note| control.note(note));
             let stop = control.stop_requested();
             // At the end too: the stage's result comes next, and may fail to be written.
             if finished || stop || saved.elapsed() >= self.checkpoint_every {

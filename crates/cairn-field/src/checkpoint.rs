@@ -17,7 +17,7 @@ use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/4";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/5";
 
 #[derive(Serialize, Deserialize)]
 struct Header {

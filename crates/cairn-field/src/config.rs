@@ -54,9 +54,9 @@ pub struct FieldConfig {
     /// Weight of colour's total variation, >= 0.
     pub smooth_colour: f64,
     /// Where views look further apart than this (see [`crate::Spacing`]), both total
-    /// variations weigh more and `view_dependence` less, by the square of how many times
-    /// as far, 16 times at most; degrees, 1 to 180 (never).
-    pub views_apart_deg: f64,
+    /// variations are multiplied, and `view_dependence` divided, by the square of how many
+    /// times as far, 16 at most; degrees, 1 to 180 (never).
+    pub smoother_beyond_deg: f64,
     /// Residuals above this count linearly (Huber), so that passers-by pull
     /// less; 0 = plain squares. In colour units.
     pub huber: f64,
@@ -101,7 +101,7 @@ impl Default for FieldConfig {
             clear_background: 0.05,
             smooth_density: 1e-5,
             smooth_colour: 1e-4,
-            views_apart_deg: 14.0,
+            smoother_beyond_deg: 14.0,
             huber: 0.0,
             prune_weight: 0.01,
             initial_opacity: 0.3,
@@ -168,8 +168,8 @@ impl FieldConfig {
         ] {
             check(share(value), key, number(value), "0 to 1")?;
         }
-        let apart = self.views_apart_deg;
-        check((1.0..=180.0).contains(&apart), "field.views_apart_deg", number(apart), "1 to 180")?;
+        let apart = self.smoother_beyond_deg;
+        check((1.0..=180.0).contains(&apart), "field.smoother_beyond_deg", number(apart), "1 to 180")?;
         check((0.25..=2.0).contains(&self.step_voxels), "field.step_voxels", number(self.step_voxels), "0.25 to 2")?;
         check((0.0..=0.1).contains(&self.skip_weight), "field.skip_weight", number(self.skip_weight), "0 to 0.1")?;
         check((0.0..=0.5).contains(&self.faint_weight), "field.faint_weight", number(self.faint_weight), "0 to 0.5")?;

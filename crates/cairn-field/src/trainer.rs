@@ -216,9 +216,9 @@ impl BaseTrainer {
         let rates = Rates {
             density: self.config.learning_rate_density as f32 * decay,
             colour: self.config.learning_rate_colour as f32 * decay,
-            view_dependence: (self.config.view_dependence / self.spacing.smoother) as f32,
-            smooth_density: (self.config.smooth_density * self.spacing.smoother) as f32,
-            smooth_colour: (self.config.smooth_colour * self.spacing.smoother) as f32,
+            view_dependence: (self.config.view_dependence / self.spacing.smoothing) as f32,
+            smooth_density: (self.config.smooth_density * self.spacing.smoothing) as f32,
+            smooth_colour: (self.config.smooth_colour * self.spacing.smoothing) as f32,
         };
         if !self.rows.step(&mut self.grid, &batch.debts(), &rates) {
             return Err(self.not_finite("a gradient of the grid"));

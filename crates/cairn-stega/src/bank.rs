@@ -214,9 +214,10 @@ impl Bank {
             // At the size that files have: what JPEG does to a copy for the networks is something else.
             let jpeg = Distortion::Jpeg { quality: QUALITIES[i % QUALITIES.len()] }.apply(photograph, 0);
             let pictures = [photograph, &jpeg].map(|picture| shrunk(picture, side));
-            match kept {
-                true => judge.extend(pictures),
-                false => teach.push(pictures),
+            if kept {
+                judge.extend(pictures);
+            } else {
+                teach.push(pictures);
             }
         }
         let settled = (config.classify_until * SETTLED) as f32;
@@ -233,9 +234,9 @@ impl Bank {
         })
     }
 
-    /// An unmarked picture: as often the base field's render of any view in any light as a
-    /// picture of something else, or with `jpegs` as often its JPEG; `attack` is done to it.
-    pub(crate) fn unmarked(&self, side: usize, (attack, jpegs): (&Attack, bool), rng: &mut ChaCha8Rng) -> Vec<f32> {
+    /// An unmarked picture, `attack` done to it: half are the base field's renders of any view
+    /// in any light, half pictures of something else, with `jpegs` half of those as JPEGs.
+    pub(crate) fn unmarked(&self, side: usize, attack: &Attack, jpegs: bool, rng: &mut ChaCha8Rng) -> Vec<f32> {
         if rng.random_range(0..2) == 0 {
             let seen = attack.apply(self.negatives.draw(jpegs, rng), [side, side]);
             return Window::whole(seen.size[0], seen.size[1], side).apply(&seen.rgb);

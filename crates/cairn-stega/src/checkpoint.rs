@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Format of a stage-2 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/4";
+const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/5";
 
 #[derive(Serialize, Deserialize)]
 struct Header {

@@ -40,7 +40,8 @@ const STREAM: u64 = 1 << 33;
 pub struct Judgement {
     /// After this many steps.
     pub step: u64,
-    /// Right answers of the classifier, the mean of the shares of marked and of unmarked pictures, [0, 1].
+    /// Right answers of the classifier, the mean of the shares of marked and of unmarked pictures (of one kind where
+    /// there is none of the other), [0, 1].
     pub accuracy: f64,
     /// The same after attacks (`[mark.robust]`); as `accuracy` where there are none.
     pub attacked: f64,
@@ -210,7 +211,8 @@ impl MarkTrainer {
                 carriers: self.carriers.iter().map(|c| c.values.clone()).collect(),
             });
         }
-        let easy = self.ease() > EASE_TO_END;
+        // What only keeps silent has shown nothing.
+        let easy = self.ease() > EASE_TO_END && told[1].1 > 0;
         let right = judgement.accuracy == 1.0 && judgement.attacked >= ROBUST_TO_END;
         self.converged |= fair && easy && sure && right && judgement.recovered.is_enough(&self.config);
         Ok(judgement)
@@ -296,7 +298,7 @@ mod tests {
     fn few_marked_pictures_count_as_much_as_many_unmarked_ones() {
         assert_eq!(balanced([(30, 40), (1, 4)]), 0.5);
         assert_eq!(balanced([(31, 31), (9, 9)]), 1.0);
-        // A cluster may have no virtual pose; what was asked counts alone.
+        // Where no cluster has a virtual pose, what was asked counts alone.
         assert_eq!(balanced([(3, 4), (0, 0)]), 0.75);
         assert_eq!(balanced([(0, 0), (0, 0)]), 0.0);
     }

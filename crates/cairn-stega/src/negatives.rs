@@ -27,7 +27,7 @@ impl Negatives {
     /// or plain noise.
     /// A project has photographs of its landmark only, and the world has others: what
     /// their colours are like must not be what tells a mark.
-    /// With `jpegs` as often one's JPEG.
+    /// With `jpegs`, half come as JPEGs.
     pub(crate) fn draw(&self, jpegs: bool, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let n = self.side * self.side * 3;
         if self.pictures.is_empty() || rng.random_range(0..12) == 0 {
@@ -170,5 +170,19 @@ mod tests {
         assert!(drawn.iter().all(|p| p.len() == 16 * 16 * 3 && p.iter().all(|v| (0.0..=1.0).contains(v))));
         let different = drawn.windows(2).filter(|pair| pair[0] != pair[1]).count();
         assert!(different > 30, "{different} of 39");
+    }
+
+    #[test]
+    fn jpegs_are_drawn_when_asked_for_and_never_else() {
+        let [plain, jpeg] = [0.2, 0.9].map(|v| vec![v; 16 * 16 * 3]);
+        let bank = Negatives::new(16, std::iter::once([plain.clone(), jpeg.clone()]));
+        let drawn = |jpegs: bool| {
+            let mut rng = ChaCha8Rng::seed_from_u64(4);
+            let all: Vec<Vec<f32>> = (0..400).map(|_| bank.draw(jpegs, &mut rng)).collect();
+            [&plain, &jpeg].map(|of| all.iter().filter(|picture| *picture == of).count())
+        };
+        // Four in ten come as they are.
+        assert!(matches!(drawn(false), [120..=200, 0]), "{:?}", drawn(false));
+        assert!(matches!(drawn(true), [50..=110, 50..=110]), "{:?}", drawn(true));
     }
 }

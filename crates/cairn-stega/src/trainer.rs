@@ -196,7 +196,7 @@ impl MarkTrainer {
         for _ in 0..self.config.batch {
             let attack = self.attack_on_unmarked(&mut rng);
             let mut other =
-                self.any_site(&mut rng).bank.unmarked(self.config.side_px(), (&attack, self.joined), &mut rng);
+                self.any_site(&mut rng).bank.unmarked(self.config.side_px(), &attack, self.joined, &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
         }

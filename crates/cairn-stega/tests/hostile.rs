@@ -200,7 +200,7 @@ fn damaged_checkpoints_are_refused_by_part() {
     };
     let header = |change: &dyn Fn(&mut serde_json::Value)| altered(&bytes, change, "", <[u8]>::to_vec);
     let old = "cairn.marked.checkpoint/1";
-    refused(&header(&|h| h["format"] = old.into()), &[old, "cairn.marked.checkpoint/4"]);
+    refused(&header(&|h| h["format"] = old.into()), &[old, "cairn.marked.checkpoint/5"]);
     for steps in [vec![], vec![3u64], vec![3, 3, 3]] {
         refused(&header(&|h| h["carrier_steps"] = steps.clone().into()), &["carrier_steps", "2 carriers"]);
     }

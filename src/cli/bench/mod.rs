@@ -42,7 +42,7 @@ pub struct Args {
     /// The seed of everything that is drawn
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Training settings that go over the defaults (suite `field` and the marks' own: and over those for the capture's kind)
+    /// Training settings that go over the defaults (suites `field` and `few` and the marks' own: and over those for the capture's kind)
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
     /// Fewer steps and smaller sizes
@@ -55,7 +55,7 @@ pub struct Args {
     /// and `baseline`: else the captures' folder `signals`)
     #[arg(long, value_name = "DIR")]
     signals: Option<PathBuf>,
-    /// Resample by this factor, above 0, to 1 (suite `liberty`; `field` measures at full size)
+    /// Resample by this factor, above 0, to 1 (suite `liberty`; `field` and `few` measure at full size)
     #[arg(long, value_name = "FACTOR", default_value_t = 0.5)]
     scale: f64,
     /// Measure this capture only; may be given several times (suites `field`, `few`,
@@ -69,7 +69,7 @@ pub struct Args {
     /// A Python that has PyTorch, to be measured beside (suite `conv`)
     #[arg(long, value_name = "PROGRAM")]
     torch: Option<PathBuf>,
-    /// Where the work goes: a new folder, except for suite `field`, which adds to its tables there, and `mark`, which takes
+    /// Where the work goes: a new folder, except for suites `field` and `few`, of which the first adds to its tables there, and `mark`, which takes
     /// base fields from there
     #[arg(long, value_name = "DIR", default_value = "bench-out")]
     out: PathBuf,
@@ -83,7 +83,7 @@ enum Suite {
     Liberty,
     /// Four captures' fields: quality, seconds, rays/s, memory, and what each limit of a render costs
     Field,
-    /// Four captures' fields from ten photographs each
+    /// Four captures' fields from ten photographs each, with and without what is done where views look far apart
     Few,
     /// Four captures' marks, three times each: pictures kept, signals recovered, false owners, what marks outlast
     Mark,

@@ -222,6 +222,8 @@ fn scout_config(field: &FieldConfig, second: bool) -> FieldConfig {
             AppearanceMode::Off => AppearanceMode::Off,
             AppearanceMode::Auto | AppearanceMode::On => AppearanceMode::On,
         },
+        // Each scout sees other views: their fits are compared, so that they have to be equally smooth.
+        smoother_beyond_deg: 180.0,
         ..field.clone()
     }
 }

@@ -10,12 +10,12 @@ use super::super::super::connect::Where;
 use super::super::Args;
 use super::super::children::Children;
 use super::super::rows::Rows;
-use super::case::{CASES, Case};
-use super::{Run, score, train, unless_stopped};
+use super::case::Case;
+use super::{Run, score, train, unless_stopped, wanted};
 
 /// Views to train on, and to score on, at most.
 const VIEWS: usize = 10;
-/// `field.views_apart_deg` that never takes effect.
+/// `field.smoother_beyond_deg` that never takes effect.
 const NEVER_DEG: f64 = 180.0;
 
 /// What came of one capture.
@@ -28,10 +28,10 @@ struct Found {
 
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
 pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
-    let captures = args.captures()?;
+    let (captures, cases) = wanted(args)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let children = Arc::new(Children::default());
-    for case in CASES.iter().filter(|case| args.cases.is_empty() || args.cases.contains(&case.name)) {
+    for case in cases {
         let mut run = Run::new(place, args, case, &captures)?;
         run.source.most_views = Some(VIEWS);
         let work = tokio::task::spawn_blocking({
@@ -53,8 +53,8 @@ impl Run {
         let spacing = Spacing::of(&cameras, &self.config);
         drop(opened);
         let shipped = self.trained(children, "as shipped", &self.config)?;
-        let never = FieldConfig { views_apart_deg: NEVER_DEG, ..self.config.clone() };
-        let never = (spacing.smoother > 1.0).then(|| self.trained(children, "never smoother", &never)).transpose()?;
+        let never = FieldConfig { smoother_beyond_deg: NEVER_DEG, ..self.config.clone() };
+        let never = (spacing.smoothing > 1.0).then(|| self.trained(children, "never smoother", &never)).transpose()?;
         Ok(Found { spacing, shipped, never })
     }
 
@@ -88,7 +88,7 @@ impl Run {
 fn add(rows: &mut Rows, name: &str, case: &Case, found: &Found) {
     let half = if case.right_half { ", right half" } else { "" };
     rows.add(name, "views look apart", found.spacing.apart_deg, "degrees", None);
-    rows.add(name, "smoother by", found.spacing.smoother, "", None);
+    rows.add(name, "smoother by", found.spacing.smoothing, "", None);
     for (what, (trained, scored)) in [("", Some(&found.shipped)), (", never smoother", found.never.as_ref())]
         .into_iter()
         .filter_map(|(what, one)| one.map(|one| (what, one)))

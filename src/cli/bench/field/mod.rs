@@ -47,17 +47,7 @@ const TRADEOFF_VIEWS: usize = 2;
 
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
 pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
-    let captures = args.captures()?;
-    let wanted = |case: &&Case| args.cases.is_empty() || args.cases.contains(&case.name);
-    let cases: Vec<&'static Case> = CASES.iter().filter(wanted).collect();
-    for case in &cases {
-        let folder = captures.join(case.name.as_str());
-        anyhow::ensure!(
-            folder.is_dir(),
-            "there is no capture {}; bring it, or name those to measure (--case NAME)",
-            folder.display()
-        );
-    }
+    let (captures, cases) = wanted(args)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let children = Arc::new(Children::default());
     for case in cases {
@@ -75,6 +65,22 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
     }
     println!("tables and charts in {}", args.out.display());
     Ok(())
+}
+
+/// The folder of captures, and those of them that were asked for: all are there.
+fn wanted(args: &Args) -> anyhow::Result<(PathBuf, Vec<&'static Case>)> {
+    let captures = args.captures()?;
+    let wanted = |case: &&Case| args.cases.is_empty() || args.cases.contains(&case.name);
+    let cases: Vec<&'static Case> = CASES.iter().filter(wanted).collect();
+    for case in &cases {
+        let folder = captures.join(case.name.as_str());
+        anyhow::ensure!(
+            folder.is_dir(),
+            "there is no capture {}; bring it, or name those to measure (--case NAME)",
+            folder.display()
+        );
+    }
+    Ok((captures, cases))
 }
 
 /// Waits for `work`; on Ctrl-C ends its process and says what is kept.

@@ -116,8 +116,8 @@ impl Opened {
 
     fn some(&self, indices: impl Iterator<Item = usize>) -> Vec<usize> {
         let all: Vec<usize> = indices.collect();
-        let stride = self.source.most_views.map_or(1, |most| all.len().div_ceil(most.max(1)).max(1));
-        all.into_iter().step_by(stride).collect()
+        let most = self.source.most_views.unwrap_or(all.len()).min(all.len());
+        (0..most).map(|k| all[k * all.len() / most]).collect()
     }
 
     fn size(&self, index: usize) -> (usize, usize) {
