@@ -6,9 +6,9 @@ mod common;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use cairn_capture::{Picture, Pose, SceneKind};
+use cairn_capture::{Picture, Pose};
 use cairn_field::{
-    BaseTrainer, Field, FieldConfig, QuarantineConfig, SceneFrame, Screened, Screening, ScreeningOutcome, TrainingView,
+    BaseTrainer, Field, FieldConfig, QuarantineConfig, Screened, Screening, ScreeningOutcome, TrainingView,
 };
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
 use common::landmark::{frame, held_out_db, wild};
