@@ -83,7 +83,7 @@ impl Stage for BaseTrainer {
         let Spacing { apart_deg, smoothing } = self.spacing();
         let far = (smoothing > 1.0).then(|| {
             format!(
-                "the photographs look {apart_deg:.0} degrees apart: the field is kept {smoothing:.1} times as smooth (field.smoother_beyond_deg); photographs from between would sharpen it"
+                "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much (field.smoother_beyond_deg)"
             )
         });
         far.into_iter().chain(light).collect()

@@ -9,6 +9,7 @@
 //! settings as they are.
 
 use crate::config::FieldConfig;
+use crate::screening::median;
 use cairn_capture::Camera;
 use rayon::prelude::*;
 
@@ -50,9 +51,7 @@ fn apart_deg(cameras: &[Camera]) -> f64 {
         let cosine = if second.is_finite() { second } else { first };
         if cosine.is_finite() { cosine.clamp(-1.0, 1.0).acos().to_degrees() } else { 0.0 }
     };
-    let mut angles: Vec<f64> = axes.par_iter().map(second).collect();
-    angles.sort_by(f64::total_cmp);
-    angles.get(angles.len() / 2).copied().unwrap_or(0.0)
+    median(axes.par_iter().map(second).collect())
 }
 
 #[cfg(test)]

@@ -141,6 +141,20 @@ impl Args {
         let captures = self.captures.clone().or_else(|| std::env::var_os("CAIRN_DATA").map(PathBuf::from));
         captures.context("say where the captures are: --captures DIR or CAIRN_DATA")
     }
+
+    /// As [`Args::captures`], where those of `names` are all there.
+    fn captures_with(&self, names: impl Iterator<Item = field::Name>) -> anyhow::Result<PathBuf> {
+        let captures = self.captures()?;
+        for name in names {
+            let folder = captures.join(name.as_str());
+            anyhow::ensure!(
+                folder.is_dir(),
+                "there is no capture {}; bring it, or name those to measure (--case NAME)",
+                folder.display()
+            );
+        }
+        Ok(captures)
+    }
 }
 
 /// Answers `cairn bench`.

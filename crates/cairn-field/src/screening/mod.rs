@@ -35,6 +35,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 pub use fit::ViewFit;
+pub(crate) use verdict::median;
 pub use verdict::{QuarantineConfig, Screened, ScreeningOutcome};
 
 /// Fewer views than this are not screened: too few are left to speak of one.

@@ -121,7 +121,7 @@ pub(super) fn screened(fits: Vec<ViewFit>, trusted: &BTreeSet<usize>, settings: 
 }
 
 /// The middle one of some numbers, the upper one of two.
-fn median(mut values: Vec<f64>) -> f64 {
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -52,36 +52,14 @@ impl Run {
         let cameras: Vec<_> = opened.training().into_iter().map(|view| opened.camera(view)).collect();
         let spacing = Spacing::of(&cameras, &self.config);
         drop(opened);
-        let shipped = self.trained(children, "as shipped", &self.config)?;
+        let one = |what: &str, config: FieldConfig| {
+            let file = format!("{}-few-{}.field", self.case.name.as_str(), what.replace(' ', "-"));
+            self.trained(children, config, self.out.join(file), &format!("ten views, {what}"))
+        };
+        let shipped = one("as shipped", self.config.clone())?;
         let never = FieldConfig { smoother_beyond_deg: NEVER_DEG, ..self.config.clone() };
-        let never = (spacing.smoothing > 1.0).then(|| self.trained(children, "never smoother", &never)).transpose()?;
+        let never = (spacing.smoothing > 1.0).then(|| one("never smoother", never)).transpose()?;
         Ok(Found { spacing, shipped, never })
-    }
-
-    fn trained(
-        &self,
-        children: &Children,
-        what: &str,
-        config: &FieldConfig,
-    ) -> anyhow::Result<(train::Trained, score::Scored)> {
-        let name = self.case.name.as_str();
-        let field = self.out.join(format!("{name}-few-{}.field", what.replace(' ', "-")));
-        let train = train::Task {
-            source: self.source.clone(),
-            config: config.clone(),
-            seed: self.seed,
-            stego: None,
-            field: field.clone(),
-            label: format!("{name}, ten views, {what}"),
-        };
-        let trained = children.run(&train)?;
-        let score = score::Task {
-            source: self.source.clone(),
-            field,
-            right_half: self.case.right_half,
-            label: format!("{name}, scoring, {what}"),
-        };
-        Ok((trained, children.run(&score)?))
     }
 }
 

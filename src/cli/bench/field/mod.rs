@@ -69,18 +69,9 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
 
 /// The folder of captures, and those of them that were asked for: all are there.
 fn wanted(args: &Args) -> anyhow::Result<(PathBuf, Vec<&'static Case>)> {
-    let captures = args.captures()?;
     let wanted = |case: &&Case| args.cases.is_empty() || args.cases.contains(&case.name);
     let cases: Vec<&'static Case> = CASES.iter().filter(wanted).collect();
-    for case in &cases {
-        let folder = captures.join(case.name.as_str());
-        anyhow::ensure!(
-            folder.is_dir(),
-            "there is no capture {}; bring it, or name those to measure (--case NAME)",
-            folder.display()
-        );
-    }
-    Ok((captures, cases))
+    Ok((args.captures_with(cases.iter().map(|case| case.name))?, cases))
 }
 
 /// Waits for `work`; on Ctrl-C ends its process and says what is kept.
@@ -151,24 +142,36 @@ impl Run {
 
     /// A whole training with its own schedule, and its score.
     fn budget(&self, children: &Children, share: Share) -> anyhow::Result<Budget> {
-        let (name, field) = (self.case.name.as_str(), self.field(share));
         let config = FieldConfig { steps: share.of(self.config.steps), ..self.config.clone() };
+        let (trained, scored) = self.trained(children, config, self.field(share), &share.of_the_steps())?;
+        Ok(Budget { share, trained, scored })
+    }
+
+    /// A training under `config` into the file `field`, and its score; `what` is what people are told.
+    fn trained(
+        &self,
+        children: &Children,
+        config: FieldConfig,
+        field: PathBuf,
+        what: &str,
+    ) -> anyhow::Result<(train::Trained, score::Scored)> {
+        let name = self.case.name.as_str();
         let train = train::Task {
             source: self.source.clone(),
             config,
             seed: self.seed,
             stego: None,
             field: field.clone(),
-            label: format!("{name}, training, {}", share.of_the_steps()),
+            label: format!("{name}, training, {what}"),
         };
         let trained = children.run(&train)?;
         let score = score::Task {
             source: self.source.clone(),
             field,
             right_half: self.case.right_half,
-            label: format!("{name}, scoring, {}", share.of_the_steps()),
+            label: format!("{name}, scoring, {what}"),
         };
-        Ok(Budget { share, scored: children.run(&score)?, trained })
+        Ok((trained, children.run(&score)?))
     }
 
     fn field(&self, share: Share) -> PathBuf {

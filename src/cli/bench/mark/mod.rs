@@ -84,17 +84,9 @@ const ABLATIONS: [(&str, &str); 13] = [
 
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
 pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) -> anyhow::Result<()> {
-    let captures = args.captures()?;
     let fern = [Name::Fern];
     let cases = case::wanted(if what == What::Ablation && args.cases.is_empty() { &fern } else { &args.cases });
-    for case in &cases {
-        let folder = captures.join(case.name.as_str());
-        anyhow::ensure!(
-            folder.is_dir(),
-            "there is no capture {}; bring it, or name others (--case NAME)",
-            folder.display()
-        );
-    }
+    let captures = args.captures_with(cases.iter().map(|case| case.name))?;
     let pictures = pictures(args.signals.as_deref().unwrap_or(&captures.join("signals")))?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let children = Arc::new(Children::default());
