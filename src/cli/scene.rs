@@ -57,6 +57,9 @@ pub struct ImportArgs {
     /// Hold out every n-th view, to score on; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub hold_every: usize,
+    /// Leave out the views whose photographs are not there, and say which
+    #[arg(long)]
+    pub skip_missing: bool,
     /// Resample the photographs to this width (with --height); the scene then keeps and signs the copies
     #[arg(long, value_name = "PX", requires = "height")]
     pub width: Option<usize>,
@@ -155,8 +158,13 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         beside if !table.exists() && beside.exists() => beside,
         _ => table,
     });
-    let options = ReadOptions { contributors, kind, hold_every: args.hold_every, ..ReadOptions::default() };
+    let (hold_every, skip_missing) = (args.hold_every, args.skip_missing);
+    let options = ReadOptions { contributors, kind, hold_every, skip_missing, ..ReadOptions::default() };
     let capture = Capture::read(&args.from, &options)?;
+    if !capture.missing.is_empty() {
+        let (count, names) = (capture.missing.len(), capture.missing.join(", "));
+        eprintln!("left out {count} views without photographs: {names}");
+    }
     let (views, photographs) = prepare(&capture, args)?;
     let header = v1::ImportHeader {
         scene: args.name.clone(),

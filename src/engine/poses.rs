@@ -320,7 +320,7 @@ mod tests {
             bounds: None,
         };
         let views = poses.into_iter().enumerate().map(view).collect();
-        Capture { root: ".".into(), kind: SceneKind::Unbounded, background: None, views, points }
+        Capture { root: ".".into(), kind: SceneKind::Unbounded, background: None, views, points, missing: Vec::new() }
     }
 
     fn ring(count: i32) -> Vec<Pose> {

@@ -182,6 +182,7 @@ impl Import {
         // A capture's views are sorted by name: who sent them in another order gets the same scene.
         views.sort_by(|a, b| a.name.cmp(&b.name));
         let capture = Capture {
+            missing: Vec::new(),
             root: self.folder.path().to_path_buf(),
             kind: self.plan.kind,
             background: self.plan.background,

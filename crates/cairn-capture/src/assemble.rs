@@ -46,6 +46,8 @@ pub(crate) struct Model {
     pub kind: Guess,
     pub entries: Vec<Entry>,
     pub points: Vec<DVec3>,
+    /// Names of views that were left out already, their photographs missing.
+    pub missing: Vec<String>,
 }
 
 /// Checks `model` against its photographs and makes the capture of it.
@@ -55,12 +57,13 @@ pub(crate) struct Model {
 /// photograph that is missing or of another shape, and a wrong contributor table.
 pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> Result<Capture, CaptureError> {
     check_entries(&mut model, options)?;
+    let missing = leave_out_missing(root, &mut model, options)?;
     let headers = headers(root, &model, options)?;
     let contributors = match &options.contributors {
         None => vec![UNKNOWN_CONTRIBUTOR.to_owned(); model.entries.len()],
         Some(table) => {
             let names: Vec<&str> = model.entries.iter().map(|e| e.name.as_str()).collect();
-            contributors::read(table, &names, &options.limits)?
+            contributors::read(table, &names, &missing, &options.limits)?
         }
     };
     let held_out = held_out(&model, options)?;
@@ -88,7 +91,7 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
         Guess::BoundedIfTransparent | Guess::Unbounded => SceneKind::Unbounded,
     });
     let background = headers.iter().any(|h| h.alpha).then_some(WHITE);
-    Ok(Capture { root: root.to_path_buf(), kind, background, views, points: model.points })
+    Ok(Capture { root: root.to_path_buf(), kind, background, views, points: model.points, missing })
 }
 
 /// Sorts by name and refuses what no format may say.
@@ -146,16 +149,22 @@ pub(crate) fn check_intrinsics(file: &Path, label: &str, i: &Intrinsics) -> Resu
     Ok(())
 }
 
+/// Takes the views out whose photographs are not there and returns their names. Without
+/// [`ReadOptions::skip_missing`], or where none is there, the first of them is an error.
+fn leave_out_missing(root: &Path, model: &mut Model, options: &ReadOptions) -> Result<Vec<String>, CaptureError> {
+    let is_there = |entry: &Entry| root.join(&entry.photograph).is_file();
+    let (there, missing): (Vec<Entry>, Vec<Entry>) = model.entries.drain(..).partition(is_there);
+    if let Some(first) = missing.first().filter(|_| there.is_empty() || !options.skip_missing) {
+        let (file, entry) = (model.file.clone(), first.label.clone());
+        return Err(CaptureError::PhotographMissing { file, entry, photograph: root.join(&first.photograph) });
+    }
+    model.entries = there;
+    let names = missing.into_iter().map(|entry| entry.name);
+    Ok(std::mem::take(&mut model.missing).into_iter().chain(names).collect())
+}
+
 fn headers(root: &Path, model: &Model, options: &ReadOptions) -> Result<Vec<Header>, CaptureError> {
-    let of = |entry: &Entry| {
-        let path = root.join(&entry.photograph);
-        if !path.is_file() {
-            let (file, entry) = (model.file.clone(), entry.label.clone());
-            return Err(CaptureError::PhotographMissing { file, entry, photograph: path });
-        }
-        photograph::header(&path, &options.limits)
-    };
-    model.entries.iter().map(of).collect()
+    model.entries.iter().map(|entry| photograph::header(&root.join(&entry.photograph), &options.limits)).collect()
 }
 
 fn held_out(model: &Model, options: &ReadOptions) -> Result<Vec<bool>, CaptureError> {

@@ -60,6 +60,9 @@ pub struct Capture {
     /// Sparse points on the scene's surfaces, in the capture's unit, finite;
     /// empty where the format brings none.
     pub points: Vec<DVec3>,
+    /// Names of the views that were left out because their photographs are not there (see
+    /// [`ReadOptions::skip_missing`]), in the camera file's order.
+    pub missing: Vec<String>,
 }
 
 /// How to read a capture.
@@ -75,6 +78,8 @@ pub struct ReadOptions {
     /// The folder of photographs, relative to the capture (or absolute),
     /// instead of the format's usual one.
     pub images: Option<PathBuf>,
+    /// Leave out the views whose photographs are not there, where any is; else the first is an error.
+    pub skip_missing: bool,
     /// The most that is accepted.
     pub limits: Limits,
 }
@@ -82,7 +87,14 @@ pub struct ReadOptions {
 impl Default for ReadOptions {
     /// No table, kind guessed, every 8th view held out, default limits.
     fn default() -> Self {
-        Self { contributors: None, kind: None, hold_every: 8, images: None, limits: Limits::default() }
+        Self {
+            contributors: None,
+            kind: None,
+            hold_every: 8,
+            images: None,
+            skip_missing: false,
+            limits: Limits::default(),
+        }
     }
 }
 

@@ -78,7 +78,7 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
         .into_iter()
         .map(|image| entry(&images_file, &cameras, &photographs, image))
         .collect::<Result<Vec<_>, _>>()?;
-    Ok(Some(Model { file: images_file, kind: Guess::Unbounded, entries, points }))
+    Ok(Some(Model { file: images_file, kind: Guess::Unbounded, entries, points, missing: Vec::new() }))
 }
 
 /// `bin` or `txt`, whichever has cameras at `place`; binary first, as it is exact.

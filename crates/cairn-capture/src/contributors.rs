@@ -22,9 +22,14 @@ struct Row {
 /// photograph has that.
 ///
 /// # Errors
-/// For a row that names no photograph, a photograph without a row, one with two
-/// rows, or an empty contributor.
-pub(crate) fn read(table: &Path, names: &[&str], limits: &Limits) -> Result<Vec<String>, CaptureError> {
+/// For a row that names no photograph (neither one of `names` nor one that is `missing`, which are
+/// passed over), a photograph without a row, one with two rows, or an empty contributor.
+pub(crate) fn read(
+    table: &Path,
+    names: &[&str],
+    missing: &[String],
+    limits: &Limits,
+) -> Result<Vec<String>, CaptureError> {
     let wrong = |entry: String, problem: String, remedy: &'static str| CaptureError::Contributors {
         table: table.to_path_buf(),
         entry,
@@ -43,6 +48,9 @@ pub(crate) fn read(table: &Path, names: &[&str], limits: &Limits) -> Result<Vec<
         })?;
         let entry = format!("line {line} ({})", row.image);
         let Some(&view) = index.get(row.image.as_str()) else {
+            if missing.iter().any(|name| *name == row.image || name.ends_with(&format!("/{}", row.image))) {
+                continue;
+            }
             let problem = "the capture has no photograph of that name, or several".to_owned();
             return Err(wrong(entry, problem, "name it as the camera file does, or remove the row"));
         };

@@ -70,7 +70,7 @@ pub enum CaptureError {
     },
     /// A camera file names a photograph that is not there.
     #[error(
-        "{}, {entry}: the photograph {} is missing; put it there, remove the entry, or name the folder of photographs",
+        "{}, {entry}: the photograph {} is missing; put it there, remove the entry, leave such views out (--skip-missing), or name the folder of photographs",
         file.display(), photograph.display()
     )]
     PhotographMissing {

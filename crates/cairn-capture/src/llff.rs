@@ -51,7 +51,7 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
     let rows = matrix.values.chunks_exact(17).enumerate().zip(names);
     let entries = rows.map(|((i, row), name)| entry(&file, &images, i, row, name)).collect::<Result<Vec<_>, _>>()?;
     let kind = if face_one_way(entries.iter().map(|e| &e.pose)) { Guess::ForwardFacing } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, entries, points: Vec::new() }))
+    Ok(Some(Model { file, kind, entries, points: Vec::new(), missing: Vec::new() }))
 }
 
 fn entry(file: &Path, images: &Path, index: usize, row: &[f64], name: String) -> Result<Entry, CaptureError> {

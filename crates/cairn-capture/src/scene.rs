@@ -101,6 +101,7 @@ impl SceneFolder {
             .map(|v| digest_from_hex(&file, &format!("view {}", v.name), &v.sha256))
             .collect::<Result<_, _>>()?;
         let capture = Capture {
+            missing: Vec::new(),
             root: folder.to_path_buf(),
             kind: table.kind,
             background: table.background,

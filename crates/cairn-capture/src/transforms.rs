@@ -71,6 +71,8 @@ struct Document<'a> {
 struct Read {
     bounded: bool,
     entries: Vec<Entry>,
+    /// Of the views that were left out.
+    missing: Vec<String>,
 }
 
 /// A list of which at most `most` elements are kept, however many there are.
@@ -118,22 +120,24 @@ impl<'de, T: Deserialize<'de>> Visitor<'de> for AtMost<T> {
 pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>, CaptureError> {
     let train = folder.join("transforms_train.json");
     if train.is_file() {
-        let mut entries = read_file(folder, &train, options, Some(false))?.entries;
+        let Read { mut entries, mut missing, .. } = read_file(folder, &train, options, Some(false))?;
         let held = ["transforms_test.json", "transforms_val.json"].map(|name| folder.join(name));
         if let Some(held) = held.iter().find(|file| file.is_file()) {
-            entries.extend(read_file(folder, held, options, Some(true))?.entries);
+            let held = read_file(folder, held, options, Some(true))?;
+            entries.extend(held.entries);
+            missing.extend(held.missing);
         } else {
             entries.iter_mut().for_each(|e| e.held_out = None);
         }
-        return Ok(Some(Model { file: train, kind: Guess::Bounded, entries, points: Vec::new() }));
+        return Ok(Some(Model { file: train, kind: Guess::Bounded, entries, points: Vec::new(), missing }));
     }
     let file = folder.join("transforms.json");
     if !file.is_file() {
         return Ok(None);
     }
-    let Read { bounded, entries } = read_file(folder, &file, options, None)?;
+    let Read { bounded, entries, missing } = read_file(folder, &file, options, None)?;
     let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, entries, points: Vec::new() }))
+    Ok(Some(Model { file, kind, entries, points: Vec::new(), missing }))
 }
 
 fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option<bool>) -> Result<Read, CaptureError> {
@@ -148,6 +152,7 @@ fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option
     let test = document.test_filenames.map(|names| list::<String>(names, most)).transpose().map_err(garbled)?;
     let test: Option<HashSet<PathBuf>> =
         test.map(|(names, _)| names.iter().filter_map(|path| assemble::inside(path)).collect());
+    let mut missing = Vec::new();
     let entries = (frames.into_iter().enumerate())
         .map(|(index, raw)| {
             let (frame, own): (Frame<'_>, Lens) = twice(raw.get().as_bytes()).map_err(|e| {
@@ -155,15 +160,27 @@ fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option
                 CaptureError::malformed(file, format!("frame {index}"), expected, e.to_string(), REMEDY)
             })?;
             let source = Source { folder, file, label: format!("frame {index} ({})", frame.file_path) };
-            let photograph = source.photograph(&frame.file_path, options)?;
+            let photograph = match source.photograph(&frame.file_path, options) {
+                // Here, where a camera without a stated size would take it from the photograph.
+                Err(error @ CaptureError::PhotographMissing { .. }) if options.skip_missing => {
+                    missing.push((frame.file_path.replace('\\', "/"), error));
+                    return Ok(None);
+                }
+                found => found?,
+            };
             let pose = source.pose(&source.matrix(frame.transform_matrix)?)?;
             let intrinsics = source.intrinsics(&own.or(&all), &photograph, &options.limits)?;
             let name = photograph.to_string_lossy().replace('\\', "/");
             let held_out = held_out.or_else(|| Some(test.as_ref()?.contains(&photograph)));
-            Ok(Entry { name, label: source.label, intrinsics, pose, photograph, bounds: None, held_out })
+            Ok(Some(Entry { name, label: source.label, intrinsics, pose, photograph, bounds: None, held_out }))
         })
+        .filter_map(Result::transpose)
         .collect::<Result<Vec<_>, CaptureError>>()?;
-    Ok(Read { bounded: document.aabb_scale.is_none_or(|scale| scale <= 1.0), entries })
+    let (missing, mut errors): (Vec<String>, Vec<CaptureError>) = missing.into_iter().unzip();
+    if entries.is_empty() {
+        return Err(errors.swap_remove(0));
+    }
+    Ok(Read { bounded: document.aabb_scale.is_none_or(|scale| scale <= 1.0), entries, missing })
 }
 
 /// One JSON object as two structures that each take their own fields of it. Serde's `flatten` would do so as well, but

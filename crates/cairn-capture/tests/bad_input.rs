@@ -311,3 +311,37 @@ fn contributor_tables() {
     let options = ReadOptions { contributors: Some(table), ..Default::default() };
     refuses(Capture::read(folder.path(), &options), &["cannot open", "who.csv"]);
 }
+
+#[test]
+fn views_without_photographs_are_left_out_where_that_is_asked_for() {
+    let skip = |folder: &Path| {
+        Capture::read(folder, &ReadOptions { skip_missing: true, hold_every: 0, ..ReadOptions::default() })
+    };
+    let names = |capture: &Capture| capture.views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
+    // COLMAP, with a table that knows all three.
+    let folder = Colmap::small().folder();
+    let table = folder.path().join("who.csv");
+    fs::write(&table, "image,contributor\n1.png,ada\n2.png,bo\n3.png,cy\n").unwrap();
+    fs::remove_file(folder.path().join("images/2.png")).unwrap();
+    refuses(read(folder.path()), &["(2.png)", "2.png is missing", "--skip-missing"]);
+    let options = ReadOptions { skip_missing: true, contributors: Some(table), ..ReadOptions::default() };
+    let capture = Capture::read(folder.path(), &options).unwrap();
+    assert_eq!(names(&capture), ["1.png", "3.png"]);
+    assert_eq!(capture.views.iter().map(|v| v.contributor.as_str()).collect::<Vec<_>>(), ["ada", "cy"]);
+    assert_eq!(capture.missing, ["2.png"]);
+    // A name that is neither there nor missing is still a mistake.
+    fs::write(folder.path().join("who.csv"), "image,contributor\n1.png,ada\n9.png,bo\n3.png,cy\n").unwrap();
+    refuses(Capture::read(folder.path(), &options), &["9.png", "no photograph of that name"]);
+    // None at all is no capture.
+    for name in ["1.png", "3.png"] {
+        fs::remove_file(folder.path().join("images").join(name)).unwrap();
+    }
+    refuses(skip(folder.path()), &["1.png is missing"]);
+    // Transforms, where a camera without a size would take it from the photograph.
+    let folder = tempfile::tempdir().unwrap();
+    assert!(transforms(folder.path(), |d| d["frames"][1]["file_path"] = json!("./sub/c")).is_err());
+    let capture = skip(folder.path()).unwrap();
+    assert_eq!((names(&capture), capture.missing), (vec!["a.png".to_owned()], vec!["./sub/c".to_owned()]));
+    fs::remove_file(folder.path().join("a.png")).unwrap();
+    refuses(skip(folder.path()), &["frame 0 (./a.png)", "a.png is missing"]);
+}

@@ -344,7 +344,7 @@ mod tests {
                 bounds: near.map(|n| (n, 100.0)),
             })
             .collect();
-        Capture { root: ".".into(), kind, background: None, views, points }
+        Capture { root: ".".into(), kind, background: None, views, points, missing: Vec::new() }
     }
 
     #[test]

@@ -102,7 +102,7 @@ pub fn capture(kind: SceneKind, cameras: Vec<Camera>, unit: f64, at: DVec3) -> C
             bounds: None,
         })
         .collect();
-    Capture { root: ".".into(), kind, background: None, views, points }
+    Capture { root: ".".into(), kind, background: None, views, points, missing: Vec::new() }
 }
 
 /// The box around the unit ball.
