@@ -19,9 +19,9 @@ pub struct Args {
     /// Show the clusters that `cairn train --anchors M` would make (not given: the newest model's, if there is one)
     #[arg(long, value_name = "M", conflicts_with = "by_contributor")]
     anchors: Option<u32>,
-    /// K, the views of a cluster
-    #[arg(long, value_name = "K", default_value_t = 20, requires = "anchors")]
-    neighbours: u32,
+    /// K, the views of a cluster; not given: as many as there are, 20 at most
+    #[arg(long, value_name = "K", requires = "anchors")]
+    neighbours: Option<u32>,
     /// Show the clusters that `cairn train --by-contributor` would make
     #[arg(long)]
     by_contributor: bool,
@@ -41,7 +41,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         _ => anyhow::bail!("{}: the drawing ends in .png or .svg", args.out.display()),
     };
     let clusters = match args.anchors {
-        Some(anchors) => Some(Clusters::ByAnchors(v1::ByAnchors { anchors, neighbours: args.neighbours })),
+        Some(anchors) => Some(Clusters::ByAnchors(v1::ByAnchors { anchors, neighbours: args.neighbours.unwrap_or(0) })),
         None if args.by_contributor => {
             Some(Clusters::ByContributor(v1::ByContributor { least_views: args.least_views }))
         }

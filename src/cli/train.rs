@@ -17,9 +17,9 @@ pub struct Args {
     /// M, the number of clusters around anchors
     #[arg(long, value_name = "M", default_value_t = 3, conflicts_with = "by_contributor")]
     pub anchors: u32,
-    /// K, the views of a cluster
-    #[arg(long, value_name = "K", default_value_t = 20, conflicts_with = "by_contributor")]
-    pub neighbours: u32,
+    /// K, the views of a cluster; not given: as many as there are, 20 at most
+    #[arg(long, value_name = "K", conflicts_with = "by_contributor")]
+    pub neighbours: Option<u32>,
     /// One cluster for each contributor instead
     #[arg(long)]
     pub by_contributor: bool,
@@ -71,6 +71,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     };
     let job = job.context("the daemon's answer names no job")?;
     println!("{} accepted for {}", job.id, scenes(&job));
+    say_what_is_ahead(line, &job).await?;
     if args.detach {
         return Ok(());
     }
@@ -97,7 +98,7 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
     let clusters = if args.by_contributor {
         Clusters::ByContributor(v1::ByContributor { least_views: args.least_views })
     } else {
-        Clusters::ByAnchors(v1::ByAnchors { anchors: args.anchors, neighbours: args.neighbours })
+        Clusters::ByAnchors(v1::ByAnchors { anchors: args.anchors, neighbours: args.neighbours.unwrap_or(0) })
     };
     let settings_toml = match &args.settings {
         Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?,
@@ -119,6 +120,20 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
         also: args.with.clone(),
         grow: args.grow,
     })
+}
+
+/// Names the jobs that `job` waits for: one is worked on at a time, in the order they came, and those
+/// that an earlier run left unfinished go on first.
+async fn say_what_is_ahead(line: &Connection, job: &v1::Job) -> anyhow::Result<()> {
+    let request = v1::ListTrainingRequest { format_version: VERSION, scene: String::new() };
+    let jobs = line.training().list(request).await.map_err(refused)?.into_inner().jobs;
+    let is_ahead =
+        |other: &&v1::Job| other.id < job.id && matches!(other.state(), JobState::Accepted | JobState::Running);
+    let ahead: Vec<String> = jobs.iter().filter(is_ahead).map(|j| format!("{} ({})", j.id, scenes(j))).collect();
+    if !ahead.is_empty() {
+        eprintln!("{} waits for {} to end", job.id, ahead.join(", "));
+    }
+    Ok(())
 }
 
 /// The names of a job's scenes.

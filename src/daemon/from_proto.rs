@@ -252,8 +252,8 @@ pub fn by_anchors(a: &v1::ByAnchors) -> Result<Grouping, EngineError> {
     if !(1..=64).contains(&a.anchors) {
         return Err(EngineError::invalid("anchors", a.anchors, "1 to 64"));
     }
-    if !(1..=1000).contains(&a.neighbours) {
-        return Err(EngineError::invalid("neighbours", a.neighbours, "1 to 1000"));
+    if a.neighbours > 1000 {
+        return Err(EngineError::invalid("neighbours", a.neighbours, "1 to 1000, or 0 for as many as there are"));
     }
     let (anchors, neighbours) = (a.anchors as usize, a.neighbours as usize);
     let direction_weight = ClusterConfig::default().direction_weight;

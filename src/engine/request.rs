@@ -23,7 +23,7 @@ pub struct TrainingRequest {
     pub also: Vec<String>,
     /// Whether to go on from the newest models.
     pub grow: bool,
-    /// How views become identities.
+    /// How views become identities; a K of 0 is as many views a cluster as the scene has for it.
     pub grouping: Grouping,
     /// The seed.
     pub seed: u64,

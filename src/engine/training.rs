@@ -230,7 +230,8 @@ pub(super) fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineErro
     read_limited(path, MAX_CHECKPOINT_BYTES).map(Some)
 }
 
-/// Clusters over the scene's training views, in their order.
+/// Clusters over the scene's training views, in their order. Around anchors with a K of 0: of as many
+/// views as there are for each ([`cairn_cluster::ClusterConfig::within`]).
 pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<Clusters, EngineError> {
     let capture = scene.capture();
     let (mut poses, mut contributors) = (Vec::new(), Vec::new());
@@ -238,7 +239,11 @@ pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<C
         poses.push(capture.views[index].camera.pose);
         contributors.push(capture.views[index].contributor.clone());
     }
-    Ok(Clusters::build(&poses, grouping, &contributors, seed)?)
+    let grouping = match *grouping {
+        Grouping::Anchors(config) if config.neighbours == 0 => Grouping::Anchors(config.within(poses.len())),
+        given => given,
+    };
+    Ok(Clusters::build(&poses, &grouping, &contributors, seed)?)
 }
 
 /// What the clusters' identities are called, and whose photographs they are.

@@ -100,6 +100,20 @@ impl Trained {
 }
 
 #[test]
+fn clusters_without_a_size_take_as_many_views_as_there_are() {
+    let dir = tempfile::tempdir().unwrap();
+    import(dir.path(), "town", 3);
+    let scene = SceneFolder::open(&dir.path().join("scenes"), "town").unwrap();
+    let sizes = |neighbours| cairn_cluster::ClusterConfig { anchors: 3, neighbours, ..Default::default() };
+    let views = scene.training().count();
+    let open = clusters(&scene, &Grouping::Anchors(sizes(0)), 7).unwrap();
+    assert_eq!(open, clusters(&scene, &Grouping::Anchors(sizes(views / 3)), 7).unwrap(), "of {views} views");
+    // Who asks for more than there are hears that.
+    let asked = clusters(&scene, &Grouping::Anchors(sizes(views / 3 + 1)), 7).unwrap_err().to_string();
+    assert!(asked.contains("lower anchors (M) or neighbours (K)"), "{asked}");
+}
+
+#[test]
 fn a_published_model_is_not_trained_again() {
     let trained = Trained::new();
     // Publishing puts a new folder in the place of the old one: a file in it tells them apart.

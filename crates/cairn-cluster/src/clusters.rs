@@ -29,6 +29,15 @@ impl Default for ClusterConfig {
     }
 }
 
+impl ClusterConfig {
+    /// The same with as many views a cluster as `views` allow, as many as in the paper at most.
+    #[must_use]
+    pub fn within(self, views: usize) -> Self {
+        let neighbours = (views / self.anchors.max(1)).clamp(1, Self::default().neighbours);
+        Self { neighbours, ..self }
+    }
+}
+
 /// How views are grouped into identities.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]

@@ -240,6 +240,21 @@ fn a_view_that_is_left_out_is_nobodys() {
 }
 
 #[test]
+fn a_small_capture_has_smaller_clusters() {
+    let sizes = |anchors: usize, views: usize| ClusterConfig { anchors, ..ClusterConfig::default() }.within(views);
+    assert_eq!(sizes(3, 200), ClusterConfig::default(), "as many as in the paper at most");
+    assert_eq!(sizes(3, 43).neighbours, 14);
+    assert_eq!(sizes(3, 8).neighbours, 2);
+    for (anchors, views) in [(3, 43), (3, 8), (8, 8)] {
+        assert!(Clusters::build(&scattered(views, 1), &Grouping::Anchors(sizes(anchors, views)), &[], 0).is_ok());
+    }
+    // Too few for one view each is for the build to say; no anchors as well.
+    let none = Clusters::build(&scattered(2, 1), &Grouping::Anchors(sizes(3, 2)), &[], 0).unwrap_err().to_string();
+    assert!(none.starts_with("3 clusters of 1 views need 3 views, the capture has 2"), "{none}");
+    assert_eq!(sizes(0, 5).neighbours, 5);
+}
+
+#[test]
 fn what_cannot_be_is_refused() {
     let poses = scattered(20, 1);
     let build = |grouping: Grouping| Clusters::build(&poses, &grouping, &runs(20, 5), 0);
