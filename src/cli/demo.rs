@@ -154,6 +154,7 @@ async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
         contributors: Some(capture.join("contributors.csv")),
         kind: None,
         hold_every: 8,
+        skip_missing: false,
         width: None,
         height: None,
         scale: None,
@@ -165,7 +166,7 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
     let train = train::Args {
         name: SCENE.to_owned(),
         anchors: 0,
-        neighbours: 0,
+        neighbours: None,
         by_contributor: true,
         least_views: 2,
         seed: args.seed,

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use cairn_capture::{Picture, SceneFolder};
-use cairn_field::{BaseTrainer, LightVerdict, SceneFrame, Screening, Spacing, TrainingView};
+use cairn_field::{BaseTrainer, FieldConfig, LightVerdict, SceneFrame, Screening, Spacing, TrainingView};
 
 pub use cairn_field::{Appearance, Field};
 
@@ -86,7 +86,15 @@ impl Stage for BaseTrainer {
                 "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much (field.smoother_beyond_deg)"
             )
         });
-        far.into_iter().chain(light).collect()
+        let FieldConfig { voxels, voxel_px, .. } = self.config();
+        let finer = (self.finest() > *voxels).then(|| {
+            format!(
+                "the photographs show more than {:.0} million vertices hold: {:.0} million, so that a voxel is {voxel_px} px wide or as near as may be (field.voxel_px)",
+                *voxels as f64 / 1e6,
+                self.finest() as f64 / 1e6
+            )
+        });
+        far.into_iter().chain(light).chain(finer).collect()
     }
 }
 

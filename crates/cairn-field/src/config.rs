@@ -26,7 +26,14 @@ pub struct FieldConfig {
     pub rays_per_step: usize,
     /// Vertices of the last grid before pruning, 4,096 to 500,000,000.
     pub voxels: usize,
-    /// Coarse-to-fine levels, 1 to 5; each has eight times the voxels of the last.
+    /// Where all photographs see one light (or appearances are off), the last grid gets more vertices than
+    /// `voxels`, until a voxel is so many pixels of the middling view wide, as seen at the scene's
+    /// centre; 0 (never) or 0.25 to 64. Takes two levels at least.
+    pub voxel_px: f64,
+    /// So many vertices at most for that, 4,096 to 500,000,000.
+    pub most_voxels: usize,
+    /// Coarse-to-fine levels, 1 to 5; each has eight times the voxels of the last (and more where
+    /// `voxel_px` asks for more).
     pub levels: usize,
     /// Learning rate of the raw density (Adam), > 0.
     pub learning_rate_density: f64,
@@ -90,6 +97,8 @@ impl Default for FieldConfig {
             steps: 1000,
             rays_per_step: 4096,
             voxels: 2_000_000,
+            voxel_px: 0.0,
+            most_voxels: 48_000_000,
             levels: 3,
             learning_rate_density: 0.3,
             learning_rate_colour: 0.05,
@@ -138,6 +147,14 @@ impl FieldConfig {
             (4096..=500_000_000).contains(&self.voxels),
             "field.voxels",
             self.voxels.to_string(),
+            "4096 to 500000000",
+        )?;
+        let px = self.voxel_px;
+        check(px == 0.0 || (0.25..=64.0).contains(&px), "field.voxel_px", number(px), "0 or 0.25 to 64")?;
+        check(
+            (4096..=500_000_000).contains(&self.most_voxels),
+            "field.most_voxels",
+            self.most_voxels.to_string(),
             "4096 to 500000000",
         )?;
         check((1..=5).contains(&self.levels), "field.levels", self.levels.to_string(), "1 to 5")?;

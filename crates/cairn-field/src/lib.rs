@@ -31,6 +31,7 @@ pub mod patch;
 mod prior;
 mod rays;
 mod real;
+mod resolution;
 mod sampling;
 pub mod screening;
 pub mod sh;

@@ -13,6 +13,7 @@ use crate::grid::{DENSITY_SCALE, Grid, raw_of};
 use crate::light::LightVerdict;
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
+use crate::resolution::{dims_of_level, finest};
 use crate::sampling::{Tile, Tiles};
 use crate::spacing::Spacing;
 use cairn_capture::{Camera, Picture};
@@ -107,7 +108,7 @@ impl BaseTrainer {
         let open = config.appearance == AppearanceMode::Auto && views.len() > 1;
         let with_appearance = open || config.appearance == AppearanceMode::On;
         let appearances = if with_appearance { vec![neutral.clone(); views.len()] } else { Vec::new() };
-        let dims = dims_of_level(&config, &frame, 0);
+        let dims = dims_of_level(&config, &frame, 0, config.voxels);
         let density = -(1.0 - config.initial_opacity).ln() / DENSITY_SCALE;
         let raw = raw_of(density);
         let level = mean_colour(&views).iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0;
@@ -136,6 +137,11 @@ impl BaseTrainer {
         }
     }
 
+    /// The settings.
+    pub fn config(&self) -> &FieldConfig {
+        &self.config
+    }
+
     /// Steps done so far.
     pub fn steps_done(&self) -> u64 {
         self.step
@@ -154,6 +160,17 @@ impl BaseTrainer {
     /// How far apart the photographs look, and how much smoother the field is kept for it.
     pub fn spacing(&self) -> Spacing {
         self.spacing
+    }
+
+    /// Vertices of the last grid before pruning, as far as is known yet: more than [`FieldConfig::voxels`] where
+    /// [`FieldConfig::voxel_px`] asks for them and all photographs see one light. Where they differ by more than
+    /// fine detail does, a finer grid explained held-out views no better.
+    pub fn finest(&self) -> usize {
+        if self.has_appearance() { self.config.voxels } else { finest(&self.config, &self.frame, &self.cameras()) }
+    }
+
+    fn cameras(&self) -> Vec<Camera> {
+        self.views.iter().map(|v| v.camera).collect()
     }
 
     /// Whether views have appearances of their own in this scene.
@@ -322,7 +339,7 @@ impl BaseTrainer {
             let keep: Vec<bool> = self.rows.seen.iter().map(|w| *w >= least).collect();
             self.level += 1;
             let part = self.tighten(&keep);
-            let dims = dims_of_level(&self.config, &self.frame, self.level);
+            let dims = dims_of_level(&self.config, &self.frame, self.level, self.finest());
             self.grid = self.grid.resampled(dims, part, &keep);
             self.grid.refresh_occupancy(empty_density(self.grid.dims));
             self.rows = RowState::zero(self.grid.rows());
@@ -429,14 +446,6 @@ fn light_step(config: &FieldConfig) -> u64 {
 /// same voxels and would say the same.
 fn tile_side(config: &FieldConfig, level: usize) -> usize {
     (config.tile_px >> (2 * (config.levels - 1 - level))).max(1)
-}
-
-/// Vertices along each side at `level`, in the frame's proportions.
-pub(crate) fn dims_of_level(config: &FieldConfig, frame: &SceneFrame, level: usize) -> [usize; 3] {
-    let p = frame.proportions();
-    let voxels = config.voxels as f64 / 8f64.powi((config.levels - 1 - level) as i32);
-    let unit = (voxels / (p[0] * p[1] * p[2])).cbrt();
-    p.map(|side| ((side * unit).round() as usize).clamp(4, 4096))
 }
 
 /// Views as training uses them, in their order.

@@ -27,6 +27,7 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         contributors: Some(from.join("contributors.csv")),
         kind: None,
         hold_every: 8,
+        skip_missing: false,
         width: None,
         height: None,
         scale: (args.scale < 1.0).then_some(args.scale),
@@ -35,7 +36,7 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
     let train = train::Args {
         name: "liberty".into(),
         anchors: 3,
-        neighbours: 20,
+        neighbours: Some(20),
         by_contributor: false,
         least_views: 2,
         seed: args.seed,

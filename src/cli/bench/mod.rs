@@ -32,6 +32,12 @@ pub struct Args {
     /// The folder of captures (all suites that read any); else CAIRN_DATA
     #[arg(long, value_name = "DIR")]
     captures: Option<PathBuf>,
+    /// The capture to measure (suite `own`)
+    #[arg(long, value_name = "DIR")]
+    folder: Option<PathBuf>,
+    /// Make pictures smaller whose longer side is over this (suite `own`; else they stay as they are)
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
+    longest_side: Option<u32>,
     /// The ledger, JSON; a row with the same suite, case, metric and seed is replaced
     #[arg(long, value_name = "FILE", default_value = "docs/benchmarks.json")]
     ledger: PathBuf,
@@ -42,7 +48,7 @@ pub struct Args {
     /// The seed of everything that is drawn
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Training settings that go over the defaults (suites `field` and `few` and the marks' own: and over those for the capture's kind)
+    /// Training settings that go over the defaults (suites `field`, `few` and `own`, and the marks' own: and over those for the capture's kind)
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
     /// Fewer steps and smaller sizes
@@ -69,7 +75,7 @@ pub struct Args {
     /// A Python that has PyTorch, to be measured beside (suite `conv`)
     #[arg(long, value_name = "PROGRAM")]
     torch: Option<PathBuf>,
-    /// Where the work goes: a new folder, except for suites `field` and `few`, of which the first adds to its tables there, and `mark`, which takes
+    /// Where the work goes: a new folder, except for suites `field`, `few` and `own`, of which the first adds to its tables there, and `mark`, which takes
     /// base fields from there
     #[arg(long, value_name = "DIR", default_value = "bench-out")]
     out: PathBuf,
@@ -85,6 +91,8 @@ enum Suite {
     Field,
     /// Four captures' fields from ten photographs each, with and without what is done where views look far apart
     Few,
+    /// The field of a capture of yours (--folder), with and without what is decided from its photographs
+    Own,
     /// Four captures' marks, three times each: pictures kept, signals recovered, false owners, what marks outlast
     Mark,
     /// Of suite `mark` what says whether answers come from the mark: strangers' marks, pictures without one, calibration
@@ -111,6 +119,7 @@ impl Suite {
             Self::Liberty => "liberty",
             Self::Field => "field",
             Self::Few => "few",
+            Self::Own => "own",
             Self::Mark => "mark",
             Self::Honesty => "honesty",
             Self::Ablation => "ablation",
@@ -167,6 +176,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
         Suite::Liberty => liberty::measure(place, &args, &mut rows).await?,
         Suite::Field => field::measure(place, &args, &mut rows).await?,
         Suite::Few => field::few::measure(place, &args, &mut rows).await?,
+        Suite::Own => field::own::measure(place, &args, &mut rows).await?,
         Suite::Mark => mark::measure(place, &args, &mut rows, mark::What::Marks).await?,
         Suite::Honesty => mark::measure(place, &args, &mut rows, mark::What::Honesty).await?,
         Suite::Ablation => mark::measure(place, &args, &mut rows, mark::What::Ablation).await?,

@@ -11,7 +11,8 @@ use crate::engine::report::{Report, Right};
 
 /// The command as anybody can give it again: without the folders and files of this machine.
 fn command(arguments: impl Iterator<Item = String>) -> String {
-    const LOCAL: [&str; 7] = ["--captures", "--connect", "--data", "--ledger", "--page", "--out", "--signals"];
+    const LOCAL: [&str; 8] =
+        ["--captures", "--connect", "--data", "--folder", "--ledger", "--page", "--out", "--signals"];
     let mut said = vec!["cairn".to_owned()];
     let mut value_follows = false;
     for argument in arguments {

@@ -217,6 +217,7 @@ fn scout_config(field: &FieldConfig, second: bool) -> FieldConfig {
         steps: ((field.steps as f64 * share) as u64).clamp(least, most),
         levels: if second { 2 } else { 1 },
         voxels: if second { 8 * voxels } else { voxels },
+        voxel_px: 0.0,
         // Neighbours in a coarse grid say the same: see `tile_side`.
         tile_px: if second { field.tile_px } else { 1 },
         appearance: match field.appearance {

@@ -10,6 +10,7 @@ mod adapter;
 mod case;
 pub(super) mod few;
 mod outcome;
+pub(super) mod own;
 pub(super) mod progress;
 mod report;
 pub(super) mod score;
@@ -93,7 +94,10 @@ pub(super) async fn unless_stopped<T>(
 
 /// One capture's measurements, as they are asked for.
 struct Run {
-    case: &'static Case,
+    /// What the capture is called.
+    name: String,
+    /// As [`Case::right_half`]; `None` where the field says it: where views have appearances.
+    right_half: Option<bool>,
     source: Source,
     config: FieldConfig,
     seed: u64,
@@ -104,9 +108,20 @@ struct Run {
 impl Run {
     fn new(place: &Where, args: &Args, case: &'static Case, captures: &Path) -> anyhow::Result<Self> {
         let folder = captures.join(case.name.as_str());
+        Self::of(place, args, (case.name.as_str(), Some(case.right_half)), &folder, None)
+    }
+
+    /// That of the capture in `folder`, pictures at most `longest_side_px` a side.
+    fn of(
+        place: &Where,
+        args: &Args,
+        (name, right_half): (&str, Option<bool>),
+        folder: &Path,
+        longest_side_px: Option<usize>,
+    ) -> anyhow::Result<Self> {
         let folder = folder.canonicalize().with_context(|| format!("cannot find {}", folder.display()))?;
         let (longest_side_px, most_views) =
-            if args.quick { (Some(QUICK_SIDE_PX), Some(QUICK_VIEWS)) } else { (None, None) };
+            if args.quick { (Some(QUICK_SIDE_PX), Some(QUICK_VIEWS)) } else { (longest_side_px, None) };
         let source = Source { folder, longest_side_px, most_views };
         let overlay = overlay_for(source.open()?.kind());
         let settings = args.settings_text()?;
@@ -117,9 +132,10 @@ impl Run {
         overlays.push(("--settings", settings.as_str()));
         let base = Config::load(place.config.as_deref())?.training;
         let config = training_settings(&base, &overlays)?.field;
-        eprintln!("{}: {} and what goes over it, {} steps", case.name.as_str(), overlay.0, config.steps);
+        eprintln!("{name}: {} and what goes over it, {} steps", overlay.0, config.steps);
         let shares = Share::budgets(args.long);
-        Ok(Self { case, source, config, seed: args.seed, shares, out: args.out.clone() })
+        let name = name.to_owned();
+        Ok(Self { name, right_half, source, config, seed: args.seed, shares, out: args.out.clone() })
     }
 
     /// All of a capture's measurements. The trained fields stay in the folder.
@@ -131,7 +147,7 @@ impl Run {
             budgets.push(self.budget(children, *share)?);
         }
         let field = self.field(Share::WHOLE);
-        let name = self.case.name.as_str();
+        let name = self.name.as_str();
         let serve = serve::Task { field: field.clone(), cameras: cameras.clone(), label: format!("{name}, rendering") };
         let served = children.run(&serve)?;
         let few: Vec<_> = cameras.iter().step_by(cameras.len().div_ceil(TRADEOFF_VIEWS)).copied().collect();
@@ -155,7 +171,7 @@ impl Run {
         field: PathBuf,
         what: &str,
     ) -> anyhow::Result<(train::Trained, score::Scored)> {
-        let name = self.case.name.as_str();
+        let name = self.name.as_str();
         let train = train::Task {
             source: self.source.clone(),
             config,
@@ -168,13 +184,13 @@ impl Run {
         let score = score::Task {
             source: self.source.clone(),
             field,
-            right_half: self.case.right_half,
+            right_half: self.right_half.unwrap_or(trained.appearances),
             label: format!("{name}, scoring, {what}"),
         };
         Ok((trained, children.run(&score)?))
     }
 
     fn field(&self, share: Share) -> PathBuf {
-        self.out.join(format!("{}-{}.field", self.case.name.as_str(), share.to_string().replace('/', "-")))
+        self.out.join(format!("{}-{}.field", self.name, share.to_string().replace('/', "-")))
     }
 }

@@ -44,6 +44,10 @@ pub struct Trained {
     pub rays_per_s: f64,
     /// Rows of the grid at the end.
     pub rows: usize,
+    /// Vertices of its lattice.
+    pub vertices: usize,
+    /// Whether views have appearances of their own.
+    pub appearances: bool,
     /// The stored field, MiB.
     pub stored_mib: f64,
     /// The most memory held, photographs and storing included, MiB; `None` where
@@ -77,6 +81,7 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
     }
     drop(progress);
     let steps = trainer.steps_done();
+    let (vertices, appearances) = (trainer.size().1.iter().product(), trainer.has_appearance());
     let field = trainer.finish();
     let seconds = begun.elapsed().as_secs_f64();
     let bytes = field.to_bytes()?;
@@ -87,6 +92,8 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
         rays_per_s: steps as f64 * rays as f64 / seconds.max(1e-9),
         // The first is the empty one.
         rows: field.grid().rows().saturating_sub(1),
+        vertices,
+        appearances,
         stored_mib: bytes.len() as f64 / MIB,
         peak_mib: peak_mib(),
     })

@@ -1,0 +1,123 @@
+//! How fine the grid becomes. A voxel much wider than a pixel blurs what photographs show; one
+//! much narrower costs memory and time for what no photograph tells. How many pixels a voxel is
+//! wide depends on how far off the photographers stood and on their lenses, not on the kind of the
+//! scene alone, and so each capture is asked.
+
+use crate::config::FieldConfig;
+use crate::frame::SceneFrame;
+use crate::screening::median;
+use cairn_capture::Camera;
+
+/// Vertices along each side at `level`, in the frame's proportions, on the way to a last
+/// grid of `finest` vertices. The first level's grid does not depend on that: it is
+/// there before anything is known.
+pub(crate) fn dims_of_level(config: &FieldConfig, frame: &SceneFrame, level: usize, finest: usize) -> [usize; 3] {
+    let p = frame.proportions();
+    let left = (config.levels - 1 - level) as i32;
+    // Eight times the vertices from level to level, and what more is wanted in even parts.
+    let more = (finest as f64 / config.voxels as f64).powf(1.0 / (config.levels - 1).max(1) as f64);
+    let voxels = finest as f64 / (8.0 * more).powi(left);
+    let unit = (voxels / (p[0] * p[1] * p[2])).cbrt();
+    p.map(|side| ((side * unit).round() as usize).clamp(4, 4096))
+}
+
+/// Vertices of the last grid with which a voxel is [`FieldConfig::voxel_px`] pixels of the middling
+/// view wide, within [`FieldConfig::voxels`] and [`FieldConfig::most_voxels`].
+pub(crate) fn finest(config: &FieldConfig, frame: &SceneFrame, cameras: &[Camera]) -> usize {
+    if config.voxel_px == 0.0 || config.levels < 2 {
+        return config.voxels;
+    }
+    let side = pixels_across(frame, cameras) / config.voxel_px;
+    let wanted = frame.proportions().iter().product::<f64>() * side.powi(3);
+    // Saturates; NaN (no cameras) is 0.
+    (wanted as usize).min(config.most_voxels).max(config.voxels)
+}
+
+/// How many pixels the middling one of `cameras` has for the longest side of the frame's cube, as
+/// it sees the scene's centre (in the open: were the whole cube as little contracted as the
+/// box). Cameras within the box look at its walls. NaN without cameras.
+fn pixels_across(frame: &SceneFrame, cameras: &[Camera]) -> f64 {
+    let of = |camera: &Camera| {
+        let focal = camera.intrinsics.fx.min(camera.intrinsics.fy);
+        let boxed =
+            |centre: glam::DVec3, half: f64| focal * 2.0 * half / (camera.pose.position - centre).length().max(half);
+        match frame {
+            // There a length is a share of the depth.
+            SceneFrame::ForwardFacing { low, high, .. } => focal * (high[0] - low[0]).max(high[1] - low[1]),
+            SceneFrame::Bounded { centre, half } => boxed(*centre, half.max_element()),
+            SceneFrame::Unbounded { centre, half } => 2.0 * boxed(*centre, half.max_element()),
+        }
+    };
+    if cameras.is_empty() { f64::NAN } else { median(cameras.iter().map(of).collect()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_capture::{Distortion, Intrinsics, Pose};
+    use glam::{DMat3, DVec3};
+
+    /// A camera of so many pixels' focal length at `position`, looking at `at`.
+    fn camera(focal: f64, position: DVec3, at: DVec3) -> Camera {
+        let intrinsics = Intrinsics {
+            width: 640,
+            height: 480,
+            fx: focal,
+            fy: focal * 1.5,
+            cx: 320.0,
+            cy: 240.0,
+            distortion: Distortion::default(),
+        };
+        Camera { intrinsics, pose: Pose::look_at(position, at, DVec3::Y).unwrap() }
+    }
+
+    fn config(voxel_px: f64) -> FieldConfig {
+        FieldConfig { voxels: 8_000, most_voxels: 64_000_000, levels: 4, voxel_px, ..FieldConfig::default() }
+    }
+
+    #[test]
+    fn a_voxel_is_as_many_pixels_wide_as_asked() {
+        let (centre, half) = (DVec3::new(3.0, 0.0, 0.0), DVec3::new(1.0, 0.5, 0.25));
+        // From 5 away with 500 px of focal length: 100 px a unit, 200 px for the longest side.
+        let cameras = [camera(500.0, centre + DVec3::Z * 5.0, centre)];
+        let bounded = SceneFrame::Bounded { centre, half };
+        assert_eq!(finest(&config(2.0), &bounded, &cameras), 100 * 50 * 25);
+        // In the open the cube is two boxes wide.
+        let open = SceneFrame::Unbounded { centre, half };
+        assert_eq!(finest(&config(2.0), &open, &cameras), 8 * 100 * 50 * 25);
+        // Forward-facing: two depths wide at 500 px a depth.
+        let rotation = DMat3::IDENTITY;
+        let ahead = SceneFrame::ForwardFacing { rotation, position: centre, near: 1.0, low: [-1.0; 2], high: [1.0; 2] };
+        let [x, y, z] = ahead.proportions().map(|p| p * 500.0);
+        assert_eq!(finest(&config(2.0), &ahead, &cameras), (x * y * z) as usize);
+    }
+
+    #[test]
+    fn limits_hold_and_zero_is_never() {
+        let (centre, half) = (DVec3::ZERO, DVec3::ONE);
+        let frame = SceneFrame::Unbounded { centre, half };
+        let far = [camera(500.0, DVec3::Z * 500.0, centre)];
+        let near = [camera(5000.0, DVec3::Z * 2.0, centre)];
+        assert_eq!(finest(&config(2.0), &frame, &far), 8_000, "a far camera asks for less");
+        assert_eq!(finest(&config(2.0), &frame, &near), 64_000_000);
+        assert_eq!(finest(&config(0.0), &frame, &near), 8_000);
+        assert_eq!(finest(&FieldConfig { levels: 1, ..config(2.0) }, &frame, &near), 8_000);
+        assert_eq!(finest(&config(2.0), &frame, &[]), 8_000);
+        // Cameras in the middle see walls that are half a box off: 500 px for half of it.
+        let inside = [camera(500.0, DVec3::Z * 1e-9, DVec3::Z)];
+        assert_eq!(finest(&config(10.0), &frame, &inside), 200 * 200 * 200);
+    }
+
+    #[test]
+    fn levels_lead_to_the_last_grid_in_even_steps() {
+        let frame = SceneFrame::Bounded { centre: DVec3::ZERO, half: DVec3::ONE };
+        let sides = |finest: usize| [0, 1, 2, 3].map(|level| dims_of_level(&config(2.0), &frame, level, finest)[0]);
+        // 8000 vertices are 20 a side, of which the first level has an eighth (and 4 at least).
+        assert_eq!(sides(8_000), [4, 5, 10, 20]);
+        let config = FieldConfig { voxels: 512_000, ..config(2.0) };
+        let sides = |finest: usize| [0, 1, 2, 3].map(|level| dims_of_level(&config, &frame, level, finest)[0]);
+        assert_eq!(sides(512_000), [10, 20, 40, 80]);
+        // Eight times as many vertices, twice the side: by a factor of 2 * 2^(1/3) a level.
+        assert_eq!(sides(8 * 512_000), [10, 25, 63, 160]);
+    }
+}
