@@ -60,6 +60,9 @@ pub struct FieldConfig {
     pub smooth_density: f64,
     /// Weight of colour's total variation, >= 0.
     pub smooth_colour: f64,
+    /// Where all photographs see one light (or appearances are off), both total variations count this much:
+    /// there each photograph's own light is no haze to be smoothed away; above 0, to 1.
+    pub smooth_in_one_light: f64,
     /// Where views look further apart than this (see [`crate::Spacing`]), both total
     /// variations are multiplied, and `view_dependence` divided, by the square of how many
     /// times as far, 16 at most; degrees, 1 to 180 (never).
@@ -110,6 +113,7 @@ impl Default for FieldConfig {
             clear_background: 0.05,
             smooth_density: 1e-5,
             smooth_colour: 1e-4,
+            smooth_in_one_light: 1.0,
             smoother_beyond_deg: 14.0,
             huber: 0.0,
             prune_weight: 0.01,
@@ -164,6 +168,7 @@ impl FieldConfig {
             ("field.learning_rate_appearance", self.learning_rate_appearance),
             ("field.final_rate", self.final_rate),
             ("field.initial_opacity", self.initial_opacity),
+            ("field.smooth_in_one_light", self.smooth_in_one_light),
         ] {
             check(positive(value), key, number(value), "a finite number above 0")?;
         }
@@ -182,6 +187,7 @@ impl FieldConfig {
             ("field.prune_weight", self.prune_weight),
             ("field.final_rate", self.final_rate),
             ("field.initial_opacity", self.initial_opacity),
+            ("field.smooth_in_one_light", self.smooth_in_one_light),
         ] {
             check(share(value), key, number(value), "0 to 1")?;
         }

@@ -33,6 +33,12 @@ pub(crate) fn finest(config: &FieldConfig, frame: &SceneFrame, cameras: &[Camera
     (wanted as usize).min(config.most_voxels).max(config.voxels)
 }
 
+/// Side of the tiles drawn at `level`, pixels: neighbours in a coarse grid meet the
+/// same voxels and would say the same.
+pub(crate) fn tile_side(config: &FieldConfig, level: usize) -> usize {
+    (config.tile_px >> (2 * (config.levels - 1 - level))).max(1)
+}
+
 /// How many pixels the middling one of `cameras` has for the longest side of the frame's cube, as
 /// it sees the scene's centre (in the open: were the whole cube as little contracted as the
 /// box). Cameras within the box look at its walls. NaN without cameras.

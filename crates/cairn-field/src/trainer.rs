@@ -13,7 +13,7 @@ use crate::grid::{DENSITY_SCALE, Grid, raw_of};
 use crate::light::LightVerdict;
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
-use crate::resolution::{dims_of_level, finest};
+use crate::resolution::{dims_of_level, finest, tile_side};
 use crate::sampling::{Tile, Tiles};
 use crate::spacing::Spacing;
 use cairn_capture::{Camera, Picture};
@@ -169,6 +169,11 @@ impl BaseTrainer {
         if self.has_appearance() { self.config.voxels } else { finest(&self.config, &self.frame, &self.cameras()) }
     }
 
+    /// How many times as much as configured both total variations weigh, as far as is known yet.
+    fn smoothing(&self) -> f64 {
+        self.spacing.smoothing * if self.has_appearance() { 1.0 } else { self.config.smooth_in_one_light }
+    }
+
     fn cameras(&self) -> Vec<Camera> {
         self.views.iter().map(|v| v.camera).collect()
     }
@@ -230,12 +235,13 @@ impl BaseTrainer {
             return Err(self.not_finite("a gradient of an appearance"));
         }
         let decay = self.config.final_rate.powf(progress) as f32;
+        let smoothing = self.smoothing();
         let rates = Rates {
             density: self.config.learning_rate_density as f32 * decay,
             colour: self.config.learning_rate_colour as f32 * decay,
             view_dependence: (self.config.view_dependence / self.spacing.smoothing) as f32,
-            smooth_density: (self.config.smooth_density * self.spacing.smoothing) as f32,
-            smooth_colour: (self.config.smooth_colour * self.spacing.smoothing) as f32,
+            smooth_density: (self.config.smooth_density * smoothing) as f32,
+            smooth_colour: (self.config.smooth_colour * smoothing) as f32,
         };
         if !self.rows.step(&mut self.grid, &batch.debts(), &rates) {
             return Err(self.not_finite("a gradient of the grid"));
@@ -440,12 +446,6 @@ fn level_end(config: &FieldConfig, level: usize) -> u64 {
 /// coarsest level is done, and after a quarter of all steps at the latest.
 fn light_step(config: &FieldConfig) -> u64 {
     level_end(config, 0).min(config.steps / 4).max(1)
-}
-
-/// Side of the tiles drawn at `level`, pixels: neighbours in a coarse grid meet the
-/// same voxels and would say the same.
-fn tile_side(config: &FieldConfig, level: usize) -> usize {
-    (config.tile_px >> (2 * (config.levels - 1 - level))).max(1)
 }
 
 /// Views as training uses them, in their order.
