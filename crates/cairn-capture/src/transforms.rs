@@ -163,7 +163,8 @@ fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option
             let photograph = match source.photograph(&frame.file_path, options) {
                 // Here, where a camera without a stated size would take it from the photograph.
                 Err(error @ CaptureError::PhotographMissing { .. }) if options.skip_missing => {
-                    missing.push((frame.file_path.replace('\\', "/"), error));
+                    let path = frame.file_path.replace('\\', "/");
+                    missing.push((path.trim_start_matches("./").to_owned(), error));
                     return Ok(None);
                 }
                 found => found?,
