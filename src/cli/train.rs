@@ -17,7 +17,7 @@ pub struct Args {
     /// M, the number of clusters around anchors
     #[arg(long, value_name = "M", default_value_t = 3, conflicts_with = "by_contributor")]
     pub anchors: u32,
-    /// K, the views of a cluster; not given: as many as there are, 20 at most
+    /// K, the views of a cluster; not given: as many as there are, 20 at most (with --grow as many as before)
     #[arg(long, value_name = "K", conflicts_with = "by_contributor")]
     pub neighbours: Option<u32>,
     /// One cluster for each contributor instead
@@ -71,7 +71,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     };
     let job = job.context("the daemon's answer names no job")?;
     println!("{} accepted for {}", job.id, scenes(&job));
-    say_what_is_ahead(line, &job).await?;
+    say_what_is_ahead(line, &job).await;
     if args.detach {
         return Ok(());
     }
@@ -122,18 +122,18 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
     })
 }
 
-/// Names the jobs that `job` waits for: one is worked on at a time, in the order they came, and those
-/// that an earlier run left unfinished go on first.
-async fn say_what_is_ahead(line: &Connection, job: &v1::Job) -> anyhow::Result<()> {
+/// Names the jobs that were there before `job` was: one is worked on at a time, and those that an
+/// earlier run left unfinished go on first. Where they cannot be asked for there is nothing to say.
+async fn say_what_is_ahead(line: &Connection, job: &v1::Job) {
     let request = v1::ListTrainingRequest { format_version: VERSION, scene: String::new() };
-    let jobs = line.training().list(request).await.map_err(refused)?.into_inner().jobs;
+    let Ok(answer) = line.training().list(request).await else { return };
     let is_ahead =
-        |other: &&v1::Job| other.id < job.id && matches!(other.state(), JobState::Accepted | JobState::Running);
-    let ahead: Vec<String> = jobs.iter().filter(is_ahead).map(|j| format!("{} ({})", j.id, scenes(j))).collect();
+        |other: &v1::Job| other.id != job.id && matches!(other.state(), JobState::Accepted | JobState::Running);
+    let jobs = answer.into_inner().jobs;
+    let ahead: Vec<String> = jobs.iter().filter(|j| is_ahead(j)).map(|j| format!("{} ({})", j.id, scenes(j))).collect();
     if !ahead.is_empty() {
         eprintln!("{} waits for {} to end", job.id, ahead.join(", "));
     }
-    Ok(())
 }
 
 /// The names of a job's scenes.

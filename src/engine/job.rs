@@ -20,7 +20,8 @@ pub const VERSIONS: [u32; 3] = [1, 2, VERSION];
 pub struct JobSpec {
     /// The scene's name.
     pub scene: String,
-    /// How views become identities.
+    /// How views become identities; a K of 0 is as many views a cluster as the scene has for it
+    /// ([`super::training::clusters`]).
     pub grouping: Grouping,
     /// Every random number comes from it. Text in JSON: it uses all 64 bits.
     #[serde(with = "as_text")]

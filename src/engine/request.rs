@@ -58,6 +58,7 @@ impl Engine {
     /// cannot be hidden, and [`super::jobs::Jobs::submit`]'s.
     pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
         request.check()?;
+        let request = self.as_large_as_before(request)?;
         let shared = match request.grow {
             true => Some(self.detector_of(&request.scene)?),
             false => None,
@@ -102,6 +103,20 @@ impl Engine {
         self.jobs.submit(request.owner, spec, |folder| {
             (1..).zip(&signals).try_for_each(|(number, signal)| hidden::keep(folder, number, signal))
         })
+    }
+
+    /// A request to go on in which clusters are as large as they are where it gives no size: whose views
+    /// are credited does not change because somebody else's are added.
+    fn as_large_as_before(&self, mut request: TrainingRequest) -> Result<TrainingRequest, EngineError> {
+        if let Grouping::Anchors(config) = &mut request.grouping
+            && request.grow
+            && config.neighbours == 0
+            && let Some(info) = self.newest_model(&request.scene)?
+            && let Grouping::Anchors(before) = info.clusters.grouping()
+        {
+            config.neighbours = before.neighbours;
+        }
+        Ok(request)
     }
 
     /// The digest of the detector that `scene` goes on from.

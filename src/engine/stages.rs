@@ -80,18 +80,17 @@ impl Stage for BaseTrainer {
                 100.0 * spread
             )),
         };
-        let Spacing { apart_deg, smoothing } = self.spacing();
+        let (Spacing { apart_deg, .. }, smoothing) = (self.spacing(), self.smoothing());
         let far = (smoothing > 1.0).then(|| {
             format!(
                 "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much (field.smoother_beyond_deg)"
             )
         });
         let FieldConfig { voxels, voxel_px, .. } = self.config();
-        let finer = (self.finest() > *voxels).then(|| {
+        let finer = self.finer().map(|vertices| {
             format!(
-                "the photographs show more than {:.0} million vertices hold: {:.0} million, so that a voxel is {voxel_px} px wide or as near as may be (field.voxel_px)",
-                *voxels as f64 / 1e6,
-                self.finest() as f64 / 1e6
+                "the last grid has {:.1} times the configured vertices, so that a voxel is {voxel_px} px wide or as near as may be (field.voxel_px)",
+                vertices as f64 / *voxels as f64
             )
         });
         far.into_iter().chain(light).chain(finer).collect()

@@ -277,6 +277,23 @@ fn a_scene_that_grows_keeps_its_field_and_its_marks() {
 }
 
 #[test]
+fn clusters_stay_as_large_where_a_scene_grows() {
+    let dir = tempfile::tempdir().unwrap();
+    let engine = open(dir.path());
+    import(dir.path(), "town", 3);
+    let of = |anchors, neighbours| {
+        let sizes = cairn_cluster::ClusterConfig { anchors, neighbours, ..Default::default() };
+        TrainingRequest { grouping: Grouping::Anchors(sizes), ..request(anchors) }
+    };
+    end_of(&engine, &engine.train(of(2, 1)).unwrap().id);
+    // There would be two views for each of three.
+    let more = TrainingRequest { grow: true, settings_toml: String::new(), ..of(3, 0) };
+    end_of(&engine, &engine.train(more).unwrap().id);
+    let grown = engine.newest_model("town").unwrap().unwrap();
+    assert_eq!(grown.clusters.grouping(), &of(3, 1).grouping);
+}
+
+#[test]
 fn contributors_are_counted_most_first_then_by_name() {
     let names = ["visitor-31", "drone-2", "ada", "drone-2", "drone-2", "ada", "zoe", "zoe"];
     let wanted = [("drone-2", 3), ("ada", 2), ("zoe", 2), ("visitor-31", 1)].map(|(n, c)| (n.to_owned(), c));

@@ -9,6 +9,9 @@ use serde::Deserialize;
 use crate::error::CaptureError;
 use crate::photograph::{Limits, read_limited};
 
+/// Endings that camera files leave away.
+const ENDINGS: [&str; 3] = [".png", ".jpg", ".jpeg"];
+
 #[derive(Deserialize)]
 struct Row {
     image: String,
@@ -22,8 +25,8 @@ struct Row {
 /// photograph has that.
 ///
 /// # Errors
-/// For a row that names no photograph (neither one of `names` nor one that is `missing`, which are
-/// passed over), a photograph without a row, one with two rows, or an empty contributor.
+/// For a row that names no photograph (rows for those that are `missing` are checked and passed
+/// over), a photograph of `names` without a row, one with two rows, or an empty contributor.
 pub(crate) fn read(
     table: &Path,
     names: &[&str],
@@ -36,10 +39,12 @@ pub(crate) fn read(
         problem,
         remedy,
     };
-    let index = index_of(names);
+    // Those that are missing count as well: a file name that two photographs had names neither.
+    let all: Vec<&str> = names.iter().copied().chain(missing.iter().map(String::as_str)).collect();
+    let index = index_of(&all);
     let bytes = read_limited(table, limits.max_file_bytes)?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
-    let mut found: Vec<Option<(String, usize)>> = vec![None; names.len()];
+    let mut found: Vec<Option<(String, usize)>> = vec![None; all.len()];
     for (number, row) in reader.deserialize::<Row>().enumerate() {
         // The heading is line 1; a quoted line break would shift this, and no file name has one.
         let line = number + 2;
@@ -47,10 +52,9 @@ pub(crate) fn read(
             wrong(format!("line {line}"), e.to_string(), "write a heading `image,contributor` and one row a photograph")
         })?;
         let entry = format!("line {line} ({})", row.image);
-        let Some(&view) = index.get(row.image.as_str()) else {
-            if missing.iter().any(|name| *name == row.image || name.ends_with(&format!("/{}", row.image))) {
-                continue;
-            }
+        // A missing photograph's ending is not known where the camera file leaves it away.
+        let bare = || ENDINGS.iter().find_map(|e| index.get(row.image.strip_suffix(e)?).filter(|v| **v >= names.len()));
+        let Some(&view) = index.get(row.image.as_str()).or_else(bare) else {
             let problem = "the capture has no photograph of that name, or several".to_owned();
             return Err(wrong(entry, problem, "name it as the camera file does, or remove the row"));
         };

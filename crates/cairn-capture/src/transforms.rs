@@ -71,8 +71,8 @@ struct Document<'a> {
 struct Read {
     bounded: bool,
     entries: Vec<Entry>,
-    /// Of the views that were left out.
-    missing: Vec<String>,
+    /// Views that were left out: their names, and what would have been said.
+    missing: Vec<(String, CaptureError)>,
 }
 
 /// A list of which at most `most` elements are kept, however many there are.
@@ -126,9 +126,12 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
             let held = read_file(folder, held, options, Some(true))?;
             entries.extend(held.entries);
             missing.extend(held.missing);
-        } else {
+        }
+        // No file of them, or none of their photographs is there: no split of its own.
+        if !entries.iter().any(|e| e.held_out == Some(true)) {
             entries.iter_mut().for_each(|e| e.held_out = None);
         }
+        let missing = names_of(missing, &entries)?;
         return Ok(Some(Model { file: train, kind: Guess::Bounded, entries, points: Vec::new(), missing }));
     }
     let file = folder.join("transforms.json");
@@ -136,8 +139,14 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
         return Ok(None);
     }
     let Read { bounded, entries, missing } = read_file(folder, &file, options, None)?;
+    let missing = names_of(missing, &entries)?;
     let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
     Ok(Some(Model { file, kind, entries, points: Vec::new(), missing }))
+}
+
+/// The names of what is missing, where something is there.
+fn names_of(missing: Vec<(String, CaptureError)>, there: &[Entry]) -> Result<Vec<String>, CaptureError> {
+    missing.into_iter().map(|(name, error)| if there.is_empty() { Err(error) } else { Ok(name) }).collect()
 }
 
 fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option<bool>) -> Result<Read, CaptureError> {
@@ -177,10 +186,6 @@ fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option
         })
         .filter_map(Result::transpose)
         .collect::<Result<Vec<_>, CaptureError>>()?;
-    let (missing, mut errors): (Vec<String>, Vec<CaptureError>) = missing.into_iter().unzip();
-    if entries.is_empty() {
-        return Err(errors.swap_remove(0));
-    }
     Ok(Read { bounded: document.aabb_scale.is_none_or(|scale| scale <= 1.0), entries, missing })
 }
 

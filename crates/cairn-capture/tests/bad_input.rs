@@ -342,6 +342,50 @@ fn views_without_photographs_are_left_out_where_that_is_asked_for() {
     assert!(transforms(folder.path(), |d| d["frames"][1]["file_path"] = json!("./sub/c")).is_err());
     let capture = skip(folder.path()).unwrap();
     assert_eq!((names(&capture), capture.missing), (vec!["a.png".to_owned()], vec!["sub/c".to_owned()]));
+    // A table has endings where the file leaves them away.
+    let table = folder.path().join("who.csv");
+    fs::write(&table, "image,contributor\na.png,ada\nsub/c.jpg,bo\n").unwrap();
+    let listed = ReadOptions { skip_missing: true, hold_every: 0, contributors: Some(table), ..ReadOptions::default() };
+    assert_eq!(Capture::read(folder.path(), &listed).unwrap().views[0].contributor, "ada");
     fs::remove_file(folder.path().join("a.png")).unwrap();
     refuses(skip(folder.path()), &["frame 0 (./a.png)", "a.png is missing"]);
+}
+
+#[test]
+fn a_missing_photograph_gives_its_credit_to_nobody() {
+    // Of two photographs with one file name, that name alone is neither's, whichever is there.
+    let folder = tempfile::tempdir().unwrap();
+    transforms(folder.path(), |d| {
+        d["frames"][0]["file_path"] = json!("one/1.png");
+        d["frames"][1]["file_path"] = json!("two/1.png");
+    })
+    .unwrap_err();
+    fs::create_dir(folder.path().join("one")).unwrap();
+    fs::write(folder.path().join("one/1.png"), photograph()).unwrap();
+    let table = folder.path().join("who.csv");
+    let read = |rows: &str| {
+        fs::write(&table, format!("image,contributor\n{rows}")).unwrap();
+        let contributors = Some(table.clone());
+        let options = ReadOptions { skip_missing: true, hold_every: 0, contributors, ..ReadOptions::default() };
+        Capture::read(folder.path(), &options)
+    };
+    refuses(read("1.png,bo\n"), &["1.png", "or several"]);
+    assert_eq!(read("one/1.png,ada\ntwo/1.png,bo\n").unwrap().views[0].contributor, "ada");
+    refuses(read("one/1.png,ada\ntwo/1.png,\n"), &["line 3 (two/1.png)", "empty"]);
+    refuses(read("two/1.png,bo\n"), &["one/1.png", "no row"]);
+}
+
+#[test]
+fn a_split_without_its_photographs_is_none() {
+    let folder = tempfile::tempdir().unwrap();
+    transforms(folder.path(), |_| {}).unwrap();
+    let document = fs::read_to_string(folder.path().join("transforms.json")).unwrap();
+    fs::write(folder.path().join("transforms_train.json"), &document).unwrap();
+    let absent = document.replace("./a.png", "./test/a").replace("\"b\"", "\"./test/b\"");
+    fs::write(folder.path().join("transforms_test.json"), absent).unwrap();
+    refuses(read(folder.path()), &["transforms_test.json", "--skip-missing"]);
+    let options = ReadOptions { skip_missing: true, hold_every: 2, ..ReadOptions::default() };
+    let capture = Capture::read(folder.path(), &options).unwrap();
+    assert_eq!(capture.held_out().collect::<Vec<_>>(), [0], "every second one instead");
+    assert_eq!(capture.missing, ["test/a", "test/b"]);
 }

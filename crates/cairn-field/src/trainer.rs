@@ -162,20 +162,28 @@ impl BaseTrainer {
         self.spacing
     }
 
-    /// Vertices of the last grid before pruning, as far as is known yet: more than [`FieldConfig::voxels`] where
-    /// [`FieldConfig::voxel_px`] asks for them and all photographs see one light. Where they differ by more than
-    /// fine detail does, a finer grid explained held-out views no better.
-    pub fn finest(&self) -> usize {
-        if self.has_appearance() { self.config.voxels } else { finest(&self.config, &self.frame, &self.cameras()) }
+    /// Vertices of the last level's lattice where they are more than [`FieldConfig::voxels`], because
+    /// [`FieldConfig::voxel_px`] asked for them; `None` before that level, too.
+    pub fn finer(&self) -> Option<usize> {
+        let vertices = self.grid.dims.iter().product::<usize>();
+        // Sides are whole numbers: a lattice is never exactly as large as asked.
+        let more = vertices as f64 > 1.05 * self.config.voxels as f64;
+        (more && self.level + 1 == self.config.levels).then_some(vertices)
+    }
+
+    /// Vertices that the last level is to have, by what is known of the light now: where a level begins before that
+    /// is known, it and those before it are as they were.
+    fn finest(&self) -> usize {
+        if self.has_appearance() {
+            return self.config.voxels;
+        }
+        let cameras: Vec<Camera> = self.views.iter().map(|v| v.camera).collect();
+        finest(&self.config, &self.frame, &cameras)
     }
 
     /// How many times as much as configured both total variations weigh, as far as is known yet.
-    fn smoothing(&self) -> f64 {
+    pub fn smoothing(&self) -> f64 {
         self.spacing.smoothing * if self.has_appearance() { 1.0 } else { self.config.smooth_in_one_light }
-    }
-
-    fn cameras(&self) -> Vec<Camera> {
-        self.views.iter().map(|v| v.camera).collect()
     }
 
     /// Whether views have appearances of their own in this scene.

@@ -35,6 +35,9 @@ pub struct Args {
     /// The capture to measure (suite `own`)
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
+    /// Leave out the views whose photographs are not there (suite `own`)
+    #[arg(long)]
+    skip_missing: bool,
     /// Make pictures smaller whose longer side is over this (suite `own`; else they stay as they are)
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     longest_side: Option<u32>,
@@ -91,7 +94,7 @@ enum Suite {
     Field,
     /// Four captures' fields from ten photographs each, with and without what is done where views look far apart
     Few,
-    /// The field of a capture of yours (--folder), with and without what is decided from its photographs
+    /// The field of a capture of yours (--folder), with and without the finer grid that its photographs may ask for
     Own,
     /// Four captures' marks, three times each: pictures kept, signals recovered, false owners, what marks outlast
     Mark,

@@ -56,8 +56,12 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
     for case in if args.cases.is_empty() { &fern[..] } else { &args.cases } {
         let folder = captures.join(case.as_str());
         let folder = folder.canonicalize().with_context(|| format!("there is no capture {}", folder.display()))?;
-        let source =
-            Source { folder, longest_side_px: args.quick.then_some(256), most_views: args.quick.then_some(12) };
+        let source = Source {
+            folder,
+            longest_side_px: args.quick.then_some(256),
+            most_views: args.quick.then_some(12),
+            skip_missing: false,
+        };
         let name = args.case_name(case.as_str());
         let deep = DeepConfig::default();
         let networks = TrainNetworks {

@@ -122,7 +122,7 @@ impl Run {
         let folder = folder.canonicalize().with_context(|| format!("cannot find {}", folder.display()))?;
         let (longest_side_px, most_views) =
             if args.quick { (Some(QUICK_SIDE_PX), Some(QUICK_VIEWS)) } else { (longest_side_px, None) };
-        let source = Source { folder, longest_side_px, most_views };
+        let source = Source { folder, longest_side_px, most_views, skip_missing: args.skip_missing };
         let overlay = overlay_for(source.open()?.kind());
         let settings = args.settings_text()?;
         let mut overlays = vec![overlay];

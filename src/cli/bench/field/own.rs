@@ -1,5 +1,5 @@
-//! Suite `own`: what stage 1 makes of any capture, at the size that is wanted, with what it decides from the photographs
-//! themselves, and without.
+//! Suite `own`: what stage 1 makes of any capture, at the size that is wanted, and where its photographs ask for a finer
+//! grid also without it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -26,13 +26,15 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let name = named(folder)?;
     let run = Run::of(place, args, (&name, None), folder, args.longest_side.map(|px| px as usize))?;
+    let held_out = run.source.open()?.held_out().len();
+    anyhow::ensure!(held_out > 0, "{} holds no view out to score on; bring two at least", folder.display());
     let children = Arc::new(Children::default());
     let work = tokio::task::spawn_blocking({
         let children = children.clone();
         move || run.of_its_own(&children)
     });
     let found = unless_stopped(work, &children).await?;
-    let size = args.longest_side.map(|px| format!(", {px} px")).unwrap_or_default();
+    let size = args.longest_side.filter(|_| !args.quick).map(|px| format!(", {px} px")).unwrap_or_default();
     add(rows, &args.case_name(&format!("{name}{size}")), &found);
     rows.save(args)
 }

@@ -18,6 +18,8 @@ pub struct Source {
     pub longest_side_px: Option<usize>,
     /// At most so many views of each split, evenly; `None` takes all.
     pub most_views: Option<usize>,
+    /// Whether views whose photographs are not there are left out; else the first is an error.
+    pub skip_missing: bool,
 }
 
 /// A capture whose cameras were read; photographs are decoded when asked for.
@@ -33,7 +35,8 @@ impl Source {
     /// # Errors
     /// Those of [`Capture::read`].
     pub fn open(&self) -> anyhow::Result<Opened> {
-        let capture = Capture::read(&self.folder, &ReadOptions::default())?;
+        let options = ReadOptions { skip_missing: self.skip_missing, ..ReadOptions::default() };
+        let capture = Capture::read(&self.folder, &options)?;
         Ok(Opened { capture, source: self.clone() })
     }
 }

@@ -183,7 +183,7 @@ impl Run {
         let sized = |folder: PathBuf| {
             let (longest_side_px, most_views) =
                 if args.quick { (Some(QUICK_SIDE_PX), Some(QUICK_VIEWS)) } else { (None, None) };
-            Source { folder, longest_side_px, most_views }
+            Source { folder, longest_side_px, most_views, skip_missing: false }
         };
         let folder = captures.join(case.name.as_str());
         let source = sized(folder.canonicalize().with_context(|| format!("cannot find {}", folder.display()))?);
