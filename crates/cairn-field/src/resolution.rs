@@ -1,4 +1,4 @@
-//! How fine the grid becomes. A voxel much wider than a pixel blurs what photographs show; one
+//! How fine the grid becomes, and when. A voxel much wider than a pixel blurs what photographs show; one
 //! much narrower costs memory and time for what no photograph tells. How many pixels a voxel is
 //! wide depends on how far off the photographers stood and on their lenses, not on the kind of the
 //! scene alone, and so each capture is asked.
@@ -31,6 +31,16 @@ pub(crate) fn finest(config: &FieldConfig, frame: &SceneFrame, cameras: &[Camera
     let wanted = frame.proportions().iter().product::<f64>() * side.powi(3);
     // Saturates; NaN (no cameras) is 0.
     (wanted as usize).min(config.most_voxels).max(config.voxels)
+}
+
+/// Step at which `level` ends: the last level gets three fifths of all steps.
+pub(crate) fn level_end(config: &FieldConfig, level: usize) -> u64 {
+    if level + 1 >= config.levels {
+        return config.steps;
+    }
+    let share = 0.4 * ((level + 1) as f64 / (config.levels - 1) as f64).powf(1.6);
+    // However short the training, every level has a step.
+    ((config.steps as f64 * share) as u64).max(level as u64 + 1)
 }
 
 /// Side of the tiles drawn at `level`, pixels: neighbours in a coarse grid meet the

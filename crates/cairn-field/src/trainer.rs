@@ -13,7 +13,7 @@ use crate::grid::{DENSITY_SCALE, Grid, raw_of};
 use crate::light::LightVerdict;
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
-use crate::resolution::{dims_of_level, finest, tile_side};
+use crate::resolution::{dims_of_level, finest, level_end, tile_side};
 use crate::sampling::{Tile, Tiles};
 use crate::spacing::Spacing;
 use cairn_capture::{Camera, Picture};
@@ -438,16 +438,6 @@ struct CodeGradient {
     values: Vec<f32>,
     /// Rays of each view in the batch.
     rays: Vec<usize>,
-}
-
-/// Step at which `level` ends: the last level gets three fifths of all steps.
-fn level_end(config: &FieldConfig, level: usize) -> u64 {
-    if level + 1 >= config.levels {
-        return config.steps;
-    }
-    let share = 0.4 * ((level + 1) as f64 / (config.levels - 1) as f64).powf(1.6);
-    // However short the training, every level has a step.
-    ((config.steps as f64 * share) as u64).max(level as u64 + 1)
 }
 
 /// Step before which it is first asked whether the photographs differ in light: when the
