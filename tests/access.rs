@@ -8,93 +8,20 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use cairn_access::roles::{Need, need};
 use cairn_access::{Daemon as Identity, sign};
 use cairn_proto::v1;
-use cairn_proto::v1::access_service_client::AccessServiceClient;
 use cairn_proto::v1::scene_service_client::SceneServiceClient;
 use cairn_proto::v1::training_service_client::TrainingServiceClient;
-use cairn_registry::{OwnerKey, PublicKey};
-use common::{Daemon, Place, TINY, base_only};
+use cairn_registry::OwnerKey;
+use common::world::{ACCOUNTS, CLOSED, World, key};
+use common::{Daemon, TINY, base_only};
 use tonic::client::Grpc;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
-const ACCOUNTS: &str = "[access]\nmode = \"accounts\"\n";
-const CLOSED: &str = "[access]\nmode = \"accounts\"\nread = \"closed\"\n";
 const DELETE: &str = "/cairn.v1.SceneService/Delete";
 const START: &str = "/cairn.v1.TrainingService/Start";
 /// Steps that nobody waits for.
 const ENDLESS: &str =
     "[field]\nsteps = 1000000\nrays_per_step = 64\nvoxels = 4096\nlevels = 1\n[quarantine]\nenabled = false";
-
-/// A daemon with an operator, and people with keys.
-struct World {
-    place: Place,
-    daemon: Daemon,
-}
-
-impl World {
-    fn new(settings: &str) -> Self {
-        let place = Place::new();
-        let root = key(&place, "root");
-        let data = place.text("data");
-        place.cairn_ok(&["access", "add", "--role", "operator", "--key", &root.to_string(), "--data", &data]);
-        let daemon = Daemon::start(&place.path("data"), settings);
-        Self { place, daemon }
-    }
-
-    /// Somebody with an account of this role.
-    fn with(&self, name: &str, role: &str) -> PublicKey {
-        let public = key(&self.place, name);
-        self.ok(name, &["access", "register", "--name", name]);
-        self.ok("root", &["access", "approve", &public.to_string(), "--role", role]);
-        public
-    }
-
-    fn run(&self, who: &str, arguments: &[&str]) -> Result<String, String> {
-        let key = self.place.text(&format!("{who}.key"));
-        let line = ["--connect", &self.daemon.url, "--account", &key];
-        let output = self.place.cairn(&[arguments, &line].concat());
-        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        if output.status.success() { Ok(text(&output.stdout)) } else { Err(text(&output.stderr)) }
-    }
-
-    fn ok(&self, who: &str, arguments: &[&str]) -> String {
-        self.run(who, arguments).unwrap_or_else(|e| panic!("{who}: cairn {arguments:?}: {e}"))
-    }
-
-    fn refused(&self, who: &str, arguments: &[&str], says: &str) {
-        let said = self.run(who, arguments).expect_err(&format!("{who} may cairn {arguments:?}"));
-        assert!(said.contains(says), "{who}: cairn {arguments:?} was refused, but not for {says:?}: {said}");
-    }
-
-    fn import(&self, who: &str, scene: &str) -> Result<String, String> {
-        let capture = self.place.text("capture");
-        self.run(who, &["scene", "import", scene, "--from", &capture, "--contributors", "contributors.csv"])
-    }
-
-    async fn channel(&self) -> Channel {
-        Endpoint::from_shared(self.daemon.url.clone()).unwrap().connect().await.unwrap()
-    }
-
-    /// What tokens for this run of the daemon name.
-    async fn identity(&self) -> Identity {
-        let mut client = AccessServiceClient::new(self.channel().await);
-        let about = client.about(v1::AboutRequest { format_version: 1 }).await.unwrap().into_inner();
-        let registry: [u8; 32] = about.registry_key.as_ref().try_into().unwrap();
-        let registry = PublicKey::from_bytes(&registry).unwrap().id();
-        Identity { origin: about.origin, registry, run: about.run.as_ref().try_into().unwrap() }
-    }
-
-    fn key(&self, who: &str) -> OwnerKey {
-        OwnerKey::load(&self.place.path(&format!("{who}.key"))).unwrap()
-    }
-}
-
-/// A new key in `NAME.key`.
-fn key(place: &Place, name: &str) -> PublicKey {
-    let key = OwnerKey::generate().unwrap();
-    key.save(&place.path(&format!("{name}.key"))).unwrap();
-    key.public()
-}
 
 fn now() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs()

@@ -8,7 +8,7 @@ use cairn_registry::{ErasureRequest, RecordKind, erasure};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
-use super::records::{self, Bundle, Ground, Stored};
+use super::records::{Bundle, Ground, Stored};
 use super::unlock::UnlockArgs;
 
 /// `cairn owners dispute`.
@@ -54,9 +54,7 @@ pub async fn dispute(line: &Connection, args: &DisputeArgs) -> anyhow::Result<u6
     let contested = Stored::of_scene(line, &args.name, args.record).await?;
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let record = ground.about(&contested, RecordKind::Dispute, &key, &args.purpose)?;
-    let entered = records::enter(line, &record, &key, None).await?;
-    bundle.write(line, &entered).await?;
-    Ok(entered.index)
+    bundle.enter(line, &record, &[&key], &[]).await
 }
 
 /// Has a record's envelope erased.

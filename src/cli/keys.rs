@@ -200,9 +200,8 @@ async fn rotate(line: &Connection, args: &RotateArgs) -> anyhow::Result<()> {
         replaces: Some(earlier.digest),
         ..ground.anew(&earlier, &new, &args.purpose)?
     };
-    let entered = records::enter(line, &record, &new, Some(&old)).await?;
-    bundle.write(line, &entered).await?;
-    println!("record {}: key {} took the place of {}", entered.index, new.public(), old.public());
+    let index = bundle.enter(line, &record, &[&new, &old], &[]).await?;
+    println!("record {index}: key {} took the place of {}", new.public(), old.public());
     println!("the old key signs no further records; the bundle is in {}", args.out.display());
     Ok(())
 }
@@ -210,18 +209,17 @@ async fn rotate(line: &Connection, args: &RotateArgs) -> anyhow::Result<()> {
 async fn revoke(line: &Connection, args: &RevokeArgs) -> anyhow::Result<()> {
     let key = args.unlock.load(&args.key)?;
     let bundle = Bundle::begin(&args.out)?;
-    let index = match args.record {
+    let about = match args.record {
         Some(index) => index,
         None => newest_of(line, &args.name, &key).await?,
     };
-    let earlier = Stored::of_scene(line, &args.name, index).await?;
+    let earlier = Stored::of_scene(line, &args.name, about).await?;
     earlier.spoken_for_by(&key)?;
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let mut record = ground.about(&earlier, RecordKind::Revocation, &key, &args.purpose)?;
     record.replaces = args.record.and(record.replaces);
-    let entered = records::enter(line, &record, &key, None).await?;
-    bundle.write(line, &entered).await?;
-    println!("record {}: key {} is good no longer; its records before this one are", entered.index, key.public());
+    let index = bundle.enter(line, &record, &[&key], &[]).await?;
+    println!("record {index}: key {} is good no longer; its records before this one are", key.public());
     if let Some(index) = args.record {
         println!("record {index} is taken back");
     }

@@ -25,6 +25,11 @@ pub enum Command {
     Sign(SignArgs),
     /// Who contributed to a scene or a view, as a file that proves that nobody is left out
     Answer(AnswerArgs),
+    /// Send again what was signed into DIR and got no answer; nothing is entered twice
+    Submit {
+        /// The folder that `--out` named
+        dir: PathBuf,
+    },
     /// Contest somebody's record: a record that says so
     Dispute(DisputeArgs),
     /// Have a record's envelope erased, and with it all that is personal; its place in the log stays
@@ -56,6 +61,11 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Sign(args) => {
             let index = sign(line, &args).await?;
             println!("record {index} is durable and published; its bundle is in {}", args.out.display());
+            Ok(())
+        }
+        Command::Submit { dir } => {
+            let index = records::Bundle::send_again(line, &dir).await?;
+            println!("record {index} is durable and published; its bundle is in {}", dir.display());
             Ok(())
         }
         Command::Dispute(args) => {

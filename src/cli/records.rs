@@ -3,7 +3,8 @@
 //!
 //! A bundle is a folder of files that whoever has them can verify without a daemon: `record.json` (DSSE envelope),
 //! `record.tlog-proof`, `log.vkey`, and for a claim `signal.png`, `signal.wav` and `signal.txt` (what there is of them) with
-//! `signal.salt`, which are the owner's secret until they choose to show them.
+//! `signal.salt`, which are the owner's secret until they choose to show them. `record.signed.json` is there for as long as
+//! there is no answer.
 
 use std::path::{Path, PathBuf};
 
@@ -137,35 +138,17 @@ impl Stored {
 }
 
 /// A record that was entered.
-pub struct Entered {
+struct Entered {
     /// Its place in the log.
-    pub index: u64,
+    index: u64,
     envelope: Vec<u8>,
     /// As of its acknowledgement.
     proof: String,
     vkey: String,
 }
 
-/// Signs a record with its owner's key and any other that must sign, and enters it.
-pub async fn enter(
-    line: &Connection,
-    record: &OwnerRecord,
-    key: &OwnerKey,
-    also: Option<&OwnerKey>,
-) -> anyhow::Result<Entered> {
-    let mut envelope = record.seal(key)?;
-    if let Some(other) = also {
-        envelope.sign(other);
-    }
-    let request = v1::SubmitRecordRequest { format_version: VERSION, envelope: envelope.to_json().into_bytes().into() };
-    let answer = line.about(&record.scene).owners().submit(request).await.map_err(refused)?.into_inner();
-    let entered = answer.record.context("the daemon's answer names no record")?;
-    // What came back must be what was signed, or the bundle would speak for somebody else.
-    let returned = Envelope::parse(&entered.envelope)?;
-    anyhow::ensure!(&OwnerRecord::open(&returned)?.0 == record, "the daemon returned another record than was signed");
-    let (index, envelope) = (entered.index, entered.envelope.to_vec());
-    Ok(Entered { index, envelope, proof: answer.tlog_proof, vkey: answer.vkey })
-}
+/// What was signed, until there is an answer: the record's envelope with its owner's signatures alone.
+const SIGNED: &str = "record.signed.json";
 
 /// The folder of a bundle, made before anything is signed; gone again where nothing was written.
 pub struct Bundle {
@@ -179,8 +162,67 @@ impl Bundle {
         Ok(Self { folder: folder.to_path_buf() })
     }
 
+    /// Signs a record with its owner's key and any other that must sign, enters it, and writes what an auditor needs and
+    /// `secrets`, the owner's; its place in the log. What is written before it is sent, an answer that is lost loses not.
+    pub async fn enter(
+        &self,
+        line: &Connection,
+        record: &OwnerRecord,
+        keys: &[&OwnerKey],
+        secrets: &[(&str, &[u8])],
+    ) -> anyhow::Result<u64> {
+        let (owner, others) = keys.split_first().context("nobody signs")?;
+        let mut envelope = record.seal(owner)?;
+        others.iter().for_each(|key| envelope.sign(key));
+        let signed = envelope.to_json().into_bytes();
+        let files = || secrets.iter().copied().chain([(SIGNED, &signed[..])]);
+        files().try_for_each(|(name, bytes)| self.add(name, bytes))?;
+        let sent = send(line, record, signed.clone()).await;
+        if matches!(&sent, Err(status) if !is_open(status)) {
+            // It will never be in the log: the folder goes, too.
+            files().for_each(|(name, _)| drop(std::fs::remove_file(self.folder.join(name))));
+        }
+        self.finish(line, record, sent).await
+    }
+
+    /// Sends what [`Bundle::enter`] left in `folder` without an answer, and goes on from there.
+    pub async fn send_again(line: &Connection, folder: &Path) -> anyhow::Result<u64> {
+        let path = folder.join(SIGNED);
+        let signed = std::fs::read(&path)
+            .with_context(|| format!("{} waits for no answer: cannot read {}", folder.display(), path.display()))?;
+        let of = || format!("{} is no signed record", path.display());
+        let envelope = Envelope::parse(&signed).with_context(of)?;
+        let (record, _) = OwnerRecord::open(&envelope).with_context(of)?;
+        let sent = send(line, &record, signed).await;
+        Self { folder: folder.to_path_buf() }.finish(line, &record, sent).await
+    }
+
+    async fn finish(
+        &self,
+        line: &Connection,
+        record: &OwnerRecord,
+        sent: Result<v1::SubmitRecordResponse, Status>,
+    ) -> anyhow::Result<u64> {
+        let lost = || format!("no answer; what was signed is kept, `cairn owners submit {}` asks again", self.name());
+        let answer = match sent {
+            Err(status) if is_open(&status) => return Err(refused(status)).with_context(lost),
+            Err(status) => return Err(refused(status)),
+            Ok(answer) => answer,
+        };
+        let entered = answer.record.context("the daemon's answer names no record")?;
+        // What came back must be what was signed, or the bundle would speak for somebody else.
+        let returned = Envelope::parse(&entered.envelope)?;
+        anyhow::ensure!(
+            &OwnerRecord::open(&returned)?.0 == record,
+            "the daemon returned another record than was signed"
+        );
+        let (index, envelope) = (entered.index, entered.envelope.to_vec());
+        self.write(line, &Entered { index, envelope, proof: answer.tlog_proof, vkey: answer.vkey }).await?;
+        Ok(index)
+    }
+
     /// Fetches the record's proof, and writes what an auditor needs.
-    pub async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<()> {
+    async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<()> {
         // First: with the record in hand its proof can be fetched by anybody, also where its key was just ended.
         self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
@@ -192,17 +234,24 @@ impl Bundle {
                 (entered.proof.clone(), entered.vkey.clone())
             }
             Err(status) => {
-                let problem = "is in the log, and record.json is kept; its proof was not given";
-                return Err(refused(status)).with_context(|| format!("record {} {problem}", entered.index));
+                let problem = "is in the log; its proof was not given";
+                let again = format!("`cairn owners submit {}` asks again", self.name());
+                return Err(refused(status)).with_context(|| format!("record {} {problem}, {again}", entered.index));
             }
         };
         self.add("record.tlog-proof", proof.as_bytes())?;
-        self.add("log.vkey", format!("{vkey}\n").as_bytes())
+        self.add("log.vkey", format!("{vkey}\n").as_bytes())?;
+        let signed = self.folder.join(SIGNED);
+        std::fs::remove_file(&signed).with_context(|| format!("cannot remove {}", signed.display()))
     }
 
     /// Writes one file more.
-    pub fn add(&self, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+    fn add(&self, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
         write(&self.folder.join(name), bytes)
+    }
+
+    fn name(&self) -> std::path::Display<'_> {
+        self.folder.display()
     }
 }
 
@@ -211,6 +260,17 @@ impl Drop for Bundle {
         // Fails, as it should, where there is something in it.
         let _ = std::fs::remove_dir(&self.folder);
     }
+}
+
+async fn send(line: &Connection, record: &OwnerRecord, signed: Vec<u8>) -> Result<v1::SubmitRecordResponse, Status> {
+    let request = v1::SubmitRecordRequest { format_version: VERSION, envelope: signed.into() };
+    Ok(line.about(&record.scene).owners().submit(request).await?.into_inner())
+}
+
+/// Whether what was asked for may have been done all the same: the line broke, or the daemon did.
+fn is_open(status: &Status) -> bool {
+    use Code::{Aborted, Cancelled, DataLoss, DeadlineExceeded, Internal, Unavailable, Unknown};
+    matches!(status.code(), Aborted | Cancelled | DataLoss | DeadlineExceeded | Internal | Unavailable | Unknown)
 }
 
 /// Whether a call was refused because of who calls.

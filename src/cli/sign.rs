@@ -11,7 +11,7 @@ use cairn_registry::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
-use super::records::{self, Bundle, Ground, Stored};
+use super::records::{Bundle, Ground, Stored};
 use super::unlock::UnlockArgs;
 
 /// `cairn owners sign`.
@@ -71,18 +71,14 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let salt = random_salt()?;
     let record = OwnerRecord { replaces: replaced, ..record(args, &key, &material, ground, &salt)? };
-    let entered = records::enter(line, &record, &key, None).await?;
-    bundle.write(line, &entered).await?;
+    let (files, salt) = (signal_files(&material), format!("{salt}\n"));
+    let mut secrets = Vec::new();
     if record.digests.hidden_signal.is_some() {
-        let files = signal_files(&material);
-        for (name, bytes) in [("signal.png", files.picture), ("signal.wav", files.audio), ("signal.txt", files.text)] {
-            if !bytes.is_empty() {
-                bundle.add(name, bytes)?;
-            }
-        }
-        bundle.add("signal.salt", format!("{salt}\n").as_bytes())?;
+        secrets = vec![("signal.png", files.picture), ("signal.wav", files.audio), ("signal.txt", files.text)];
+        secrets.retain(|(_, bytes)| !bytes.is_empty());
+        secrets.push(("signal.salt", salt.as_bytes()));
     }
-    Ok(entered.index)
+    bundle.enter(line, &record, &[&key], &secrets).await
 }
 
 fn record(

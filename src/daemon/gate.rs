@@ -20,6 +20,9 @@ use super::{Loaded, Shared};
 use crate::config::Mode;
 use crate::engine::access::unix_s;
 
+/// The one call that a key makes which the log ended: to be told again what became of its last record.
+const SUBMIT: &str = "/cairn.v1.OwnerService/Submit";
+
 /// What the gate found out about a call.
 #[derive(Clone, Debug)]
 pub struct Admitted {
@@ -76,7 +79,7 @@ impl Shared {
             },
             Mode::Accounts => match given.and_then(|text| text.strip_prefix("Cairn ")) {
                 Some(token) if need != Need::Anyone => {
-                    let call = Call { method: path, need, now: unix_s() };
+                    let call = Call { method: path, need, now: unix_s(), ended_too: path == SUBMIT };
                     match verify(self.at_work()?, call, token) {
                         Ok(caller) => caller,
                         // Whoever just ended their key reads on as anybody may: the proof of that very record, for one.
@@ -150,6 +153,11 @@ impl Shared {
             claims.about(scene).map_err(refuse)?;
         }
         let id = account.id();
+        if let Some(index) = account.ended_by
+            && !self.entered_before(account, about)?
+        {
+            return Err(refuse(AccountError::Ended { key: account.signer().id(), index }));
+        }
         let (reach, contributor) = (account.role.reach(need), account.role == Role::Contributor);
         let theirs = match about {
             // What they signed themselves is all that a contributor submits, whatever scene it is about: a record under
@@ -179,6 +187,14 @@ impl Shared {
 }
 
 impl Shared {
+    /// Whether a call submits again what the account's key signed and the log has: that changes nothing, and whoever
+    /// ended their key with it may not have heard the first answer.
+    fn entered_before(&self, account: &Account, about: About<'_>) -> Result<bool, Status> {
+        let About::Signed(_, envelope) = about else { return Ok(false) };
+        let there = self.engine()?.registry().find(&envelope.digest()).map_err(|e| status(e.into()))?;
+        Ok(there.is_some() && envelope.signature_by(account.signer()).is_some())
+    }
+
     /// Whether an account's key took the place of the key with this id, whose account may be another: then what is that
     /// one's is this one's.
     fn speaks_for(&self, account: &Account, owner: &Digest) -> Result<bool, Status> {

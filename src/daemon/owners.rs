@@ -1,5 +1,7 @@
 //! `OwnerService`.
 
+use std::time::Duration;
+
 use cairn_proto::v1::{self, owner_service_server::OwnerService};
 use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordError, RegistryError};
 use tonic::{Request, Response, Status};
@@ -7,9 +9,14 @@ use tonic::{Request, Response, Status};
 use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
+use crate::engine::Engine;
+use crate::engine::error::EngineError;
 
 /// Most records in one answer.
 const MAX_LISTED: u32 = 1000;
+
+/// Longest that a round of records may be written for; far more than a slow disk takes.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -65,7 +72,7 @@ impl OwnerService for Shared {
         let payer = self.authorise(request.extensions(), About::Signed(&scene, &claimed))?;
         let envelope = request.into_inner().envelope;
         let answer = self
-            .run(move |engine| {
+            .while_the_disk_answers(move |engine| {
                 let receipt = engine.submit_record(&envelope, payer)?;
                 let (record, _) = OwnerRecord::open(&receipt.envelope).map_err(RegistryError::from)?;
                 let tlog_proof = receipt.tlog_proof().to_text();
@@ -146,7 +153,35 @@ impl OwnerService for Shared {
         let (scene, asked) = self.run(move |engine| engine.erasure_asked(&asked)).await?;
         self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
         let request = request.into_inner().request;
-        let index = self.run(move |engine| engine.erase_record(&request)).await?;
+        let index = self.while_the_disk_answers(move |engine| engine.erase_record(&request)).await?;
         Ok(Response::new(v1::EraseRecordResponse { format_version: to_proto::VERSION, index }))
+    }
+}
+
+impl Shared {
+    /// As [`Shared::run`], for what writes into the log: where a disk does not answer, or the store waits for itself (sled
+    /// does where two of its threads fail to write at once), its writer never ends. Then writing stops, and whoever
+    /// waits is told.
+    async fn while_the_disk_answers<T: Send + 'static>(
+        &self,
+        what: impl FnOnce(&Engine) -> Result<T, EngineError> + Send + 'static,
+    ) -> Result<T, Status> {
+        let work = self.run(what);
+        tokio::pin!(work);
+        loop {
+            if let Ok(answer) = tokio::time::timeout(PATIENCE, &mut work).await {
+                return answer;
+            }
+            let engine = self.engine()?;
+            if engine.registry().writing_for().is_some_and(|written_for| written_for >= PATIENCE) {
+                let cause = format!("its disk has not answered for {} seconds", PATIENCE.as_secs());
+                engine.registry().stop_writing(&cause);
+                tracing::error!(cause, "the log stopped writing");
+                let remedy = "see whether the disk is full or failing, kill the daemon and start it again";
+                return Err(Status::unavailable(format!(
+                    "the log stopped writing: {cause}; {remedy}, and submit the record again: it may be in the log"
+                )));
+            }
+        }
     }
 }

@@ -74,7 +74,9 @@ impl Engine {
         let refuse = |e| RegistryError::from(cairn_registry::RecordError::from(e));
         let envelope = Envelope::parse(envelope).map_err(refuse)?;
         let record = OwnerRecord::parse(&envelope.payload).map_err(RegistryError::from)?;
-        let payer = payer.filter(|_| record.kind != RecordKind::Revocation);
+        // What is there already costs nothing, or whoever used up a quota could not ask again for their last answer.
+        let is_new = self.registry().find(&envelope.digest())?.is_none();
+        let payer = payer.filter(|_| is_new && record.kind != RecordKind::Revocation);
         if let Some(payer) = &payer {
             self.access().charge_record(payer)?;
         }

@@ -2,6 +2,8 @@
 //! makes tiny captures of a made-up landmark.
 #![allow(dead_code)] // Every test file uses its own part of this.
 
+pub mod world;
+
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};

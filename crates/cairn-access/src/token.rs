@@ -298,6 +298,9 @@ pub struct Call<'a> {
     pub need: Need,
     /// Now, by the daemon's clock.
     pub now: u64,
+    /// Whether an account may make it whose key the log ended ([`Account::ended_by`]); whoever admits it holds it
+    /// to what such an account may still do.
+    pub ended_too: bool,
 }
 
 /// Verifies tokens, each once.
@@ -342,7 +345,7 @@ impl Verifier {
     pub fn verify(&self, token: &str, call: Call<'_>, accounts: &Accounts) -> Result<(Account, Claims), AccessError> {
         let (claims, account, id) = open(token, accounts)?;
         self.fits(&claims, call)?;
-        if let Some(index) = account.ended_by {
+        if let Some(index) = account.ended_by.filter(|_| !call.ended_too) {
             return Err(AccountError::Ended { key: claims.key, index }.into());
         }
         if account.signer().id() != claims.key {

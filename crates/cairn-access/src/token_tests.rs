@@ -29,7 +29,7 @@ impl Fixture {
     }
 
     fn verify_at(&self, token: &str, now: u64) -> Result<(Account, Claims), AccessError> {
-        self.verifier.verify(token, Call { method: METHOD, need: Need::Change, now }, &self.accounts)
+        self.verifier.verify(token, Call { method: METHOD, need: Need::Change, now, ended_too: false }, &self.accounts)
     }
 
     fn refused(&self, token: &str, now: u64) -> TokenError {
@@ -127,7 +127,7 @@ fn the_window_is_exact_and_clocks_may_be_thirty_seconds_apart() {
     assert!(matches!(f.refused(&living(301), NOW), TokenError::Lifetime { longest_s: 300, .. }));
     assert!(matches!(f.refused(&living(u64::MAX), NOW), TokenError::Lifetime { .. }));
     let shorter = Verifier::new(f.verifier.daemon().clone(), 59);
-    let call = Call { method: METHOD, need: Need::Change, now: NOW };
+    let call = Call { method: METHOD, need: Need::Change, now: NOW, ended_too: false };
     let refused = shorter.verify(&f.sign(), call, &f.accounts);
     assert!(matches!(refused, Err(AccessError::Token(TokenError::Lifetime { longest_s: 59, .. }))));
     assert_eq!(Verifier::new(f.verifier.daemon().clone(), 9_999).longest_s(), MAX_LIFETIME_S);
@@ -149,7 +149,7 @@ fn strangers_and_those_who_may_not_are_told_apart() {
     bytes[body..].copy_from_slice(&elsewhere);
     assert!(matches!(f.refused(&URL_SAFE_NO_PAD.encode(&bytes), NOW), TokenError::BadSignature { .. }));
 
-    let operate = Call { method: METHOD, need: Need::Operate, now: NOW };
+    let operate = Call { method: METHOD, need: Need::Operate, now: NOW, ended_too: false };
     let token = f.sign();
     let denied = f.verifier.verify(&token, operate, &f.accounts).unwrap_err();
     assert!(denied.to_string().contains("needs the role operator; \"ada\" is contributor"), "{denied}");
@@ -221,4 +221,9 @@ fn only_the_key_that_the_log_has_in_its_place_signs_for_an_account() {
     for key in [&f.key, &last] {
         assert!(matches!(account(f.verify_at(&by(key), NOW)), AccountError::Ended { index: 7, .. }));
     }
+    // A call that such an account may make, too: by the last key that signed for it, and no earlier one.
+    let call = Call { method: METHOD, need: Need::Change, now: NOW, ended_too: true };
+    let (found, _) = f.verifier.verify(&by(&last), call, &f.accounts).unwrap();
+    assert_eq!((found.id(), found.ended_by), (id, Some(7)));
+    assert!(matches!(account(f.verifier.verify(&by(&f.key), call, &f.accounts)), AccountError::Rotated { .. }));
 }

@@ -16,7 +16,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cairn_registry::{Checkpoint, Digest, Envelope, Registry, merkle};
+use cairn_registry::{Checkpoint, Digest, Envelope, Registry, RegistryError, merkle};
 use common::*;
 
 const TEST: &str = "a_system_call_that_fails_loses_nothing_that_was_acknowledged";
@@ -122,10 +122,21 @@ fn count_calls() -> Vec<usize> {
     CALLS.iter().map(|(call, _)| most(call)).collect()
 }
 
+/// Opens the log again. A child that was killed with its tracer is not ours to wait for, and holds the log until the
+/// kernel is done with it.
+fn reopened(folder: &Path) -> Result<Registry, RegistryError> {
+    let begun = Instant::now();
+    loop {
+        match Registry::open(&folder.join("log"), registry_key(), ORIGIN) {
+            Err(RegistryError::Locked { .. }) if begun.elapsed() < HUNG => std::thread::sleep(Duration::from_millis(5)),
+            opened => return opened,
+        }
+    }
+}
+
 /// Everything that must hold after the run, whatever failed in it.
 fn must_honour(folder: &Path, said: &str, what: &str) {
-    let registry = Registry::open(&folder.join("log"), registry_key(), ORIGIN)
-        .unwrap_or_else(|e| panic!("{what}: the log does not open again: {e}"));
+    let registry = reopened(folder).unwrap_or_else(|e| panic!("{what}: the log does not open again: {e}"));
     let log = registry.verifier().unwrap();
     let head = Checkpoint::verify(&registry.checkpoint(), &log).unwrap();
     for (index, digest, note) in acknowledged(said) {

@@ -14,6 +14,7 @@ use std::{
     mem,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     thread,
+    time::{Duration, Instant},
 };
 
 use super::{
@@ -44,7 +45,17 @@ type Outcome = Result<Placed, RegistryError>;
 #[derive(Default)]
 pub(super) struct Queue {
     waiting: Vec<Waiting>,
-    busy: bool,
+    /// Since when somebody has been writing.
+    busy: Option<Instant>,
+}
+
+impl Queue {
+    /// Takes a submission out again; false where a round has it already.
+    fn leave(&mut self, slot: &Arc<Mutex<Option<Outcome>>>) -> bool {
+        let before = self.waiting.len();
+        self.waiting.retain(|waiting| !Arc::ptr_eq(&waiting.slot, slot));
+        self.waiting.len() < before
+    }
 }
 
 /// What only the one who writes needs to know.
@@ -98,7 +109,7 @@ impl Drop for Turn<'_> {
                 *slot = Some(Err(RegistryError::Halted { cause }));
             }
         }
-        lock(&self.registry.queue).busy = false;
+        lock(&self.registry.queue).busy = None;
         self.registry.wake.notify_all();
     }
 }
@@ -122,11 +133,17 @@ impl Registry {
                 drop(queue);
                 return self.receipt(outcome?);
             }
-            if queue.busy {
+            if queue.busy.is_some() {
+                // The round that is being written may never end; this submission is in none.
+                if let Some(cause) = self.halted()
+                    && queue.leave(&slot)
+                {
+                    return Err(RegistryError::Halted { cause });
+                }
                 queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
                 continue;
             }
-            queue.busy = true;
+            queue.busy = Some(Instant::now());
             let mut turn = Turn { registry: self, batch: mem::take(&mut queue.waiting) };
             drop(queue);
             let outcomes = self.write_round(&turn.batch);
@@ -139,13 +156,19 @@ impl Registry {
         }
     }
 
+    /// How long the round that is being written has been; `None` where none is. A disk that does not answer, or a store
+    /// that waits for itself, keeps its writer for ever: whoever finds that stops the writing ([`Registry::stop_writing`]).
+    pub fn writing_for(&self) -> Option<Duration> {
+        lock(&self.queue).busy.map(|since| since.elapsed())
+    }
+
     /// The turn to write, taken for something that no submission waits for.
     pub(super) fn turn(&self) -> Turn<'_> {
         let mut queue = lock(&self.queue);
-        while queue.busy {
+        while queue.busy.is_some() {
             queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
         }
-        queue.busy = true;
+        queue.busy = Some(Instant::now());
         Turn { registry: self, batch: Vec::new() }
     }
 
@@ -337,8 +360,12 @@ impl Registry {
     }
 
     /// Stops all writing for good: somebody outside knows better what this log is. It goes on reading and proving.
+    /// Whoever waits for the round to come is refused at once; whose round is being written waits for that.
     pub fn stop_writing(&self, cause: &str) {
         self.halt(cause);
+        // Under its lock: between a look and a wait nobody hears a call.
+        let _queue = lock(&self.queue);
+        self.wake.notify_all();
     }
 
     /// Stops all writing; the first cause stays.

@@ -82,6 +82,32 @@ fn sealed(registry: &Registry, number: u8) -> Envelope {
 }
 
 #[test]
+fn a_round_that_does_not_end_keeps_nobody_else_waiting() {
+    let store = Gated::default();
+    let registry = open(&store, &store.inner);
+    let envelopes = [1, 2, 3].map(|number| sealed(&registry, number));
+    assert!(registry.writing_for().is_none());
+    store.armed.store(true, Ordering::SeqCst);
+    std::thread::scope(|scope| {
+        let first = scope.spawn(|| registry.submit(&envelopes[0]));
+        store.entered.0.wait();
+        assert!(registry.writing_for().is_some());
+        let waiting = scope.spawn(|| registry.submit(&envelopes[1]));
+        while lock(&registry.queue).waiting.is_empty() {
+            std::thread::yield_now();
+        }
+        registry.stop_writing("its disk does not answer");
+        for refused in [waiting.join().unwrap(), registry.submit(&envelopes[2])] {
+            assert!(matches!(&refused, Err(RegistryError::Halted { cause }) if cause.contains("disk")), "{refused:?}");
+        }
+        // Should the disk answer after all, what it took is in the log.
+        store.entered.1.wait();
+        assert_eq!(first.join().unwrap().unwrap().index, 0);
+    });
+    assert!(registry.writing_for().is_none());
+}
+
+#[test]
 fn a_writer_that_panics_leaves_nobody_waiting() {
     let store = Gated::default();
     let registry = open(&store, &store.inner);

@@ -1,0 +1,88 @@
+//! A daemon with accounts, and people who call it with their keys.
+
+use cairn_access::Daemon as Identity;
+use cairn_proto::v1;
+use cairn_proto::v1::access_service_client::AccessServiceClient;
+use cairn_registry::{OwnerKey, PublicKey};
+use tonic::transport::{Channel, Endpoint};
+
+use super::{Daemon, Place};
+
+pub const ACCOUNTS: &str = "[access]\nmode = \"accounts\"\n";
+pub const CLOSED: &str = "[access]\nmode = \"accounts\"\nread = \"closed\"\n";
+
+/// A daemon with an operator, and people with keys.
+pub struct World {
+    pub place: Place,
+    pub daemon: Daemon,
+}
+
+impl World {
+    pub fn new(settings: &str) -> Self {
+        let place = Place::new();
+        let root = key(&place, "root");
+        let data = place.text("data");
+        place.cairn_ok(&["access", "add", "--role", "operator", "--key", &root.to_string(), "--data", &data]);
+        let daemon = Daemon::start(&place.path("data"), settings);
+        Self { place, daemon }
+    }
+
+    /// Somebody with an account of this role.
+    pub fn with(&self, name: &str, role: &str) -> PublicKey {
+        let public = key(&self.place, name);
+        self.ok(name, &["access", "register", "--name", name]);
+        self.ok("root", &["access", "approve", &public.to_string(), "--role", role]);
+        public
+    }
+
+    pub fn run(&self, who: &str, arguments: &[&str]) -> Result<String, String> {
+        self.run_at(&self.daemon.url, who, arguments)
+    }
+
+    /// As [`World::run`], where the daemon is reached in another way.
+    pub fn run_at(&self, url: &str, who: &str, arguments: &[&str]) -> Result<String, String> {
+        let key = self.place.text(&format!("{who}.key"));
+        let line = ["--connect", url, "--account", &key];
+        let output = self.place.cairn(&[arguments, &line].concat());
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        if output.status.success() { Ok(text(&output.stdout)) } else { Err(text(&output.stderr)) }
+    }
+
+    pub fn ok(&self, who: &str, arguments: &[&str]) -> String {
+        self.run(who, arguments).unwrap_or_else(|e| panic!("{who}: cairn {arguments:?}: {e}"))
+    }
+
+    pub fn refused(&self, who: &str, arguments: &[&str], says: &str) {
+        let said = self.run(who, arguments).expect_err(&format!("{who} may cairn {arguments:?}"));
+        assert!(said.contains(says), "{who}: cairn {arguments:?} was refused, but not for {says:?}: {said}");
+    }
+
+    pub fn import(&self, who: &str, scene: &str) -> Result<String, String> {
+        let capture = self.place.text("capture");
+        self.run(who, &["scene", "import", scene, "--from", &capture, "--contributors", "contributors.csv"])
+    }
+
+    pub async fn channel(&self) -> Channel {
+        Endpoint::from_shared(self.daemon.url.clone()).unwrap().connect().await.unwrap()
+    }
+
+    /// What tokens for this run of the daemon name.
+    pub async fn identity(&self) -> Identity {
+        let mut client = AccessServiceClient::new(self.channel().await);
+        let about = client.about(v1::AboutRequest { format_version: 1 }).await.unwrap().into_inner();
+        let registry: [u8; 32] = about.registry_key.as_ref().try_into().unwrap();
+        let registry = PublicKey::from_bytes(&registry).unwrap().id();
+        Identity { origin: about.origin, registry, run: about.run.as_ref().try_into().unwrap() }
+    }
+
+    pub fn key(&self, who: &str) -> OwnerKey {
+        OwnerKey::load(&self.place.path(&format!("{who}.key"))).unwrap()
+    }
+}
+
+/// A new key in `NAME.key`.
+pub fn key(place: &Place, name: &str) -> PublicKey {
+    let key = OwnerKey::generate().unwrap();
+    key.save(&place.path(&format!("{name}.key"))).unwrap();
+    key.public()
+}

@@ -1,0 +1,109 @@
+//! An answer that is lost on its way, through the real daemon: what was signed is kept and asked about
+//! again, also by a key that the lost answer's own record ended.
+
+mod common;
+
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+
+use common::world::{CLOSED, World};
+
+/// A way to the daemon at `url` that breaks once a record went through it: its answer never comes.
+fn way_that_breaks(url: &str) -> String {
+    let daemon = url.strip_prefix("http://").unwrap().to_owned();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        for client in listener.incoming() {
+            let (client, daemon) = (client.unwrap(), TcpStream::connect(&daemon).unwrap());
+            let (back, ends) = (daemon.try_clone().unwrap(), client.try_clone().unwrap());
+            std::thread::spawn(move || there(client, daemon));
+            std::thread::spawn(move || drop(std::io::copy(&mut &back, &mut &ends)));
+        }
+    });
+    url
+}
+
+fn there(mut client: TcpStream, mut daemon: TcpStream) {
+    let (mut buffer, mut said) = ([0; 4096], Vec::new());
+    while let Ok(read @ 1..) = client.read(&mut buffer) {
+        said.extend_from_slice(&buffer[..read]);
+        // An envelope goes as it is, and this is how each ends.
+        if said.windows(12).any(|bytes| bytes == b"\"signatures\"") {
+            let _ = client.shutdown(std::net::Shutdown::Write);
+            daemon.write_all(&buffer[..read]).unwrap();
+            // Until it is durable.
+            std::thread::sleep(std::time::Duration::from_millis(500));
+            let _ = (client.shutdown(std::net::Shutdown::Both), daemon.shutdown(std::net::Shutdown::Both));
+            return;
+        }
+        daemon.write_all(&buffer[..read]).unwrap();
+    }
+    let _ = daemon.shutdown(std::net::Shutdown::Write);
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort_unstable();
+    names
+}
+
+#[test]
+fn an_answer_that_is_lost_is_asked_for_again_also_by_a_key_that_ended() {
+    let world = World::new(&format!("{CLOSED}[access.quota]\nrecords = 1\n"));
+    world.with("ada", "contributor");
+    world.import("ada", "town").unwrap();
+    let (tiny, own) = (world.place.text("tiny.toml"), world.place.text("ada.key"));
+    world.ok("ada", &["train", "town", "--by-contributor", "--settings", &tiny]);
+    let broken = way_that_breaks(&world.daemon.url);
+    let sign = ["owners", "sign", "town", "--identity", "1", "--key", &own, "--out"];
+    let revoke = ["keys", "revoke", "town", "--key", &own, "--purpose", "lost", "--out"];
+    let secret = ["signal.png", "signal.salt"];
+    let vkey = world.place.text("pinned.vkey");
+    world.ok("root", &["owners", "vkey", "--out", &vkey]);
+    for (what, line, name, secret) in [(0, &sign[..], "claim", &secret[..]), (2, &revoke[..], "end", &[])] {
+        let (folder, out) = (world.place.path(name), world.place.text(name));
+        let lost = world.run_at(&broken, "ada", &[line, &[&out]].concat()).unwrap_err();
+        assert!(lost.contains("no answer") && lost.contains(&format!("cairn owners submit {out}")), "{lost}");
+        assert_eq!(files(&folder), [&["record.signed.json"], secret].concat(), "{lost}");
+        // The claim used the quota up, and the revocation the key: neither keeps the answer back.
+        for _ in 0..2 {
+            std::fs::copy(folder.join("record.signed.json"), world.place.path("kept")).unwrap();
+            let said = world.ok("ada", &["owners", "submit", &out]);
+            assert!(said.contains(&format!("record {what} is durable")), "{said}");
+            assert_eq!(files(&folder), [&["log.vkey", "record.json", "record.tlog-proof"], secret].concat());
+            assert!(world.place.cairn_ok(&["audit", "bundle", &out, "--vkey", &vkey]).starts_with("trusted"));
+            std::fs::copy(world.place.path("kept"), folder.join("record.signed.json")).unwrap();
+        }
+        std::fs::remove_file(folder.join("record.signed.json")).unwrap();
+        world.refused("ada", &["owners", "submit", &out], "waits for no answer");
+    }
+    world.refused("ada", &["scene", "list"], "was ended by record 2");
+
+    // A record that never was in the log is not entered by a key that ended, and nobody takes another's answer.
+    let never = ["owners", "sign", "town", "--identity", "1", "--key", &own, "--out", &world.place.text("never")];
+    world.refused("ada", &never, "was ended by record 2");
+    world.with("eve", "contributor");
+    std::fs::create_dir(world.place.path("eves")).unwrap();
+    std::fs::copy(world.place.path("kept"), world.place.path("eves/record.signed.json")).unwrap();
+    let refused = world.run("eve", &["owners", "submit", &world.place.text("eves")]).unwrap_err();
+    assert!(refused.contains("your account's key did not sign"), "{refused}");
+    let listed = world.ok("root", &["owners", "list"]);
+    assert_eq!(listed.lines().count(), 2, "each once: {listed}");
+}
+
+#[test]
+fn what_is_refused_leaves_nothing_behind() {
+    let world = World::new(&format!("{CLOSED}[access.quota]\nrecords = 1\n"));
+    world.with("ada", "contributor");
+    world.import("ada", "town").unwrap();
+    let (tiny, own) = (world.place.text("tiny.toml"), world.place.text("ada.key"));
+    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--settings", &tiny]);
+    let sign = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", &own, "--out"];
+    world.ok("ada", &[&sign[..], &[&world.place.text("first")]].concat());
+    let second = world.place.text("second");
+    world.refused("ada", &[&sign[..], &[&second]].concat(), "quota `records` is 1");
+    assert!(!Path::new(&second).exists());
+}
