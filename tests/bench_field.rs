@@ -1,6 +1,7 @@
 //! `cairn bench field --quick` on tiny made-up captures: every table, chart and
 //! row is there and finite, a missed target is called so, nothing is skipped in
-//! silence, and Ctrl-C leaves the ledger as it was. And `cairn bench few` on one of them.
+//! silence, and Ctrl-C leaves the ledger as it was. And `cairn bench few` and
+//! `cairn bench own` on one of them.
 
 mod common;
 
@@ -171,6 +172,36 @@ fn ten_views_are_trained_with_and_without_what_their_distance_asks_for() {
         assert!(find(metric).is_finite());
     }
     assert_ne!(find("PSNR"), find("PSNR, never smoother"), "the same training twice");
+}
+
+#[test]
+fn a_capture_of_ones_own_is_trained_with_and_without_the_grid_it_asks_for() {
+    let place = Place::new();
+    captures(&place);
+    let gone = std::fs::read_dir(place.path("captures/liberty/images")).unwrap().next().unwrap().unwrap().path();
+    std::fs::remove_file(&gone).unwrap();
+    // Small enough that its photographs ask for more; without a light of their own, which would forbid that.
+    std::fs::write(place.path("small.toml"), "[field]\nvoxels = 4096\nvoxel_px = 2.0\nappearance = \"off\"\n").unwrap();
+    let folder = ["--folder", "captures/liberty", "--settings", "small.toml"];
+    let common = ["bench", "own", "--quick", "--ledger", "l.json", "--out", "out"];
+    let all = [&common[..], &folder].concat();
+    let refused = place.cairn(&all);
+    let error = String::from_utf8_lossy(&refused.stderr);
+    let name = gone.file_name().unwrap().to_str().unwrap();
+    assert!(!refused.status.success() && error.contains(name) && error.contains("--skip-missing"), "{error}");
+    assert!(!place.path("l.json").exists());
+    place.cairn_ok(&[&all[..], &["--skip-missing"]].concat());
+    let ledger: Value = serde_json::from_slice(&std::fs::read(place.path("l.json")).unwrap()).unwrap();
+    let find = |metric: &str| {
+        let rows = ledger.as_array().unwrap();
+        let row = rows.iter().find(|r| r["metric"] == metric).unwrap_or_else(|| panic!("no row {metric} in {rows:?}"));
+        assert_eq!((&row["suite"], &row["case"]), (&"own".into(), &"liberty, quick, small".into()));
+        row["value"].as_f64().unwrap()
+    };
+    for metric in ["PSNR", "SSIM", "training"] {
+        assert!(find(metric).is_finite() && find(&format!("{metric}, never finer")).is_finite());
+    }
+    assert!(find("vertices") > 2.0 * find("vertices, never finer"));
 }
 
 #[test]

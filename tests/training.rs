@@ -150,6 +150,43 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
     assert_eq!(states, [JobState::Cancelled, JobState::Cancelled]);
 }
 
+/// A capture as a phone's: a photograph is gone, and nobody says how large clusters are.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_missing_is_left_out_and_clusters_are_as_large_as_may_be() {
+    let place = Place::new();
+    let daemon = Daemon::start(&place.path("data"), "");
+    let images = place.path("capture/images");
+    let mut names: Vec<_> = std::fs::read_dir(&images).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort_unstable();
+    std::fs::remove_file(images.join(&names[1])).unwrap();
+    let (capture, table) = (place.text("capture"), place.text("capture/contributors.csv"));
+    let import = ["scene", "import", "town", "--from", &capture, "--contributors", &table, "--connect", &daemon.url];
+    let refused = place.cairn(&import);
+    let (error, gone) = (String::from_utf8_lossy(&refused.stderr), names[1].to_str().unwrap());
+    assert!(!refused.status.success() && error.contains(gone) && error.contains("--skip-missing"), "{error}");
+    let done = place.cairn(&[&import[..], &["--skip-missing"]].concat());
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success() && said.contains("left out 1 views") && said.contains(gone), "{said}");
+
+    let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let get = || v1::GetSceneRequest { format_version: 1, scene: "town".into() };
+    let scene = scenes.get(get()).await.unwrap().into_inner();
+    assert_eq!(scene.views.len(), names.len() - 1);
+    let most = scene.views.iter().filter(|v| !v.held_out).count() as u32 / 2;
+    let mut client = training(&daemon).await;
+    let mut clusters = Vec::new();
+    for neighbours in [0, most] {
+        let by_anchors =
+            Some(v1::start_training_request::Clusters::ByAnchors(v1::ByAnchors { anchors: 2, neighbours }));
+        let request = v1::StartTrainingRequest { clusters: by_anchors, ..base_only("town", 1, TINY) };
+        let job = client.start(request).await.unwrap().into_inner().job.unwrap();
+        assert_eq!(watch_until(&mut client, &job.id, ended).await.state(), JobState::Done);
+        let identities = model(&daemon, "town").await.identities;
+        clusters.push(identities.into_iter().map(|identity| identity.view_names).collect::<Vec<_>>());
+    }
+    assert!(clusters[0] == clusters[1] && clusters[0].iter().all(|views| views.len() > 2), "{clusters:?}");
+}
+
 #[test]
 fn ctrl_c_cancels_and_keeps_the_checkpoint() {
     let place = Place::new();

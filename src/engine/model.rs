@@ -4,6 +4,7 @@
 //! `current.json`.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use cairn_cluster::Clusters;
 use cairn_registry::Digest;
@@ -139,7 +140,7 @@ pub struct Model {
     /// What it says of itself.
     pub info: ModelInfo,
     /// After stage 1.
-    pub base: Field,
+    pub base: Arc<Field>,
     /// After stage 2, where there was one.
     pub mark: Option<Mark>,
 }
@@ -244,10 +245,11 @@ impl Model {
     /// Loads the model that `info` describes; every file is held to its digest.
     pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
         let folder = models.join(&info.scene).join(&info.job);
-        let base = Field::from_bytes(&read_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?)?;
+        let bytes = read_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?;
+        let base = Arc::new(Field::from_bytes(&bytes)?);
         let mark = match &info.mark {
             None => None,
-            Some(mark) => Some(load_mark(&folder, mark, info.classes()?)?),
+            Some(mark) => Some(load_mark(&folder, mark, info.classes()?, (&base, &bytes))?),
         };
         Ok(Self { info, base, mark })
     }
@@ -265,14 +267,21 @@ impl Model {
     }
 }
 
-fn load_mark(folder: &Path, info: &MarkInfo, classes: Classes) -> Result<Mark, EngineError> {
+/// `base`: the field of stage 1 and its stored form. The marked field of a large grid shares it.
+fn load_mark(
+    folder: &Path,
+    info: &MarkInfo,
+    classes: Classes,
+    base: (&Arc<Field>, &[u8]),
+) -> Result<Mark, EngineError> {
     let field = read_checked(&folder.join("marked.field"), &info.marked_field, MAX_FIELD_BYTES)?;
     let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
     let mut signals = Vec::with_capacity(info.signals.len());
     for (i, digest) in info.signals.iter().enumerate() {
         signals.push(hidden::decoded(&hidden::read(folder, i + 1, digest)?)?);
     }
-    let (field, detector) = (MarkedField::from_bytes(&field)?, Detector::from_bytes(&detector)?);
+    let (field, detector) =
+        (MarkedField::from_bytes_sharing(&field, base.0, base.1)?, Detector::from_bytes(&detector)?);
     if detector.classes() != classes.count() {
         let (got, expected) = (detector.classes(), classes.count());
         let problem = format!("it has {got} classes, model.json speaks of {expected}");

@@ -80,7 +80,7 @@ impl Stage for BaseTrainer {
                 100.0 * spread
             )),
         };
-        let (Spacing { apart_deg, .. }, smoothing) = (self.spacing(), self.smoothing());
+        let Spacing { apart_deg, smoothing } = self.spacing();
         let far = (smoothing > 1.0).then(|| {
             format!(
                 "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much (field.smoother_beyond_deg)"

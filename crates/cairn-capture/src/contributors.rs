@@ -8,9 +8,7 @@ use serde::Deserialize;
 
 use crate::error::CaptureError;
 use crate::photograph::{Limits, read_limited};
-
-/// Endings that camera files leave away.
-const ENDINGS: [&str; 3] = [".png", ".jpg", ".jpeg"];
+use crate::transforms::LEFT_AWAY;
 
 #[derive(Deserialize)]
 struct Row {
@@ -53,7 +51,8 @@ pub(crate) fn read(
         })?;
         let entry = format!("line {line} ({})", row.image);
         // A missing photograph's ending is not known where the camera file leaves it away.
-        let bare = || ENDINGS.iter().find_map(|e| index.get(row.image.strip_suffix(e)?).filter(|v| **v >= names.len()));
+        let bare =
+            || LEFT_AWAY.iter().find_map(|e| index.get(row.image.strip_suffix(e)?).filter(|v| **v >= names.len()));
         let Some(&view) = index.get(row.image.as_str()).or_else(bare) else {
             let problem = "the capture has no photograph of that name, or several".to_owned();
             return Err(wrong(entry, problem, "name it as the camera file does, or remove the row"));

@@ -36,10 +36,9 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
         return Err(CaptureError::malformed(&file, "shape", expected, format!("{}", matrix.columns), remedy));
     }
     check_count(&file, matrix.rows as u64, options.limits.max_views)?;
-    let images = image_folder(folder, options, &FOLDERS).ok_or_else(|| CaptureError::PhotographMissing {
-        file: file.clone(),
-        entry: "the photographs' folder".to_owned(),
-        photograph: folder.join("images"),
+    let images = image_folder(folder, options, &FOLDERS).ok_or_else(|| {
+        let (expected, remedy) = (format!("a folder beside it: {}", FOLDERS.join(", ")), "put the photographs there");
+        CaptureError::malformed(&file, "the photographs", expected, "none".to_owned(), remedy)
     })?;
     let names = photographs(&folder.join(&images))?;
     if names.len() != matrix.rows {

@@ -23,6 +23,9 @@ use crate::photograph::{Limits, header, read_limited};
 
 const REMEDY: &str = "correct the file, or export it again";
 
+/// Endings that camera files leave away.
+pub(crate) const LEFT_AWAY: [&str; 3] = [".png", ".jpg", ".jpeg"];
+
 /// Camera models that are a pinhole with Brown-Conrady distortion.
 const MODELS: [&str; 6] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"];
 
@@ -261,7 +264,7 @@ impl Source<'_> {
         if let Some(images) = assemble::image_folder(self.folder, options, &[]) {
             stem = images.join(stem.file_name().unwrap_or_default());
         }
-        let endings = ["", ".png", ".jpg", ".jpeg"].into_iter();
+        let endings = std::iter::once("").chain(LEFT_AWAY);
         let mut candidates = endings.map(|ending| {
             let mut name = stem.clone().into_os_string();
             name.push(ending);

@@ -246,7 +246,7 @@ fn llff_rows_and_files() {
         refuses(read(folder.path()), &["poses_bounds.npy", part, "numpy.save"]);
     }
     fs::remove_dir_all(folder.path().join("images")).unwrap();
-    refuses(write(&[row; 2], "(2, 17)"), &["photographs' folder", "images is missing"]);
+    refuses(write(&[row; 2], "(2, 17)"), &["the photographs", "images_2, images, got none"]);
 }
 
 fn transforms(folder: &Path, change: impl FnOnce(&mut Value)) -> Result<Capture, CaptureError> {

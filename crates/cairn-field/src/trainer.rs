@@ -182,7 +182,7 @@ impl BaseTrainer {
     }
 
     /// How many times as much as configured both total variations weigh, as far as is known yet.
-    pub fn smoothing(&self) -> f64 {
+    fn smoothing(&self) -> f64 {
         self.spacing.smoothing * if self.has_appearance() { 1.0 } else { self.config.smooth_in_one_light }
     }
 

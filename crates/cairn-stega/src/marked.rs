@@ -199,6 +199,23 @@ impl MarkedField {
     /// # Errors
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
+        Self::read(bytes, |stored| Ok(Arc::new(Field::from_bytes(stored)?)))
+    }
+
+    /// As [`MarkedField::from_bytes`], where `base`, stored as `base_bytes`, is in memory already: a field with
+    /// that same base shares it instead of holding a second.
+    ///
+    /// # Errors
+    /// As [`MarkedField::from_bytes`].
+    pub fn from_bytes_sharing(bytes: &[u8], base: &Arc<Field>, base_bytes: &[u8]) -> Result<Self, MarkError> {
+        Self::read(bytes, |stored| match stored == base_bytes {
+            true => Ok(base.clone()),
+            false => Ok(Arc::new(Field::from_bytes(stored)?)),
+        })
+    }
+
+    /// `base_of` makes theta_0 of its stored form.
+    fn read(bytes: &[u8], base_of: impl FnOnce(&[u8]) -> Result<Arc<Field>, MarkError>) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "marked field")?;
         let known = [DensityKind::Frozen, DensityKind::Free].into_iter().find(|d| header.format == format_of(*d));
         let Some(density) = known else {
@@ -210,7 +227,7 @@ impl MarkedField {
         }
         let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
         let file = SafeTensors::deserialize(bytes).map_err(bad)?;
-        let base = Arc::new(Field::from_bytes(file.tensor("base").map_err(bad)?.data())?);
+        let base = base_of(file.tensor("base").map_err(bad)?.data())?;
         let tensor = file.tensor("carriers").map_err(bad)?;
         let each = base.rows() * CarrierShape::of(header.carrier, density).width();
         if tensor.dtype() != Dtype::F16 || tensor.data().len() != header.carriers.saturating_mul(each * 2) {

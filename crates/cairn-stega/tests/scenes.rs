@@ -109,7 +109,7 @@ fn an_identity_that_comes_later_leaves_the_marks_that_are_there() {
     let mut first = MarkTrainer::new(field(), one, strong(400), 7, &mut |_, _| true).unwrap();
     run(&mut first);
     let before = first.finish().unwrap();
-    // 320 steps: learnt from each of six seeds; 160 from one of them.
+    // 320 steps: learnt from each of six seeds.
     let mut trainer = grow(&earlier(&before, same), strong(800)).unwrap();
     assert_eq!(trainer.steps_total(), 320);
     run(&mut trainer);

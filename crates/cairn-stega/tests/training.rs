@@ -4,6 +4,8 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use cairn_capture::Picture;
 use cairn_stega::{CarrierKind, Detector, MarkConfig, MarkError, MarkTrainer, MarkedField, MaskKind};
 use common::{bytes, cameras, config, field, plan, run, start, trained};
@@ -86,6 +88,12 @@ fn files_come_back_as_they_were_written() {
         let (marked, detector) = trained(MarkConfig { carrier, mask: MaskKind::PerCoefficientGroup, ..config(3) });
         let again = MarkedField::from_bytes(&marked.to_bytes().unwrap()).unwrap();
         assert!(again.to_bytes().unwrap() == marked.to_bytes().unwrap());
+        // Where its base is in memory already it is shared; another one is not taken for it.
+        let (stored, base) = (marked.to_bytes().unwrap(), field());
+        let sharing = |bytes: &[u8]| MarkedField::from_bytes_sharing(&stored, &base, bytes).unwrap();
+        let (same, other) = (sharing(&base.to_bytes().unwrap()), sharing(b"another field"));
+        assert!(Arc::ptr_eq(same.base(), &base) && !Arc::ptr_eq(other.base(), &base));
+        assert!(same.to_bytes().unwrap() == stored && other.to_bytes().unwrap() == stored);
         let camera = cameras()[0];
         let appearance = field().canonical_appearance().clone();
         let picture = marked.render(&camera, &appearance);

@@ -53,10 +53,8 @@ impl Run {
             self.trained(children, config, self.out.join(file), what)
         };
         let shipped = one("as shipped", self.config.clone())?;
-        // Sides are whole numbers: a lattice is never exactly as large as asked.
-        let is_finer = shipped.0.vertices as f64 > 1.05 * self.config.voxels as f64;
         let never_finer = FieldConfig { voxel_px: 0.0, ..self.config.clone() };
-        let never_finer = is_finer.then(|| one("never finer", never_finer)).transpose()?;
+        let never_finer = shipped.0.finer.then(|| one("never finer", never_finer)).transpose()?;
         Ok(Found { shipped, never_finer })
     }
 }

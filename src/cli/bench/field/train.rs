@@ -46,6 +46,8 @@ pub struct Trained {
     pub rows: usize,
     /// Vertices of its lattice.
     pub vertices: usize,
+    /// Whether those are more than configured, because the photographs asked for them.
+    pub finer: bool,
     /// Whether views have appearances of their own.
     pub appearances: bool,
     /// The stored field, MiB.
@@ -82,6 +84,7 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
     drop(progress);
     let steps = trainer.steps_done();
     let (vertices, appearances) = (trainer.size().1.iter().product(), trainer.has_appearance());
+    let finer = trainer.finer().is_some();
     let field = trainer.finish();
     let seconds = begun.elapsed().as_secs_f64();
     let bytes = field.to_bytes()?;
@@ -93,6 +96,7 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
         // The first is the empty one.
         rows: field.grid().rows().saturating_sub(1),
         vertices,
+        finer,
         appearances,
         stored_mib: bytes.len() as f64 / MIB,
         peak_mib: peak_mib(),
