@@ -14,8 +14,9 @@ use cairn_registry::record::{Digests, Seen, random_salt};
 use cairn_registry::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
 use tonic::{Code, Status};
 
+use super::VERSION;
 use super::connect::{Connection, refused};
-use super::{VERSION, write};
+use crate::engine::folder::write_atomic;
 
 /// What the registry gives a signer to sign.
 pub struct Ground {
@@ -203,7 +204,14 @@ impl Bundle {
         record: &OwnerRecord,
         sent: Result<v1::SubmitRecordResponse, Status>,
     ) -> anyhow::Result<u64> {
-        let lost = || format!("no answer; what was signed is kept, `cairn owners submit {}` asks again", self.name());
+        let lost = || {
+            // Then the key that follows is the account's.
+            let who = if record.kind == RecordKind::Rotation { " (--account: the new key)" } else { "" };
+            format!(
+                "no answer that settles it; what was signed is kept, `cairn owners submit {}`{who} asks again",
+                self.name()
+            )
+        };
         let answer = match sent {
             Err(status) if is_open(&status) => return Err(refused(status)).with_context(lost),
             Err(status) => return Err(refused(status)),
@@ -227,7 +235,7 @@ impl Bundle {
         self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
         let (proof, vkey) = match line.owners().proof(request).await {
-            Ok(newest) => (newest.into_inner().tlog_proof, vkey(line).await?),
+            Ok(newest) => (newest.into_inner().tlog_proof, entered.vkey.clone()),
             // Where reading is closed, a key that this very record ended reads no more: what came with the
             // acknowledgement proves it as well, if without witnesses.
             Err(status) if is_nobodys(&status) && !entered.proof.is_empty() => {
@@ -247,7 +255,7 @@ impl Bundle {
 
     /// Writes one file more.
     fn add(&self, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
-        write(&self.folder.join(name), bytes)
+        Ok(write_atomic(&self.folder.join(name), bytes)?)
     }
 
     fn name(&self) -> std::path::Display<'_> {
@@ -267,10 +275,11 @@ async fn send(line: &Connection, record: &OwnerRecord, signed: Vec<u8>) -> Resul
     Ok(line.about(&record.scene).owners().submit(request).await?.into_inner())
 }
 
-/// Whether what was asked for may have been done all the same: the line broke, or the daemon did.
+/// Whether what was asked for may have been done all the same: the line broke, or the daemon did, or something on the
+/// way asked twice. What is kept for nothing costs nothing.
 fn is_open(status: &Status) -> bool {
-    use Code::{Aborted, Cancelled, DataLoss, DeadlineExceeded, Internal, Unavailable, Unknown};
-    matches!(status.code(), Aborted | Cancelled | DataLoss | DeadlineExceeded | Internal | Unavailable | Unknown)
+    use Code::{FailedPrecondition, InvalidArgument, NotFound, PermissionDenied, ResourceExhausted};
+    !matches!(status.code(), FailedPrecondition | InvalidArgument | NotFound | PermissionDenied | ResourceExhausted)
 }
 
 /// Whether a call was refused because of who calls.

@@ -17,6 +17,8 @@ const MAX_LISTED: u32 = 1000;
 
 /// Longest that a round of records may be written for; far more than a slow disk takes.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// How often that is looked at.
+const LOOK: Duration = Duration::from_secs(5);
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -169,7 +171,7 @@ impl Shared {
         let work = self.run(what);
         tokio::pin!(work);
         loop {
-            if let Ok(answer) = tokio::time::timeout(PATIENCE, &mut work).await {
+            if let Ok(answer) = tokio::time::timeout(LOOK, &mut work).await {
                 return answer;
             }
             let engine = self.engine()?;
@@ -179,7 +181,7 @@ impl Shared {
                 tracing::error!(cause, "the log stopped writing");
                 let remedy = "see whether the disk is full or failing, kill the daemon and start it again";
                 return Err(Status::unavailable(format!(
-                    "the log stopped writing: {cause}; {remedy}, and submit the record again: it may be in the log"
+                    "the log stopped writing: {cause}; {remedy}, and ask again: what was asked for may be done"
                 )));
             }
         }

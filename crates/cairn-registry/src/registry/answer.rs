@@ -49,7 +49,7 @@ impl Registry {
 
     /// The answer without the records' envelopes and proofs.
     fn outline(&self, scene: &str, view: Option<&Digest>, as_of: Option<&str>) -> Result<Answer, RegistryError> {
-        let _turn = self.turn();
+        let _turn = self.turn()?;
         let state = self.read();
         let size = state.size;
         let as_of = as_of.map(|note| self.going_on_from(&state, note)).transpose()?;

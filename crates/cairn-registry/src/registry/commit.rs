@@ -163,13 +163,19 @@ impl Registry {
     }
 
     /// The turn to write, taken for something that no submission waits for.
-    pub(super) fn turn(&self) -> Turn<'_> {
+    ///
+    /// # Errors
+    /// [`RegistryError::Halted`] where writing was stopped and the round that is being written does not end.
+    pub(super) fn turn(&self) -> Result<Turn<'_>, RegistryError> {
         let mut queue = lock(&self.queue);
         while queue.busy.is_some() {
+            if let Some(cause) = self.halted() {
+                return Err(RegistryError::Halted { cause });
+            }
             queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
         }
         queue.busy = Some(Instant::now());
-        Turn { registry: self, batch: Vec::new() }
+        Ok(Turn { registry: self, batch: Vec::new() })
     }
 
     fn write_round(&self, round: &[Waiting]) -> Vec<Outcome> {
@@ -370,7 +376,7 @@ impl Registry {
 
     /// Stops all writing; the first cause stays.
     pub(super) fn halt(&self, cause: &str) -> String {
-        self.write().halted.get_or_insert_with(|| cause.to_owned()).clone()
+        self.halted.get_or_init(|| cause.to_owned()).clone()
     }
 }
 

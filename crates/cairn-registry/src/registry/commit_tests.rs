@@ -96,7 +96,9 @@ fn a_round_that_does_not_end_keeps_nobody_else_waiting() {
         while lock(&registry.queue).waiting.is_empty() {
             std::thread::yield_now();
         }
+        let turn = scope.spawn(|| registry.turn().map(drop));
         registry.stop_writing("its disk does not answer");
+        assert!(matches!(turn.join().unwrap(), Err(RegistryError::Halted { .. })));
         for refused in [waiting.join().unwrap(), registry.submit(&envelopes[2])] {
             assert!(matches!(&refused, Err(RegistryError::Halted { cause }) if cause.contains("disk")), "{refused:?}");
         }

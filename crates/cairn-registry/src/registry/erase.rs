@@ -49,7 +49,7 @@ impl Registry {
         if index < self.size() && self.published().is_none_or(|published| published.size <= index) {
             self.publish()?;
         }
-        let _turn = self.turn();
+        let _turn = self.turn()?;
         if let Some(cause) = self.halted() {
             return Err(RegistryError::Halted { cause });
         }

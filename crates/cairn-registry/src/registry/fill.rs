@@ -28,7 +28,7 @@ impl Registry {
             let expected = format!("{ORIGIN_PREFIX}...");
             return Err(RegistryError::WrongOrigin { expected, got: self.origin.clone() });
         }
-        let _turn = self.turn();
+        let _turn = self.turn()?;
         if let Some(cause) = self.halted() {
             return Err(RegistryError::Halted { cause });
         }

@@ -32,7 +32,7 @@ mod tiles;
 use std::{
     fs,
     path::Path,
-    sync::{Arc, Condvar, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
+    sync::{Arc, Condvar, Mutex, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
 };
 
 use crate::{
@@ -103,8 +103,6 @@ struct State {
     checkpoint: String,
     /// The newest checkpoint that witnesses cosigned, and its size.
     cosigned: Option<(u64, String)>,
-    /// Why nothing is written any more.
-    halted: Option<String>,
 }
 
 /// The registry over one store, `Send` and `Sync`: shared between threads by reference.
@@ -116,6 +114,8 @@ pub struct Registry {
     key: OwnerKey,
     nonces: nonce::Nonces,
     state: RwLock<State>,
+    /// Why nothing is written any more. Not in the state, whose lock a disk that does not answer may keep.
+    halted: OnceLock<String>,
     queue: Mutex<commit::Queue>,
     wake: Condvar,
     /// Whoever holds the turn locks it, and nobody else.
@@ -216,6 +216,7 @@ impl Registry {
             key,
             state: RwLock::new(loaded.state),
             queue: Mutex::default(),
+            halted: OnceLock::new(),
             wake: Condvar::new(),
             writer: Mutex::new(loaded.writer),
             publisher: Mutex::new(loaded.publisher),
@@ -296,7 +297,7 @@ impl Registry {
 
     /// Why the registry writes no more, if it halted.
     pub fn halted(&self) -> Option<String> {
-        self.read().halted.clone()
+        self.halted.get().cloned()
     }
 
     /// Checks that this log goes on from a checkpoint of it that is known from elsewhere: published, cosigned, written
@@ -309,10 +310,9 @@ impl Registry {
         if known.origin != self.origin {
             return Err(RegistryError::WrongOrigin { expected: self.origin.clone(), got: known.origin.clone() });
         }
-        let mut state = self.write();
-        reload::extends(&state.tree, state.size, known).inspect_err(|e| {
-            state.halted.get_or_insert_with(|| e.to_string());
-        })
+        // Nobody signs meanwhile.
+        let state = self.write();
+        reload::extends(&state.tree, state.size, known).inspect_err(|e| drop(self.halt(&e.to_string())))
     }
 
     /// Puts in order what writing leaves behind in the store, which stays small and quick to start by it. While others read and

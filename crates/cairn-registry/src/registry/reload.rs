@@ -86,7 +86,7 @@ pub(super) fn reload(
     let cosigned = published.as_ref().filter(|(note, _)| is_cosigned(note));
     let cosigned = cosigned.map(|(note, known)| (known.size, note.clone()));
     Ok(Loaded {
-        state: State { tree, map, size, root, checkpoint, cosigned, halted: None },
+        state: State { tree, map, size, root, checkpoint, cosigned },
         writer,
         publisher: Publisher::new(filed, published.map(|(note, known)| (known.size, note))),
         nonces_from: number_at(store, layout::NONCES_FROM, || "first size of good nonces".into())?.unwrap_or(0),
