@@ -196,3 +196,53 @@ async fn a_whole_folder_restored_from_an_older_backup_is_refused_by_the_anchor_a
     assert!(said.contains("nowhere/log.anchor") && said.contains("make the folder"), "{said}");
     assert!(Daemon::start(&place.path("data"), &settings).terminate().success());
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_whole_folder_restored_from_an_older_backup_is_refused_without_any_setting() {
+    let place = Place::new();
+    let (data, kept) = (place.path("data"), place.path("data.checkpoint"));
+    // Another start, and a record more.
+    let go_on = async |by| {
+        let daemon = Daemon::start(&data, "");
+        let mut client = OwnerServiceClient::connect(daemon.url.clone()).await.unwrap();
+        contribute(&mut client, by, 0..4).await;
+        assert!(daemon.terminate().success());
+    };
+    go_on(1).await;
+    copy(&data, &place.path("backup"));
+    go_on(2).await;
+    std::fs::rename(&data, place.path("newest")).unwrap();
+    copy(&place.path("backup"), &data);
+    for _ in 0..2 {
+        let said = refused(&place, "data", "");
+        for part in [
+            "data.checkpoint",
+            "2 leaves, known is a checkpoint over 4",
+            "restored from an older backup",
+            "restore the newest",
+        ] {
+            assert!(said.contains(part), "{part}: {said}");
+        }
+    }
+    std::fs::remove_dir_all(&data).unwrap();
+    std::fs::rename(place.path("newest"), &data).unwrap();
+    go_on(3).await;
+
+    // What cannot be read says nothing, and is not passed over.
+    let whole = std::fs::read(&kept).unwrap();
+    let mut bent = whole.clone();
+    let last = bent.len() - 10;
+    bent[last] ^= 1;
+    for damaged in [&bent[..], b"", b"\xff\xfe"] {
+        std::fs::write(&kept, damaged).unwrap();
+        let said = refused(&place, "data", "");
+        assert!(said.contains("data.checkpoint") && said.contains("move that file away"), "{said}");
+    }
+    // Without it a folder starts, as one that was moved does; so does a log that is begun anew in its place.
+    std::fs::remove_file(&kept).unwrap();
+    go_on(4).await;
+    assert!(std::fs::read(&kept).unwrap() != whole, "made again");
+    std::fs::remove_dir_all(&data).unwrap();
+    go_on(5).await;
+    go_on(6).await;
+}

@@ -5,10 +5,11 @@ mod common;
 
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
 use cairn_registry::{Envelope, OwnerRecord};
-use common::world::{CLOSED, World};
+use common::world::{CLOSED, World, key};
 
 /// A way to the daemon at `url` that breaks once a record went through it: its answer never comes.
 fn way_that_breaks(url: &str) -> String {
@@ -51,32 +52,53 @@ fn files(folder: &Path) -> Vec<String> {
     names
 }
 
-#[test]
-fn an_answer_that_is_lost_is_asked_for_again_also_by_a_key_that_ended() {
-    let world = World::new(&format!("{CLOSED}[access.quota]\nrecords = 1\n"));
+/// A daemon that is closed to strangers and takes `records` records of each owner, where ada trained her town, with marks
+/// or without; and the file of her key.
+fn town_of_ada(records: u32, marked: bool) -> (World, String) {
+    let world = World::new(&format!("{CLOSED}[access.quota]\nrecords = {records}\n"));
     world.with("ada", "contributor");
     world.import("ada", "town").unwrap();
     let (tiny, own) = (world.place.text("tiny.toml"), world.place.text("ada.key"));
-    world.ok("ada", &["train", "town", "--by-contributor", "--settings", &tiny]);
-    let broken = way_that_breaks(&world.daemon.url);
-    let sign = ["owners", "sign", "town", "--identity", "1", "--key", &own, "--out"];
-    let revoke = ["keys", "revoke", "town", "--key", &own, "--purpose", "lost", "--out"];
+    let train = ["train", "town", "--by-contributor", "--settings", &tiny, "--base-only"];
+    world.ok("ada", &train[..if marked { 5 } else { 6 }]);
+    (world, own)
+}
+
+/// Runs a command over a way that breaks; what was signed stays in the folder `out`, and what it says names it.
+fn lose(world: &World, who: &str, command: &[&str], out: &str) {
+    let lost =
+        world.run_at(&way_that_breaks(&world.daemon.url), who, &[command, &["--out", out]].concat()).unwrap_err();
+    assert!(
+        lost.contains("no answer that settles it") && lost.contains(&format!("cairn owners submit {out}")),
+        "{lost}"
+    );
+    assert!(Path::new(out).join("record.signed.json").is_file(), "{lost}");
+}
+
+#[test]
+fn an_answer_that_is_lost_is_asked_for_again_also_by_a_key_that_ended() {
+    let (world, own) = town_of_ada(1, true);
+    let sign = ["owners", "sign", "town", "--identity", "1", "--key", &own];
+    let revoke = ["keys", "revoke", "town", "--key", &own, "--purpose", "lost"];
     let secret = ["signal.png", "signal.salt"];
     let vkey = world.place.text("pinned.vkey");
     world.ok("root", &["owners", "vkey", "--out", &vkey]);
-    for (what, line, name, secret) in [(0, &sign[..], "claim", &secret[..]), (2, &revoke[..], "end", &[])] {
+    for (what, line, name, secret) in [
+        ("record 0 is durable and published;", &sign[..], "claim", &secret[..]),
+        ("record 2 is durable (reading is closed to this key", &revoke[..], "end", &[]),
+    ] {
         let (folder, out) = (world.place.path(name), world.place.text(name));
-        let lost = world.run_at(&broken, "ada", &[line, &[&out]].concat()).unwrap_err();
-        assert!(
-            lost.contains("no answer that settles it") && lost.contains(&format!("cairn owners submit {out}")),
-            "{lost}"
-        );
-        assert_eq!(files(&folder), [&["record.signed.json"], secret].concat(), "{lost}");
+        lose(&world, "ada", line, &out);
+        assert_eq!(files(&folder), [&["record.signed.json"], secret].concat());
+        for name in files(&folder) {
+            let mode = std::fs::metadata(folder.join(&name)).unwrap().permissions().mode();
+            assert_eq!(mode & 0o777, 0o600, "{name} is the owner's secret");
+        }
         // The claim used the quota up, and the revocation the key: neither keeps the answer back.
         for _ in 0..2 {
             std::fs::copy(folder.join("record.signed.json"), world.place.path("kept")).unwrap();
             let said = world.ok("ada", &["owners", "submit", &out]);
-            assert!(said.contains(&format!("record {what} is durable")), "{said}");
+            assert!(said.contains(what), "{said}");
             assert_eq!(files(&folder), [&["log.vkey", "record.json", "record.tlog-proof"], secret].concat());
             assert!(world.place.cairn_ok(&["audit", "bundle", &out, "--vkey", &vkey]).starts_with("trusted"));
             std::fs::copy(world.place.path("kept"), folder.join("record.signed.json")).unwrap();
@@ -106,12 +128,37 @@ fn an_answer_that_is_lost_is_asked_for_again_also_by_a_key_that_ended() {
 }
 
 #[test]
+fn what_a_key_signed_before_its_rotation_is_answered_to_the_key_that_followed() {
+    let (world, own) = town_of_ada(9, false);
+    let (next, out) = (world.place.text("next.key"), |name: &str| world.place.text(name));
+    key(&world.place, "next");
+    let sign = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", &own];
+    lose(&world, "ada", &sign, &out("first"));
+    let rotate = ["keys", "rotate", "town", "--record", "0", "--key", &own, "--new-key", &next];
+    world.ok("ada", &[&rotate[..], &["--out", &out("rotation")]].concat());
+
+    // The old key is told which one to ask with, and loses nothing; a stranger gets no answer.
+    let refused = world.run("ada", &["owners", "submit", &out("first")]).unwrap_err();
+    assert!(refused.contains("continues under key") && refused.contains("what was signed stays in"), "{refused}");
+    world.with("eve", "contributor");
+    world.refused("eve", &["owners", "submit", &out("first")], "your account's key did not sign");
+    std::fs::create_dir(out("again")).unwrap();
+    std::fs::copy(world.place.path("first/record.signed.json"), world.place.path("again/record.signed.json")).unwrap();
+    let said = world.ok("next", &["owners", "submit", &out("first")]);
+    assert!(said.contains("record 0 is durable and published"), "{said}");
+    assert_eq!(files(&world.place.path("first")), ["log.vkey", "record.json", "record.tlog-proof"]);
+
+    // Also once that key ended as well: it asks for what was its own.
+    let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "lost"];
+    world.ok("next", &[&revoke[..], &["--out", &out("end")]].concat());
+    let said = world.ok("next", &["owners", "submit", &out("again")]);
+    assert!(said.contains("record 0 is durable (reading is closed to this key"), "{said}");
+    assert_eq!(world.ok("root", &["owners", "list"]).lines().count(), 3, "each once");
+}
+
+#[test]
 fn what_is_refused_leaves_nothing_behind() {
-    let world = World::new(&format!("{CLOSED}[access.quota]\nrecords = 1\n"));
-    world.with("ada", "contributor");
-    world.import("ada", "town").unwrap();
-    let (tiny, own) = (world.place.text("tiny.toml"), world.place.text("ada.key"));
-    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--settings", &tiny]);
+    let (world, own) = town_of_ada(1, false);
     let sign = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", &own, "--out"];
     world.ok("ada", &[&sign[..], &[&world.place.text("first")]].concat());
     let second = world.place.text("second");

@@ -278,6 +278,19 @@ async fn health_and_reflection_tell_the_truth_and_the_folder_has_one_owner() {
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(!refused.status.success() && said.contains(&format!("process {}", daemon.pid())), "{said}");
 
+    let port = daemon.url.strip_prefix("http://").unwrap();
+    std::fs::write(place.path("same.toml"), format!("[server]\nbind = {port:?}\n")).unwrap();
+    let serve = |folder: &str| {
+        let refused = place.cairn(&["serve", "--data", &place.text(folder), "--config", &place.text("same.toml")]);
+        assert!(!refused.status.success());
+        String::from_utf8_lossy(&refused.stderr).into_owned()
+    };
+    // Also where it finds its port taken as well, which is no news where the folder is free.
+    let said = serve("data");
+    assert!(said.contains(&format!("in use by process {}", daemon.pid())), "{said}");
+    let said = serve("other");
+    assert!(said.contains(&format!("cannot listen at {port} (server.bind)")), "{said}");
+
     // A setting that is unknown stops the start, by name.
     std::fs::write(place.path("wrong.toml"), "[limits]\nque_length = 5\n").unwrap();
     let wrong = place.text("wrong.toml");

@@ -54,7 +54,7 @@ pub async fn dispute(line: &Connection, args: &DisputeArgs) -> anyhow::Result<u6
     let contested = Stored::of_scene(line, &args.name, args.record).await?;
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let record = ground.about(&contested, RecordKind::Dispute, &key, &args.purpose)?;
-    bundle.enter(line, &record, &[&key], &[]).await
+    Ok(bundle.enter(line, &record, &[&key], &[]).await?.index)
 }
 
 /// Has a record's envelope erased.
@@ -89,9 +89,11 @@ pub async fn show(line: &Connection, index: u64) -> anyhow::Result<()> {
     let record = &stored.record;
     let kind = serde_json::to_value(record.kind)?;
     println!("record {index}: {}, scene {}", kind.as_str().context("the record's kind has no name")?, record.scene);
+    // A dispute names the mark that it contests, and whoever contests it by their key alone.
+    let whose = if record.kind == RecordKind::Dispute { "contests" } else { "identity" };
     let mut facts = vec![
         ("state", state(&stored.standing)),
-        ("identity", format!("{}, {}", record.identity.number, record.identity.contributor)),
+        (whose, format!("{}, {}", record.identity.number, record.identity.contributor)),
         ("purpose", record.purpose.clone()),
         ("owner key", record.owner_key.to_string()),
         ("key id", record.owner_key.id().to_string()),

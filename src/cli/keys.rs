@@ -200,7 +200,7 @@ async fn rotate(line: &Connection, args: &RotateArgs) -> anyhow::Result<()> {
         replaces: Some(earlier.digest),
         ..ground.anew(&earlier, &new, &args.purpose)?
     };
-    let index = bundle.enter(line, &record, &[&new, &old], &[]).await?;
+    let index = bundle.enter(line, &record, &[&new, &old], &[]).await?.index;
     println!("record {index}: key {} took the place of {}", new.public(), old.public());
     println!("the old key signs no further records; the bundle is in {}", args.out.display());
     Ok(())
@@ -218,7 +218,7 @@ async fn revoke(line: &Connection, args: &RevokeArgs) -> anyhow::Result<()> {
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let mut record = ground.about(&earlier, RecordKind::Revocation, &key, &args.purpose)?;
     record.replaces = args.record.and(record.replaces);
-    let index = bundle.enter(line, &record, &[&key], &[]).await?;
+    let index = bundle.enter(line, &record, &[&key], &[]).await?.index;
     println!("record {index}: key {} is good no longer; its records before this one are", key.public());
     if let Some(index) = args.record {
         println!("record {index} is taken back");

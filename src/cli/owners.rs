@@ -59,13 +59,13 @@ pub enum Command {
 pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Sign(args) => {
-            let index = sign(line, &args).await?;
-            println!("record {index} is durable and published; its bundle is in {}", args.out.display());
+            let place = sign(line, &args).await?;
+            println!("{place}; its bundle is in {}", args.out.display());
             Ok(())
         }
         Command::Submit { dir } => {
-            let index = records::Bundle::send_again(line, &dir).await?;
-            println!("record {index} is durable and published; its bundle is in {}", dir.display());
+            let place = records::Bundle::send_again(line, &dir).await?;
+            println!("{place}; its bundle is in {}", dir.display());
             Ok(())
         }
         Command::Dispute(args) => {

@@ -6,6 +6,7 @@
 //! `signal.salt`, which are the owner's secret until they choose to show them. `record.signed.json` is there for as long as
 //! there is no answer.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -16,7 +17,7 @@ use tonic::{Code, Status};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
-use crate::engine::folder::write_atomic;
+use crate::engine::folder::{write_atomic, write_atomic_secret};
 
 /// What the registry gives a signer to sign.
 pub struct Ground {
@@ -148,6 +149,23 @@ struct Entered {
     vkey: String,
 }
 
+/// What became of a record that was entered, in words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Its index in the log.
+    pub index: u64,
+    /// Whether its proof is the newest; otherwise it is as of the acknowledgement, and under the log's signature alone.
+    pub published: bool,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (index, published) = (self.index, self.published);
+        let aside = " (reading is closed to this key: its proof is the acknowledgement's, without witnesses)";
+        write!(f, "record {index} is durable{}", if published { " and published" } else { aside })
+    }
+}
+
 /// What was signed, until there is an answer: the record's envelope with its owner's signatures alone.
 const SIGNED: &str = "record.signed.json";
 
@@ -164,30 +182,33 @@ impl Bundle {
     }
 
     /// Signs a record with its owner's key and any other that must sign, enters it, and writes what an auditor needs and
-    /// `secrets`, the owner's; its place in the log. What is written before it is sent, an answer that is lost loses not.
+    /// `secrets`, the owner's, which nobody else may read. What is written before it is sent, an answer that is lost loses
+    /// not; what cannot be written is not sent.
     pub async fn enter(
         &self,
         line: &Connection,
         record: &OwnerRecord,
         keys: &[&OwnerKey],
         secrets: &[(&str, &[u8])],
-    ) -> anyhow::Result<u64> {
+    ) -> anyhow::Result<Place> {
         let (owner, others) = keys.split_first().context("nobody signs")?;
         let mut envelope = record.seal(owner)?;
         others.iter().for_each(|key| envelope.sign(key));
         let signed = envelope.to_json().into_bytes();
         let files = || secrets.iter().copied().chain([(SIGNED, &signed[..])]);
-        files().try_for_each(|(name, bytes)| self.add(name, bytes))?;
+        let take_away = || files().for_each(|(name, _)| drop(std::fs::remove_file(self.folder.join(name))));
+        let written = files().try_for_each(|(name, bytes)| write_atomic_secret(&self.folder.join(name), bytes));
+        written.inspect_err(|_| take_away())?;
         let sent = send(line, record, signed.clone()).await;
         if matches!(&sent, Err(status) if !is_open(status)) {
             // It will never be in the log: the folder goes, too.
-            files().for_each(|(name, _)| drop(std::fs::remove_file(self.folder.join(name))));
+            take_away();
         }
         self.finish(line, record, sent).await
     }
 
     /// Sends what [`Bundle::enter`] left in `folder` without an answer, and goes on from there.
-    pub async fn send_again(line: &Connection, folder: &Path) -> anyhow::Result<u64> {
+    pub async fn send_again(line: &Connection, folder: &Path) -> anyhow::Result<Place> {
         let path = folder.join(SIGNED);
         let signed = std::fs::read(&path)
             .with_context(|| format!("{} waits for no answer: cannot read {}", folder.display(), path.display()))?;
@@ -195,7 +216,12 @@ impl Bundle {
         let envelope = Envelope::parse(&signed).with_context(of)?;
         let (record, _) = OwnerRecord::open(&envelope).with_context(of)?;
         let sent = send(line, &record, signed).await;
-        Self { folder: folder.to_path_buf() }.finish(line, &record, sent).await
+        let is_refused = matches!(&sent, Err(status) if !is_open(status));
+        let done = Self { folder: folder.to_path_buf() }.finish(line, &record, sent).await;
+        // Another account, or another daemon, may answer.
+        let kept =
+            || format!("refused; what was signed stays in {}: delete it where it is not wanted", folder.display());
+        if is_refused { done.with_context(kept) } else { done }
     }
 
     async fn finish(
@@ -203,7 +229,7 @@ impl Bundle {
         line: &Connection,
         record: &OwnerRecord,
         sent: Result<v1::SubmitRecordResponse, Status>,
-    ) -> anyhow::Result<u64> {
+    ) -> anyhow::Result<Place> {
         let lost = || {
             // Then the key that follows is the account's.
             let who = if record.kind == RecordKind::Rotation { " (--account: the new key)" } else { "" };
@@ -225,22 +251,19 @@ impl Bundle {
             "the daemon returned another record than was signed"
         );
         let (index, envelope) = (entered.index, entered.envelope.to_vec());
-        self.write(line, &Entered { index, envelope, proof: answer.tlog_proof, vkey: answer.vkey }).await?;
-        Ok(index)
+        self.write(line, &Entered { index, envelope, proof: answer.tlog_proof, vkey: answer.vkey }).await
     }
 
     /// Fetches the record's proof, and writes what an auditor needs.
-    async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<()> {
+    async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<Place> {
         // First: with the record in hand its proof can be fetched by anybody, also where its key was just ended.
         self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
-        let (proof, vkey) = match line.owners().proof(request).await {
-            Ok(newest) => (newest.into_inner().tlog_proof, entered.vkey.clone()),
+        let (proof, published) = match line.owners().proof(request).await {
+            Ok(newest) => (newest.into_inner().tlog_proof, true),
             // Where reading is closed, a key that this very record ended reads no more: what came with the
             // acknowledgement proves it as well, if without witnesses.
-            Err(status) if is_nobodys(&status) && !entered.proof.is_empty() => {
-                (entered.proof.clone(), entered.vkey.clone())
-            }
+            Err(status) if is_nobodys(&status) && !entered.proof.is_empty() => (entered.proof.clone(), false),
             Err(status) => {
                 let problem = "is in the log; its proof was not given";
                 let again = format!("`cairn owners submit {}` asks again", self.name());
@@ -248,9 +271,10 @@ impl Bundle {
             }
         };
         self.add("record.tlog-proof", proof.as_bytes())?;
-        self.add("log.vkey", format!("{vkey}\n").as_bytes())?;
+        self.add("log.vkey", format!("{}\n", entered.vkey).as_bytes())?;
         let signed = self.folder.join(SIGNED);
-        std::fs::remove_file(&signed).with_context(|| format!("cannot remove {}", signed.display()))
+        std::fs::remove_file(&signed).with_context(|| format!("cannot remove {}", signed.display()))?;
+        Ok(Place { index: entered.index, published })
     }
 
     /// Writes one file more.

@@ -163,7 +163,8 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     let capture = Capture::read(&args.from, &options)?;
     if !capture.missing.is_empty() {
         let (count, names) = (capture.missing.len(), capture.missing.join(", "));
-        eprintln!("left out {count} views without photographs: {names}");
+        let views = if count == 1 { "view" } else { "views" };
+        eprintln!("left out {count} {views} without photographs: {names}");
     }
     let (views, photographs) = prepare(&capture, args)?;
     let header = v1::ImportHeader {

@@ -11,7 +11,7 @@ use cairn_registry::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
-use super::records::{Bundle, Ground, Stored};
+use super::records::{Bundle, Ground, Place, Stored};
 use super::unlock::UnlockArgs;
 
 /// `cairn owners sign`.
@@ -54,8 +54,8 @@ pub enum Kind {
     Training,
 }
 
-/// Signs a record and enters it; its index in the log.
-pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<u64> {
+/// Signs a record and enters it.
+pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<Place> {
     let key = args.unlock.load(&args.key)?;
     let bundle = Bundle::begin(&args.out)?;
     let replaced = match args.replaces {
@@ -191,8 +191,8 @@ pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::
             replaces: None,
             out: folder.join(identity.number.to_string()),
         };
-        let index = sign(line, &args).await?;
-        signed.push(Signed { identity: identity.number, index, bundle: args.out });
+        let place = sign(line, &args).await?;
+        signed.push(Signed { identity: identity.number, index: place.index, bundle: args.out });
     }
     Ok(signed)
 }

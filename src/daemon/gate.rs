@@ -10,7 +10,7 @@ use std::task::{Context, Poll};
 
 use cairn_access::accounts::AccountError;
 use cairn_access::{AccessError, Account, Call, Claims, Denied, Need, Reach, Role, TokenError, roles};
-use cairn_registry::{Digest, Envelope};
+use cairn_registry::{Digest, Envelope, RegistryError};
 use sha2::{Digest as _, Sha256};
 use tonic::codegen::http::{self, HeaderMap};
 use tonic::{Extensions, Status};
@@ -161,8 +161,12 @@ impl Shared {
         let (reach, contributor) = (account.role.reach(need), account.role == Role::Contributor);
         let theirs = match about {
             // What they signed themselves is all that a contributor submits, whatever scene it is about: a record under
-            // their key, or the rotation that leads from it to another.
-            About::Signed(_, envelope) => !contributor || envelope.signature_by(account.signer()).is_some(),
+            // their key, or the rotation that leads from it to another; and again, what they signed with an earlier one.
+            About::Signed(_, envelope) => {
+                !contributor
+                    || envelope.signature_by(account.signer()).is_some()
+                    || self.entered_before(account, about)?
+            }
             About::Nothing | About::Place(_) => true,
             _ if reach != Reach::Own => true,
             About::Job(_) => match job.as_ref().and_then(|job| job.owner) {
@@ -187,12 +191,20 @@ impl Shared {
 }
 
 impl Shared {
-    /// Whether a call submits again what the account's key signed and the log has: that changes nothing, and whoever
-    /// ended their key with it may not have heard the first answer.
+    /// Whether a call submits again what the log has, signed by the account's key or by one that was rotated to it: that
+    /// changes nothing, and whoever ended their key since, or with it, may not have heard the first answer.
     fn entered_before(&self, account: &Account, about: About<'_>) -> Result<bool, Status> {
         let About::Signed(_, envelope) = about else { return Ok(false) };
-        let there = self.engine()?.registry().find(&envelope.digest()).map_err(|e| status(e.into()))?;
-        Ok(there.is_some() && envelope.signature_by(account.signer()).is_some())
+        let (engine, key) = (self.engine()?, account.signer());
+        let registry = engine.registry();
+        let of = |e: RegistryError| status(e.into());
+        let Some(index) = registry.find(&envelope.digest()).map_err(of)? else { return Ok(false) };
+        if envelope.signature_by(key).is_some() {
+            return Ok(true);
+        }
+        let owner = registry.leaf(index).map_err(of)?.owner;
+        // Where that key ended, too, it hears still what it asks about.
+        Ok(registry.heir(&owner).map_err(of)?.id() == key.id())
     }
 
     /// Whether an account's key took the place of the key with this id, whose account may be another: then what is that

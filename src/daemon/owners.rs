@@ -1,6 +1,6 @@
 //! `OwnerService`.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cairn_proto::v1::{self, owner_service_server::OwnerService};
 use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordError, RegistryError};
@@ -15,10 +15,16 @@ use crate::engine::error::EngineError;
 /// Most records in one answer.
 const MAX_LISTED: u32 = 1000;
 
-/// Longest that a round of records may be written for; far more than a slow disk takes.
-const PATIENCE: Duration = Duration::from_secs(60);
-/// How often that is looked at.
-const LOOK: Duration = Duration::from_secs(5);
+/// How long a writer of the log is waited for.
+#[derive(Clone, Copy, Debug)]
+struct Patience {
+    /// Longest that a round of records may be written for; far more than a slow disk takes.
+    longest: Duration,
+    /// How often that is looked at.
+    look: Duration,
+}
+
+const PATIENCE: Patience = Patience { longest: Duration::from_secs(60), look: Duration::from_secs(5) };
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -168,22 +174,111 @@ impl Shared {
         &self,
         what: impl FnOnce(&Engine) -> Result<T, EngineError> + Send + 'static,
     ) -> Result<T, Status> {
-        let work = self.run(what);
+        let engine = self.engine()?;
+        let stop = |cause: &str| {
+            engine.registry().stop_writing(cause);
+            tracing::error!(cause, "the log stopped writing");
+        };
+        PATIENCE.wait(self.run(what), || engine.registry().writing_for(), stop).await
+    }
+}
+
+impl Patience {
+    /// Waits for `work`, which writes into a log whose present round has been written for `writing_for`; `stop` ends all
+    /// writing, and says why.
+    async fn wait<T>(
+        self,
+        work: impl Future<Output = Result<T, Status>>,
+        writing_for: impl Fn() -> Option<Duration>,
+        stop: impl FnOnce(&str),
+    ) -> Result<T, Status> {
+        let begun = Instant::now();
         tokio::pin!(work);
+        let mut overdue = false;
         loop {
-            if let Ok(answer) = tokio::time::timeout(LOOK, &mut work).await {
+            if let Ok(answer) = tokio::time::timeout(self.look, &mut work).await {
                 return answer;
             }
-            let engine = self.engine()?;
-            if engine.registry().writing_for().is_some_and(|written_for| written_for >= PATIENCE) {
-                let cause = format!("its disk has not answered for {} seconds", PATIENCE.as_secs());
-                engine.registry().stop_writing(&cause);
-                tracing::error!(cause, "the log stopped writing");
+            let seconds = self.longest.as_secs();
+            let was_overdue =
+                std::mem::replace(&mut overdue, writing_for().is_some_and(|written| written >= self.longest));
+            // Seen twice: a process that was halted finds every clock run on, and its round ends a moment later.
+            if overdue && was_overdue {
+                let cause = format!("its disk has not answered for {seconds} seconds");
+                stop(&cause);
                 let remedy = "see whether the disk is full or failing, kill the daemon and start it again";
                 return Err(Status::unavailable(format!(
                     "the log stopped writing: {cause}; {remedy}, and ask again: what was asked for may be done"
                 )));
             }
+            // The log writes or rests, and what the call does beside it does not end.
+            if !overdue && begun.elapsed() >= self.longest * 2 {
+                return Err(Status::unavailable(format!(
+                    "not done in {} seconds; see whether the daemon's disk is full or failing, or its machine busy, and ask \
+                     again: what was asked for may be done",
+                    2 * seconds
+                )));
+            }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::{Cell, RefCell};
+
+    use super::*;
+
+    const SHORT: Patience = Patience { longest: Duration::from_millis(200), look: Duration::from_millis(20) };
+
+    /// What whoever waits for `work` is told, and why the log stopped, where each round is written for `round`.
+    async fn told(work: impl Future<Output = Result<u8, Status>>, round: Option<Duration>) -> (String, Option<String>) {
+        let (begun, stopped) = (Instant::now(), RefCell::new(None));
+        let of_round = |round: Duration| {
+            let at = begun.elapsed();
+            // One after the other.
+            Duration::from_nanos((at.as_nanos() % round.as_nanos()) as u64)
+        };
+        let stop = |cause: &str| drop(stopped.replace(Some(cause.to_owned())));
+        let answer = SHORT.wait(work, || round.map(of_round), stop).await;
+        let said = answer.map_or_else(|status| format!("{:?}: {}", status.code(), status.message()), |n| n.to_string());
+        (said, stopped.take())
+    }
+
+    #[tokio::test]
+    async fn whoever_waits_for_a_disk_that_does_not_answer_is_told_and_writing_stops() {
+        let (said, stopped) = told(std::future::pending(), Some(Duration::from_secs(60))).await;
+        assert!(said.starts_with("Unavailable: the log stopped writing: its disk has not answered"), "{said}");
+        assert!(stopped.is_some_and(|cause| cause.contains("has not answered")));
+    }
+
+    #[tokio::test]
+    async fn what_ends_is_answered_and_what_hangs_beside_the_log_stops_nothing() {
+        let slow = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            Ok(7)
+        };
+        assert_eq!(told(slow, Some(Duration::from_secs(60))).await, ("7".into(), None));
+        for round in [None, Some(Duration::from_millis(90))] {
+            let (said, stopped) = told(std::future::pending(), round).await;
+            assert!(said.starts_with("Unavailable: not done in"), "{said}");
+            assert_eq!(stopped, None, "its rounds end");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_process_that_was_halted_for_long_goes_on() {
+        // Its one look finds a round that has been written for an hour, the next one another.
+        let (looks, stopped) = (Cell::new(0), Cell::new(false));
+        let writing_for = || {
+            looks.set(looks.get() + 1);
+            Some(if looks.get() == 3 { Duration::from_secs(3600) } else { Duration::from_millis(1) })
+        };
+        let work = async {
+            tokio::time::sleep(Duration::from_millis(150)).await;
+            Ok(7)
+        };
+        assert_eq!(SHORT.wait(work, writing_for, |_| stopped.set(true)).await.unwrap(), 7);
+        assert!(looks.get() > 3 && !stopped.get());
     }
 }

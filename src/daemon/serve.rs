@@ -32,7 +32,7 @@ use tonic_health::server::HealthReporter;
 use super::gate::GateLayer;
 use super::{Shared, http, tls};
 use crate::config::{Config, Limits};
-use crate::engine::Engine;
+use crate::engine::{Engine, folder};
 
 /// The eight services with the configured message limits.
 fn routes(shared: &Shared, limits: &Limits) -> Routes {
@@ -113,9 +113,14 @@ impl PublicFiles {
 /// # Errors
 /// When the address or the data folder is taken, or what lies in the folder cannot be read.
 pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
-    let listener = tokio::net::TcpListener::bind(config.bind)
-        .await
-        .with_context(|| format!("cannot listen at {} (server.bind)", config.bind))?;
+    let listener = match tokio::net::TcpListener::bind(config.bind).await {
+        Ok(listener) => listener,
+        Err(error) => {
+            // A second daemon with the same settings finds both taken; the folder alone says by whom.
+            folder::must_be_free(data)?;
+            return Err(error).with_context(|| format!("cannot listen at {} (server.bind)", config.bind));
+        }
+    };
     let address = listener.local_addr()?;
     let shared = Shared::new(&config);
     let (reporter, health) = tonic_health::server::health_reporter();
@@ -144,10 +149,8 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     }
     match &config.anchor_file {
         Some(file) => tracing::info!(file = %file.display(), "the log is anchored"),
-        None => tracing::warn!(
-            witnesses = config.witnesses.len(),
-            "no registry.anchor_file: that the data folder was restored from an older backup is found out by witnesses and \
-             followers only"
+        None => tracing::info!(
+            "no registry.anchor_file: the log is held to what it published last, not to all that it signed"
         ),
     }
     shared.loaded(engine.clone())?;

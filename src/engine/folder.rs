@@ -163,6 +163,17 @@ impl Drop for DataFolder {
     }
 }
 
+/// Says whether nobody has the data folder `root`, and leaves it as it is.
+///
+/// # Errors
+/// [`EngineError::Locked`] naming the owner's process.
+pub fn must_be_free(root: &Path) -> Result<(), EngineError> {
+    match root.join("lock").exists() {
+        true => take_lock(root).map(drop),
+        false => Ok(()),
+    }
+}
+
 fn take_lock(root: &Path) -> Result<File, EngineError> {
     let path = root.join("lock");
     let io = |operation| EngineError::io(operation, &path);
@@ -196,11 +207,24 @@ pub fn sync_folder(path: &Path) -> Result<(), EngineError> {
 /// Replaces `path` by `bytes`, durably and at once: after a crash there is the
 /// old file or the new one, whole.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
+    let usual = OpenOptions::new().create(true).truncate(true).write(true).clone();
+    write_atomic_as(path, bytes, &usual)
+}
+
+/// As [`write_atomic`], readable by the file's owner alone.
+pub fn write_atomic_secret(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
+    let mut secret = OpenOptions::new().create(true).truncate(true).write(true).clone();
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut secret, 0o600);
+    write_atomic_as(path, bytes, &secret)
+}
+
+fn write_atomic_as(path: &Path, bytes: &[u8], how: &OpenOptions) -> Result<(), EngineError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let mut temporary = path.as_os_str().to_owned();
     temporary.push(".new");
     let temporary = PathBuf::from(temporary);
-    let mut file = File::create(&temporary).map_err(EngineError::io("create", &temporary))?;
+    let mut file = how.open(&temporary).map_err(EngineError::io("create", &temporary))?;
     file.write_all(bytes).and_then(|()| file.sync_all()).map_err(EngineError::io("write", &temporary))?;
     fs::rename(&temporary, path).map_err(EngineError::io("replace", path))?;
     sync_folder(folder)

@@ -23,6 +23,7 @@ pub mod model;
 pub mod owners;
 pub mod paths;
 pub mod poses;
+pub mod published;
 pub mod publisher;
 pub mod quarantine;
 pub mod query;
@@ -54,6 +55,7 @@ use folder::DataFolder;
 use hidden::Parts;
 use jobs::Jobs;
 use model::{Model, ModelInfo};
+use published::LastPublished;
 use publisher::Publisher;
 use quarantine::Quarantine;
 pub use request::TrainingRequest;
@@ -91,7 +93,8 @@ impl Engine {
             .iter()
             .map(|w| WitnessClient::new(w.verifier.clone(), &w.url))
             .collect::<Result<_, _>>()?;
-        let publisher = Publisher::start(registry.clone(), folder.last_checkpoint(), witnesses)?;
+        let last = LastPublished::of(folder.last_checkpoint(), data);
+        let publisher = Publisher::start(registry.clone(), last, witnesses)?;
         let quarantine = Arc::new(Quarantine::open(folder.quarantine(), &folder.scenes())?);
         let work = training::Training {
             quarantine: quarantine.clone(),

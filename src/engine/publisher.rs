@@ -7,17 +7,16 @@
 //! is, or another tree, says that the folder was restored from an old backup or forked: then the log does not start,
 //! or, where the witness shows the log's own signature on it, stops writing.
 
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use cairn_registry::{Checkpoint, Note, Registry};
+use cairn_registry::{Note, Registry};
 use cairn_witness::{WitnessClient, WitnessError, client::collect};
 
 use super::error::EngineError;
-use super::folder::{read_limited, write_atomic};
+use super::published::LastPublished;
 
 /// Between two publications at least this long: under load each then covers many records.
 const PAUSE: Duration = Duration::from_millis(400);
@@ -29,8 +28,6 @@ const RETRY: Duration = Duration::from_secs(2);
 const PATIENCE: Duration = Duration::from_secs(3);
 /// After a witness that did not answer, or a store that could not be put in order, until the next attempt.
 const ASK_AGAIN: Duration = Duration::from_secs(30);
-/// Largest checkpoint that is read, bytes.
-const MAX_CHECKPOINT: u64 = 1 << 16;
 
 #[derive(Default)]
 struct Asked {
@@ -52,9 +49,7 @@ pub struct Publisher {
 /// What a publication needs.
 struct Publication {
     registry: Arc<Registry>,
-    /// Where the published checkpoint is kept outside the log's own folder, so that a folder restored from a backup is
-    /// found out.
-    last: PathBuf,
+    last: LastPublished,
     witnesses: Vec<WitnessClient>,
     witnessed: Arc<AtomicBool>,
 }
@@ -63,10 +58,13 @@ impl Publisher {
     /// Holds the log to the checkpoint that it published last and to its witnesses, publishes, and starts the threads.
     ///
     /// # Errors
-    /// [`cairn_registry::RegistryError::Inconsistent`], [`EngineError::Witness`] for a log that does not go on from what
-    /// was published or cosigned; where the system has no thread to give. A witness that cannot be reached is logged.
-    pub fn start(registry: Arc<Registry>, last: PathBuf, witnesses: Vec<WitnessClient>) -> Result<Self, EngineError> {
-        hold_to_last(&registry, &last)?;
+    /// As [`LastPublished::hold`]; [`EngineError::Witness`] for a log that does not go on from what was cosigned; where the system has no thread to give. A witness that cannot be reached is logged.
+    pub fn start(
+        registry: Arc<Registry>,
+        last: LastPublished,
+        witnesses: Vec<WitnessClient>,
+    ) -> Result<Self, EngineError> {
+        last.hold(&registry)?;
         let witnessed = Arc::new(AtomicBool::new(false));
         let publication = Arc::new(Publication { registry, last, witnesses, witnessed: witnessed.clone() });
         publication.publish()?;
@@ -174,7 +172,7 @@ impl Publication {
 
     fn publish(&self) -> Result<(), EngineError> {
         let published = self.registry.publish()?;
-        write_atomic(&self.last, published.checkpoint.as_bytes())
+        self.last.keep(&published.checkpoint)
     }
 
     /// Has what is published cosigned; whether every witness did. One that saw more of the log, or another log, is an error.
@@ -243,15 +241,4 @@ fn wait(bell: &Bell, pause: Duration, later: Option<Duration>) -> bool {
 
 fn lock(asked: &Mutex<Asked>) -> MutexGuard<'_, Asked> {
     asked.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Holds the log to the checkpoint that it published last, where there is one.
-fn hold_to_last(registry: &Registry, last: &Path) -> Result<(), EngineError> {
-    if !last.exists() {
-        return Ok(());
-    }
-    let stored = |problem: String| EngineError::Stored { path: last.to_path_buf(), problem };
-    let note = String::from_utf8(read_limited(last, MAX_CHECKPOINT)?).map_err(|e| stored(e.to_string()))?;
-    let known = Checkpoint::verify(&note, &registry.verifier().map_err(EngineError::from)?);
-    Ok(registry.must_extend(&known.map_err(|e| stored(e.to_string()))?)?)
 }

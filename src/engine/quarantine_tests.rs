@@ -7,6 +7,7 @@ use cairn_landmark::{Landmark, LandmarkConfig};
 
 use super::super::job::{Job, JobState};
 use super::super::owners::AskedView;
+use super::super::published::TestFolder;
 use super::super::query::Viewpoint;
 use super::super::{Engine, TrainingRequest};
 use super::*;
@@ -20,7 +21,7 @@ const UNSCREENED: &str = "[quarantine]\nenabled = false\n";
 const BAD: [&str; 2] = ["images/ada_005.png", "images/ada_008.png"];
 
 struct World {
-    dir: tempfile::TempDir,
+    dir: TestFolder,
     engine: Engine,
 }
 
@@ -39,7 +40,7 @@ fn open(data: &Path) -> Engine {
 impl World {
     /// The scene `town`, with `bad` photographs of noise.
     fn new(bad: &[&str]) -> Self {
-        let dir = tempfile::tempdir().unwrap();
+        let dir = TestFolder::new();
         let config = LandmarkConfig {
             photographs: 10,
             width: 40,

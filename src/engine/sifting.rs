@@ -60,8 +60,10 @@ impl Training {
         };
         if !views.left_out.is_empty() && !views.screened {
             let (count, name) = (views.left_out.len(), &job.spec.scene);
-            control
-                .note(format!("left out: {count} views that were in quarantine before (cairn quarantine list {name})"));
+            let views = if count == 1 { "view" } else { "views" };
+            control.note(format!(
+                "left out: {count} {views} that were in quarantine before (cairn quarantine list {name})"
+            ));
         }
         let scene = leaving_out(scene, &views.left_out);
         let checkpoint = folder.join("screening.checkpoint");

@@ -11,6 +11,7 @@ use tokio::sync::watch;
 
 use super::super::job::JobState;
 use super::super::model::ModelInfo;
+use super::super::published::TestFolder;
 use super::super::{Engine, TrainingRequest, model, scenes};
 use super::*;
 use crate::config::Config;
@@ -22,7 +23,7 @@ const TINY: &str = "[field]\nsteps = 10\nrays_per_step = 128\nvoxels = 4096\nlev
 
 /// A data folder with the scene `town`, trained.
 struct Trained {
-    dir: tempfile::TempDir,
+    dir: TestFolder,
     job: Job,
 }
 
@@ -66,7 +67,7 @@ fn request(anchors: usize) -> TrainingRequest {
 
 impl Trained {
     fn new() -> Self {
-        let dir = tempfile::tempdir().unwrap();
+        let dir = TestFolder::new();
         let engine = open(dir.path());
         import(dir.path(), "town", 3);
         let id = engine.train(request(2)).unwrap().id;
@@ -101,7 +102,7 @@ impl Trained {
 
 #[test]
 fn clusters_without_a_size_take_as_many_views_as_there_are() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = TestFolder::new();
     import(dir.path(), "town", 3);
     let scene = SceneFolder::open(&dir.path().join("scenes"), "town").unwrap();
     let sizes = |neighbours| cairn_cluster::ClusterConfig { anchors: 3, neighbours, ..Default::default() };
@@ -209,7 +210,7 @@ fn labels(info: &ModelInfo) -> Vec<&str> {
 
 #[test]
 fn scenes_that_are_marked_together_share_a_detector_and_say_whose_mark_it_is() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = TestFolder::new();
     let engine = open(dir.path());
     for (name, seed) in [("town", 3), ("mill", 4)] {
         import(dir.path(), name, seed);
@@ -278,7 +279,7 @@ fn a_scene_that_grows_keeps_its_field_and_its_marks() {
 
 #[test]
 fn clusters_stay_as_large_where_a_scene_grows() {
-    let dir = tempfile::tempdir().unwrap();
+    let dir = TestFolder::new();
     let engine = open(dir.path());
     import(dir.path(), "town", 3);
     let of = |anchors, neighbours| {

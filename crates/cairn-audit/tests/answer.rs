@@ -190,6 +190,7 @@ fn answer_reports_are_readable_by_people_and_by_programs() {
         "who contributed to scene \"liberty\", as of log size 12\n",
         "3 of 8 records count\n",
         "counts    index 1: contribution by \"contributor 2\", identity 2, disputed at index 4\n",
+        "no credit index 4: dispute about the mark of \"contributor 2\"",
         "revoked   index 5:",
         "map.membership.proven",
     ] {

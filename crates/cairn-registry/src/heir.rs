@@ -43,6 +43,12 @@ pub enum Heir {
 }
 
 impl Heir {
+    /// The key that rotations led to, whether it still speaks or ended.
+    pub fn id(&self) -> Digest {
+        let (Self::Key { id, .. } | Self::Nobody { id, .. }) = self;
+        *id
+    }
+
     /// Whether this key (by its id) is the one that speaks.
     pub fn is(&self, key: &Digest) -> bool {
         matches!(self, Self::Key { id, .. } if id == key)

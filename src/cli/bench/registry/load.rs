@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::memory;
 use super::made::{self, ORIGIN};
+use crate::engine::published::LastPublished;
 use crate::engine::publisher::Publisher;
 
 /// A log under load, in a process of its own.
@@ -70,7 +71,8 @@ pub fn run(task: &Task) -> anyhow::Result<Loaded> {
     let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
     let made = (0..task.records).map(|number| Ok(made::record(&registry, task.seed, number, task.views)?.0));
     let envelopes = made.collect::<anyhow::Result<Vec<Envelope>>>()?;
-    let publisher = Publisher::start(registry.clone(), task.folder.join("registry.checkpoint"), vec![])?;
+    let last = LastPublished::inside(task.folder.join("registry.checkpoint"));
+    let publisher = Publisher::start(registry.clone(), last, vec![])?;
     let (begun, ended, next) = (Instant::now(), AtomicBool::new(false), AtomicUsize::new(0));
     let (acknowledged, publications) = std::thread::scope(|scope| {
         let watcher = scope.spawn(|| watch(&registry, begun, &ended));

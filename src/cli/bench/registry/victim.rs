@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::parts::Part;
 use super::made::{self, ORIGIN};
+use crate::engine::published::LastPublished;
 use crate::engine::publisher::Publisher;
 
 /// Submitters in the process that is killed.
@@ -52,7 +53,8 @@ pub struct Survived {
 /// The registry's.
 pub fn run(task: &Task) -> anyhow::Result<()> {
     let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
-    let publisher = Publisher::start(registry.clone(), task.folder.join("registry.checkpoint"), vec![])?;
+    let last = LastPublished::inside(task.folder.join("registry.checkpoint"));
+    let publisher = Publisher::start(registry.clone(), last, vec![])?;
     let (log, count) = (registry.verifier()?, AtomicU64::new(0));
     std::thread::scope(|scope| {
         let clients: Vec<_> = (0..CLIENTS)
