@@ -5,8 +5,6 @@ mod common;
 #[path = "../crates/cairn-audit/tests/handmade/mod.rs"]
 mod handmade;
 
-use std::io::{BufRead, BufReader, Write};
-use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::{Arc, Mutex};
@@ -119,37 +117,12 @@ fn a_policy_names_the_log_and_asks_for_its_witnesses() {
     assert!(code == Some(0) && said.starts_with("trusted") && said.contains("2023-11-14T22:13:20Z"), "{said}");
 }
 
-/// Serves the files of a folder, which may change, over HTTP; gives the address.
-fn serve(folder: Arc<Mutex<PathBuf>>) -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    std::thread::spawn(move || {
-        for stream in listener.incoming().flatten() {
-            answer(stream, &folder.lock().unwrap());
-        }
-    });
-    format!("http://{address}")
-}
-
-fn answer(mut stream: TcpStream, folder: &Path) {
-    let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
-    let request = lines.next().unwrap().unwrap();
-    while lines.next().is_some_and(|line| line.is_ok_and(|line| !line.is_empty())) {}
-    let path = request.split(' ').nth(1).unwrap().trim_start_matches('/').to_owned();
-    let (status, body) = match std::fs::read(folder.join(path)) {
-        Ok(body) => ("200 OK", body),
-        Err(_) => ("404 Not Found", Vec::new()),
-    };
-    let head = format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
-    stream.write_all(&[head.as_bytes(), &body].concat()).unwrap();
-}
-
 #[test]
 fn a_log_is_followed_until_it_forks_and_the_evidence_is_kept() {
     let mut log = Log::small();
     let (dir, data, vkey) = place(&log);
     let folder = Arc::new(Mutex::new(PathBuf::from(&data).join("registry/public")));
-    let url = serve(folder.clone());
+    let url = common::files::serve(folder.clone());
     let state = dir.path().join("state");
     let state_text = state.display().to_string();
     let follow = ["follow", &url, "--vkey", &vkey, "--state", &state_text, "--once"];

@@ -11,7 +11,7 @@ use cairn_proto::v1;
 use cairn_proto::v1::owner_service_client::OwnerServiceClient;
 use cairn_registry::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
 use cairn_registry::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
-use common::{Daemon, Place};
+use common::{Daemon, Place, copy};
 use tonic::transport::Channel;
 
 /// A running `cairn witness serve`; ends with the test.
@@ -76,19 +76,6 @@ async fn contribute(client: &mut OwnerServiceClient<Channel>, by: u8, of: std::o
     let envelope = record.seal(&key).unwrap().to_json().into_bytes().into();
     let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await.unwrap();
     answer.into_inner().record.unwrap().index
-}
-
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let to = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy(&entry.path(), &to);
-        } else {
-            std::fs::copy(entry.path(), &to).unwrap();
-        }
-    }
 }
 
 /// A start that has to fail; what it says.

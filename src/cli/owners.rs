@@ -114,8 +114,9 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) ->
     let records = records::list(line, &name.unwrap_or_default()).await?;
     for r in &records {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;
-        let identity = if r.envelope.is_empty() { "erased".to_owned() } else { format!("identity {}", r.identity) };
-        println!("{}  {}  {}  {identity}  by key {}", r.index, r.kind, r.scene, Digest::from_bytes(owner));
+        let about =
+            if r.envelope.is_empty() { "erased".to_owned() } else { format!("{}  identity {}", r.scene, r.identity) };
+        println!("{}  {}  {about}  by key {}", r.index, r.kind, Digest::from_bytes(owner));
     }
     if let Some(path) = out {
         let entry = |r: &v1::Record| -> anyhow::Result<LogEntry> {

@@ -2,6 +2,7 @@
 //! makes tiny captures of a made-up landmark.
 #![allow(dead_code)] // Every test file uses its own part of this.
 
+pub mod files;
 pub mod world;
 
 use std::io::{BufRead, BufReader};
@@ -165,5 +166,19 @@ pub fn base_only(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTraini
         settings_toml: settings_toml.into(),
         base_only: true,
         ..v1::StartTrainingRequest::default()
+    }
+}
+
+/// Copies a folder whole.
+pub fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let to = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy(&entry.path(), &to);
+        } else {
+            std::fs::copy(entry.path(), &to).unwrap();
+        }
     }
 }
