@@ -4,7 +4,7 @@
 mod common;
 
 use std::io::{BufRead as _, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use cairn_proto::v1;
@@ -187,7 +187,12 @@ async fn a_whole_folder_restored_from_an_older_backup_is_refused_by_the_anchor_a
 #[tokio::test(flavor = "multi_thread")]
 async fn a_whole_folder_restored_from_an_older_backup_is_refused_without_any_setting() {
     let place = Place::new();
-    let (data, kept) = (place.path("data"), place.path("data.checkpoint"));
+    let data = place.path("data");
+    let kept = || {
+        let beside = std::fs::read_dir(place.dir.path()).unwrap().map(|entry| entry.unwrap().path());
+        let is_kept = |path: &PathBuf| path.extension().is_some_and(|end| end == "checkpoint");
+        beside.filter(is_kept).collect::<Vec<_>>()
+    };
     // Another start, and a record more.
     let go_on = async |by| {
         let daemon = Daemon::start(&data, "");
@@ -203,7 +208,7 @@ async fn a_whole_folder_restored_from_an_older_backup_is_refused_without_any_set
     for _ in 0..2 {
         let said = refused(&place, "data", "");
         for part in [
-            "data.checkpoint",
+            ".checkpoint",
             "2 leaves, known is a checkpoint over 4",
             "restored from an older backup",
             "restore the newest",
@@ -215,21 +220,26 @@ async fn a_whole_folder_restored_from_an_older_backup_is_refused_without_any_set
     std::fs::rename(place.path("newest"), &data).unwrap();
     go_on(3).await;
 
-    // What cannot be read says nothing, and is not passed over.
-    let whole = std::fs::read(&kept).unwrap();
-    let mut bent = whole.clone();
-    let last = bent.len() - 10;
-    bent[last] ^= 1;
-    for damaged in [&bent[..], b"", b"\xff\xfe"] {
-        std::fs::write(&kept, damaged).unwrap();
-        let said = refused(&place, "data", "");
-        assert!(said.contains("data.checkpoint") && said.contains("move that file away"), "{said}");
-    }
-    // Without it a folder starts, as one that was moved does; so does a log that is begun anew in its place.
-    std::fs::remove_file(&kept).unwrap();
+    // An anchor is no leave to forget it.
+    let settings = format!("[registry]\nanchor_file = {:?}\n", place.text("log.anchor"));
+    std::fs::write(place.path("anchored.toml"), settings).unwrap();
+    let accept = ["registry", "anchor", "--accept", "--data", &place.text("old/data"), "--config"];
+    copy(&place.path("backup"), &place.path("old/data"));
+    std::fs::copy(&kept()[0], place.path("old").join(kept()[0].file_name().unwrap())).unwrap();
+    let said = place.cairn(&[&accept[..], &[&place.text("anchored.toml")]].concat());
+    assert!(!said.status.success() && !place.path("log.anchor").exists());
+    assert!(String::from_utf8_lossy(&said.stderr).contains("restored from an older backup"));
+
+    // Without it a folder starts, as one that was moved does. A log that is begun anew in its place has its own, so that
+    // the first one's backup is refused all the same.
+    std::fs::remove_file(&kept()[0]).unwrap();
     go_on(4).await;
-    assert!(std::fs::read(&kept).unwrap() != whole, "made again");
-    std::fs::remove_dir_all(&data).unwrap();
+    assert_eq!(kept().len(), 1, "made again");
+    std::fs::rename(&data, place.path("newest")).unwrap();
     go_on(5).await;
     go_on(6).await;
+    assert_eq!(kept().len(), 2);
+    std::fs::remove_dir_all(&data).unwrap();
+    copy(&place.path("backup"), &data);
+    assert!(refused(&place, "data", "").contains("restored from an older backup"));
 }

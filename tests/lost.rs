@@ -4,14 +4,17 @@
 mod common;
 
 use std::io::{Read as _, Write as _};
-use std::net::{TcpListener, TcpStream};
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use cairn_registry::{Envelope, OwnerRecord};
 use common::world::{CLOSED, World, key};
 
-/// A way to the daemon at `url` that breaks once a record went through it: its answer never comes.
+/// A way to the daemon at `url` that breaks once a record went through it: the daemon has it, and its answer never comes.
 fn way_that_breaks(url: &str) -> String {
     let daemon = url.strip_prefix("http://").unwrap().to_owned();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -20,29 +23,41 @@ fn way_that_breaks(url: &str) -> String {
         for client in listener.incoming() {
             let (client, daemon) = (client.unwrap(), TcpStream::connect(&daemon).unwrap());
             let (back, ends) = (daemon.try_clone().unwrap(), client.try_clone().unwrap());
-            std::thread::spawn(move || there(client, daemon));
-            std::thread::spawn(move || drop(std::io::copy(&mut &back, &mut &ends)));
+            let broken = Arc::new(AtomicBool::new(false));
+            let is_broken = broken.clone();
+            std::thread::spawn(move || there(client, daemon, &broken));
+            std::thread::spawn(move || back_again(back, ends, &is_broken));
         }
     });
     url
 }
 
-fn there(mut client: TcpStream, mut daemon: TcpStream) {
+fn there(mut client: TcpStream, mut daemon: TcpStream, broken: &AtomicBool) {
     let (mut buffer, mut said) = ([0; 4096], Vec::new());
     while let Ok(read @ 1..) = client.read(&mut buffer) {
         said.extend_from_slice(&buffer[..read]);
-        // An envelope goes as it is, and this is how each ends.
-        if said.windows(12).any(|bytes| bytes == b"\"signatures\"") {
-            let _ = client.shutdown(std::net::Shutdown::Write);
-            daemon.write_all(&buffer[..read]).unwrap();
-            // Until it is durable.
-            std::thread::sleep(std::time::Duration::from_millis(500));
-            let _ = (client.shutdown(std::net::Shutdown::Both), daemon.shutdown(std::net::Shutdown::Both));
-            return;
+        // An envelope goes as it is, and this is how each ends: in a moment the rest of it is here as well.
+        if said.windows(12).any(|bytes| bytes == b"\"signatures\"") && !broken.swap(true, Ordering::SeqCst) {
+            client.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
         }
         daemon.write_all(&buffer[..read]).unwrap();
     }
-    let _ = daemon.shutdown(std::net::Shutdown::Write);
+    let _ = client.shutdown(Shutdown::Both);
+    if !broken.load(Ordering::SeqCst) {
+        let _ = daemon.shutdown(Shutdown::Write);
+    }
+    // To the daemon the way stays open: it goes on with what it was asked for, however long that takes.
+    std::thread::sleep(Duration::from_secs(60));
+}
+
+fn back_again(mut daemon: TcpStream, mut client: TcpStream, broken: &AtomicBool) {
+    let mut buffer = [0; 4096];
+    while let Ok(read @ 1..) = daemon.read(&mut buffer) {
+        if broken.load(Ordering::SeqCst) || client.write_all(&buffer[..read]).is_err() {
+            return;
+        }
+    }
+    let _ = client.shutdown(Shutdown::Write);
 }
 
 fn files(folder: &Path) -> Vec<String> {
@@ -64,8 +79,11 @@ fn town_of_ada(records: u32, marked: bool) -> (World, String) {
     (world, own)
 }
 
-/// Runs a command over a way that breaks; what was signed stays in the folder `out`, and what it says names it.
+/// Runs a command over a way that breaks, until the log has what it sent; what was signed stays in the folder `out`, and
+/// what it says names it.
 fn lose(world: &World, who: &str, command: &[&str], out: &str) {
+    let records = || world.ok("root", &["owners", "list"]).lines().count();
+    let before = records();
     let lost =
         world.run_at(&way_that_breaks(&world.daemon.url), who, &[command, &["--out", out]].concat()).unwrap_err();
     assert!(
@@ -73,6 +91,11 @@ fn lose(world: &World, who: &str, command: &[&str], out: &str) {
         "{lost}"
     );
     assert!(Path::new(out).join("record.signed.json").is_file(), "{lost}");
+    let begun = Instant::now();
+    while records() == before {
+        assert!(begun.elapsed() < Duration::from_secs(60), "the daemon never entered it: {lost}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
 }
 
 #[test]
@@ -85,7 +108,7 @@ fn an_answer_that_is_lost_is_asked_for_again_also_by_a_key_that_ended() {
     world.ok("root", &["owners", "vkey", "--out", &vkey]);
     for (what, line, name, secret) in [
         ("record 0 is durable and published;", &sign[..], "claim", &secret[..]),
-        ("record 2 is durable (reading is closed to this key", &revoke[..], "end", &[]),
+        ("record 2 is durable;", &revoke[..], "end", &[]),
     ] {
         let (folder, out) = (world.place.path(name), world.place.text(name));
         lose(&world, "ada", line, &out);
@@ -148,12 +171,17 @@ fn what_a_key_signed_before_its_rotation_is_answered_to_the_key_that_followed() 
     assert!(said.contains("record 0 is durable and published"), "{said}");
     assert_eq!(files(&world.place.path("first")), ["log.vkey", "record.json", "record.tlog-proof"]);
 
-    // Also once that key ended as well: it asks for what was its own.
-    let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "lost"];
-    world.ok("next", &[&revoke[..], &["--out", &out("end")]].concat());
-    let said = world.ok("next", &["owners", "submit", &out("again")]);
-    assert!(said.contains("record 0 is durable (reading is closed to this key"), "{said}");
-    assert_eq!(world.ok("root", &["owners", "list"]).lines().count(), 3, "each once");
+    // Also at the end of a chain, where the key between is refused, and once the last key ended as well.
+    let last = world.place.text("last.key");
+    key(&world.place, "last");
+    let rotate = ["keys", "rotate", "town", "--record", "2", "--key", &next, "--new-key", &last];
+    world.ok("next", &[&rotate[..], &["--out", &out("second")]].concat());
+    world.refused("next", &["owners", "submit", &out("again")], "there is no account with the key id");
+    let revoke = ["keys", "revoke", "town", "--key", &last, "--purpose", "lost"];
+    world.ok("last", &[&revoke[..], &["--out", &out("end")]].concat());
+    let said = world.ok("last", &["owners", "submit", &out("again")]);
+    assert!(said.contains("record 0 is durable;"), "{said}");
+    assert_eq!(world.ok("root", &["owners", "list"]).lines().count(), 4, "each once");
 }
 
 #[test]

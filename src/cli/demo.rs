@@ -188,8 +188,12 @@ fn trusted(signed: &[sign::Signed], data: &Path) -> anyhow::Result<Right> {
     let mut trusted = Right::default();
     for sign::Signed { bundle, .. } in signed {
         let trust = audit::Trust { vkey: Some(bundle.join("log.vkey")), policy: None };
-        let verify =
-            audit::bundle::Args { bundle: bundle.clone(), trust, against: Some(data.into()), log: None, json: false };
+        let verify = audit::bundle::Args {
+            bundle: bundle.clone(),
+            trust,
+            against: Some(data.into()),
+            ..audit::bundle::Args::default()
+        };
         trusted.count(audit::bundle::report(&verify)?.outcome == Outcome::Trusted);
     }
     Ok(trusted)

@@ -160,9 +160,7 @@ pub struct Place {
 
 impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (index, published) = (self.index, self.published);
-        let aside = " (reading is closed to this key: its proof is the acknowledgement's, without witnesses)";
-        write!(f, "record {index} is durable{}", if published { " and published" } else { aside })
+        write!(f, "record {} is durable{}", self.index, if self.published { " and published" } else { "" })
     }
 }
 
@@ -263,7 +261,14 @@ impl Bundle {
             Ok(newest) => (newest.into_inner().tlog_proof, true),
             // Where reading is closed, a key that this very record ended reads no more: what came with the
             // acknowledgement proves it as well, if without witnesses.
-            Err(status) if is_nobodys(&status) && !entered.proof.is_empty() => (entered.proof.clone(), false),
+            Err(status) if is_nobodys(&status) && !entered.proof.is_empty() => {
+                eprintln!(
+                    "note: reading is closed to this key, so the proof of record {} is the acknowledgement's, without witnesses; \
+                     for a cosigned one ask somebody who may read, or the operator",
+                    entered.index
+                );
+                (entered.proof.clone(), false)
+            }
             Err(status) => {
                 let problem = "is in the log; its proof was not given";
                 let again = format!("`cairn owners submit {}` asks again", self.name());

@@ -9,6 +9,7 @@ use cairn_registry::{Anchor, Checkpoint, Registry, RegistryError};
 
 use super::error::EngineError;
 use super::folder::DataFolder;
+use super::published::LastPublished;
 use super::registry_key;
 use crate::config::Config;
 
@@ -36,7 +37,7 @@ pub fn of(data: &Path, path: Option<&Path>) -> Result<Option<Anchor>, EngineErro
 ///
 /// # Errors
 /// [`EngineError::Invalid`] where the settings name no anchor; [`EngineError::Stored`] where no log was begun;
-/// [`EngineError::Locked`]; the registry's: [`RegistryError::RolledBack`], [`RegistryError::AnchorMissing`].
+/// [`EngineError::Locked`]; as [`LastPublished::hold`]; the registry's: [`RegistryError::RolledBack`], [`RegistryError::AnchorMissing`].
 pub fn hold(data: &Path, config: &Config, accept: bool) -> Result<Checkpoint, EngineError> {
     if config.anchor_file.is_none() {
         let expected = "the absolute path of a file outside the data folder, set with --config";
@@ -52,5 +53,12 @@ pub fn hold(data: &Path, config: &Config, accept: bool) -> Result<Checkpoint, En
     let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
     let anchor = of(data, config.anchor_file.as_deref())?;
     let anchor = anchor.map(|anchor| if accept { anchor.made_where_missing() } else { anchor });
-    Ok(Registry::open_anchored(&folder.registry(), key, &config.origin, anchor)?.head()?)
+    // An anchor is nobody's leave to forget what was published.
+    let last = LastPublished::of(folder.last_checkpoint(), data, &key.public());
+    if accept {
+        last.hold(&Registry::open(&folder.registry(), key.clone(), &config.origin)?)?;
+    }
+    let registry = Registry::open_anchored(&folder.registry(), key, &config.origin, anchor)?;
+    last.hold(&registry)?;
+    Ok(registry.head()?)
 }

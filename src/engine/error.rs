@@ -153,7 +153,8 @@ pub enum EngineError {
     #[error(
         "the log does not go on from the checkpoint in {}, which it signed and published ({problem}): the data folder was \
          restored from an older backup: restore the newest one, or, where its envelopes are newer than its working folder, have \
-         that made again (`cairn registry rebuild`), and never let it go on from an older one",
+         that made again (`cairn registry rebuild`), and never let it go on from an older one; if there is none newer, begin a \
+         new log (another data folder, registry.origin and key) and keep the public files of this one where its auditors find them",
         file.display()
     )]
     RestoredOlder {

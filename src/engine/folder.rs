@@ -163,15 +163,25 @@ impl Drop for DataFolder {
     }
 }
 
-/// Says whether nobody has the data folder `root`, and leaves it as it is.
+/// Says whether somebody has the data folder `root`, which stays as it is.
 ///
 /// # Errors
 /// [`EngineError::Locked`] naming the owner's process.
 pub fn must_be_free(root: &Path) -> Result<(), EngineError> {
-    match root.join("lock").exists() {
-        true => take_lock(root).map(drop),
-        false => Ok(()),
+    // Where there is no lock, or none that can be read, nobody can be named.
+    let Ok(mut file) = File::open(root.join("lock")) else { return Ok(()) };
+    match FileExt::try_lock_shared(&file) {
+        Err(TryLockError::WouldBlock) => Err(locked_by(&mut file, root)),
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
     }
+}
+
+fn locked_by(lock: &mut File, root: &Path) -> EngineError {
+    let mut pid = String::new();
+    // Whoever holds it may be writing its number just now: then it is unknown.
+    let _ = lock.read_to_string(&mut pid);
+    let pid = if pid.trim().is_empty() { "unknown".to_owned() } else { pid.trim().to_owned() };
+    EngineError::Locked { path: root.to_path_buf(), pid }
 }
 
 fn take_lock(root: &Path) -> Result<File, EngineError> {
@@ -182,13 +192,7 @@ fn take_lock(root: &Path) -> Result<File, EngineError> {
     match FileExt::try_lock(&file) {
         Ok(()) => {}
         Err(TryLockError::Error(e)) => return Err(io("lock")(e)),
-        Err(TryLockError::WouldBlock) => {
-            let mut pid = String::new();
-            // Whoever holds it may be writing its number just now: then it is unknown.
-            let _ = file.read_to_string(&mut pid);
-            let pid = if pid.trim().is_empty() { "unknown".to_owned() } else { pid.trim().to_owned() };
-            return Err(EngineError::Locked { path: root.to_path_buf(), pid });
-        }
+        Err(TryLockError::WouldBlock) => return Err(locked_by(&mut file, root)),
     }
     file.set_len(0).map_err(io("write"))?;
     file.write_all(std::process::id().to_string().as_bytes()).map_err(io("write"))?;
@@ -207,13 +211,13 @@ pub fn sync_folder(path: &Path) -> Result<(), EngineError> {
 /// Replaces `path` by `bytes`, durably and at once: after a crash there is the
 /// old file or the new one, whole.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
-    let usual = OpenOptions::new().create(true).truncate(true).write(true).clone();
-    write_atomic_as(path, bytes, &usual)
+    write_atomic_as(path, bytes, OpenOptions::new().create_new(true).write(true))
 }
 
 /// As [`write_atomic`], readable by the file's owner alone.
 pub fn write_atomic_secret(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
-    let mut secret = OpenOptions::new().create(true).truncate(true).write(true).clone();
+    let mut secret = OpenOptions::new();
+    secret.create_new(true).write(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut secret, 0o600);
     write_atomic_as(path, bytes, &secret)
@@ -224,9 +228,14 @@ fn write_atomic_as(path: &Path, bytes: &[u8], how: &OpenOptions) -> Result<(), E
     let mut temporary = path.as_os_str().to_owned();
     temporary.push(".new");
     let temporary = PathBuf::from(temporary);
-    let mut file = how.open(&temporary).map_err(EngineError::io("create", &temporary))?;
-    file.write_all(bytes).and_then(|()| file.sync_all()).map_err(EngineError::io("write", &temporary))?;
-    fs::rename(&temporary, path).map_err(EngineError::io("replace", path))?;
+    // What a crash left, or somebody laid there: it is not written into.
+    remove(&temporary)?;
+    let written = || {
+        let mut file = how.open(&temporary).map_err(EngineError::io("create", &temporary))?;
+        file.write_all(bytes).and_then(|()| file.sync_all()).map_err(EngineError::io("write", &temporary))?;
+        fs::rename(&temporary, path).map_err(EngineError::io("replace", path))
+    };
+    written().inspect_err(|_| drop(remove(&temporary)))?;
     sync_folder(folder)
 }
 
@@ -322,5 +331,40 @@ mod tests {
         assert_eq!(std::fs::read(&path).unwrap(), b"second");
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file stays");
         assert!(read_limited(&path, 5).is_err());
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn writing_follows_no_link_and_leaves_nothing_half_done() {
+        use std::os::unix::fs::{PermissionsExt as _, symlink};
+        let dir = tempfile::tempdir().unwrap();
+        let (path, new, victim) = (dir.path().join("a"), dir.path().join("a.new"), dir.path().join("victim"));
+        std::fs::write(&victim, b"theirs").unwrap();
+        symlink(&victim, &new).unwrap();
+        write_atomic_secret(&path, b"mine").unwrap();
+        assert_eq!(
+            (std::fs::read(&victim).unwrap(), std::fs::read(&path).unwrap()),
+            (b"theirs".into(), b"mine".into())
+        );
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        // What an earlier one left readable for all does not stay so.
+        std::fs::write(&new, b"left").unwrap();
+        write_atomic_secret(&path, b"mine").unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        std::fs::remove_file(&path).unwrap();
+        std::fs::create_dir(&path).unwrap();
+        assert!(write_atomic(&path, b"mine").is_err() && !new.exists());
+    }
+
+    #[test]
+    fn a_folder_is_said_to_be_free_without_touching_it() {
+        let dir = tempfile::tempdir().unwrap();
+        must_be_free(dir.path()).unwrap();
+        std::fs::write(dir.path().join("lock"), "999").unwrap();
+        must_be_free(dir.path()).unwrap();
+        assert_eq!(std::fs::read(dir.path().join("lock")).unwrap(), b"999");
+        let _held = DataFolder::open(dir.path()).unwrap();
+        let refused = must_be_free(dir.path()).unwrap_err().to_string();
+        assert!(refused.contains(&std::process::id().to_string()), "{refused}");
     }
 }

@@ -93,7 +93,7 @@ impl Engine {
             .iter()
             .map(|w| WitnessClient::new(w.verifier.clone(), &w.url))
             .collect::<Result<_, _>>()?;
-        let last = LastPublished::of(folder.last_checkpoint(), data);
+        let last = LastPublished::of(folder.last_checkpoint(), data, &registry.public_key());
         let publisher = Publisher::start(registry.clone(), last, witnesses)?;
         let quarantine = Arc::new(Quarantine::open(folder.quarantine(), &folder.scenes())?);
         let work = training::Training {

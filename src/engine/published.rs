@@ -2,20 +2,23 @@
 //! backup is found out at its next start.
 //!
 //! It is kept twice. `DIR/registry.checkpoint`, in the data folder, speaks where the log alone was restored.
-//! `DIR.checkpoint`, beside it, speaks where the whole data folder was: it does not go back with that, and needs no setting.
-//! What was signed in the moment between a publication and a backup it does not know of; an anchor does
+//! `DIR.KEY.checkpoint`, beside it, speaks where the whole data folder was: it does not go back with that, and needs no
+//! setting. KEY is the start of the log's key id: another log begun in the same place has a file of its own, and takes nobody's
+//! word away. What was signed in the moment between a publication and a backup neither knows of; an anchor does
 //! ([`super::anchor`]), which may lie on another disk as well.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use cairn_registry::{Checkpoint, CheckpointError, NoteError, Registry, RegistryError};
+use cairn_registry::{Checkpoint, PublicKey, Registry, RegistryError};
 
 use super::error::EngineError;
 use super::folder::{read_limited, write_atomic};
 
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT: u64 = 1 << 16;
+/// Hexadecimal digits of the key id in the name beside the data folder.
+const KEY_DIGITS: usize = 8;
 
 /// The files that hold it.
 #[derive(Debug)]
@@ -27,71 +30,44 @@ pub struct LastPublished {
 }
 
 impl LastPublished {
-    /// In this file alone.
-    pub fn inside(file: PathBuf) -> Self {
-        Self { inside: file, beside: None, told: AtomicBool::new(false) }
-    }
-
-    /// In this file of the data folder `data`, which is there, and in one beside that.
-    pub fn of(file: PathBuf, data: &Path) -> Self {
+    /// In the file `inside` of the data folder `data`, which is there, and in one beside that; of the log with this key.
+    pub fn of(inside: PathBuf, data: &Path, key: &PublicKey) -> Self {
         // Where a link leads, since that is what is restored.
-        let beside = data.canonicalize().ok().filter(|data| data.file_name().is_some()).map(|data| {
+        let data = data.canonicalize().ok().filter(|data| data.file_name().is_some());
+        let beside = data.map(|data| {
+            tell_of_mount(&data);
             let mut name = data.into_os_string();
-            name.push(".checkpoint");
+            name.push(format!(".{}.checkpoint", &key.id().to_string()[..KEY_DIGITS]));
             PathBuf::from(name)
         });
-        Self { inside: file, beside, told: AtomicBool::new(false) }
+        Self { inside, beside, told: AtomicBool::new(false) }
     }
 
     /// Holds the log to them, where they are there.
     ///
     /// # Errors
-    /// [`cairn_registry::RegistryError::Inconsistent`] for a log that does not go on from the one in the data folder,
-    /// [`EngineError::RestoredOlder`] from the one beside it; [`EngineError::Stored`] and [`EngineError::Beside`] where they cannot
-    /// be read.
+    /// [`cairn_registry::RegistryError::Inconsistent`] for a log that does not go on from the one in the data folder, and
+    /// [`EngineError::Stored`] where that cannot be read; [`EngineError::RestoredOlder`] and [`EngineError::Beside`] likewise
+    /// for the one beside it.
     pub fn hold(&self, registry: &Registry) -> Result<(), EngineError> {
-        if let Some(known) = read(&self.inside, registry)? {
-            let stored = |e: CheckpointError| EngineError::Stored { path: self.inside.clone(), problem: e.to_string() };
+        if self.inside.exists() {
+            let stored = |problem: String| EngineError::Stored { path: self.inside.clone(), problem };
+            let known = verified(&read_limited(&self.inside, MAX_CHECKPOINT)?, registry)?;
             registry.must_extend(&known.map_err(stored)?)?;
         }
-        let Some(beside) = &self.beside else { return Ok(()) };
-        match read(beside, registry)? {
-            None => {
-                // The first start of all, or the first here: a folder may be moved.
-                if registry.size() > 0 {
-                    tracing::warn!(
-                        file = %beside.display(),
-                        size = registry.size(),
-                        "nothing beside the data folder says how far its log had come; it is taken as it is from here on"
-                    );
-                }
-            }
-            Some(Ok(known)) => registry.must_extend(&known).map_err(|error| {
-                let problem = match error {
-                    RegistryError::Inconsistent { what, .. } => what,
-                    other => other.to_string(),
-                };
-                EngineError::RestoredOlder { file: beside.clone(), problem }
-            })?,
-            // Begun anew, or another folder in its place.
-            Some(Err(
-                other @ (CheckpointError::Origin { .. } | CheckpointError::Note(NoteError::NoneVerified { .. })),
-            )) => {
-                tracing::warn!(file = %beside.display(), %other, "another log's checkpoint is replaced by this one's");
-            }
-            Some(Err(damaged)) => {
-                return Err(EngineError::Beside { file: beside.clone(), problem: damaged.to_string() });
-            }
+        match &self.beside {
+            Some(beside) => hold_to_beside(beside, registry),
+            None => Ok(()),
         }
-        Ok(())
     }
 
-    /// Keeps what was published. Where nothing can be written beside the data folder, that is said, and the one inside must do.
+    /// Keeps what was published. Where nothing can be written beside the data folder, that is said once, and the one inside
+    /// must do.
     ///
     /// # Errors
     /// The file system's, for the file in the data folder.
     pub fn keep(&self, checkpoint: &str) -> Result<(), EngineError> {
-        write_atomic(&self.inside, checkpoint.as_bytes())?;
+        let inside = write_atomic(&self.inside, checkpoint.as_bytes());
         if let Some(beside) = &self.beside
             && let Err(error) = write_atomic(beside, checkpoint.as_bytes())
             && !self.told.swap(true, Ordering::Relaxed)
@@ -102,37 +78,69 @@ impl LastPublished {
                  by an anchor (registry.anchor_file), witnesses and followers only"
             );
         }
-        Ok(())
+        inside
     }
 }
 
-/// The checkpoint in a file: none where there is no file.
-fn read(file: &Path, registry: &Registry) -> Result<Option<Result<Checkpoint, CheckpointError>>, EngineError> {
-    if !file.exists() {
-        return Ok(None);
+fn hold_to_beside(beside: &Path, registry: &Registry) -> Result<(), EngineError> {
+    let refuse = |problem: String| EngineError::Beside { file: beside.to_path_buf(), problem };
+    let found = match beside.symlink_metadata() {
+        Ok(found) => found,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            // The first start of all, or the first here: a folder may be moved.
+            if registry.size() > 0 {
+                tracing::warn!(
+                    file = %beside.display(),
+                    size = registry.size(),
+                    "nothing beside the data folder says how far its log had come; it is taken as it is from here on"
+                );
+            }
+            return Ok(());
+        }
+        Err(error) => return Err(refuse(error.to_string())),
+    };
+    if !found.is_file() {
+        return Err(refuse("it is no regular file".into()));
     }
+    let bytes = read_limited(beside, MAX_CHECKPOINT).map_err(|e| refuse(e.to_string()))?;
+    let known = verified(&bytes, registry)?.map_err(refuse)?;
+    registry.must_extend(&known).map_err(|error| {
+        let problem = match error {
+            RegistryError::Inconsistent { what, .. } => what,
+            other => other.to_string(),
+        };
+        EngineError::RestoredOlder { file: beside.to_path_buf(), problem }
+    })
+}
+
+/// The checkpoint that the log signed, or what is wrong with it.
+fn verified(bytes: &[u8], registry: &Registry) -> Result<Result<Checkpoint, String>, EngineError> {
+    let verifier = registry.verifier().map_err(EngineError::from)?;
     // What is no text is no note.
-    let note = String::from_utf8_lossy(&read_limited(file, MAX_CHECKPOINT)?).into_owned();
-    Ok(Some(Checkpoint::verify(&note, &registry.verifier().map_err(EngineError::from)?)))
+    let note = String::from_utf8_lossy(bytes);
+    Ok(Checkpoint::verify(&note, &verifier).map_err(|e| e.to_string()))
 }
 
-/// A data folder that goes with its test, and what is kept beside it as well.
-#[cfg(test)]
-pub struct TestFolder {
-    data: PathBuf,
-    _around: tempfile::TempDir,
-}
-
-#[cfg(test)]
-impl TestFolder {
-    pub fn new() -> Self {
-        let around = tempfile::tempdir().unwrap();
-        let data = around.path().join("data");
-        std::fs::create_dir(&data).unwrap();
-        Self { data, _around: around }
+/// Says so where the data folder is a disk of its own: beside it lies another, which may not outlast a container.
+fn tell_of_mount(data: &Path) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt as _;
+        let device = |path: &Path| path.metadata().ok().map(|found| found.dev());
+        if let Some(around) = data.parent()
+            && device(data) != device(around)
+        {
+            tracing::warn!(
+                folder = %data.display(),
+                "the data folder is where a disk is mounted: what is kept beside it lies on another, and goes with that; give \
+                 the data a folder on the disk, or set registry.anchor_file"
+            );
+        }
     }
-
-    pub fn path(&self) -> &Path {
-        &self.data
-    }
+    #[cfg(not(unix))]
+    let _ = data;
 }
+
+#[cfg(test)]
+#[path = "published_tests.rs"]
+pub mod tests;

@@ -7,7 +7,7 @@ use cairn_landmark::{Landmark, LandmarkConfig};
 
 use super::super::job::{Job, JobState};
 use super::super::owners::AskedView;
-use super::super::published::TestFolder;
+use super::super::published::tests::TestFolder;
 use super::super::query::Viewpoint;
 use super::super::{Engine, TrainingRequest};
 use super::*;

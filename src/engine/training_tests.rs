@@ -11,7 +11,7 @@ use tokio::sync::watch;
 
 use super::super::job::JobState;
 use super::super::model::ModelInfo;
-use super::super::published::TestFolder;
+use super::super::published::tests::TestFolder;
 use super::super::{Engine, TrainingRequest, model, scenes};
 use super::*;
 use crate::config::Config;

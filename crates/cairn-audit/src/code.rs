@@ -72,31 +72,31 @@ codes! {
     /// The marked field in hand is another.
     MarkedFieldMismatch = "digest.marked_field.mismatch", Error, "use the marked field that the record is about, or the record of this one";
     /// The record names a marked field, and none is in hand.
-    MarkedFieldUnchecked = "digest.marked_field.unchecked", Info, "hand in the file to have it compared";
+    MarkedFieldUnchecked = "digest.marked_field.unchecked", Info, "hand in the file (--field, --against) to have it compared";
     /// The detector in hand is the record's.
     DetectorMatch = "digest.detector.match", Passed, "";
     /// The detector in hand is another.
     DetectorMismatch = "digest.detector.mismatch", Error, "use the detector that the record is about: another one proves nothing";
     /// The record names a detector, and none is in hand.
-    DetectorUnchecked = "digest.detector.unchecked", Info, "hand in the file to have it compared";
+    DetectorUnchecked = "digest.detector.unchecked", Info, "hand in the file (--detector, --against) to have it compared";
     /// The hidden signal in hand is the record's.
     HiddenSignalMatch = "digest.hidden_signal.match", Passed, "";
     /// The hidden signal or salt in hand is another.
     HiddenSignalMismatch = "digest.hidden_signal.mismatch", Error, "use the signal and the salt that the record was made with";
     /// The record commits to a hidden signal, and none is in hand.
-    HiddenSignalUnchecked = "digest.hidden_signal.unchecked", Info, "hand in the signal and its salt to have them compared";
+    HiddenSignalUnchecked = "digest.hidden_signal.unchecked", Info, "ask the owner for the signal and its salt, and put them into the bundle's folder";
     /// The photographs in hand are the record's.
     PhotographsMatch = "digest.photographs.match", Passed, "";
     /// The photographs in hand are others, or not all of them.
     PhotographsMismatch = "digest.photographs.mismatch", Error, "hand in all photographs of the cluster, unchanged, and no others";
     /// The record names photographs, and none are in hand.
-    PhotographsUnchecked = "digest.photographs.unchecked", Info, "hand in the photographs' digests to have them compared";
+    PhotographsUnchecked = "digest.photographs.unchecked", Info, "hand in the photographs (--photographs, --against) to have them compared";
     /// The training configuration in hand is the record's.
     ConfigurationMatch = "digest.training_configuration.match", Passed, "";
     /// The training configuration in hand is another.
     ConfigurationMismatch = "digest.training_configuration.mismatch", Error, "use the configuration file that the training run wrote";
     /// The record names a training configuration, and none is in hand.
-    ConfigurationUnchecked = "digest.training_configuration.unchecked", Info, "hand in the file to have it compared";
+    ConfigurationUnchecked = "digest.training_configuration.unchecked", Info, "hand in the file (--settings, --against) to have it compared";
     /// The proof cannot be read.
     ProofMalformed = "proof.malformed", Error, "get the .tlog-proof again from the registry";
     /// The checkpoint cannot be read.

@@ -38,7 +38,12 @@ pub(crate) fn check(audited: &Audited<'_>, log: Option<&LogView>, findings: &mut
         findings.add(Code::FreshnessUnknown, "log", expected, format!("one of size {}", log.size));
         return Freshness::CannotTell;
     }
-    findings.add(Code::FreshnessKnown, "log", "", format!("known up to size {}", log.size));
+    findings.add(
+        Code::FreshnessKnown,
+        "log",
+        "",
+        format!("known up to size {}, if the list in hand leaves nothing out", log.size),
+    );
     let mut known = opened(log, findings);
     known.sort_by_key(|later| later.index);
     let keys = known.iter().map(|later| later.record.owner_key).chain([audited.record.owner_key]);

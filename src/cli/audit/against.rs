@@ -1,8 +1,8 @@
-//! `cairn audit bundle --against DIR`: the files of a data folder that a record
-//! binds, hashed anew from their bytes. Nothing to compare is an error: a report
+//! What a record binds, hashed anew from its bytes: the files of a data folder (`cairn audit bundle --against DIR`), or
+//! single ones. Nothing to compare is an error: a report
 //! that compared nothing must not read as one that did.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_audit::{Code, Evidence, FileInHand, PhotographsInHand, Report};
@@ -14,6 +14,57 @@ use crate::engine::model::{self, ModelInfo};
 /// What is left out for want of the file, one code a digest that a data folder can be asked for.
 const UNCHECKED: [Code; 4] =
     [Code::MarkedFieldUnchecked, Code::DetectorUnchecked, Code::PhotographsUnchecked, Code::ConfigurationUnchecked];
+
+/// Files in hand one by one, as they come by mail.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct Files {
+    /// The folder of the photographs, all of the cluster's and no others, to be held to the record
+    #[arg(long, value_name = "DIR", conflicts_with = "against")]
+    pub photographs: Option<PathBuf>,
+    /// The marked field, to be held to the record
+    #[arg(long, value_name = "FILE", conflicts_with = "against")]
+    pub field: Option<PathBuf>,
+    /// The detector, to be held to the record
+    #[arg(long, value_name = "FILE", conflicts_with = "against")]
+    pub detector: Option<PathBuf>,
+    /// The training's settings (settings.toml), to be held to the record
+    #[arg(long, value_name = "FILE", conflicts_with = "against")]
+    pub settings: Option<PathBuf>,
+}
+
+impl Files {
+    /// Adds what is given to `evidence`.
+    ///
+    /// # Errors
+    /// For what cannot be read, and a folder without files.
+    pub fn gather(&self, evidence: &mut Evidence<'_>) -> anyhow::Result<()> {
+        let file = |path: &Option<PathBuf>| path.as_deref().map(FileInHand::read).transpose();
+        evidence.marked_field = file(&self.field)?;
+        evidence.detector = file(&self.detector)?;
+        evidence.training_configuration = file(&self.settings)?;
+        evidence.photographs = self.photographs.as_deref().map(all_files).transpose()?;
+        Ok(())
+    }
+}
+
+/// Every file of a folder is a photograph; folders in it are gone through as well.
+fn all_files(folder: &Path) -> anyhow::Result<PhotographsInHand> {
+    let (mut digests, mut left) = (Vec::new(), vec![folder.to_path_buf()]);
+    while let Some(folder) = left.pop() {
+        let listed = std::fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))?;
+        for entry in listed {
+            let entry = entry.with_context(|| format!("cannot list {}", folder.display()))?;
+            // A link to a folder may lead back here: it is read as a file, which fails by name.
+            if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+                left.push(entry.path());
+            } else {
+                digests.push(FileInHand::read(&entry.path())?.digest);
+            }
+        }
+    }
+    anyhow::ensure!(!digests.is_empty(), "there is no file in {}", folder.display());
+    Ok(PhotographsInHand::of(folder.display().to_string(), &digests))
+}
 
 /// Adds to `evidence` each file below `data` whose digest the record names.
 ///

@@ -18,7 +18,7 @@ use crate::engine::folder::read_limited;
 const MAX_FILE: u64 = 1 << 20;
 
 /// `cairn audit bundle`.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Clone, Debug, Default, clap::Args)]
 pub struct Args {
     /// The bundle: its folder, or the common start of its two files, `F.dsse.json` and `F.tlog-proof`
     #[arg(value_name = "F")]
@@ -28,6 +28,8 @@ pub struct Args {
     /// A data folder whose photographs, settings, marked field and detector, of the record's own training, are held to it
     #[arg(long, value_name = "DIR")]
     pub against: Option<PathBuf>,
+    #[command(flatten)]
+    pub files: against::Files,
     /// The log's records, from `cairn owners list --out`: tells of revocations and disputes
     #[arg(long, value_name = "FILE")]
     pub log: Option<PathBuf>,
@@ -66,6 +68,7 @@ pub fn report(args: &Args) -> anyhow::Result<cairn_audit::Report> {
         log: log.as_ref(),
         ..Evidence::default()
     };
+    args.files.gather(&mut evidence)?;
     let mut gathered = Ok(());
     if let Some(data) = &args.against {
         // The record says which files to look at; whether it may be believed is the audit's to say.

@@ -71,7 +71,7 @@ pub fn run(task: &Task) -> anyhow::Result<Loaded> {
     let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
     let made = (0..task.records).map(|number| Ok(made::record(&registry, task.seed, number, task.views)?.0));
     let envelopes = made.collect::<anyhow::Result<Vec<Envelope>>>()?;
-    let last = LastPublished::inside(task.folder.join("registry.checkpoint"));
+    let last = LastPublished::of(task.folder.join("registry.checkpoint"), &task.folder, &registry.public_key());
     let publisher = Publisher::start(registry.clone(), last, vec![])?;
     let (begun, ended, next) = (Instant::now(), AtomicBool::new(false), AtomicUsize::new(0));
     let (acknowledged, publications) = std::thread::scope(|scope| {

@@ -53,7 +53,7 @@ pub struct Survived {
 /// The registry's.
 pub fn run(task: &Task) -> anyhow::Result<()> {
     let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
-    let last = LastPublished::inside(task.folder.join("registry.checkpoint"));
+    let last = LastPublished::of(task.folder.join("registry.checkpoint"), &task.folder, &registry.public_key());
     let publisher = Publisher::start(registry.clone(), last, vec![])?;
     let (log, count) = (registry.verifier()?, AtomicU64::new(0));
     std::thread::scope(|scope| {
