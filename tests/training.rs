@@ -166,7 +166,7 @@ async fn what_is_missing_is_left_out_and_clusters_are_as_large_as_may_be() {
     assert!(!refused.status.success() && error.contains(gone) && error.contains("--skip-missing"), "{error}");
     let done = place.cairn(&[&import[..], &["--skip-missing"]].concat());
     let said = String::from_utf8_lossy(&done.stderr);
-    assert!(done.status.success() && said.contains("left out 1 views") && said.contains(gone), "{said}");
+    assert!(done.status.success() && said.contains("left out 1 view without") && said.contains(gone), "{said}");
 
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
     let get = || v1::GetSceneRequest { format_version: 1, scene: "town".into() };
