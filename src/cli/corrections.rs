@@ -89,8 +89,8 @@ pub async fn show(line: &Connection, index: u64) -> anyhow::Result<()> {
     let record = &stored.record;
     let kind = serde_json::to_value(record.kind)?;
     println!("record {index}: {}, scene {}", kind.as_str().context("the record's kind has no name")?, record.scene);
-    // A dispute names the mark that it contests, and whoever contests it by their key alone.
-    let whose = if record.kind == RecordKind::Dispute { "contests" } else { "identity" };
+    // Whom a dispute names is mostly not whoever contests: that is its key.
+    let whose = if record.kind == RecordKind::Dispute { "names" } else { "identity" };
     let mut facts = vec![
         ("state", state(&stored.standing)),
         (whose, format!("{}, {}", record.identity.number, record.identity.contributor)),

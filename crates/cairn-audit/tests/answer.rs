@@ -190,7 +190,7 @@ fn answer_reports_are_readable_by_people_and_by_programs() {
         "who contributed to scene \"liberty\", as of log size 12\n",
         "3 of 8 records count\n",
         "counts    index 1: contribution by \"contributor 2\", identity 2, disputed at index 4\n",
-        "no credit index 4: dispute about the mark of \"contributor 2\"",
+        "no credit index 4: dispute naming \"contributor 5\", identity 5\n",
         "revoked   index 5:",
         "map.membership.proven",
     ] {

@@ -41,7 +41,7 @@ pub struct RecordWorth {
     pub kind: RecordKind,
     /// Key id of its owner.
     pub owner: Digest,
-    /// The contributor's name (in a dispute: of whose mark it contests), unless it was erased.
+    /// The contributor's name (in a dispute: whom it names), unless it was erased.
     pub contributor: Option<String>,
     /// The identity's number, unless it was erased.
     pub number: Option<u32>,
@@ -113,8 +113,8 @@ impl fmt::Display for RecordWorth {
         // Names come from strangers: quoted, so that they cannot pass for a line of the report.
         let who = self.contributor.as_ref().map_or_else(|| "(erased)".to_owned(), |name| format!("{name:?}"));
         let kind = format!("{:?}", self.kind).to_lowercase();
-        // Whose mark a dispute is about stands in it, not who contests that.
-        let whose = if self.kind == RecordKind::Dispute { "about the mark of" } else { "by" };
+        // Whom a dispute names is mostly not whoever contests: that is its key.
+        let whose = if self.kind == RecordKind::Dispute { "naming" } else { "by" };
         write!(f, "{:9} index {}: {kind} {whose} {who}", self.standing, self.index)?;
         if let Some(number) = self.number {
             write!(f, ", identity {number}")?;
