@@ -3,9 +3,12 @@
 
 use std::sync::Arc;
 
-use cairn_capture::SceneFolder;
+use cairn_capture::{Picture, SceneFolder};
 use cairn_cluster::Clusters;
-use cairn_stega::{Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Signal};
+use cairn_metrics::{mse, psnr_db_from_mse};
+use cairn_stega::{
+    Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Signal, at_most,
+};
 
 pub use cairn_stega::{Detector, MarkedField};
 
@@ -16,8 +19,17 @@ use super::stages::{self, Field, Preparing, Stage, Step};
 /// that every run of a job judges at the same steps.
 pub const JUDGE_EVERY: u64 = 50;
 
+/// Photographs of a scene that tell how well its field explains them.
+const EXPLAINED_BY: usize = 12;
+/// Longest side at which they do, pixels.
+const EXPLAINED_PX: usize = 640;
+
 /// Trains the marked fields and the detector, and keeps the best state judged.
-pub struct Marking(MarkTrainer);
+pub struct Marking {
+    trainer: MarkTrainer,
+    /// What to say of the budget.
+    note: Option<String>,
+}
 
 /// A scene to mark.
 pub struct ToMark<'a> {
@@ -70,10 +82,12 @@ impl Marking {
         preparing: Preparing<'_>,
     ) -> Result<Option<Self>, EngineError> {
         let mut planned = Vec::with_capacity(scenes.len());
+        let mut explained_db = f64::NEG_INFINITY;
         for ToMark { scene, base, clusters, signals } in scenes {
             let capture = scene.capture();
             // Photographs carry no mark: the detector has to stay silent on them.
             let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
+            explained_db = explained_db.max(explained(&base, scene, &negatives)?);
             let views = scene.training().map(|index| {
                 let view = &capture.views[index];
                 PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() }
@@ -81,14 +95,22 @@ impl Marking {
             let plan = MarkPlan { clusters: clusters.clone(), views: views.collect(), signals, negatives };
             planned.push(MarkScene { field: Arc::new(base), plan });
         }
+        let affordable = settings.affording(explained_db);
+        let note = (affordable.budget_db > settings.budget_db).then(|| {
+            format!(
+                "marks are kept {:.1} dB below the base field's renders instead of {:.1}: it explains photographs to {explained_db:.1} dB, \
+                 and they are to cost these at most {} dB (mark.most_cost_db)",
+                affordable.budget_db, settings.budget_db, settings.most_cost_db
+            )
+        });
         let progress = &mut |done, total| preparing(stages::RAY_WEIGHTS, done, total);
         let made = match (checkpoint, grown) {
             (Some(bytes), _) => MarkTrainer::resume_joint(bytes, planned, progress),
-            (None, Some(grown)) => MarkTrainer::growing(planned, &grown.earlier(), settings.clone(), seed, progress),
-            (None, None) => MarkTrainer::joint(planned, settings.clone(), seed, progress),
+            (None, Some(grown)) => MarkTrainer::growing(planned, &grown.earlier(), affordable, seed, progress),
+            (None, None) => MarkTrainer::joint(planned, affordable, seed, progress),
         };
         match made {
-            Ok(trainer) => Ok(Some(Self(trainer))),
+            Ok(trainer) => Ok(Some(Self { trainer, note })),
             Err(MarkError::Stopped) => Ok(None),
             Err(error) => Err(error.into()),
         }
@@ -99,11 +121,11 @@ impl Marking {
     /// # Errors
     /// When they cannot be written out.
     pub fn finish(self) -> Result<(Vec<Vec<u8>>, Vec<u8>), EngineError> {
-        if let Some(best) = self.0.best() {
+        if let Some(best) = self.trainer.best() {
             let (step, accuracy, recovered) = (best.step, best.accuracy, best.recovered);
             tracing::info!(step, accuracy, ?recovered, "best state on virtual poses");
         }
-        let (fields, detector) = self.0.finish_joint()?;
+        let (fields, detector) = self.trainer.finish_joint()?;
         let fields = fields.iter().map(MarkedField::to_bytes).collect::<Result<_, _>>()?;
         Ok((fields, detector.to_bytes()?))
     }
@@ -111,18 +133,40 @@ impl Marking {
 
 impl Stage for Marking {
     fn step(&mut self) -> Result<Step, EngineError> {
-        let stats = self.0.step()?;
+        let stats = self.trainer.step()?;
         if stats.step.is_multiple_of(JUDGE_EVERY) || stats.step == stats.total {
-            self.0.judge()?;
+            self.trainer.judge()?;
         }
         Ok(Step { loss: stats.loss, psnr_db: stats.kept_db })
     }
 
     fn steps(&self) -> (u64, u64) {
-        (self.0.steps_done(), self.0.steps_total())
+        (self.trainer.steps_done(), self.trainer.steps_total())
     }
 
     fn checkpoint(&self) -> Result<Vec<u8>, EngineError> {
-        Ok(self.0.checkpoint()?)
+        Ok(self.trainer.checkpoint()?)
     }
+
+    fn notes(&self) -> Vec<String> {
+        self.note.iter().cloned().collect()
+    }
+}
+
+/// How well a field explains the photographs that it was trained on: PSNR in dB over some of them, evenly, all their pixels
+/// together.
+fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture]) -> Result<f64, EngineError> {
+    let views = &scene.capture().views;
+    let training: Vec<usize> = scene.training().collect();
+    let (mut squares, mut pixels) = (0.0, 0.0);
+    for (photograph, index) in photographs.iter().zip(training).step_by(photographs.len().div_ceil(EXPLAINED_BY).max(1))
+    {
+        let camera = at_most(&views[index].camera, EXPLAINED_PX);
+        let render = base.render(&camera, base.appearance_of(&views[index].name)).clamped();
+        let seen = photograph.resized(render.width(), render.height());
+        let count = (render.width() * render.height()) as f64;
+        squares += count * mse(&render, &seen)?;
+        pixels += count;
+    }
+    Ok(if pixels > 0.0 { psnr_db_from_mse(squares / pixels) } else { f64::NEG_INFINITY })
 }

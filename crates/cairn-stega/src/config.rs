@@ -72,6 +72,9 @@ pub enum LossKind {
     Squared,
 }
 
+/// Faintest marks: 8 bits round them away long before.
+const MOST_BUDGET_DB: f64 = 80.0;
+
 /// Settings of stage 2.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -121,6 +124,9 @@ pub struct MarkConfig {
     pub budget: bool,
     /// theta's renders stay at least this close to theta_0's, PSNR in dB, 20 to 80.
     pub budget_db: f64,
+    /// What marks may cost photographs, dB of PSNR, 0 to 10: the budget is raised until they cost no more where the base field
+    /// explains its photographs well ([`MarkConfig::affording`]). 0 leaves it as it is.
+    pub most_cost_db: f64,
     /// Where the budget starts, PSNR in dB, 20 to `budget_db`: strong marks are
     /// found at once and can then be made fainter. With or without a budget, the
     /// first pattern's amplitude.
@@ -202,6 +208,7 @@ impl Default for MarkConfig {
             guidance: Guidance::Told,
             budget: true,
             budget_db: 52.0,
+            most_cost_db: 0.1,
             budget_start_db: 32.0,
             budget_ramp: 0.4,
             pull: 1e-3,
@@ -230,6 +237,20 @@ impl Default for MarkConfig {
 }
 
 impl MarkConfig {
+    /// These settings for marks that cost photographs at most `most_cost_db`, where the base field explains them to
+    /// `explained_db` (PSNR, dB).
+    ///
+    /// What the field leaves of a photograph and a mark know nothing of each other, so that their squares add up: with e the
+    /// field's mean squared error and m the mark's, the PSNR falls by 10 log10((e + m) / e). That is c dB where the mark lies
+    /// -10 log10(10^(c/10) - 1) dB below the error, 16.3 for 0.1.
+    #[must_use]
+    pub fn affording(&self, explained_db: f64) -> Self {
+        let below = -10.0 * (10f64.powf(self.most_cost_db / 10.0) - 1.0).log10();
+        let affordable_db = (explained_db + below).min(MOST_BUDGET_DB);
+        let is_raised = self.budget && self.most_cost_db > 0.0 && affordable_db > self.budget_db;
+        Self { budget_db: if is_raised { affordable_db } else { self.budget_db }, ..self.clone() }
+    }
+
     /// Checks every range.
     ///
     /// # Errors
@@ -257,7 +278,8 @@ impl MarkConfig {
             ("mark.mask_alpha", self.mask_alpha, 0.0, 10.0, "0 to 10"),
             ("mark.mask_least", self.mask_least, 0.0, 1.0, "0 to 1"),
             ("mark.mask_share", self.mask_share, 0.0, 1.0, "0 to 1"),
-            ("mark.budget_db", self.budget_db, 20.0, 80.0, "20 to 80"),
+            ("mark.budget_db", self.budget_db, 20.0, MOST_BUDGET_DB, "20 to 80"),
+            ("mark.most_cost_db", self.most_cost_db, 0.0, 10.0, "0 to 10"),
             ("mark.budget_start_db", self.budget_start_db, 20.0, self.budget_db, "20 to mark.budget_db"),
             ("mark.budget_ramp", self.budget_ramp, 0.0, 1.0, "0 to 1"),
             ("mark.pull", self.pull, 0.0, 1.0, "0 to 1"),
@@ -334,5 +356,33 @@ impl MarkConfig {
     /// Side of hidden pictures and of what the networks see, px.
     pub fn side_px(&self) -> usize {
         self.detector.size[0]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn marks_cost_photographs_no_more_than_they_may() {
+        let config = MarkConfig { budget_db: 42.0, most_cost_db: 0.1, ..MarkConfig::default() };
+        let cost = |explained_db: f64, budget_db: f64| {
+            let [error, mark] = [explained_db, budget_db].map(|db| 10f64.powf(-db / 10.0));
+            10.0 * ((error + mark) / error).log10()
+        };
+        for explained_db in [26.0, 28.5, 33.0, 45.0] {
+            let affording = config.affording(explained_db);
+            affording.validate().unwrap();
+            let costs = cost(explained_db, affording.budget_db);
+            assert!((costs - 0.1).abs() < 1e-9, "{explained_db} dB: {costs} dB at {}", affording.budget_db);
+        }
+        // What costs less already stays as strong as it is.
+        assert_eq!(config.affording(22.0), config);
+        assert_eq!(config.affording(f64::NEG_INFINITY), config);
+        assert_eq!(config.affording(f64::INFINITY).budget_db, MOST_BUDGET_DB);
+        let free = MarkConfig { most_cost_db: 0.0, ..config.clone() };
+        assert_eq!(free.affording(33.0), free);
+        let unbound = MarkConfig { budget: false, ..config };
+        assert_eq!(unbound.affording(33.0), unbound);
     }
 }
