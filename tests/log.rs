@@ -80,7 +80,8 @@ async fn contribute(client: &mut OwnerServiceClient<Channel>, by: u8, of: std::o
 
 /// A start that has to fail; what it says.
 fn refused(place: &Place, data: &str, config: &str) -> String {
-    std::fs::write(place.path("refused.toml"), config).unwrap();
+    // On a port of its own: another test may have the usual one at this very moment.
+    std::fs::write(place.path("refused.toml"), format!("{config}\n[server]\nbind = \"127.0.0.1:0\"\n")).unwrap();
     let said = place.cairn(&["serve", "--data", &place.text(data), "--config", &place.text("refused.toml")]);
     assert!(!said.status.success());
     String::from_utf8_lossy(&said.stderr).into_owned()
