@@ -8,13 +8,10 @@
 
 use crate::frame::RayPath;
 use crate::grid::{DENSITY_SCALE, Grid, trilinear};
-use crate::march::{STEP_VOXELS, Sample, march};
+use crate::march::{LANES, STEP_VOXELS, Samples, lanes, march_together};
 use crate::patch::Patch;
 use crate::real::Real;
 use crate::sh::SH;
-
-/// Samples whose densities are worked out together: one AVX2 register of f32.
-const LANES: usize = 8;
 
 /// When to leave out what cannot be seen.
 #[derive(Clone, Copy, Debug)]
@@ -185,81 +182,84 @@ fn record<T: Real>(
     mut place: impl FnMut(u32) -> u32,
 ) -> T {
     tape.clear();
-    let mut light = T::one();
-    let mut waiting = [const { None }; LANES];
-    let mut n = 0;
-    let mut open = true;
-    march(grid, path, offset, limits.step, |sample| {
-        waiting[n] = Some(*sample);
-        n += 1;
-        if n == LANES {
-            n = 0;
-            open = meet(grid, &waiting, &limits, &mut light, tape, &mut place);
-        }
-        open
-    });
-    if open {
-        meet(grid, &waiting[..n], &limits, &mut light, tape, &mut place);
-    }
-    light
-}
-
-/// Composites up to [`LANES`] samples behind those on the tape, `light` being what
-/// arrives; false when hardly any is left.
-#[inline(always)]
-fn meet<T: Real>(
-    grid: &Grid<T>,
-    samples: &[Option<Sample<T>>],
-    limits: &Thresholds,
-    light: &mut T,
-    tape: &mut Vec<Kept<T>>,
-    place: &mut impl FnMut(u32) -> u32,
-) -> bool {
-    let scale = T::of(DENSITY_SCALE);
-    let (least, stop, weak) = (T::of(limits.alpha), T::of(limits.transmittance), T::of(limits.weight));
-    let (mut raw, mut length) = ([T::zero(); LANES], [T::zero(); LANES]);
-    for (k, sample) in samples.iter().flatten().enumerate() {
-        raw[k] = grid.raw_at(sample.cell as usize, sample.frac);
-        length[k] = sample.length;
-    }
-    // All lanes at once: these loops have no branch and become vector instructions.
-    let (mut alpha, mut slope) = ([T::zero(); LANES], [T::zero(); LANES]);
-    for k in 0..LANES {
-        let (density, rise) = raw[k].softplus_and_slope();
-        alpha[k] = (scale * density * length[k]).stopped();
-        slope[k] = scale * rise * length[k];
-    }
-    for (k, sample) in samples.iter().flatten().enumerate() {
-        if alpha[k] <= least {
-            continue;
-        }
-        let weight = *light * alpha[k];
-        if weight <= weak {
-            continue;
-        }
-        *light *= T::one() - alpha[k];
+    let [end] = composite(grid, &[*path], offset, limits, |_, met| {
+        let (s, k) = (met.samples, met.lane);
         // The one before is most often in the same cell.
         let place = match tape.last() {
-            Some(last) if last.cell == sample.cell => last.place,
-            _ => place(sample.cell),
+            Some(last) if last.cell == s.cell[k] => last.place,
+            _ => place(s.cell[k]),
         };
         tape.push(Kept {
-            cell: sample.cell,
+            cell: s.cell[k],
             place,
-            frac: sample.frac,
-            weight,
-            behind: *light,
-            slope: slope[k],
-            along: sample.along,
-            length: sample.length,
-            far: sample.far,
+            frac: s.frac_of(k),
+            weight: met.weight,
+            behind: met.behind,
+            slope: met.slope,
+            along: s.along[k],
+            length: s.length[k],
+            far: s.far,
             colour: [T::zero(); 3],
         });
-        if *light <= stop {
-            return false;
+    });
+    end
+}
+
+/// A sample that shows.
+pub(crate) struct Met<'a, T> {
+    /// It and its neighbours,
+    pub(crate) samples: &'a Samples<T>,
+    /// among which it is this one.
+    pub(crate) lane: usize,
+    /// `T_i alpha_i`.
+    pub(crate) weight: T,
+    /// Transmittance behind it, `T_{i+1}`.
+    behind: T,
+    /// d(optical depth)/d(raw density).
+    slope: T,
+}
+
+/// Marches some rays and hands over what shows, each ray's (by its number) near to far.
+/// Returns the transmittances at their ends.
+#[inline(always)]
+pub(crate) fn composite<T: Real, const N: usize>(
+    grid: &Grid<T>,
+    paths: &[RayPath; N],
+    offset: f64,
+    limits: Thresholds,
+    mut keep: impl FnMut(usize, Met<'_, T>),
+) -> [T; N] {
+    let scale = T::of(DENSITY_SCALE);
+    let (least, stop, weak) = (T::of(limits.alpha), T::of(limits.transmittance), T::of(limits.weight));
+    let mut lights = [T::one(); N];
+    march_together(grid, paths, offset, limits.step, |ray, samples| {
+        let light = &mut lights[ray];
+        let raw = grid.raw_at_lanes(samples);
+        // All lanes at once: this loop has no branch and becomes vector instructions.
+        let (mut alpha, mut slope) = ([T::zero(); LANES], [T::zero(); LANES]);
+        for k in 0..LANES {
+            let (density, rise) = raw[k].softplus_and_slope();
+            alpha[k] = (scale * density * samples.length[k]).stopped();
+            slope[k] = scale * rise * samples.length[k];
         }
-    }
-    true
+        for lane in lanes(samples.held) {
+            let (alpha, slope) = (alpha[lane], slope[lane]);
+            if alpha <= least {
+                continue;
+            }
+            let weight = *light * alpha;
+            if weight <= weak {
+                continue;
+            }
+            *light *= T::one() - alpha;
+            keep(ray, Met { samples, lane, weight, behind: *light, slope });
+            if *light <= stop {
+                return false;
+            }
+        }
+        true
+    });
+    lights
 }
 
 /// Losses on a ray's weights themselves.

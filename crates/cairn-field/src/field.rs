@@ -1,12 +1,12 @@
 //! A trained base field: what it renders, and how it is stored.
 
 use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Gathered, Kept, Thresholds, see};
+use crate::composite::{Gathered, Thresholds};
 use crate::error::FieldError;
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
+use crate::picture::Seen;
 use crate::prior::Prior;
-use crate::rays::Lens;
 use crate::sh::SH;
 use cairn_capture::{Camera, Picture};
 use half::f16;
@@ -22,9 +22,6 @@ pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
     let largest = dims.iter().copied().max().unwrap_or(2);
     1e-4 * (largest - 1) as f64 / crate::march::STEP_VOXELS
 }
-
-/// Side of the squares that pictures are rendered in, pixels.
-const SQUARE_PX: usize = 8;
 
 /// A radiance field after stage 1 (theta_0). Immutable.
 #[derive(Clone, Debug)]
@@ -130,38 +127,26 @@ impl Field {
 
     /// What every pixel of `camera` gathers, row-major, with its colour basis.
     pub fn gather_view(&self, camera: &Camera, limits: Thresholds) -> Vec<(Gathered<f32>, [f32; SH])> {
-        let lens = Lens::new(camera);
-        let (w, h) = lens.size();
-        let mut all = vec![(Gathered::default(), [0.0; SH]); w * h];
-        // In small squares, so that neighbouring rays find the same rows still at hand.
-        all.par_chunks_mut(SQUARE_PX * w).enumerate().for_each_init(
-            Vec::new,
-            |tape: &mut Vec<Kept<f32>>, (n, band)| {
-                for left in (0..w).step_by(SQUARE_PX) {
-                    for (y, row) in band.chunks_exact_mut(w).enumerate() {
-                        for (x, out) in row.iter_mut().enumerate().skip(left).take(SQUARE_PX) {
-                            let (path, basis) = lens.ray(camera, &self.frame, (n * SQUARE_PX + y) * w + x);
-                            *out = (see(&self.grid, &path, &basis, limits, tape), basis);
-                        }
-                    }
-                }
-            },
-        );
-        all
+        self.each_pixel(camera, limits, |seen| (seen.gathered, seen.basis))
     }
 
     /// Renders `camera` as `appearance` has it; colours are not clamped.
     pub fn render(&self, camera: &Camera, appearance: &Appearance) -> Picture {
-        self.render_maps(camera, appearance).picture
+        self.render_within(camera, appearance, Thresholds::SHOWN)
+    }
+
+    /// As [`Field::render`], leaving out what `limits` says.
+    pub fn render_within(&self, camera: &Camera, appearance: &Appearance, limits: Thresholds) -> Picture {
+        let shade = |seen: &Seen<'_>| appearance.shade(&features(&seen.gathered, &seen.basis));
+        picture(camera, self.each_pixel(camera, limits, shade).into_flattened())
     }
 
     /// As [`Field::render`], with accumulation and depth.
     pub fn render_maps(&self, camera: &Camera, appearance: &Appearance) -> Rendering {
         let gathered = self.gather_view(camera, Thresholds::SHOWN);
         let rgb = gathered.iter().flat_map(|(g, basis)| appearance.shade(&features(g, basis))).collect();
-        let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
         Rendering {
-            picture: Picture::new(w, h, rgb).expect("one colour a pixel"),
+            picture: picture(camera, rgb),
             accumulation: gathered.iter().map(|(g, _)| 1.0 - g.end).collect(),
             depth: gathered.iter().map(|(g, _)| g.along / (1.0 - g.end).max(1e-6)).collect(),
         }
@@ -276,6 +261,11 @@ impl Field {
         }
         Ok(Self::new(header.frame, grid, header.canonical, header.appearances))
     }
+}
+
+/// `camera`'s picture of these colours.
+pub(crate) fn picture(camera: &Camera, rgb: Vec<f32>) -> Picture {
+    Picture::new(camera.intrinsics.width, camera.intrinsics.height, rgb).expect("one colour a pixel")
 }
 
 /// A [`FieldError::Stored`].

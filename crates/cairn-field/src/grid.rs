@@ -5,6 +5,7 @@
 //! colours. A dense index maps a vertex to its row of colours (0 = none, and then
 //! no density); rows are compact.
 
+use crate::march::{LANES, Samples};
 use crate::memory::{zero_rows, zeros};
 use crate::occupancy::Occupancy;
 use crate::real::Real;
@@ -127,6 +128,26 @@ impl<T: Real> Grid<T> {
         low + (side(cell + dz) - low) * frac[2]
     }
 
+    /// Raw densities at samples, trilinear: [`Grid::raw_at`] a lane.
+    #[inline(always)]
+    pub(crate) fn raw_at_lanes(&self, samples: &Samples<T>) -> [T; LANES] {
+        let (dy, dz) = (self.dims[0], self.dims[0] * self.dims[1]);
+        let mut edges = [[[T::zero(); LANES]; 2]; 4];
+        for k in 0..LANES {
+            let cell = samples.cell[k] as usize;
+            for (edge, at) in edges.iter_mut().zip([cell, cell + dy, cell + dz, cell + dz + dy]) {
+                let pair: &[T; 2] = self.raw[at..at + 2].try_into().expect("two vertices");
+                (edge[0][k], edge[1][k]) = (pair[0], pair[1]);
+            }
+        }
+        let [x, y, z] = &samples.frac;
+        std::array::from_fn(|k| {
+            let [a, b, c, d] = std::array::from_fn(|e| edges[e][0][k] + (edges[e][1][k] - edges[e][0][k]) * x[k]);
+            let (low, high) = (a + (b - a) * y[k], c + (d - c) * y[k]);
+            low + (high - low) * z[k]
+        })
+    }
+
     /// Rows of a cell's corners.
     #[inline(always)]
     pub(crate) fn corner_rows(&self, cell: usize, corners: &[usize; 8]) -> [u32; 8] {
@@ -149,18 +170,19 @@ impl<T: Real> Grid<T> {
     /// Asks for the colours of `row` ahead of their use.
     #[inline(always)]
     pub(crate) fn prefetch_row(&self, row: u32) {
-        #[cfg(target_arch = "x86_64")]
-        {
-            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-            let row: *const T = &raw const self.colour[row as usize * ROW];
-            // SAFETY: a prefetch reads nothing and may name any address.
-            unsafe {
-                _mm_prefetch::<_MM_HINT_T0>(row.cast());
-                _mm_prefetch::<_MM_HINT_T0>(row.wrapping_byte_add(64).cast());
-            }
+        let row: *const T = &raw const self.colour[row as usize * ROW];
+        prefetch(row);
+        prefetch(row.wrapping_byte_add(64));
+    }
+
+    /// Asks for the rows of the corners of `cell` ahead of their use.
+    #[inline(always)]
+    pub(crate) fn prefetch_index(&self, cell: u32) {
+        let at: *const u32 = &raw const self.index[cell as usize];
+        let (dy, dz) = (self.dims[0], self.dims[0] * self.dims[1]);
+        for corner in [0, dy, dz, dz + dy] {
+            prefetch(at.wrapping_add(corner));
         }
-        #[cfg(not(target_arch = "x86_64"))]
-        let _ = row;
     }
 
     /// Sum of `shares` times the colours of cell `cell`'s corners, seen along the
@@ -354,6 +376,19 @@ impl<T: Real> Grid<T> {
             occupancy: self.occupancy.clone(),
         }
     }
+}
+
+/// Asks for what lies at `address`, which need not be anybody's.
+#[inline(always)]
+fn prefetch<V>(address: *const V) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch reads nothing and may name any address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(address.cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = address;
 }
 
 /// Trilinear weights of a cell's eight corners, x fastest.

@@ -4,7 +4,7 @@
 //! Follow a picture through the files: [`SceneFrame`] bends a camera's rays into
 //! the unit cube, `march` finds the samples, `composite` turns them into light
 //! and walks back, `patch` sums what a tile's rays owe, `optimise` moves the grid, [`Appearance`] tints
-//! the result as a view's day and camera had it. [`BaseTrainer`] drives them
+//! the result as a view's day and camera had it; `picture` renders whole views. [`BaseTrainer`] drives them
 //! (stage 1), [`Field`] is the outcome. Before it, [`Screening`] asks of each photograph whether the others explain it. What stage 2 needs is in [`operator`], and in [`marched`] where densities move as well.
 //!
 //! The renderer is generic over [`Real`]: the same source is checked in f64
@@ -28,15 +28,18 @@ pub mod operator;
 mod optimise;
 mod overlay;
 pub mod patch;
+mod picture;
 mod prior;
-mod rays;
+pub mod rays;
 mod real;
 mod resolution;
 mod sampling;
 pub mod screening;
 pub mod sh;
 mod spacing;
+mod stretch;
 mod survey;
+mod tints;
 mod trainer;
 
 pub use appearance::Appearance;

@@ -2,27 +2,28 @@
 //! coordinates (a whole one beyond the inner box), empty space passed over.
 //! Skipping never moves a sample: the points are a lattice fixed by the ray alone.
 //!
-//! A ray is one to a few segments in which its place in the grid is quadratic in
-//! the sample's number. In a box it is even linear. In contracted space, between
-//! two changes of the coordinate that is largest, `x = A + B n` with that
-//! coordinate's magnitude `n`, and `contract(x) = (A u + B) (2 - u)` with
-//! `u = 1 / n`: no root and no division a sample, and infinity is `u = 0`.
+//! Rays that run beside one another go through empty space together, a lane each: to find
+//! the next place that holds anything is a chain of instructions of which each waits for the one
+//! before, and eight chains take hardly longer than one. What is found is then looked
+//! at ray by ray, a lane a sample.
 
 use crate::frame::RayPath;
 use crate::grid::Grid;
-use crate::occupancy::{BLOCK, bit};
-use crate::real::Real;
+use crate::occupancy::BLOCK;
+use crate::real::{Real, larger, smaller};
+use crate::stretch::{Segment, Stretches};
 
 /// Distance between samples in a picture, in voxels.
 pub const STEP_VOXELS: f64 = 0.5;
 /// The least distance between samples in contracted space, in voxels: those are
 /// drawn out in depth, where nobody can tell.
 pub const FAR_STEP_VOXELS: f64 = 1.0;
-/// Most samples of a segment, whatever the step.
-const MOST_SAMPLES: f64 = 16_777_216.0;
 
 /// More than f32 rounds a place in the largest grid (4096 voxels a side), voxels.
 const ROUNDING: f64 = 1e-3;
+
+/// Samples that are worked out together: one AVX2 register of f32.
+pub const LANES: usize = 8;
 
 /// A place where the field is looked up.
 #[derive(Clone, Copy, Debug)]
@@ -39,20 +40,53 @@ pub struct Sample<T> {
     pub far: bool,
 }
 
-/// A stretch of a ray; see the module's text.
+/// Up to [`LANES`] samples next to one another on a ray, a lane each; what [`Sample`]
+/// says of one. Lanes that are not held have numbers, too, and no meaning.
 #[derive(Clone, Copy, Debug)]
-struct Segment<T> {
-    /// Sample i lies at `place[0] + i place[1] + i^2 place[2]`, voxels.
-    place: [[T; 3]; 3],
-    count: usize,
-    /// Steps a voxel at least, going up and going down each axis.
-    up: [T; 3],
-    down: [T; 3],
-    /// The square of sample i's length is `length[0] + i length[1] + i^2 length[2]`.
-    length: [T; 3],
-    /// Sample i is `along[0] + i along[1]` along the ray.
-    along: [T; 2],
-    far: bool,
+pub struct Samples<T> {
+    /// Lanes that lie in occupied cells, a bit each; at least one.
+    pub held: u32,
+    /// Cells; a held lane's where a lane is not held.
+    pub cell: [u32; LANES],
+    /// The same by axis, but for lanes that are not held.
+    pub cells: [[u32; LANES]; 3],
+    /// Places within the cells, by axis.
+    pub frac: [[T; LANES]; 3],
+    /// Lengths of ray.
+    pub length: [T; LANES],
+    /// How far along the ray.
+    pub along: [T; LANES],
+    /// Beyond the inner box of an unbounded scene, all of them.
+    pub far: bool,
+}
+
+impl<T: Real> Samples<T> {
+    /// The held lanes' samples, near to far.
+    pub fn each(&self) -> impl Iterator<Item = Sample<T>> + '_ {
+        lanes(self.held).map(|k| Sample {
+            cell: self.cell[k],
+            frac: self.frac_of(k),
+            length: self.length[k],
+            along: self.along[k],
+            far: self.far,
+        })
+    }
+
+    /// Where in its cell lane `k` lies.
+    #[inline(always)]
+    pub(crate) fn frac_of(&self, k: usize) -> [T; 3] {
+        [self.frac[0][k], self.frac[1][k], self.frac[2][k]]
+    }
+}
+
+/// The lanes whose bit is set, ascending.
+#[inline(always)]
+pub(crate) fn lanes(mut bits: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let k = bits.trailing_zeros() as usize;
+        bits &= bits.wrapping_sub(1);
+        (k < LANES).then_some(k)
+    })
 }
 
 /// Visits the samples of `path` in occupied cells, near to far, until `visit`
@@ -64,253 +98,252 @@ pub fn march<T: Real>(
     path: &RayPath,
     offset: f64,
     step: f64,
-    mut visit: impl FnMut(&Sample<T>) -> bool,
+    mut visit: impl FnMut(&Samples<T>) -> bool,
 ) {
-    match path {
-        RayPath::Miss => {}
-        RayPath::Straight { origin, direction, start, end } => {
-            let at = |t: f64| std::array::from_fn(|k| (origin[k] + direction[k] * t) * (grid.dims[k] - 1) as f64);
-            let stretch = Stretch::linear(at(*start), at(*end), false);
-            let mut along = 0.0;
-            let segment = stretch.segment(grid.dims, offset, step, &mut along);
-            traverse(grid, &segment, &mut visit);
-        }
-        RayPath::Contracted { origin, direction } => {
-            let mut along = 0.0;
-            for_stretches(grid.dims, *origin, *direction, |stretch| {
-                let step = if stretch.far { step.max(FAR_STEP_VOXELS) } else { step };
-                let segment = stretch.segment(grid.dims, offset, step, &mut along);
-                traverse(grid, &segment, &mut visit)
-            });
-        }
-    }
+    march_together(grid, &[*path], offset, step, |_, samples| visit(samples));
 }
 
-/// Visits a segment's samples; false once `visit` wants no more.
+/// [`march`] along some rays, best such as run beside one another; `visit` is told which
+/// ray it is. Each one's samples come near to far.
 #[inline(always)]
-fn traverse<T: Real>(grid: &Grid<T>, s: &Segment<T>, visit: &mut impl FnMut(&Sample<T>) -> bool) -> bool {
-    let last = grid.dims.map(|d| d - 2);
-    let mut i = 0;
-    while i < s.count {
-        let n = T::of(i as f64);
-        let mut p = [T::zero(); 3];
-        let mut cell = [0usize; 3];
-        for k in 0..3 {
-            // Rounding may leave the cube by an ulp; the clamps keep it inside.
-            p[k] = (s.place[0][k] + n * (s.place[1][k] + n * s.place[2][k])).max(T::zero());
-            cell[k] = p[k].whole().min(last[k]);
+pub(crate) fn march_together<T: Real, const N: usize>(
+    grid: &Grid<T>,
+    paths: &[RayPath; N],
+    offset: f64,
+    step: f64,
+    mut visit: impl FnMut(usize, &Samples<T>) -> bool,
+) {
+    let mut rays = Rays::begin(grid, paths, offset, step);
+    loop {
+        rays.pass_what_is_empty(grid);
+        if rays.under_way == 0 {
+            return;
         }
-        let block = grid.occupancy.block_of(cell);
-        let mask = grid.occupancy.mask(block);
-        if mask == 0 {
-            i += stride(s, p, cell, grid.occupancy.reach(block));
-            continue;
-        }
-        if mask >> bit(cell) & 1 == 1 {
-            let at = (cell[2] * grid.dims[1] + cell[1]) * grid.dims[0] + cell[0];
-            let sample = Sample {
-                cell: at as u32,
-                frac: std::array::from_fn(|k| (p[k] - T::of(cell[k] as f64)).min(T::one())),
-                length: (s.length[0] + n * (s.length[1] + n * s.length[2])).max(T::zero()).sqrt(),
-                along: s.along[0] + n * s.along[1],
-                far: s.far,
-            };
-            if !visit(&sample) {
-                return false;
+        for ray in lanes(rays.under_way) {
+            let samples = rays.segment[ray].samples(grid, rays.at[ray] as usize);
+            if samples.held != 0 && !visit(ray, &samples) {
+                rays.under_way &= !(1 << ray);
+            } else {
+                rays.go_on(grid, ray, LANES as u32);
             }
         }
-        i += 1;
     }
-    true
 }
 
-/// Samples to the next one that may lie outside the empty cube of blocks around
-/// `cell`, whose half side is `reach` blocks. What is passed over lies inside by
-/// more than a place is rounded: a sample on the very side is looked at.
-#[inline(always)]
-fn stride<T: Real>(s: &Segment<T>, p: [T; 3], cell: [usize; 3], reach: usize) -> usize {
-    let mut least = T::of(1e9);
-    for k in 0..3 {
-        let block = (cell[k] / BLOCK) as i32;
-        let low = (block - reach as i32 + 1) * BLOCK as i32;
-        let high = (block + reach as i32) * BLOCK as i32;
-        let (above, below) = (T::of(f64::from(high) - ROUNDING) - p[k], p[k] - T::of(f64::from(low) + ROUNDING));
-        least = least.min(above * s.up[k]).min(below * s.down[k]);
-    }
-    least.whole() + 1
+/// Some rays and how far they are.
+struct Rays<T, const N: usize> {
+    offset: f64,
+    step: f64,
+    /// What comes after each one's segment, and how long the ray is until there.
+    rest: [Stretches; N],
+    along: [f64; N],
+    /// Where each one is,
+    segment: [Segment<T>; N],
+    /// the next sample therein,
+    at: [u32; N],
+    /// and, by axis, what of it the way through empty space needs.
+    way: [Way<T, N>; 3],
+    /// Rays that have not ended, a bit each.
+    under_way: u32,
 }
 
-/// A stretch of a ray before it is cut into samples: its place, voxels, is
-/// `c[0] + c[1] s + c[2] s^2` for `s` in [0, 1].
-#[derive(Clone, Copy, Debug)]
-struct Stretch {
-    c: [[f64; 3]; 3],
-    far: bool,
+/// What of [`Segment`] is about one axis, a lane a ray.
+#[derive(Clone, Copy)]
+struct Way<T, const N: usize> {
+    place: [[T; N]; 3],
+    up: [T; N],
+    down: [T; N],
 }
 
-impl Stretch {
-    fn linear(from: [f64; 3], to: [f64; 3], far: bool) -> Self {
-        Self { c: [from, std::array::from_fn(|k| to[k] - from[k]), [0.0; 3]], far }
-    }
-
-    /// Through three places, at s = 0, 1/2 and 1.
-    fn through(from: [f64; 3], middle: [f64; 3], to: [f64; 3], far: bool) -> Self {
-        let second: [f64; 3] = std::array::from_fn(|k| 2.0 * (from[k] + to[k]) - 4.0 * middle[k]);
-        Self { c: [from, std::array::from_fn(|k| to[k] - from[k] - second[k]), second], far }
-    }
-
-    /// Speed at `s`, voxels.
-    fn speed(&self, s: f64) -> f64 {
-        (0..3).map(|k| (self.c[1][k] + 2.0 * s * self.c[2][k]).powi(2)).sum::<f64>().sqrt()
-    }
-
-    /// Cuts it into even shares of `s`, about `step` voxels long; moves `along` to its end.
-    fn segment<T: Real>(&self, dims: [usize; 3], offset: f64, step: f64, along: &mut f64) -> Segment<T> {
-        // Simpson's rule; exact where the stretch is straight.
-        let voxels =
-            if self.far { (self.speed(0.0) + 4.0 * self.speed(0.5) + self.speed(1.0)) / 6.0 } else { self.speed(0.0) };
-        let largest = (*dims.iter().max().expect("three sides") - 1) as f64;
-        let count = (voxels / step).ceil().clamp(1.0, MOST_SAMPLES);
-        let h = 1.0 / count;
-        let [a, b, c] = self.c;
-        let first = offset * h;
-        let velocity = |s: f64| -> [f64; 3] { std::array::from_fn(|k| (b[k] + 2.0 * s * c[k]) * h) };
-        // Speeds are linear in s: largest at an end.
-        let (start, end) = (velocity(0.0), velocity(1.0));
-        let bound = |sign: f64| -> [T; 3] {
-            std::array::from_fn(|k| T::of((1.0 / (sign * start[k]).max(sign * end[k]).max(1e-9)).min(1e9)))
+impl<T: Real, const N: usize> Rays<T, N> {
+    #[inline(always)]
+    fn begin(grid: &Grid<T>, paths: &[RayPath; N], offset: f64, step: f64) -> Self {
+        let zero = [T::zero(); N];
+        let mut rays = Self {
+            offset,
+            step,
+            rest: std::array::from_fn(|k| Stretches::of(grid.dims, &paths[k])),
+            along: [0.0; N],
+            segment: [Segment::nowhere(); N],
+            at: [0; N],
+            way: [Way { place: [zero; 3], up: zero, down: zero }; 3],
+            under_way: 0,
         };
-        // |velocity|^2 is quadratic in s, and s linear in i.
-        let square = |x: [f64; 3], y: [f64; 3]| (0..3).map(|k| x[k] * y[k]).sum::<f64>() / (largest * largest);
-        let (now, change) = (velocity(first), c.map(|c| 2.0 * c * h * h));
-        let length = [square(now, now), 2.0 * square(now, change), square(change, change)];
-        let begun = *along;
-        *along += voxels / largest;
-        Segment {
-            place: [
-                std::array::from_fn(|k| T::of(a[k] + first * (b[k] + first * c[k]))),
-                now.map(T::of),
-                c.map(|c| T::of(c * h * h)),
-            ],
-            count: count as usize,
-            up: bound(1.0),
-            down: bound(-1.0),
-            length: length.map(T::of),
-            along: [T::of(begun + offset * voxels * h / largest), T::of(voxels * h / largest)],
+        for ray in 0..N {
+            rays.under_way |= u32::from(rays.next_segment(grid, ray)) << ray;
+        }
+        rays
+    }
+
+    /// Moves `ray` on to its next segment; false where there is none.
+    #[inline(always)]
+    fn next_segment(&mut self, grid: &Grid<T>, ray: usize) -> bool {
+        let Some(stretch) = self.rest[ray].next() else { return false };
+        let step = if stretch.far { self.step.max(FAR_STEP_VOXELS) } else { self.step };
+        let segment = stretch.segment(grid.dims, self.offset, step, &mut self.along[ray]);
+        for (k, way) in self.way.iter_mut().enumerate() {
+            for power in 0..3 {
+                way.place[power][ray] = segment.place[power][k];
+            }
+            (way.up[ray], way.down[ray]) = (segment.up[k], segment.down[k]);
+        }
+        (self.segment[ray], self.at[ray]) = (segment, 0);
+        true
+    }
+
+    /// Moves `ray` on by `samples`.
+    #[inline(always)]
+    fn go_on(&mut self, grid: &Grid<T>, ray: usize, samples: u32) {
+        self.at[ray] += samples;
+        if self.at[ray] as usize >= self.segment[ray].count && !self.next_segment(grid, ray) {
+            self.under_way &= !(1 << ray);
+        }
+    }
+
+    /// Moves all rays on until each is in a block that holds something, or at its end.
+    #[inline(always)]
+    fn pass_what_is_empty(&mut self, grid: &Grid<T>) {
+        let mut moving = self.under_way;
+        while moving != 0 {
+            let (reach, samples) = self.strides(grid);
+            for ray in lanes(moving) {
+                if reach[ray] == 0 {
+                    moving &= !(1 << ray);
+                } else {
+                    self.go_on(grid, ray, samples[ray]);
+                }
+            }
+            moving &= self.under_way;
+        }
+    }
+
+    /// For each ray, how many blocks off the nearest is that holds something, and how many
+    /// samples it is to the next one that may lie outside the empty cube of blocks around it,
+    /// whose half side that is. What is passed over lies inside by more than a place is
+    /// rounded: a sample on the very side is looked at. No branch: a lane a ray.
+    #[inline(always)]
+    fn strides(&self, grid: &Grid<T>) -> ([i32; N], [u32; N]) {
+        let n = self.at.map(|at| T::whole_of(at as i32));
+        let side = BLOCK as i32;
+        let (mut p, mut block) = ([[T::zero(); N]; 3], [[0i32; N]; 3]);
+        for (k, way) in self.way.iter().enumerate() {
+            let last = (grid.dims[k] - 2) as i32;
+            for ray in 0..N {
+                let place = way.place[0][ray] + n[ray] * (way.place[1][ray] + n[ray] * way.place[2][ray]);
+                p[k][ray] = larger(place, T::zero());
+                block[k][ray] = p[k][ray].whole().min(last) >> BLOCK.trailing_zeros();
+            }
+        }
+        let reach = grid.occupancy.reaches(&block);
+        let mut least = [T::of(1e9); N];
+        for (k, way) in self.way.iter().enumerate() {
+            for ray in 0..N {
+                let low = T::whole_of((block[k][ray] - reach[ray] + 1) * side) + T::of(ROUNDING);
+                let high = T::whole_of((block[k][ray] + reach[ray]) * side) - T::of(ROUNDING);
+                let (above, below) = (high - p[k][ray], p[k][ray] - low);
+                let nearer = smaller(above * way.up[ray], below * way.down[ray]);
+                least[ray] = smaller(nearer, least[ray]);
+            }
+        }
+        (reach, least.map(|samples| samples.whole() as u32 + 1))
+    }
+}
+
+impl<T: Real> Segment<T> {
+    /// Sample `n`'s place along axis `k`, voxels. Rounding may leave the cube by an ulp;
+    /// this clamp, and the one of its cell, keep it inside.
+    #[inline(always)]
+    fn place(&self, n: T, k: usize) -> T {
+        larger(self.place[0][k] + n * (self.place[1][k] + n * self.place[2][k]), T::zero())
+    }
+
+    /// The samples from `i` on. Loops over lanes have no branch and become vector instructions.
+    #[inline(always)]
+    fn samples(&self, grid: &Grid<T>, i: usize) -> Samples<T> {
+        let last = grid.dims.map(|d| (d - 2) as i32);
+        let n: [T; LANES] = std::array::from_fn(|k| T::of((i + k) as f64));
+        let (mut cells, mut frac) = ([[0u32; LANES]; 3], [[T::zero(); LANES]; 3]);
+        for axis in 0..3 {
+            for k in 0..LANES {
+                let p = self.place(n[k], axis);
+                let cell = p.whole().min(last[axis]);
+                cells[axis][k] = cell as u32;
+                frac[axis][k] = smaller(p - T::whole_of(cell), T::one());
+            }
+        }
+        let [x, y, z] = cells;
+        let (nx, ny) = (grid.dims[0] as u32, grid.dims[1] as u32);
+        let mut cell: [u32; LANES] = std::array::from_fn(|k| (z[k] * ny + y[k]) * nx + x[k]);
+        let held = grid.occupancy.held([x, y, z]) & u32::MAX >> (32 - (self.count - i).min(LANES));
+        let first = held.trailing_zeros() as usize % LANES;
+        for k in 0..LANES {
+            // What is looked up for nothing is then at hand at least.
+            cell[k] = if held >> k & 1 == 1 { cell[k] } else { cell[first] };
+        }
+        Samples {
+            held,
+            cell,
+            cells,
+            frac,
+            length: n.map(|n| larger(self.length[0] + n * (self.length[1] + n * self.length[2]), T::zero()).sqrt()),
+            along: n.map(|n| self.along[0] + n * self.along[1]),
             far: self.far,
         }
     }
 }
 
-/// Calls `each` for the stretches of a ray through contracted space, near to far,
-/// until it returns false.
-#[inline(always)]
-fn for_stretches(dims: [usize; 3], o: [f64; 3], d: [f64; 3], mut each: impl FnMut(Stretch) -> bool) {
-    let quarter: [f64; 3] = std::array::from_fn(|k| (dims[k] - 1) as f64 * 0.25);
-    let (cuts, n) = cuts(o, d);
-    let mut from = 0.0;
-    let mut cut = 0;
-    while cut <= n {
-        let mut to = if cut < n { cuts[cut] } else { f64::INFINITY };
-        cut += 1;
-        let Some((axis, far)) = largest(o, d, from, to) else { continue };
-        // Cuts between the two smaller coordinates change nothing.
-        while to.is_finite() {
-            let next = if cut < n { cuts[cut] } else { f64::INFINITY };
-            if largest(o, d, to, next).is_some_and(|now| now != (axis, far)) {
-                break;
-            }
-            (to, cut) = (next, cut + 1);
-        }
-        let stretch = if far {
-            outside(o, d, axis, (from, to), quarter)
-        } else {
-            let at = |t: f64| std::array::from_fn(|k| (o[k] + d[k] * t + 2.0) * quarter[k]);
-            Stretch::linear(at(from), at(to), false)
-        };
-        if !each(stretch) {
-            return;
-        }
-        from = to;
-    }
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// A stretch beyond the inner box, between `t`, in which `axis` is the largest coordinate.
-fn outside(o: [f64; 3], d: [f64; 3], axis: usize, t: (f64, f64), quarter: [f64; 3]) -> Stretch {
-    let near = (o[axis] + d[axis] * t.0).abs().max(1.0);
-    let far = if t.1.is_finite() { (o[axis] + d[axis] * t.1).abs().max(1.0) } else { f64::INFINITY };
-    let voxels = |x: [f64; 3]| std::array::from_fn(|k| (x[k] + 2.0) * quarter[k]);
-    if (near / far - 1.0).abs() < 0.02 {
-        // The ray runs along a side of the cube: u hardly changes, and t serves.
-        let bent = |t: f64| {
-            let x: [f64; 3] = std::array::from_fn(|k| o[k] + d[k] * t);
-            let u = 1.0 / x[axis].abs().max(1.0);
-            voxels(x.map(|v| v * u * (2.0 - u)))
-        };
-        return Stretch::through(bent(t.0), bent(0.5 * (t.0 + t.1)), bent(t.1), true);
+    /// A grid in which every fourth block or so holds something.
+    fn scattered(dims: [usize; 3]) -> Grid<f32> {
+        let all: Vec<u32> = (0..dims.iter().product::<usize>() as u32).collect();
+        let mut grid = Grid::with_vertices(dims, all);
+        for (v, raw) in grid.raw.iter_mut().enumerate() {
+            let block = [v % dims[0], v / dims[0] % dims[1], v / (dims[0] * dims[1])].map(|at| at / 5);
+            let chance = crate::sampling::mixed((block[0] + 100 * block[1] + 10_000 * block[2]) as u64);
+            *raw = if chance.is_multiple_of(4) { 1.0 } else { -30.0 };
+        }
+        grid.refresh_occupancy(1e-3);
+        grid
     }
-    let sign = if near < far { d[axis].signum() } else { -d[axis].signum() };
-    let place = |u: f64| {
-        let x: [f64; 3] = std::array::from_fn(|k| {
-            if k == axis {
-                return sign * (2.0 - u);
+
+    #[test]
+    fn rays_meet_the_same_together_as_alone() {
+        let grid = scattered([61, 47, 80]);
+        let path = |k: usize| {
+            let (a, b) = (k as f64, (k * k % 11) as f64);
+            let direction = [1.0 - 0.02 * a, 0.3 - 0.1 * b, 0.2 * a - 0.7];
+            match k {
+                3 => RayPath::Miss,
+                _ if k.is_multiple_of(2) => {
+                    RayPath::Straight { origin: [0.05, 0.5, 0.5], direction, start: 0.0, end: 0.5 + 0.05 * a }
+                }
+                _ => RayPath::Contracted { origin: [-2.0 + 0.3 * a, 0.4, 0.1 * b], direction },
             }
-            // x = a + b n, from t = (n sign - o_axis) / d_axis.
-            let (a, b) = (o[k] - d[k] * (o[axis] / d[axis]), d[k] / d[axis] * sign);
-            (a * u + b) * (2.0 - u)
+        };
+        let paths: [RayPath; LANES] = std::array::from_fn(path);
+        // The third sample that ray 6 is shown ends it.
+        let stop = |ray: usize, seen: &[Sample<f32>]| ray == 6 && seen.len() >= 3;
+        let numbers = |all: &[Sample<f32>]| -> Vec<(u32, [u32; 5], bool)> {
+            let bits = |s: &Sample<f32>| [s.frac[0], s.frac[1], s.frac[2], s.length, s.along].map(f32::to_bits);
+            all.iter().map(|s| (s.cell, bits(s), s.far)).collect()
+        };
+        let mut together: [Vec<Sample<f32>>; LANES] = Default::default();
+        march_together(&grid, &paths, 0.3, 0.5, |ray, samples| {
+            together[ray].extend(samples.each());
+            !stop(ray, &together[ray])
         });
-        voxels(x)
-    };
-    let (a, b) = (1.0 / near, 1.0 / far);
-    Stretch::through(place(a), place(0.5 * (a + b)), place(b), true)
-}
-
-/// The largest coordinate between two `t`, and whether that is beyond the inner
-/// box; `None` where there is nothing between.
-#[inline(always)]
-fn largest(o: [f64; 3], d: [f64; 3], from: f64, to: f64) -> Option<(usize, bool)> {
-    let t = if to.is_finite() { 0.5 * (from + to) } else { 2.0 * from + 1.0 };
-    if !(from < t && t < to) {
-        return None;
-    }
-    let x: [f64; 3] = std::array::from_fn(|k| (o[k] + d[k] * t).abs());
-    let axis = if x[0] >= x[1] && x[0] >= x[2] {
-        0
-    } else if x[1] >= x[2] {
-        1
-    } else {
-        2
-    };
-    let far = x[axis] > 1.0;
-    // Inside the box every axis is the same.
-    Some((if far { axis } else { 0 }, far))
-}
-
-/// Where, ascending and beyond 0, two coordinates are equally large or one is 1.
-/// Not so far out that no grid could show it: rounding would decide which is larger.
-#[inline(always)]
-fn cuts(o: [f64; 3], d: [f64; 3]) -> ([f64; 12], usize) {
-    let (mut cuts, mut n) = ([0.0; 12], 0);
-    let farthest = 1e7 * (1.0 + o[0].abs().max(o[1].abs()).max(o[2].abs()));
-    let mut add = |t: f64| {
-        if !(t > 0.0 && t < farthest) {
-            return;
+        for (ray, path) in paths.iter().enumerate() {
+            let mut alone = Vec::new();
+            march(&grid, path, 0.3, 0.5, |samples| {
+                alone.extend(samples.each());
+                !stop(ray, &alone)
+            });
+            assert_eq!(numbers(&together[ray]), numbers(&alone), "ray {ray}");
+            assert!(ray == 3 || !alone.is_empty(), "ray {ray} meets something");
         }
-        let mut at = n;
-        while at > 0 && cuts[at - 1] > t {
-            cuts[at] = cuts[at - 1];
-            at -= 1;
-        }
-        cuts[at] = t;
-        n += 1;
-    };
-    for (i, j) in [(0, 1), (0, 2), (1, 2)] {
-        add((o[j] - o[i]) / (d[i] - d[j]));
-        add(-(o[i] + o[j]) / (d[i] + d[j]));
+        assert!(together.iter().any(|seen| seen.len() > 20) && together[3].is_empty());
     }
-    for k in 0..3 {
-        add((1.0 - o[k]) / d[k]);
-        add((-1.0 - o[k]) / d[k]);
-    }
-    (cuts, n)
 }

@@ -2,6 +2,7 @@
 //! empty space in few strides: a bit a cell, gathered in blocks of 4 x 4 x 4, and
 //! for every empty block how far off the nearest occupied one is.
 
+use crate::march::LANES;
 use rayon::prelude::*;
 
 /// Cells along a block's side: its 64 bits are one word.
@@ -128,16 +129,27 @@ impl Occupancy {
         ((at[2] / BLOCK) * self.blocks[1] + at[1] / BLOCK) * self.blocks[0] + at[0] / BLOCK
     }
 
-    /// The cells of block `block`.
+    /// Of the cells `at` (by axis, a lane each), which may hold anything: a bit each.
     #[inline(always)]
-    pub(crate) fn mask(&self, block: usize) -> u64 {
-        self.masks[block]
+    pub(crate) fn held(&self, at: [[u32; LANES]; 3]) -> u32 {
+        let [x, y, z] = at;
+        let (bx, by, side) = (self.blocks[0] as u32, self.blocks[1] as u32, BLOCK as u32);
+        let block: [u32; LANES] = std::array::from_fn(|k| (z[k] / side * by + y[k] / side) * bx + x[k] / side);
+        let bit: [u32; LANES] = std::array::from_fn(|k| (z[k] % side * side + y[k] % side) * side + x[k] % side);
+        let mut held = 0;
+        for k in 0..LANES {
+            held |= ((self.masks[block[k] as usize] >> bit[k] & 1) as u32) << k;
+        }
+        held
     }
 
-    /// Blocks to the nearest occupied one.
+    /// Blocks to the nearest occupied one from each of `blocks` (by axis, a lane each).
     #[inline(always)]
-    pub(crate) fn reach(&self, block: usize) -> usize {
-        usize::from(self.reach[block])
+    pub(crate) fn reaches<const N: usize>(&self, blocks: &[[i32; N]; 3]) -> [i32; N] {
+        let [x, y, z] = blocks;
+        let (bx, by) = (self.blocks[0] as i32, self.blocks[1] as i32);
+        let at: [i32; N] = std::array::from_fn(|k| (z[k] * by + y[k]) * bx + x[k]);
+        at.map(|at| i32::from(self.reach[at as usize]))
     }
 
     /// Cell `at`'s block and its bit therein.
@@ -190,7 +202,7 @@ mod tests {
         for b in 0..bx * by * bz {
             let p = [b % bx, b / bx % by, b / (bx * by)];
             let far = |q: &[usize; 3]| (0..3).map(|k| p[k].abs_diff(q[k])).max().unwrap();
-            assert_eq!(found.reach(b), full.iter().map(far).min().unwrap(), "block {p:?}");
+            assert_eq!(usize::from(found.reach[b]), full.iter().map(far).min().unwrap(), "block {p:?}");
         }
     }
 }

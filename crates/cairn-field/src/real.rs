@@ -7,14 +7,32 @@ pub trait Real: num_traits::Float + num_traits::NumAssign + Default + Send + Syn
     fn of(value: f64) -> Self;
     /// As `f64`.
     fn wide(self) -> f64;
-    /// The whole part of a number not below zero; 0 for those and for not-a-number.
-    fn whole(self) -> usize;
+    /// The whole part of a number, or 2^30 where that is less (lattices are far smaller); 0
+    /// for those below zero and for not-a-number.
+    fn whole(self) -> i32;
+    /// A whole number as this type.
+    fn whole_of(value: i32) -> Self;
     /// `ln(1 + e^x)` and its derivative, the logistic function: without overflow for
     /// large `x` and without underflow to a wrong sign for small.
     fn softplus_and_slope(self) -> (Self, Self);
     /// `1 - e^-x` for `x` >= 0, exact for small `x`.
     fn stopped(self) -> Self;
 }
+
+/// The larger of two numbers, `b` where one is not a number: unlike `max`, one instruction.
+#[inline(always)]
+pub(crate) fn larger<T: Real>(a: T, b: T) -> T {
+    if a > b { a } else { b }
+}
+
+/// The smaller of two numbers, `b` where one is not a number.
+#[inline(always)]
+pub(crate) fn smaller<T: Real>(a: T, b: T) -> T {
+    if a < b { a } else { b }
+}
+
+/// See [`Real::whole`]. Exact in f32.
+const MOST_WHOLE: f32 = 1_073_741_824.0;
 
 impl Real for f32 {
     #[inline(always)]
@@ -26,9 +44,15 @@ impl Real for f32 {
         f64::from(self)
     }
     #[inline(always)]
-    fn whole(self) -> usize {
-        // By way of i32, one instruction; lattices are far smaller than that.
-        (self as i32).max(0) as usize
+    fn whole(self) -> i32 {
+        // Not `as`: that looks at each number's range by itself, and is no vector instruction.
+        let within = smaller(larger(self, 0.0), MOST_WHOLE);
+        // SAFETY: it lies in [0, MOST_WHOLE]; what is not a number became 0.
+        unsafe { within.to_int_unchecked() }
+    }
+    #[inline(always)]
+    fn whole_of(value: i32) -> Self {
+        value as f32
     }
     #[inline(always)]
     fn softplus_and_slope(self) -> (Self, Self) {
@@ -59,8 +83,13 @@ impl Real for f64 {
         self
     }
     #[inline(always)]
-    fn whole(self) -> usize {
-        self as usize
+    fn whole(self) -> i32 {
+        // `as` stays in range, and makes nothing of what is not a number.
+        (self as i32).clamp(0, MOST_WHOLE as i32)
+    }
+    #[inline(always)]
+    fn whole_of(value: i32) -> Self {
+        f64::from(value)
     }
     #[inline(always)]
     fn softplus_and_slope(self) -> (Self, Self) {

@@ -88,7 +88,7 @@ fn arc(frame: &SceneFrame, dims: [usize; 3], o: DVec3, d: DVec3) -> f64 {
 fn samples<T: Real>(grid: &Grid<T>, path: &RayPath, offset: f64, step: f64) -> Vec<Sample<T>> {
     let mut out = Vec::new();
     march(grid, path, offset, step, |s| {
-        out.push(*s);
+        out.extend(s.each());
         true
     });
     out

@@ -45,9 +45,7 @@ impl Storage {
 
 /// A render with other limits than the shipped ones; colours are not clamped.
 pub fn render_with_limits(field: &Field, camera: &Camera, appearance: &Appearance, limits: Thresholds) -> Picture {
-    let gathered = field.gather_view(camera, limits);
-    let rgb = gathered.iter().flat_map(|(g, basis)| appearance.shade(&features(g, basis))).collect();
-    Picture::new(camera.intrinsics.width, camera.intrinsics.height, rgb).expect("one colour a pixel")
+    field.render_within(camera, appearance, limits)
 }
 
 /// The picture in f64 with nothing left out, samples `step_voxels` apart:
@@ -55,7 +53,7 @@ pub fn render_with_limits(field: &Field, camera: &Camera, appearance: &Appearanc
 pub fn render_exact(field: &Field, camera: &Camera, appearance: &Appearance, step_voxels: f64) -> Vec<f64> {
     let mut grid = field.grid().cast::<f64>();
     grid.refresh_occupancy(0.0);
-    let limits = Thresholds { alpha: 0.0, transmittance: 0.0, weight: 0.0, step: step_voxels };
+    let limits = Thresholds { step: step_voxels, ..Thresholds::EXACT };
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let (mut tape, mut patch) = (Vec::new(), Patch::default());
     let mut pixel = |at: usize| {

@@ -223,7 +223,7 @@ fn plan() -> Vec<Wanted> {
         limits,
         storage: None,
     };
-    let nothing = Thresholds { alpha: 0.0, transmittance: 0.0, weight: 0.0, ..SHIPPED };
+    let nothing = Thresholds { step: SHIPPED.step, ..Thresholds::EXACT };
     let mut plan = vec![Wanted { label: String::new(), ..limits(Varied::Nothing, 0.0, f64::NAN, nothing) }];
     for v in with(&STEPS, SHIPPED.step) {
         plan.push(limits(Varied::Step, v, SHIPPED.step, Thresholds { step: v, ..SHIPPED }));

@@ -1,0 +1,75 @@
+//! Whole pictures go tile by tile, and a tile's vertices are looked up once: they show what
+//! each ray by itself shows, whatever the tile.
+
+mod common;
+
+use cairn_capture::Camera;
+use cairn_field::appearance::features;
+use cairn_field::composite::see;
+use cairn_field::grid::Grid;
+use cairn_field::rays::Lens;
+use cairn_field::{Field, SceneFrame, Thresholds};
+use common::{ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
+use glam::DVec3;
+
+/// A camera of `across` x `down` pixels that sees `degrees` across.
+fn sees(position: DVec3, target: DVec3, (across, down): (usize, usize), degrees: f64) -> Camera {
+    let mut camera = camera(position, target, across);
+    let focal = across as f64 / 2.0 / (degrees.to_radians() / 2.0).tan();
+    let i = &mut camera.intrinsics;
+    (i.height, i.fx, i.fy, i.cy) = (down, focal, focal, down as f64 / 2.0);
+    camera
+}
+
+/// The picture, each ray by itself and with its own colour basis.
+fn ray_by_ray(field: &Field, camera: &Camera, limits: Thresholds) -> Vec<f32> {
+    let (lens, look) = (Lens::new(camera), field.canonical_appearance());
+    let mut tape = Vec::new();
+    let pixel = |at| {
+        let (path, basis) = lens.ray(camera, field.frame(), at);
+        look.shade(&features(&see(field.grid(), &path, &basis, limits, &mut tape), &basis))
+    };
+    (0..lens.pixels()).flat_map(pixel).collect()
+}
+
+/// Sizes that tiles and groups of rays do not divide; narrow and wide angles, of which the
+/// widest makes a tile of every pixel or two.
+const SHAPES: [((usize, usize), f64); 4] = [((67, 41), 40.0), ((33, 18), 3.0), ((1, 5), 10.0), ((13, 9), 110.0)];
+
+fn check(frame: &SceneFrame, places: &[(DVec3, DVec3)]) {
+    // Thin, so that rays meet many cells that lie far behind one another.
+    let grid: Grid<f32> = random_grid([57, 49, 66], 0.7, (-9.0, -3.0), 3);
+    let field = field_of(frame, &grid, &random_appearance(5));
+    for (position, target) in places {
+        for (shape, degrees) in SHAPES {
+            let camera = sees(*position, *target, shape, degrees);
+            for limits in [Thresholds::SHOWN, Thresholds::EXACT] {
+                let shown = field.render_within(&camera, field.canonical_appearance(), limits);
+                let alone = ray_by_ray(&field, &camera, limits);
+                let off = apart(shown.rgb(), &alone);
+                // A twentieth of an 8-bit step, where colours turn with the direction far more than a real field's.
+                assert!(off < 0.05 / 255.0, "from {position}, {shape:?}, {degrees} degrees: {off} off");
+                let (low, high) = alone.iter().fold((f32::MAX, f32::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+                assert!(shape.0 == 1 || high - low > 0.05, "it shows something: {low} to {high}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_picture_shows_what_its_rays_show_in_a_box() {
+    let inside = (DVec3::new(0.2, 0.1, -0.3), DVec3::new(1.0, 0.3, 0.0));
+    check(&ball_box(), &[(DVec3::new(-3.0, 0.7, 2.0), DVec3::ZERO), inside]);
+}
+
+#[test]
+fn a_picture_shows_what_its_rays_show_in_the_open() {
+    let inside = (DVec3::new(0.2, 0.1, -0.3), DVec3::new(1.0, 0.3, 0.0));
+    let away = (DVec3::new(2.0, 0.3, 3.0), DVec3::new(5.0, 1.0, 9.0));
+    check(&ball_in_the_open(), &[(DVec3::new(-3.0, 0.7, 2.0), DVec3::ZERO), inside, away]);
+}
+
+#[test]
+fn a_picture_shows_what_its_rays_show_straight_ahead() {
+    check(&ahead(), &[(DVec3::new(-0.3, 0.1, -0.2), DVec3::new(0.4, 0.0, 4.0))]);
+}
