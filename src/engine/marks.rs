@@ -82,12 +82,15 @@ impl Marking {
         preparing: Preparing<'_>,
     ) -> Result<Option<Self>, EngineError> {
         let mut planned = Vec::with_capacity(scenes.len());
-        let mut explained_db = f64::NEG_INFINITY;
+        // What was begun goes on with the budget that it has.
+        let mut explained_db = checkpoint.is_none().then_some(f64::NEG_INFINITY);
         for ToMark { scene, base, clusters, signals } in scenes {
             let capture = scene.capture();
             // Photographs carry no mark: the detector has to stay silent on them.
             let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
-            explained_db = explained_db.max(explained(&base, scene, &negatives)?);
+            if let Some(most) = &mut explained_db {
+                *most = most.max(explained(&base, scene, &negatives)?);
+            }
             let views = scene.training().map(|index| {
                 let view = &capture.views[index];
                 PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() }
@@ -95,14 +98,7 @@ impl Marking {
             let plan = MarkPlan { clusters: clusters.clone(), views: views.collect(), signals, negatives };
             planned.push(MarkScene { field: Arc::new(base), plan });
         }
-        let affordable = settings.affording(explained_db);
-        let note = (affordable.budget_db > settings.budget_db).then(|| {
-            format!(
-                "marks are kept {:.1} dB below the base field's renders instead of {:.1}: it explains photographs to {explained_db:.1} dB, \
-                 and they are to cost these at most {} dB (mark.most_cost_db)",
-                affordable.budget_db, settings.budget_db, settings.most_cost_db
-            )
-        });
+        let affordable = explained_db.map_or(settings.clone(), |db| settings.affording(db));
         let progress = &mut |done, total| preparing(stages::RAY_WEIGHTS, done, total);
         let made = match (checkpoint, grown) {
             (Some(bytes), _) => MarkTrainer::resume_joint(bytes, planned, progress),
@@ -110,7 +106,7 @@ impl Marking {
             (None, None) => MarkTrainer::joint(planned, affordable, seed, progress),
         };
         match made {
-            Ok(trainer) => Ok(Some(Self { trainer, note })),
+            Ok(trainer) => Ok(Some(Self { note: budget_note(trainer.config(), settings, explained_db), trainer })),
             Err(MarkError::Stopped) => Ok(None),
             Err(error) => Err(error.into()),
         }
@@ -151,6 +147,19 @@ impl Stage for Marking {
     fn notes(&self) -> Vec<String> {
         self.note.iter().cloned().collect()
     }
+}
+
+/// What to say where marks are `kept` fainter than was `asked` for; a resumed training does not
+/// know any more how well its photographs are explained.
+fn budget_note(kept: &MarkConfig, asked: &MarkConfig, explained_db: Option<f64>) -> Option<String> {
+    let why = explained_db.map_or(String::new(), |db| format!("it explains photographs to {db:.1} dB, and "));
+    (kept.budget_db > asked.budget_db).then(|| {
+        format!(
+            "marks are kept {:.1} dB below the base field's renders instead of {:.1}: {why}they are to cost photographs at most \
+             {} dB (mark.most_cost_db)",
+            kept.budget_db, asked.budget_db, kept.most_cost_db
+        )
+    })
 }
 
 /// How well a field explains the photographs that it was trained on: PSNR in dB over some of them, evenly, all their pixels

@@ -142,16 +142,16 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
     let trained = Trained::new();
     let scene = scenes::open(&trained.path("scenes"), "town").unwrap();
     let clusters = clusters(&scene, &trained.job.spec.grouping, 7).unwrap();
-    let notes = |budget_db: f64, most_cost_db: f64| {
+    let begin = |budget_db: f64, most_cost_db: f64, checkpoint: Option<&[u8]>| {
         let config = cairn_stega::MarkConfig { budget_db, most_cost_db, ..trained.job.spec.settings.mark.clone() };
         let config = cairn_stega::MarkConfig { budget_start_db: budget_db.min(config.budget_start_db), ..config };
         let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, config.side_px(), 7));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
         let scenes = vec![ToMark { scene: &scene, base, clusters: &clusters, signals }];
-        let marking = Marking::start(scenes, None, (&config, 7), None, &mut |_, _, _| true).unwrap().unwrap();
-        super::super::stages::Stage::notes(&marking)
+        Marking::start(scenes, None, (&config, 7), checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
+    let notes = |budget_db, most_cost_db| begin(budget_db, most_cost_db, None).notes();
     let [note] = &notes(20.0, 0.1)[..] else { panic!("marks of 20 dB cost nothing?") };
     let number = |after: &str| -> f64 {
         let rest = note.split(after).nth(1).unwrap();
@@ -162,6 +162,12 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
     assert!((10.0..40.0).contains(&explained) && (kept - explained - 16.3).abs() < 0.11, "{note}");
     assert_eq!(notes(60.0, 0.1), Vec::<String>::new());
     assert_eq!(notes(20.0, 0.0), Vec::<String>::new());
+    // What goes on keeps the budget that it was begun with, and says that one.
+    let resumed =
+        |begun_with: f64| begin(20.0, 0.1, Some(&begin(20.0, begun_with, None).checkpoint().unwrap())).notes();
+    let [again] = &resumed(0.1)[..] else { panic!("it was told before") };
+    assert!(again.contains(&format!("marks are kept {kept:.1} dB")), "{again}");
+    assert_eq!(resumed(0.0), Vec::<String>::new(), "an earlier release's job");
 }
 
 #[test]

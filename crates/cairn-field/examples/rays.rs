@@ -7,6 +7,7 @@
 use cairn_capture::{Camera, Capture, ReadOptions};
 use cairn_field::composite::{runs, see};
 use cairn_field::march::{STEP_VOXELS, march};
+use cairn_field::operator::MarkableField;
 use cairn_field::rays::Lens;
 use cairn_field::{Field, Thresholds};
 use std::hint::black_box;
@@ -65,6 +66,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         cells += runs(&tape).count();
     });
     println!("{:24} {:.2} samples kept, {:.2} cells a ray", "", a_ray(kept), a_ray(cells));
+    let small: Vec<Camera> =
+        cameras.iter().map(|c| c.resized(192, 192 * c.intrinsics.height / c.intrinsics.width)).collect();
+    let least = (0..if parts { LAPS } else { 0 }).map(|_| {
+        let started = Instant::now();
+        small.iter().for_each(|camera| drop(black_box(field.view(camera, 1e-3, 3))));
+        started.elapsed().as_secs_f64()
+    });
+    let rays: usize = small.iter().map(|c| 9 * c.intrinsics.width * c.intrinsics.height).sum();
+    println!(
+        "{:24} {:.3} us a ray, all threads",
+        "ray weights, 3 x 3",
+        least.fold(f64::INFINITY, f64::min) / rays as f64 * 1e6
+    );
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let least = (0..LAPS).map(|_| {

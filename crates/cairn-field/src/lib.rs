@@ -39,6 +39,7 @@ pub mod sh;
 mod spacing;
 mod stretch;
 mod survey;
+mod table;
 mod tints;
 mod trainer;
 

@@ -3,10 +3,11 @@
 //! a picture's gradient walks back along them (`composite`), as in stage 1.
 
 use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Kept, Regularise, Thresholds, gather, push_back, see};
+use crate::composite::{Kept, Regularise, Thresholds, gather, push_back};
 use crate::field::Field;
 use crate::grid::ROW;
 use crate::patch::{Debts, Patch, Roulette};
+use crate::picture::{Seen, Tiling};
 use crate::rays::Lens;
 use crate::sh::SH;
 use cairn_capture::Camera;
@@ -68,17 +69,12 @@ impl MarchedView {
     /// The picture of `field`, `height x width x 3`, not clamped.
     pub fn render(&self, field: &Field, appearance: &Appearance) -> Vec<f32> {
         let share = 1.0 / (self.rays * self.rays) as f32;
-        let pixel = |tape: &mut Vec<Kept<f32>>, at: usize| {
-            let mut sum = [0.0f32; FEATURES];
-            for of in self.rays_of(at) {
-                let (path, basis) = self.lens.ray(&self.fine, &field.frame, of);
-                let seen = features(&see(&field.grid, &path, &basis, Thresholds::SHOWN, tape), &basis);
-                sum.iter_mut().zip(seen).for_each(|(s, f)| *s += f);
-            }
-            appearance.shade(&sum.map(|s| s * share))
+        let tiling = Tiling::of(field, (&self.fine, &self.lens), Thresholds::SHOWN, self.rays);
+        let add = |sum: &mut [f32; FEATURES], seen: &Seen<'_>| {
+            sum.iter_mut().zip(features(&seen.gathered, &seen.basis)).for_each(|(s, f)| *s += f);
         };
-        let pixels = (0..self.width * self.height).into_par_iter().with_min_len(TASK);
-        pixels.map_init(Vec::new, pixel).collect::<Vec<[f32; 3]>>().into_flattened()
+        let sums = tiling.gather(add, |sum, ()| sum.iter_mut().for_each(|s| *s *= share));
+        sums.into_iter().flat_map(|sum| appearance.shade(&sum)).collect()
     }
 
     /// Adds to `gradient` (`rows x` [`CHANGE`]) what d(loss)/d(picture) owes the field's

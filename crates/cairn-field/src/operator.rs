@@ -7,12 +7,13 @@
 //! and its transpose is all the rendering that stage 2 does.
 
 use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Kept, Thresholds, corner_shares, runs, see};
+use crate::composite::Thresholds;
 use crate::field::Field;
-use crate::frame::RayPath;
+use crate::picture::{Seen, Tiling};
 use crate::rays::Lens;
 use crate::real::Real;
 use crate::sh::{SH, SH_DC};
+use crate::table::Table;
 use cairn_capture::Camera;
 use rayon::prelude::*;
 
@@ -108,22 +109,12 @@ impl MarkableField for Field {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let fine = if rays == 1 { *camera } else { camera.resized(width * rays, height * rays) };
         let lens = Lens::new(&fine);
-        let pixels: Vec<Pixel> = (0..width * height)
-            .into_par_iter()
-            .with_min_len(64)
-            .map_init(Vec::new, |tape: &mut Vec<Kept<f32>>, at| {
-                let first = at / width * rays * (width * rays) + at % width * rays;
-                let mut pixel = Pixel::default();
-                for ray in 0..rays * rays {
-                    let of = first + ray / rays * (width * rays) + ray % rays;
-                    pixel.add(self, lens.ray(&fine, &self.frame, of), cutoff, tape);
-                }
-                pixel.mean(rays * rays)
-            })
-            .collect();
+        let tiling = Tiling::of(self, (&fine, &lens), Thresholds::SHOWN, rays);
+        let add = |pixel: &mut Pixel, seen: &Seen<'_>| pixel.add(seen, cutoff);
+        let pixels = tiling.gather(add, |pixel, table: &mut Table| pixel.take_mean(rays * rays, table));
         let mut starts = vec![0u32];
         let mut entries = Vec::with_capacity(pixels.iter().map(|p| p.entries.len()).sum());
-        let (mut bases, mut features) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
+        let (mut bases, mut features) = (Vec::with_capacity(width * height), Vec::with_capacity(width * height));
         for pixel in pixels {
             entries.extend(pixel.entries);
             starts.push(entries.len() as u32);
@@ -135,6 +126,7 @@ impl MarkableField for Field {
 }
 
 /// A pixel of a linear map as it is worked out.
+#[derive(Clone)]
 struct Pixel {
     features: [f32; FEATURES],
     basis: [f32; SH],
@@ -149,40 +141,34 @@ impl Default for Pixel {
 
 impl Pixel {
     /// Adds a ray.
-    fn add(&mut self, field: &Field, (path, basis): (RayPath, [f32; SH]), cutoff: f32, tape: &mut Vec<Kept<f32>>) {
-        let grid = &field.grid;
-        let gathered = see(grid, &path, &basis, Thresholds::SHOWN, tape);
-        let corners = grid.corners();
-        // Neighbouring samples mostly share a cell: their weights on its corners add up.
-        for run in runs(tape) {
-            let shares = corner_shares(run);
-            let (cell, flag) = (run[0].cell as usize, if run[0].far { FAR } else { 0 });
-            for (share, corner) in shares.iter().zip(corners) {
-                let row = grid.index[cell + corner];
-                if row != 0 && *share >= cutoff {
-                    self.entries.push((row | flag, *share));
-                }
+    fn add(&mut self, seen: &Seen<'_>, cutoff: f32) {
+        seen.each_vertex(|row, weight, far| {
+            if row != 0 && weight >= cutoff {
+                self.entries.push((row as u32 | if far { FAR } else { 0 }, weight));
             }
-        }
-        self.features.iter_mut().zip(features(&gathered, &basis)).for_each(|(sum, f)| *sum += f);
-        self.basis.iter_mut().zip(basis).for_each(|(sum, b)| *sum += b);
+        });
+        let of_ray = features(&seen.gathered, &seen.basis);
+        self.features.iter_mut().zip(of_ray).for_each(|(sum, f)| *sum += f);
+        self.basis.iter_mut().zip(seen.basis).for_each(|(sum, b)| *sum += b);
     }
 
-    /// The mean over `rays`, each row once.
-    fn mean(mut self, rays: usize) -> Self {
-        if rays > 1 {
-            let share = 1.0 / rays as f32;
-            self.features.iter_mut().chain(&mut self.basis).for_each(|v| *v *= share);
-            self.entries.sort_by_key(|entry| entry.0);
-            self.entries.dedup_by(|next, sum| {
-                let same = next.0 == sum.0;
-                sum.1 += if same { next.1 } else { 0.0 };
-                same
-            });
-            self.entries.iter_mut().for_each(|entry| entry.1 *= share);
+    /// Becomes the mean over `rays`, each row once, ascending. `table` is room for the work.
+    fn take_mean(&mut self, rays: usize, table: &mut Table) {
+        let share = 1.0 / rays as f32;
+        self.features.iter_mut().chain(&mut self.basis).for_each(|v| *v *= share);
+        table.clear();
+        let mut merged: Vec<(u32, f32)> = Vec::new();
+        for (row, weight) in &self.entries {
+            let fresh = merged.len() as u32;
+            let at = table.find_or_insert(*row, fresh);
+            if at == fresh {
+                merged.push((*row, 0.0));
+            }
+            merged[at as usize].1 += share * weight;
         }
-        self.entries.shrink_to_fit();
-        self
+        merged.sort_unstable_by_key(|entry| entry.0);
+        merged.shrink_to_fit();
+        self.entries = merged;
     }
 }
 

@@ -12,12 +12,13 @@ use crate::sh::SH;
 use crate::tints::{Share, Tints};
 use cairn_capture::Camera;
 use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 
 /// Most pixels of a tile across and down.
 const TILE: (usize, usize) = (16, 8);
-/// Widest a tile may be, radians: harmonics of degree 2 are then straight across it to less than a
-/// thousandth of what they come to, a tenth of an 8-bit step in what shines.
-const WIDEST: f64 = 0.06;
+/// Widest a tile may be, radians: harmonics of degree 2 are then straight across it to within
+/// a few ten-thousandths of what they come to.
+const WIDEST: f64 = 0.03;
 /// Rays that go together, across and down.
 const GROUP: (usize, usize) = (4, 2);
 const RAYS: usize = GROUP.0 * GROUP.1;
@@ -76,24 +77,83 @@ impl Field {
         pixel: impl Fn(&Seen<'_>) -> O + Sync,
     ) -> Vec<O> {
         let lens = Lens::new(camera);
-        let (w, h) = lens.size();
-        let mut all = vec![O::default(); w * h];
-        let within = |most: usize, focal: f64| ((WIDEST * focal) as usize).clamp(1, most);
+        let tiling = Tiling::of(self, (camera, &lens), limits, 1);
+        tiling.gather(|out, seen| *out = pixel(seen), |_, ()| {})
+    }
+}
+
+/// A picture cut into tiles.
+pub(crate) struct Tiling<'a> {
+    field: &'a Field,
+    camera: &'a Camera,
+    lens: &'a Lens,
+    limits: Thresholds,
+    /// Rays across a pixel, and down.
+    rays: usize,
+    /// Size of a tile, rays.
+    across: usize,
+    down: usize,
+}
+
+impl<'a> Tiling<'a> {
+    /// Of the rays of `camera`, whose lens it is; a pixel is `rays x rays` of them (1 or more), and
+    /// lies in one tile.
+    pub(crate) fn of(
+        field: &'a Field,
+        (camera, lens): (&'a Camera, &'a Lens),
+        limits: Thresholds,
+        rays: usize,
+    ) -> Self {
+        let within = |most: usize, focal: f64| ((WIDEST * focal) as usize).clamp(1, most) / rays * rays;
         let (across, down) = (within(TILE.0, camera.intrinsics.fx), within(TILE.1, camera.intrinsics.fy));
-        all.par_chunks_mut(down * w).enumerate().for_each_init(Room::default, |room, (n, band)| {
-            for left in (0..w).step_by(across) {
-                let tile = Tile {
-                    field: self,
-                    camera,
-                    lens: &lens,
-                    limits,
-                    x: (left, (left + across).min(w)),
-                    y: (n * down, n * down + band.len() / w),
-                };
-                tile.render(room, |x, y, seen| band[(y - n * down) * w + x] = pixel(seen));
+        Self { field, camera, lens, limits, rays, across: across.max(rays), down: down.max(rays) }
+    }
+
+    /// What `add` makes of each pixel's rays, and `finish` of that, with a thread's `R` to use
+    /// again; row-major.
+    pub(crate) fn gather<P: Clone + Default + Send, R: Default + Send>(
+        &self,
+        add: impl Fn(&mut P, &Seen<'_>) + Sync,
+        finish: impl Fn(&mut P, &mut R) + Sync,
+    ) -> Vec<P> {
+        let (rays, width) = (self.rays, self.lens.size().0 / self.rays);
+        // A room is large: as many are made as threads want one at a time, not one for each task.
+        let rooms: Mutex<Vec<(Room, R)>> = Mutex::default();
+        let at_rest = || rooms.lock().unwrap_or_else(PoisonError::into_inner);
+        let band = |n: usize| {
+            let taken = at_rest().pop();
+            let (mut room, mut work) = taken.unwrap_or_default();
+            let (from, to) = (n * self.down, ((n + 1) * self.down).min(self.lens.size().1));
+            let mut pixels = vec![P::default(); (to - from) / rays * width];
+            let place = |x: usize, y: usize| (y - from) / rays * width + x / rays;
+            for tile in self.band(n) {
+                tile.render(&mut room, |x, y, seen| add(&mut pixels[place(x, y)], seen));
+                for y in (tile.y.0..tile.y.1).step_by(rays) {
+                    for x in (tile.x.0..tile.x.1).step_by(rays) {
+                        finish(&mut pixels[place(x, y)], &mut work);
+                    }
+                }
             }
-        });
-        all
+            at_rest().push((room, work));
+            pixels
+        };
+        let bands = (0..self.lens.size().1.div_ceil(self.down)).into_par_iter();
+        let bands: Vec<Vec<P>> = bands.map(band).collect();
+        bands.into_iter().flatten().collect()
+    }
+
+    /// The tiles of band `n`, from the left.
+    fn band(&self, n: usize) -> impl Iterator<Item = Tile<'_>> {
+        let (width, height) = self.lens.size();
+        let y = (n * self.down, ((n + 1) * self.down).min(height));
+        (0..width).step_by(self.across).map(move |x| Tile {
+            field: self.field,
+            camera: self.camera,
+            lens: self.lens,
+            limits: self.limits,
+            x: (x, (x + self.across).min(width)),
+            y,
+        })
     }
 }
 

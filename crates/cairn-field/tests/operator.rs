@@ -132,9 +132,10 @@ fn several_rays_a_pixel_are_the_mean_of_a_larger_picture() {
             rgb
         };
         let smaller = cairn_capture::AreaFilter::new([72, 72], [24, 24]).apply(&picture(&large));
-        assert!(apart(&picture(&many), &smaller) < 2e-5, "{frame:?}: {}", apart(&picture(&many), &smaller));
+        // Tiles are cut in other places, which is worth a fiftieth of an 8-bit step.
+        assert!(apart(&picture(&many), &smaller) < 1e-4, "{frame:?}: {}", apart(&picture(&many), &smaller));
         assert!(apart(&picture(&one), &smaller) > 1e-3, "one ray a pixel sees the same");
-        assert!(many.density() < 0.8 * 9.0 * one.density(), "rows are not put together");
+        assert!(many.density() < 0.8 * 9.0 * large.density(), "rows are not put together");
         // And its transpose, where entries of many rays were put together.
         let mut numbers = Numbers(4);
         let y: Vec<f32> = (0..24 * 24 * 3).map(|_| numbers.within(-1.0, 1.0) as f32).collect();

@@ -175,6 +175,11 @@ impl MarkTrainer {
         self.step
     }
 
+    /// The settings it trains by: after a resume those that it was begun with.
+    pub fn config(&self) -> &MarkConfig {
+        &self.config
+    }
+
     /// Steps in all; those done once training has converged.
     pub fn steps_total(&self) -> u64 {
         if self.converged { self.step } else { self.config.steps }
