@@ -106,8 +106,8 @@ pub fn gather<T: Real>(
     sum
 }
 
-/// As [`gather`] for one ray along `basis`, for pictures: the samples of a run in one
-/// cell look its corners up together, and the tape's places and colours stay zero.
+/// As [`gather`] for one ray along `basis`, by itself (whole pictures go by tiles, see `picture.rs`): the samples of
+/// a run in one cell look its corners up together, and the tape's places and colours stay zero.
 #[inline]
 pub fn see<T: Real>(
     grid: &Grid<T>,

@@ -44,11 +44,11 @@ pub struct Sample<T> {
 /// says of one. Lanes that are not held have numbers, too, and no meaning.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<T> {
-    /// Lanes that lie in occupied cells, a bit each; at least one.
+    /// Lanes that lie in occupied cells, a bit each; at least one of what is visited.
     pub held: u32,
     /// Cells; a held lane's where a lane is not held.
     pub cell: [u32; LANES],
-    /// The same by axis, but for lanes that are not held.
+    /// Cells by axis; of a held lane the place of `cell` in the lattice.
     pub cells: [[u32; LANES]; 3],
     /// Places within the cells, by axis.
     pub frac: [[T; LANES]; 3],
@@ -113,6 +113,7 @@ pub(crate) fn march_together<T: Real, const N: usize>(
     step: f64,
     mut visit: impl FnMut(usize, &Samples<T>) -> bool,
 ) {
+    const { assert!(N <= LANES, "a lane a ray") };
     let mut rays = Rays::begin(grid, paths, offset, step);
     loop {
         rays.pass_what_is_empty(grid);
@@ -324,7 +325,7 @@ mod tests {
             }
         };
         let paths: [RayPath; LANES] = std::array::from_fn(path);
-        // The third sample that ray 6 is shown ends it.
+        // Ray 6 ends once it was shown three samples.
         let stop = |ray: usize, seen: &[Sample<f32>]| ray == 6 && seen.len() >= 3;
         let numbers = |all: &[Sample<f32>]| -> Vec<(u32, [u32; 5], bool)> {
             let bits = |s: &Sample<f32>| [s.frac[0], s.frac[1], s.frac[2], s.length, s.along].map(f32::to_bits);

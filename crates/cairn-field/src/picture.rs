@@ -16,10 +16,10 @@ use std::sync::{Mutex, PoisonError};
 
 /// Most pixels of a tile across and down.
 const TILE: (usize, usize) = (16, 8);
-/// Widest a tile may be, radians: harmonics of degree 2 are then straight across it to within
-/// a few ten-thousandths of what they come to.
+/// About as wide as a tile should be, radians: most rays' directions are then straight
+/// across it ([`crate::tints`]).
 const WIDEST: f64 = 0.03;
-/// Rays that go together, across and down.
+/// Rays that go together, across and down: at most a lane each.
 const GROUP: (usize, usize) = (4, 2);
 const RAYS: usize = GROUP.0 * GROUP.1;
 
@@ -219,7 +219,7 @@ impl Tile<'_> {
         for (ray, (x, y)) in self.rays_of(group.at) {
             let off = (x as f32 - middle.0 as f32, y as f32 - middle.1 as f32);
             let shares = &group.shares[ray];
-            let mut gathered = tints.sum(grid, shares, off);
+            let mut gathered = tints.sum(grid, shares, off, &group.bases[ray]);
             (gathered.end, gathered.along) = (group.ends[ray], group.along[ray]);
             pixel(x, y, &Seen { gathered, basis: group.bases[ray], shares, grid });
         }

@@ -5,7 +5,7 @@
 //! `u = 1 / n`: no root and no division a sample, and infinity is `u = 0`.
 
 use crate::frame::RayPath;
-use crate::real::Real;
+use crate::real::{Real, larger, smaller};
 
 /// Most samples of a segment, whatever the step.
 const MOST_SAMPLES: f64 = 16_777_216.0;
@@ -66,7 +66,8 @@ impl Stretch {
         let voxels =
             if self.far { (self.speed(0.0) + 4.0 * self.speed(0.5) + self.speed(1.0)) / 6.0 } else { self.speed(0.0) };
         let largest = (*dims.iter().max().expect("three sides") - 1) as f64;
-        let count = (voxels / step).ceil().clamp(1.0, MOST_SAMPLES);
+        // Not `clamp`, which would leave what is not a number.
+        let count = smaller(larger((voxels / step).ceil(), 1.0), MOST_SAMPLES);
         let h = 1.0 / count;
         let [a, b, c] = self.c;
         let first = offset * h;

@@ -28,14 +28,19 @@ pub(crate) struct Share {
 /// of any cube of [`SIDE`] vertices a side have places of their own, and a tile seldom
 /// sees more at once.
 pub(crate) struct Tints {
-    /// Of the tile: see [`Tile::bases`].
+    /// The tile's: the colour basis in its middle, and its change a pixel across, and down.
     bases: [[f32; SH]; 3],
     /// By place, the vertex whose it is, or [`NOBODY`].
     vertex: Vec<u32>,
     /// By place, its tint.
     tint: Vec<Tint>,
+    /// Places that are somebody's.
+    used: Vec<u16>,
 }
 
+/// Most that a ray's colour basis may differ from what its tile makes of it: a colour whose coefficients come to
+/// one is then off by a tenth of an 8-bit step at most.
+const MOST_BENT: f32 = 4e-4;
 /// Vertices a side that are told apart; a power of two.
 const SIDE: usize = 16;
 const NOBODY: u32 = u32::MAX;
@@ -43,7 +48,7 @@ const NOBODY: u32 = u32::MAX;
 impl Default for Tints {
     fn default() -> Self {
         let places = SIDE * SIDE * SIDE;
-        Self { bases: [[0.0; SH]; 3], vertex: vec![NOBODY; places], tint: vec![[0.0; 12]; places] }
+        Self { bases: [[0.0; SH]; 3], vertex: vec![NOBODY; places], tint: vec![[0.0; 12]; places], used: Vec::new() }
     }
 }
 
@@ -51,7 +56,9 @@ impl Tints {
     /// Forgets everything; what comes is seen so.
     pub(crate) fn begin(&mut self, bases: [[f32; SH]; 3]) {
         self.bases = bases;
-        self.vertex.fill(NOBODY);
+        for place in self.used.drain(..) {
+            self.vertex[usize::from(place)] = NOBODY;
+        }
     }
 
     /// Places of a cell's corners, x fastest.
@@ -75,9 +82,23 @@ impl Tints {
         }
     }
 
-    /// What a ray gathers whose pixel is so far `off` the tile's middle.
+    /// What a ray along `basis` gathers whose pixel is so far `off` the tile's middle. A ray whose
+    /// direction the tile does not know well enough goes by itself: in wide tiles, and where a lens
+    /// folds its picture's rim over.
     #[inline(always)]
-    pub(crate) fn sum(&mut self, grid: &Grid<f32>, shares: &[Share], off: (f32, f32)) -> Gathered<f32> {
+    pub(crate) fn sum(
+        &mut self,
+        grid: &Grid<f32>,
+        shares: &[Share],
+        off: (f32, f32),
+        basis: &[f32; SH],
+    ) -> Gathered<f32> {
+        let [middle, across, down] = &self.bases;
+        let bent = |k: usize| (basis[k] - (middle[k] + off.0 * across[k] + off.1 * down[k])).abs();
+        // Not `any`, by which what is not a number would be straight.
+        if !(0..SH).all(|k| bent(k) < MOST_BENT) {
+            return alone(grid, shares, basis);
+        }
         let corners = grid.corners();
         let (mut parts, mut weights) = ([[0.0f32; 12]; 2], [0.0; 2]);
         for share in shares {
@@ -113,8 +134,24 @@ impl Tints {
     fn look_up(&mut self, grid: &Grid<f32>, place: usize, vertex: u32) {
         let row = grid.index[vertex as usize];
         self.vertex[place] = vertex;
+        self.used.push(place as u16);
         for (out, basis) in self.tint[place].chunks_exact_mut(4).zip(&self.bases) {
             out[..3].copy_from_slice(&grid.colour_along(row, basis));
         }
     }
+}
+
+/// What a ray gathers along `basis`, vertex by vertex.
+#[cold]
+fn alone(grid: &Grid<f32>, shares: &[Share], basis: &[f32; SH]) -> Gathered<f32> {
+    let corners = grid.corners();
+    let mut sum = Gathered::default();
+    for share in shares {
+        let light = grid.light(share.cell as usize, &share.corners, &corners, basis);
+        let (part, weight) =
+            if share.far { (&mut sum.far, &mut sum.far_weight) } else { (&mut sum.near, &mut sum.near_weight) };
+        *weight += share.weight;
+        part.iter_mut().zip(light).for_each(|(part, light)| *part += light);
+    }
+    sum
 }

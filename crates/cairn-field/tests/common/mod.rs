@@ -215,9 +215,10 @@ pub fn field_of(frame: &SceneFrame, grid: &Grid<f32>, canonical: &Appearance) ->
     Field::from_bytes(&stored_field(frame, grid, canonical)).expect("a sound field")
 }
 
-/// Largest absolute difference of two equally long lists.
+/// Largest absolute difference of two equally long lists of finite numbers.
 pub fn apart(a: &[f32], b: &[f32]) -> f32 {
     assert_eq!(a.len(), b.len());
+    assert!(a.iter().chain(b).all(|v| v.is_finite()), "all numbers are finite");
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
