@@ -4,8 +4,8 @@
 //!
 //! Rays that run beside one another go through empty space together, a lane each: to find
 //! the next place that holds anything is a chain of instructions of which each waits for the one
-//! before, and eight chains take hardly longer than one. What is found is then looked
-//! at ray by ray, a lane a sample.
+//! before, and eight chains wait together. What is found is then looked at ray by ray, a lane
+//! a sample.
 
 use crate::frame::RayPath;
 use crate::grid::Grid;

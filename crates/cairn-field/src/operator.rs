@@ -114,7 +114,7 @@ impl MarkableField for Field {
         let pixels = tiling.gather(add, |pixel, table: &mut Table| pixel.take_mean(rays * rays, table));
         let mut starts = vec![0u32];
         let mut entries = Vec::with_capacity(pixels.iter().map(|p| p.entries.len()).sum());
-        let (mut bases, mut features) = (Vec::with_capacity(width * height), Vec::with_capacity(width * height));
+        let (mut bases, mut features) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
         for pixel in pixels {
             entries.extend(pixel.entries);
             starts.push(entries.len() as u32);

@@ -65,8 +65,8 @@ impl<T: Real> Default for Patch<T> {
     fn default() -> Self {
         let mut patch = Self {
             basis: [T::zero(); SH],
-            cells: Table::new(),
-            slots: Table::new(),
+            cells: Table::default(),
+            slots: Table::default(),
             corners: Vec::new(),
             rows: Vec::new(),
             colour: Vec::new(),

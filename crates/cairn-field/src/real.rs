@@ -145,6 +145,15 @@ mod tests {
     }
 
     #[test]
+    fn whole_parts_are_those_of_the_definition() {
+        let all = [(f64::NAN, 0), (f64::NEG_INFINITY, 0), (-3.5, 0), (-0.0, 0), (0.999, 0), (1.0, 1), (4095.996, 4095)];
+        let far = [(1_073_741_824.0, 1 << 30), (1e12, 1 << 30), (f64::INFINITY, 1 << 30)];
+        for (x, whole) in all.into_iter().chain(far) {
+            assert_eq!((x.whole(), (x as f32).whole()), (whole, whole), "{x}");
+        }
+    }
+
+    #[test]
     fn ends_of_the_range_stay_in_it() {
         for x in [-1e38f32, -1e8, -100.0, -20.0, 0.0, 20.0, 1e8, 1e38] {
             let (value, slope) = x.softplus_and_slope();

@@ -20,15 +20,11 @@ struct Entry {
 
 impl Default for Table {
     fn default() -> Self {
-        Self::new()
+        Self { entries: vec![Entry::default(); 1024], stamp: 1, used: 0 }
     }
 }
 
 impl Table {
-    pub(crate) fn new() -> Self {
-        Self { entries: vec![Entry::default(); 1024], stamp: 1, used: 0 }
-    }
-
     pub(crate) fn clear(&mut self) {
         self.used = 0;
         self.stamp = self.stamp.wrapping_add(1);
@@ -80,9 +76,8 @@ mod tests {
 
     #[test]
     fn a_table_keeps_what_it_is_given_until_cleared() {
-        let mut table = Table::new();
         // Near the last stamp, so that it runs over once.
-        table.stamp = u32::MAX - 1;
+        let mut table = Table { stamp: u32::MAX - 1, ..Table::default() };
         for round in 0..4u32 {
             for key in (0..5000).map(|i| i * 37) {
                 assert_eq!(table.find_or_insert(key, key + round), key + round, "new in round {round}");

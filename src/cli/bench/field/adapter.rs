@@ -1,7 +1,7 @@
 //! All that this suite asks of a field beyond rendering it as shipped: other
 //! limits, an exact picture in f64, other precisions of storage.
 
-use cairn_capture::{Camera, Picture};
+use cairn_capture::Camera;
 use cairn_field::appearance::features;
 use cairn_field::composite::gather;
 use cairn_field::patch::Patch;
@@ -41,11 +41,6 @@ impl Storage {
             Self::U8 => 8.0,
         }
     }
-}
-
-/// A render with other limits than the shipped ones; colours are not clamped.
-pub fn render_with_limits(field: &Field, camera: &Camera, appearance: &Appearance, limits: Thresholds) -> Picture {
-    field.render_within(camera, appearance, limits)
 }
 
 /// The picture in f64 with nothing left out, samples `step_voxels` apart:

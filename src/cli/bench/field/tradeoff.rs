@@ -267,7 +267,7 @@ impl Reference {
 
 impl Wanted {
     fn render(&self, field: &Field, camera: &Camera) -> Picture {
-        adapter::render_with_limits(field, camera, field.canonical_appearance(), self.limits)
+        field.render_within(camera, field.canonical_appearance(), self.limits)
     }
 
     /// Errors of `field` so rendered, against exact pictures of the field as
