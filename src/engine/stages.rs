@@ -76,8 +76,13 @@ impl Stage for BaseTrainer {
                 100.0 * spread
             )),
             LightVerdict::ManyLights { spread } => Some(format!(
-                "the photographs differ in light: every view has an appearance of its own (they explain errors of {:.1} % of the range, RMS)",
-                100.0 * spread
+                "the photographs differ in light: every view has an appearance of its own (they explain errors of {:.1} % of the range, RMS){}",
+                100.0 * spread,
+                if self.config().basis_lights {
+                    ", and a mixture of five basis lights (field.basis_lights)"
+                } else {
+                    ""
+                }
             )),
         };
         let Spacing { apart_deg, smoothing } = self.spacing();

@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (w, h) = (camera.intrinsics.width as f64 * scale, camera.intrinsics.height as f64 * scale);
         let camera = camera.resized(w as usize, h as usize);
         for _ in 0..3 {
-            rays += field.gather_view(&camera, Thresholds::SHOWN).len() as f64;
+            rays += field.gather_view(&camera, field.canonical_appearance(), Thresholds::SHOWN).len() as f64;
         }
     }
     let seconds = started.elapsed().as_secs_f64();

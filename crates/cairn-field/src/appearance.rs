@@ -1,13 +1,15 @@
 //! Per-view appearance: other days, other cameras, other skies. A code of
 //! numbers a view changes colour and never geometry (NeRF-W's embedding on an
 //! explicit field): an affine colour transform for the inner box, one for the
-//! surroundings, and the sky behind everything as spherical harmonics.
+//! surroundings, the sky behind everything as spherical harmonics, and how much there is of
+//! each basis light (`lights.rs`).
 //!
-//! A pixel is linear in the code and linear in the field's colours. The first
-//! makes fitting a code to a new photograph a small least-squares problem with
-//! one exact answer (see `prior.rs`); the second keeps stage 2 linear.
+//! A pixel is linear in the field's colours, which keeps stage 2 linear; linear in the lights
+//! and linear in the rest of the code, so that fitting a code to a new photograph is a small
+//! least-squares problem (see `prior.rs`, `lit.rs`).
 
 use crate::composite::Gathered;
+use crate::lights::LIGHTS;
 use crate::real::Real;
 use crate::sh::SH;
 use serde::{Deserialize, Serialize};
@@ -17,14 +19,16 @@ use serde::{Deserialize, Serialize};
 /// is left.
 pub const FEATURES: usize = 8 + SH;
 
-/// Numbers of an appearance code.
-pub const CODE: usize = 3 * FEATURES;
+/// Numbers of an appearance code: the features' weights, and how much there is of each basis light.
+pub const CODE: usize = SHADE + LIGHTS;
+/// Those of them that weigh features.
+pub(crate) const SHADE: usize = 3 * FEATURES;
 
 /// One appearance code: for each output channel the weights of the [`FEATURES`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Stored")]
 pub struct Appearance {
-    /// `3 x FEATURES`.
+    /// `3 x FEATURES`, then [`LIGHTS`].
     code: Vec<f32>,
 }
 
@@ -38,8 +42,13 @@ impl TryFrom<Stored> for Appearance {
     type Error = String;
 
     fn try_from(stored: Stored) -> Result<Self, String> {
-        let got = stored.code.len();
-        Self::from_code(stored.code).ok_or_else(|| format!("an appearance has {CODE} finite numbers, got {got}"))
+        let mut code = stored.code;
+        let got = code.len();
+        // From before there were basis lights.
+        if got == SHADE {
+            code.resize(CODE, 0.0);
+        }
+        Self::from_code(code).ok_or_else(|| format!("an appearance has {CODE} finite numbers, got {got}"))
     }
 }
 
@@ -55,12 +64,12 @@ impl Appearance {
         Self { code }
     }
 
-    /// Wraps `3 x FEATURES` weights; `None` when the count is wrong or one is not finite.
+    /// Wraps `3 x FEATURES` weights and [`LIGHTS`] lights; `None` when the count is wrong or one is not finite.
     pub fn from_code(code: Vec<f32>) -> Option<Self> {
         (code.len() == CODE && code.iter().all(|v| v.is_finite())).then_some(Self { code })
     }
 
-    /// The weights, `3 x FEATURES`.
+    /// The weights, `3 x FEATURES`, and how much there is of each basis light.
     pub fn code(&self) -> &[f32] {
         &self.code
     }
@@ -119,7 +128,7 @@ impl Appearance {
         out
     }
 
-    /// Adds to `gradient` (`3 x FEATURES`, like the code) what d(loss)/d(pixel)
+    /// Adds to `gradient` (`3 x FEATURES` or more, like the code) what d(loss)/d(pixel)
     /// `g` owes the code at a pixel with these features.
     pub fn add_code_gradient<T: Real>(g: [T; 3], features: &[T; FEATURES], gradient: &mut [T]) {
         for (row, g) in gradient.chunks_exact_mut(FEATURES).zip(g) {
@@ -127,6 +136,12 @@ impl Appearance {
                 row[k] += g * features[k];
             }
         }
+    }
+
+    /// How much of each basis light there is in the view ([`crate::lights::Colours::Lit`]).
+    #[inline(always)]
+    pub fn lights(&self) -> [f32; LIGHTS] {
+        std::array::from_fn(|k| self.code[SHADE + k])
     }
 
     /// The linear part for colours of the inner box, `3 x 3` row-major

@@ -5,6 +5,7 @@ use crate::appearance::{Appearance, FEATURES, features};
 use crate::composite::{Kept, Regularise, Thresholds, gather, push_back};
 use crate::frame::SceneFrame;
 use crate::grid::Grid;
+use crate::lights::{Colours, LIGHTS};
 use crate::patch::{Debts, Patch, Roulette};
 use crate::sampling::{Tile, mixed};
 use crate::trainer::Prepared;
@@ -23,6 +24,7 @@ pub(crate) struct BatchSettings<'a> {
     pub(crate) grid: &'a Grid<f32>,
     pub(crate) neutral: &'a Appearance,
     pub(crate) appearances: &'a [Appearance],
+    pub(crate) colours: Colours,
     pub(crate) tiles: &'a [Tile],
     pub(crate) huber: f32,
     /// The colour of pixels that show nothing, and the price of light stopped before one.
@@ -40,6 +42,12 @@ pub(crate) struct Shaded {
     pub(crate) view: u32,
     pub(crate) slope: [f32; 3],
     pub(crate) features: [f32; FEATURES],
+}
+
+/// What a tile owes its view's basis lights.
+pub(crate) struct Lit {
+    pub(crate) view: u32,
+    pub(crate) lights: [f32; LIGHTS],
 }
 
 /// A batch's outcome, in room that the next batch uses again.
@@ -65,6 +73,8 @@ struct Task {
     roulette: Roulette,
     /// Empty where the scene has no appearances.
     shaded: Vec<Shaded>,
+    /// Empty where there are no basis lights.
+    lit: Vec<Lit>,
 }
 
 impl Batch {
@@ -100,6 +110,11 @@ impl Batch {
         self.tasks[..self.used].iter().map(|t| &t.debts).collect()
     }
 
+    /// What tiles owe their views' lights, in their order; nothing where there are no basis lights.
+    pub(crate) fn lit(&self) -> impl Iterator<Item = &Lit> {
+        self.tasks[..self.used].iter().flat_map(|t| &t.lit)
+    }
+
     /// The shaded rays in their order; none where the scene has no appearances.
     pub(crate) fn shaded(&self) -> impl Iterator<Item = &Shaded> {
         self.tasks[..self.used].iter().flat_map(|t| &t.shaded)
@@ -112,6 +127,7 @@ impl Task {
         self.debts.owed.clear();
         self.debts.bases.clear();
         self.shaded.clear();
+        self.lit.clear();
         self.roulette = roulette;
     }
 
@@ -119,11 +135,16 @@ impl Task {
         let prepared = &s.views[tile.view];
         let width = prepared.lens.size().0;
         let middle = (tile.y + tile.bottom) / 2 * width + (tile.x + tile.right) / 2;
-        patch.begin(prepared.lens.ray(&prepared.camera, s.frame, middle).1);
+        let appearance = s.appearances.get(tile.view).unwrap_or(s.neutral);
+        let harmonics = prepared.lens.ray(&prepared.camera, s.frame, middle).1;
+        patch.begin(s.colours.weights(&harmonics, &appearance.lights()));
         for y in tile.y..tile.bottom {
             for x in tile.x..tile.right {
                 self.ray(s, tile.view, y * width + x, rng.random(), patch);
             }
+        }
+        if s.colours == Colours::Lit {
+            self.lit.push(Lit { view: tile.view as u32, lights: patch.owed_lights(s.grid) });
         }
         self.broken |= !patch.settle(&mut self.roulette, &mut self.debts);
     }

@@ -9,6 +9,7 @@ use crate::field::{read_f32, read_header, read_u32, read_u64, stored};
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
 use crate::light::LightVerdict;
+use crate::lights::Colours;
 use crate::optimise::{Adam, RowState};
 use crate::trainer::{BaseTrainer, Prepared, TrainingView, prepare};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -17,7 +18,7 @@ use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/5";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/6";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -36,6 +37,7 @@ struct Header {
     views: Vec<String>,
     appearances: usize,
     light: LightVerdict,
+    colours: Colours,
     /// SHA-256 of the rest of the file; see [`digest`].
     digest: String,
 }
@@ -62,6 +64,7 @@ impl BaseTrainer {
             views: self.views.iter().map(|v| v.name.clone()).collect(),
             appearances: self.appearances.len(),
             light: self.light,
+            colours: self.colours,
             digest: String::new(),
         };
         let codes: Vec<f32> = self.appearances.iter().flat_map(|a| a.code().to_vec()).collect();
@@ -135,6 +138,9 @@ impl BaseTrainer {
         if (header.light == LightVerdict::Settled) != (trainer.light == LightVerdict::Settled) {
             return refuse(format!("what it says of the light ({:?}) is not what its settings allow", header.light));
         }
+        if header.colours == Colours::Lit && !(trainer.config.basis_lights && header.appearances > 0) {
+            return refuse("it has basis lights where its settings or appearances leave none".into());
+        }
         let one_light = matches!(header.light, LightVerdict::OneLight { .. });
         let expected = if one_light { 0 } else { trainer.appearances.len() };
         if header.appearances != expected {
@@ -174,6 +180,7 @@ impl BaseTrainer {
         };
         trainer.neutral = header.neutral;
         trainer.light = header.light;
+        trainer.colours = header.colours;
         trainer.step = header.step;
         trainer.level = header.level;
         trainer.lay_tiles();

@@ -92,6 +92,9 @@ pub struct FieldConfig {
     pub tile_px: usize,
     /// Per-view appearance.
     pub appearance: AppearanceMode,
+    /// Where photographs differ in light: whether each place's colour may differ by itself
+    /// ([`crate::lights`]), not only all of them by one matrix.
+    pub basis_lights: bool,
 }
 
 impl Default for FieldConfig {
@@ -123,6 +126,7 @@ impl Default for FieldConfig {
             faint_weight: 0.003,
             tile_px: 4,
             appearance: AppearanceMode::Auto,
+            basis_lights: false,
         }
     }
 }

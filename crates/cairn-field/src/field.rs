@@ -1,10 +1,12 @@
 //! A trained base field: what it renders, and how it is stored.
 
-use crate::appearance::{Appearance, FEATURES, features};
+use crate::appearance::{Appearance, features};
 use crate::composite::{Gathered, Thresholds};
 use crate::error::FieldError;
 use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
+use crate::lights::{Colours, LIGHTS};
+use crate::lit::Unlit;
 use crate::picture::Seen;
 use crate::prior::Prior;
 use crate::sh::SH;
@@ -15,7 +17,9 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 /// Format of a stored field; another number is refused by name.
-pub const FIELD_FORMAT: &str = "cairn.field/3";
+pub const FIELD_FORMAT: &str = "cairn.field/4";
+/// The format before there were basis lights, which is read as well.
+const FORMAT_WITHOUT_LIGHTS: &str = "cairn.field/3";
 /// Density (per unit-cube length) below which a cell counts as empty: a step
 /// through it stops less than a ten-thousandth of the light.
 pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
@@ -28,6 +32,8 @@ pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
 pub struct Field {
     pub(crate) frame: SceneFrame,
     pub(crate) grid: Grid<f32>,
+    /// What the grid's coefficients stand for.
+    pub(crate) colours: Colours,
     pub(crate) canonical: Appearance,
     pub(crate) appearances: Vec<(String, Appearance)>,
 }
@@ -48,6 +54,8 @@ struct Header {
     format: String,
     frame: SceneFrame,
     dims: [usize; 3],
+    #[serde(default)]
+    colours: Colours,
     canonical: Appearance,
     appearances: Vec<(String, Appearance)>,
 }
@@ -57,7 +65,7 @@ impl Field {
     /// the field in memory and the one read back from a file are the same.
     pub(crate) fn new(
         frame: SceneFrame,
-        mut grid: Grid<f32>,
+        (mut grid, colours): (Grid<f32>, Colours),
         canonical: Appearance,
         appearances: Vec<(String, Appearance)>,
     ) -> Self {
@@ -66,7 +74,7 @@ impl Field {
             row[ROW - 1] = 0.0;
         }
         grid.refresh_occupancy(empty_density(grid.dims));
-        Self { frame, grid, canonical, appearances }
+        Self { frame, grid, colours, canonical, appearances }
     }
 
     /// The field with each colour coefficient rounded to one of 256 even steps between
@@ -125,9 +133,15 @@ impl Field {
         &self.appearances
     }
 
-    /// What every pixel of `camera` gathers, row-major, with its colour basis.
-    pub fn gather_view(&self, camera: &Camera, limits: Thresholds) -> Vec<(Gathered<f32>, [f32; SH])> {
-        self.each_pixel(camera, limits, |seen| (seen.gathered, seen.basis))
+    /// What every pixel of `camera` gathers under the basis lights of `appearance`, row-major, with the spherical
+    /// harmonics of its direction.
+    pub fn gather_view(
+        &self,
+        camera: &Camera,
+        appearance: &Appearance,
+        limits: Thresholds,
+    ) -> Vec<(Gathered<f32>, [f32; SH])> {
+        self.each_pixel(camera, appearance.lights(), limits, |seen| (seen.gathered, seen.harmonics))
     }
 
     /// Renders `camera` as `appearance` has it; colours are not clamped.
@@ -137,13 +151,13 @@ impl Field {
 
     /// As [`Field::render`], leaving out what `limits` says.
     pub fn render_within(&self, camera: &Camera, appearance: &Appearance, limits: Thresholds) -> Picture {
-        let shade = |seen: &Seen<'_>| appearance.shade(&features(&seen.gathered, &seen.basis));
-        picture(camera, self.each_pixel(camera, limits, shade).into_flattened())
+        let shade = |seen: &Seen<'_>| appearance.shade(&features(&seen.gathered, &seen.harmonics));
+        picture(camera, self.each_pixel(camera, appearance.lights(), limits, shade).into_flattened())
     }
 
     /// As [`Field::render`], with accumulation and depth.
     pub fn render_maps(&self, camera: &Camera, appearance: &Appearance) -> Rendering {
-        let gathered = self.gather_view(camera, Thresholds::SHOWN);
+        let gathered = self.gather_view(camera, appearance, Thresholds::SHOWN);
         let rgb = gathered.iter().flat_map(|(g, basis)| appearance.shade(&features(g, basis))).collect();
         Rendering {
             picture: picture(camera, rgb),
@@ -169,12 +183,11 @@ impl Field {
                 photograph.height()
             )));
         }
-        let gathered = self.gather_view(camera, Thresholds::SHOWN);
-        let (mut f, mut pixels): (Vec<[f32; FEATURES]>, Vec<[f32; 3]>) = (Vec::new(), Vec::new());
+        let seen = self.each_pixel(camera, [0.0; LIGHTS], Thresholds::SHOWN, |seen| Unlit::of(seen, self.colours));
+        let (mut unlit, mut pixels) = (Vec::with_capacity(h * (w / 2)), Vec::with_capacity(h * (w / 2)));
         for y in 0..h {
             for x in 0..w / 2 {
-                let (g, basis) = &gathered[y * w + x];
-                f.push(features(g, basis));
+                unlit.push(seen[y * w + x]);
                 pixels.push(photograph.pixel(x, y));
             }
         }
@@ -184,7 +197,11 @@ impl Field {
         } else {
             Prior::of(&seen).ok_or_else(|| stored("field", "its appearances are beyond all bounds".into()))?
         };
-        prior.fit(&f, &pixels).ok_or_else(|| {
+        match self.colours {
+            Colours::Harmonics => prior.fit(&Unlit::features(&unlit), &pixels),
+            Colours::Lit => prior.fit_lit(&unlit, &pixels),
+        }
+        .ok_or_else(|| {
             let why = "its left half has a number that is not finite, or is lit beyond all bounds; import it again";
             FieldError::Views(format!("no light explains the photograph: {why}"))
         })
@@ -202,6 +219,7 @@ impl Field {
             format: FIELD_FORMAT.into(),
             frame: self.frame.clone(),
             dims: self.grid.dims,
+            colours: self.colours,
             canonical: self.canonical.clone(),
             appearances: self.appearances.clone(),
         };
@@ -232,8 +250,12 @@ impl Field {
     /// [`FieldError::Stored`] for an unknown format, a damaged file or numbers that are not finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, FieldError> {
         let header: Header = read_header(bytes, "field")?;
-        if header.format != FIELD_FORMAT {
-            return Err(stored("field", format!("format `{}`, this program reads `{FIELD_FORMAT}`", header.format)));
+        if ![FIELD_FORMAT, FORMAT_WITHOUT_LIGHTS].contains(&header.format.as_str()) {
+            let why = format!(
+                "format `{}`, this program reads `{FIELD_FORMAT}` and `{FORMAT_WITHOUT_LIGHTS}`",
+                header.format
+            );
+            return Err(stored("field", why));
         }
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("field", e.to_string()))?;
         let vertex = read_u32(&file, "vertex")?;
@@ -259,7 +281,7 @@ impl Field {
         if !(grid.raw.iter().all(|v| v.is_finite()) && grid.colour.iter().all(|v| v.is_finite())) {
             return Err(stored("field", "it holds numbers that are not finite".into()));
         }
-        Ok(Self::new(header.frame, grid, header.canonical, header.appearances))
+        Ok(Self::new(header.frame, (grid, header.colours), header.canonical, header.appearances))
     }
 }
 

@@ -205,7 +205,7 @@ impl<T: Real> Grid<T> {
     }
 
     #[inline(always)]
-    fn row(&self, row: u32) -> &[T; ROW] {
+    pub(crate) fn row(&self, row: u32) -> &[T; ROW] {
         let at = row as usize * ROW;
         self.colour[at..at + ROW].try_into().expect("ROW numbers")
     }

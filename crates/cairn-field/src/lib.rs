@@ -13,6 +13,7 @@
 pub mod appearance;
 mod batch;
 mod checkpoint;
+mod codes;
 pub mod composite;
 mod config;
 mod error;
@@ -20,6 +21,8 @@ mod field;
 mod frame;
 pub mod grid;
 mod light;
+pub mod lights;
+mod lit;
 pub mod march;
 pub mod marched;
 mod memory;

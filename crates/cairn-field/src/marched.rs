@@ -69,9 +69,9 @@ impl MarchedView {
     /// The picture of `field`, `height x width x 3`, not clamped.
     pub fn render(&self, field: &Field, appearance: &Appearance) -> Vec<f32> {
         let share = 1.0 / (self.rays * self.rays) as f32;
-        let tiling = Tiling::of(field, (&self.fine, &self.lens), Thresholds::SHOWN, self.rays);
+        let tiling = Tiling::of(field, (&self.fine, &self.lens), appearance.lights(), Thresholds::SHOWN, self.rays);
         let add = |sum: &mut [f32; FEATURES], seen: &Seen<'_>| {
-            sum.iter_mut().zip(features(&seen.gathered, &seen.basis)).for_each(|(s, f)| *s += f);
+            sum.iter_mut().zip(features(&seen.gathered, &seen.harmonics)).for_each(|(s, f)| *s += f);
         };
         let sums = tiling.gather(add, |sum, ()| sum.iter_mut().for_each(|s| *s *= share));
         sums.into_iter().flat_map(|sum| appearance.shade(&sum)).collect()
@@ -124,7 +124,8 @@ impl MarchedView {
         }
         let share = 1.0 / (self.rays * self.rays) as f32;
         let middle = self.first_ray(at) + self.rays / 2 * (self.width * self.rays + 1);
-        patch.begin(self.lens.ray(&self.fine, &field.frame, middle).1);
+        let harmonics = self.lens.ray(&self.fine, &field.frame, middle).1;
+        patch.begin(field.colours.weights(&harmonics, &appearance.lights()));
         for of in self.rays_of(at) {
             let (path, basis) = self.lens.ray(&self.fine, &field.frame, of);
             let gathered = gather(&field.grid, patch, &path, 0.5, Thresholds::SHOWN, tape);

@@ -9,7 +9,8 @@
 use crate::appearance::{Appearance, FEATURES, features};
 use crate::composite::Thresholds;
 use crate::field::Field;
-use crate::picture::{Seen, Tiling};
+use crate::lights::{Colours, LIGHTS};
+use crate::picture::{Lit, Seen, Tiling};
 use crate::rays::Lens;
 use crate::real::Real;
 use crate::sh::{SH, SH_DC};
@@ -70,9 +71,14 @@ pub struct LinearView {
     starts: Vec<u32>,
     /// (row | FAR, weight).
     entries: Vec<(u32, f32)>,
-    bases: Vec<[f32; SH]>,
+    /// What the field's coefficients stand for.
+    colours: Colours,
+    /// Spherical harmonics a pixel.
+    harmonics: Vec<[f32; SH]>,
     /// The base field's features a pixel, for shading it by any appearance.
     features: Vec<[f32; FEATURES]>,
+    /// What basis lights add, a pixel; empty where there are none.
+    lit: Vec<Lit>,
 }
 
 impl MarkableField for Field {
@@ -109,19 +115,23 @@ impl MarkableField for Field {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let fine = if rays == 1 { *camera } else { camera.resized(width * rays, height * rays) };
         let lens = Lens::new(&fine);
-        let tiling = Tiling::of(self, (&fine, &lens), Thresholds::SHOWN, rays);
-        let add = |pixel: &mut Pixel, seen: &Seen<'_>| pixel.add(seen, cutoff);
+        let tiling = Tiling::of(self, (&fine, &lens), [0.0; LIGHTS], Thresholds::SHOWN, rays);
+        let add = |pixel: &mut Pixel, seen: &Seen<'_>| pixel.add(seen, cutoff, self.colours);
         let pixels = tiling.gather(add, |pixel, table: &mut Table| pixel.take_mean(rays * rays, table));
         let mut starts = vec![0u32];
         let mut entries = Vec::with_capacity(pixels.iter().map(|p| p.entries.len()).sum());
-        let (mut bases, mut features) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
+        let (mut harmonics, mut features) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
+        let mut lit = Vec::new();
         for pixel in pixels {
             entries.extend(pixel.entries);
             starts.push(entries.len() as u32);
-            bases.push(pixel.basis);
+            harmonics.push(pixel.harmonics);
             features.push(pixel.features);
+            if self.colours == Colours::Lit {
+                lit.push(pixel.lit);
+            }
         }
-        LinearView { width, height, starts, entries, bases, features }
+        LinearView { width, height, starts, entries, colours: self.colours, harmonics, features, lit }
     }
 }
 
@@ -129,33 +139,42 @@ impl MarkableField for Field {
 #[derive(Clone)]
 struct Pixel {
     features: [f32; FEATURES],
-    basis: [f32; SH],
+    harmonics: [f32; SH],
+    lit: Lit,
     entries: Vec<(u32, f32)>,
 }
 
 impl Default for Pixel {
     fn default() -> Self {
-        Self { features: [0.0; FEATURES], basis: [0.0; SH], entries: Vec::new() }
+        Self { features: [0.0; FEATURES], harmonics: [0.0; SH], lit: [[0.0; 6]; LIGHTS], entries: Vec::new() }
     }
 }
 
 impl Pixel {
     /// Adds a ray.
-    fn add(&mut self, seen: &Seen<'_>, cutoff: f32) {
+    fn add(&mut self, seen: &Seen<'_>, cutoff: f32, colours: Colours) {
+        if colours == Colours::Lit {
+            let sums = self.lit.as_flattened_mut().iter_mut();
+            sums.zip(seen.lit().as_flattened()).for_each(|(sum, v)| *sum += v);
+        }
         seen.each_vertex(|row, weight, far| {
             if row != 0 && weight >= cutoff {
                 self.entries.push((row as u32 | if far { FAR } else { 0 }, weight));
             }
         });
-        let of_ray = features(&seen.gathered, &seen.basis);
+        let of_ray = features(&seen.gathered, &seen.harmonics);
         self.features.iter_mut().zip(of_ray).for_each(|(sum, f)| *sum += f);
-        self.basis.iter_mut().zip(seen.basis).for_each(|(sum, b)| *sum += b);
+        self.harmonics.iter_mut().zip(seen.harmonics).for_each(|(sum, b)| *sum += b);
     }
 
     /// Becomes the mean over `rays`, each row once, ascending. `table` is room for the work.
     fn take_mean(&mut self, rays: usize, table: &mut Table) {
         let share = 1.0 / rays as f32;
-        self.features.iter_mut().chain(&mut self.basis).for_each(|v| *v *= share);
+        self.features
+            .iter_mut()
+            .chain(&mut self.harmonics)
+            .chain(self.lit.as_flattened_mut())
+            .for_each(|v| *v *= share);
         table.clear();
         let mut merged: Vec<(u32, f32)> = Vec::new();
         for (row, weight) in &self.entries {
@@ -190,7 +209,18 @@ impl LinearView {
 
     /// The base field's picture of this view, `height x width x 3`, not clamped.
     pub fn base(&self, appearance: &Appearance) -> Vec<f32> {
-        self.features.par_iter().with_min_len(1024).flat_map_iter(|f| appearance.shade(f)).collect()
+        let lights = appearance.lights();
+        let shade = |(pixel, f): (usize, &[f32; FEATURES])| {
+            let mut f = *f;
+            for (lit, by) in self.lit.get(pixel).into_iter().flatten().zip(lights) {
+                for k in 0..3 {
+                    f[k] += by * lit[k];
+                    f[4 + k] += by * lit[3 + k];
+                }
+            }
+            appearance.shade(&f)
+        };
+        self.features.par_iter().enumerate().with_min_len(1024).flat_map_iter(shade).collect()
     }
 
     /// Adds to `picture` (`height x width x 3`) what `carrier` (`rows x width`
@@ -201,6 +231,7 @@ impl LinearView {
     pub fn apply(&self, carrier: &[f32], basis: CarrierBasis, appearance: &Appearance, picture: &mut [f32]) {
         assert_eq!(picture.len(), self.width * self.height * 3, "a picture of this view's size");
         let (near_matrix, far_matrix) = (appearance.near_matrix(), appearance.far_matrix());
+        let along = |pixel: usize| self.colours.weights(&self.harmonics[pixel], &appearance.lights());
         picture.par_chunks_exact_mut(3).with_min_len(512).enumerate().for_each(|(pixel, out)| {
             let mut sums = [[0.0f32; 3]; 2];
             for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
@@ -216,8 +247,7 @@ impl LinearView {
                     CarrierBasis::Harmonics => {
                         let c = &carrier[at * 3 * SH..(at + 1) * 3 * SH];
                         for k in 0..3 {
-                            let dot: f32 =
-                                c[k * SH..(k + 1) * SH].iter().zip(&self.bases[pixel]).map(|(a, b)| a * b).sum();
+                            let dot: f32 = c[k * SH..(k + 1) * SH].iter().zip(&along(pixel)).map(|(a, b)| a * b).sum();
                             sum[k] += weight * dot;
                         }
                     }
@@ -248,6 +278,7 @@ impl LinearView {
         assert_eq!(slope.len(), self.width * self.height * 3, "a picture of this view's size");
         let matrices = [appearance.near_matrix(), appearance.far_matrix()];
         for (pixel, g) in slope.chunks_exact(3).enumerate() {
+            let along = self.colours.weights(&self.harmonics[pixel], &appearance.lights());
             let pulled: [[f32; 3]; 2] =
                 std::array::from_fn(|part| std::array::from_fn(|k| (0..3).map(|c| matrices[part][c][k] * g[c]).sum()));
             for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
@@ -263,7 +294,7 @@ impl LinearView {
                     CarrierBasis::Harmonics => {
                         for k in 0..3 {
                             let out = &mut gradient[at * 3 * SH + k * SH..][..SH];
-                            for (o, b) in out.iter_mut().zip(&self.bases[pixel]) {
+                            for (o, b) in out.iter_mut().zip(&along) {
                                 *o += weight * p[k] * b;
                             }
                         }

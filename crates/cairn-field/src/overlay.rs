@@ -23,15 +23,16 @@ impl Field {
     ) -> Picture {
         assert_eq!(carrier.len(), self.grid.rows() * basis.width(), "a carrier of this field's size");
         let (near, far) = (appearance.near_matrix(), appearance.far_matrix());
-        let rgb = self.each_pixel(camera, Thresholds::SHOWN, |seen| {
+        let rgb = self.each_pixel(camera, appearance.lights(), Thresholds::SHOWN, |seen| {
+            let angles = self.colours.weights(&seen.harmonics, &appearance.lights());
             let mut sums = [[0.0f32; 3]; 2];
             seen.each_vertex(|row, weight, far| {
-                let colour = carrier_colour(carrier, row, basis, &seen.basis);
+                let colour = carrier_colour(carrier, row, basis, &angles);
                 for (sum, v) in sums[usize::from(far)].iter_mut().zip(colour) {
                     *sum += weight * v;
                 }
             });
-            let mut pixel = appearance.shade(&features(&seen.gathered, &seen.basis));
+            let mut pixel = appearance.shade(&features(&seen.gathered, &seen.harmonics));
             for (c, v) in pixel.iter_mut().enumerate() {
                 for k in 0..3 {
                     *v += near[c][k] * sums[0][k] + far[c][k] * sums[1][k];

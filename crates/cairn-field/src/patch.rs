@@ -4,6 +4,7 @@
 //! Rows of coefficients lie far apart in memory; a tile goes to each once.
 
 use crate::grid::Grid;
+use crate::lights::{FIRST, LIGHTS};
 use crate::real::Real;
 use crate::sh::SH;
 use crate::table::Table;
@@ -154,6 +155,18 @@ impl<T: Real> Patch<T> {
             sum.raw += raw[k];
             sum.most = sum.most.max(shares[k]);
         }
+    }
+
+    /// d(loss)/d(how much there is of each basis light), where the last coefficients are theirs.
+    pub fn owed_lights(&self, grid: &Grid<T>) -> [T; LIGHTS] {
+        let mut owed = [T::zero(); LIGHTS];
+        for (sum, row) in self.sums.iter().zip(&self.rows).skip(1) {
+            let coefficients = &grid.row(*row)[3 * FIRST..3 * (FIRST + LIGHTS)];
+            for (owed, rgb) in owed.iter_mut().zip(coefficients.chunks_exact(3)) {
+                *owed += sum.light[0] * rgb[0] + sum.light[1] * rgb[1] + sum.light[2] * rgb[2];
+            }
+        }
+        owed
     }
 
     /// Appends to `debts` what the tile owes, of faint vertices as `roulette` decides;

@@ -7,6 +7,7 @@ use crate::composite::{Gathered, Thresholds, composite};
 use crate::field::Field;
 use crate::frame::RayPath;
 use crate::grid::{Grid, trilinear};
+use crate::lights::{FIRST, LIGHTS};
 use crate::rays::Lens;
 use crate::sh::SH;
 use crate::tints::{Share, Tints};
@@ -36,7 +37,7 @@ struct Room {
 struct Group {
     /// Column and row of the first one.
     at: (usize, usize),
-    bases: [[f32; SH]; RAYS],
+    harmonics: [[f32; SH]; RAYS],
     shares: [Vec<Share>; RAYS],
     /// Transmittances at the rays' ends.
     ends: [f32; RAYS],
@@ -48,8 +49,8 @@ struct Group {
 pub(crate) struct Seen<'a> {
     /// What it gathered,
     pub(crate) gathered: Gathered<f32>,
-    /// and the colour basis along it.
-    pub(crate) basis: [f32; SH],
+    /// and the spherical harmonics along it.
+    pub(crate) harmonics: [f32; SH],
     shares: &'a [Share],
     grid: &'a Grid<f32>,
 }
@@ -68,16 +69,35 @@ impl Seen<'_> {
     }
 }
 
+impl Seen<'_> {
+    /// What the pixel gathers more for one unit of each basis light: near and far colour.
+    pub(crate) fn lit(&self) -> Lit {
+        let mut lit = [[0.0; 6]; LIGHTS];
+        self.each_vertex(|row, weight, far| {
+            let coefficients = self.grid.row(row as u32)[3 * FIRST..].chunks_exact(3);
+            for (sum, rgb) in lit.iter_mut().zip(coefficients) {
+                let sum = &mut sum[if far { 3 } else { 0 }..][..3];
+                sum.iter_mut().zip(rgb).for_each(|(s, v)| *s += weight * v);
+            }
+        });
+        lit
+    }
+}
+
+/// What a pixel gathers more for one unit of each basis light: near colour, then far.
+pub(crate) type Lit = [[f32; 6]; LIGHTS];
+
 impl Field {
     /// What `pixel` makes of every pixel of `camera`, row-major.
     pub(crate) fn each_pixel<O: Clone + Default + Send>(
         &self,
         camera: &Camera,
+        lights: [f32; LIGHTS],
         limits: Thresholds,
         pixel: impl Fn(&Seen<'_>) -> O + Sync,
     ) -> Vec<O> {
         let lens = Lens::new(camera);
-        let tiling = Tiling::of(self, (camera, &lens), limits, 1);
+        let tiling = Tiling::of(self, (camera, &lens), lights, limits, 1);
         tiling.gather(|out, seen| *out = pixel(seen), |_, ()| {})
     }
 }
@@ -87,6 +107,7 @@ pub(crate) struct Tiling<'a> {
     field: &'a Field,
     camera: &'a Camera,
     lens: &'a Lens,
+    lights: [f32; LIGHTS],
     limits: Thresholds,
     /// Rays across a pixel, and down.
     rays: usize,
@@ -101,12 +122,13 @@ impl<'a> Tiling<'a> {
     pub(crate) fn of(
         field: &'a Field,
         (camera, lens): (&'a Camera, &'a Lens),
+        lights: [f32; LIGHTS],
         limits: Thresholds,
         rays: usize,
     ) -> Self {
         let within = |most: usize, focal: f64| ((WIDEST * focal) as usize).clamp(1, most) / rays * rays;
         let (across, down) = (within(TILE.0, camera.intrinsics.fx), within(TILE.1, camera.intrinsics.fy));
-        Self { field, camera, lens, limits, rays, across: across.max(rays), down: down.max(rays) }
+        Self { field, camera, lens, lights, limits, rays, across: across.max(rays), down: down.max(rays) }
     }
 
     /// What `add` makes of each pixel's rays, and `finish` of that, with a thread's `R` to use
@@ -150,6 +172,7 @@ impl<'a> Tiling<'a> {
             field: self.field,
             camera: self.camera,
             lens: self.lens,
+            lights: self.lights,
             limits: self.limits,
             x: (x, (x + self.across).min(width)),
             y,
@@ -162,6 +185,7 @@ struct Tile<'a> {
     field: &'a Field,
     camera: &'a Camera,
     lens: &'a Lens,
+    lights: [f32; LIGHTS],
     limits: Thresholds,
     /// First column, and the one behind the last.
     x: (usize, usize),
@@ -188,17 +212,23 @@ impl Tile<'_> {
         self.hand_over(&room.groups[1], &mut room.tints, middle, &mut pixel);
     }
 
-    /// Path and basis of the pixel at `x`, `y`.
+    /// Path and harmonics of the pixel at `x`, `y`.
     #[inline(always)]
     fn ray(&self, x: usize, y: usize) -> (RayPath, [f32; SH]) {
         self.lens.ray(self.camera, &self.field.frame, y * self.lens.size().0 + x)
     }
 
-    /// The middle pixel, the colour basis there, and its change a pixel across, and down.
+    /// What coefficients are multiplied by along a ray with these harmonics.
+    #[inline(always)]
+    fn weights(&self, harmonics: &[f32; SH]) -> [f32; SH] {
+        self.field.colours.weights(harmonics, &self.lights)
+    }
+
+    /// The middle pixel, what coefficients are multiplied by there, and its change a pixel across, and down.
     fn bases(&self) -> ((usize, usize), [[f32; SH]; 3]) {
         let ((left, right), (top, bottom)) = ((self.x.0, self.x.1 - 1), (self.y.0, self.y.1 - 1));
         let (x, y) = ((left + right) / 2, (top + bottom) / 2);
-        let of = |x, y| self.ray(x, y).1;
+        let of = |x, y| self.weights(&self.ray(x, y).1);
         let change = |from: [f32; SH], to: [f32; SH], pixels: usize| -> [f32; SH] {
             std::array::from_fn(|k| (to[k] - from[k]) / pixels.max(1) as f32)
         };
@@ -219,9 +249,9 @@ impl Tile<'_> {
         for (ray, (x, y)) in self.rays_of(group.at) {
             let off = (x as f32 - middle.0 as f32, y as f32 - middle.1 as f32);
             let shares = &group.shares[ray];
-            let mut gathered = tints.sum(grid, shares, off, &group.bases[ray]);
+            let mut gathered = tints.sum(grid, shares, off, &self.weights(&group.harmonics[ray]));
             (gathered.end, gathered.along) = (group.ends[ray], group.along[ray]);
-            pixel(x, y, &Seen { gathered, basis: group.bases[ray], shares, grid });
+            pixel(x, y, &Seen { gathered, harmonics: group.harmonics[ray], shares, grid });
         }
     }
 
@@ -243,7 +273,7 @@ impl Group {
         self.shares.iter_mut().for_each(Vec::clear);
         let mut paths = [RayPath::Miss; RAYS];
         for (ray, (x, y)) in tile.rays_of(at) {
-            (paths[ray], self.bases[ray]) = tile.ray(x, y);
+            (paths[ray], self.harmonics[ray]) = tile.ray(x, y);
         }
         self.ends = composite(grid, &paths, 0.5, tile.limits, |ray, met| {
             let (s, k) = (met.samples, met.lane);

@@ -9,13 +9,14 @@
 //! sure each of their numbers is, is not made up for.
 
 use crate::appearance::{Appearance, CODE, FEATURES};
+use crate::lit::Normal;
 
 /// A normal distribution of appearance codes.
 #[derive(Clone, Debug)]
 pub(crate) struct Prior {
-    mean: Appearance,
+    pub(crate) mean: Appearance,
     /// `CODE x CODE`, symmetric: [`NOISE`] times the inverse covariance.
-    precision: Vec<f64>,
+    pub(crate) precision: Vec<f64>,
 }
 
 /// Variance of a pixel about its shade, 0.07^2 (colours in [0, 1]), by the number of
@@ -70,38 +71,18 @@ impl Prior {
     /// `None` when a number is not finite, or the code would not be.
     pub(crate) fn fit(&self, features: &[[f32; FEATURES]], pixels: &[[f32; 3]]) -> Option<Appearance> {
         debug_assert_eq!(features.len(), pixels.len());
-        let share = 1.0 / features.len().max(1) as f64;
-        let mut gram = [[0.0f64; FEATURES]; FEATURES];
-        let mut right = vec![0.0f64; CODE];
+        let mean: Vec<f64> = self.mean.code().iter().map(|v| f64::from(*v)).collect();
+        let mut normal = Normal::at(self, &mean, features.len());
         for (f, pixel) in features.iter().zip(pixels) {
-            let f = f.map(f64::from);
-            // From the mean on: what is solved for is how far the code is from it.
-            let shade = self.mean.shade(&f);
-            for a in 0..FEATURES {
-                for b in 0..=a {
-                    gram[a][b] += share * f[a] * f[b];
-                }
-                for c in 0..3 {
-                    right[c * FEATURES + a] += share * f[a] * (f64::from(pixel[c]) - shade[c]);
-                }
-            }
+            normal.add(&f.map(f64::from), None, pixel);
         }
-        let mut normal = self.precision.clone();
-        for c in 0..3 {
-            for a in 0..FEATURES {
-                let row = &mut normal[(c * FEATURES + a) * CODE + c * FEATURES..][..FEATURES];
-                row.iter_mut().zip(&gram[a][..=a]).for_each(|(sum, g)| *sum += g);
-            }
-        }
-        factor(&mut normal)?;
-        solve(&normal, &mut right);
-        Appearance::from_code(self.mean.code().iter().zip(right).map(|(v, by)| (f64::from(*v) + by) as f32).collect())
+        Appearance::from_code(mean.iter().zip(normal.step()?).map(|(v, by)| (v + by) as f32).collect())
     }
 }
 
 /// Cholesky's factor of a positive definite matrix, `CODE x CODE`, in place; only the
 /// lower triangle is read and written. `None` when it is not positive definite.
-fn factor(m: &mut [f64]) -> Option<()> {
+pub(crate) fn factor(m: &mut [f64]) -> Option<()> {
     for j in 0..CODE {
         for k in 0..j {
             let v = m[j * CODE + k];
@@ -121,7 +102,7 @@ fn factor(m: &mut [f64]) -> Option<()> {
 }
 
 /// Solves `L L^T x = b` in place.
-fn solve(l: &[f64], x: &mut [f64]) {
+pub(crate) fn solve(l: &[f64], x: &mut [f64]) {
     for i in 0..CODE {
         for k in 0..i {
             x[i] -= l[i * CODE + k] * x[k];

@@ -11,6 +11,7 @@ use crate::field::{Field, empty_density};
 use crate::frame::SceneFrame;
 use crate::grid::{DENSITY_SCALE, Grid, raw_of};
 use crate::light::LightVerdict;
+use crate::lights::Colours;
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
 use crate::resolution::{dims_of_level, finest, level_end, tile_side};
@@ -73,6 +74,8 @@ pub struct BaseTrainer {
     pub(crate) appearances: Vec<Appearance>,
     pub(crate) appearance_adam: Adam,
     pub(crate) light: LightVerdict,
+    /// What the grid's coefficients stand for.
+    pub(crate) colours: Colours,
     spacing: Spacing,
 }
 
@@ -133,6 +136,7 @@ impl BaseTrainer {
             neutral,
             background,
             appearances,
+            colours: Colours::Harmonics,
             light: if open { LightVerdict::Open } else { LightVerdict::Settled },
         }
     }
@@ -215,6 +219,7 @@ impl BaseTrainer {
             grid: &self.grid,
             neutral: &self.neutral,
             appearances: &self.appearances,
+            colours: self.colours,
             tiles: &tiles,
             huber: self.config.huber as f32,
             nothing: self.nothing(),
@@ -239,7 +244,7 @@ impl BaseTrainer {
             return Err(self.not_finite("a gradient at a sample"));
         }
         let codes = self.gradient_of_appearances(&batch);
-        if !codes.values.iter().all(|v| v.is_finite()) {
+        if !codes.is_finite() {
             return Err(self.not_finite("a gradient of an appearance"));
         }
         let decay = self.config.final_rate.powf(progress) as f32;
@@ -297,7 +302,7 @@ impl BaseTrainer {
         let least = self.config.prune_weight.min(SHOWS);
         let names = self.views.into_iter().map(|v| v.name.clone());
         let canonical = Appearance::mean(&self.appearances.iter().collect::<Vec<_>>()).unwrap_or(self.neutral);
-        let field = Field::new(self.frame, self.grid, canonical, names.zip(self.appearances).collect());
+        let field = Field::new(self.frame, (self.grid, self.colours), canonical, names.zip(self.appearances).collect());
         if least > 0.0 { field.only_what_shows_in(&views, least) } else { field }
     }
 
@@ -334,11 +339,14 @@ impl BaseTrainer {
         if self.step >= self.config.steps {
             return;
         }
-        if let Some(since) = self.step.checked_sub(light_step(&self.config))
-            && self.light == LightVerdict::Open
-            && since.is_multiple_of((self.config.steps / 16).max(1))
-        {
-            self.look_at_light();
+        if let Some(since) = self.step.checked_sub(light_step(&self.config)) {
+            if self.light == LightVerdict::Open && since.is_multiple_of((self.config.steps / 16).max(1)) {
+                self.look_at_light();
+            }
+            let settled = self.light != LightVerdict::Open && self.has_appearance();
+            if settled && self.config.basis_lights && self.colours == Colours::Harmonics {
+                self.begin_lights();
+            }
         }
         self.change_level();
     }
@@ -387,58 +395,14 @@ impl BaseTrainer {
         self.grid.scale_density(half.max_element() / before);
         (low, high)
     }
-
-    /// What the batch owes the appearances; empty where there are none.
-    fn gradient_of_appearances(&self, batch: &Batch) -> CodeGradient {
-        let views = self.appearances.len();
-        let mut out = CodeGradient { values: vec![0.0; views * CODE], rays: vec![0; views] };
-        for ray in batch.shaded() {
-            out.rays[ray.view as usize] += 1;
-            let values = &mut out.values[ray.view as usize * CODE..][..CODE];
-            Appearance::add_code_gradient(ray.slope, &ray.features, values);
-        }
-        out
-    }
-
-    /// Moves the appearances of the views that had rays in the batch.
-    fn move_appearances(&mut self, mut gradient: CodeGradient, rate: f32) {
-        self.appearance_adam.tick();
-        let share = if self.light == LightVerdict::Open { PULL_OPEN } else { PULL };
-        for (view, appearance) in self.appearances.iter_mut().enumerate() {
-            if gradient.rays[view] == 0 {
-                continue;
-            }
-            let pull = share * gradient.rays[view] as f32;
-            let values = &mut gradient.values[view * CODE..][..CODE];
-            for ((g, a), n) in values.iter_mut().zip(appearance.code()).zip(self.neutral.code()) {
-                *g += pull * (a - n);
-            }
-            self.appearance_adam.update(view * CODE, values, appearance.code_mut(), rate);
-        }
-    }
 }
 
 /// A cell that never has this share of a pixel is not missed: dropping those changed
 /// held-out views by 0.02 dB, three times as much by 0.2 dB (fern).
 const SHOWS: f64 = 0.01;
 
-/// A weak pull of appearances to neutral, a share of each ray's: it settles what the
-/// photographs leave open.
-const PULL: f32 = 1e-3;
-/// A strong one until it is known whether photographs differ in light: in one light,
-/// what an appearance could explain as well as the field is then left to the field.
-const PULL_OPEN: f32 = 0.05;
-
 /// The whole unit cube.
 const WHOLE: ([f64; 3], [f64; 3]) = ([0.0; 3], [1.0; 3]);
-
-/// What a batch owes the appearances.
-struct CodeGradient {
-    /// `views x CODE`.
-    values: Vec<f32>,
-    /// Rays of each view in the batch.
-    rays: Vec<usize>,
-}
 
 /// Step before which it is first asked whether the photographs differ in light: when the
 /// coarsest level is done, and after a quarter of all steps at the latest.

@@ -113,20 +113,23 @@ fn unknown_formats_are_refused_by_name() {
     let grid = random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1);
     let header = |change: &dyn Fn(&mut serde_json::Value)| {
         let mut header = serde_json::json!({
-            "format": "cairn.field/3", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
+            "format": "cairn.field/4", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
         });
         change(&mut header);
         Field::from_bytes(&stored_with(&header, &grid)).err().map(|e| e.to_string())
     };
     assert_eq!(header(&|_| ()), None);
     let text = header(&|h| h["format"] = "cairn.field/2".into()).expect("an error");
-    assert!(text.contains("cairn.field/3") && text.contains("cairn.field/2"), "{text}");
+    assert!(
+        text.contains("cairn.field/4") && text.contains("cairn.field/3") && text.contains("cairn.field/2"),
+        "{text}"
+    );
     for dims in [[0u64, 5, 6], [1, 5, 6], [4, 5, 5], [1 << 40, 1 << 40, 1 << 40], [4_000_000_000, 2, 2]] {
         let text = header(&|h| h["dims"] = dims.to_vec().into()).expect("an error");
         assert!(text.contains("field"), "{dims:?}: {text}");
     }
     let text = header(&|h| h["canonical"]["code"] = vec![1.0; 5].into()).expect("an error");
-    assert!(text.contains("51") && text.contains('5'), "{text}");
+    assert!(text.contains("56") && text.contains('5'), "{text}");
 }
 
 #[test]

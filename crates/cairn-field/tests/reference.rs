@@ -275,7 +275,7 @@ fn agree(frame: &SceneFrame, grid: &Grid<f32>, cameras: &[Camera], off: (f64, f6
         let (most, mean) = differences(&shown, &same);
         assert!(most < 3e-3 && mean < 1e-3, "view {n}, left out: {most}, rms {mean}");
         let exact: Vec<f32> = field
-            .gather_view(camera, Thresholds::EXACT)
+            .gather_view(camera, &look, Thresholds::EXACT)
             .iter()
             .flat_map(|(g, basis)| look.shade(&features(g, basis)))
             .collect();

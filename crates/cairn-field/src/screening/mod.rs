@@ -227,6 +227,8 @@ fn scout_config(field: &FieldConfig, second: bool) -> FieldConfig {
         // Each scout sees other views: their fits are compared, so that they have to be equally smooth.
         smoother_beyond_deg: 180.0,
         smooth_in_one_light: 1.0,
+        // Coarse fields that are compared: they gain nothing by it.
+        basis_lights: false,
         ..field.clone()
     }
 }
