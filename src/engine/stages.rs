@@ -76,13 +76,8 @@ impl Stage for BaseTrainer {
                 100.0 * spread
             )),
             LightVerdict::ManyLights { spread } => Some(format!(
-                "the photographs differ in light: every view has an appearance of its own (they explain errors of {:.1} % of the range, RMS){}",
-                100.0 * spread,
-                if self.config().basis_lights {
-                    ", and a mixture of five basis lights (field.basis_lights)"
-                } else {
-                    ""
-                }
+                "the photographs differ in light: every view has an appearance of its own (they explain errors of {:.1} % of the range, RMS)",
+                100.0 * spread
             )),
         };
         let Spacing { apart_deg, smoothing } = self.spacing();
@@ -98,7 +93,10 @@ impl Stage for BaseTrainer {
                 vertices as f64 / *voxels as f64
             )
         });
-        far.into_iter().chain(light).chain(finer).collect()
+        let lit = self.has_basis_lights().then(|| {
+            "every view has a mixture of five basis lights: places differ by themselves between views (field.basis_lights)".to_owned()
+        });
+        far.into_iter().chain(light).chain(lit).chain(finer).collect()
     }
 }
 

@@ -5,8 +5,8 @@
 //! each basis light (`lights.rs`).
 //!
 //! A pixel is linear in the field's colours, which keeps stage 2 linear; linear in the lights
-//! and linear in the rest of the code, so that fitting a code to a new photograph is a small
-//! least-squares problem (see `prior.rs`, `lit.rs`).
+//! and linear in the rest of the code, so that fitting a code to a new photograph is one small
+//! least-squares problem (`prior.rs`), or with lights a few, one after another (`lit.rs`).
 
 use crate::composite::Gathered;
 use crate::lights::LIGHTS;
@@ -26,14 +26,14 @@ pub(crate) const SHADE: usize = 3 * FEATURES;
 
 /// One appearance code: for each output channel the weights of the [`FEATURES`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Stored")]
+#[serde(try_from = "Stored", into = "Stored")]
 pub struct Appearance {
     /// `3 x FEATURES`, then [`LIGHTS`].
     code: Vec<f32>,
 }
 
-/// An appearance as a file has it, before its numbers are counted.
-#[derive(Deserialize)]
+/// An appearance as a file has it, before its numbers are counted: without lights where there are none.
+#[derive(Serialize, Deserialize)]
 struct Stored {
     code: Vec<f32>,
 }
@@ -44,11 +44,21 @@ impl TryFrom<Stored> for Appearance {
     fn try_from(stored: Stored) -> Result<Self, String> {
         let mut code = stored.code;
         let got = code.len();
-        // From before there were basis lights.
         if got == SHADE {
             code.resize(CODE, 0.0);
         }
-        Self::from_code(code).ok_or_else(|| format!("an appearance has {CODE} finite numbers, got {got}"))
+        Self::from_code(code).ok_or_else(|| format!("an appearance has {SHADE} or {CODE} finite numbers, got {got}"))
+    }
+}
+
+impl From<Appearance> for Stored {
+    fn from(appearance: Appearance) -> Self {
+        let lit = appearance.lights() != [0.0; LIGHTS];
+        let mut code = appearance.code;
+        if !lit {
+            code.truncate(SHADE);
+        }
+        Self { code }
     }
 }
 

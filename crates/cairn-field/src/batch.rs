@@ -45,7 +45,7 @@ pub(crate) struct Shaded {
 }
 
 /// What a tile owes its view's basis lights.
-pub(crate) struct Lit {
+pub(crate) struct OwedLights {
     pub(crate) view: u32,
     pub(crate) lights: [f32; LIGHTS],
 }
@@ -74,7 +74,7 @@ struct Task {
     /// Empty where the scene has no appearances.
     shaded: Vec<Shaded>,
     /// Empty where there are no basis lights.
-    lit: Vec<Lit>,
+    lit: Vec<OwedLights>,
 }
 
 impl Batch {
@@ -111,7 +111,7 @@ impl Batch {
     }
 
     /// What tiles owe their views' lights, in their order; nothing where there are no basis lights.
-    pub(crate) fn lit(&self) -> impl Iterator<Item = &Lit> {
+    pub(crate) fn lit(&self) -> impl Iterator<Item = &OwedLights> {
         self.tasks[..self.used].iter().flat_map(|t| &t.lit)
     }
 
@@ -143,8 +143,8 @@ impl Task {
                 self.ray(s, tile.view, y * width + x, rng.random(), patch);
             }
         }
-        if s.colours == Colours::Lit {
-            self.lit.push(Lit { view: tile.view as u32, lights: patch.owed_lights(s.grid) });
+        if s.colours == Colours::Lit && !s.appearances.is_empty() {
+            self.lit.push(OwedLights { view: tile.view as u32, lights: patch.owed_lights(s.grid) });
         }
         self.broken |= !patch.settle(&mut self.roulette, &mut self.debts);
     }

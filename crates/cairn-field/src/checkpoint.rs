@@ -138,8 +138,9 @@ impl BaseTrainer {
         if (header.light == LightVerdict::Settled) != (trainer.light == LightVerdict::Settled) {
             return refuse(format!("what it says of the light ({:?}) is not what its settings allow", header.light));
         }
-        if header.colours == Colours::Lit && !(trainer.config.basis_lights && header.appearances > 0) {
-            return refuse("it has basis lights where its settings or appearances leave none".into());
+        let differ = matches!(header.light, LightVerdict::Settled | LightVerdict::ManyLights { .. });
+        if header.colours == Colours::Lit && !(trainer.config.basis_lights && differ && header.appearances > 0) {
+            return refuse("it has basis lights where its settings, light or appearances leave none".into());
         }
         let one_light = matches!(header.light, LightVerdict::OneLight { .. });
         let expected = if one_light { 0 } else { trainer.appearances.len() };

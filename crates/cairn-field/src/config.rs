@@ -92,7 +92,7 @@ pub struct FieldConfig {
     pub tile_px: usize,
     /// Per-view appearance.
     pub appearance: AppearanceMode,
-    /// Where photographs differ in light: whether each place's colour may differ by itself
+    /// Where views have appearances of their own (six at least that differ in five ways): whether each place's colour may differ by itself
     /// ([`crate::lights`]), not only all of them by one matrix.
     pub basis_lights: bool,
 }

@@ -17,9 +17,9 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 /// Format of a stored field; another number is refused by name.
-pub const FIELD_FORMAT: &str = "cairn.field/4";
-/// The format before there were basis lights, which is read as well.
-const FORMAT_WITHOUT_LIGHTS: &str = "cairn.field/3";
+pub const FIELD_FORMAT: &str = "cairn.field/3";
+/// Format of one with basis lights, which says what its coefficients stand for.
+pub const LIT_FIELD_FORMAT: &str = "cairn.field/4";
 /// Density (per unit-cube length) below which a cell counts as empty: a step
 /// through it stops less than a ten-thousandth of the light.
 pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
@@ -54,8 +54,9 @@ struct Header {
     format: String,
     frame: SceneFrame,
     dims: [usize; 3],
-    #[serde(default)]
-    colours: Colours,
+    /// Where the format is [`LIT_FIELD_FORMAT`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    colours: Option<Colours>,
     canonical: Appearance,
     appearances: Vec<(String, Appearance)>,
 }
@@ -105,6 +106,11 @@ impl Field {
         change(&mut field.grid.colour[ROW..]);
         assert!(field.grid.colour.iter().all(|v| v.is_finite()), "colours are finite");
         field
+    }
+
+    /// What the coefficients of its colours stand for.
+    pub fn colours(&self) -> Colours {
+        self.colours
     }
 
     /// The frame of the scene.
@@ -183,25 +189,24 @@ impl Field {
                 photograph.height()
             )));
         }
-        let seen = self.each_pixel(camera, [0.0; LIGHTS], Thresholds::SHOWN, |seen| Unlit::of(seen, self.colours));
-        let (mut unlit, mut pixels) = (Vec::with_capacity(h * (w / 2)), Vec::with_capacity(h * (w / 2)));
-        for y in 0..h {
-            for x in 0..w / 2 {
-                unlit.push(seen[y * w + x]);
-                pixels.push(photograph.pixel(x, y));
-            }
-        }
         let seen: Vec<&Appearance> = self.appearances.iter().map(|(_, code)| code).collect();
         let prior = if seen.is_empty() {
             Prior::around(self.canonical.clone())
         } else {
             Prior::of(&seen).ok_or_else(|| stored("field", "its appearances are beyond all bounds".into()))?
         };
-        match self.colours {
-            Colours::Harmonics => prior.fit(&Unlit::features(&unlit), &pixels),
-            Colours::Lit => prior.fit_lit(&unlit, &pixels),
-        }
-        .ok_or_else(|| {
+        let pixels: Vec<[f32; 3]> = (0..w * h).map(|at| photograph.pixel(at % w, at / w)).collect();
+        let (dark, limits) = ([0.0; LIGHTS], Thresholds::SHOWN);
+        let fitted = match self.colours {
+            Colours::Harmonics => {
+                let of = |seen: &Seen<'_>| features(&seen.gathered, &seen.harmonics);
+                prior.fit(&left_half(self.each_pixel(camera, dark, limits, of), w), &left_half(pixels, w))
+            }
+            Colours::Lit => {
+                prior.fit_lit(&left_half(self.each_pixel(camera, dark, limits, Unlit::of), w), &left_half(pixels, w))
+            }
+        };
+        fitted.ok_or_else(|| {
             let why = "its left half has a number that is not finite, or is lit beyond all bounds; import it again";
             FieldError::Views(format!("no light explains the photograph: {why}"))
         })
@@ -215,11 +220,12 @@ impl Field {
     /// # Errors
     /// [`FieldError::Stored`] when it cannot be written out.
     pub fn to_bytes(&self) -> Result<Vec<u8>, FieldError> {
+        let lit = self.colours == Colours::Lit;
         let header = Header {
-            format: FIELD_FORMAT.into(),
+            format: if lit { LIT_FIELD_FORMAT } else { FIELD_FORMAT }.into(),
             frame: self.frame.clone(),
             dims: self.grid.dims,
-            colours: self.colours,
+            colours: lit.then_some(self.colours),
             canonical: self.canonical.clone(),
             appearances: self.appearances.clone(),
         };
@@ -250,13 +256,18 @@ impl Field {
     /// [`FieldError::Stored`] for an unknown format, a damaged file or numbers that are not finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, FieldError> {
         let header: Header = read_header(bytes, "field")?;
-        if ![FIELD_FORMAT, FORMAT_WITHOUT_LIGHTS].contains(&header.format.as_str()) {
-            let why = format!(
-                "format `{}`, this program reads `{FIELD_FORMAT}` and `{FORMAT_WITHOUT_LIGHTS}`",
-                header.format
-            );
-            return Err(stored("field", why));
-        }
+        let colours = match (header.format.as_str(), header.colours) {
+            (FIELD_FORMAT, None) => Colours::Harmonics,
+            (LIT_FIELD_FORMAT, Some(colours)) => colours,
+            (FIELD_FORMAT | LIT_FIELD_FORMAT, colours) => {
+                let why = format!("what its colours stand for ({colours:?}) does not go with `{}`", header.format);
+                return Err(stored("field", why));
+            }
+            (other, _) => {
+                let why = format!("format `{other}`, this program reads `{FIELD_FORMAT}` and `{LIT_FIELD_FORMAT}`");
+                return Err(stored("field", why));
+            }
+        };
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("field", e.to_string()))?;
         let vertex = read_u32(&file, "vertex")?;
         let raw = read_f32(&file, "density")?;
@@ -281,8 +292,13 @@ impl Field {
         if !(grid.raw.iter().all(|v| v.is_finite()) && grid.colour.iter().all(|v| v.is_finite())) {
             return Err(stored("field", "it holds numbers that are not finite".into()));
         }
-        Ok(Self::new(header.frame, (grid, header.colours), header.canonical, header.appearances))
+        Ok(Self::new(header.frame, (grid, colours), header.canonical, header.appearances))
     }
+}
+
+/// The left halves of rows of `width`.
+fn left_half<P: Copy>(all: Vec<P>, width: usize) -> Vec<P> {
+    all.chunks_exact(width).flat_map(|row| &row[..width / 2]).copied().collect()
 }
 
 /// `camera`'s picture of these colours.

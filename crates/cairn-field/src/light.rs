@@ -90,6 +90,7 @@ impl BaseTrainer {
             // The moments are those of codes that were held back.
             self.appearance_adam = Adam::zero(codes.len() * CODE);
             self.appearances = codes;
+            self.begin_lights();
         }
     }
 

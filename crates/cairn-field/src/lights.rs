@@ -49,20 +49,26 @@ impl Colours {
 const NEAR: usize = 12;
 /// Standard deviation of the lights that views begin with.
 const SPREAD: f64 = 0.3;
+/// Learning rate of their coefficients, a share of the constant ones'; three times as much gave the same.
+pub(crate) const LIGHTS_RATE: f32 = 0.2;
 /// Rounds of power iteration; where two components are as large, either will do.
 const ROUNDS: usize = 100;
 
 impl BaseTrainer {
-    /// Begins to tell basis lights apart: views begin with mixtures by what tells their appearances apart most
+    /// Begins to tell basis lights apart, where settings ask for it and there are views that differ in as many ways: views begin with mixtures by what tells their appearances apart most
     /// (principal components), and vertices with none of any light.
     pub(crate) fn begin_lights(&mut self) {
+        if !(self.config.basis_lights && self.has_appearance()) {
+            return;
+        }
+        let number = |a: &Appearance, k: usize| f64::from(a.code()[k / 4 * FEATURES + k % 4]);
+        let near = self.appearances.iter().map(|a| std::array::from_fn(|k| number(a, k))).collect();
+        let Some(mixtures) = components(near) else { return };
         self.colours = Colours::Lit;
         for row in self.grid.colour.chunks_exact_mut(ROW) {
             row[3 * FIRST..3 * SH].fill(0.0);
         }
-        let number = |a: &Appearance, k: usize| f64::from(a.code()[k / 4 * FEATURES + k % 4]);
-        let near = self.appearances.iter().map(|a| std::array::from_fn(|k| number(a, k))).collect();
-        for (appearance, lights) in self.appearances.iter_mut().zip(components(near)) {
+        for (appearance, lights) in self.appearances.iter_mut().zip(mixtures) {
             let code = &mut appearance.code_mut()[SHADE..];
             code.iter_mut().zip(lights).for_each(|(v, light)| *v = (SPREAD * light) as f32);
         }
@@ -70,8 +76,9 @@ impl BaseTrainer {
 }
 
 /// How much each of some vectors has of their first principal components: of variance 1 each, and within three
-/// deviations, so that one odd photograph does not get a light of its own. All zero where vectors do not differ.
-fn components(mut of: Vec<[f64; NEAR]>) -> Vec<[f64; LIGHTS]> {
+/// deviations, so that one odd photograph does not get a light of its own. `None` where they do not differ in as many
+/// ways: a light that is nowhere, of vertices that send nothing under it, has no gradient and never begins.
+fn components(mut of: Vec<[f64; NEAR]>) -> Option<Vec<[f64; LIGHTS]>> {
     let n = of.len().max(1) as f64;
     let mean: [f64; NEAR] = std::array::from_fn(|k| of.iter().map(|v| v[k]).sum::<f64>() / n);
     of.iter_mut().flatten().zip(mean.iter().cycle()).for_each(|(v, m)| *v -= m);
@@ -80,13 +87,16 @@ fn components(mut of: Vec<[f64; NEAR]>) -> Vec<[f64; LIGHTS]> {
         let axis = first_component(&of);
         let scores: Vec<f64> = of.iter().map(|v| dot(v, &axis)).collect();
         let deviation = (scores.iter().map(|s| s * s).sum::<f64>() / n).sqrt();
+        if !(deviation > LEAST) {
+            return None;
+        }
         for ((found, v), score) in found.iter_mut().zip(&mut of).zip(scores) {
-            found[light] = if deviation > LEAST { (score / deviation).clamp(-3.0, 3.0) } else { 0.0 };
+            found[light] = (score / deviation).clamp(-3.0, 3.0);
             // The next component is that of what is left.
             v.iter_mut().zip(axis).for_each(|(v, a)| *v -= score * a);
         }
     }
-    found
+    Some(found)
 }
 
 /// A deviation that is rounding.
@@ -119,37 +129,55 @@ fn dot(a: &[f64; NEAR], b: &[f64; NEAR]) -> f64 {
 mod tests {
     use super::*;
 
-    #[test]
-    fn components_are_what_vectors_differ_by_most() {
-        // Two independent ways to differ, one three times as strong, along skew axes.
-        let (a, b): ([f64; NEAR], [f64; NEAR]) =
-            (std::array::from_fn(|k| (k as f64).sin()), std::array::from_fn(|k| (1.0 + 2.3 * k as f64).cos()));
-        let way = |n: usize| ((n as f64 * 0.9).sin(), (n as f64 * 1.7).sin());
-        let of: Vec<[f64; NEAR]> =
-            (0..80).map(|n| std::array::from_fn(|k| 5.0 + 0.3 * way(n).0 * a[k] + 0.05 * way(n).1 * b[k])).collect();
-        let found = components(of);
-        let correlation = |light: usize, of: &dyn Fn(usize) -> f64| {
-            let pairs = || (0..80).map(|n| (found[n][light], of(n)));
-            let sum = |f: &dyn Fn((f64, f64)) -> f64| pairs().map(f).sum::<f64>();
-            sum(&|(x, y)| x * y) / (sum(&|(x, _)| x * x) * sum(&|(_, y)| y * y)).sqrt()
-        };
-        assert!(correlation(0, &|n| way(n).0).abs() > 0.99, "{}", correlation(0, &|n| way(n).0));
-        assert!(correlation(1, &|n| way(n).1).abs() > 0.95, "{}", correlation(1, &|n| way(n).1));
-        for light in 0..2 {
-            let square = found.iter().map(|f| f[light] * f[light]).sum::<f64>() / 80.0;
-            assert!((square - 1.0).abs() < 1e-6, "light {light}: {square}");
-        }
-        // There are but two.
-        assert!(found.iter().all(|f| f[2..] == [0.0; 3]), "{:?}", found[0]);
+    /// Vectors that differ in some independent ways, each half as strong as the one before.
+    fn differing(ways: usize) -> Vec<[f64; NEAR]> {
+        let axis = |way: usize, k: usize| ((1 + way) as f64 * 1.3 * (k as f64 + 0.5)).sin();
+        let size = |way: usize, n: usize| 0.3 * 0.5f64.powi(way as i32) * (n as f64 * (0.9 + 0.37 * way as f64)).sin();
+        let number = |n: usize, k: usize| 5.0 + (0..ways).map(|way| size(way, n) * axis(way, k)).sum::<f64>();
+        (0..80).map(|n| std::array::from_fn(|k| number(n, k))).collect()
     }
 
     #[test]
-    fn what_does_not_differ_has_no_light() {
-        assert_eq!(components(vec![[0.4; NEAR]; 7]), vec![[0.0; LIGHTS]; 7]);
-        assert!(components(Vec::new()).is_empty());
-        // One odd photograph among many stays within three deviations.
-        let mut odd = vec![[0.4; NEAR]; 60];
-        odd[17] = [9.0; NEAR];
-        assert!(components(odd).iter().flatten().all(|v| v.abs() <= 3.0));
+    fn components_are_unlike_one_another_and_tell_vectors_apart() {
+        let of = differing(7);
+        let found = components(of.clone()).expect("seven ways to differ");
+        let product = |a: usize, b: usize| found.iter().map(|f| f[a] * f[b]).sum::<f64>() / 80.0;
+        for light in 0..LIGHTS {
+            assert!((product(light, light) - 1.0).abs() < 0.02, "light {light}: {}", product(light, light));
+            assert!((0..light).all(|other| product(light, other).abs() < 0.05), "light {light} is like another");
+        }
+        // The strongest is the one that says most of the vectors: more than any number of them by itself.
+        let told = |score: &dyn Fn(usize) -> f64| {
+            let all = (0..NEAR).map(|k| {
+                let mean = of.iter().map(|v| v[k]).sum::<f64>() / 80.0;
+                let along = (0..80).map(|n| (of[n][k] - mean) * score(n)).sum::<f64>();
+                along * along / (0..80).map(|n| score(n) * score(n)).sum::<f64>()
+            });
+            all.sum::<f64>()
+        };
+        let best = told(&|n| found[n][0]);
+        for k in 0..NEAR {
+            let mean = of.iter().map(|v| v[k]).sum::<f64>() / 80.0;
+            assert!(told(&|n| of[n][k] - mean) <= best * (1.0 + 1e-3), "number {k} tells more");
+        }
+    }
+
+    #[test]
+    fn lights_begin_only_where_views_differ_in_as_many_ways() {
+        assert!(components(differing(LIGHTS)).is_some());
+        for ways in 0..LIGHTS {
+            assert!(components(differing(ways)).is_none(), "{ways} ways");
+        }
+        assert!(components(differing(7)[..LIGHTS].to_vec()).is_none(), "five views differ in four ways");
+        assert!(components(Vec::new()).is_none());
+    }
+
+    #[test]
+    fn one_odd_photograph_gets_no_light_of_its_own() {
+        let mut of = differing(7);
+        of[17] = [90.0; NEAR];
+        let found = components(of).expect("eight ways to differ");
+        assert_eq!(found[17][0].abs(), 3.0);
+        assert!(found.iter().flatten().all(|v| v.abs() <= 3.0));
     }
 }

@@ -4,32 +4,29 @@
 //! code found last (Gauss and Newton's method).
 
 use crate::appearance::{Appearance, CODE, FEATURES, SHADE, features};
-use crate::lights::{Colours, LIGHTS};
-use crate::picture::{Lit, Seen};
+use crate::lights::LIGHTS;
+use crate::picture::{PerLight, Seen};
 use crate::prior::{Prior, factor, solve};
+use rayon::prelude::*;
 
 /// Steps at most; on photographs three or four are enough.
 const MOST_STEPS: usize = 12;
 /// A step that gains a smaller share is the last.
-const ENOUGH: f64 = 1e-9;
+const ENOUGH: f64 = 1e-7;
+/// Pixels whose sums are worked out together: sums come in one order, whatever the threads.
+const PIECE: usize = 4096;
 
 /// A pixel under none of the basis lights, and what a unit of each adds.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Unlit {
     features: [f32; FEATURES],
-    lit: Lit,
+    lit: PerLight,
 }
 
 impl Unlit {
-    /// The pixel that was `seen` under no basis light, in a field whose coefficients stand for `colours`.
-    pub(crate) fn of(seen: &Seen<'_>, colours: Colours) -> Self {
-        let lit = if colours == Colours::Lit { seen.lit() } else { Lit::default() };
-        Self { features: features(&seen.gathered, &seen.harmonics), lit }
-    }
-
-    /// The features of some, under no light.
-    pub(crate) fn features(all: &[Self]) -> Vec<[f32; FEATURES]> {
-        all.iter().map(|unlit| unlit.features).collect()
+    /// The pixel that was `seen` under no basis light.
+    pub(crate) fn of(seen: &Seen<'_>) -> Self {
+        Self { features: features(&seen.gathered, &seen.harmonics), lit: seen.per_light() }
     }
 
     /// The pixel's features under these lights.
@@ -61,17 +58,30 @@ impl<'a> Normal<'a> {
     /// About `code`, of `pixels` pixels and what `prior` says of codes.
     pub(crate) fn at(prior: &Prior, code: &'a [f64], pixels: usize) -> Self {
         let off: Vec<f64> = code.iter().zip(prior.mean.code()).map(|(v, m)| v - f64::from(*m)).collect();
+        let right = prior.precision.chunks_exact(CODE).map(|row| -dot(row, &off)).collect();
+        Self { matrix: prior.precision.clone(), right, ..Self::nothing(code, pixels) }
+    }
+
+    /// About `code`, of `pixels` pixels and nothing else.
+    fn nothing(code: &'a [f64], pixels: usize) -> Self {
         Self {
             code,
             share: 1.0 / pixels.max(1) as f64,
-            matrix: prior.precision.clone(),
-            right: prior.precision.chunks_exact(CODE).map(|row| -dot(row, &off)).collect(),
+            matrix: vec![0.0; CODE * CODE],
+            right: vec![0.0; CODE],
             gram: [[0.0; FEATURES]; FEATURES],
         }
     }
 
+    /// Adds what `other`, about the same code, has.
+    fn take(&mut self, other: &Self) {
+        let mine = self.matrix.iter_mut().chain(&mut self.right).chain(self.gram.as_flattened_mut());
+        let theirs = other.matrix.iter().chain(&other.right).chain(other.gram.as_flattened());
+        mine.zip(theirs).for_each(|(sum, v)| *sum += v);
+    }
+
     /// Adds a pixel that shows the features `f`; `lit` is what a unit of each light adds to it.
-    pub(crate) fn add(&mut self, f: &[f64; FEATURES], lit: Option<&Lit>, pixel: &[f32; 3]) {
+    pub(crate) fn add(&mut self, f: &[f64; FEATURES], lit: Option<&PerLight>, pixel: &[f32; 3]) {
         for (a, row) in self.gram.iter_mut().enumerate() {
             for b in 0..=a {
                 row[b] += self.share * f[a] * f[b];
@@ -118,7 +128,7 @@ impl Prior {
         let mut code: Vec<f64> = self.mean.code().iter().map(|v| f64::from(*v)).collect();
         let mut cost = self.cost(&code, unlit, pixels);
         for _ in 0..MOST_STEPS {
-            let step = self.newton(&code, unlit, pixels)?;
+            let Some(step) = self.newton(&code, unlit, pixels) else { break };
             let along = |share: f64| -> Vec<f64> { code.iter().zip(&step).map(|(v, by)| v + share * by).collect() };
             let shares = (0..10).map(|n| 0.5f64.powi(n));
             let tried = shares.map(along).map(|next| (self.cost(&next, unlit, pixels), next));
@@ -139,7 +149,9 @@ impl Prior {
             let channel = |c: usize| f64::from(pixel[c]) - dot(&code[c * FEATURES..][..FEATURES], &f);
             (0..3).map(|c| channel(c).powi(2)).sum()
         };
-        let told = unlit.iter().zip(pixels).map(error).sum::<f64>() / unlit.len().max(1) as f64;
+        let pieces = unlit.par_chunks(PIECE).zip(pixels.par_chunks(PIECE));
+        let sums: Vec<f64> = pieces.map(|(unlit, pixels)| unlit.iter().zip(pixels).map(error).sum()).collect();
+        let told = sums.into_iter().sum::<f64>() / unlit.len().max(1) as f64;
         let off: Vec<f64> = code.iter().zip(self.mean.code()).map(|(v, m)| v - f64::from(*m)).collect();
         told + self.precision.chunks_exact(CODE).zip(&off).map(|(row, a)| a * dot(row, &off)).sum::<f64>()
     }
@@ -147,9 +159,17 @@ impl Prior {
     /// Gauss and Newton's step from `code`.
     fn newton(&self, code: &[f64], unlit: &[Unlit], pixels: &[[f32; 3]]) -> Option<Vec<f64>> {
         let mut normal = Normal::at(self, code, unlit.len());
-        for (unlit, pixel) in unlit.iter().zip(pixels) {
-            normal.add(&unlit.under(&code[SHADE..]), Some(&unlit.lit), pixel);
-        }
+        let pieces = unlit.par_chunks(PIECE).zip(pixels.par_chunks(PIECE));
+        let sums: Vec<Normal<'_>> = pieces
+            .map(|(some, pixels)| {
+                let mut sum = Normal::nothing(code, unlit.len());
+                for (unlit, pixel) in some.iter().zip(pixels) {
+                    sum.add(&unlit.under(&code[SHADE..]), Some(&unlit.lit), pixel);
+                }
+                sum
+            })
+            .collect();
+        sums.iter().for_each(|sum| normal.take(sum));
         normal.step()
     }
 }
@@ -184,7 +204,8 @@ mod tests {
     fn a_fit_finds_the_lights_and_the_code_that_made_the_pixels() {
         let neutral = Appearance::neutral([0.3; 3]);
         let truth = code(|k| neutral.code()[k] + 0.3 * (k as f32 * 0.7).sin());
-        let (unlit, pixels) = pixels_of(&truth, 900);
+        // More than one piece.
+        let (unlit, pixels) = pixels_of(&truth, 5000);
         let found = Prior::around(neutral.clone()).fit_lit(&unlit, &pixels).unwrap();
         let off = |k: usize| (found.code()[k] - truth.code()[k]).abs();
         // The prior's share is some thousandths of what pixels say.
@@ -207,10 +228,11 @@ mod tests {
     fn lights_that_show_nothing_change_nothing() {
         let truth = code(|k| 0.3 * (k as f32 * 0.7).sin());
         let (mut unlit, _) = pixels_of(&truth, 400);
-        unlit.iter_mut().for_each(|u| u.lit = Lit::default());
+        unlit.iter_mut().for_each(|u| u.lit = PerLight::default());
         let pixels: Vec<[f32; 3]> = unlit.iter().map(|u| truth.shade(&u.features)).collect();
+        let features: Vec<[f32; FEATURES]> = unlit.iter().map(|u| u.features).collect();
         let prior = Prior::around(Appearance::neutral([0.3; 3]));
-        let (lit, plain) = (prior.fit_lit(&unlit, &pixels), prior.fit(&Unlit::features(&unlit), &pixels));
+        let (lit, plain) = (prior.fit_lit(&unlit, &pixels), prior.fit(&features, &pixels));
         let (lit, plain) = (lit.unwrap(), plain.unwrap());
         assert!(lit.code().iter().zip(plain.code()).all(|(a, b)| (a - b).abs() < 1e-5));
         assert_eq!(lit.lights(), [0.0; LIGHTS]);

@@ -10,7 +10,7 @@ use crate::appearance::{Appearance, FEATURES, features};
 use crate::composite::Thresholds;
 use crate::field::Field;
 use crate::lights::{Colours, LIGHTS};
-use crate::picture::{Lit, Seen, Tiling};
+use crate::picture::{PerLight, Seen, Tiling};
 use crate::rays::Lens;
 use crate::real::Real;
 use crate::sh::{SH, SH_DC};
@@ -26,7 +26,7 @@ const FAR: u32 = 1 << 31;
 pub enum CarrierBasis {
     /// One coefficient a channel, the same from everywhere.
     Constant,
-    /// Nine a channel: the field's own spherical harmonics.
+    /// Nine a channel: what the field's own stand for ([`Colours`]).
     Harmonics,
 }
 
@@ -78,7 +78,7 @@ pub struct LinearView {
     /// The base field's features a pixel, for shading it by any appearance.
     features: Vec<[f32; FEATURES]>,
     /// What basis lights add, a pixel; empty where there are none.
-    lit: Vec<Lit>,
+    lit: Vec<PerLight>,
 }
 
 impl MarkableField for Field {
@@ -140,7 +140,7 @@ impl MarkableField for Field {
 struct Pixel {
     features: [f32; FEATURES],
     harmonics: [f32; SH],
-    lit: Lit,
+    lit: PerLight,
     entries: Vec<(u32, f32)>,
 }
 
@@ -155,7 +155,7 @@ impl Pixel {
     fn add(&mut self, seen: &Seen<'_>, cutoff: f32, colours: Colours) {
         if colours == Colours::Lit {
             let sums = self.lit.as_flattened_mut().iter_mut();
-            sums.zip(seen.lit().as_flattened()).for_each(|(sum, v)| *sum += v);
+            sums.zip(seen.per_light().as_flattened()).for_each(|(sum, v)| *sum += v);
         }
         seen.each_vertex(|row, weight, far| {
             if row != 0 && weight >= cutoff {
@@ -231,8 +231,8 @@ impl LinearView {
     pub fn apply(&self, carrier: &[f32], basis: CarrierBasis, appearance: &Appearance, picture: &mut [f32]) {
         assert_eq!(picture.len(), self.width * self.height * 3, "a picture of this view's size");
         let (near_matrix, far_matrix) = (appearance.near_matrix(), appearance.far_matrix());
-        let along = |pixel: usize| self.colours.weights(&self.harmonics[pixel], &appearance.lights());
         picture.par_chunks_exact_mut(3).with_min_len(512).enumerate().for_each(|(pixel, out)| {
+            let along = self.colours.weights(&self.harmonics[pixel], &appearance.lights());
             let mut sums = [[0.0f32; 3]; 2];
             for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
                 let sum = &mut sums[usize::from(row & FAR != 0)];
@@ -247,7 +247,7 @@ impl LinearView {
                     CarrierBasis::Harmonics => {
                         let c = &carrier[at * 3 * SH..(at + 1) * 3 * SH];
                         for k in 0..3 {
-                            let dot: f32 = c[k * SH..(k + 1) * SH].iter().zip(&along(pixel)).map(|(a, b)| a * b).sum();
+                            let dot: f32 = c[k * SH..(k + 1) * SH].iter().zip(&along).map(|(a, b)| a * b).sum();
                             sum[k] += weight * dot;
                         }
                     }

@@ -11,6 +11,7 @@
 //! the same quality a step. Total variation is added to the touched rows' gradients first.
 
 use crate::grid::{Grid, ROW};
+use crate::lights::FIRST;
 use crate::memory::zeros;
 use crate::patch::{Debt, Debts};
 use crate::sh::SH;
@@ -83,6 +84,8 @@ pub(crate) struct Rates {
     pub(crate) density: f32,
     pub(crate) colour: f32,
     pub(crate) view_dependence: f32,
+    /// Rate of the coefficients that basis lights may have, a share of the constant ones'.
+    pub(crate) lights: f32,
     pub(crate) smooth_density: f32,
     pub(crate) smooth_colour: f32,
 }
@@ -171,9 +174,12 @@ impl Share<'_> {
         for k in 0..3 {
             colour[k] -= step * g[k];
         }
-        let step = step * rates.view_dependence;
-        for k in 3..ROW - 1 {
-            colour[k] -= step * g[k];
+        let (harmonics, lights) = (step * rates.view_dependence, step * rates.lights);
+        for k in 3..3 * FIRST {
+            colour[k] -= harmonics * g[k];
+        }
+        for k in 3 * FIRST..ROW - 1 {
+            colour[k] -= lights * g[k];
         }
     }
 }

@@ -71,7 +71,7 @@ impl Seen<'_> {
 
 impl Seen<'_> {
     /// What the pixel gathers more for one unit of each basis light: near and far colour.
-    pub(crate) fn lit(&self) -> Lit {
+    pub(crate) fn per_light(&self) -> PerLight {
         let mut lit = [[0.0; 6]; LIGHTS];
         self.each_vertex(|row, weight, far| {
             let coefficients = self.grid.row(row as u32)[3 * FIRST..].chunks_exact(3);
@@ -85,7 +85,7 @@ impl Seen<'_> {
 }
 
 /// What a pixel gathers more for one unit of each basis light: near colour, then far.
-pub(crate) type Lit = [[f32; 6]; LIGHTS];
+pub(crate) type PerLight = [[f32; 6]; LIGHTS];
 
 impl Field {
     /// What `pixel` makes of every pixel of `camera`, row-major.

@@ -120,6 +120,8 @@ pub(crate) fn solve(l: &[f64], x: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::appearance::SHADE;
+    use crate::lights::LIGHTS;
 
     fn pixels_of(truth: &Appearance, count: usize, active: usize) -> (Vec<[f32; FEATURES]>, Vec<[f32; 3]>) {
         let features: Vec<[f32; FEATURES]> = (0..count)
@@ -145,8 +147,10 @@ mod tests {
         let truth = code(|i| 0.3 * (i as f32 * 0.7).sin());
         let (features, pixels) = pixels_of(&truth, 400, FEATURES);
         let found = Prior::around(Appearance::neutral([0.0; 3])).fit(&features, &pixels).unwrap();
-        // A feature's mean square is a half, and the prior's share a thousandth.
-        assert!(distance(&found, &truth) < 5e-3, "{}", distance(&found, &truth));
+        // A feature's mean square is a half, and the prior's share a thousandth. Pixels here show no lights.
+        let off = |k: usize| (found.code()[k] - truth.code()[k]).abs();
+        assert!((0..SHADE).all(|k| off(k) < 5e-3), "{}", distance(&found, &truth));
+        assert_eq!(found.lights(), [0.0; LIGHTS]);
         // And it is where the sum to be minimised has no slope.
         let slope = |k: usize| {
             let (c, a) = (k / FEATURES, k % FEATURES);
@@ -155,7 +159,7 @@ mod tests {
             let mean = Appearance::neutral([0.0; 3]);
             told + NOISE / VARIANCE * f64::from(found.code()[k] - mean.code()[k])
         };
-        assert!((0..CODE).all(|k| slope(k).abs() < 1e-6));
+        assert!((0..SHADE).all(|k| slope(k).abs() < 1e-6));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::field::{Field, empty_density};
 use crate::frame::SceneFrame;
 use crate::grid::{DENSITY_SCALE, Grid, raw_of};
 use crate::light::LightVerdict;
-use crate::lights::Colours;
+use crate::lights::{Colours, LIGHTS_RATE};
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
 use crate::resolution::{dims_of_level, finest, level_end, tile_side};
@@ -200,6 +200,11 @@ impl BaseTrainer {
         (self.grid.rows() - 1, self.grid.dims)
     }
 
+    /// Whether views have mixtures of basis lights ([`crate::lights`]), as far as that is decided.
+    pub fn has_basis_lights(&self) -> bool {
+        self.colours == Colours::Lit
+    }
+
     /// Takes one step. After the last one, does nothing but report.
     ///
     /// # Errors
@@ -249,10 +254,12 @@ impl BaseTrainer {
         }
         let decay = self.config.final_rate.powf(progress) as f32;
         let smoothing = self.smoothing();
+        let view_dependence = (self.config.view_dependence / self.spacing.smoothing) as f32;
         let rates = Rates {
             density: self.config.learning_rate_density as f32 * decay,
             colour: self.config.learning_rate_colour as f32 * decay,
-            view_dependence: (self.config.view_dependence / self.spacing.smoothing) as f32,
+            view_dependence,
+            lights: if self.has_basis_lights() { LIGHTS_RATE } else { view_dependence },
             smooth_density: (self.config.smooth_density * smoothing) as f32,
             smooth_colour: (self.config.smooth_colour * smoothing) as f32,
         };
@@ -343,8 +350,7 @@ impl BaseTrainer {
             if self.light == LightVerdict::Open && since.is_multiple_of((self.config.steps / 16).max(1)) {
                 self.look_at_light();
             }
-            let settled = self.light != LightVerdict::Open && self.has_appearance();
-            if settled && self.config.basis_lights && self.colours == Colours::Harmonics {
+            if self.light == LightVerdict::Settled && since == 0 {
                 self.begin_lights();
             }
         }

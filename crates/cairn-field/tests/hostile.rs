@@ -113,7 +113,7 @@ fn unknown_formats_are_refused_by_name() {
     let grid = random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1);
     let header = |change: &dyn Fn(&mut serde_json::Value)| {
         let mut header = serde_json::json!({
-            "format": "cairn.field/4", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
+            "format": "cairn.field/3", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
         });
         change(&mut header);
         Field::from_bytes(&stored_with(&header, &grid)).err().map(|e| e.to_string())
@@ -129,7 +129,19 @@ fn unknown_formats_are_refused_by_name() {
         assert!(text.contains("field"), "{dims:?}: {text}");
     }
     let text = header(&|h| h["canonical"]["code"] = vec![1.0; 5].into()).expect("an error");
-    assert!(text.contains("56") && text.contains('5'), "{text}");
+    assert!(text.contains("51 or 56") && text.contains("got 5"), "{text}");
+    // What coefficients stand for goes with one format only.
+    for (format, colours) in [("cairn.field/3", "lit"), ("cairn.field/4", "")] {
+        let text = header(&|h| {
+            h["format"] = format.into();
+            if !colours.is_empty() {
+                h["colours"] = colours.into();
+            }
+        });
+        assert!(text.as_ref().is_some_and(|t| t.contains(format)), "{text:?}");
+    }
+    let text = header(&|h| (h["format"], h["colours"]) = ("cairn.field/4".into(), "dark".into()));
+    assert!(text.is_some_and(|t| t.contains("dark")));
 }
 
 #[test]
@@ -253,6 +265,14 @@ fn checkpoints_that_do_not_fit_are_refused() {
     assert_eq!(resume(&bytes_of_off), None);
     let open = altered(&bytes_of_off, |h| h["light"] = "open".into(), "", None);
     assert!(resume(&open).expect("an error").contains("light"), "these settle it");
+    for asked in [false, true] {
+        let change = |h: &mut serde_json::Value| {
+            h["colours"] = "lit".into();
+            h["config"]["basis_lights"] = asked.into();
+        };
+        let text = resume(&altered(&bytes, change, "", None)).expect("an error");
+        assert!(text.contains("basis lights"), "they begin when the light is known: {text}");
+    }
     for key in ["step", "adam_steps", "appearance_steps", "drawn"] {
         let text = resume(&altered(&bytes, |h| h[key] = u64::MAX.into(), "", None)).expect("an error");
         assert!(text.contains("steps"), "{key}: {text}");

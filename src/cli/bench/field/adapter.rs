@@ -53,10 +53,10 @@ pub fn render_exact(field: &Field, camera: &Camera, appearance: &Appearance, ste
     let (mut tape, mut patch) = (Vec::new(), Patch::default());
     let mut pixel = |at: usize| {
         let (origin, direction) = camera.ray((at % w) as f64 + 0.5, (at / w) as f64 + 0.5);
-        let basis = sh::basis(direction.to_array());
-        patch.begin(basis);
+        let harmonics = sh::basis(direction.to_array());
+        patch.begin(field.colours().weights(&harmonics, &appearance.lights()));
         let gathered = gather(&grid, &mut patch, &field.frame().path(origin, direction), 0.5, limits, &mut tape);
-        appearance.shade(&features(&gathered, &basis))
+        appearance.shade(&features(&gathered, &harmonics))
     };
     (0..w * h).flat_map(&mut pixel).collect()
 }
