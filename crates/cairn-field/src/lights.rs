@@ -87,7 +87,7 @@ fn components(mut of: Vec<[f64; NEAR]>) -> Option<Vec<[f64; LIGHTS]>> {
         let axis = first_component(&of);
         let scores: Vec<f64> = of.iter().map(|v| dot(v, &axis)).collect();
         let deviation = (scores.iter().map(|s| s * s).sum::<f64>() / n).sqrt();
-        if !(deviation > LEAST) {
+        if deviation.is_nan() || deviation <= LEAST {
             return None;
         }
         for ((found, v), score) in found.iter_mut().zip(&mut of).zip(scores) {
