@@ -55,8 +55,9 @@ pub(crate) const LIGHTS_RATE: f32 = 0.2;
 const ROUNDS: usize = 100;
 
 impl BaseTrainer {
-    /// Begins to tell basis lights apart, where settings ask for it and there are views that differ in as many ways: views begin with mixtures by what tells their appearances apart most
-    /// (principal components), and vertices with none of any light.
+    /// Begins to tell basis lights apart, where settings ask for it and views differ in as many ways: views begin
+    /// with mixtures by what tells their appearances apart most (principal components), and vertices with none
+    /// of any light.
     pub(crate) fn begin_lights(&mut self) {
         if !(self.config.basis_lights && self.has_appearance()) {
             return;

@@ -9,7 +9,7 @@ use crate::picture::{PerLight, Seen};
 use crate::prior::{Prior, factor, solve};
 use rayon::prelude::*;
 
-/// Steps at most; on photographs three or four are enough.
+/// Steps at most.
 const MOST_STEPS: usize = 12;
 /// A step that gains a smaller share is the last.
 const ENOUGH: f64 = 1e-7;

@@ -270,7 +270,7 @@ fn suns_from_all_sides_need_basis_lights() {
     for seed in 1..=3 {
         let (with, without) = (errors(true, seed), errors(false, seed));
         println!("seed {seed}: {with:?} with basis lights, {without:?} without");
-        assert!(with.0 < 0.8 * without.0 && with.1 < 0.95 * without.1, "seed {seed}: {with:?} for {without:?}");
+        assert!(with.0 < 0.8 * without.0 && with.1 < 0.9 * without.1, "seed {seed}: {with:?} for {without:?}");
     }
 }
 
