@@ -141,11 +141,11 @@ impl MarkTrainer {
     }
 
     /// What happens to a picture of this step that was never marked: a JPEG also where marks are not
-    /// trained to outlast anything. One may be lost there, but none may be found: blocks and ringing
+    /// trained to outlast one. One may be lost there, but none may be found: blocks and ringing
     /// edges look most like a mark. Nothing else: what a mark outlasts by itself must not speak against it.
     pub(crate) fn attack_on_unmarked(&self, rng: &mut ChaCha8Rng) -> Attack {
         let robust = &self.config.robust;
-        match robust.enabled || !self.joined || rng.random_bool(1.0 - JPEGS) {
+        match robust.has_jpegs() || !self.joined || rng.random_bool(1.0 - JPEGS) {
             true => self.attack(rng),
             false => Attack::jpeg(robust, rng),
         }

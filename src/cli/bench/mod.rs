@@ -71,6 +71,9 @@ pub struct Args {
     /// `mark` and `baseline`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     cases: Vec<field::Name>,
+    /// Train this row only, by its name in the ledger; may be given several times (suite `ablation`)
+    #[arg(long = "row", value_name = "NAME")]
+    rows: Vec<String>,
     /// Also train for twice the configured steps (suite `field`); measure the log of ten million records, alone (suite
     /// `registry`: a quarter of an hour to grow it)
     #[arg(long)]

@@ -44,7 +44,7 @@ impl Default for RobustConfig {
             enabled: false,
             share: 0.7,
             native_px: 512,
-            jpeg_quality: 25,
+            jpeg_quality: LOWEST_QUALITY,
             blur_px: 2.5,
             noise: 0.12,
             light: 0.25,
@@ -58,6 +58,14 @@ impl Default for RobustConfig {
 const ODDS: f64 = 0.35;
 /// One attack in so many has all of them.
 const ONE_IN_ALL: u32 = 8;
+
+/// JPEGs of unmarked pictures go down to this quality where none of marked ones is trained on.
+const LOWEST_QUALITY: u8 = 25;
+
+/// Any quality from 100 down to `lowest`.
+fn drawn_quality(lowest: u8, rng: &mut ChaCha8Rng) -> u8 {
+    100 - (rng.random_range(0.0f32..=1.0) * f32::from(100 - lowest)) as u8
+}
 
 impl RobustConfig {
     /// Checks every range.
@@ -85,8 +93,13 @@ impl RobustConfig {
         Ok(())
     }
 
+    /// Whether marks are trained to outlast a JPEG.
+    pub(crate) fn has_jpegs(&self) -> bool {
+        self.enabled && self.jpeg_quality < 100
+    }
+
     fn quality(&self, rng: &mut ChaCha8Rng) -> u8 {
-        100 - (rng.random_range(0.0f32..=1.0) * f32::from(100 - self.jpeg_quality)) as u8
+        drawn_quality(self.jpeg_quality, rng)
     }
 
     /// Distortions in the order that pictures meet them, each with a drawn strength, in
@@ -165,10 +178,12 @@ impl Attack {
         Self { steps: vec![(step, rng.random())], native_px: config.native_px as f32 }
     }
 
-    /// A JPEG of any quality down to the settings' limit.
+    /// A JPEG of any quality down to the settings' limit, or where that leaves JPEGs out down to
+    /// [`LOWEST_QUALITY`].
     pub(crate) fn jpeg(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
         let native_px = config.native_px as f32 * rng.random_range(0.7f32..1.4);
-        Self { steps: vec![(Distortion::Jpeg { quality: config.quality(rng) }, 0)], native_px }
+        let lowest = if config.jpeg_quality < 100 { config.jpeg_quality } else { LOWEST_QUALITY };
+        Self { steps: vec![(Distortion::Jpeg { quality: drawn_quality(lowest, rng) }, 0)], native_px }
     }
 
     /// Does it to a picture of `size` = [width, height] with numbers in [0, 1].
@@ -216,5 +231,39 @@ impl Attacked {
             Back::Stretch(stretch) => stretch.transpose(&slope),
             Back::Shrink(filter) => filter.transpose(&slope),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+
+    /// Lowest and highest quality of many JPEGs that unmarked pictures come as.
+    fn qualities(config: &RobustConfig) -> (u8, u8) {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let quality = |attack: Attack| match attack.steps[..] {
+            [(Distortion::Jpeg { quality }, _)] => quality,
+            _ => panic!("another attack"),
+        };
+        let drawn: Vec<u8> = (0..200).map(|_| quality(Attack::jpeg(config, &mut rng))).collect();
+        (*drawn.iter().min().unwrap(), *drawn.iter().max().unwrap())
+    }
+
+    #[test]
+    fn jpegs_are_shown_unmarked_where_marks_are_trained_for_everything_but_jpegs() {
+        let off = RobustConfig::default();
+        let turned = RobustConfig { enabled: true, jpeg_quality: 100, ..RobustConfig::default() };
+        let all = RobustConfig { enabled: true, jpeg_quality: 60, ..RobustConfig::default() };
+        assert_eq!([&off, &turned, &all].map(RobustConfig::has_jpegs), [false, false, true]);
+        for (config, low) in [(&off, 25..30), (&turned, 25..30), (&all, 60..63)] {
+            let (least, most) = qualities(config);
+            assert!(low.contains(&least) && most > 95, "{least} to {most} of {config:?}");
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        let met = |config: &RobustConfig, rng: &mut ChaCha8Rng| {
+            (0..200).flat_map(|_| Attack::always(config, rng).steps).any(|(d, _)| matches!(d, Distortion::Jpeg { .. }))
+        };
+        assert!(met(&all, &mut rng) && !met(&turned, &mut rng), "marked pictures meet only what is asked for");
     }
 }

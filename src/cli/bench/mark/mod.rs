@@ -84,6 +84,7 @@ const ABLATIONS: [(&str, &str); 13] = [
 
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
 pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) -> anyhow::Result<()> {
+    let trainings = trainings(what, &args.rows)?;
     let fern = [Name::Fern];
     let cases = case::wanted(if what == What::Ablation && args.cases.is_empty() { &fern } else { &args.cases });
     let captures = args.captures_with(cases.iter().map(|case| case.name))?;
@@ -91,8 +92,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let children = Arc::new(Children::default());
     for case in cases {
-        let ablations: &[(&str, &str)] = if what == What::Ablation { &ABLATIONS } else { &[("", "")] };
-        for over in ablations {
+        for over in &trainings {
             let mut run = Run::new(place, args, case, (&captures, &pictures), *over)?;
             run.permute = what == What::Honesty && case.anchors > 1;
             let name = run.name.clone();
@@ -107,6 +107,24 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
     }
     println!("contact sheets and reliability tables in {}", args.out.display());
     Ok(())
+}
+
+/// What a suite lays over a capture's settings, each by its name: of the ablations those in `rows`, all where that
+/// is empty; else nothing, without a name.
+///
+/// # Errors
+/// For a name that is none of theirs, and for rows of another suite.
+fn trainings(what: What, rows: &[String]) -> anyhow::Result<Vec<(&'static str, &'static str)>> {
+    if what != What::Ablation {
+        anyhow::ensure!(rows.is_empty(), "--row chooses among the rows of suite `ablation`; leave it out");
+        return Ok(vec![("", "")]);
+    }
+    let names = ABLATIONS.map(|(name, _)| name);
+    if let Some(other) = rows.iter().find(|row| !names.contains(&row.as_str())) {
+        anyhow::bail!("suite `ablation` has no row `{other}`; its rows are {}", names.join(", "));
+    }
+    let wanted = |(name, _): &(&str, &str)| rows.is_empty() || rows.iter().any(|row| row == name);
+    Ok(ABLATIONS.into_iter().filter(wanted).collect())
 }
 
 /// The first sound and the first text beside a picture.
@@ -293,5 +311,24 @@ impl Run {
         };
         let trained = children.run(&train)?;
         Ok((field, Some(trained)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_chosen_by_name_in_their_order_and_a_wrong_name_says_which_there_are() {
+        let named = |rows: &[&str]| {
+            trainings(What::Ablation, &rows.iter().map(|row| (*row).to_owned()).collect::<Vec<_>>())
+                .map(|all| all.into_iter().map(|(name, _)| name).collect::<Vec<_>>())
+        };
+        assert_eq!(named(&[]).unwrap(), ABLATIONS.map(|(name, _)| name));
+        assert_eq!(named(&["two dozen views", "full"]).unwrap(), ["full", "two dozen views"]);
+        let error = named(&["full", "no masc"]).unwrap_err().to_string();
+        assert!(error.contains("`no masc`") && error.contains("no mask, binary mask at 0.5"), "{error}");
+        assert_eq!(trainings(What::Marks, &[]).unwrap(), [("", "")]);
+        assert!(trainings(What::Honesty, &["full".to_owned()]).is_err());
     }
 }
