@@ -18,12 +18,21 @@ fn command(arguments: impl Iterator<Item = String>) -> String {
     for argument in arguments {
         let name = argument.split('=').next().unwrap_or_default();
         if !std::mem::take(&mut value_follows) && !LOCAL.contains(&name) {
-            said.push(argument);
+            said.push(quoted(argument));
         } else if LOCAL.contains(&name) {
             value_follows = !argument.contains('=');
         }
     }
     said.join(" ")
+}
+
+/// As a POSIX shell takes it for one word.
+fn quoted(argument: String) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_=./:,+@%".contains(c);
+    if !argument.is_empty() && argument.chars().all(is_plain) {
+        return argument;
+    }
+    format!("'{}'", argument.replace('\'', r"'\''"))
 }
 
 /// Rows with what they have in common.
@@ -190,5 +199,12 @@ mod tests {
     fn a_recorded_command_names_no_folder_of_this_machine() {
         let given = ["bench", "liberty", "--captures", "/mnt/c", "--seed", "2", "--ledger=/x.json", "--quick"];
         assert_eq!(command(given.map(String::from).into_iter()), "cairn bench liberty --seed 2 --quick");
+    }
+
+    #[test]
+    fn a_recorded_command_can_be_given_again() {
+        let given = ["bench", "ablation", "--row", "alpha 5", "--row", "it's", "--seed", "1"];
+        let said = command(given.map(String::from).into_iter());
+        assert_eq!(said, r"cairn bench ablation --row 'alpha 5' --row 'it'\''s' --seed 1");
     }
 }
