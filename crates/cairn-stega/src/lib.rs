@@ -32,6 +32,7 @@ mod networks;
 mod poses;
 mod renders;
 mod shape;
+mod shown;
 mod signal;
 mod site;
 mod trainer;

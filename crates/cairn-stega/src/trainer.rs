@@ -11,13 +11,11 @@ use crate::carrier::{Carrier, hues};
 use crate::checkpoint::fingerprint;
 use crate::config::{Guidance, MarkConfig};
 use crate::detector::Detector;
-use crate::distort::Attack;
 use crate::error::MarkError;
-use crate::familiar::{Familiar, Shown};
-use crate::judge::{Judgement, State, winner};
+use crate::judge::{Judgement, State};
 use crate::losses::Losses;
 use crate::marked::MarkedField;
-use crate::networks::{Networks, planar, to_tensor};
+use crate::networks::{Networks, planar};
 use crate::poses::PlannedView;
 use crate::renders::{Render, Tone};
 use crate::signal::{HeadSizes, Numbers, Signal};
@@ -30,12 +28,6 @@ use candle_core::{Device, Var};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
-
-/// Marked renders of an owner, at least, from which it is learnt where they lie; and of all owners together.
-const RENDERS_EACH: usize = 192;
-const RENDERS: usize = 384;
-/// Stream of their draws, apart from steps' and the judge's.
-const FAMILIAR_STREAM: u64 = 1 << 34;
 
 /// What stage 2 is to do in a scene.
 #[derive(Clone, Debug)]
@@ -267,41 +259,6 @@ impl MarkTrainer {
             fields.push(MarkedField::new(field, plan.clusters, kind, own)?);
         }
         Ok((fields, Detector::new(self.config, self.networks)))
-    }
-
-    /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks, or
-    /// an owner's are all the same.
-    fn familiar(&self) -> Result<Option<Familiar>, MarkError> {
-        let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
-        if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
-            return Ok(None);
-        }
-        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        rng.set_stream(FAMILIAR_STREAM);
-        let each = RENDERS_EACH.max(RENDERS.div_ceil(owners));
-        let mut classes = Vec::with_capacity(owners);
-        for identity in 0..owners {
-            let site = &self.sites[self.site_of(identity)];
-            let views = site.bank.views_of(identity - site.identities.start);
-            let mut renders = Vec::with_capacity(each);
-            for at in 0..each.max(views.len()) {
-                // Each view as it is, then again and again after something.
-                let (view, harmed) = (views[at % views.len()], at >= views.len());
-                let attack = if harmed { Attack::one(&self.config.robust, &mut rng) } else { Attack::none() };
-                let picture = self.as_a_file(site, identity, view, (&attack, harmed), &mut rng);
-                let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.side_px())?)?;
-                let said = self.networks.classifier.classify(&features)?.flatten_all()?.to_vec1::<f32>()?;
-                // What harm has made unreadable says nothing of where a mark is read.
-                if !harmed || winner(&said) == identity + 1 {
-                    renders.push(Shown { view, harmed, features: features.flatten_all()?.to_vec1::<f32>()? });
-                }
-            }
-            classes.push(renders);
-        }
-        match classes.iter().flatten().flat_map(|r| &r.features).all(|v| v.is_finite()) {
-            true => Ok(Familiar::fit(&classes, beyond)),
-            false => Err(MarkError::NotFinite { step: None, place: "a feature of a marked render".into() }),
-        }
     }
 
     /// Takes in how the step's `renders` and their twins were told; `each` has first those, then these.

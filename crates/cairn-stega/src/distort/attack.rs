@@ -8,7 +8,7 @@
 use super::stretch::Stretch;
 use super::{Distortion, Trace, made};
 use crate::error::MarkError;
-use cairn_capture::AreaFilter;
+use cairn_capture::{AreaFilter, Picture};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -184,6 +184,11 @@ impl Attack {
         let native_px = config.native_px as f32 * rng.random_range(0.7f32..1.4);
         let lowest = if config.jpeg_quality < 100 { config.jpeg_quality } else { LOWEST_QUALITY };
         Self { steps: vec![(Distortion::Jpeg { quality: drawn_quality(lowest, rng) }, 0)], native_px }
+    }
+
+    /// Does it to a file, whose pixels are those of the large picture.
+    pub(crate) fn on_file(&self, picture: &Picture) -> Picture {
+        self.steps.iter().fold(picture.clone(), |picture, (step, seed)| step.apply(&picture, *seed).clamped())
     }
 
     /// Does it to a picture of `size` = [width, height] with numbers in [0, 1].

@@ -1,0 +1,145 @@
+//! What owners' renders look like to the classifier at the end of a training, as they are and
+//! after what happens to pictures: how far from these a picture may lie and still be
+//! believed is learnt from it (`familiar`).
+
+use crate::config::Guidance;
+use crate::distort::{Attack, Distortion};
+use crate::error::MarkError;
+use crate::familiar::{Familiar, Shown};
+use crate::judge::winner;
+use crate::marked::MarkedField;
+use crate::negatives::shrunk;
+use crate::networks::to_tensor;
+use crate::poses::{PlannedView, at_most, evenly, virtual_views};
+use crate::site::Site;
+use crate::trainer::MarkTrainer;
+use cairn_capture::Picture;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Marked renders of an owner, at least, and of all owners together.
+const RENDERS_EACH: usize = 192;
+const RENDERS: usize = 384;
+/// Stream of their draws, apart from steps' and the judge's.
+const STREAM: u64 = 1 << 34;
+/// Views of an owner that are rendered as files.
+const FILES: usize = 24;
+/// The least share of a side that a cut leaves.
+const LEAST_CUT: f32 = 0.6;
+
+impl MarkTrainer {
+    /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks, or
+    /// an owner's are all the same.
+    ///
+    /// # Errors
+    /// [`MarkError::NotFinite`] for a feature that is not; [`MarkError`] for marks that do not fit their field.
+    pub(crate) fn familiar(&self) -> Result<Option<Familiar>, MarkError> {
+        let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
+        if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
+            return Ok(None);
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(STREAM);
+        let each = RENDERS_EACH.max(RENDERS.div_ceil(owners));
+        let mut classes = Vec::with_capacity(owners);
+        for site in &self.sites {
+            let field = if self.config.robust.enabled { Some(self.marked(site)?) } else { None };
+            for identity in site.identities.clone() {
+                classes.push(match &field {
+                    Some(field) => self.as_harmed_files(field, (site, identity), each, &mut rng)?,
+                    None => self.as_trained_on((site, identity), each, &mut rng)?,
+                });
+            }
+        }
+        match classes.iter().flatten().flat_map(|r| &r.features).all(|v| v.is_finite()) {
+            true => Ok(Familiar::fit(&classes, beyond)),
+            false => Err(MarkError::NotFinite { step: None, place: "a feature of a marked render".into() }),
+        }
+    }
+
+    /// Each view that `identity` is trained on as it is, then again and again after something.
+    fn as_trained_on(
+        &self,
+        (site, identity): (&Site, usize),
+        each: usize,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Vec<Shown>, MarkError> {
+        let views = site.bank.views_of(identity - site.identities.start);
+        let mut renders = Vec::with_capacity(each);
+        for at in 0..each.max(views.len()) {
+            let (view, harmed) = (views[at % views.len()], at >= views.len());
+            let attack = if harmed { Attack::one(&self.config.robust, rng) } else { Attack::none() };
+            let picture = self.as_a_file(site, identity, view, (&attack, harmed), rng);
+            renders.extend(self.shown(picture, identity, (view, harmed))?);
+        }
+        Ok(renders)
+    }
+
+    /// Views of `identity` at their own size (`mark.robust.native_px` at most), as they are and after one thing or several. Marks that outlast harm are
+    /// met as files that went through it, and what it does to a small render
+    /// made large is something else: learnt from such, every third mark after JPEG 50 was unfamiliar.
+    fn as_harmed_files(
+        &self,
+        field: &MarkedField,
+        (site, identity): (&Site, usize),
+        each: usize,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Vec<Shown>, MarkError> {
+        let (clusters, side) = (field.clusters(), self.config.side_px());
+        let number = (identity - site.identities.start) as u32 + 1;
+        let of = |v: &&PlannedView| clusters.identity_of(&v.camera.pose).identity == Some(number);
+        let mut views = evenly(site.scene.plan.views.iter().filter(of).cloned().collect(), FILES);
+        let between = virtual_views(clusters, number, &views, FILES - views.len(), rng);
+        views.extend(between);
+        let copies = each.div_ceil(views.len().max(1));
+        let mut renders = Vec::with_capacity(views.len() * (1 + copies));
+        for (view, PlannedView { camera, appearance }) in views.iter().enumerate() {
+            let camera = at_most(camera, self.config.robust.native_px);
+            let render = eight_bits(&field.render_as(&camera, appearance, Some(number)));
+            renders.extend(self.shown(shrunk(&render, side), identity, (view, false))?);
+            for copy in 0..copies {
+                let attack = match copy % 3 {
+                    0 => Attack::one(&self.config.robust, rng),
+                    _ => Attack::always(&self.config.robust, rng),
+                };
+                let cut = rng.random_bool(0.5).then(|| Distortion::Crop {
+                    kept: rng.random_range(LEAST_CUT..1.0),
+                    across: rng.random_range(0.0..1.0),
+                    down: rng.random_range(0.0..1.0),
+                });
+                let cut = cut.map_or_else(|| render.clone(), |cut| cut.apply(&render, 0));
+                let harmed = eight_bits(&attack.on_file(&cut));
+                renders.extend(self.shown(shrunk(&harmed, side), identity, (view, true))?);
+            }
+        }
+        Ok(renders)
+    }
+
+    /// What the classifier makes of `picture`, `side x side x 3`; nothing where harm has made the mark unreadable: that
+    /// says nothing of where one is read.
+    fn shown(
+        &self,
+        picture: Vec<f32>,
+        identity: usize,
+        (view, harmed): (usize, bool),
+    ) -> Result<Option<Shown>, MarkError> {
+        let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.side_px())?)?;
+        let said = self.networks.classifier.classify(&features)?.flatten_all()?.to_vec1::<f32>()?;
+        let is_read = !harmed || winner(&said) == identity + 1;
+        let features = features.flatten_all()?.to_vec1::<f32>()?;
+        Ok(is_read.then_some(Shown { view, harmed, features }))
+    }
+
+    /// A scene's marked field as it stands.
+    fn marked(&self, site: &Site) -> Result<MarkedField, MarkError> {
+        let carriers = self.carriers[site.carriers.clone()].iter().map(|c| c.values.clone()).collect();
+        let kind = (self.config.carrier, self.config.density);
+        MarkedField::new(site.scene.field.clone(), site.scene.plan.clusters.clone(), kind, carriers)
+    }
+}
+
+/// As a file has it.
+fn eight_bits(picture: &Picture) -> Picture {
+    let numbers = picture.to_rgb8();
+    Picture::from_rgb8(picture.width(), picture.height(), &numbers).expect("as many numbers as there were")
+}
