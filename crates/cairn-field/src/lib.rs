@@ -35,6 +35,7 @@ mod picture;
 mod prior;
 pub mod rays;
 mod real;
+pub mod registration;
 mod resolution;
 mod sampling;
 pub mod screening;

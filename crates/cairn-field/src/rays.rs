@@ -1,7 +1,12 @@
 //! Rays of whole views. Undistorting a pixel costs more than marching through
 //! empty space, so directions are worked out once per lens and kept.
 
+use crate::appearance::{FEATURES, features};
+use crate::composite::Thresholds;
+use crate::field::Field;
 use crate::frame::{RayPath, SceneFrame};
+use crate::lights::LIGHTS;
+use crate::picture::{Seen, Tiling};
 use crate::sh::{SH, basis};
 use cairn_capture::{Camera, Intrinsics};
 use glam::DVec3;
@@ -16,6 +21,18 @@ pub struct Lens {
     slopes: Vec<[f32; 2]>,
 }
 
+/// What every pixel of `lens` gathers in the light of harmonics alone, row-major, `rays x rays` of the lens's pixels
+/// to each: the mean of their features ([`crate::appearance::features`]). `camera` stands where the lens's did.
+pub(crate) fn features_of(field: &Field, (camera, lens): (&Camera, &Lens), rays: usize) -> Vec<[f32; FEATURES]> {
+    let tiling = Tiling::of(field, (camera, lens), [0.0; LIGHTS], Thresholds::SHOWN, rays);
+    let share = 1.0 / (rays * rays) as f32;
+    let add = |sum: &mut [f32; FEATURES], seen: &Seen<'_>| {
+        let f = features(&seen.gathered, &seen.harmonics);
+        sum.iter_mut().zip(f).for_each(|(s, v)| *s += share * v);
+    };
+    tiling.gather(add, |_, ()| {})
+}
+
 impl Lens {
     /// Works out all directions of `camera`.
     pub fn new(camera: &Camera) -> Self {
@@ -28,6 +45,18 @@ impl Lens {
             })
             .collect();
         Self { intrinsics: camera.intrinsics, slopes }
+    }
+
+    /// The pixels of several cameras of one size and place as one picture, one camera's below the other's: to follow them
+    /// together costs less than one by one.
+    ///
+    /// # Panics
+    /// Without cameras.
+    pub(crate) fn stacked(cameras: &[Camera]) -> Self {
+        let first = cameras.first().expect("a camera");
+        let slopes = cameras.iter().flat_map(|camera| Self::new(camera).slopes).collect();
+        let intrinsics = Intrinsics { height: first.intrinsics.height * cameras.len(), ..first.intrinsics };
+        Self { intrinsics, slopes }
     }
 
     /// One lens a camera, those with equal intrinsics shared.

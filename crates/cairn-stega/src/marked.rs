@@ -74,6 +74,11 @@ impl MarkedField {
         &self.clusters
     }
 
+    /// Where its marks live, and whether densities moved with them.
+    pub(crate) fn kind(&self) -> (CarrierKind, DensityKind) {
+        self.kind
+    }
+
     /// The carrier of `identity`, 1 and up, `rows x 3`; `None` where there is none of its own.
     pub fn carrier(&self, identity: u32) -> Option<&[f32]> {
         let own = self.kind.0 == CarrierKind::PerCluster;

@@ -1,0 +1,167 @@
+//! Finding where a picture was taken: the camera (and the light) from which a field looks
+//! most like it. Whoever knows that can compare the picture with what the field shows
+//! there, pixel by pixel, and need not guess from the picture alone.
+//!
+//! A picture may have been turned, cut and made smaller on its way. All of that is a change of
+//! camera (roll, principal point, focal length), so that nine numbers say it: six of the pose,
+//! three of the lens. First it is laid over small renders of the training views, turned and cut in
+//! many ways (`search`); the best places are then refined by Gauss and Newton's steps on the
+//! photometric error (direct alignment, Lucas and Kanade 1981; on radiance fields iNeRF,
+//! Yen-Chen et al. 2021), from coarse to the picture's own pixels (`refine`). The light is a
+//! linear regression at every step (`prior`).
+
+mod matrix;
+mod refine;
+mod search;
+mod windows;
+
+use crate::appearance::Appearance;
+use crate::field::Field;
+use crate::frame::SceneFrame;
+use crate::lights::Colours;
+use crate::prior::Prior;
+use cairn_capture::{Camera, Picture};
+use matrix::NUMBERS;
+use refine::Refined;
+use search::Thumbnail;
+use std::sync::Arc;
+use windows::Level;
+
+/// Places that are refined, at most.
+const CANDIDATES: usize = 4;
+/// Steps for each place on the coarsest level, and for those that are followed.
+const FIRST: usize = 8;
+/// Places that are followed further, at most.
+const FOLLOWED: usize = 2;
+/// Steps on each level, the numbers that they move, and the smallest spread that outliers are told by there (colours in
+/// [0, 1]): the pose first, and where it nearly is the lens as well, since a longer lens further off shows nearly the same;
+/// and what stands a pixel aside is no outlier before it can have been moved.
+const STEPS: [(usize, usize, f64); 5] =
+    [(16, POSE, 0.2), (4, POSE, 0.1), (6, NUMBERS, 0.03), (8, NUMBERS, 0.03), (12, NUMBERS, 0.5 / 255.0)];
+/// The numbers of a pose.
+const POSE: usize = 6;
+/// A place that explains less of a picture on the coarsest level is left there.
+const HOPELESS: f64 = 0.5;
+/// One that explains so much of it there is taken before others are looked at,
+const SURELY: f64 = 0.97;
+/// and one that explains so much of it at its own size is taken without following the others.
+const PLAINLY: f64 = 0.75;
+/// Longest sides of the levels before the picture's own size, px.
+const SIDES: [usize; 3] = [32, 64, 160];
+/// Pictures are compared at most this large, longest side, px: a larger one is made smaller.
+pub const LONGEST_PX: usize = 800;
+
+/// Registers pictures to one field; see the module's text.
+#[derive(Debug)]
+pub struct Registrar {
+    field: Arc<Field>,
+    prior: Prior,
+    /// How far cameras stand from what they see, in capture units.
+    reach: f64,
+    thumbnails: Vec<Thumbnail>,
+}
+
+/// Where a picture was taken.
+#[derive(Clone, Debug)]
+pub struct Registered {
+    /// The camera, of the size of [`Registered::picture`].
+    pub camera: Camera,
+    /// The light that explains the picture best from there.
+    pub appearance: Appearance,
+    /// The picture as it was compared: at most [`LONGEST_PX`] long.
+    pub picture: Picture,
+    /// Share of the picture's variance that the field explains from there, 1 at most, where
+    /// it was looked at, outliers left out: near 1 for renders of the field, less for photographs.
+    pub explained: f64,
+}
+
+impl Registrar {
+    /// Prepares registration to `field`, of pictures taken from about where `views` were (cameras and names, by
+    /// which their appearances are known): renders each small once.
+    /// `None` without views, and for fields with basis lights, which are not provided for.
+    pub fn new(field: Arc<Field>, views: &[(Camera, &str)]) -> Option<Self> {
+        if views.is_empty() || field.colours() == Colours::Lit {
+            return None;
+        }
+        let seen: Vec<&Appearance> = field.appearances.iter().map(|(_, code)| code).collect();
+        let around = || Prior::around(field.canonical.clone());
+        let prior = if seen.is_empty() { around() } else { Prior::of(&seen).unwrap_or_else(around) };
+        let thumbnail = |(camera, name): &(Camera, &str)| Thumbnail::of(&field, camera, field.appearance_of(name));
+        let thumbnails = views.iter().map(thumbnail).collect();
+        let reach = reach(field.frame(), views);
+        Some(Self { prior, reach, thumbnails, field })
+    }
+
+    /// The field.
+    pub fn field(&self) -> &Arc<Field> {
+        &self.field
+    }
+
+    /// The camera and light from which the field looks most like `picture` (any size; a number that is not finite
+    /// counts as 0); `None` where it looks like it from nowhere that was tried, or is too small to tell.
+    pub fn register(&self, picture: &Picture) -> Option<Registered> {
+        let picture = bounded(picture)?;
+        let levels = [
+            Level::whole(&picture, SIDES[0]),
+            Level::whole(&picture, SIDES[1]),
+            Level::of_parts(&picture, SIDES[2]),
+            Level::of_parts(&picture, LONGEST_PX),
+        ];
+        // The last one twice: first what is far off has a say there, then only what fits.
+        let levels: Vec<&Level> = levels.iter().chain(levels.last()).collect();
+        let mut places: Vec<Refined> = Vec::new();
+        for candidate in search::candidates(&self.thumbnails, &picture, CANDIDATES) {
+            let (_, free, least) = STEPS[0];
+            places.extend(self.refined(levels[0], candidate.camera, (FIRST, free, least)));
+            if places.last().is_some_and(|place| place.explained > SURELY) {
+                break;
+            }
+        }
+        places.retain(|place| place.explained > HOPELESS);
+        places.sort_by(|a, b| b.explained.total_cmp(&a.explained));
+        let mut best: Option<Refined> = None;
+        for place in places.into_iter().take(FOLLOWED) {
+            let found =
+                levels.iter().zip(STEPS).try_fold(place, |at, (level, steps)| self.refined(level, at.camera, steps));
+            if found.as_ref().is_some_and(|f| best.as_ref().is_none_or(|b| f.explained > b.explained)) {
+                best = found;
+            }
+            if best.as_ref().is_some_and(|b| b.explained > PLAINLY) {
+                break;
+            }
+        }
+        let Refined { camera, appearance, explained } = best?;
+        Some(Registered { camera, appearance, picture, explained })
+    }
+
+    fn refined(&self, level: &Level, camera: Camera, steps: (usize, usize, f64)) -> Option<Refined> {
+        refine::refine(&self.field, (&self.prior, self.reach), level, camera, steps)
+    }
+}
+
+/// Middling distance from the cameras to what they look at, capture units.
+fn reach(frame: &SceneFrame, views: &[(Camera, &str)]) -> f64 {
+    let of = |camera: &Camera| match frame {
+        SceneFrame::ForwardFacing { near, .. } => 2.0 * near,
+        SceneFrame::Bounded { centre, half } | SceneFrame::Unbounded { centre, half } => {
+            (camera.pose.position - centre).length().max(0.1 * half.max_element())
+        }
+    };
+    crate::screening::median(views.iter().map(|(camera, _)| of(camera)).collect())
+}
+
+/// The picture at the size that it is compared at, in [0, 1]; `None` where it is smaller than a thumbnail.
+fn bounded(picture: &Picture) -> Option<Picture> {
+    let (w, h) = (picture.width(), picture.height());
+    if w.min(h) < search::SIDE {
+        return None;
+    }
+    let mut picture = picture.clone();
+    picture.rgb_mut().iter_mut().for_each(|v| *v = if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 });
+    let longest = w.max(h);
+    if longest <= LONGEST_PX {
+        return Some(picture);
+    }
+    let side = |s: usize| (s * LONGEST_PX / longest).max(1);
+    Some(picture.resized(side(w), side(h)))
+}

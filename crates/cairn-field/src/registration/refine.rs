@@ -1,0 +1,210 @@
+//! From about where a picture was taken to exactly where: Levenberg and Marquardt's steps on the difference of
+//! colours. Slopes are differences of renders: nothing is assumed of depths, and every pixel is what the
+//! renderer makes of it. What fits nowhere (a black corner, something laid over the picture) loses its say by
+//! Tukey's weights.
+
+use super::matrix::{NUMBERS, Normal};
+use super::windows::Level;
+use crate::appearance::{Appearance, FEATURES};
+use crate::field::Field;
+use crate::prior::Prior;
+use crate::rays::{Lens, features_of};
+use cairn_capture::Camera;
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+/// Where Tukey's weights end, in robust standard deviations.
+const TUKEY: f64 = 4.685;
+/// How far a number goes for a slope, pixels of the level.
+const PROBE_PX: f64 = 0.4;
+/// A step that moves pixels by less ends a level, pixels of the level.
+const SETTLED_PX: f64 = 0.01;
+
+/// A place, refined on one level.
+#[derive(Clone, Debug)]
+pub(super) struct Refined {
+    pub(super) camera: Camera,
+    pub(super) appearance: Appearance,
+    /// Share of the pixels' variance that is explained, by the weights that they ended with.
+    pub(super) explained: f64,
+}
+
+/// What the field shows at a camera, and how far off the picture is.
+struct Looked {
+    camera: Camera,
+    appearance: Appearance,
+    residuals: Vec<[f32; 3]>,
+}
+
+/// Takes up to `steps` steps from `camera`, which move the first `free` of the nine numbers, with no spread of
+/// differences below `least_spread`; `reach` is how far what is seen is, capture units. `None` where there is nothing to
+/// compare, or no light explains it.
+pub(super) fn refine(
+    field: &Field,
+    (prior, reach): (&Prior, f64),
+    level: &Level,
+    camera: Camera,
+    (steps, free, least_spread): (usize, usize, f64),
+) -> Option<Refined> {
+    if level.windows.is_empty() {
+        return None;
+    }
+    let mut now = look(field, prior, level, &camera, None)?;
+    // Little: with much, steps along the valley of longer lenses further off were too short to go on.
+    let mut damping = 1e-5;
+    for _ in 0..steps {
+        let weights = Weights::of(&now.residuals, &level.tells, least_spread);
+        let longest = level.size.0.max(level.size.1) as f64;
+        let units = units(&now.camera, reach, longest);
+        let normal = slopes(field, level, &now, &weights, (&units, free));
+        let before = weights.cost(&now.residuals);
+        let mut moved = None;
+        for _ in 0..4 {
+            let step = normal.step(damping)?;
+            let there = changed(&now.camera, &step, &units);
+            // Light is fitted to what counted: an outlier has no say in it either.
+            let next = look(field, prior, level, &there, Some(&weights));
+            if let Some(next) = next.filter(|next| weights.cost(&next.residuals) < before) {
+                damping = (damping * 0.1).max(1e-8);
+                moved = Some((next, step.iter().map(|s| s * s).sum::<f64>().sqrt() * PROBE_PX));
+                break;
+            }
+            damping *= 30.0;
+        }
+        let Some((next, by_px)) = moved else { break };
+        now = next;
+        if by_px < SETTLED_PX {
+            break;
+        }
+    }
+    let explained = Weights::of(&now.residuals, &level.tells, least_spread).explained(&now.residuals, level);
+    Some(Refined { camera: now.camera, appearance: now.appearance, explained })
+}
+
+/// How far each number goes so that pixels move by about [`PROBE_PX`] of a copy `longest` px long.
+fn units(camera: &Camera, reach: f64, longest: f64) -> [f64; NUMBERS] {
+    let i = &camera.intrinsics;
+    // Of the copy's pixels one is so many of the picture's.
+    let pixel = i.width.max(i.height) as f64 / longest * PROBE_PX;
+    let (angle, half) = (pixel / i.fx, i.width.max(i.height) as f64 / 2.0);
+    let aside = angle * reach;
+    let larger = pixel / half;
+    [angle, angle, larger, aside, aside, larger * reach, larger, pixel, pixel]
+}
+
+/// `camera` with its nine numbers changed by `step`, each in its unit: turned about its own axes, moved along them, its
+/// focal length multiplied, its principal point moved.
+fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMBERS]) -> Camera {
+    let by: [f64; NUMBERS] = std::array::from_fn(|k| step[k] * units[k]);
+    let mut changed = *camera;
+    let turn = DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::new(by[0], by[1], by[2])));
+    changed.pose.position += camera.pose.rotation * DVec3::new(by[3], by[4], by[5]);
+    changed.pose.rotation = camera.pose.rotation * turn;
+    let i = &mut changed.intrinsics;
+    let larger = by[6].clamp(-1.0, 1.0).exp();
+    (i.fx, i.fy) = (i.fx * larger, i.fy * larger);
+    (i.cx, i.cy) = (i.cx + by[7], i.cy + by[8]);
+    changed
+}
+
+/// What the level's pixels gather from `camera`.
+fn gathered(field: &Field, level: &Level, camera: &Camera) -> Vec<[f32; FEATURES]> {
+    let parts: Vec<Camera> = level.windows.iter().map(|w| level.camera(camera, w)).collect();
+    features_of(field, (&parts[0], &Lens::stacked(&parts)), level.rays)
+}
+
+fn look(field: &Field, prior: &Prior, level: &Level, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
+    let features = gathered(field, level, camera);
+    let counts = |at: &usize| weights.is_none_or(|w| w.each[*at] > 0.1);
+    let some: Vec<usize> = (0..features.len()).filter(counts).collect();
+    let (f, p): (Vec<_>, Vec<_>) = some.iter().map(|at| (features[*at], level.pixels[*at])).unzip();
+    let appearance = prior.fit(&f, &p)?;
+    let residuals = differences(&features, &appearance, &level.pixels);
+    Some(Looked { camera: *camera, appearance, residuals })
+}
+
+/// Each pixel less what the field shows there.
+fn differences(features: &[[f32; FEATURES]], light: &Appearance, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let off = |(f, pixel): (&[f32; FEATURES], &[f32; 3])| {
+        // Files hold no colours beyond these.
+        let shown = light.shade(f).map(|v| v.clamp(0.0, 1.0));
+        std::array::from_fn(|c| pixel[c] - shown[c])
+    };
+    features.iter().zip(pixels).map(off).collect()
+}
+
+/// How residuals change with each of the first `free` numbers: as a render with that one a little different differs. All
+/// of them so: a turn and a move to the side show nearly the same, and slopes of the picture for the one beside
+/// renders for the other hid the difference between them, which is all that tells how far things are.
+fn slopes(
+    field: &Field,
+    level: &Level,
+    now: &Looked,
+    weights: &Weights,
+    (units, free): (&[f64; NUMBERS], usize),
+) -> Normal {
+    let of = |k: usize| {
+        let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
+        differences(&gathered(field, level, &changed(&now.camera, &step, units)), &now.appearance, &level.pixels)
+    };
+    let probes: Vec<Vec<[f32; 3]>> = (0..free).into_par_iter().map(of).collect();
+    let mut normal = Normal::default();
+    for (at, (r, w)) in now.residuals.iter().zip(&weights.each).enumerate() {
+        if *w == 0.0 {
+            continue;
+        }
+        for c in 0..3 {
+            // A residual falls by what the render rises.
+            let slope = |k: usize| if k < free { f64::from(r[c] - probes[k][at][c]) } else { 0.0 };
+            normal.add(&std::array::from_fn(slope), f64::from(r[c]), *w);
+        }
+    }
+    normal
+}
+
+/// Tukey's biweights of residuals.
+struct Weights {
+    each: Vec<f64>,
+    /// Robust standard deviation of a pixel's difference.
+    spread: f64,
+}
+
+impl Weights {
+    /// By the spread of those residuals that tell something.
+    fn of(residuals: &[[f32; 3]], tells: &[bool], least: f64) -> Self {
+        let sizes: Vec<f64> = residuals.iter().map(size).collect();
+        let telling: Vec<f64> = sizes.iter().zip(tells).filter(|(_, tells)| **tells).map(|(s, _)| *s).collect();
+        // Of a length of three normal numbers the median is 1.54 of their deviation. Nothing tells: no spread.
+        let median = if telling.is_empty() { 0.0 } else { crate::screening::median(telling) };
+        let spread = (median / 1.54).max(least);
+        let weight = |s: &f64| (1.0 - (s / (TUKEY * spread * 3f64.sqrt())).powi(2)).max(0.0).powi(2);
+        Self { each: sizes.iter().map(weight).collect(), spread }
+    }
+
+    /// Tukey's loss, with the spread that these weights were made with.
+    fn cost(&self, residuals: &[[f32; 3]]) -> f64 {
+        let end = TUKEY * self.spread * 3f64.sqrt();
+        let loss = |r: &[f32; 3]| 1.0 - (1.0 - (size(r) / end).powi(2)).max(0.0).powi(3);
+        residuals.iter().map(loss).sum()
+    }
+
+    /// Share of the pixels that tell something of which the field explains anything, times the share of their
+    /// variance that it explains, 1 at most.
+    fn explained(&self, residuals: &[[f32; 3]], level: &Level) -> f64 {
+        let telling = level.tells.iter().filter(|tells| **tells).count();
+        let some: Vec<usize> = (0..residuals.len()).filter(|at| level.tells[*at] && self.each[*at] > 0.1).collect();
+        let n = some.len() as f64;
+        let mean: [f64; 3] =
+            std::array::from_fn(|c| some.iter().map(|at| f64::from(level.pixels[*at][c])).sum::<f64>() / n);
+        let (mut left, mut variance) = (0.0, 0.0);
+        for at in &some {
+            left += size(&residuals[*at]).powi(2);
+            variance += (0..3).map(|c| (f64::from(level.pixels[*at][c]) - mean[c]).powi(2)).sum::<f64>();
+        }
+        if variance > 0.0 { n / telling as f64 * (1.0 - left / variance) } else { 0.0 }
+    }
+}
+
+fn size(r: &[f32; 3]) -> f64 {
+    r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt()
+}
