@@ -13,6 +13,7 @@
 pub mod appearance;
 mod batch;
 mod checkpoint;
+mod cholesky;
 mod codes;
 pub mod composite;
 mod config;

@@ -4,9 +4,10 @@
 //! code found last (Gauss and Newton's method).
 
 use crate::appearance::{Appearance, CODE, FEATURES, SHADE, features};
+use crate::cholesky::{factor, solve};
 use crate::lights::LIGHTS;
 use crate::picture::{PerLight, Seen};
-use crate::prior::{Prior, factor, solve};
+use crate::prior::Prior;
 use rayon::prelude::*;
 
 /// Steps at most.
@@ -114,7 +115,7 @@ impl<'a> Normal<'a> {
                 row.iter_mut().zip(&self.gram[a]).for_each(|(sum, g)| *sum += g);
             }
         }
-        factor(&mut self.matrix)?;
+        factor(&mut self.matrix, CODE)?;
         solve(&self.matrix, &mut self.right);
         Some(self.right)
     }

@@ -9,6 +9,7 @@
 //! sure each of their numbers is, is not made up for.
 
 use crate::appearance::{Appearance, CODE, FEATURES};
+use crate::cholesky::{factor, solve};
 use crate::lit::Normal;
 
 /// A normal distribution of appearance codes.
@@ -56,7 +57,7 @@ impl Prior {
         }
         // The mean took one view's worth of the spread about it.
         let scale = NOISE * ((seen.len() - 1) as f64 + VIEWS);
-        factor(&mut covariance)?;
+        factor(&mut covariance, CODE)?;
         let mut precision = vec![0.0; CODE * CODE];
         for (k, column) in precision.chunks_exact_mut(CODE).enumerate() {
             column[k] = scale;
@@ -77,43 +78,6 @@ impl Prior {
             normal.add(&f.map(f64::from), None, pixel);
         }
         Appearance::from_code(mean.iter().zip(normal.step()?).map(|(v, by)| (v + by) as f32).collect())
-    }
-}
-
-/// Cholesky's factor of a positive definite matrix, `CODE x CODE`, in place; only the
-/// lower triangle is read and written. `None` when it is not positive definite.
-pub(crate) fn factor(m: &mut [f64]) -> Option<()> {
-    for j in 0..CODE {
-        for k in 0..j {
-            let v = m[j * CODE + k];
-            for i in j..CODE {
-                m[i * CODE + j] -= m[i * CODE + k] * v;
-            }
-        }
-        let pivot = m[j * CODE + j];
-        if !(pivot > 0.0 && pivot.is_finite()) {
-            return None;
-        }
-        for i in j..CODE {
-            m[i * CODE + j] /= pivot.sqrt();
-        }
-    }
-    Some(())
-}
-
-/// Solves `L L^T x = b` in place.
-pub(crate) fn solve(l: &[f64], x: &mut [f64]) {
-    for i in 0..CODE {
-        for k in 0..i {
-            x[i] -= l[i * CODE + k] * x[k];
-        }
-        x[i] /= l[i * CODE + i];
-    }
-    for i in (0..CODE).rev() {
-        for k in i + 1..CODE {
-            x[i] -= l[k * CODE + i] * x[k];
-        }
-        x[i] /= l[i * CODE + i];
     }
 }
 

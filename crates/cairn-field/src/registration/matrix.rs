@@ -1,5 +1,7 @@
 //! The small linear system of a step: nine numbers.
 
+use crate::cholesky::{factor, solve};
+
 /// Numbers that say where a picture was taken: rotation, translation, focal length, principal point.
 pub(super) const NUMBERS: usize = 9;
 
@@ -31,34 +33,9 @@ impl Normal {
             // What a number does not change at all stays as it is.
             row[k] = row[k] * (1.0 + damping) + 1e-9 * most;
         }
-        for j in 0..NUMBERS {
-            for k in 0..j {
-                let v = m[j][k];
-                for i in j..NUMBERS {
-                    m[i][j] -= m[i][k] * v;
-                }
-            }
-            let pivot = m[j][j];
-            if !(pivot > 0.0 && pivot.is_finite()) {
-                return None;
-            }
-            for i in j..NUMBERS {
-                m[i][j] /= pivot.sqrt();
-            }
-        }
-        let mut x = self.right;
-        for i in 0..NUMBERS {
-            for k in 0..i {
-                x[i] -= m[i][k] * x[k];
-            }
-            x[i] /= m[i][i];
-        }
-        for i in (0..NUMBERS).rev() {
-            for k in i + 1..NUMBERS {
-                x[i] -= m[k][i] * x[k];
-            }
-            x[i] /= m[i][i];
-        }
+        let (m, mut x) = (m.as_flattened_mut(), self.right);
+        factor(m, NUMBERS)?;
+        solve(m, &mut x);
         x.iter().all(|v| v.is_finite()).then_some(x)
     }
 }
