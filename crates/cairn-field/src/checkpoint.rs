@@ -10,6 +10,7 @@ use crate::frame::SceneFrame;
 use crate::grid::{Grid, ROW};
 use crate::light::LightVerdict;
 use crate::lights::Colours;
+use crate::mean::{Mean, codes_of};
 use crate::optimise::{Adam, RowState};
 use crate::trainer::{BaseTrainer, Prepared, TrainingView, prepare};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -18,7 +19,7 @@ use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/6";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/7";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -38,6 +39,8 @@ struct Header {
     appearances: usize,
     light: LightVerdict,
     colours: Colours,
+    /// States averaged so far.
+    averaged: u64,
     /// SHA-256 of the rest of the file; see [`digest`].
     digest: String,
 }
@@ -65,13 +68,14 @@ impl BaseTrainer {
             appearances: self.appearances.len(),
             light: self.light,
             colours: self.colours,
+            averaged: self.mean.states,
             digest: String::new(),
         };
-        let codes: Vec<f32> = self.appearances.iter().flat_map(|a| a.code().to_vec()).collect();
+        let codes = codes_of(&self.appearances);
         let vertex: Vec<u8> = self.grid.vertex[1..].iter().flat_map(|v| v.to_le_bytes()).collect();
         let occupancy: Vec<u8> = self.grid.occupancy.words().iter().flat_map(|v| v.to_le_bytes()).collect();
         let raw: Vec<f32> = self.grid.raw_rows().collect();
-        let float: [(&str, &[f32]); 9] = [
+        let float: [(&str, &[f32]); 12] = [
             ("raw", &raw),
             ("colour", &self.grid.colour),
             ("first", &self.rows.adam.first),
@@ -81,6 +85,9 @@ impl BaseTrainer {
             ("codes", &codes),
             ("codes_first", &self.appearance_adam.first),
             ("codes_second", &self.appearance_adam.second),
+            ("mean_raw", &self.mean.raw),
+            ("mean_colour", &self.mean.colour),
+            ("mean_codes", &self.mean.codes),
         ];
         let bad = |e: safetensors::SafeTensorError| stored("checkpoint", e.to_string());
         let bytes: Vec<(&str, Vec<u8>)> =
@@ -178,6 +185,17 @@ impl BaseTrainer {
             first: read("codes_first", header.appearances * n)?,
             second: read("codes_second", header.appearances * n)?,
             steps: header.appearance_steps,
+        };
+        if header.averaged > header.step {
+            return refuse("it has a mean of more states than its training had".into());
+        }
+        // Of no states there is none.
+        let some = usize::from(header.averaged > 0);
+        trainer.mean = Mean {
+            states: header.averaged,
+            raw: read("mean_raw", some * (rows - 1))?,
+            colour: read("mean_colour", some * rows * ROW)?,
+            codes: read("mean_codes", some * header.appearances * n)?,
         };
         trainer.neutral = header.neutral;
         trainer.light = header.light;

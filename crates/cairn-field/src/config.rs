@@ -45,6 +45,9 @@ pub struct FieldConfig {
     pub learning_rate_appearance: f64,
     /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
     pub final_rate: f64,
+    /// The field is the mean of the states of this last share of the steps, 0 (the last state alone) to 0.3, where the
+    /// rows are the same.
+    pub mean_of_last: f64,
     /// Weight of the distortion loss (mip-NeRF 360 eq. 15), >= 0. In the open, where
     /// nothing ends a ray, 0.03 keeps haze away.
     pub distortion: f64,
@@ -111,6 +114,7 @@ impl Default for FieldConfig {
             view_dependence: 0.2,
             learning_rate_appearance: 0.01,
             final_rate: 0.3,
+            mean_of_last: 0.2,
             distortion: 0.01,
             sparsity: 0.0,
             clear_background: 0.05,
@@ -195,6 +199,7 @@ impl FieldConfig {
         ] {
             check(share(value), key, number(value), "0 to 1")?;
         }
+        check((0.0..=0.3).contains(&self.mean_of_last), "field.mean_of_last", number(self.mean_of_last), "0 to 0.3")?;
         let apart = self.smoother_beyond_deg;
         check((1.0..=180.0).contains(&apart), "field.smoother_beyond_deg", number(apart), "1 to 180")?;
         check((0.25..=2.0).contains(&self.step_voxels), "field.step_voxels", number(self.step_voxels), "0.25 to 2")?;

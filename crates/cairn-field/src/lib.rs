@@ -26,6 +26,7 @@ pub mod lights;
 mod lit;
 pub mod march;
 pub mod marched;
+mod mean;
 mod memory;
 mod occupancy;
 pub mod operator;

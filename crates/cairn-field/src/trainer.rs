@@ -12,6 +12,7 @@ use crate::frame::SceneFrame;
 use crate::grid::{DENSITY_SCALE, Grid, raw_of};
 use crate::light::LightVerdict;
 use crate::lights::{Colours, LIGHTS_RATE};
+use crate::mean::Mean;
 use crate::optimise::{Adam, Rates, RowState};
 use crate::rays::Lens;
 use crate::resolution::{dims_of_level, finest, level_end, tile_side};
@@ -77,6 +78,8 @@ pub struct BaseTrainer {
     /// What the grid's coefficients stand for.
     pub(crate) colours: Colours,
     spacing: Spacing,
+    /// The mean of the last states so far.
+    pub(crate) mean: Mean,
 }
 
 impl BaseTrainer {
@@ -137,6 +140,7 @@ impl BaseTrainer {
             background,
             appearances,
             colours: Colours::Harmonics,
+            mean: Mean::default(),
             light: if open { LightVerdict::Open } else { LightVerdict::Settled },
         }
     }
@@ -273,6 +277,9 @@ impl BaseTrainer {
         self.batch = batch;
         // Here, and not before the next step: that one may be refused.
         self.make_ready();
+        if Mean::is_due(self.step, self.averaged_from(), self.config.steps) {
+            self.mean.take_in(&self.grid, &self.appearances);
+        }
         Ok(self.stats(loss))
     }
 
@@ -303,8 +310,21 @@ impl BaseTrainer {
         (tiles, drawn)
     }
 
-    /// The trained field.
-    pub fn finish(self) -> Field {
+    /// The step after which states are averaged: rows are the same from then on, since the last level is half done.
+    fn averaged_from(&self) -> u64 {
+        let last = self.level + 1 == self.config.levels;
+        let share = if last { self.config.mean_of_last } else { 0.0 };
+        let from = self.config.steps - (share * self.config.steps as f64) as u64;
+        from.max(self.halfway().1)
+    }
+
+    /// The trained field: the mean of the last states ([`FieldConfig::mean_of_last`]), or before those
+    /// begin the present one.
+    pub fn finish(mut self) -> Field {
+        if self.mean.states > 0 {
+            self.mean.replace(&mut self.grid, &mut self.appearances);
+            self.grid.refresh_occupancy(empty_density(self.grid.dims));
+        }
         let views: Vec<(Camera, Arc<Lens>)> = self.views.iter().map(|v| (v.camera, v.lens.clone())).collect();
         let least = self.config.prune_weight.min(SHOWS);
         let names = self.views.into_iter().map(|v| v.name.clone());

@@ -277,6 +277,10 @@ fn checkpoints_that_do_not_fit_are_refused() {
         let text = resume(&altered(&bytes, |h| h[key] = u64::MAX.into(), "", None)).expect("an error");
         assert!(text.contains("steps"), "{key}: {text}");
     }
+    let text = resume(&altered(&bytes, |h| h["averaged"] = 2.into(), "", None)).expect("an error");
+    assert!(text.contains("mean of more states"), "{text}");
+    let text = resume(&altered(&bytes, |h| h["averaged"] = 1.into(), "", None)).expect("an error");
+    assert!(text.contains("mean_raw"), "a mean of one state has numbers: {text}");
     for name in ["raw", "colour", "first", "second", "square", "seen"] {
         let text = resume(&altered(&bytes, |_| (), name, Some(f32::NAN))).expect("an error");
         assert!(text.contains(name) && text.contains("finite"), "{text}");

@@ -227,8 +227,9 @@ fn scout_config(field: &FieldConfig, second: bool) -> FieldConfig {
         // Each scout sees other views: their fits are compared, so that they have to be equally smooth.
         smoother_beyond_deg: 180.0,
         smooth_in_one_light: 1.0,
-        // Coarse fields that are compared: they gain nothing by it.
+        // Coarse fields that are compared as they stand: they gain nothing by these.
         basis_lights: false,
+        mean_of_last: 0.0,
         ..field.clone()
     }
 }

@@ -1,0 +1,51 @@
+//! The mean of a training's last states: what it is worth on views that were not trained on.
+
+mod common;
+
+use cairn_capture::{Camera, Picture};
+use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView};
+use common::{Numbers, ball_box, camera, photograph, rms, tiny, views};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// The view with a photograph as of a small sensor at night: grain of up to 0.2.
+fn grainy(view: TrainingView) -> TrainingView {
+    let mut numbers = Numbers(view.name.bytes().map(u64::from).sum());
+    let (width, height) = (view.picture.width(), view.picture.height());
+    let rgb = view.picture.rgb().iter().map(|v| (v + numbers.within(-0.2, 0.2) as f32).clamp(0.0, 1.0)).collect();
+    TrainingView { picture: Arc::new(Picture::new(width, height, rgb).expect("as large")), ..view }
+}
+
+fn trained(mean_of_last: f64, seed: u64) -> Field {
+    let config = FieldConfig { mean_of_last, ..tiny(600) };
+    let photographs = views(9, 32, 1.0, DVec3::ZERO).into_iter().map(grainy).collect();
+    let mut trainer = BaseTrainer::new(photographs, ball_box(), None, config, seed).expect("sound settings");
+    while trainer.steps_done() < trainer.steps_total() {
+        trainer.step().expect("finite numbers");
+    }
+    trainer.finish()
+}
+
+/// Root mean square error on cameras between those of the ring that was trained on.
+fn error(field: &Field) -> f64 {
+    let between: Vec<Camera> = (0..4)
+        .map(|k| {
+            let turn = 0.35 + 1.57 * f64::from(k);
+            camera(DVec3::new(3.0 * turn.cos(), 0.9, 3.0 * turn.sin()), DVec3::ZERO, 32)
+        })
+        .collect();
+    let off = |camera: &Camera| {
+        let shown = field.render(camera, field.canonical_appearance());
+        rms(shown.rgb(), photograph(camera, 1.0, DVec3::ZERO).rgb())
+    };
+    between.iter().map(off).sum::<f64>() / between.len() as f64
+}
+
+#[test]
+fn grain_is_averaged_out() {
+    for seed in 1..3 {
+        let (last, mean) = (error(&trained(0.0, seed)), error(&trained(0.2, seed)));
+        println!("seed {seed}: {mean:.4} for {last:.4}");
+        assert!(mean < 0.99 * last, "seed {seed}: {mean} for {last}");
+    }
+}
