@@ -253,6 +253,11 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     world.refused("bob", &base, "belongs to another account");
     world.refused("ada", &base, "there is no view");
     world.refused("bob", &["evaluate", "town"], "belongs to another account");
+    // Nor is a picture laid over the field for them.
+    let picture = world.place.text("capture/images/ada_002.png");
+    world.refused("bob", &["detect", "town", &picture, "--over-field"], "belongs to another account");
+    world.refused("bob", &["who", "town", "--picture", &picture, "--over-field"], "belongs to another account");
+    world.refused("ada", &["detect", "town", &picture, "--over-field"], "base field alone");
 
     // Nobody takes another's scene along in a training of their own.
     world.import("bob", "mill").unwrap();

@@ -38,7 +38,8 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
 
     // Query and detection read the same picture the same way.
     let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::DetectRequest { format_version: 1, scene: "town".into(), picture: marked.clone().into() };
+    let request =
+        v1::DetectRequest { format_version: 1, scene: "town".into(), picture: marked.clone().into(), lay_over: None };
     let found = detection.detect(request).await.unwrap().into_inner();
     assert_eq!(found.probabilities.len(), 3);
     assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{:?}", found.probabilities);
@@ -46,7 +47,8 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     assert_eq!((signal.width(), signal.height()), (32, 32));
     assert!(found.recovered_wav.is_empty() && found.recovered_text.is_none(), "nobody hides a sound or a text");
     let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::WhoByPictureRequest { format_version: 1, scene: "town".into(), picture: marked.into() };
+    let request =
+        v1::WhoByPictureRequest { format_version: 1, scene: "town".into(), picture: marked.into(), lay_over: None };
     let who = query.who_by_picture(request).await.unwrap().into_inner();
     let number = match who.answer.unwrap() {
         v1::who_response::Answer::Identity(who) => who.number,
@@ -54,6 +56,32 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     };
     assert_eq!(number, found.identity);
     assert!((who.confidence - f64::from(found.probabilities[number as usize])).abs() < 1e-6);
+
+    // Laid over the field, the mark stands out of a render that has it, and not of one that has none. It takes pictures
+    // with more to see than the photographs.
+    let pose = place.pose("images/ada_002.png", 6);
+    let larger = ["render", "town", "--pose", &pose, "--out"];
+    place.cairn_ok(&[&larger[..], &[&place.text("marked.png")], &to].concat());
+    place.cairn_ok(&[&larger[..], &[&place.text("base.png"), "--base"], &to].concat());
+    let owner = place.cairn_ok(&["who", "town", "--view", "images/ada_002.png", to[0], to[1]]);
+    let owner = owner.split(" (").next().unwrap();
+    let laid = |command: &[&str], how: &[&str]| place.cairn_ok(&[command, how, &to].concat());
+    for how in [["--rendered-view", "images/ada_002.png"], ["--rendered-pose", &pose]] {
+        let how = &how[..];
+        let said = laid(&["detect", "town", &place.text("marked.png")], how);
+        assert!(said.lines().next() == Some(owner) && stands_out(&said), "{how:?}: {said}");
+        let said = laid(&["who", "town", "--picture", &place.text("marked.png")], how);
+        assert!(said.starts_with(owner) && stands_out(&said), "{how:?}: {said}");
+        let said = laid(&["detect", "town", &place.text("base.png")], how);
+        assert!(said.contains("laid over the field, which explains ") && !stands_out(&said), "{how:?}: {said}");
+    }
+    // Its camera is found without being told, too; a field of forty steps shows too little for it to be found exactly.
+    let said = laid(&["detect", "town", &place.text("marked.png")], &["--over-field"]);
+    let share = said.split("which explains ").nth(1).and_then(|s| s.split(' ').next()).unwrap();
+    assert!(share.parse::<u32>().unwrap() > 90 && said.contains("  mark 2: "), "{said}");
+    let nowhere = ["detect", "town", &place.text("marked.png"), "--rendered-view", "images/none.png"];
+    let refused = place.cairn(&[&nowhere[..], &to].concat());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("there is no view"), "{refused:?}");
 
     let (json, sheet) = (place.text("report.json"), place.text("sheet.png"));
     place.cairn_ok(&["evaluate", "town", "--json", &json, "--sheet", &sheet, to[0], to[1]]);
@@ -70,6 +98,11 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     // Another picture in the place of the hidden one.
     std::fs::copy(place.path("sheet.png"), place.path("owners/1/signal.png")).unwrap();
     assert_eq!(place.cairn(&verify).status.code(), Some(1));
+}
+
+/// Whether `cairn detect` or `cairn who` says that a mark stood out when the picture was laid over the field.
+fn stands_out(said: &str) -> bool {
+    said.contains("laid over the field, which explains ") && !said.contains("the classifier answers")
 }
 
 #[test]

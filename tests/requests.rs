@@ -113,7 +113,8 @@ async fn bad_requests_get_the_right_codes() {
     assert_eq!(untrained.code(), Code::FailedPrecondition, "{untrained}");
     let nowhere = v1::RenderRequest { viewpoint: None, ..request };
     assert_eq!(render.render(nowhere).await.unwrap_err().code(), Code::InvalidArgument);
-    let noise = v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![7; 99].into() };
+    let noise =
+        v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![7; 99].into(), lay_over: None };
     assert_eq!(detection.detect(noise).await.unwrap_err().code(), Code::InvalidArgument);
 }
 
@@ -123,7 +124,8 @@ async fn requests_beyond_the_limits_are_refused_by_name() {
     let settings = "[limits]\nmax_message_bytes = 65536\nmax_pixels = 4096\nmax_side_px = 100";
     let daemon = Daemon::start(&place.path("data"), settings);
     let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![0; 70_000].into() };
+    let request =
+        v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![0; 70_000].into(), lay_over: None };
     let heavy = detection.detect(request).await.unwrap_err();
     assert_eq!(heavy.code(), Code::OutOfRange, "{heavy}");
 

@@ -59,6 +59,8 @@ pub struct WhoArgs {
     name: String,
     #[command(flatten)]
     about: AboutWhat,
+    #[command(flatten)]
+    over: OverField,
 }
 
 /// What to ask about.
@@ -74,6 +76,32 @@ struct AboutWhat {
     /// A picture, which the classifier reads
     #[arg(long, value_name = "PNG")]
     picture: Option<PathBuf>,
+}
+
+/// Reading a picture by laying it over the field.
+#[derive(Debug, clap::Args)]
+struct OverField {
+    /// Also lay the picture over the field and look for each mark in what the field does not explain: surer, and takes
+    /// many seconds where it is not said from where the picture was rendered
+    #[arg(long)]
+    over_field: bool,
+    /// The picture was rendered from this view of the scene (and neither cut nor turned): it is laid over the field there
+    #[arg(long, value_name = "VIEW", conflicts_with = "rendered_pose")]
+    rendered_view: Option<String>,
+    /// The picture was rendered from this camera, as for `cairn render`
+    #[arg(long, value_name = "FILE")]
+    rendered_pose: Option<PathBuf>,
+}
+
+impl OverField {
+    fn asked(self) -> anyhow::Result<Option<v1::LayOver>> {
+        let Self { over_field, rendered_view, rendered_pose } = self;
+        if rendered_view.is_some() || rendered_pose.is_some() {
+            let viewpoint = Some(viewpoint(rendered_view, rendered_pose.as_deref())?);
+            return Ok(Some(v1::LayOver { viewpoint }));
+        }
+        Ok(over_field.then_some(v1::LayOver { viewpoint: None }))
+    }
 }
 
 /// `cairn detect`.
@@ -92,6 +120,8 @@ pub struct DetectArgs {
     /// Where the recovered text goes; it is printed as well
     #[arg(long, value_name = "TXT")]
     text: Option<PathBuf>,
+    #[command(flatten)]
+    over: OverField,
 }
 
 /// `cairn evaluate`.
@@ -193,11 +223,15 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
 
 /// Answers `cairn who`.
 pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
+    let lay_over = args.over.asked()?;
+    let over_field = lay_over.is_some();
+    anyhow::ensure!(!over_field || args.about.picture.is_some(), "only a --picture is laid over the field");
     let answer = match args.about.picture {
         Some(path) => {
             let picture = read(&path)?.into();
-            let request = v1::WhoByPictureRequest { format_version: VERSION, scene: args.name, picture };
-            line.query().who_by_picture(request).await
+            let scene = args.name.clone();
+            let request = v1::WhoByPictureRequest { format_version: VERSION, scene, picture, lay_over };
+            line.about(&args.name).query().who_by_picture(request).await
         }
         None => {
             let viewpoint = Some(viewpoint(args.about.view, args.about.pose.as_deref())?);
@@ -221,7 +255,25 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         }
         _ => println!("unmarked (confidence {:.2})", answer.confidence),
     }
+    if over_field {
+        laid(answer.laid_over.as_ref());
+    }
     Ok(())
+}
+
+/// What laying the picture over the field said.
+fn laid(found: Option<&v1::LaidOver>) {
+    let Some(found) = found else {
+        println!("laid over the field nowhere: the classifier answers");
+        return;
+    };
+    println!("laid over the field, which explains {:.0} % of it", 100.0 * found.explained);
+    for (at, score) in found.scores.iter().enumerate() {
+        println!("  mark {}: {score:.1} deviations (believed from {:.0} on)", at + 1, cairn_stega::BELIEVED);
+    }
+    if found.scores.iter().all(|score| *score < cairn_stega::BELIEVED) {
+        println!("no mark stands out: the classifier answers");
+    }
 }
 
 /// Whose mark of another scene it is.
@@ -242,12 +294,17 @@ fn named(contributors: &[v1::WhoContributor]) -> String {
 /// Answers `cairn detect`.
 pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
     let picture = read(&args.picture)?.into();
-    let request = v1::DetectRequest { format_version: VERSION, scene: args.name, picture };
-    let answer = line.detection().detect(request).await.map_err(refused)?.into_inner();
+    let lay_over = args.over.asked()?;
+    let over_field = lay_over.is_some();
+    let request = v1::DetectRequest { format_version: VERSION, scene: args.name.clone(), picture, lay_over };
+    let answer = line.about(&args.name).detection().detect(request).await.map_err(refused)?.into_inner();
     match (answer.identity, &answer.elsewhere) {
         (0, Some(there)) => println!("{}", elsewhere(there)),
         (0, None) => println!("unmarked"),
         (number, _) => println!("identity {number}: {}", answer.label),
+    }
+    if over_field {
+        laid(answer.laid_over.as_ref());
     }
     for (class, probability) in answer.probabilities.iter().enumerate() {
         println!("  class {class}: {probability:.4}");

@@ -1,13 +1,15 @@
 //! `QueryService` and `DetectionService`.
 
+use cairn_access::Need;
 use cairn_capture::encode_png;
 use cairn_proto::v1::{self, detection_service_server::DetectionService, query_service_server::QueryService};
-use tonic::{Request, Response, Status};
+use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::hidden::encoded;
+use crate::engine::query::Over;
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -22,9 +24,10 @@ impl QueryService for Shared {
     }
 
     async fn who_by_picture(&self, request: Request<v1::WhoByPictureRequest>) -> Answer<v1::WhoResponse> {
-        let v1::WhoByPictureRequest { format_version, scene, picture } = request.into_inner();
+        let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
+        let v1::WhoByPictureRequest { format_version, scene, picture, .. } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
-        let who = self.compute(move |engine| engine.who_by_picture(&scene, &picture)).await?;
+        let who = self.compute(move |engine| engine.who_by_picture(&scene, &picture, over)).await?;
         Ok(Response::new(to_proto::who(who)))
     }
 
@@ -49,9 +52,10 @@ impl QueryService for Shared {
 #[tonic::async_trait]
 impl DetectionService for Shared {
     async fn detect(&self, request: Request<v1::DetectRequest>) -> Answer<v1::DetectResponse> {
-        let v1::DetectRequest { format_version, scene, picture } = request.into_inner();
+        let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
+        let v1::DetectRequest { format_version, scene, picture, .. } = request.into_inner();
         from_proto::version(format_version).map_err(status)?;
-        let (found, label) = self.compute(move |engine| engine.detect(&scene, &picture)).await?;
+        let (found, label) = self.compute(move |engine| engine.detect(&scene, &picture, over)).await?;
         let detection = found.detection;
         let recovered = encoded(&detection.recovered);
         Ok(Response::new(v1::DetectResponse {
@@ -63,6 +67,18 @@ impl DetectionService for Shared {
             identity: detection.identity.unwrap_or(0),
             label: label.unwrap_or_default(),
             elsewhere: found.elsewhere.map(to_proto::elsewhere),
+            laid_over: found.laid_over.map(to_proto::laid_over),
         }))
+    }
+}
+
+impl Shared {
+    /// How a picture is to be laid over the scene's field. It asks for a token as base renders do: it takes the daemon
+    /// seconds, and its scores are what someone would watch who wants a mark to go.
+    fn over(&self, caller: &Extensions, scene: &str, asked: Option<&v1::LayOver>) -> Result<Option<Over>, Status> {
+        let Some(v1::LayOver { viewpoint }) = asked else { return Ok(None) };
+        self.authorise_as(caller, Need::Inspect, About::Scene(scene))?;
+        let from = viewpoint.clone().map(|v| from_proto::viewpoint(Some(v))).transpose().map_err(status)?;
+        Ok(Some(Over { from }))
     }
 }

@@ -7,7 +7,7 @@ use cairn_proto::v1;
 use cairn_registry::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
 use tonic::codegen::Bytes;
 
-use crate::engine::classes::Elsewhere;
+use crate::engine::classes::{Elsewhere, LaidOver};
 use crate::engine::corrections::Standing;
 use crate::engine::job::{Job, JobState};
 use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
@@ -209,7 +209,13 @@ pub fn who(who: Who) -> v1::WhoResponse {
             None => Answer::Unmarked(v1::WhoUnmarked {}),
         },
     };
-    v1::WhoResponse { format_version: VERSION, answer: Some(answer), confidence: who.confidence }
+    let laid_over = who.laid_over.map(laid_over);
+    v1::WhoResponse { format_version: VERSION, answer: Some(answer), confidence: who.confidence, laid_over }
+}
+
+/// What laying a picture over a field says.
+pub fn laid_over(LaidOver { explained, scores }: LaidOver) -> v1::LaidOver {
+    v1::LaidOver { explained, scores }
 }
 
 /// An identity of another scene.

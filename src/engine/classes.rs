@@ -1,8 +1,8 @@
 //! Whose class is whose: a detector counts the identities of all scenes that share it,
 //! a scene its own only.
 
-use cairn_capture::Picture;
-use cairn_stega::Detection;
+use cairn_capture::{Camera, Picture};
+use cairn_stega::{Detection, RegisteredReader};
 
 use super::error::EngineError;
 use super::model::{Mark, Share};
@@ -26,6 +26,15 @@ pub struct Elsewhere {
     pub label: String,
 }
 
+/// What laying a picture over the scene's field says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LaidOver {
+    /// Share of the picture that the field explains, 1 at most.
+    pub explained: f64,
+    /// How far each identity's mark stands out, identity 1 first, standard deviations.
+    pub scores: Vec<f64>,
+}
+
 /// What a picture says, in the scene's own numbers.
 #[derive(Clone, Debug)]
 pub struct Found {
@@ -35,6 +44,8 @@ pub struct Found {
     pub elsewhere: Option<Elsewhere>,
     /// Probability of the answer, 0 to 1.
     pub confidence: f32,
+    /// What laying the picture over the field said, where that was asked for and a place was found.
+    pub laid_over: Option<LaidOver>,
     /// What the detector said, with the scene's classes alone: `unmarked`, then its identities; what is
     /// missing to 1 is other scenes'.
     pub detection: Detection,
@@ -91,7 +102,7 @@ impl Classes {
         let (unmarked, owners) = detection.probabilities.split_at(1);
         let own = owners.iter().skip(self.before()).take(self.shares[self.own].labels.len());
         detection.probabilities = unmarked.iter().chain(own).copied().collect();
-        Found { identity, elsewhere, confidence, detection }
+        Found { identity, elsewhere, confidence, laid_over: None, detection }
     }
 }
 
@@ -102,6 +113,35 @@ impl Mark {
     /// As [`cairn_stega::Detector::detect`].
     pub fn detect(&self, picture: &Picture) -> Result<Found, EngineError> {
         Ok(self.classes.found(self.detector.detect(picture)?))
+    }
+
+    /// As [`Mark::detect`], with the picture laid over the field as well, whose scene was photographed from `views`
+    /// (cameras and names), at `from` where that is known: a mark that stands out there is believed, and where none does
+    /// (also where nothing can be laid over this field) the classifier answers. What is hidden comes from the
+    /// detector, told that answer.
+    ///
+    /// # Errors
+    /// As [`cairn_stega::Detector::detect`].
+    pub fn detect_laid_over(
+        &self,
+        picture: &Picture,
+        views: &[(Camera, &str)],
+        from: Option<&Camera>,
+    ) -> Result<Found, EngineError> {
+        let reader = self.reader.get_or_init(|| RegisteredReader::new(&self.field, views));
+        let Some(reading) = reader.as_ref().and_then(|reader| reader.read(&self.field, picture, from)) else {
+            return self.detect(picture);
+        };
+        let explained = reading.registered.explained;
+        let laid_over = Some(LaidOver { explained, scores: reading.scores.clone() });
+        let Some(number) = reading.identity() else {
+            return Ok(Found { laid_over, ..self.detect(picture)? });
+        };
+        let mut detection = self.detector.detect_forced(picture, self.classes.of(number))?;
+        detection.identity = Some(number);
+        detection.probabilities = reading.probabilities();
+        let confidence = detection.probabilities[number as usize];
+        Ok(Found { identity: Some(number), elsewhere: None, confidence, laid_over, detection })
     }
 
     /// As [`Mark::detect`], with the scene's identity `number` told to the detector in place of the

@@ -4,12 +4,12 @@
 //! `current.json`.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use cairn_cluster::Clusters;
 use cairn_registry::Digest;
 use cairn_registry::record::photographs_root;
-use cairn_stega::Signal;
+use cairn_stega::{RegisteredReader, Signal};
 use serde::{Deserialize, Serialize};
 
 use super::classes::Classes;
@@ -155,6 +155,8 @@ pub struct Mark {
     pub signals: Vec<Signal>,
     /// Which of the detector's classes are the scene's.
     pub classes: Classes,
+    /// What lays pictures over the field: made when first asked for, `None` where that cannot be.
+    pub reader: OnceLock<Option<RegisteredReader>>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -287,7 +289,7 @@ fn load_mark(
         let problem = format!("it has {got} classes, model.json speaks of {expected}");
         return Err(EngineError::Stored { path: folder.join("detector"), problem });
     }
-    Ok(Mark { field, detector, signals, classes })
+    Ok(Mark { field, detector, signals, classes, reader: OnceLock::new() })
 }
 
 impl ModelInfo {

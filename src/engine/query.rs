@@ -1,8 +1,10 @@
 //! Rendering, asking who contributed, and detecting.
 
+use std::sync::Arc;
+
 use cairn_capture::{Camera, Picture};
 
-use super::classes::{Elsewhere, Found};
+use super::classes::{Elsewhere, Found, LaidOver};
 use super::error::EngineError;
 use super::maps::Maps;
 use super::model::Model;
@@ -53,6 +55,15 @@ pub struct Who {
     pub elsewhere: Option<Elsewhere>,
     /// Log indices of the owner records that bear on the identity, rising: see [`Engine::records_of`].
     pub records: Vec<u64>,
+    /// What laying a picture over the field said, where that was asked for.
+    pub laid_over: Option<LaidOver>,
+}
+
+/// Laying a picture over the field.
+#[derive(Clone, Debug)]
+pub struct Over {
+    /// From where the picture was rendered, where that is known.
+    pub from: Option<Viewpoint>,
 }
 
 /// Decodes a PNG or JPEG under the limits.
@@ -148,26 +159,27 @@ impl Engine {
         self.who(&info, found.identity, confidence)
     }
 
-    /// Whom the classifier reads from a picture.
+    /// Whom the classifier reads from a picture; or, with `over`, laying it over the field.
     ///
     /// # Errors
     /// For a picture that does not decode, and [`Model::mark`]'s.
-    pub fn who_by_picture(&self, scene: &str, bytes: &[u8]) -> Result<Who, EngineError> {
-        let picture = decode(bytes, &self.limits)?;
-        let model = self.model(scene)?;
-        let found = model.mark()?.detect(&picture)?;
+    pub fn who_by_picture(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Who, EngineError> {
+        let (model, found) = self.read_picture(scene, bytes, over)?;
         let who = self.who(&model.info, found.identity, found.confidence.into())?;
-        Ok(Who { elsewhere: found.elsewhere, ..who })
+        Ok(Who { elsewhere: found.elsewhere, laid_over: found.laid_over, ..who })
     }
 
     /// What a picture hides, and who that stands for.
     ///
     /// # Errors
     /// As [`Engine::who_by_picture`].
-    pub fn detect(&self, scene: &str, bytes: &[u8]) -> Result<(Found, Option<String>), EngineError> {
-        let picture = decode(bytes, &self.limits)?;
-        let model = self.model(scene)?;
-        let found = model.mark()?.detect(&picture)?;
+    pub fn detect(
+        &self,
+        scene: &str,
+        bytes: &[u8],
+        over: Option<Over>,
+    ) -> Result<(Found, Option<String>), EngineError> {
+        let (model, found) = self.read_picture(scene, bytes, over)?;
         let label = match found.identity {
             Some(number) => Some(model.info.identity(number)?.label.clone()),
             None => None,
@@ -175,10 +187,26 @@ impl Engine {
         Ok((found, label))
     }
 
+    fn read_picture(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<(Arc<Model>, Found), EngineError> {
+        let picture = decode(bytes, &self.limits)?;
+        let model = self.model(scene)?;
+        let mark = model.mark()?;
+        let Some(Over { from }) = over else {
+            let found = mark.detect(&picture)?;
+            return Ok((model, found));
+        };
+        let from = from.map(|viewpoint| self.camera(scene, &viewpoint)).transpose()?;
+        let folder = self.scene(scene)?;
+        let capture = folder.capture();
+        let views = capture.training().map(|i| (capture.views[i].camera, capture.views[i].name.as_str()));
+        let found = mark.detect_laid_over(&picture, &views.collect::<Vec<_>>(), from.as_ref())?;
+        Ok((model, found))
+    }
+
     fn who(&self, info: &super::ModelInfo, identity: Option<u32>, confidence: f64) -> Result<Who, EngineError> {
         let Some(number) = identity else {
             let (contributors, records) = (Vec::new(), Vec::new());
-            return Ok(Who { identity: None, contributors, confidence, elsewhere: None, records });
+            return Ok(Who { identity: None, contributors, confidence, elsewhere: None, records, laid_over: None });
         };
         let known = info.identity(number)?;
         let Some(contributors) = self.quarantine.credited(&info.scene, known)? else {
@@ -186,7 +214,7 @@ impl Engine {
         };
         let records = self.records_of(info, known)?;
         let identity = Some((number, known.label.clone()));
-        Ok(Who { identity, contributors, confidence, elsewhere: None, records })
+        Ok(Who { identity, contributors, confidence, elsewhere: None, records, laid_over: None })
     }
 }
 

@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
-use cairn_landmark::{Landmark, LandmarkConfig};
+use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
 use cairn_proto::v1;
 use tempfile::TempDir;
 
@@ -43,11 +43,29 @@ impl Place {
     /// Two contributors' photographs of the landmark, 12 views of 32 x 32 px.
     pub fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let config =
-            LandmarkConfig { contributors: 2, photographs: 6, width: 32, height: 32, ..LandmarkConfig::default() };
-        Landmark::generate(&config, 3).unwrap().write(&dir.path().join("capture")).unwrap();
+        Self::landmark().write(&dir.path().join("capture")).unwrap();
         std::fs::write(dir.path().join("tiny.toml"), TINY).unwrap();
         Self { dir }
+    }
+
+    fn landmark() -> LandmarkCapture {
+        let config =
+            LandmarkConfig { contributors: 2, photographs: 6, width: 32, height: 32, ..LandmarkConfig::default() };
+        Landmark::generate(&config, 3).unwrap()
+    }
+
+    /// The camera of view `name`, with so many times as many pixels along each side, as a file for `--pose`.
+    pub fn pose(&self, name: &str, times: usize) -> String {
+        let view = Self::landmark().views.into_iter().find(|view| view.name == name).unwrap();
+        let camera = view.camera.resized(32 * times, 32 * times);
+        let (i, r, at) = (camera.intrinsics, camera.pose.rotation.transpose(), camera.pose.position.to_array());
+        let row = |n: usize| -> Vec<f64> { r.col(n).to_array().into_iter().chain([at[n]]).collect() };
+        let json = serde_json::json!({
+            "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy,
+            "camera_to_world": [row(0), row(1), row(2)],
+        });
+        std::fs::write(self.path("pose.json"), json.to_string()).unwrap();
+        self.text("pose.json")
     }
 
     pub fn path(&self, name: &str) -> PathBuf {

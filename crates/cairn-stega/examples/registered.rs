@@ -62,7 +62,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         let show = |what: &str, picture: &Picture| {
             let begun = Instant::now();
-            let Some(read) = reader.read(&marked, picture) else {
+            let Some(read) = reader.read(&marked, picture, None) else {
                 println!("  {what:20} nowhere");
                 return;
             };

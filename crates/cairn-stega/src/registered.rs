@@ -20,7 +20,7 @@ use cairn_field::Appearance;
 use cairn_field::registration::{Registered, Registrar};
 
 /// From here on a mark is believed. A standard normal number does not come so far; renders without a mark that were laid
-/// on a little amiss have come to 4.3.
+/// on a little amiss have come to 4.3. No number of blocks can come beyond its own root, so that a picture needs 64.
 pub const BELIEVED: f64 = 8.0;
 /// Side of a block, px.
 const BLOCK: usize = 8;
@@ -78,10 +78,14 @@ impl RegisteredReader {
         Some(Self { registrar: Registrar::new(marked.base().clone(), views)? })
     }
 
-    /// Lays `picture` over the field and looks for each identity's mark of `marked`, the field that it was made for;
+    /// Lays `picture` over the field and looks for each identity's mark of `marked`, the field that it was made for. `from`
+    /// is the camera that it was rendered with, where that is known; otherwise it is searched for, which takes seconds.
     /// `None` where no place was found for it.
-    pub fn read(&self, marked: &MarkedField, picture: &Picture) -> Option<RegisteredReading> {
-        let registered = self.registrar.register(picture)?;
+    pub fn read(&self, marked: &MarkedField, picture: &Picture, from: Option<&Camera>) -> Option<RegisteredReading> {
+        let registered = match from {
+            Some(camera) => self.registrar.register_at(picture, camera)?,
+            None => self.registrar.register(picture)?,
+        };
         let identities = marked.clusters().clusters.len() as u32;
         let (camera, light) = (&registered.camera, &registered.appearance);
         let base = marked.base().render(camera, light).clamped();

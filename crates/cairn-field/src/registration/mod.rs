@@ -24,7 +24,7 @@ use cairn_capture::{Camera, Picture};
 use matrix::NUMBERS;
 use refine::Refined;
 use search::Thumbnail;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use windows::Level;
 
 /// Places that are refined, at most.
@@ -37,7 +37,9 @@ const FOLLOWED: usize = 2;
 /// [0, 1]): the pose first, and where it nearly is the lens as well, since a longer lens further off shows nearly the same;
 /// and what stands a pixel aside is no outlier before it can have been moved.
 const STEPS: [(usize, usize, f64); 5] =
-    [(16, POSE, 0.2), (4, POSE, 0.1), (6, NUMBERS, 0.03), (8, NUMBERS, 0.03), (12, NUMBERS, 0.5 / 255.0)];
+    [(16, POSE, 0.2), (4, POSE, 0.1), (6, NUMBERS, 0.03), (8, NUMBERS, 0.03), (12, NUMBERS, LEAST_SPREAD)];
+/// What eight bits leave of a number, about.
+const LEAST_SPREAD: f64 = 0.5 / 255.0;
 /// The numbers of a pose.
 const POSE: usize = 6;
 /// A place that explains less of a picture on the coarsest level is left there.
@@ -58,7 +60,10 @@ pub struct Registrar {
     prior: Prior,
     /// How far cameras stand from what they see, in capture units.
     reach: f64,
-    thumbnails: Vec<Thumbnail>,
+    /// The views' cameras and appearances,
+    views: Vec<(Camera, Appearance)>,
+    /// and their small renders, made when a picture's camera is first searched for.
+    thumbnails: OnceLock<Vec<Thumbnail>>,
 }
 
 /// Where a picture was taken.
@@ -77,8 +82,7 @@ pub struct Registered {
 
 impl Registrar {
     /// Prepares registration to `field`, of pictures taken from about where `views` were (cameras and names, by
-    /// which their appearances are known): renders each small once.
-    /// `None` without views, and for fields with basis lights, which are not provided for.
+    /// which their appearances are known). `None` without views, and for fields with basis lights, which are not provided for.
     pub fn new(field: Arc<Field>, views: &[(Camera, &str)]) -> Option<Self> {
         if views.is_empty() || field.colours() == Colours::Lit {
             return None;
@@ -86,15 +90,24 @@ impl Registrar {
         let seen: Vec<&Appearance> = field.appearances.iter().map(|(_, code)| code).collect();
         let around = || Prior::around(field.canonical.clone());
         let prior = if seen.is_empty() { around() } else { Prior::of(&seen).unwrap_or_else(around) };
-        let thumbnail = |(camera, name): &(Camera, &str)| Thumbnail::of(&field, camera, field.appearance_of(name));
-        let thumbnails = views.iter().map(thumbnail).collect();
         let reach = reach(field.frame(), views);
-        Some(Self { prior, reach, thumbnails, field })
+        let views = views.iter().map(|(camera, name)| (*camera, field.appearance_of(name).clone())).collect();
+        Some(Self { prior, reach, views, thumbnails: OnceLock::new(), field })
     }
 
     /// The field.
     pub fn field(&self) -> &Arc<Field> {
         &self.field
+    }
+
+    /// `picture` where it is known that `camera` took it (or a larger or smaller copy of it): the light alone is found.
+    /// `None` where no light explains any of it, or it is too small to tell.
+    pub fn register_at(&self, picture: &Picture, camera: &Camera) -> Option<Registered> {
+        let picture = bounded(picture)?;
+        let camera = camera.resized(picture.width(), picture.height());
+        let level = Level::of_parts(&picture, LONGEST_PX);
+        let found = self.refined(&level, camera, (0, POSE, LEAST_SPREAD))?;
+        Some(Registered { camera, appearance: found.appearance, picture, explained: found.explained })
     }
 
     /// The camera and light from which the field looks most like `picture` (any size; a number that is not finite
@@ -110,7 +123,9 @@ impl Registrar {
         // The last one twice: first what is far off has a say there, then only what fits.
         let levels: Vec<&Level> = levels.iter().chain(levels.last()).collect();
         let mut places: Vec<Refined> = Vec::new();
-        for candidate in search::candidates(&self.thumbnails, &picture, CANDIDATES) {
+        let thumbnail = |(camera, light): &(Camera, Appearance)| Thumbnail::of(&self.field, camera, light);
+        let thumbnails = self.thumbnails.get_or_init(|| self.views.iter().map(thumbnail).collect());
+        for candidate in search::candidates(thumbnails, &picture, CANDIDATES) {
             let (_, free, least) = STEPS[0];
             places.extend(self.refined(levels[0], candidate.camera, (FIRST, free, least)));
             if places.last().is_some_and(|place| place.explained > SURELY) {

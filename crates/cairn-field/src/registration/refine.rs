@@ -17,6 +17,8 @@ use rayon::prelude::*;
 const TUKEY: f64 = 4.685;
 /// How far a number goes for a slope, pixels of the level.
 const PROBE_PX: f64 = 0.4;
+/// Slopes serve for another step where one by them left less than this share of the cost: they are ten renders, a step is one.
+const WELL: f64 = 0.8;
 /// A step that moves pixels by less ends a level, pixels of the level.
 const SETTLED_PX: f64 = 0.01;
 
@@ -36,7 +38,7 @@ struct Looked {
     residuals: Vec<[f32; 3]>,
 }
 
-/// Takes up to `steps` steps from `camera`, which move the first `free` of the nine numbers, with no spread of
+/// Takes steps from `camera`, with slopes worked out up to `steps` times, which move the first `free` of the nine numbers, with no spread of
 /// differences below `least_spread`; `reach` is how far what is seen is, capture units. `None` where there is nothing to
 /// compare, or no light explains it.
 pub(super) fn refine(
@@ -52,29 +54,39 @@ pub(super) fn refine(
     let mut now = look(field, prior, level, &camera, None)?;
     // Little: with much, steps along the valley of longer lenses further off were too short to go on.
     let mut damping = 1e-5;
-    for _ in 0..steps {
+    let (mut known, mut worked_out) = (None::<Slopes>, 0);
+    while known.is_some() || worked_out < steps {
         let weights = Weights::of(&now.residuals, &level.tells, least_spread);
-        let longest = level.size.0.max(level.size.1) as f64;
-        let units = units(&now.camera, reach, longest);
-        let normal = slopes(field, level, &now, &weights, (&units, free));
         let before = weights.cost(&now.residuals);
+        let fresh = known.is_none();
+        worked_out += usize::from(fresh);
+        let slopes = known.take().unwrap_or_else(|| Slopes::at(field, level, &now, (reach, free)));
+        let normal = slopes.normal(&now.residuals, &weights);
         let mut moved = None;
-        for _ in 0..4 {
+        // Slopes from a step before that do not lead on are worked out anew.
+        for _ in 0..if fresh { 4 } else { 1 } {
             let step = normal.step(damping)?;
-            let there = changed(&now.camera, &step, &units);
+            let there = changed(&now.camera, &step, &slopes.units);
             // Light is fitted to what counted: an outlier has no say in it either.
             let next = look(field, prior, level, &there, Some(&weights));
-            if let Some(next) = next.filter(|next| weights.cost(&next.residuals) < before) {
+            let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(&next.residuals));
+            if let Some(next) = next.filter(|_| cost < before) {
                 damping = (damping * 0.1).max(1e-8);
-                moved = Some((next, step.iter().map(|s| s * s).sum::<f64>().sqrt() * PROBE_PX));
+                moved = Some((next, cost, step.iter().map(|s| s * s).sum::<f64>().sqrt() * PROBE_PX));
                 break;
             }
             damping *= 30.0;
         }
-        let Some((next, by_px)) = moved else { break };
-        now = next;
-        if by_px < SETTLED_PX {
-            break;
+        match moved {
+            Some((next, cost, by_px)) => {
+                now = next;
+                if by_px < SETTLED_PX {
+                    break;
+                }
+                known = (cost < WELL * before).then_some(slopes);
+            }
+            None if fresh => break,
+            None => {}
         }
     }
     let explained = Weights::of(&now.residuals, &level.tells, least_spread).explained(&now.residuals, level);
@@ -133,33 +145,41 @@ fn differences(features: &[[f32; FEATURES]], light: &Appearance, pixels: &[[f32;
     features.iter().zip(pixels).map(off).collect()
 }
 
-/// How residuals change with each of the first `free` numbers: as a render with that one a little different differs. All
+/// How what the field shows changes with each of a camera's numbers: as a render with that one a little different differs. All
 /// of them so: a turn and a move to the side show nearly the same, and slopes of the picture for the one beside
 /// renders for the other hid the difference between them, which is all that tells how far things are.
-fn slopes(
-    field: &Field,
-    level: &Level,
-    now: &Looked,
-    weights: &Weights,
-    (units, free): (&[f64; NUMBERS], usize),
-) -> Normal {
-    let of = |k: usize| {
-        let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
-        differences(&gathered(field, level, &changed(&now.camera, &step, units)), &now.appearance, &level.pixels)
-    };
-    let probes: Vec<Vec<[f32; 3]>> = (0..free).into_par_iter().map(of).collect();
-    let mut normal = Normal::default();
-    for (at, (r, w)) in now.residuals.iter().zip(&weights.each).enumerate() {
-        if *w == 0.0 {
-            continue;
-        }
-        for c in 0..3 {
-            // A residual falls by what the render rises.
-            let slope = |k: usize| if k < free { f64::from(r[c] - probes[k][at][c]) } else { 0.0 };
-            normal.add(&std::array::from_fn(slope), f64::from(r[c]), *w);
-        }
+struct Slopes {
+    /// How far each number went.
+    units: [f64; NUMBERS],
+    /// What that added to each colour of each pixel.
+    each: Vec<[[f32; NUMBERS]; 3]>,
+}
+
+impl Slopes {
+    /// For the first `free` numbers of the present camera; the others' are 0.
+    fn at(field: &Field, level: &Level, now: &Looked, (reach, free): (f64, usize)) -> Self {
+        let units = units(&now.camera, reach, level.size.0.max(level.size.1) as f64);
+        let of = |k: usize| {
+            let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
+            differences(&gathered(field, level, &changed(&now.camera, &step, &units)), &now.appearance, &level.pixels)
+        };
+        let probes: Vec<Vec<[f32; 3]>> = (0..free).into_par_iter().map(of).collect();
+        // A residual falls by what the render rises.
+        let slope =
+            |at: usize, c: usize, k: usize| if k < free { now.residuals[at][c] - probes[k][at][c] } else { 0.0 };
+        let each = |at: usize| std::array::from_fn(|c| std::array::from_fn(|k| slope(at, c, k)));
+        Self { units, each: (0..now.residuals.len()).map(each).collect() }
     }
-    normal
+
+    fn normal(&self, residuals: &[[f32; 3]], weights: &Weights) -> Normal {
+        let mut normal = Normal::default();
+        for ((slopes, r), w) in self.each.iter().zip(residuals).zip(&weights.each).filter(|(_, w)| **w != 0.0) {
+            for (slopes, r) in slopes.iter().zip(r) {
+                normal.add(&slopes.map(f64::from), f64::from(*r), *w);
+            }
+        }
+        normal
+    }
 }
 
 /// Tukey's biweights of residuals.

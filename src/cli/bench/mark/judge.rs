@@ -14,7 +14,7 @@ use super::super::field::source::{Opened, Source};
 use super::harm::{self, Set};
 use super::scored::Harmed;
 pub use super::scored::Judged;
-use super::{permuted, sheet, train, unmarked};
+use super::{laid, permuted, sheet, train, unmarked};
 use crate::engine::evaluate::{PERFECT_DB, eight_bits, half};
 use crate::engine::recovery::{SeenView, picture_ssim, recovery};
 use crate::engine::report::{Recovery, Right};
@@ -41,6 +41,8 @@ pub struct Task {
     pub permuted: usize,
     /// Whether light is fitted on left halves and right halves are scored.
     pub right_half: bool,
+    /// Whether pictures are laid over the field as well.
+    pub lay_over: bool,
     /// The file for a contact sheet.
     pub sheet: PathBuf,
     /// The file for the reliability table.
@@ -95,7 +97,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let detector = Detector::from_bytes(&super::read(&task.detector)?)?;
     let mut asked = Asked { detector, signals: train::signals(&task.signals, &task.config)?, answers: Vec::new() };
     let opened = task.source.open()?;
-    let mut progress = Progress::new(&task.label, 4);
+    let mut progress = Progress::new(&task.label, 5);
     let views = views(&opened, &marked, task.right_half)?;
     anyhow::ensure!(!views.is_empty(), "{} holds no view out to judge on", task.source.folder.display());
     let (classes, identities) = clean(&mut asked, &views)?;
@@ -106,6 +108,8 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let followed = permuted::follow((&asked.detector, &asked.signals), (&marked, task.permuted), &views)?;
     progress.at(3, "");
     let unmarked = unmarked::ask(&mut asked, (&opened, &task.foreign), &views)?;
+    progress.at(4, "");
+    let laid = if task.lay_over { laid::ask((&marked, &asked.detector), &opened, &views)? } else { None };
     drop(progress);
     let part = |picture: &Picture| if task.right_half { half(picture) } else { Ok(picture.clone()) };
     let mut sums = [0.0; 4];
@@ -133,6 +137,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         harms,
         followed,
         unmarked,
+        laid,
         calibration_error: expected_calibration_error(&asked.answers, BINS)?,
         answers: asked.answers.len(),
     })

@@ -11,6 +11,7 @@
 mod case;
 mod harm;
 mod judge;
+mod laid;
 mod permuted;
 mod report;
 pub mod scenes;
@@ -95,6 +96,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
         for over in &trainings {
             let mut run = Run::new(place, args, case, (&captures, &pictures), *over)?;
             run.permute = what == What::Honesty && case.anchors > 1;
+            run.lay_over = what == What::Marks;
             let name = run.name.clone();
             let work = tokio::task::spawn_blocking({
                 let children = children.clone();
@@ -186,6 +188,8 @@ struct Run {
     runs: u64,
     /// Whether to train once more with permuted identities.
     permute: bool,
+    /// Whether pictures are laid over the field as well.
+    lay_over: bool,
     name: String,
     out: PathBuf,
 }
@@ -227,6 +231,7 @@ impl Run {
             seed: args.seed,
             runs: if args.quick || !ablation.is_empty() { 1 } else { RUNS },
             permute: false,
+            lay_over: false,
             name: match ablation {
                 "" => args.case_name(case.name.as_str()),
                 ablation => format!("{}, {ablation}", args.case_name(case.name.as_str())),
@@ -286,6 +291,7 @@ impl Run {
             right_half: self.case.right_half,
             sheet: file("png"),
             reliability: file("csv"),
+            lay_over: self.lay_over,
             label: label("judging"),
         };
         Ok((children.run(&mark)?, children.run(&judge)?))

@@ -5,6 +5,7 @@ use cairn_bench::Target;
 
 use super::case::{AUDIO_SNR_DB, COMBINED, Case, HARD, MILD, TEXT_CHARACTERS};
 use super::harm::Set;
+use super::laid::{Laid, Told};
 use super::permuted::Followed;
 use super::scored::{Harmed, Judged};
 use super::{Marked, Outcome, What};
@@ -49,6 +50,7 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     if what == What::Honesty {
         return;
     }
+    laid(rows, name, &outcome.runs.iter().filter_map(|run| run.1.laid).collect::<Vec<_>>());
     for at in 0..first.harms.len() {
         let all: Vec<&Harmed> = judged().filter_map(|j| j.harms.get(at)).collect();
         harm(rows, name, robust, &all);
@@ -99,6 +101,24 @@ fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, (suite, outcome):
         rows.add(name, &format!("{what}, forced on base renders"), base, unit, None);
         rows.add(name, &format!("{what}, forced on grey"), mean(all.iter().map(|m| m.forced_grey)), unit, None);
         rows.add(name, &format!("{what}, forced on noise"), mean(all.iter().map(|m| m.forced_noise)), unit, None);
+    }
+}
+
+/// What comes of laying pictures over the field.
+fn laid(rows: &mut Rows, name: &str, all: &[Laid]) {
+    type Part = fn(&Laid) -> Told;
+    let parts: [(&str, Part); 2] = [("where it was rendered", |l| l.known), ("camera searched for", |l| l.searched)];
+    for (how, part) in parts {
+        let told = || all.iter().map(part);
+        let how = format!("laid over the field, {how}");
+        share(rows, name, &format!("{how}: accuracy"), told().map(|t| t.classes), None);
+        share(rows, name, &format!("{how}: marks stand out"), told().map(|t| t.found), None);
+        share(rows, name, &format!("{how}: nothing stands out where no mark is"), told().map(|t| t.silent), None);
+        let pictures: usize = told().map(|t| t.found.asked + t.silent.asked).sum();
+        if pictures > 0 {
+            let seconds: f64 = told().map(|t| t.seconds).sum();
+            rows.add(name, &format!("{how}: a picture"), seconds / pictures as f64, "s", None);
+        }
     }
 }
 

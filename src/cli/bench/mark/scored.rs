@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::harm::Set;
+use super::laid::Laid;
 use super::permuted::Followed;
 use crate::engine::report::{Recovery, Right};
 
@@ -33,7 +34,9 @@ pub struct Judged {
     pub followed: Followed,
     /// What carries no mark, and is to be `unmarked`.
     pub unmarked: Vec<Silent>,
-    /// Expected calibration error of the answers to all of the above but `followed`.
+    /// What laying pictures over the field says, where that was asked for and can be.
+    pub laid: Option<Laid>,
+    /// Expected calibration error of the answers to all of the above but `followed` and `laid`.
     pub calibration_error: f64,
     /// Answers behind it.
     pub answers: usize,
