@@ -82,6 +82,16 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     let nowhere = ["detect", "town", &place.text("marked.png"), "--rendered-view", "images/none.png"];
     let refused = place.cairn(&[&nowhere[..], &to].concat());
     assert!(String::from_utf8_lossy(&refused.stderr).contains("there is no view"), "{refused:?}");
+    // Too little to see, and what that camera cannot have taken whole.
+    let wide = cairn_capture::Picture::constant(192, 96, [0.5; 3]);
+    std::fs::write(place.path("wide.png"), cairn_capture::encode_png(&wide)).unwrap();
+    for (picture, how, why) in [
+        ("capture/images/ada_002.png", "--over-field", "64 x 64 px or more"),
+        ("wide.png", "--rendered-view=images/ada_002.png", "the proportions of what it was rendered at, 32 x 32 px"),
+    ] {
+        let refused = place.cairn(&["detect", "town", &place.text(picture), how, to[0], to[1]]);
+        assert!(String::from_utf8_lossy(&refused.stderr).contains(why), "{refused:?}");
+    }
 
     let (json, sheet) = (place.text("report.json"), place.text("sheet.png"));
     place.cairn_ok(&["evaluate", "town", "--json", &json, "--sheet", &sheet, to[0], to[1]]);

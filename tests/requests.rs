@@ -233,6 +233,20 @@ async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
         request.metadata_mut().insert("authorization", token.parse().unwrap());
         assert_eq!(scenes.delete(request).await.unwrap_err().code(), code, "{token}");
     }
+    // So does a picture that is to be laid over the field, as base renders do; the classifier's answer is everybody's.
+    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let detect = |lay_over| {
+        let picture = vec![7; 99].into();
+        v1::DetectRequest { format_version: 1, scene: "town".into(), picture, lay_over }
+    };
+    let over = Some(v1::LayOver { viewpoint: None });
+    assert_eq!(detection.detect(detect(over.clone())).await.unwrap_err().code(), Code::Unauthenticated);
+    assert_eq!(detection.detect(detect(None)).await.unwrap_err().code(), Code::InvalidArgument);
+    let mut request = Request::new(detect(over));
+    request.metadata_mut().insert("authorization", "Bearer a-token-of-the-test".parse().unwrap());
+    assert_eq!(detection.detect(request).await.unwrap_err().code(), Code::InvalidArgument);
+    let nowhere = Some(v1::LayOver { viewpoint: Some(v1::Viewpoint { from: None }) });
+    assert_eq!(detection.detect(detect(nowhere)).await.unwrap_err().code(), Code::InvalidArgument);
     // Reading is free.
     assert!(scenes.list(v1::ListScenesRequest { format_version: 1 }).await.is_ok());
     let token = place.text("token");

@@ -83,13 +83,13 @@ struct AboutWhat {
 struct OverField {
     /// Also lay the picture over the field and look for each mark in what the field does not explain: surer, and takes
     /// many seconds where it is not said from where the picture was rendered
-    #[arg(long)]
+    #[arg(long, requires = "picture")]
     over_field: bool,
-    /// The picture was rendered from this view of the scene (and neither cut nor turned): it is laid over the field there
-    #[arg(long, value_name = "VIEW", conflicts_with = "rendered_pose")]
+    /// Lay the picture over the field at this view of the scene, which it was rendered from and neither cut nor turned since
+    #[arg(long, value_name = "VIEW", conflicts_with = "rendered_pose", requires = "picture")]
     rendered_view: Option<String>,
-    /// The picture was rendered from this camera, as for `cairn render`
-    #[arg(long, value_name = "FILE")]
+    /// Lay it over the field at this camera, written as for `cairn render --pose`
+    #[arg(long, value_name = "FILE", requires = "picture")]
     rendered_pose: Option<PathBuf>,
 }
 
@@ -225,7 +225,6 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
 pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     let lay_over = args.over.asked()?;
     let over_field = lay_over.is_some();
-    anyhow::ensure!(!over_field || args.about.picture.is_some(), "only a --picture is laid over the field");
     let answer = match args.about.picture {
         Some(path) => {
             let picture = read(&path)?.into();
@@ -264,15 +263,16 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
 /// What laying the picture over the field said.
 fn laid(found: Option<&v1::LaidOver>) {
     let Some(found) = found else {
-        println!("laid over the field nowhere: the classifier answers");
+        println!("it is like the field from nowhere that was tried: the classifier answers");
         return;
     };
     println!("laid over the field, which explains {:.0} % of it", 100.0 * found.explained);
     for (at, score) in found.scores.iter().enumerate() {
-        println!("  mark {}: {score:.1} deviations (believed from {:.0} on)", at + 1, cairn_stega::BELIEVED);
+        println!("  mark {}: {score:.1} deviations (believed from {:.0} on)", at + 1, found.believed_from);
     }
-    if found.scores.iter().all(|score| *score < cairn_stega::BELIEVED) {
-        println!("no mark stands out: the classifier answers");
+    match found.believed {
+        0 => println!("no mark stands out: the classifier answers"),
+        number => println!("mark {number} stands out and is believed"),
     }
 }
 

@@ -45,6 +45,8 @@ pub struct Shared {
     /// Whether nobody but this very process can call.
     in_process: bool,
     renders: Arc<Semaphore>,
+    /// Held while a picture's camera is searched for.
+    searches: Arc<Semaphore>,
     /// Largest message that goes out.
     most_bytes: usize,
 }
@@ -66,6 +68,7 @@ impl Shared {
             in_process: false,
             most_bytes: config.limits.max_message_bytes,
             renders: Arc::new(Semaphore::new(config.limits.concurrent_renders)),
+            searches: Arc::new(Semaphore::new(1)),
         }
     }
 

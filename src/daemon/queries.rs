@@ -3,6 +3,7 @@
 use cairn_access::Need;
 use cairn_capture::encode_png;
 use cairn_proto::v1::{self, detection_service_server::DetectionService, query_service_server::QueryService};
+use tokio::sync::OwnedSemaphorePermit;
 use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
@@ -24,10 +25,15 @@ impl QueryService for Shared {
     }
 
     async fn who_by_picture(&self, request: Request<v1::WhoByPictureRequest>) -> Answer<v1::WhoResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
-        let v1::WhoByPictureRequest { format_version, scene, picture, .. } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
-        let who = self.compute(move |engine| engine.who_by_picture(&scene, &picture, over)).await?;
+        let searching = self.searching(over.as_ref()).await;
+        let v1::WhoByPictureRequest { scene, picture, .. } = request.into_inner();
+        let who = self.compute(move |engine| {
+            let _searching = searching;
+            engine.who_by_picture(&scene, &picture, over)
+        });
+        let who = who.await?;
         Ok(Response::new(to_proto::who(who)))
     }
 
@@ -52,10 +58,15 @@ impl QueryService for Shared {
 #[tonic::async_trait]
 impl DetectionService for Shared {
     async fn detect(&self, request: Request<v1::DetectRequest>) -> Answer<v1::DetectResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
-        let v1::DetectRequest { format_version, scene, picture, .. } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
-        let (found, label) = self.compute(move |engine| engine.detect(&scene, &picture, over)).await?;
+        let searching = self.searching(over.as_ref()).await;
+        let v1::DetectRequest { scene, picture, .. } = request.into_inner();
+        let found = self.compute(move |engine| {
+            let _searching = searching;
+            engine.detect(&scene, &picture, over)
+        });
+        let (found, label) = found.await?;
         let detection = found.detection;
         let recovered = encoded(&detection.recovered);
         Ok(Response::new(v1::DetectResponse {
@@ -77,8 +88,17 @@ impl Shared {
     /// seconds, and its scores are what someone would watch who wants a mark to go.
     fn over(&self, caller: &Extensions, scene: &str, asked: Option<&v1::LayOver>) -> Result<Option<Over>, Status> {
         let Some(v1::LayOver { viewpoint }) = asked else { return Ok(None) };
-        self.authorise_as(caller, Need::Inspect, About::Scene(scene))?;
         let from = viewpoint.clone().map(|v| from_proto::viewpoint(Some(v))).transpose().map_err(status)?;
+        self.authorise_as(caller, Need::Inspect, About::Scene(scene))?;
         Ok(Some(Over { from }))
+    }
+
+    /// Waits for the one place that searches for a camera have, of those that renders share: a search keeps its own for
+    /// many seconds. It goes with the work.
+    async fn searching(&self, over: Option<&Over>) -> Option<OwnedSemaphorePermit> {
+        match over {
+            Some(Over { from: None }) => self.searches.clone().acquire_owned().await.ok(),
+            _ => None,
+        }
     }
 }

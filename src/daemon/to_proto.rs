@@ -214,8 +214,8 @@ pub fn who(who: Who) -> v1::WhoResponse {
 }
 
 /// What laying a picture over a field says.
-pub fn laid_over(LaidOver { explained, scores }: LaidOver) -> v1::LaidOver {
-    v1::LaidOver { explained, scores }
+pub fn laid_over(LaidOver { explained, scores, believed }: LaidOver) -> v1::LaidOver {
+    v1::LaidOver { explained, scores, believed: believed.unwrap_or(0), believed_from: cairn_stega::BELIEVED }
 }
 
 /// An identity of another scene.

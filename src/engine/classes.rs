@@ -33,6 +33,8 @@ pub struct LaidOver {
     pub explained: f64,
     /// How far each identity's mark stands out, identity 1 first, standard deviations.
     pub scores: Vec<f64>,
+    /// The identity whose mark is believed.
+    pub believed: Option<u32>,
 }
 
 /// What a picture says, in the scene's own numbers.
@@ -115,26 +117,43 @@ impl Mark {
         Ok(self.classes.found(self.detector.detect(picture)?))
     }
 
-    /// As [`Mark::detect`], with the picture laid over the field as well, whose scene was photographed from `views`
-    /// (cameras and names), at `from` where that is known: a mark that stands out there is believed, and where none does
-    /// (also where nothing can be laid over this field) the classifier answers. What is hidden comes from the
-    /// detector, told that answer.
+    /// As [`Mark::detect`], with the picture laid over the field as well, at `from` where that is known: a mark that stands
+    /// out there is believed, and where none does, or no place is found, the classifier answers. What is hidden
+    /// comes from the detector, told that answer. `views` are asked for when the first picture comes: cameras and
+    /// names of photographs, where a search begins.
     ///
     /// # Errors
-    /// As [`cairn_stega::Detector::detect`].
+    /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`] where nothing can be laid over
+    /// this field; as [`cairn_stega::Detector::detect`].
     pub fn detect_laid_over(
         &self,
         picture: &Picture,
-        views: &[(Camera, &str)],
+        views: impl FnOnce() -> Vec<(Camera, String)>,
         from: Option<&Camera>,
     ) -> Result<Found, EngineError> {
-        let reader = self.reader.get_or_init(|| RegisteredReader::new(&self.field, views));
-        let Some(reading) = reader.as_ref().and_then(|reader| reader.read(&self.field, picture, from)) else {
+        let (width, height) = (picture.width(), picture.height());
+        if !RegisteredReader::can_tell(width, height) {
+            let allowed = "64 x 64 px or more, to be laid over a field";
+            return Err(EngineError::invalid("the picture", format!("{width} x {height} px"), allowed));
+        }
+        let made = || {
+            let views = views();
+            let views: Vec<(Camera, &str)> = views.iter().map(|(camera, name)| (*camera, name.as_str())).collect();
+            RegisteredReader::new(&self.field, &views)
+        };
+        let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| EngineError::WrongState {
+            what: "the scene".into(),
+            operation: "laid a picture over",
+            why: "its densities moved with the marks (mark.density), its field has basis lights (field.basis_lights) or it \
+                  has no views to train on; ask without, and the classifier answers"
+                .into(),
+        })?;
+        let Some(reading) = reader.read(&self.field, picture, from) else {
             return self.detect(picture);
         };
-        let explained = reading.registered.explained;
-        let laid_over = Some(LaidOver { explained, scores: reading.scores.clone() });
-        let Some(number) = reading.identity() else {
+        let (explained, believed) = (reading.registered.explained, reading.identity());
+        let laid_over = Some(LaidOver { explained, scores: reading.scores.clone(), believed });
+        let Some(number) = believed else {
             return Ok(Found { laid_over, ..self.detect(picture)? });
         };
         let mut detection = self.detector.detect_forced(picture, self.classes.of(number))?;

@@ -66,6 +66,19 @@ pub struct Over {
     pub from: Option<Viewpoint>,
 }
 
+/// Refuses a picture that `camera` cannot have taken whole, at whatever size.
+fn same_proportions(picture: &Picture, camera: &Camera) -> Result<(), EngineError> {
+    let (w, h) = (picture.width() as f64, picture.height() as f64);
+    let (across, down) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+    // A side may have been rounded.
+    if (w * down / across - h).abs() > 1.0 && (h * across / down - w).abs() > 1.0 {
+        let allowed =
+            format!("the proportions of what it was rendered at, {across} x {down} px, or no viewpoint at all");
+        return Err(EngineError::invalid("the picture", format!("{w} x {h} px"), allowed));
+    }
+    Ok(())
+}
+
 /// Decodes a PNG or JPEG under the limits.
 ///
 /// # Errors
@@ -196,10 +209,18 @@ impl Engine {
             return Ok((model, found));
         };
         let from = from.map(|viewpoint| self.camera(scene, &viewpoint)).transpose()?;
+        if let Some(camera) = &from {
+            same_proportions(&picture, camera)?;
+        }
         let folder = self.scene(scene)?;
+        // Where a view in quarantine says that it was taken is what is doubted.
+        let out = self.quarantine.names(scene, &folder)?.0;
         let capture = folder.capture();
-        let views = capture.training().map(|i| (capture.views[i].camera, capture.views[i].name.as_str()));
-        let found = mark.detect_laid_over(&picture, &views.collect::<Vec<_>>(), from.as_ref())?;
+        let views = || {
+            let of = |i: usize| (capture.views[i].camera, capture.views[i].name.clone());
+            capture.training().map(of).filter(|(_, name)| !out.contains(name)).collect()
+        };
+        let found = mark.detect_laid_over(&picture, views, from.as_ref())?;
         Ok((model, found))
     }
 

@@ -45,6 +45,12 @@ struct Header {
     digest: String,
 }
 
+/// What any format's header says.
+#[derive(Deserialize)]
+struct Format {
+    format: String,
+}
+
 impl BaseTrainer {
     /// The whole state. Equal states give equal bytes.
     ///
@@ -118,11 +124,14 @@ impl BaseTrainer {
 
     /// As [`BaseTrainer::resume`], with views that were prepared.
     pub(crate) fn resume_with(bytes: &[u8], views: Vec<Arc<Prepared>>) -> Result<Self, FieldError> {
-        let header: Header = read_header(bytes, "checkpoint")?;
         let refuse = |why: String| Err(stored("checkpoint", why));
-        if header.format != CHECKPOINT_FORMAT {
-            return refuse(format!("format `{}`, this program reads `{CHECKPOINT_FORMAT}`", header.format));
+        let Format { format } = read_header(bytes, "checkpoint")?;
+        if format != CHECKPOINT_FORMAT {
+            return refuse(format!(
+                "format `{format}`, this program reads `{CHECKPOINT_FORMAT}`; start the training anew"
+            ));
         }
+        let header: Header = read_header(bytes, "checkpoint")?;
         if !views.iter().map(|v| &v.name).eq(&header.views) {
             return Err(FieldError::Views(
                 "they are not the views this checkpoint was made with; start the training anew".into(),
@@ -186,10 +195,7 @@ impl BaseTrainer {
             second: read("codes_second", header.appearances * n)?,
             steps: header.appearance_steps,
         };
-        if header.averaged > header.step {
-            return refuse("it has a mean of more states than its training had".into());
-        }
-        // Of no states there is none.
+        // Without states their mean has no numbers.
         let some = usize::from(header.averaged > 0);
         trainer.mean = Mean {
             states: header.averaged,
@@ -204,6 +210,9 @@ impl BaseTrainer {
         trainer.level = header.level;
         trainer.lay_tiles();
         trainer.drawn = header.drawn;
+        if header.averaged > header.step.saturating_sub(trainer.averaged_from()) {
+            return refuse("it has a mean of more states than its training can have averaged".into());
+        }
         // Last: what is wrong is better said by name.
         if !sound {
             return refuse("its SHA-256 is another than it says: the file was damaged; start the training anew".into());

@@ -6,6 +6,7 @@
 
 use crate::appearance::{Appearance, CODE, FEATURES, features};
 use crate::composite::{Kept, Thresholds, see};
+use crate::mean::Mean;
 use crate::optimise::Adam;
 use crate::prior::Prior;
 use crate::sampling::mixed;
@@ -90,6 +91,8 @@ impl BaseTrainer {
             // The moments are those of codes that were held back.
             self.appearance_adam = Adam::zero(codes.len() * CODE);
             self.appearances = codes;
+            // Neither codes nor coefficients mean what they did.
+            self.mean = Mean::default();
             self.begin_lights();
         }
     }

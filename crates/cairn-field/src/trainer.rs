@@ -311,20 +311,17 @@ impl BaseTrainer {
     }
 
     /// The step after which states are averaged: rows are the same from then on, since the last level is half done.
-    fn averaged_from(&self) -> u64 {
+    pub(crate) fn averaged_from(&self) -> u64 {
         let last = self.level + 1 == self.config.levels;
         let share = if last { self.config.mean_of_last } else { 0.0 };
         let from = self.config.steps - (share * self.config.steps as f64) as u64;
         from.max(self.halfway().1)
     }
 
-    /// The trained field: the mean of the last states ([`FieldConfig::mean_of_last`]), or before those
-    /// begin the present one.
+    /// The trained field: the mean of the last states ([`FieldConfig::mean_of_last`]) or the last one, whichever explains the
+    /// photographs better; before those begin the present one.
     pub fn finish(mut self) -> Field {
-        if self.mean.states > 0 {
-            self.mean.replace(&mut self.grid, &mut self.appearances);
-            self.grid.refresh_occupancy(empty_density(self.grid.dims));
-        }
+        self.settle();
         let views: Vec<(Camera, Arc<Lens>)> = self.views.iter().map(|v| (v.camera, v.lens.clone())).collect();
         let least = self.config.prune_weight.min(SHOWS);
         let names = self.views.into_iter().map(|v| v.name.clone());

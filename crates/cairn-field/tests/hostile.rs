@@ -248,6 +248,13 @@ fn checkpoints_that_do_not_fit_are_refused() {
     let text =
         resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/9".into(), "", None)).expect("an error");
     assert!(text.contains("checkpoint/9"), "{text}");
+    // An older one has another header, too.
+    let older = |h: &mut serde_json::Value| {
+        h["format"] = "cairn.field.checkpoint/6".into();
+        h.as_object_mut().expect("a header").remove("averaged");
+    };
+    let text = resume(&altered(&bytes, older, "", None)).expect("an error");
+    assert!(text.contains("checkpoint/6") && text.contains("anew"), "{text}");
     for dims in [[0u64, 0, 0], [4, 4, 4], [1 << 40, 1 << 40, 1 << 40], [1 << 30, 2, 2]] {
         assert!(resume(&altered(&bytes, |h| h["dims"] = dims.to_vec().into(), "", None)).is_some(), "{dims:?}");
     }
@@ -277,7 +284,16 @@ fn checkpoints_that_do_not_fit_are_refused() {
         let text = resume(&altered(&bytes, |h| h[key] = u64::MAX.into(), "", None)).expect("an error");
         assert!(text.contains("steps"), "{key}: {text}");
     }
-    let text = resume(&altered(&bytes, |h| h["averaged"] = 2.into(), "", None)).expect("an error");
+    let mut late = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
+    while late.steps_done() < late.steps_total() {
+        late.step().expect("finite numbers");
+    }
+    let late = late.checkpoint().expect("a checkpoint");
+    for name in ["mean_raw", "mean_colour", "mean_codes"] {
+        let text = resume(&altered(&late, |_| (), name, Some(f32::NAN))).expect("an error");
+        assert!(text.contains(name) && text.contains("finite"), "{text}");
+    }
+    let text = resume(&altered(&late, |h| h["averaged"] = 9.into(), "", None)).expect("an error");
     assert!(text.contains("mean of more states"), "{text}");
     let text = resume(&altered(&bytes, |h| h["averaged"] = 1.into(), "", None)).expect("an error");
     assert!(text.contains("mean_raw"), "a mean of one state has numbers: {text}");

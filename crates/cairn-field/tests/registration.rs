@@ -6,7 +6,7 @@ mod common;
 use cairn_capture::{Camera, Picture};
 use cairn_field::registration::{Registered, Registrar};
 use cairn_field::{BaseTrainer, Field, FieldConfig};
-use common::{ball_box, ring, views};
+use common::{ball_box, ring, rms, views};
 use glam::{DMat3, DVec3};
 use std::sync::{Arc, OnceLock};
 
@@ -87,6 +87,54 @@ fn turned_cut_and_darker_pictures_are_laid_as_well() {
     let mut cut = truth;
     (cut.intrinsics.cx, cut.intrinsics.cy) = (cut.intrinsics.cx - 4.0, cut.intrinsics.cy - 14.0);
     assert!(off_px(&found, &cut) < 2.0, "{}", off_px(&found, &cut));
+}
+
+#[test]
+fn where_the_camera_is_known_only_the_light_is_found() {
+    let (field, registrar) = ball();
+    let truth = beside(4.0, 3.0);
+    let mut dark = shot(field, &truth);
+    dark.rgb_mut().iter_mut().for_each(|v| *v = 0.1 + 0.7 * *v);
+    let found = registrar.register_at(&dark, &truth).expect("a light");
+    assert_eq!(found.camera, truth);
+    let there = field.render(&truth, &found.appearance).clamped();
+    assert!(rms(there.rgb(), dark.rgb()) < 0.01, "{}", rms(there.rgb(), dark.rgb()));
+    // A smaller copy is a smaller camera's.
+    let found = registrar.register_at(&dark.resized(60, 60), &truth).expect("a light");
+    assert_eq!(found.camera, truth.resized(60, 60));
+    assert!(found.explained > 0.9, "{}", found.explained);
+    // From elsewhere the field shows something else.
+    let beside = registrar.register_at(&dark, &beside(40.0, 0.0)).map_or(0.0, |f| f.explained);
+    assert!(beside < 0.8 * found.explained, "{beside}");
+}
+
+#[test]
+fn odd_cameras_and_pictures_are_laid_nowhere_or_somewhere_and_stop_nothing() {
+    let (field, registrar) = ball();
+    let picture = shot(field, &beside(0.0, 0.0));
+    let odd = |change: &dyn Fn(&mut Camera)| {
+        let mut camera = beside(0.0, 0.0);
+        change(&mut camera);
+        camera
+    };
+    let cameras = [
+        odd(&|c| c.intrinsics.fx = f64::MIN_POSITIVE),
+        odd(&|c| c.intrinsics.fx = 1e308),
+        odd(&|c| c.intrinsics.cx = 1e308),
+        odd(&|c| c.intrinsics.distortion.k1 = 1e300),
+        odd(&|c| c.pose.position = DVec3::splat(1e308)),
+        odd(&|c| (c.intrinsics.width, c.intrinsics.height) = (1, 1)),
+        odd(&|c| (c.intrinsics.width, c.intrinsics.height) = (1 << 20, 1)),
+    ];
+    for camera in cameras {
+        let found = registrar.register_at(&picture, &camera);
+        assert!(found.is_none_or(|f| f.explained.is_finite() && f.explained <= 1.0), "{camera:?}");
+    }
+    for (w, h) in [(1, 1), (20, 20), (20, 5000), (64, 64)] {
+        let flat = Picture::constant(w, h, [0.5; 3]);
+        let found = registrar.register_at(&flat, &beside(0.0, 0.0));
+        assert!(found.is_none_or(|f| f.explained.is_finite()), "{w} x {h}");
+    }
 }
 
 #[test]

@@ -68,6 +68,11 @@ impl RegisteredReading {
 }
 
 impl RegisteredReader {
+    /// Whether there is enough to see in a picture of so many pixels for a mark to be believed: of some 64 x 64 px on.
+    pub fn can_tell(width: usize, height: usize) -> bool {
+        (width.div_ceil(BLOCK) * height.div_ceil(BLOCK)) as f64 >= BELIEVED * BELIEVED
+    }
+
     /// Prepares to read against `marked`, whose scene was photographed from `views` (cameras and names). `None` where
     /// that cannot be: without views, for fields with basis lights, and where densities moved with the mark, so that
     /// it is no change of colours.

@@ -75,7 +75,7 @@ pub struct Registered {
     pub appearance: Appearance,
     /// The picture as it was compared: at most [`LONGEST_PX`] long.
     pub picture: Picture,
-    /// Share of the picture's variance that the field explains from there, 1 at most, where
+    /// Share of the picture's variance that the field explains from there, above 0, 1 at most, where
     /// it was looked at, outliers left out: near 1 for renders of the field, less for photographs.
     pub explained: f64,
 }
@@ -100,13 +100,13 @@ impl Registrar {
         &self.field
     }
 
-    /// `picture` where it is known that `camera` took it (or a larger or smaller copy of it): the light alone is found.
-    /// `None` where no light explains any of it, or it is too small to tell.
+    /// `picture` where it is known that `camera` took it, or a larger or smaller copy of it (of the same proportions; others
+    /// are stretched): the light alone is found. `None` where no light explains any of it, or it is too small to tell.
     pub fn register_at(&self, picture: &Picture, camera: &Camera) -> Option<Registered> {
         let picture = bounded(picture)?;
         let camera = camera.resized(picture.width(), picture.height());
         let level = Level::of_parts(&picture, LONGEST_PX);
-        let found = self.refined(&level, camera, (0, POSE, LEAST_SPREAD))?;
+        let found = self.refined(&level, camera, (0, POSE, LEAST_SPREAD)).filter(|found| found.explained > 0.0)?;
         Some(Registered { camera, appearance: found.appearance, picture, explained: found.explained })
     }
 

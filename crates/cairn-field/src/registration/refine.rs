@@ -19,6 +19,8 @@ const TUKEY: f64 = 4.685;
 const PROBE_PX: f64 = 0.4;
 /// Slopes serve for another step where one by them left less than this share of the cost: they are ten renders, a step is one.
 const WELL: f64 = 0.8;
+/// Steps for each time that slopes may be worked out, at most.
+const TURNS: usize = 4;
 /// A step that moves pixels by less ends a level, pixels of the level.
 const SETTLED_PX: f64 = 0.01;
 
@@ -38,6 +40,14 @@ struct Looked {
     residuals: Vec<[f32; 3]>,
 }
 
+/// A step that was taken.
+struct Moved {
+    next: Looked,
+    /// What it left of the cost.
+    share: f64,
+    by_px: f64,
+}
+
 /// Takes steps from `camera`, with slopes worked out up to `steps` times, which move the first `free` of the nine numbers, with no spread of
 /// differences below `least_spread`; `reach` is how far what is seen is, capture units. `None` where there is nothing to
 /// compare, or no light explains it.
@@ -55,35 +65,25 @@ pub(super) fn refine(
     // Little: with much, steps along the valley of longer lenses further off were too short to go on.
     let mut damping = 1e-5;
     let (mut known, mut worked_out) = (None::<Slopes>, 0);
-    while known.is_some() || worked_out < steps {
-        let weights = Weights::of(&now.residuals, &level.tells, least_spread);
-        let before = weights.cost(&now.residuals);
+    // Weights change as it goes, so that a cost that falls proves no end.
+    for _ in 0..TURNS * steps {
+        if known.is_none() && worked_out == steps {
+            break;
+        }
         let fresh = known.is_none();
         worked_out += usize::from(fresh);
         let slopes = known.take().unwrap_or_else(|| Slopes::at(field, level, &now, (reach, free)));
-        let normal = slopes.normal(&now.residuals, &weights);
-        let mut moved = None;
-        // Slopes from a step before that do not lead on are worked out anew.
-        for _ in 0..if fresh { 4 } else { 1 } {
-            let step = normal.step(damping)?;
-            let there = changed(&now.camera, &step, &slopes.units);
-            // Light is fitted to what counted: an outlier has no say in it either.
-            let next = look(field, prior, level, &there, Some(&weights));
-            let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(&next.residuals));
-            if let Some(next) = next.filter(|_| cost < before) {
-                damping = (damping * 0.1).max(1e-8);
-                moved = Some((next, cost, step.iter().map(|s| s * s).sum::<f64>().sqrt() * PROBE_PX));
-                break;
-            }
-            damping *= 30.0;
-        }
+        let weights = Weights::of(&now.residuals, &level.tells, least_spread);
+        // Slopes from a step before that do not lead on are worked out anew, and say nothing of the next step's damping.
+        let (tries, mut damped) = (if fresh { 4 } else { 1 }, damping);
+        let moved = slopes.follow((field, prior), level, &now, &weights, (&mut damped, tries));
         match moved {
-            Some((next, cost, by_px)) => {
-                now = next;
+            Some(Moved { next, share, by_px }) => {
+                (now, damping) = (next, damped);
                 if by_px < SETTLED_PX {
                     break;
                 }
-                known = (cost < WELL * before).then_some(slopes);
+                known = (share < WELL).then_some(slopes);
             }
             None if fresh => break,
             None => {}
@@ -169,6 +169,33 @@ impl Slopes {
             |at: usize, c: usize, k: usize| if k < free { now.residuals[at][c] - probes[k][at][c] } else { 0.0 };
         let each = |at: usize| std::array::from_fn(|c| std::array::from_fn(|k| slope(at, c, k)));
         Self { units, each: (0..now.residuals.len()).map(each).collect() }
+    }
+
+    /// The first of up to `tries` steps that comes to a lower cost, each damped more than the one before.
+    fn follow(
+        &self,
+        (field, prior): (&Field, &Prior),
+        level: &Level,
+        now: &Looked,
+        weights: &Weights,
+        (damping, tries): (&mut f64, usize),
+    ) -> Option<Moved> {
+        let normal = self.normal(&now.residuals, weights);
+        let before = weights.cost(&now.residuals);
+        for _ in 0..tries {
+            let step = normal.step(*damping)?;
+            let there = changed(&now.camera, &step, &self.units);
+            // Light is fitted to what counted: an outlier has no say in it either.
+            let next = look(field, prior, level, &there, Some(weights));
+            let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(&next.residuals));
+            if let Some(next) = next.filter(|_| cost < before) {
+                *damping = (*damping * 0.1).max(1e-8);
+                let by_px = step.iter().map(|s| s * s).sum::<f64>().sqrt() * PROBE_PX;
+                return Some(Moved { next, share: cost / before, by_px });
+            }
+            *damping *= 30.0;
+        }
+        None
     }
 
     fn normal(&self, residuals: &[[f32; 3]], weights: &Weights) -> Normal {

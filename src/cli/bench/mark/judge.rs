@@ -109,7 +109,8 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     progress.at(3, "");
     let unmarked = unmarked::ask(&mut asked, (&opened, &task.foreign), &views)?;
     progress.at(4, "");
-    let laid = if task.lay_over { laid::ask((&marked, &asked.detector), &opened, &views)? } else { None };
+    let laid =
+        if task.lay_over { laid::ask((&marked, &asked.detector), (&opened, &task.foreign), &views)? } else { None };
     drop(progress);
     let part = |picture: &Picture| if task.right_half { half(picture) } else { Ok(picture.clone()) };
     let mut sums = [0.0; 4];

@@ -114,7 +114,7 @@ fn laid(rows: &mut Rows, name: &str, all: &[Laid]) {
         share(rows, name, &format!("{how}: accuracy"), told().map(|t| t.classes), None);
         share(rows, name, &format!("{how}: marks stand out"), told().map(|t| t.found), None);
         share(rows, name, &format!("{how}: nothing stands out where no mark is"), told().map(|t| t.silent), None);
-        let pictures: usize = told().map(|t| t.found.asked + t.silent.asked).sum();
+        let pictures: usize = told().map(|t| t.pictures).sum();
         if pictures > 0 {
             let seconds: f64 = told().map(|t| t.seconds).sum();
             rows.add(name, &format!("{how}: a picture"), seconds / pictures as f64, "s", None);
