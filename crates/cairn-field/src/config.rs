@@ -45,8 +45,8 @@ pub struct FieldConfig {
     pub learning_rate_appearance: f64,
     /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
     pub final_rate: f64,
-    /// The field is the mean of the states of this last share of the steps, where that explains the photographs better than
-    /// the last state; 0 (the last state alone) to 0.3, in which the rows are the same.
+    /// The field is the mean of the states of this last share of the steps, unless the last one explains the photographs
+    /// clearly better; 0 (the last state alone) to 0.3, in which the rows are the same.
     pub mean_of_last: f64,
     /// Weight of the distortion loss (mip-NeRF 360 eq. 15), >= 0. In the open, where
     /// nothing ends a ray, 0.03 keeps haze away.

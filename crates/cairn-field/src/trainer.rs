@@ -318,8 +318,8 @@ impl BaseTrainer {
         from.max(self.halfway().1)
     }
 
-    /// The trained field: the mean of the last states ([`FieldConfig::mean_of_last`]) or the last one, whichever explains the
-    /// photographs better; before those begin the present one.
+    /// The trained field: the mean of the last states ([`FieldConfig::mean_of_last`]), or the last one where that explains
+    /// the photographs clearly better; before those begin the present one.
     pub fn finish(mut self) -> Field {
         self.settle();
         let views: Vec<(Camera, Arc<Lens>)> = self.views.iter().map(|v| (v.camera, v.lens.clone())).collect();
