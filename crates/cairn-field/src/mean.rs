@@ -135,7 +135,7 @@ mod tests {
 
     /// A grid of eight rows that all hold `value`.
     fn grid(value: f32) -> Grid<f32> {
-        let mut grid = Grid::full([2, 2, 2], value, 0.0);
+        let mut grid = Grid::full([2, 2, 2], value.into(), 0.0);
         grid.colour.fill(value);
         grid
     }
