@@ -1,8 +1,8 @@
 //! Lays pictures over a marked field and prints how far each identity's mark stands out: of held-out renders with the
 //! mark and without, as they are and harmed, and of photographs.
 //!
-//! `cargo run --release -p cairn-stega --example registered -- FOLDER MARKED [VIEWS [HARM]]`: at most so many views, and
-//! only what has HARM in its name.
+//! `cargo run --release -p cairn-stega --example registered -- FOLDER MARKED [VIEWS [HARM [known]]]`: at most so many
+//! views, and only what has HARM in its name; with `known` at the cameras that they were rendered with.
 
 use cairn_capture::{Capture, Picture, ReadOptions};
 use cairn_stega::{Distortion, MarkedField, RegisteredReader};
@@ -11,12 +11,13 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, marked, rest @ ..] = arguments.as_slice() else {
-        return Err("usage: registered FOLDER MARKED [VIEWS [HARM]]".into());
+        return Err("usage: registered FOLDER MARKED [VIEWS [HARM [known]]]".into());
     };
     let capture = Capture::read(folder.as_ref(), &ReadOptions::default())?;
     let marked = MarkedField::from_bytes(&std::fs::read(marked)?)?;
     let most: usize = rest.first().map_or(Ok(4), |n| n.parse())?;
     let views: Vec<_> = capture.training().map(|i| (capture.views[i].camera, capture.views[i].name.as_str())).collect();
+    let known = rest.get(2).is_some_and(|word| word == "known");
     let begun = Instant::now();
     let reader = RegisteredReader::new(&marked, &views).ok_or("cannot be read so")?;
     println!("prepared in {:.2} s", begun.elapsed().as_secs_f64());
@@ -62,7 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         let show = |what: &str, picture: &Picture| {
             let begun = Instant::now();
-            let Some(read) = reader.read(&marked, picture, None) else {
+            let Some(read) = reader.read(&marked, picture, known.then_some(&view.camera)) else {
                 println!("  {what:20} nowhere");
                 return;
             };
