@@ -9,7 +9,7 @@ use crate::composite::{Kept, Thresholds, see};
 use crate::mean::Mean;
 use crate::optimise::Adam;
 use crate::prior::Prior;
-use crate::sampling::mixed;
+use crate::sampling::spread;
 use crate::trainer::{BaseTrainer, Prepared};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -59,7 +59,7 @@ impl BaseTrainer {
     /// of training), or a number is not finite.
     pub(crate) fn look_at_light(&mut self) {
         let halves: Vec<[Sampled; 2]> =
-            self.views.par_iter().enumerate().map(|(n, view)| self.sampled(n as u64, view)).collect();
+            self.views.par_iter().enumerate().map(|(n, view)| self.sampled(n, view)).collect();
         let fits = halves.iter().map(|[fit, _]| fit);
         let all = Sampled {
             features: fits.clone().flat_map(|s| s.features.iter().copied()).collect(),
@@ -98,20 +98,14 @@ impl BaseTrainer {
     }
 
     /// Two samples of a view's pixels, spread evenly over it.
-    fn sampled(&self, n: u64, view: &Prepared) -> [Sampled; 2] {
-        let all = view.lens.pixels();
+    fn sampled(&self, n: usize, view: &Prepared) -> [Sampled; 2] {
         let wanted = (MOST_PIXELS / self.views.len()).clamp(64, PIXELS);
-        let every = (all / wanted).max(1);
         let mut halves = [Sampled::none(), Sampled::none()];
         let mut tape: Vec<Kept<f32>> = Vec::new();
-        for k in 0..all / every {
-            // Anywhere in its stretch, and to either half: an even lattice would fall
-            // into a few of the photograph's columns.
-            let chance = mixed(self.seed ^ mixed(n << 32 | k as u64));
-            let at = k * every + (chance >> 1) as usize % every;
+        for (at, second) in spread(self.seed, n, view.lens.pixels(), wanted) {
             let (path, basis) = view.lens.ray(&view.camera, &self.frame, at);
             let gathered = see(&self.grid, &path, &basis, Thresholds::SHOWN, &mut tape);
-            let half = &mut halves[(chance & 1) as usize];
+            let half = &mut halves[usize::from(second)];
             half.features.push(features(&gathered, &basis));
             half.pixels.push(std::array::from_fn(|c| f32::from(view.pixels[at * 3 + c]) / 255.0));
         }

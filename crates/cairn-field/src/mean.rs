@@ -12,7 +12,7 @@ use crate::composite::{Thresholds, see};
 use crate::field::empty_density;
 use crate::grid::{Grid, ROW};
 use crate::memory::zeros;
-use crate::sampling::mixed;
+use crate::sampling::spread;
 use crate::trainer::{BaseTrainer, Prepared};
 use rayon::prelude::*;
 
@@ -107,11 +107,8 @@ impl BaseTrainer {
     fn error_on(&self, n: usize, view: &Prepared) -> f64 {
         let look = self.appearances.get(n).unwrap_or(&self.neutral);
         let wanted = (MOST_PIXELS / self.views.len()).clamp(1, PIXELS);
-        let every = (view.lens.pixels() / wanted).max(1);
         let (mut tape, mut error) = (Vec::new(), 0.0);
-        for k in 0..view.lens.pixels() / every {
-            // Anywhere in its stretch: an even lattice would fall into a few columns.
-            let at = k * every + mixed(self.seed ^ mixed((n as u64) << 32 | k as u64)) as usize % every;
+        for (at, _) in spread(self.seed, n, view.lens.pixels(), wanted) {
             let (path, harmonics) = view.lens.ray(&view.camera, &self.frame, at);
             let basis = self.colours.weights(&harmonics, &look.lights());
             let gathered = see(&self.grid, &path, &basis, Thresholds::SHOWN, &mut tape);

@@ -74,6 +74,16 @@ pub(crate) fn mixed(x: u64) -> u64 {
     z ^ (z >> 31)
 }
 
+/// About `wanted` of view `n`'s `pixels`, spread evenly: each anywhere in its stretch, since an even lattice would fall into a few
+/// of the photograph's columns. With each comes a bit of chance.
+pub(crate) fn spread(seed: u64, n: usize, pixels: usize, wanted: usize) -> impl Iterator<Item = (usize, bool)> {
+    let every = (pixels / wanted).max(1);
+    (0..pixels / every).map(move |k| {
+        let chance = mixed(seed ^ mixed((n as u64) << 32 | k as u64));
+        (k * every + (chance >> 1) as usize % every, chance & 1 == 1)
+    })
+}
+
 /// Where a permutation of `0..n` chosen by `key` puts `place`: a Feistel network on
 /// the next even power of two, walked until it is back in range (Black and Rogaway 2002).
 fn permuted(place: u64, n: u64, key: u64) -> u64 {

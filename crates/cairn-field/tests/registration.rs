@@ -97,6 +97,7 @@ fn where_the_camera_is_known_only_the_light_is_found() {
     dark.rgb_mut().iter_mut().for_each(|v| *v = 0.1 + 0.7 * *v);
     let found = registrar.register_at(&dark, &truth).expect("a light");
     assert_eq!(found.camera, truth);
+    assert!(found.explained > 0.99, "{}", found.explained);
     let there = field.render(&truth, &found.appearance).clamped();
     assert!(rms(there.rgb(), dark.rgb()) < 0.01, "{}", rms(there.rgb(), dark.rgb()));
     // A smaller copy is a smaller camera's.
