@@ -5,25 +5,30 @@
 use std::time::Instant;
 
 use cairn_capture::{Camera, Picture};
-use cairn_stega::{Detector, Distortion, MarkedField, RegisteredReader};
+use cairn_stega::{Detector, MarkedField, RegisteredReader};
 use serde::{Deserialize, Serialize};
 
 use super::super::field::source::{Opened, Source};
+use super::harm;
 use super::judge::View;
 use crate::engine::report::Right;
 
-/// Views whose cameras are searched for, at most: each takes three searches of many seconds.
-const SEARCHED: usize = 6;
+/// Views whose cameras are searched for, and that are harmed, at most: searches take many seconds each.
+const SOME: usize = 6;
+/// What is done to renders before they are laid over the field, by `harm`'s names: what leaves every pixel where it was.
+const HARMS: [&str; 5] = ["JPEG 90", "JPEG 50", "JPEG 30", "blur 2 px", "noise 0.1"];
 /// Photographs of each other capture that are searched for, at most.
 const FOREIGN: usize = 3;
 
 /// What came of it with cameras known, and searched for.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Laid {
     /// At the cameras that renders were made with.
     pub known: Told,
     /// Where they were searched for, on fewer views.
     pub searched: Told,
+    /// At the cameras that renders were made with, on fewer views, after each of some harms.
+    pub harmed: Vec<(String, Told)>,
 }
 
 /// Answers to pictures laid over the field.
@@ -59,18 +64,27 @@ pub fn ask(
     let mut laid = Laid::default();
     for (at, view) in views.iter().enumerate() {
         let from = Some(&view.camera);
-        tell(&mut laid.known, (marked, detector, &reader), view, from)?;
-        let mut silent = |picture: &Picture| laid.known.silent(marked, &reader, picture, from);
+        tell(&mut laid.known, (marked, detector, &reader), view, [&view.marked, &view.base], from)?;
+        laid.known.silent(marked, &reader, &view.photograph, from);
         let elsewhere = &views[(at + 1) % views.len()];
         if views.len() > 1 {
-            silent(&elsewhere.marked);
+            laid.known.silent(marked, &reader, &elsewhere.marked, from);
         }
-        let harms =
-            [Distortion::Jpeg { quality: 90 }, Distortion::Jpeg { quality: 50 }, Distortion::Blur { sigma_px: 1.0 }];
-        harms.iter().for_each(|harm| silent(&harm.apply(&view.base, at as u64)));
     }
-    for view in views.iter().step_by(views.len().div_ceil(SEARCHED).max(1)) {
-        tell(&mut laid.searched, (marked, detector, &reader), view, None)?;
+    let some = || views.iter().step_by(views.len().div_ceil(SOME).max(1));
+    for view in some() {
+        tell(&mut laid.searched, (marked, detector, &reader), view, [&view.marked, &view.base], None)?;
+        laid.searched.silent(marked, &reader, &view.photograph, None);
+    }
+    for harm in harm::of_pictures().iter().filter(|harm| HARMS.contains(&harm.name)) {
+        let mut told = Told::default();
+        for (at, view) in some().enumerate() {
+            // Two files: each has noise of its own.
+            let done = |picture: &Picture, salt| harm.tries[0].iter().fold(picture.clone(), |p, d| d.apply(&p, salt));
+            let pair = [done(&view.marked, 2 * at as u64), done(&view.base, 2 * at as u64 + 1)];
+            tell(&mut told, (marked, detector, &reader), view, [&pair[0], &pair[1]], Some(&view.camera))?;
+        }
+        laid.harmed.push((harm.name.to_owned(), told));
     }
     for source in foreign {
         let other = source.open()?;
@@ -92,15 +106,17 @@ impl Told {
     }
 }
 
+/// Counts what is told of a view's `pictures`, theta's and theta_0's.
 fn tell(
     told: &mut Told,
     (marked, detector, reader): (&MarkedField, &Detector, &RegisteredReader),
     view: &View,
+    pictures: [&Picture; 2],
     from: Option<&Camera>,
 ) -> anyhow::Result<()> {
     let begun = Instant::now();
     let stands_out = |picture: &Picture| reader.read(marked, picture, from).and_then(|read| read.identity());
-    for (picture, truth) in [(&view.marked, view.truth as u32), (&view.base, 0)] {
+    for (picture, truth) in pictures.into_iter().zip([view.truth as u32, 0]) {
         let found = stands_out(picture);
         if truth > 0 {
             told.found.count(found == Some(truth));
@@ -115,6 +131,5 @@ fn tell(
     }
     told.pictures += 2;
     told.seconds += begun.elapsed().as_secs_f64();
-    told.silent(marked, reader, &view.photograph, from);
     Ok(())
 }

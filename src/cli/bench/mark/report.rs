@@ -50,7 +50,7 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     if what == What::Honesty {
         return;
     }
-    laid(rows, name, &outcome.runs.iter().filter_map(|run| run.1.laid).collect::<Vec<_>>());
+    laid(rows, name, &outcome.runs.iter().filter_map(|run| run.1.laid.as_ref()).collect::<Vec<_>>());
     for at in 0..first.harms.len() {
         let all: Vec<&Harmed> = judged().filter_map(|j| j.harms.get(at)).collect();
         harm(rows, name, robust, &all);
@@ -105,11 +105,11 @@ fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, (suite, outcome):
 }
 
 /// What comes of laying pictures over the field.
-fn laid(rows: &mut Rows, name: &str, all: &[Laid]) {
+fn laid(rows: &mut Rows, name: &str, all: &[&Laid]) {
     type Part = fn(&Laid) -> Told;
     let parts: [(&str, Part); 2] = [("where it was rendered", |l| l.known), ("camera searched for", |l| l.searched)];
     for (how, part) in parts {
-        let told = || all.iter().map(part);
+        let told = || all.iter().map(|laid| part(laid));
         let how = format!("laid over the field, {how}");
         share(rows, name, &format!("{how}: accuracy"), told().map(|t| t.classes), None);
         share(rows, name, &format!("{how}: marks stand out"), told().map(|t| t.found), None);
@@ -119,6 +119,13 @@ fn laid(rows: &mut Rows, name: &str, all: &[Laid]) {
             let seconds: f64 = told().map(|t| t.seconds).sum();
             rows.add(name, &format!("{how}: a picture"), seconds / pictures as f64, "s", None);
         }
+    }
+    for (at, (harm, _)) in all.first().iter().flat_map(|laid| laid.harmed.iter().enumerate()) {
+        let told = || all.iter().filter_map(|laid| laid.harmed.get(at)).map(|(_, told)| told);
+        let how = format!("laid over the field after {harm}");
+        share(rows, name, &format!("{how}: accuracy"), told().map(|t| t.classes), None);
+        share(rows, name, &format!("{how}: marks stand out"), told().map(|t| t.found), None);
+        share(rows, name, &format!("{how}: nothing stands out where no mark is"), told().map(|t| t.silent), None);
     }
 }
 
