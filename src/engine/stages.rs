@@ -96,7 +96,15 @@ impl Stage for BaseTrainer {
         let lit = self.has_basis_lights().then(|| {
             "every view has a mixture of five basis lights: places differ by themselves between views (field.basis_lights)".to_owned()
         });
-        far.into_iter().chain(light).chain(lit).chain(finer).collect()
+        let covered = self.watermarks().into_iter().map(|mark| {
+            format!(
+                "{} photographs by {} carry a visible watermark over {:.1} % of the frame: what it covers is not learnt from (field.leave_out_watermarks)",
+                mark.views.len(),
+                mark.contributor,
+                100.0 * mark.share()
+            )
+        });
+        far.into_iter().chain(covered).chain(light).chain(lit).chain(finer).collect()
     }
 }
 
@@ -171,7 +179,12 @@ fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Tra
     let Some(photographs) = photographs(scene, preparing)? else { return Ok(None) };
     let named = |(index, picture): (usize, Picture)| {
         let view = &scene.capture().views[index];
-        TrainingView { name: view.name.clone(), camera: view.camera, picture: Arc::new(picture) }
+        TrainingView {
+            name: view.name.clone(),
+            contributor: view.contributor.clone(),
+            camera: view.camera,
+            picture: Arc::new(picture),
+        }
     };
     Ok(Some(scene.training().zip(photographs).map(named).collect()))
 }

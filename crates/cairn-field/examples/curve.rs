@@ -22,7 +22,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let scale: f64 = scale.parse()?;
     let config: FieldConfig = serde_json::from_str(rest.first().map_or("{}", String::as_str))?;
-    let capture = Capture::read(folder.as_ref(), &ReadOptions::default())?;
+    let table = std::path::Path::new(folder).join("contributors.csv");
+    let options = ReadOptions { contributors: table.is_file().then_some(table), ..ReadOptions::default() };
+    let capture = Capture::read(folder.as_ref(), &options)?;
     let truth = rest.get(2).map(|f| Capture::read(f.as_ref(), &ReadOptions::default())).transpose()?;
     let truth = truth.as_ref().unwrap_or(&capture);
     if !truth.views.iter().map(|v| &v.name).eq(capture.views.iter().map(|v| &v.name)) {
@@ -33,7 +35,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let size = |v: usize| ((v as f64 * scale).round() as usize).max(1);
         let (w, h) = (size(view.camera.intrinsics.width), size(view.camera.intrinsics.height));
         let picture = Arc::new(capture.photograph(i)?.resized(w, h));
-        Ok(TrainingView { name: view.name.clone(), camera: view.camera.resized(w, h), picture })
+        Ok(TrainingView {
+            name: view.name.clone(),
+            contributor: view.contributor.clone(),
+            camera: view.camera.resized(w, h),
+            picture,
+        })
     };
     let train = capture.training().map(|i| view(&capture, i)).collect::<Result<Vec<_>, _>>()?;
     let test = capture

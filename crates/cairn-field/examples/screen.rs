@@ -21,7 +21,12 @@ fn views(capture: &Capture, scale: f64) -> Fallible<Vec<TrainingView>> {
         let size = |v: usize| ((v as f64 * scale).round() as usize).max(1);
         let (w, h) = (size(view.camera.intrinsics.width), size(view.camera.intrinsics.height));
         let picture = Arc::new(capture.photograph(i)?.resized(w, h));
-        Ok(TrainingView { name: view.name.clone(), camera: view.camera.resized(w, h), picture })
+        Ok(TrainingView {
+            name: view.name.clone(),
+            contributor: view.contributor.clone(),
+            camera: view.camera.resized(w, h),
+            picture,
+        })
     };
     capture.training().map(view).collect()
 }

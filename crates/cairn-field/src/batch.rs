@@ -67,6 +67,8 @@ pub(crate) struct Batch {
 #[derive(Default)]
 struct Task {
     loss: f64,
+    /// Rays that were walked: those whose pixels show the scene.
+    rays: usize,
     broken: bool,
     tape: Vec<Kept<f32>>,
     debts: Debts<f32>,
@@ -100,7 +102,7 @@ impl Batch {
             at_rest().push(patch);
         });
         let tasks = &self.tasks[..self.used];
-        let rays: usize = settings.tiles.iter().map(Tile::len).sum();
+        let rays = tasks.iter().map(|t| t.rays).sum::<usize>().max(1);
         self.loss = tasks.iter().map(|t| t.loss).sum::<f64>() / (3 * rays) as f64;
         self.finite = !tasks.iter().any(|t| t.broken);
     }
@@ -123,7 +125,7 @@ impl Batch {
 
 impl Task {
     fn clear(&mut self, roulette: Roulette) {
-        (self.loss, self.broken) = (0.0, false);
+        (self.loss, self.rays, self.broken) = (0.0, 0, false);
         self.debts.owed.clear();
         self.debts.bases.clear();
         self.shaded.clear();
@@ -151,6 +153,10 @@ impl Task {
 
     fn ray(&mut self, s: &BatchSettings<'_>, view: usize, at: usize, offset: f32, patch: &mut Patch<f32>) {
         let prepared = &s.views[view];
+        if !prepared.shows_scene(at) {
+            return;
+        }
+        self.rays += 1;
         let (path, basis) = prepared.lens.ray(&prepared.camera, s.frame, at);
         let gathered = gather(s.grid, patch, &path, f64::from(offset), s.limits, &mut self.tape);
         let appearance = s.appearances.get(view).unwrap_or(s.neutral);

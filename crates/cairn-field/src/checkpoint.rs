@@ -51,6 +51,16 @@ struct Format {
     format: String,
 }
 
+/// The header of a checkpoint whose format this program reads.
+fn read_known(bytes: &[u8]) -> Result<Header, FieldError> {
+    let Format { format } = read_header(bytes, "checkpoint")?;
+    if format != CHECKPOINT_FORMAT {
+        let why = format!("format `{format}`, this program reads `{CHECKPOINT_FORMAT}`; start the training anew");
+        return Err(stored("checkpoint", why));
+    }
+    read_header(bytes, "checkpoint")
+}
+
 impl BaseTrainer {
     /// The whole state. Equal states give equal bytes.
     ///
@@ -119,19 +129,15 @@ impl BaseTrainer {
     /// [`FieldError::Stored`] for an unknown format or a damaged file;
     /// [`FieldError::Views`] for other views.
     pub fn resume(bytes: &[u8], views: Vec<TrainingView>) -> Result<Self, FieldError> {
-        Self::resume_with(bytes, prepare(views)?)
+        let header = read_known(bytes)?;
+        header.config.validate()?;
+        Self::resume_with(bytes, prepare(views, &header.config)?)
     }
 
     /// As [`BaseTrainer::resume`], with views that were prepared.
     pub(crate) fn resume_with(bytes: &[u8], views: Vec<Arc<Prepared>>) -> Result<Self, FieldError> {
         let refuse = |why: String| Err(stored("checkpoint", why));
-        let Format { format } = read_header(bytes, "checkpoint")?;
-        if format != CHECKPOINT_FORMAT {
-            return refuse(format!(
-                "format `{format}`, this program reads `{CHECKPOINT_FORMAT}`; start the training anew"
-            ));
-        }
-        let header: Header = read_header(bytes, "checkpoint")?;
+        let header = read_known(bytes)?;
         if !views.iter().map(|v| &v.name).eq(&header.views) {
             return Err(FieldError::Views(
                 "they are not the views this checkpoint was made with; start the training anew".into(),

@@ -93,6 +93,9 @@ pub struct FieldConfig {
     /// Side of the square tiles that rays are drawn in on the last level, pixels: 1,
     /// 2, 4, 8 or 16; a quarter of it on each level before.
     pub tile_px: usize,
+    /// Whether pixels that a visible watermark covers are left out: what all photographs of one contributor and size (four from
+    /// different poses, at least) carry at the same place of the frame.
+    pub leave_out_watermarks: bool,
     /// Per-view appearance.
     pub appearance: AppearanceMode,
     /// Where views have appearances of their own (six at least that differ in five ways): whether each place's colour may differ by itself
@@ -129,6 +132,7 @@ impl Default for FieldConfig {
             skip_weight: 5e-4,
             faint_weight: 0.003,
             tile_px: 4,
+            leave_out_watermarks: true,
             appearance: AppearanceMode::Auto,
             basis_lights: false,
         }

@@ -48,6 +48,7 @@ mod survey;
 mod table;
 mod tints;
 mod trainer;
+mod watermark;
 
 pub use appearance::Appearance;
 pub use composite::Thresholds;
@@ -61,3 +62,4 @@ pub use real::Real;
 pub use screening::{QuarantineConfig, Screened, Screening, ScreeningOutcome, ViewFit};
 pub use spacing::Spacing;
 pub use trainer::{BaseTrainer, StepStats, TrainingView};
+pub use watermark::{VisibleWatermark, watermarks};

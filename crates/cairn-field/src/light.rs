@@ -102,7 +102,8 @@ impl BaseTrainer {
         let wanted = (MOST_PIXELS / self.views.len()).clamp(64, PIXELS);
         let mut halves = [Sampled::none(), Sampled::none()];
         let mut tape: Vec<Kept<f32>> = Vec::new();
-        for (at, second) in spread(self.seed, n, view.lens.pixels(), wanted) {
+        let pixels = spread(self.seed, n, view.lens.pixels(), wanted);
+        for (at, second) in pixels.filter(|(at, _)| view.shows_scene(*at)) {
             let (path, basis) = view.lens.ray(&view.camera, &self.frame, at);
             let gathered = see(&self.grid, &path, &basis, Thresholds::SHOWN, &mut tape);
             let half = &mut halves[usize::from(second)];

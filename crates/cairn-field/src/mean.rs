@@ -108,7 +108,8 @@ impl BaseTrainer {
         let look = self.appearances.get(n).unwrap_or(&self.neutral);
         let wanted = (MOST_PIXELS / self.views.len()).clamp(1, PIXELS);
         let (mut tape, mut error) = (Vec::new(), 0.0);
-        for (at, _) in spread(self.seed, n, view.lens.pixels(), wanted) {
+        let pixels = spread(self.seed, n, view.lens.pixels(), wanted);
+        for (at, _) in pixels.filter(|(at, _)| view.shows_scene(*at)) {
             let (path, harmonics) = view.lens.ray(&view.camera, &self.frame, at);
             let basis = self.colours.weights(&harmonics, &look.lights());
             let gathered = see(&self.grid, &path, &basis, Thresholds::SHOWN, &mut tape);

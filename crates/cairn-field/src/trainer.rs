@@ -18,8 +18,10 @@ use crate::rays::Lens;
 use crate::resolution::{dims_of_level, finest, level_end, tile_side};
 use crate::sampling::{Tile, Tiles};
 use crate::spacing::Spacing;
+use crate::watermark::{Seen, VisibleWatermark, find};
 use cairn_capture::{Camera, Picture};
 use glam::DVec3;
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// One photograph to learn from.
@@ -27,6 +29,9 @@ use std::sync::Arc;
 pub struct TrainingView {
     /// The view's name, unique in the scene.
     pub name: String,
+    /// Who took it; what all of a contributor's photographs carry at one place of the frame is no part of the scene
+    /// ([`FieldConfig::leave_out_watermarks`]).
+    pub contributor: String,
     /// Its camera, at the photograph's resolution.
     pub camera: Camera,
     /// The photograph.
@@ -52,6 +57,15 @@ pub(crate) struct Prepared {
     pub(crate) camera: Camera,
     pub(crate) lens: Arc<Lens>,
     pub(crate) pixels: Vec<u8>,
+    /// What lies over the scene in it.
+    pub(crate) watermark: Option<Arc<VisibleWatermark>>,
+}
+
+impl Prepared {
+    /// Whether pixel `at` shows the scene.
+    pub(crate) fn shows_scene(&self, at: usize) -> bool {
+        self.watermark.as_ref().is_none_or(|mark| !mark.covered[at])
+    }
 }
 
 /// Trains a base field; see the module's text.
@@ -99,7 +113,8 @@ impl BaseTrainer {
         seed: u64,
     ) -> Result<Self, FieldError> {
         config.validate()?;
-        Ok(Self::of(prepare(views)?, frame, background, config, seed))
+        let views = prepare(views, &config)?;
+        Ok(Self::of(views, frame, background, config, seed))
     }
 
     /// As [`BaseTrainer::new`], for settings and views (one at least) that were checked.
@@ -158,6 +173,14 @@ impl BaseTrainer {
     /// Steps in all.
     pub fn steps_total(&self) -> u64 {
         self.config.steps
+    }
+
+    /// What lies over the scene in photographs and is not learnt from; of views, those that this trains on count.
+    pub fn watermarks(&self) -> Vec<&VisibleWatermark> {
+        let mut found: Vec<&Arc<VisibleWatermark>> = self.views.iter().filter_map(|v| v.watermark.as_ref()).collect();
+        found.sort_by_key(|mark| mark.views[0]);
+        found.dedup_by(|a, b| Arc::ptr_eq(a, b));
+        found.into_iter().map(Arc::as_ref).collect()
     }
 
     /// Whether the photographs differ in light, as far as that is known yet.
@@ -434,47 +457,65 @@ fn light_step(config: &FieldConfig) -> u64 {
 }
 
 /// Views as training uses them, in their order.
-pub(crate) fn prepare(views: Vec<TrainingView>) -> Result<Vec<Arc<Prepared>>, FieldError> {
+pub(crate) fn prepare(views: Vec<TrainingView>, config: &FieldConfig) -> Result<Vec<Arc<Prepared>>, FieldError> {
     if views.is_empty() {
         return Err(FieldError::Views("none to train on; hold fewer out or import more photographs".into()));
     }
+    views.iter().try_for_each(check)?;
+    let pixels: Vec<Vec<u8>> = views.par_iter().map(|view| view.picture.to_rgb8()).collect();
+    let mut over: Vec<Option<Arc<VisibleWatermark>>> = vec![None; views.len()];
+    if config.leave_out_watermarks {
+        let size = |view: &TrainingView| (view.picture.width(), view.picture.height());
+        let seen: Vec<(&str, Seen<'_>)> = views
+            .iter()
+            .zip(&pixels)
+            .map(|(view, pixels)| (view.contributor.as_str(), Seen { size: size(view), pixels }))
+            .collect();
+        for mark in find(&seen) {
+            let mark = Arc::new(mark);
+            mark.views.iter().for_each(|view| over[*view] = Some(mark.clone()));
+        }
+    }
     let lenses = Lens::shared(views.iter().map(|v| v.camera));
-    views
-        .into_iter()
-        .zip(lenses)
-        .map(|(view, lens)| {
-            let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-            if (w, h) != (view.picture.width(), view.picture.height()) {
-                return Err(FieldError::Views(format!(
-                    "`{}`: the camera is {w} x {h} px and the photograph {} x {}; resize one to the other",
-                    view.name,
-                    view.picture.width(),
-                    view.picture.height()
-                )));
-            }
-            if let Some(at) = view.picture.rgb().iter().position(|v| !v.is_finite()) {
-                return Err(FieldError::Views(format!(
-                    "`{}`: pixel ({}, {}) is not finite; import the photograph again",
-                    view.name,
-                    at / 3 % w,
-                    at / 3 / w
-                )));
-            }
-            Ok(Arc::new(Prepared { name: view.name, camera: view.camera, lens, pixels: view.picture.to_rgb8() }))
-        })
-        .collect()
+    let parts = views.into_iter().zip(lenses).zip(pixels.into_iter().zip(over));
+    let prepared = parts.map(|((view, lens), (pixels, watermark))| {
+        Arc::new(Prepared { name: view.name, camera: view.camera, lens, pixels, watermark })
+    });
+    Ok(prepared.collect())
+}
+
+/// Whether a view's picture can be learnt from.
+fn check(view: &TrainingView) -> Result<(), FieldError> {
+    let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+    if (w, h) != (view.picture.width(), view.picture.height()) {
+        return Err(FieldError::Views(format!(
+            "`{}`: the camera is {w} x {h} px and the photograph {} x {}; resize one to the other",
+            view.name,
+            view.picture.width(),
+            view.picture.height()
+        )));
+    }
+    if let Some(at) = view.picture.rgb().iter().position(|v| !v.is_finite()) {
+        return Err(FieldError::Views(format!(
+            "`{}`: pixel ({}, {}) is not finite; import the photograph again",
+            view.name,
+            at / 3 % w,
+            at / 3 / w
+        )));
+    }
+    Ok(())
 }
 
 fn mean_colour(views: &[Arc<Prepared>]) -> [f32; 3] {
     let mut sum = [0u64; 3];
     let mut count = 0u64;
     for view in views {
-        for pixel in view.pixels.chunks_exact(3) {
+        for (_, pixel) in view.pixels.chunks_exact(3).enumerate().filter(|(at, _)| view.shows_scene(*at)) {
             for c in 0..3 {
                 sum[c] += u64::from(pixel[c]);
             }
+            count += 1;
         }
-        count += view.pixels.len() as u64 / 3;
     }
     sum.map(|s| (s as f64 / count.max(1) as f64 / 255.0) as f32)
 }

@@ -26,6 +26,7 @@ fn ring(seed: u64) -> LandmarkCapture {
 fn trained(capture: &LandmarkCapture, smoother_beyond_deg: f64) -> (Spacing, Field) {
     let view = |v: &cairn_landmark::LandmarkView| TrainingView {
         name: v.name.clone(),
+        contributor: v.contributor.clone(),
         camera: v.camera,
         picture: Arc::new(v.picture.clone()),
     };

@@ -30,6 +30,7 @@ fn capture(light_variation: f32, seed: u64) -> LandmarkCapture {
 fn views(capture: &LandmarkCapture) -> Vec<TrainingView> {
     let view = |v: &cairn_landmark::LandmarkView| TrainingView {
         name: v.name.clone(),
+        contributor: v.contributor.clone(),
         camera: v.camera,
         picture: Arc::new(v.picture.clone()),
     };

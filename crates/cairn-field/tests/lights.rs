@@ -230,7 +230,7 @@ fn under_suns(cameras: &[Camera], seed: u64) -> Vec<TrainingView> {
             }
         }
         let picture = Arc::new(Picture::new(w, camera.intrinsics.height, rgb).expect("three numbers a pixel"));
-        TrainingView { name: format!("{i:03}.png"), camera: *camera, picture }
+        TrainingView { name: format!("{i:03}.png"), contributor: "ada".into(), camera: *camera, picture }
     };
     cameras.iter().enumerate().map(shaded).collect()
 }

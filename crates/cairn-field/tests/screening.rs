@@ -30,6 +30,7 @@ fn seen(capture: &LandmarkCapture) -> Vec<TrainingView> {
     let of = capture.views.iter().enumerate().filter(|(n, _)| n % 6 != 0);
     let view = |(_, v): (usize, &cairn_landmark::LandmarkView)| TrainingView {
         name: v.name.clone(),
+        contributor: v.contributor.clone(),
         camera: v.camera,
         picture: Arc::new(v.picture.clone()),
     };

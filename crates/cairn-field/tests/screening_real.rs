@@ -22,7 +22,12 @@ fn read(name: &str, scale: f64) -> Option<(Capture, Vec<TrainingView>)> {
         let size = |side: usize| ((side as f64 * scale).round() as usize).max(1);
         let (w, h) = (size(view.camera.intrinsics.width), size(view.camera.intrinsics.height));
         let picture = Arc::new(capture.photograph(at).expect("a photograph").resized(w, h));
-        TrainingView { name: view.name.clone(), camera: view.camera.resized(w, h), picture }
+        TrainingView {
+            name: view.name.clone(),
+            contributor: view.contributor.clone(),
+            camera: view.camera.resized(w, h),
+            picture,
+        }
     };
     let views = capture.training().map(view).collect();
     Some((capture, views))

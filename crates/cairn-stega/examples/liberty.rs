@@ -136,7 +136,12 @@ fn base_field(
     for i in capture.training() {
         let v = &capture.views[i];
         let picture = Arc::new(photograph(i)?);
-        views.push(TrainingView { name: v.name.clone(), camera: camera(v), picture });
+        views.push(TrainingView {
+            name: v.name.clone(),
+            contributor: v.contributor.clone(),
+            camera: camera(v),
+            picture,
+        });
     }
     let frame = SceneFrame::from_capture(capture)?;
     let mut trainer = BaseTrainer::new(views, frame, capture.background, config, 1)?;

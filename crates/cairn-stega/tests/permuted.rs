@@ -29,6 +29,7 @@ fn scene() -> (Arc<Field>, MarkPlan) {
     let photographs = Landmark::generate(&config, 3).unwrap().views;
     let views = photographs.iter().map(|view| TrainingView {
         name: view.name.clone(),
+        contributor: view.contributor.clone(),
         camera: view.camera,
         picture: Arc::new(view.clean.clone()),
     });

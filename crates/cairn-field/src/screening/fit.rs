@@ -78,7 +78,9 @@ impl<'a> Judge<'a> {
     /// visitor alone saw does not count: the mean of both.
     fn fit(&self, view: usize) -> ViewFit {
         let (seen, pixels) = (self.seen_from(view), self.pixels(view));
-        let (all, solid) = ((0..seen.len()).collect::<Vec<_>>(), solid(&seen));
+        let shown = |at: &usize| self.views[view].shows_scene(self.pixel_at(view, self.spots[*at]));
+        let [all, solid] = [(0..seen.len()).collect(), solid(&seen)]
+            .map(|s: Vec<usize>| s.into_iter().filter(shown).collect::<Vec<_>>());
         let [a, b] = [all, solid].map(|spots| self.fit_at(view, &seen, &pixels, &spots));
         ViewFit { view: self.views[view].name.clone(), fit_db: (a.0 + b.0) / 2.0, deviations: (a.1 + b.1) / 2.0 }
     }

@@ -98,7 +98,7 @@ impl Screening {
                 views.len()
             )));
         }
-        let views = prepare(views)?;
+        let views = prepare(views, field)?;
         let trusted = (0..views.len()).filter(|v| trusted.contains(&views[*v].name)).collect();
         let folds = dealt(views.len(), settings.folds, seed);
         let fits = vec![None; views.len()];

@@ -141,6 +141,7 @@ pub fn facing(n: usize, size: usize, unit: f64, at: DVec3) -> Vec<Camera> {
 pub fn photographs(cameras: &[Camera], unit: f64, at: DVec3) -> Vec<TrainingView> {
     let view = |(i, camera): (usize, &Camera)| TrainingView {
         name: format!("{i:03}.png"),
+        contributor: "ada".into(),
         picture: Arc::new(photograph(camera, unit, at)),
         camera: *camera,
     };

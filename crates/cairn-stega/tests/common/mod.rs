@@ -49,7 +49,7 @@ pub fn train_field(steps: u64) -> Arc<Field> {
 pub fn train_field_of(steps: u64, photograph: fn(&Camera) -> Picture) -> Arc<Field> {
     let view = |(i, camera): (usize, Camera)| {
         let picture = Arc::new(photograph(&camera));
-        TrainingView { name: format!("view{i}"), camera, picture }
+        TrainingView { name: format!("view{i}"), contributor: "ada".into(), camera, picture }
     };
     let views = cameras().into_iter().enumerate().map(view).collect();
     let frame = SceneFrame::Bounded { centre: DVec3::ZERO, half: DVec3::splat(1.2) };

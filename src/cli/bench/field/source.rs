@@ -90,6 +90,7 @@ impl Opened {
         let picture = self.sized(index, self.capture.photograph(index)?);
         Ok(TrainingView {
             name: self.capture.views[index].name.clone(),
+            contributor: self.capture.views[index].contributor.clone(),
             camera: self.camera(index),
             picture: Arc::new(picture),
         })
