@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use cairn_capture::{Picture, SceneFolder};
 use cairn_cluster::Clusters;
-use cairn_metrics::{mse, psnr_db_from_mse};
+use cairn_field::watermarks;
+use cairn_metrics::psnr_db_from_mse;
 use cairn_stega::{
     Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Signal, at_most,
 };
@@ -89,7 +90,7 @@ impl Marking {
             // Photographs carry no mark: the detector has to stay silent on them.
             let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
             if let Some(most) = &mut explained_db {
-                *most = most.max(explained(&base, scene, &negatives)?);
+                *most = most.max(explained(&base, scene, &negatives));
             }
             let views = scene.training().map(|index| {
                 let view = &capture.views[index];
@@ -163,19 +164,29 @@ fn budget_note(kept: &MarkConfig, asked: &MarkConfig, explained_db: Option<f64>)
 }
 
 /// How well a field explains the photographs that it was trained on: PSNR in dB over some of them, evenly, all their pixels
-/// together.
-fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture]) -> Result<f64, EngineError> {
+/// together but those that a visible watermark covers: marks do not show there, learnt or not.
+fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture]) -> f64 {
     let views = &scene.capture().views;
     let training: Vec<usize> = scene.training().collect();
-    let (mut squares, mut pixels) = (0.0, 0.0);
-    for (photograph, index) in photographs.iter().zip(training).step_by(photographs.len().div_ceil(EXPLAINED_BY).max(1))
-    {
-        let camera = at_most(&views[index].camera, EXPLAINED_PX);
-        let render = base.render(&camera, base.appearance_of(&views[index].name)).clamped();
-        let seen = photograph.resized(render.width(), render.height());
-        let count = (render.width() * render.height()) as f64;
-        squares += count * mse(&render, &seen)?;
-        pixels += count;
+    let whose = training.iter().map(|index| views[*index].contributor.as_str());
+    let found = watermarks(&whose.zip(photographs).collect::<Vec<_>>());
+    let (mut squares, mut count) = (0.0, 0usize);
+    for at in (0..photographs.len()).step_by(photographs.len().div_ceil(EXPLAINED_BY).max(1)) {
+        let (photograph, view) = (&photographs[at], &views[training[at]]);
+        let camera = at_most(&view.camera, EXPLAINED_PX);
+        let render = base.render(&camera, base.appearance_of(&view.name)).clamped();
+        let (w, h) = (render.width(), render.height());
+        let seen = photograph.resized(w, h);
+        let over = found.iter().find(|mark| mark.views.contains(&at));
+        for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
+            // The photograph's pixel in its middle.
+            let (left, top) = ((2 * x + 1) * photograph.width() / (2 * w), (2 * y + 1) * photograph.height() / (2 * h));
+            if over.is_none_or(|mark| !mark.covered[top * photograph.width() + left]) {
+                let pair = render.pixel(x, y).into_iter().zip(seen.pixel(x, y));
+                squares += pair.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+                count += 3;
+            }
+        }
     }
-    Ok(if pixels > 0.0 { psnr_db_from_mse(squares / pixels) } else { f64::NEG_INFINITY })
+    if count > 0 { psnr_db_from_mse(squares / count as f64) } else { f64::NEG_INFINITY }
 }

@@ -5,8 +5,7 @@
 //! `cargo run --release -p cairn-field --example watermarks -- FOLDER [FOLDER for pictures [N]]`
 
 use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
-use cairn_field::{TrainingView, watermarks};
-use std::sync::Arc;
+use cairn_field::watermarks;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();
@@ -16,26 +15,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let table = std::path::Path::new(folder).join("contributors.csv");
     let options = ReadOptions { contributors: table.is_file().then_some(table), ..ReadOptions::default() };
     let capture = Capture::read(folder.as_ref(), &options)?;
-    let view = |i: usize| -> Result<TrainingView, Box<dyn std::error::Error>> {
-        let view = &capture.views[i];
-        let picture = Arc::new(capture.photograph(i)?);
-        Ok(TrainingView {
-            name: view.name.clone(),
-            contributor: view.contributor.clone(),
-            camera: view.camera,
-            picture,
-        })
-    };
-    let views = capture.training().map(view).collect::<Result<Vec<_>, _>>()?;
+    let view = |i: usize| Ok((capture.views[i].contributor.clone(), capture.photograph(i)?));
+    let views = capture.training().map(view).collect::<Result<Vec<_>, Box<dyn std::error::Error>>>()?;
     if let Some(n) = rest.get(1) {
         let n: usize = n.parse()?;
         let groups = views.len() / n;
         let (mut found, mut most) = (0, 0.0f64);
         for by in [|at: usize, n: usize, _: usize| at / n, |at: usize, _: usize, groups: usize| at % groups] {
-            let dealt = views.iter().take(groups * n).enumerate();
-            let dealt: Vec<_> = dealt
-                .map(|(at, view)| TrainingView { contributor: by(at, n, groups).to_string(), ..view.clone() })
-                .collect();
+            let whose: Vec<String> = (0..groups * n).map(|at| by(at, n, groups).to_string()).collect();
+            let dealt: Vec<_> = whose.iter().map(String::as_str).zip(views.iter().map(|v| &v.1)).collect();
             let marks = watermarks(&dealt);
             found += marks.len();
             most = marks.iter().map(|mark| mark.share()).fold(most, f64::max);
@@ -44,12 +32,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     }
     let begun = std::time::Instant::now();
-    let found = watermarks(&views);
+    let found = watermarks(&views.iter().map(|(whose, picture)| (whose.as_str(), picture)).collect::<Vec<_>>());
     println!("{} in {} photographs, {:.2} s", found.len(), views.len(), begun.elapsed().as_secs_f64());
     for mark in found {
         println!("{}: {} photographs, {:.2} % of the frame", mark.contributor, mark.views.len(), 100.0 * mark.share());
         let Some(out) = rest.first() else { continue };
-        let picture = &views[mark.views[0]].picture;
+        let picture = &views[mark.views[0]].1;
         let mut bits = picture.to_rgb8();
         for (pixel, _) in bits.chunks_exact_mut(3).zip(mark.covered.iter()).filter(|(_, on)| **on) {
             pixel.copy_from_slice(&[255, 0, 255]);

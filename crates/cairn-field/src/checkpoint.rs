@@ -12,14 +12,15 @@ use crate::light::LightVerdict;
 use crate::lights::Colours;
 use crate::mean::{Mean, codes_of};
 use crate::optimise::{Adam, RowState};
-use crate::trainer::{BaseTrainer, Prepared, TrainingView, prepare};
+use crate::prepared::{Prepared, TrainingView, prepare};
+use crate::trainer::BaseTrainer;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/7";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/8";
 
 #[derive(Serialize, Deserialize)]
 struct Header {

@@ -22,7 +22,7 @@ pub enum AppearanceMode {
 pub struct FieldConfig {
     /// Optimiser steps in all, 1 to 1,000,000.
     pub steps: u64,
-    /// Rays a step, 64 to 1,048,576.
+    /// Rays a step, 64 to 1,048,576, or up to a tile's more.
     pub rays_per_step: usize,
     /// Vertices of the last grid before pruning, 4,096 to 500,000,000.
     pub voxels: usize,
@@ -93,8 +93,8 @@ pub struct FieldConfig {
     /// Side of the square tiles that rays are drawn in on the last level, pixels: 1,
     /// 2, 4, 8 or 16; a quarter of it on each level before.
     pub tile_px: usize,
-    /// Whether pixels that a visible watermark covers are left out: what all photographs of one contributor and size (four from
-    /// different poses, at least) carry at the same place of the frame.
+    /// Whether pixels that a visible watermark covers are left out: what photographs of one contributor and size (four from
+    /// different poses, at least) carry at the same place, over 0.3 of the frame at most ([`crate::watermarks`]).
     pub leave_out_watermarks: bool,
     /// Per-view appearance.
     pub appearance: AppearanceMode,

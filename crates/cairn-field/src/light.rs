@@ -8,9 +8,10 @@ use crate::appearance::{Appearance, CODE, FEATURES, features};
 use crate::composite::{Kept, Thresholds, see};
 use crate::mean::Mean;
 use crate::optimise::Adam;
+use crate::prepared::Prepared;
 use crate::prior::Prior;
 use crate::sampling::spread;
-use crate::trainer::{BaseTrainer, Prepared};
+use crate::trainer::BaseTrainer;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

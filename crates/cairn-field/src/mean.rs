@@ -12,8 +12,9 @@ use crate::composite::{Thresholds, see};
 use crate::field::empty_density;
 use crate::grid::{Grid, ROW};
 use crate::memory::zeros;
+use crate::prepared::Prepared;
 use crate::sampling::spread;
-use crate::trainer::{BaseTrainer, Prepared};
+use crate::trainer::BaseTrainer;
 use rayon::prelude::*;
 
 /// States that are averaged, at most: neighbours among them are too much alike to be worth the memory traffic.

@@ -14,29 +14,15 @@ use crate::light::LightVerdict;
 use crate::lights::{Colours, LIGHTS_RATE};
 use crate::mean::Mean;
 use crate::optimise::{Adam, Rates, RowState};
+use crate::prepared::{Prepared, TrainingView, mean_colour, prepare};
 use crate::rays::Lens;
 use crate::resolution::{dims_of_level, finest, level_end, tile_side};
 use crate::sampling::{Tile, Tiles};
 use crate::spacing::Spacing;
-use crate::watermark::{Seen, VisibleWatermark, find};
-use cairn_capture::{Camera, Picture};
+use crate::watermark::VisibleWatermark;
+use cairn_capture::Camera;
 use glam::DVec3;
-use rayon::prelude::*;
 use std::sync::Arc;
-
-/// One photograph to learn from.
-#[derive(Clone, Debug)]
-pub struct TrainingView {
-    /// The view's name, unique in the scene.
-    pub name: String,
-    /// Who took it; what all of a contributor's photographs carry at one place of the frame is no part of the scene
-    /// ([`FieldConfig::leave_out_watermarks`]).
-    pub contributor: String,
-    /// Its camera, at the photograph's resolution.
-    pub camera: Camera,
-    /// The photograph.
-    pub picture: Arc<Picture>,
-}
 
 /// What a step did.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,23 +35,6 @@ pub struct StepStats {
     pub loss: f64,
     /// The same as PSNR, dB (of training rays: not a result).
     pub psnr_db: f64,
-}
-
-/// A view as training uses it: 8-bit pixels (what photographs have) and its lens.
-pub(crate) struct Prepared {
-    pub(crate) name: String,
-    pub(crate) camera: Camera,
-    pub(crate) lens: Arc<Lens>,
-    pub(crate) pixels: Vec<u8>,
-    /// What lies over the scene in it.
-    pub(crate) watermark: Option<Arc<VisibleWatermark>>,
-}
-
-impl Prepared {
-    /// Whether pixel `at` shows the scene.
-    pub(crate) fn shows_scene(&self, at: usize) -> bool {
-        self.watermark.as_ref().is_none_or(|mark| !mark.covered[at])
-    }
 }
 
 /// Trains a base field; see the module's text.
@@ -175,7 +144,8 @@ impl BaseTrainer {
         self.config.steps
     }
 
-    /// What lies over the scene in photographs and is not learnt from; of views, those that this trains on count.
+    /// What lies over the scene in photographs and is not learnt from. Its views are places among those that
+    /// [`BaseTrainer::new`] was given.
     pub fn watermarks(&self) -> Vec<&VisibleWatermark> {
         let mut found: Vec<&Arc<VisibleWatermark>> = self.views.iter().filter_map(|v| v.watermark.as_ref()).collect();
         found.sort_by_key(|mark| mark.views[0]);
@@ -326,9 +296,12 @@ impl BaseTrainer {
         let (mut tiles, mut rays, mut drawn) = (Vec::new(), 0, self.drawn);
         while rays < self.config.rays_per_step {
             let tile = self.tiles.draw(self.seed, drawn);
-            rays += tile.len();
             drawn += 1;
-            tiles.push(tile);
+            let shown = self.views[tile.view].shown_in(&tile);
+            rays += shown;
+            if shown > 0 {
+                tiles.push(tile);
+            }
         }
         (tiles, drawn)
     }
@@ -454,68 +427,4 @@ const WHOLE: ([f64; 3], [f64; 3]) = ([0.0; 3], [1.0; 3]);
 /// coarsest level is done, and after a quarter of all steps at the latest.
 fn light_step(config: &FieldConfig) -> u64 {
     level_end(config, 0).min(config.steps / 4).max(1)
-}
-
-/// Views as training uses them, in their order.
-pub(crate) fn prepare(views: Vec<TrainingView>, config: &FieldConfig) -> Result<Vec<Arc<Prepared>>, FieldError> {
-    if views.is_empty() {
-        return Err(FieldError::Views("none to train on; hold fewer out or import more photographs".into()));
-    }
-    views.iter().try_for_each(check)?;
-    let pixels: Vec<Vec<u8>> = views.par_iter().map(|view| view.picture.to_rgb8()).collect();
-    let mut over: Vec<Option<Arc<VisibleWatermark>>> = vec![None; views.len()];
-    if config.leave_out_watermarks {
-        let size = |view: &TrainingView| (view.picture.width(), view.picture.height());
-        let seen: Vec<(&str, Seen<'_>)> = views
-            .iter()
-            .zip(&pixels)
-            .map(|(view, pixels)| (view.contributor.as_str(), Seen { size: size(view), pixels }))
-            .collect();
-        for mark in find(&seen) {
-            let mark = Arc::new(mark);
-            mark.views.iter().for_each(|view| over[*view] = Some(mark.clone()));
-        }
-    }
-    let lenses = Lens::shared(views.iter().map(|v| v.camera));
-    let parts = views.into_iter().zip(lenses).zip(pixels.into_iter().zip(over));
-    let prepared = parts.map(|((view, lens), (pixels, watermark))| {
-        Arc::new(Prepared { name: view.name, camera: view.camera, lens, pixels, watermark })
-    });
-    Ok(prepared.collect())
-}
-
-/// Whether a view's picture can be learnt from.
-fn check(view: &TrainingView) -> Result<(), FieldError> {
-    let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-    if (w, h) != (view.picture.width(), view.picture.height()) {
-        return Err(FieldError::Views(format!(
-            "`{}`: the camera is {w} x {h} px and the photograph {} x {}; resize one to the other",
-            view.name,
-            view.picture.width(),
-            view.picture.height()
-        )));
-    }
-    if let Some(at) = view.picture.rgb().iter().position(|v| !v.is_finite()) {
-        return Err(FieldError::Views(format!(
-            "`{}`: pixel ({}, {}) is not finite; import the photograph again",
-            view.name,
-            at / 3 % w,
-            at / 3 / w
-        )));
-    }
-    Ok(())
-}
-
-fn mean_colour(views: &[Arc<Prepared>]) -> [f32; 3] {
-    let mut sum = [0u64; 3];
-    let mut count = 0u64;
-    for view in views {
-        for (_, pixel) in view.pixels.chunks_exact(3).enumerate().filter(|(at, _)| view.shows_scene(*at)) {
-            for c in 0..3 {
-                sum[c] += u64::from(pixel[c]);
-            }
-            count += 1;
-        }
-    }
-    sum.map(|s| (s as f64 / count.max(1) as f64 / 255.0) as f32)
 }

@@ -6,7 +6,7 @@ mod common;
 use std::sync::Arc;
 
 use cairn_capture::Picture;
-use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView, watermarks};
+use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView, VisibleWatermark, watermarks};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
 use common::landmark::{frame, held_out_db, wild};
 
@@ -54,6 +54,10 @@ fn over(at: usize, scene: [f32; 3]) -> [f32; 3] {
     }
 }
 
+fn found(views: &[TrainingView]) -> Vec<VisibleWatermark> {
+    watermarks(&views.iter().map(|v| (v.contributor.as_str(), &*v.picture)).collect::<Vec<_>>())
+}
+
 fn trainer(views: Vec<TrainingView>, capture: &LandmarkCapture, leave_out_watermarks: bool) -> BaseTrainer {
     let config = FieldConfig { voxels: 500_000, levels: 3, leave_out_watermarks, ..wild(300) };
     BaseTrainer::new(views, frame(capture), None, config, 1).expect("sound settings")
@@ -71,17 +75,17 @@ fn a_caption_is_found_where_it_is_and_nowhere_else() {
     for seed in 1..=4 {
         let capture = landmark(seed);
         let views = captioned(&capture);
-        let found = watermarks(&views);
-        assert_eq!(found.len(), 1, "seed {seed}: {:?}", found.iter().map(|f| &f.contributor).collect::<Vec<_>>());
+        let marks = found(&views);
+        assert_eq!(marks.len(), 1, "seed {seed}: {:?}", marks.iter().map(|f| &f.contributor).collect::<Vec<_>>());
         let whose = |v: &TrainingView| v.contributor == capture.views[0].contributor;
-        assert_eq!(found[0].views, (0..views.len()).filter(|v| whose(&views[*v])).collect::<Vec<_>>());
+        assert_eq!(marks[0].views, (0..views.len()).filter(|v| whose(&views[*v])).collect::<Vec<_>>());
         let is_over = |at: usize| over(at, [-1.0; 3]) != [-1.0; 3];
-        let missed = (0..SIZE.0 * SIZE.1).filter(|at| is_over(*at) && !found[0].covered[*at]).count();
-        let beside = (0..SIZE.0 * SIZE.1).filter(|at| !is_over(*at) && found[0].covered[*at]).count();
+        let missed = (0..SIZE.0 * SIZE.1).filter(|at| is_over(*at) && !marks[0].covered[*at]).count();
+        let beside = (0..SIZE.0 * SIZE.1).filter(|at| !is_over(*at) && marks[0].covered[*at]).count();
         // It has 768 pixels, and two on every side are left out with it.
-        assert!(missed == 0 && beside <= 500, "seed {seed}: {missed} missed, {beside} beside");
+        assert!(missed == 0 && beside <= 350, "seed {seed}: {missed} missed, {beside} beside");
         let honest: Vec<TrainingView> = views.iter().filter(|v| !whose(v)).cloned().collect();
-        assert_eq!(watermarks(&honest), vec![], "seed {seed}");
+        assert_eq!(found(&honest), vec![], "seed {seed}");
     }
 }
 
@@ -96,20 +100,27 @@ fn a_caption_does_not_hang_in_the_field() {
         held_out_db(&trained(trainer), held_out())
     });
     println!("held-out views: {out:.2} dB with the caption left out, {learnt:.2} dB with it learnt");
-    // Seed 2: 19.6 and 18.7 dB.
-    assert!(out > learnt + 0.8, "{out:.2} dB with the caption left out, {learnt:.2} dB with it learnt");
+    // About half of what it was: 19.9 and 18.3 dB, with seed 2 19.6 and 18.7.
+    assert!(out > learnt + 0.7, "{out:.2} dB with the caption left out, {learnt:.2} dB with it learnt");
 }
 
 #[test]
-fn what_is_left_out_stays_so_after_a_stop() {
+fn a_stop_changes_nothing_whether_it_is_left_out_or_learnt() {
     let capture = landmark(1);
-    let config = FieldConfig { voxels: 32_768, levels: 2, ..wild(40) };
-    let begin = || BaseTrainer::new(captioned(&capture), frame(&capture), None, config.clone(), 1).expect("sound");
-    let whole = trained(begin()).to_bytes().expect("bytes");
-    let mut first = begin();
-    (0..17).for_each(|_| drop(first.step().expect("finite numbers")));
-    let resumed =
-        BaseTrainer::resume(&first.checkpoint().expect("bytes"), captioned(&capture)).expect("the same views");
-    assert_eq!(resumed.watermarks().len(), 1);
-    assert!(trained(resumed).to_bytes().expect("bytes") == whole);
+    let mut ends = Vec::new();
+    for leave_out_watermarks in [true, false] {
+        let config = FieldConfig { voxels: 32_768, levels: 2, leave_out_watermarks, ..wild(40) };
+        let begin = || BaseTrainer::new(captioned(&capture), frame(&capture), None, config.clone(), 1).expect("sound");
+        let whole = trained(begin()).to_bytes().expect("bytes");
+        let mut first = begin();
+        for _ in 0..17 {
+            first.step().expect("finite numbers");
+        }
+        let checkpoint = first.checkpoint().expect("bytes");
+        let resumed = BaseTrainer::resume(&checkpoint, captioned(&capture)).expect("the same views");
+        assert_eq!(resumed.watermarks().len(), usize::from(leave_out_watermarks));
+        assert!(trained(resumed).to_bytes().expect("bytes") == whole);
+        ends.push(whole);
+    }
+    assert!(ends[0] != ends[1], "it is left out or learnt");
 }

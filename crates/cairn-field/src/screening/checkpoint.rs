@@ -6,13 +6,14 @@ use crate::config::FieldConfig;
 use crate::error::FieldError;
 use crate::field::stored;
 use crate::frame::SceneFrame;
-use crate::trainer::{BaseTrainer, TrainingView};
+use crate::prepared::TrainingView;
+use crate::trainer::BaseTrainer;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 
 /// Format of a screening's checkpoint; another number is refused by name.
-const FORMAT: &str = "cairn.screening.checkpoint/5";
+const FORMAT: &str = "cairn.screening.checkpoint/6";
 /// Longest first line that is read, bytes: 10,000 views take about two million.
 const MOST_HEADER_BYTES: usize = 64 << 20;
 

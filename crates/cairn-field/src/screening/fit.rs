@@ -8,9 +8,10 @@
 
 use crate::appearance::{Appearance, FEATURES, features};
 use crate::composite::{Kept, Thresholds, see};
+use crate::prepared::Prepared;
 use crate::prior::Prior;
 use crate::sampling::mixed;
-use crate::trainer::{BaseTrainer, Prepared};
+use crate::trainer::BaseTrainer;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -79,8 +80,8 @@ impl<'a> Judge<'a> {
     fn fit(&self, view: usize) -> ViewFit {
         let (seen, pixels) = (self.seen_from(view), self.pixels(view));
         let shown = |at: &usize| self.views[view].shows_scene(self.pixel_at(view, self.spots[*at]));
-        let [all, solid] = [(0..seen.len()).collect(), solid(&seen)]
-            .map(|s: Vec<usize>| s.into_iter().filter(shown).collect::<Vec<_>>());
+        let all: Vec<usize> = (0..seen.len()).filter(shown).collect();
+        let solid = solid(&seen, &all);
         let [a, b] = [all, solid].map(|spots| self.fit_at(view, &seen, &pixels, &spots));
         ViewFit { view: self.views[view].name.clone(), fit_db: (a.0 + b.0) / 2.0, deviations: (a.1 + b.1) / 2.0 }
     }
@@ -141,10 +142,10 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// The spots at which something of the inner box is seen; all of them where that is too little to judge by.
-fn solid(seen: &[[f32; FEATURES]]) -> Vec<usize> {
-    let near: Vec<usize> = (0..seen.len()).filter(|at| seen[*at][NEAR_WEIGHT] > SOLID).collect();
-    if near.len() >= LEAST_SPOTS { near } else { (0..seen.len()).collect() }
+/// Of `spots` those at which something of the inner box is seen; all of them where that is too little to judge by.
+fn solid(seen: &[[f32; FEATURES]], spots: &[usize]) -> Vec<usize> {
+    let near: Vec<usize> = spots.iter().copied().filter(|at| seen[*at][NEAR_WEIGHT] > SOLID).collect();
+    if near.len() >= LEAST_SPOTS { near } else { spots.to_vec() }
 }
 
 /// Squared error of a colour, over its channels.
@@ -166,6 +167,17 @@ fn spots(seed: u64) -> Vec<Spot> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_solid_is_judged_only_where_enough_of_it_is_seen() {
+        let mut seen = vec![[0.0; FEATURES]; 400];
+        (0..150).for_each(|at| seen[at][NEAR_WEIGHT] = 1.0);
+        let all: Vec<usize> = (0..400).collect();
+        assert_eq!(solid(&seen, &all), (0..150).collect::<Vec<_>>());
+        // A caption over most of it: the rest of it is too little, and nothing covered comes back.
+        let left: Vec<usize> = (100..400).collect();
+        assert_eq!(solid(&seen, &left), left);
+    }
 
     #[test]
     fn spots_cover_the_picture_in_two_halves() {

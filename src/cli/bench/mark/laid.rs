@@ -48,7 +48,7 @@ pub struct Told {
     pub seconds: f64,
 }
 
-/// Asks about all views at their cameras, and about some views and `foreign` captures' photographs without. `None` where nothing can be laid over the field.
+/// Asks about all views at their cameras, about some without and after harm, and about `foreign` captures' photographs without. `None` where nothing can be laid over the field.
 ///
 /// # Errors
 /// For pictures that the detector does not take.
