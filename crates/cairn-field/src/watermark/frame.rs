@@ -10,7 +10,7 @@ pub(super) const EDGE: f32 = 5.0;
 /// How slopes that agree differ, as shares of the middle one: from, to, and at right angles to it. A watermark that lets the
 /// scene through changes less where that is bright.
 pub(super) const LOOSE: [f32; 3] = [0.4, 2.5, 0.6];
-/// The same where photographs are too few to tell a watermark from chance by loose agreement: only opaque ones are found there.
+/// The same where photographs are too few to tell a watermark from chance by loose agreement: only those on a ground of their own are found there.
 pub(super) const TIGHT: [f32; 3] = [0.85, 1.18, 0.15];
 /// Photographs whose edges agree in this share are of one pose.
 const ONE_POSE: f64 = 0.5;

@@ -68,8 +68,8 @@ impl VisibleWatermark {
 }
 
 /// The visible watermarks that photographs carry, each given with who took it: at most one for each contributor and size
-/// of photographs. Of those there must be four from different poses; from nine on a fifth of them may lack it, and where it lets the scene
-/// through there must be seven. It covers 0.3 of the frame at most: of a larger one only letters are found, or nothing.
+/// of photographs. Of those there must be four from different poses; from nine on a fifth of them may lack it, and where it has no
+/// ground of its own there must be seven. It covers 0.3 of the frame at most: of a larger one only letters are found, or nothing.
 pub fn watermarks(photographs: &[(&str, &Picture)]) -> Vec<VisibleWatermark> {
     let bits: Vec<Vec<u8>> = photographs.par_iter().map(|(_, picture)| picture.to_rgb8()).collect();
     let mut all = Vec::new();
