@@ -1,5 +1,8 @@
 //! `QueryService` and `DetectionService`.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use cairn_access::Need;
 use cairn_capture::encode_png;
 use cairn_proto::v1::{self, detection_service_server::DetectionService, query_service_server::QueryService};
@@ -27,6 +30,7 @@ impl QueryService for Shared {
     async fn who_by_picture(&self, request: Request<v1::WhoByPictureRequest>) -> Answer<v1::WhoResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
         let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
+        let _waiting = over.as_ref().map(Waiting::of);
         let searching = self.searching(over.as_ref()).await;
         let v1::WhoByPictureRequest { scene, picture, .. } = request.into_inner();
         let who = self.compute(move |engine| {
@@ -60,6 +64,7 @@ impl DetectionService for Shared {
     async fn detect(&self, request: Request<v1::DetectRequest>) -> Answer<v1::DetectResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
         let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
+        let _waiting = over.as_ref().map(Waiting::of);
         let searching = self.searching(over.as_ref()).await;
         let v1::DetectRequest { scene, picture, .. } = request.into_inner();
         let found = self.compute(move |engine| {
@@ -83,6 +88,21 @@ impl DetectionService for Shared {
     }
 }
 
+/// A caller who waits: where it goes without its answer, this is dropped, and a search for its picture's camera ends.
+struct Waiting(Arc<AtomicBool>);
+
+impl Waiting {
+    fn of(over: &Over) -> Self {
+        Self(over.given_up.clone())
+    }
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 impl Shared {
     /// How a picture is to be laid over the scene's field. It asks for a token as base renders do: it takes the daemon
     /// seconds, and its scores are what someone would watch who wants a mark to go.
@@ -90,14 +110,14 @@ impl Shared {
         let Some(v1::LayOver { viewpoint }) = asked else { return Ok(None) };
         let from = viewpoint.clone().map(|v| from_proto::viewpoint(Some(v))).transpose().map_err(status)?;
         self.authorise_as(caller, Need::Inspect, About::Scene(scene))?;
-        Ok(Some(Over { from }))
+        Ok(Some(Over { from, given_up: Arc::default() }))
     }
 
     /// Waits for the one place that searches for a camera have, of those that renders share: a search keeps its own for
     /// many seconds. It goes with the work.
     async fn searching(&self, over: Option<&Over>) -> Option<OwnedSemaphorePermit> {
         match over {
-            Some(Over { from: None }) => self.searches.clone().acquire_owned().await.ok(),
+            Some(Over { from: None, .. }) => self.searches.clone().acquire_owned().await.ok(),
             _ => None,
         }
     }

@@ -120,7 +120,7 @@ impl Mark {
     /// As [`Mark::detect`], with the picture laid over the field as well, at `from` where that is known: a mark that stands
     /// out there is believed, and where none does, or no place is found, the classifier answers. What is hidden
     /// comes from the detector, told that answer. `views` are asked for when the first picture comes: cameras and
-    /// names of photographs, where a search begins.
+    /// names of photographs, where a search begins; it is given up, and the classifier answers, once it is no longer `wanted`.
     ///
     /// # Errors
     /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`] where nothing can be laid over
@@ -129,7 +129,7 @@ impl Mark {
         &self,
         picture: &Picture,
         views: impl FnOnce() -> Vec<(Camera, String)>,
-        from: Option<&Camera>,
+        (from, wanted): (Option<&Camera>, &dyn Fn() -> bool),
     ) -> Result<Found, EngineError> {
         let (width, height) = (picture.width(), picture.height());
         if !RegisteredReader::can_tell(width, height) {
@@ -148,7 +148,7 @@ impl Mark {
                   has no views to train on; ask without, and the classifier answers"
                 .into(),
         })?;
-        let Some(reading) = reader.read(&self.field, picture, from) else {
+        let Some(reading) = reader.read(&self.field, picture, from, wanted) else {
             return self.detect(picture);
         };
         let (explained, believed) = (reading.registered.explained, reading.identity());

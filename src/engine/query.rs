@@ -1,6 +1,7 @@
 //! Rendering, asking who contributed, and detecting.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use cairn_capture::{Camera, Picture};
 
@@ -64,6 +65,8 @@ pub struct Who {
 pub struct Over {
     /// From where the picture was rendered, where that is known.
     pub from: Option<Viewpoint>,
+    /// Says so once nobody waits for the answer any more.
+    pub given_up: Arc<AtomicBool>,
 }
 
 /// Refuses a picture that `camera` cannot have taken whole, at whatever size.
@@ -204,7 +207,7 @@ impl Engine {
         let picture = decode(bytes, &self.limits)?;
         let model = self.model(scene)?;
         let mark = model.mark()?;
-        let Some(Over { from }) = over else {
+        let Some(Over { from, given_up }) = over else {
             let found = mark.detect(&picture)?;
             return Ok((model, found));
         };
@@ -220,7 +223,7 @@ impl Engine {
             let of = |i: usize| (capture.views[i].camera, capture.views[i].name.clone());
             capture.training().map(of).filter(|(_, name)| !out.contains(name)).collect()
         };
-        let found = mark.detect_laid_over(&picture, views, from.as_ref())?;
+        let found = mark.detect_laid_over(&picture, views, (from.as_ref(), &|| !given_up.load(Ordering::Relaxed)))?;
         Ok((model, found))
     }
 

@@ -153,3 +153,27 @@ fn what_shows_something_else_is_explained_from_nowhere() {
     assert!(registrar.register(&broken).is_some_and(|f| f.explained > 0.9));
     assert!(Registrar::new(field.clone(), &[]).is_none());
 }
+
+#[test]
+fn a_search_ends_once_nobody_wants_it() {
+    let (field, registrar) = ball();
+    let picture = shot(field, &beside(0.1, 0.05));
+    let asked = std::cell::Cell::new(0u32);
+    let until = |last: u32| {
+        asked.set(0);
+        registrar.register_while(&picture, &|| {
+            asked.set(asked.get() + 1);
+            asked.get() <= last
+        })
+    };
+    let found = until(u32::MAX).expect("a place");
+    let all = asked.get();
+    assert!(found.explained > 0.9 && all > 10, "asked {all} times");
+    // Whenever it is: at once, in the middle, before the very end.
+    for last in [0, 1, all / 2, all - 1] {
+        assert!(until(last).is_none(), "after {last} of {all}");
+        // Each of the places at hand may ask once more.
+        assert!(asked.get() <= last + 5, "asked {} times after no at {last}", asked.get());
+    }
+    assert!(until(all).is_some());
+}

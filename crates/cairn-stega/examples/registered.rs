@@ -63,7 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         let show = |what: &str, picture: &Picture| {
             let begun = Instant::now();
-            let Some(read) = reader.read(&marked, picture, known.then_some(&view.camera)) else {
+            let Some(read) = reader.read(&marked, picture, known.then_some(&view.camera), &|| true) else {
                 println!("  {what:20} nowhere");
                 return;
             };

@@ -84,12 +84,18 @@ impl RegisteredReader {
     }
 
     /// Lays `picture` over the field and looks for each identity's mark of `marked`, the field that it was made for. `from`
-    /// is the camera that it was rendered with, where that is known; otherwise it is searched for, which takes seconds.
-    /// `None` where no place was found for it.
-    pub fn read(&self, marked: &MarkedField, picture: &Picture, from: Option<&Camera>) -> Option<RegisteredReading> {
+    /// is the camera that it was rendered with, where that is known; otherwise it is searched for, which takes seconds, for as long as
+    /// `wanted` says so. `None` where no place was found for it.
+    pub fn read(
+        &self,
+        marked: &MarkedField,
+        picture: &Picture,
+        from: Option<&Camera>,
+        wanted: &dyn Fn() -> bool,
+    ) -> Option<RegisteredReading> {
         let registered = match from {
             Some(camera) => self.registrar.register_at(picture, camera)?,
-            None => self.registrar.register(picture)?,
+            None => self.registrar.register_while(picture, wanted)?,
         };
         let identities = marked.clusters().clusters.len() as u32;
         let (camera, light) = (&registered.camera, &registered.appearance);

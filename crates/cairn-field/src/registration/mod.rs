@@ -106,13 +106,20 @@ impl Registrar {
         let picture = bounded(picture)?;
         let camera = camera.resized(picture.width(), picture.height());
         let level = Level::of_parts(&picture, LONGEST_PX);
-        let found = self.refined(&level, camera, (0, POSE, LEAST_SPREAD)).filter(|found| found.explained > 0.0)?;
+        let found =
+            self.refined(&level, camera, (0, POSE, LEAST_SPREAD), &|| true).filter(|found| found.explained > 0.0)?;
         Some(Registered { camera, appearance: found.appearance, picture, explained: found.explained })
     }
 
     /// The camera and light from which the field looks most like `picture` (any size; a number that is not finite
     /// counts as 0); `None` where it looks like it from nowhere that was tried, or is too small to tell.
     pub fn register(&self, picture: &Picture) -> Option<Registered> {
+        self.register_while(picture, &|| true)
+    }
+
+    /// As [`Registrar::register`], for as long as `wanted` says so: it is asked before every step, of which there are up to
+    /// hundreds. `None` once it says no.
+    pub fn register_while(&self, picture: &Picture, wanted: &dyn Fn() -> bool) -> Option<Registered> {
         let picture = bounded(picture)?;
         let levels = [
             Level::whole(&picture, SIDES[0]),
@@ -127,7 +134,10 @@ impl Registrar {
         let thumbnails = self.thumbnails.get_or_init(|| self.views.iter().map(thumbnail).collect());
         for candidate in search::candidates(thumbnails, &picture, CANDIDATES) {
             let (_, free, least) = STEPS[0];
-            places.extend(self.refined(levels[0], candidate.camera, (FIRST, free, least)));
+            if !wanted() {
+                return None;
+            }
+            places.extend(self.refined(levels[0], candidate.camera, (FIRST, free, least), wanted));
             if places.last().is_some_and(|place| place.explained > SURELY) {
                 break;
             }
@@ -136,8 +146,8 @@ impl Registrar {
         places.sort_by(|a, b| b.explained.total_cmp(&a.explained));
         let mut best: Option<Refined> = None;
         for place in places.into_iter().take(FOLLOWED) {
-            let found =
-                levels.iter().zip(STEPS).try_fold(place, |at, (level, steps)| self.refined(level, at.camera, steps));
+            let refined = |at: Refined, (level, steps): (&&Level, _)| self.refined(level, at.camera, steps, wanted);
+            let found = levels.iter().zip(STEPS).try_fold(place, refined);
             if found.as_ref().is_some_and(|f| best.as_ref().is_none_or(|b| f.explained > b.explained)) {
                 best = found;
             }
@@ -145,12 +155,18 @@ impl Registrar {
                 break;
             }
         }
-        let Refined { camera, appearance, explained } = best?;
+        let Refined { camera, appearance, explained } = best.filter(|_| wanted())?;
         Some(Registered { camera, appearance, picture, explained })
     }
 
-    fn refined(&self, level: &Level, camera: Camera, steps: (usize, usize, f64)) -> Option<Refined> {
-        refine::refine(&self.field, (&self.prior, self.reach), level, camera, steps)
+    fn refined(
+        &self,
+        level: &Level,
+        camera: Camera,
+        steps: (usize, usize, f64),
+        wanted: &dyn Fn() -> bool,
+    ) -> Option<Refined> {
+        refine::refine(&self.field, (&self.prior, self.reach), level, camera, (steps, wanted))
     }
 }
 

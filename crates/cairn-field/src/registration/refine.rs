@@ -50,13 +50,13 @@ struct Moved {
 
 /// Takes steps from `camera`, with slopes worked out up to `steps` times, which move the first `free` of the nine numbers, with no spread of
 /// differences below `least_spread`; `reach` is how far what is seen is, capture units. `None` where there is nothing to
-/// compare, or no light explains it.
+/// compare, no light explains it, or it is no longer `wanted`.
 pub(super) fn refine(
     field: &Field,
     (prior, reach): (&Prior, f64),
     level: &Level,
     camera: Camera,
-    (steps, free, least_spread): (usize, usize, f64),
+    ((steps, free, least_spread), wanted): ((usize, usize, f64), &dyn Fn() -> bool),
 ) -> Option<Refined> {
     if level.windows.is_empty() {
         return None;
@@ -69,6 +69,9 @@ pub(super) fn refine(
     for _ in 0..TURNS * steps {
         if known.is_none() && worked_out == steps {
             break;
+        }
+        if !wanted() {
+            return None;
         }
         let fresh = known.is_none();
         worked_out += usize::from(fresh);
