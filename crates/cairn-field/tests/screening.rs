@@ -204,7 +204,8 @@ fn checkpoints_that_do_not_fit_are_refused_by_name() {
     let bytes = screening.checkpoint().expect("a checkpoint");
     let refused = |bytes: &[u8]| Screening::resume(bytes, balls()).err().map(|e| e.to_string());
     assert_eq!(refused(&bytes), None);
-    let text = String::from_utf8_lossy(&bytes).replace("screening.checkpoint/5", "screening.checkpoint/9").into_bytes();
+    // Whatever the format is now, this is another.
+    let text = String::from_utf8_lossy(&bytes).replace("screening.checkpoint/", "screening.checkpoint/9").into_bytes();
     assert!(refused(&text).expect("an error").contains("checkpoint/9"));
     let mut bytes = bytes;
     for at in (0..bytes.len()).step_by(bytes.len() / 61) {
