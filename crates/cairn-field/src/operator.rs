@@ -24,9 +24,9 @@ const FAR: u32 = 1 << 31;
 /// What a carrier's coefficients multiply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CarrierBasis {
-    /// One coefficient a channel, the same from everywhere.
+    /// One coefficient a channel, the same from everywhere and in every light.
     Constant,
-    /// Nine a channel: what the field's own stand for ([`Colours`]).
+    /// Nine a channel: what the field's own stand for ([`Colours`]), seen in the light that those are seen in.
     Harmonics,
 }
 
@@ -36,6 +36,16 @@ impl CarrierBasis {
         match self {
             Self::Constant => 3,
             Self::Harmonics => 3 * SH,
+        }
+    }
+
+    /// What light makes of a carrier's colours, a row for each channel that comes out, near and far, where the field is
+    /// seen with `appearance`. Nothing of constant ones: an appearance fitted to a dusky photograph made marks six
+    /// decibels stronger and turned their hue, which is what tells owners apart.
+    pub(crate) fn tints(self, appearance: &Appearance) -> [[[f32; 3]; 3]; 2] {
+        match self {
+            Self::Constant => [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]; 2],
+            Self::Harmonics => [appearance.near_matrix(), appearance.far_matrix()],
         }
     }
 }
@@ -230,7 +240,7 @@ impl LinearView {
     /// When `picture` is of another size.
     pub fn apply(&self, carrier: &[f32], basis: CarrierBasis, appearance: &Appearance, picture: &mut [f32]) {
         assert_eq!(picture.len(), self.width * self.height * 3, "a picture of this view's size");
-        let (near_matrix, far_matrix) = (appearance.near_matrix(), appearance.far_matrix());
+        let [near, far] = basis.tints(appearance);
         picture.par_chunks_exact_mut(3).with_min_len(512).enumerate().for_each(|(pixel, out)| {
             let along = self.colours.weights(&self.harmonics[pixel], &appearance.lights());
             let mut sums = [[0.0f32; 3]; 2];
@@ -255,7 +265,7 @@ impl LinearView {
             }
             for (c, v) in out.iter_mut().enumerate() {
                 for k in 0..3 {
-                    *v += near_matrix[c][k] * sums[0][k] + far_matrix[c][k] * sums[1][k];
+                    *v += near[c][k] * sums[0][k] + far[c][k] * sums[1][k];
                 }
             }
         });
@@ -276,11 +286,11 @@ impl LinearView {
         touched: &mut [bool],
     ) {
         assert_eq!(slope.len(), self.width * self.height * 3, "a picture of this view's size");
-        let matrices = [appearance.near_matrix(), appearance.far_matrix()];
+        let tints = basis.tints(appearance);
         for (pixel, g) in slope.chunks_exact(3).enumerate() {
             let along = self.colours.weights(&self.harmonics[pixel], &appearance.lights());
             let pulled: [[f32; 3]; 2] =
-                std::array::from_fn(|part| std::array::from_fn(|k| (0..3).map(|c| matrices[part][c][k] * g[c]).sum()));
+                std::array::from_fn(|part| std::array::from_fn(|k| (0..3).map(|c| tints[part][c][k] * g[c]).sum()));
             for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
                 let p = &pulled[usize::from(row & FAR != 0)];
                 let at = (row & !FAR) as usize;

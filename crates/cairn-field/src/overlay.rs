@@ -10,7 +10,8 @@ use cairn_capture::{Camera, Picture};
 
 impl Field {
     /// The picture of `camera` with `carrier` (`rows x basis.width()`) added to
-    /// the field's colours, not clamped: `theta(P)` for `theta = theta_0 + carrier`.
+    /// the field's colours, not clamped: `theta(P)` for `theta = theta_0 + carrier`. `appearance`
+    /// is the field's; of carriers it tints harmonics alone ([`CarrierBasis`]).
     ///
     /// # Panics
     /// When `carrier` is not of this field's size.
@@ -22,7 +23,7 @@ impl Field {
         basis: CarrierBasis,
     ) -> Picture {
         assert_eq!(carrier.len(), self.grid.rows() * basis.width(), "a carrier of this field's size");
-        let (near, far) = (appearance.near_matrix(), appearance.far_matrix());
+        let [near, far] = basis.tints(appearance);
         let rgb = self.each_pixel(camera, appearance.lights(), Thresholds::SHOWN, |seen| {
             let angles = self.colours.weights(&seen.harmonics, &appearance.lights());
             let mut sums = [[0.0f32; 3]; 2];

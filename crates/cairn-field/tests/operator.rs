@@ -6,7 +6,7 @@ mod common;
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::operator::{CarrierBasis, LinearView, MarkableField};
 use cairn_field::sh::{SH, SH_DC};
-use cairn_field::{Field, SceneFrame};
+use cairn_field::{Appearance, Field, SceneFrame};
 use common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use glam::DVec3;
 
@@ -69,10 +69,22 @@ fn a_change_of_colour_is_the_difference_of_renders() {
             let mut picture = linear.base(&look);
             assert!(apart(&picture, before.render(&camera, &look).rgb()) < 1e-5, "{frame:?}: the base is the render");
             linear.apply(&carrier, basis, &look, &mut picture);
-            let expected = after.render(&camera, &look);
-            assert!(apart(expected.rgb(), before.render(&camera, &look).rgb()) > 0.02, "the change shows");
-            let off = apart(&picture, expected.rgb());
+            let [seen, changed] = [&before, &after].map(|field| field.render(&camera, &look));
+            let expected = match basis {
+                CarrierBasis::Harmonics => changed.rgb().to_vec(),
+                // In no light but its own.
+                CarrierBasis::Constant => {
+                    let plain = Appearance::neutral([0.3; 3]);
+                    let [seen_plain, changed_plain] = [&before, &after].map(|field| field.render(&camera, &plain));
+                    let change = changed_plain.rgb().iter().zip(seen_plain.rgb()).map(|(a, b)| a - b);
+                    seen.rgb().iter().zip(change).map(|(v, change)| v + change).collect()
+                }
+            };
+            assert!(apart(&expected, seen.rgb()) > 0.02, "the change shows");
+            let off = apart(&picture, &expected);
             assert!(off < 2e-5, "{frame:?}, {basis:?}: {off}");
+            let off = apart(before.render_with(&camera, &look, &carrier, basis).rgb(), &expected);
+            assert!(off < 2e-5, "{frame:?}, {basis:?}, rendered: {off}");
         }
     }
 }

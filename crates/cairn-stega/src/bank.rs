@@ -189,7 +189,7 @@ impl Bank {
         config: &MarkConfig,
         prepare: &mut Prepare<'_>,
     ) -> Result<Self, MarkError> {
-        let side = config.side_px();
+        let side = config.shown_px();
         let (mut views, mut of, mut judged) = (Vec::new(), Vec::new(), Vec::new());
         for (identity, (teach, judge)) in chosen.of.into_iter().enumerate() {
             let first = views.len();

@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Format of a stage-2 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/5";
+const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/6";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -27,6 +27,7 @@ struct Header {
     /// Bits of the running cross-entropy: infinity has no place in JSON.
     classify_bits: u64,
     joined: bool,
+    enough: bool,
     converged: bool,
     carrier_steps: Vec<u64>,
     /// Carriers that stay as they are; none in checkpoints of before there were any.
@@ -86,6 +87,7 @@ impl MarkTrainer {
             step: self.step,
             classify_bits: self.classify.to_bits(),
             joined: self.joined,
+            enough: self.enough,
             converged: self.converged,
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
             settled: self.settled.clone(),
@@ -220,7 +222,7 @@ impl MarkTrainer {
         self.step = header.step;
         self.classify = classify;
         self.joined = header.joined;
-        self.converged = header.converged;
+        (self.enough, self.converged) = (header.enough, header.converged);
         Ok(())
     }
 }

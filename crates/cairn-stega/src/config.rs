@@ -176,6 +176,9 @@ pub struct MarkConfig {
     pub unfamiliar_beyond: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
+    /// How many times finer than hidden pictures are the pictures that the classifier sees, 1, 2 or 4; the
+    /// detector sees their means over as many pixels each way.
+    pub finer: usize,
     /// The classifier.
     pub classifier: ClassifierConfig,
     /// The detector; its size is that of the hidden pictures.
@@ -228,6 +231,7 @@ impl Default for MarkConfig {
             enough_characters: 1.0,
             unfamiliar_beyond: 1.25,
             robust: RobustConfig::default(),
+            finer: 1,
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),
             audio: AudioConfig::default(),
@@ -318,6 +322,7 @@ impl MarkConfig {
             "frozen where mark.carrier is per_cluster: what stands where cannot hang on who looks; set mark.carrier = \"harmonics\" as well",
         )?;
         self.robust.validate()?;
+        check([1, 2, 4].contains(&self.finer), "mark.finer", self.finer.to_string(), "1, 2 or 4")?;
         let [h, w] = self.detector.size;
         check(
             h == w && (32..=512).contains(&h) && h % 16 == 0,
@@ -340,6 +345,7 @@ impl MarkConfig {
     /// The first table of settings in which the networks of `other` differ from these, if any.
     pub(crate) fn other_networks(&self, other: &Self) -> Option<&'static str> {
         let tables = [
+            ("mark.finer", self.finer == other.finer),
             ("mark.classifier", self.classifier == other.classifier),
             ("mark.detector", self.detector == other.detector),
             ("mark.audio", self.audio == other.audio),
@@ -353,9 +359,14 @@ impl MarkConfig {
         (self.audio.longest_s * f64::from(self.audio.sample_rate_hz)).ceil() as usize
     }
 
-    /// Side of hidden pictures and of what the networks see, px.
+    /// Side of hidden pictures, px.
     pub fn side_px(&self) -> usize {
         self.detector.size[0]
+    }
+
+    /// Side of the pictures that the networks are shown, px.
+    pub fn shown_px(&self) -> usize {
+        self.finer * self.side_px()
     }
 }
 

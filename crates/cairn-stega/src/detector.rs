@@ -107,11 +107,11 @@ impl Detector {
             let (x, y) = (at / 3 % picture.width(), at / 3 / picture.width());
             return Err(MarkError::Plan(format!("pixel ({x}, {y}) is not finite; send another picture")));
         }
-        let side = self.side_px();
-        let mut read = self.networks.read(&[shrunk(picture, side)], side, forced)?;
+        let shown = self.config.shown_px();
+        let mut read = self.networks.read(&[shrunk(picture, shown)], shown, forced)?;
         let (probabilities, hidden) = read.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
         let text_bytes = hidden.text.as_deref().map(cairn_nn::text_bytes);
-        let recovered = hidden.signal(side, self.config.audio.sample_rate_hz)?;
+        let recovered = hidden.signal(self.side_px(), self.config.audio.sample_rate_hz)?;
         let class = winner(&probabilities);
         Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, recovered, text_bytes })
     }

@@ -15,7 +15,8 @@ use safetensors::tensor::SafeTensors;
 
 /// Added to each feature's variance, in mean variances: one that never moved has a spread too.
 const FLOOR: f64 = 1e-6;
-/// Share of a class's own renders that lie nearer to those of other views than its reach.
+/// Share of a class's own renders that lie nearer to those of other views than its reach, and of its fresh ones that
+/// lie nearer to any.
 const REACHED: f64 = 0.95;
 /// How sharply trust falls about the limit: at four fifths of it, the reach by default, it is
 /// 0.86, at a half 0.996, at one and a half 0.04.
@@ -28,6 +29,8 @@ pub(crate) struct Shown {
     pub(crate) view: usize,
     /// Whether something happened to it.
     pub(crate) harmed: bool,
+    /// Whether it is of a view that no step saw.
+    pub(crate) fresh: bool,
     pub(crate) features: Vec<f32>,
 }
 
@@ -64,18 +67,24 @@ impl Familiar {
         };
         for class in classes {
             let all: Vec<Vec<f32>> = class.iter().map(|r| fitted.scaled(&r.features)).collect();
-            // Of another view, where there is one: a new one has no twin among them.
-            let one_view = class.iter().all(|r| r.view == class[0].view);
+            // Of another view, where there is one: a new one has no twin among them. Networks know the views that they
+            // were trained on better than those between, so that fresh ones are measured from the others.
+            let trained: Vec<usize> = (0..class.len()).filter(|at| !class[*at].fresh).collect();
+            let one_view = trained.iter().all(|at| class[*at].view == class[trained[0]].view);
             let counts = |at: usize, other: usize| {
-                if one_view { other != at } else { class[other].view != class[at].view }
+                !class[other].fresh && if one_view { other != at } else { class[other].view != class[at].view }
             };
             let nearest = |at: usize| {
                 let others = (0..all.len()).filter(|other| counts(at, *other));
                 others.map(|other| apart(&all[other], &all[at])).fold(f64::INFINITY, f64::min)
             };
-            let mut apart: Vec<f64> = (0..all.len()).map(nearest).collect();
-            apart.sort_by(f64::total_cmp);
-            let reach = *apart.get(((apart.len() as f64 * REACHED) as usize).min(apart.len().checked_sub(1)?))?;
+            let reach = |of: Vec<usize>| {
+                let mut apart: Vec<f64> = of.into_iter().map(nearest).collect();
+                apart.sort_by(f64::total_cmp);
+                apart.get(((apart.len() as f64 * REACHED) as usize).min(apart.len().checked_sub(1)?)).copied()
+            };
+            let fresh = reach((0..class.len()).filter(|at| class[*at].fresh).collect());
+            let reach = reach(trained.clone())?.max(fresh.unwrap_or(0.0));
             fitted.limits.push((beyond * reach) as f32);
             fitted.renders.push(all.concat());
         }
@@ -172,7 +181,7 @@ mod tests {
     use crate::distort::Gaussian;
 
     fn plain(features: &[&[f32]]) -> Vec<Shown> {
-        let shown = |(view, f): (usize, &&[f32])| Shown { view, harmed: false, features: f.to_vec() };
+        let shown = |(view, f): (usize, &&[f32])| Shown { view, harmed: false, fresh: false, features: f.to_vec() };
         features.iter().enumerate().map(shown).collect()
     }
 
@@ -182,7 +191,7 @@ mod tests {
         let mut one = |middle: f32, view: usize| {
             let ([a, b, c], harmed) = ([noise.draw(), noise.draw(), noise.draw()], view % 2 == 1);
             let harm = if harmed { 4.0 } else { 0.0 };
-            Shown { view, harmed, features: vec![middle + a, harm + 0.1 * b, 5.0 + 0.01 * c, middle - b] }
+            Shown { view, harmed, fresh: false, features: vec![middle + a, harm + 0.1 * b, 5.0 + 0.01 * c, middle - b] }
         };
         [0.0, 3.0].map(|middle| (0..400).map(|view| one(middle, view)).collect()).to_vec()
     }
@@ -233,6 +242,26 @@ mod tests {
         assert!(Familiar::fit(&[plain(&[&[1.0, f32::NAN], &[2.0, 1.0]])], 1.25).is_none());
         // Renders that are all the same have no spread to measure by.
         assert!(Familiar::fit(&[plain(&[&[1.0, 2.0][..]; 5])], 1.25).is_none());
+    }
+
+    #[test]
+    fn views_that_no_step_saw_say_how_far_such_lie() {
+        let mut class = plain(&[&[0.0, 0.0], &[0.0, 1.0], &[1.0, 0.0], &[1.0, 1.0]]);
+        let reach = |class: &[Shown]| {
+            let familiar = Familiar::fit(&[class.to_vec()], 1.0).unwrap();
+            // In the features' own units, whatever their spreads.
+            f64::from(familiar.limits[0]) / familiar.distance(0, &[-1.0, 0.0])
+        };
+        assert!((reach(&class) - 1.0).abs() < 1e-4, "from each corner to the next");
+        let fresh = |features: &[f32]| Shown { view: 9, harmed: false, fresh: true, features: features.to_vec() };
+        class.push(fresh(&[0.5, 0.5]));
+        assert!((reach(&class) - 1.0).abs() < 1e-4, "one that lies among them changes nothing");
+        // Two that lie together lie far from what was trained on all the same.
+        class.extend([fresh(&[4.0, 0.0]), fresh(&[4.0, 0.1])]);
+        let familiar = Familiar::fit(&[class], 1.0).unwrap();
+        let far = apart(&familiar.scaled(&[4.0, 0.1]), &familiar.scaled(&[1.0, 0.0]));
+        assert!((f64::from(familiar.limits[0]) - far).abs() < 1e-4 * far);
+        assert!(familiar.distance(0, &[4.0, 0.0]) < 1e-6, "fresh ones are renders like others");
     }
 
     #[test]

@@ -5,12 +5,14 @@ use crate::config::MarkConfig;
 use crate::error::MarkError;
 use crate::networks::{finite, interleaved};
 use crate::signal::{HeadSizes, Numbers};
-use cairn_nn::{AudioHead, Params, TextHead, UNet};
+use cairn_nn::{AudioHead, Params, TextHead, UNet, avg_pool};
 use candle_core::Tensor;
 
 /// F_psi.
 pub(crate) struct Heads {
     sizes: HeadSizes,
+    /// How many times finer the pictures are than what the encoder sees.
+    finer: usize,
     unet: UNet,
     audio: Option<AudioHead>,
     text: Option<TextHead>,
@@ -47,7 +49,7 @@ impl Heads {
             Some(bytes) => Some(TextHead::new(&config.text, bytes, encoder, params.scope("detector.text"))?),
             None => None,
         };
-        Ok(Self { sizes, unet, audio, text })
+        Ok(Self { sizes, finer: config.finer, unet, audio, text })
     }
 
     /// Which there are.
@@ -55,9 +57,12 @@ impl Heads {
         &self.sizes
     }
 
-    /// What `images`, N x 3 x side x side, hide, told their classes, N x (M + 1).
+    /// What `images`, N x 3 x side x side (as shown, see `MarkConfig::finer`), hide, told their classes, N x (M + 1).
     pub(crate) fn forward(&self, images: &Tensor, told: &Tensor) -> Result<Said, MarkError> {
-        let features = self.unet.features(images, told)?;
+        let features = match self.finer {
+            1 => self.unet.features(images, told)?,
+            finer => self.unet.features(&avg_pool(images, [finer; 2])?, told)?,
+        };
         let picture = if self.sizes.picture { Some(self.unet.draw(&features, told)?) } else { None };
         let audio = self.audio.as_ref().map(|head| head.forward(features.coarsest(), told)).transpose()?;
         let text = self.text.as_ref().map(|head| head.forward(features.coarsest(), told)).transpose()?;

@@ -5,7 +5,7 @@
 use crate::bank::BankView;
 use crate::carrier::Carrier;
 use crate::config::MarkConfig;
-use crate::distort::{Attack, Attacked};
+use crate::distort::{Attack, Attacked, RobustConfig};
 use crate::error::MarkError;
 use crate::networks::Reading;
 use crate::signal::Numbers;
@@ -28,10 +28,10 @@ const EASE_TO_END: f32 = 0.8;
 const SURE_TO_END: f32 = 0.9;
 
 /// Share of attacked pictures that must be answered right, where marks are trained to
-/// outlast attacks; the worst attacks leave nothing to read.
+/// outlast attacks, and the same of those that everything was done to; the worst attacks leave nothing to read.
 const ROBUST_TO_END: f64 = 0.9;
-/// Attacks on each judged picture, where there are any.
-const ATTACKS: u64 = 4;
+/// Attacks on each judged picture, where there are any: as training draws them, and of all distortions at once.
+const ATTACKS: [u64; 2] = [4, 8];
 /// Streams of the judge's draws, apart from those of steps.
 const STREAM: u64 = 1 << 33;
 
@@ -135,6 +135,31 @@ pub(crate) struct State {
     pub(crate) carriers: Vec<Vec<f32>>,
 }
 
+/// How each of [`ATTACKS`] is drawn.
+const DRAWN: [fn(&RobustConfig, &mut ChaCha8Rng) -> Attack; 2] = [Attack::always, Attack::everything];
+
+/// Whether answers on attacked pictures were right, for each kind of [`ATTACKS`].
+#[derive(Default)]
+struct Outlasted([Vec<bool>; 2]);
+
+impl Outlasted {
+    /// Of all kinds; `None` where nothing was attacked.
+    fn share(&self) -> Option<f64> {
+        share(self.0.iter().flatten())
+    }
+
+    /// Whether of each kind, or of none, as many are as have to be.
+    fn is_enough(&self) -> bool {
+        self.0.iter().all(|right| share(right.iter()).is_none_or(|share| share >= ROBUST_TO_END))
+    }
+}
+
+/// The share of what is true; `None` of nothing.
+fn share<'a>(of: impl Iterator<Item = &'a bool> + Clone) -> Option<f64> {
+    let all = of.clone().count();
+    (all > 0).then(|| of.filter(|right| **right).count() as f64 / all as f64)
+}
+
 impl Judgement {
     fn score(&self) -> f64 {
         // An owner missed or made up is worse than a blurred signal.
@@ -145,7 +170,7 @@ impl Judgement {
 impl MarkTrainer {
     /// Judges the present marks with the networks' mean over the last steps, and keeps them if
     /// they are the best so far. The caller decides when; a run that judges at the same steps gives the same
-    /// bytes. Training counts as converged once everything is answered right, with
+    /// bytes. Training counts as converged once everything is answered right twice in a row, with
     /// ease in training too (the few judged poses alone flatter), and the hidden
     /// signals are all good enough (`enough_ssim`, `enough_snr_db`, `enough_characters`).
     ///
@@ -160,7 +185,7 @@ impl MarkTrainer {
     }
 
     fn judge_present(&mut self) -> Result<Judgement, MarkError> {
-        let side = self.config.side_px();
+        let (side, hidden_side) = (self.config.shown_px(), self.config.side_px());
         // Of unmarked pictures and of marked ones: right answers, and all.
         let (mut told, mut sure) = ([(0usize, 0usize); 2], true);
         let mut count = |probabilities: &[f32], class: usize| {
@@ -169,17 +194,17 @@ impl MarkTrainer {
             *asked += 1;
             sure &= probabilities[class] >= SURE_TO_END;
         };
-        let mut attacked = Vec::new();
+        let mut outlasted = Outlasted::default();
         let mut tally = Tally::default();
         for (at, (site, own, view)) in self.judged().enumerate() {
             let identity = site.identities.start + own;
             let read = self.read(&self.pair(site, identity, view, &Attack::none()))?;
             count(&read[0].0, identity + 1);
             count(&read[1].0, 0);
-            attacked.extend(self.attacked(at as u64, (site, identity), view)?);
+            self.attacked(at as u64, (site, identity), view, &mut outlasted)?;
             // Before the detector has joined it says nothing, and is asked nothing.
             if self.joined {
-                tally.count(&read[0].1, &self.signals[identity], side)?;
+                tally.count(&read[0].1, &self.signals[identity], hidden_side)?;
             }
         }
         for site in &self.sites {
@@ -195,11 +220,10 @@ impl MarkTrainer {
             }
         }
         let accuracy = balanced(told);
-        let outlasted = attacked.iter().filter(|right| **right).count() as f64 / attacked.len().max(1) as f64;
         let judgement = Judgement {
             step: self.step,
             accuracy,
-            attacked: if attacked.is_empty() { accuracy } else { outlasted },
+            attacked: outlasted.share().unwrap_or(accuracy),
             recovered: tally.means(),
         };
         // Before the budget has tightened marks are easier to read than they may be.
@@ -213,8 +237,11 @@ impl MarkTrainer {
         }
         // What only keeps silent has shown nothing.
         let easy = self.ease() > EASE_TO_END && told[1].1 > 0;
-        let right = judgement.accuracy == 1.0 && judgement.attacked >= ROBUST_TO_END;
-        self.converged |= fair && easy && sure && right && judgement.recovered.is_enough(&self.config);
+        let right = judgement.accuracy == 1.0 && outlasted.is_enough();
+        let enough = fair && easy && sure && right && judgement.recovered.is_enough(&self.config);
+        // Twice in a row: once may be luck.
+        self.converged |= enough && self.enough;
+        self.enough = enough;
         Ok(judgement)
     }
 
@@ -223,34 +250,39 @@ impl MarkTrainer {
         self.sites.iter().flat_map(|site| site.bank.judged.iter().map(move |(own, view)| (site, *own, view)))
     }
 
-    /// Whether each of a judged view's attacked renders, marked and not, is answered
+    /// Counts whether each of a judged view's attacked renders, marked and not, is answered
     /// right; none where marks are not trained for attacks. The same attacks every time.
-    fn attacked(&self, at: u64, (site, identity): (&Site, usize), view: &BankView) -> Result<Vec<bool>, MarkError> {
-        if !self.config.robust.enabled {
-            return Ok(Vec::new());
+    fn attacked(
+        &self,
+        at: u64,
+        (site, identity): (&Site, usize),
+        view: &BankView,
+        outlasted: &mut Outlasted,
+    ) -> Result<(), MarkError> {
+        let robust = &self.config.robust;
+        if !robust.enabled {
+            return Ok(());
         }
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(STREAM + at);
-        let mut right = Vec::new();
-        for _ in 0..ATTACKS {
-            let attack = Attack::always(&self.config.robust, &mut rng);
-            let classes = self
-                .read(&self.pair(site, identity, view, &attack))?
-                .into_iter()
-                .map(|(probabilities, _)| winner(&probabilities));
-            right.extend(classes.zip([identity + 1, 0]).map(|(said, true_class)| said == true_class));
+        for (right, (attacks, draw)) in outlasted.0.iter_mut().zip(ATTACKS.into_iter().zip(DRAWN)) {
+            for _ in 0..attacks {
+                let read = self.read(&self.pair(site, identity, view, &draw(robust, &mut rng)))?;
+                let classes = read.iter().map(|(probabilities, _)| winner(probabilities));
+                right.extend(classes.zip([identity + 1, 0]).map(|(said, true_class)| said == true_class));
+            }
         }
-        Ok(right)
+        Ok(())
     }
 
     /// A judged view with the mark of `identity` and without it, `attack` done to both.
     fn pair(&self, site: &Site, identity: usize, view: &BankView, attack: &Attack) -> [Vec<f32>; 2] {
         let carrier = &self.carriers[site.carrier_of(identity)];
-        [Some(carrier), None].map(|c| seen(&site.scene.field, view, c, attack, self.config.side_px()))
+        [Some(carrier), None].map(|c| seen(&site.scene.field, view, c, attack, self.config.shown_px()))
     }
 
     fn read(&self, pictures: &[Vec<f32>]) -> Result<Vec<Reading>, MarkError> {
-        self.networks.read(pictures, self.config.side_px(), None).map_err(|error| match error {
+        self.networks.read(pictures, self.config.shown_px(), None).map_err(|error| match error {
             MarkError::NotFinite { place, .. } => MarkError::NotFinite { step: Some(self.step), place },
             error => error,
         })
@@ -292,7 +324,7 @@ pub(crate) fn winner(probabilities: &[f32]) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::balanced;
+    use super::{Outlasted, balanced};
 
     #[test]
     fn few_marked_pictures_count_as_much_as_many_unmarked_ones() {
@@ -301,5 +333,16 @@ mod tests {
         // Where no cluster has a virtual pose, what was asked counts alone.
         assert_eq!(balanced([(3, 4), (0, 0)]), 0.75);
         assert_eq!(balanced([(0, 0), (0, 0)]), 0.0);
+    }
+
+    #[test]
+    fn what_has_everything_done_to_it_must_be_outlasted_by_itself() {
+        let of = |right: usize, all: usize| (0..all).map(|i| i < right).collect::<Vec<_>>();
+        assert_eq!(Outlasted::default().share(), None);
+        assert!(Outlasted::default().is_enough());
+        let mostly = Outlasted([of(36, 36), of(60, 72)]);
+        assert!(mostly.share().unwrap() > 0.88 && !mostly.is_enough());
+        assert!(Outlasted([of(33, 36), of(65, 72)]).is_enough());
+        assert!(!Outlasted([of(32, 36), of(72, 72)]).is_enough());
     }
 }

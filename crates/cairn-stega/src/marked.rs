@@ -14,8 +14,11 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Format of a stored marked field whose densities are theta_0's; another number is refused by name.
-pub const MARKED_FORMAT: &str = "cairn.marked/1";
+/// Format of a stored marked field with a carrier a cluster, which no light tints; another number is refused by name.
+pub const MARKED_FORMAT: &str = "cairn.marked/3";
+/// Format of one with harmonics for all identities and theta_0's densities. Before [`MARKED_FORMAT`] it was that of carriers a
+/// cluster as well, which light tinted: where views have no light of their own that makes no difference.
+const LIT_FORMAT: &str = "cairn.marked/1";
 /// Format of one whose densities moved as well: programs that know colours only refuse it.
 const FREE_FORMAT: &str = "cairn.marked/2";
 
@@ -182,7 +185,7 @@ impl MarkedField {
     /// [`MarkError::Stored`] when it cannot be written out.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MarkError> {
         let header = Header {
-            format: format_of(self.kind.1).into(),
+            format: format_of(self.kind).into(),
             carrier: self.kind.0,
             clusters: self.clusters.clone(),
             carriers: self.carriers.len(),
@@ -222,10 +225,13 @@ impl MarkedField {
     /// `base_of` makes theta_0 of its stored form.
     fn read(bytes: &[u8], base_of: impl FnOnce(&[u8]) -> Result<Arc<Field>, MarkError>) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "marked field")?;
-        let known = [DensityKind::Frozen, DensityKind::Free].into_iter().find(|d| header.format == format_of(*d));
-        let Some(density) = known else {
-            let why = format!("format `{}`, this program reads `{MARKED_FORMAT}` and `{FREE_FORMAT}`", header.format);
-            return Err(stored("marked field", why));
+        let density = match header.format.as_str() {
+            MARKED_FORMAT | LIT_FORMAT => DensityKind::Frozen,
+            FREE_FORMAT => DensityKind::Free,
+            other => {
+                let known = [MARKED_FORMAT, LIT_FORMAT, FREE_FORMAT].map(|format| format!("`{format}`")).join(", ");
+                return Err(stored("marked field", format!("format `{other}`, this program reads {known}")));
+            }
         };
         if density == DensityKind::Free && header.carrier != CarrierKind::Harmonics {
             return Err(stored("marked field", "its densities moved for one identity alone".into()));
@@ -233,6 +239,13 @@ impl MarkedField {
         let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
         let file = SafeTensors::deserialize(bytes).map_err(bad)?;
         let base = base_of(file.tensor("base").map_err(bad)?.data())?;
+        if header.format != format_of((header.carrier, density)) && !base.appearances().is_empty() {
+            let why = format!(
+                "it is of format `{}`, whose marks changed with the light, which this program's do not; train the scene again",
+                header.format
+            );
+            return Err(stored("marked field", why));
+        }
         let tensor = file.tensor("carriers").map_err(bad)?;
         let each = base.rows() * CarrierShape::of(header.carrier, density).width();
         if tensor.dtype() != Dtype::F16 || tensor.data().len() != header.carriers.saturating_mul(each * 2) {
@@ -247,10 +260,11 @@ impl MarkedField {
     }
 }
 
-fn format_of(density: DensityKind) -> &'static str {
-    match density {
-        DensityKind::Frozen => MARKED_FORMAT,
-        DensityKind::Free => FREE_FORMAT,
+fn format_of(kind: (CarrierKind, DensityKind)) -> &'static str {
+    match kind {
+        (_, DensityKind::Free) => FREE_FORMAT,
+        (CarrierKind::Harmonics, DensityKind::Frozen) => LIT_FORMAT,
+        (CarrierKind::PerCluster, DensityKind::Frozen) => MARKED_FORMAT,
     }
 }
 

@@ -11,11 +11,6 @@ use crate::renders::Render;
 use crate::trainer::MarkTrainer;
 use candle_core::Tensor;
 
-/// Below this ease marks are held at the budget, neither above nor below it: one
-/// that is hardly read yet must not fade. Half way to certainty leaves as much
-/// room for a mark to be read worse again as for the picture loss to work in.
-const HELD_BELOW_EASE: f32 = 0.5;
-
 /// A checked step that may be taken.
 pub(crate) struct Owed {
     /// A carrier's next mean square and its scale, where this step moves it.
@@ -74,12 +69,12 @@ impl MarkTrainer {
         Ok(Owed { carriers, kept_db: -10.0 * mean.max(1e-20).log10() })
     }
 
-    /// The factor that brings a carrier to the budget, whose renders of this step
-    /// strayed `worst` (mean square) from the base field's; 1 where it may stay.
+    /// The factor that brings a carrier to the budget, neither above nor below it, whose renders of this step
+    /// strayed `worst` (mean square) from the base field's; 1 where there is no budget. Marks that were read with
+    /// ease could once fade below it: views that no step saw were the first to be lost.
     fn scale(&self, worst: f64) -> Result<f32, MarkError> {
         let allowed = 10f64.powf(-self.budget_now_db() / 10.0);
-        let held = self.ease() < HELD_BELOW_EASE && worst > 0.0;
-        if !self.config.budget || !(worst > allowed || held) {
+        if !self.config.budget || worst == 0.0 {
             return Ok(1.0);
         }
         let factor = (allowed / worst).sqrt() as f32;

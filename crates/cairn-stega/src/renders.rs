@@ -92,7 +92,7 @@ impl MarkTrainer {
         let carrier = &self.carriers[site.carrier_of(identity)];
         let file = file(&site.scene.field, view, Some(carrier), attack);
         let [w, h] = file.size;
-        let side = self.config.side_px();
+        let side = self.config.shown_px();
         let window = if happened { Window::draw(w, h, side, rng) } else { Window::whole(w, h, side) };
         window.apply(&file.rgb)
     }
@@ -122,7 +122,7 @@ impl MarkTrainer {
         let size = [linear.width(), linear.height()];
         let attack = self.attack(rng);
         let (mut attacked, twin) = rayon::join(|| attack.apply(picture, size), || attack.apply(base, size));
-        let window = Window::draw(attacked.size[0], attacked.size[1], self.config.side_px(), rng);
+        let window = Window::draw(attacked.size[0], attacked.size[1], self.config.shown_px(), rng);
         let tone = Tone::draw(rng);
         let seen = |full: &[f32]| {
             let mut seen = window.apply(full);

@@ -24,6 +24,8 @@ const RENDERS: usize = 384;
 const STREAM: u64 = 1 << 34;
 /// Views of an owner that are rendered as files.
 const FILES: usize = 24;
+/// Views of an owner that no step saw, which are rendered as files as well.
+const FRESH: usize = 16;
 /// The least share of a side that a cut leaves.
 const LEAST_CUT: f32 = 0.6;
 
@@ -43,12 +45,14 @@ impl MarkTrainer {
         let each = RENDERS_EACH.max(RENDERS.div_ceil(owners));
         let mut classes = Vec::with_capacity(owners);
         for site in &self.sites {
-            let field = if self.config.robust.enabled { Some(self.marked(site)?) } else { None };
+            let field = self.marked(site)?;
             for identity in site.identities.clone() {
-                classes.push(match &field {
-                    Some(field) => self.as_harmed_files(field, (site, identity), each, &mut rng)?,
-                    None => self.as_trained_on((site, identity), each, &mut rng)?,
-                });
+                let mut class = match self.config.robust.enabled {
+                    true => self.as_harmed_files(&field, (site, identity), each, &mut rng)?,
+                    false => self.as_trained_on((site, identity), each, &mut rng)?,
+                };
+                class.extend(self.as_fresh_files(&field, (site, identity), &mut rng)?);
+                classes.push(class);
             }
         }
         match classes.iter().flatten().flat_map(|r| &r.features).all(|v| v.is_finite()) {
@@ -75,6 +79,32 @@ impl MarkTrainer {
         Ok(renders)
     }
 
+    /// Views of `identity` between its photographs, drawn anew, at their own size (`mark.robust.native_px` at most).
+    fn as_fresh_files(
+        &self,
+        field: &MarkedField,
+        (site, identity): (&Site, usize),
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Vec<Shown>, MarkError> {
+        let (number, members) = self.members(field, (site, identity));
+        let views = virtual_views(field.clusters(), number, &members, FRESH, rng);
+        let shown = views.iter().enumerate().map(|(view, PlannedView { camera, appearance })| {
+            let camera = at_most(camera, self.config.robust.native_px);
+            let render = eight_bits(&field.render_as(&camera, appearance, Some(number)));
+            // As with harm: what is not read says nothing of where marks are.
+            let shown = self.shown(shrunk(&render, self.config.shown_px()), identity, (view, true))?;
+            Ok(shown.map(|shown| Shown { harmed: false, fresh: true, ..shown }))
+        });
+        Ok(shown.collect::<Result<Vec<_>, MarkError>>()?.into_iter().flatten().collect())
+    }
+
+    /// The number of `identity` within its scene, and the views that photographs of its cluster were taken from.
+    fn members(&self, field: &MarkedField, (site, identity): (&Site, usize)) -> (u32, Vec<PlannedView>) {
+        let number = (identity - site.identities.start) as u32 + 1;
+        let of = |v: &&PlannedView| field.clusters().identity_of(&v.camera.pose).identity == Some(number);
+        (number, site.scene.plan.views.iter().filter(of).cloned().collect())
+    }
+
     /// Views of `identity` at their own size (`mark.robust.native_px` at most), as they are and after one thing or several. Marks that outlast harm are
     /// met as files that went through it, and what it does to a small render
     /// made large is something else: learnt from such, every third mark after JPEG 50 was unfamiliar.
@@ -85,11 +115,10 @@ impl MarkTrainer {
         each: usize,
         rng: &mut ChaCha8Rng,
     ) -> Result<Vec<Shown>, MarkError> {
-        let (clusters, side) = (field.clusters(), self.config.side_px());
-        let number = (identity - site.identities.start) as u32 + 1;
-        let of = |v: &&PlannedView| clusters.identity_of(&v.camera.pose).identity == Some(number);
-        let mut views = evenly(site.scene.plan.views.iter().filter(of).cloned().collect(), FILES);
-        let between = virtual_views(clusters, number, &views, FILES - views.len(), rng);
+        let side = self.config.shown_px();
+        let (number, members) = self.members(field, (site, identity));
+        let mut views = evenly(members, FILES);
+        let between = virtual_views(field.clusters(), number, &views, FILES - views.len(), rng);
         views.extend(between);
         let copies = each.div_ceil(views.len().max(1));
         let mut renders = Vec::with_capacity(views.len() * (1 + copies));
@@ -123,11 +152,11 @@ impl MarkTrainer {
         identity: usize,
         (view, harmed): (usize, bool),
     ) -> Result<Option<Shown>, MarkError> {
-        let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.side_px())?)?;
+        let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.shown_px())?)?;
         let said = self.networks.classifier.classify(&features)?.flatten_all()?.to_vec1::<f32>()?;
         let is_read = !harmed || winner(&said) == identity + 1;
         let features = features.flatten_all()?.to_vec1::<f32>()?;
-        Ok(is_read.then_some(Shown { view, harmed, features }))
+        Ok(is_read.then_some(Shown { view, harmed, fresh: false, features }))
     }
 
     /// A scene's marked field as it stands.

@@ -82,6 +82,8 @@ pub struct MarkTrainer {
     /// The networks' mean over the last steps: what is judged, and kept.
     pub(crate) average: Average,
     pub(crate) best: Option<State>,
+    /// Whether the last judged state was good enough to end.
+    pub(crate) enough: bool,
     /// Set once recovery has converged.
     pub(crate) converged: bool,
 }
@@ -157,6 +159,7 @@ impl MarkTrainer {
             carriers,
             networks,
             best: None,
+            enough: false,
             converged: false,
             config,
         })
@@ -193,11 +196,11 @@ impl MarkTrainer {
         for _ in 0..self.config.batch {
             let attack = self.attack_on_unmarked(&mut rng);
             let mut other =
-                self.any_site(&mut rng).bank.unmarked(self.config.side_px(), &attack, self.joined, &mut rng);
+                self.any_site(&mut rng).bank.unmarked(self.config.shown_px(), &attack, self.joined, &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
         }
-        let side = self.config.side_px();
+        let side = self.config.shown_px();
         let images = Var::from_vec(planar(&pictures), (pictures.len(), 3, side, side), &Device::Cpu)?;
         let (loss, Losses { classify, each, recover }) = self.loss(&images, &renders)?;
         let value = f64::from(loss.to_scalar::<f32>()?);

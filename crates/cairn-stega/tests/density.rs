@@ -101,7 +101,7 @@ fn carriers_of_the_clusters_own_are_refused_with_a_remedy() {
 fn a_file_that_says_its_densities_moved_and_has_none_is_refused() {
     let relabelled = |carrier| {
         let mut bytes = trained(MarkConfig { carrier, ..config(2) }).0.to_bytes().unwrap();
-        let at = bytes.windows(14).position(|w| w == b"cairn.marked/1").unwrap();
+        let at = bytes.windows(13).position(|w| w == b"cairn.marked/").unwrap();
         bytes[at + 13] = b'2';
         MarkedField::from_bytes(&bytes).err().unwrap().to_string()
     };

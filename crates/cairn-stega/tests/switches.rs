@@ -2,12 +2,13 @@
 
 mod common;
 
+use cairn_capture::Picture;
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_nn::Memory;
 use cairn_stega::{
     CarrierKind, Detector, Guidance, LossKind, MarkConfig, MarkPlan, MarkTrainer, MarkedField, MaskKind,
 };
-use common::{bytes, cameras, config, field, plan, start};
+use common::{SIDE, bytes, cameras, config, field, plan, start};
 use safetensors::tensor::SafeTensors;
 
 /// Bytes of one part of a file.
@@ -68,6 +69,23 @@ fn a_detector_that_is_told_nothing_cannot_be_forced() {
         let [one, two] = [1, 2].map(|class| detector.detect_forced(&render, class).unwrap().recovered);
         assert_eq!(one != two, heeds, "{guidance:?}");
     }
+}
+
+#[test]
+fn a_classifier_may_see_finer_pictures_than_the_detector() {
+    let (marked, detector) = unjudged(plan(), MarkConfig { finer: 2, ..config(6) });
+    assert_ne!(part(&marked, "carriers"), part(&unjudged(plan(), config(6)).0, "carriers"));
+    let detector = Detector::from_bytes(&detector).unwrap();
+    // Detail that the mean over two pixels each way does not see.
+    let checked = |depth: f32| {
+        let level = |i: usize| 0.5 + if (i % (2 * SIDE) + i / (2 * SIDE)).is_multiple_of(2) { depth } else { -depth };
+        Picture::new(2 * SIDE, 2 * SIDE, (0..4 * SIDE * SIDE).flat_map(|i| [level(i); 3]).collect()).unwrap()
+    };
+    let [plain, fine] = [0.0, 0.125].map(|depth| detector.detect_forced(&checked(depth), 1).unwrap());
+    assert_ne!(plain.probabilities, fine.probabilities, "the classifier is blind to it");
+    let (plain, fine) = (plain.recovered.picture.unwrap(), fine.recovered.picture.unwrap());
+    assert_eq!((plain.width(), plain.height()), (SIDE, SIDE));
+    assert_eq!(plain.rgb(), fine.rgb(), "the detector sees it");
 }
 
 #[test]

@@ -58,7 +58,7 @@ impl Default for RobustConfig {
 /// How often each distortion is part of an attack.
 const ODDS: f64 = 0.35;
 /// One attack in so many has all of them.
-const ONE_IN_ALL: u32 = 8;
+const ONE_IN_ALL: u32 = 4;
 
 /// JPEGs of unmarked pictures go down to this quality where none of marked ones is trained on.
 const LOWEST_QUALITY: u8 = 25;
@@ -161,11 +161,20 @@ impl Attack {
 
     /// A few distortions or all.
     pub(crate) fn always(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
+        let odds = if rng.random_range(0..ONE_IN_ALL) == 0 { 1.0 } else { ODDS };
+        Self::with_odds(config, odds, rng)
+    }
+
+    /// All distortions, one after another.
+    pub(crate) fn everything(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
+        Self::with_odds(config, 1.0, rng)
+    }
+
+    fn with_odds(config: &RobustConfig, odds: f64, rng: &mut ChaCha8Rng) -> Self {
         // Some pictures are larger than others.
         let native_px = config.native_px as f32 * rng.random_range(0.7f32..1.4);
-        let everything = rng.random_range(0..ONE_IN_ALL) == 0;
         let all = config.all(rng);
-        let steps = all.into_iter().filter(|_| rng.random_bool(ODDS) || everything).collect::<Vec<_>>();
+        let steps = all.into_iter().filter(|_| rng.random_bool(odds)).collect::<Vec<_>>();
         Self { steps: steps.into_iter().map(|step| (step, rng.random())).collect(), native_px }
     }
 
