@@ -118,11 +118,11 @@ pub struct MarkConfig {
     pub mask_share: f64,
     /// What the classifier is to the detector.
     pub guidance: Guidance,
-    /// Whether carriers are scaled to the budget below, and the picture loss and the
-    /// pull wait until marks are read with ease. The paper has no budget: there the
-    /// picture loss alone keeps the picture, at its full weight from the start.
+    /// Whether carriers are scaled to the budget below, and the picture loss waits until
+    /// marks are read with ease. The paper has no budget: there the picture loss (and the pull)
+    /// alone keeps the picture, at its full weight from the start.
     pub budget: bool,
-    /// theta's renders stay at least this close to theta_0's, PSNR in dB, 20 to 80.
+    /// How close theta's renders are to theta_0's, PSNR in dB, 20 to 80: that of a step's which strays furthest.
     pub budget_db: f64,
     /// What marks may cost photographs, dB of PSNR, 0 to 10: the budget is raised until they cost no more where the base field
     /// explains its photographs well ([`MarkConfig::affording`]). 0 leaves it as it is.
@@ -133,7 +133,7 @@ pub struct MarkConfig {
     pub budget_start_db: f64,
     /// Share of all steps in which the budget tightens, 0 to 1.
     pub budget_ramp: f64,
-    /// Pull of the carrier to nothing, a share a step, 0 to 1.
+    /// Pull of the carrier to nothing where there is no budget, a share a step, 0 to 1.
     pub pull: f64,
     /// Mean step of a colour coefficient, > 0, in colour units.
     pub learning_rate_carrier: f64,
@@ -164,8 +164,8 @@ pub struct MarkConfig {
     pub virtual_views: usize,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
-    /// Training ends when all held-out virtual poses are answered right and the
-    /// hidden pictures' mean SSIM has reached this, 0 to 10; above 1 = never.
+    /// Training ends when twice in a row all held-out virtual poses are answered right (where marks are to last, nearly all
+    /// after harm as well) and the hidden pictures' mean SSIM has reached this, 0 to 10; above 1 = never.
     pub enough_ssim: f64,
     /// The same for hidden sounds' SNR, dB, 0 to 1000.
     pub enough_snr_db: f64,
@@ -329,6 +329,13 @@ impl MarkConfig {
             "mark.detector.size",
             format!("[{h}, {w}]"),
             "a square of 32 to 512 px, a multiple of 16",
+        )?;
+        let (shown, halved) = (self.shown_px(), self.classifier.channels.len());
+        check(
+            halved < 9 && shown.is_multiple_of(1 << halved),
+            "mark.classifier.channels",
+            format!("{:?} on pictures of {shown} px", self.classifier.channels),
+            "so many that mark.finer times mark.detector.size can be halved as often",
         )?;
         let stages =
             |channels: &[usize]| (1..=4).contains(&channels.len()) && channels.iter().all(|c| (1..=256).contains(c));

@@ -72,7 +72,8 @@ impl Familiar {
             let trained: Vec<usize> = (0..class.len()).filter(|at| !class[*at].fresh).collect();
             let one_view = trained.iter().all(|at| class[*at].view == class[trained[0]].view);
             let counts = |at: usize, other: usize| {
-                !class[other].fresh && if one_view { other != at } else { class[other].view != class[at].view }
+                let another = if one_view { other != at } else { class[other].view != class[at].view };
+                !class[other].fresh && (class[at].fresh || another)
             };
             let nearest = |at: usize| {
                 let others = (0..all.len()).filter(|other| counts(at, *other));
@@ -246,22 +247,22 @@ mod tests {
 
     #[test]
     fn views_that_no_step_saw_say_how_far_such_lie() {
-        let mut class = plain(&[&[0.0, 0.0], &[0.0, 1.0], &[1.0, 0.0], &[1.0, 1.0]]);
-        let reach = |class: &[Shown]| {
-            let familiar = Familiar::fit(&[class.to_vec()], 1.0).unwrap();
-            // In the features' own units, whatever their spreads.
-            f64::from(familiar.limits[0]) / familiar.distance(0, &[-1.0, 0.0])
+        let square = plain(&[&[0.0, 0.0], &[0.0, 1.0], &[1.0, 0.0], &[1.0, 1.0]]);
+        // Numbers of fresh views are not those of the others: this one is not the third's.
+        let fresh = |features: [f32; 2]| Shown { view: 2, harmed: false, fresh: true, features: features.to_vec() };
+        // Where the limit lies and how far `to` is from `from`, in the same spreads.
+        let measured = |more: &[[f32; 2]], from: [f32; 2], to: [f32; 2]| {
+            let class: Vec<Shown> = square.iter().cloned().chain(more.iter().copied().map(fresh)).collect();
+            let familiar = Familiar::fit(&[class], 1.0).unwrap();
+            assert!(familiar.distance(0, &to) < 1e-6, "{to:?} is among the renders");
+            (f64::from(familiar.limits[0]), apart(&familiar.scaled(&from), &familiar.scaled(&to)))
         };
-        assert!((reach(&class) - 1.0).abs() < 1e-4, "from each corner to the next");
-        let fresh = |features: &[f32]| Shown { view: 9, harmed: false, fresh: true, features: features.to_vec() };
-        class.push(fresh(&[0.5, 0.5]));
-        assert!((reach(&class) - 1.0).abs() < 1e-4, "one that lies among them changes nothing");
+        let same = |(limit, distance): (f64, f64)| assert!((limit - distance).abs() < 1e-4, "{limit} for {distance}");
+        // From each corner to the next, also where a fresh one lies nearer.
+        same(measured(&[], [0.0, 0.0], [0.0, 1.0]));
+        same(measured(&[[0.9, 0.1]], [0.0, 0.0], [0.0, 1.0]));
         // Two that lie together lie far from what was trained on all the same.
-        class.extend([fresh(&[4.0, 0.0]), fresh(&[4.0, 0.1])]);
-        let familiar = Familiar::fit(&[class], 1.0).unwrap();
-        let far = apart(&familiar.scaled(&[4.0, 0.1]), &familiar.scaled(&[1.0, 0.0]));
-        assert!((f64::from(familiar.limits[0]) - far).abs() < 1e-4 * far);
-        assert!(familiar.distance(0, &[4.0, 0.0]) < 1e-6, "fresh ones are renders like others");
+        same(measured(&[[4.0, 0.0], [4.0, 0.1]], [1.0, 0.0], [4.0, 0.1]));
     }
 
     #[test]

@@ -43,7 +43,8 @@ pub struct Judgement {
     /// Right answers of the classifier, the mean of the shares of marked and of unmarked pictures (of one kind where
     /// there is none of the other), [0, 1].
     pub accuracy: f64,
-    /// The same after attacks (`[mark.robust]`); as `accuracy` where there are none.
+    /// The share of right answers after attacks (`[mark.robust]`), two in three of them all at once; as `accuracy` where there
+    /// are none.
     pub attacked: f64,
     /// How near the recovered signals come to the true ones.
     pub recovered: Recovered,
@@ -267,9 +268,9 @@ impl MarkTrainer {
         rng.set_stream(STREAM + at);
         for (right, (attacks, draw)) in outlasted.0.iter_mut().zip(ATTACKS.into_iter().zip(DRAWN)) {
             for _ in 0..attacks {
-                let read = self.read(&self.pair(site, identity, view, &draw(robust, &mut rng)))?;
-                let classes = read.iter().map(|(probabilities, _)| winner(probabilities));
-                right.extend(classes.zip([identity + 1, 0]).map(|(said, true_class)| said == true_class));
+                let pair = self.pair(site, identity, view, &draw(robust, &mut rng));
+                let said = self.networks.classes(&pair, self.config.shown_px()).map_err(|e| self.at_step(e))?;
+                right.extend(said.iter().zip([identity + 1, 0]).map(|(said, true_class)| *said == true_class));
             }
         }
         Ok(())
@@ -282,10 +283,15 @@ impl MarkTrainer {
     }
 
     fn read(&self, pictures: &[Vec<f32>]) -> Result<Vec<Reading>, MarkError> {
-        self.networks.read(pictures, self.config.shown_px(), None).map_err(|error| match error {
+        self.networks.read(pictures, self.config.shown_px(), None).map_err(|error| self.at_step(error))
+    }
+
+    /// What is not finite is so at this step.
+    fn at_step(&self, error: MarkError) -> MarkError {
+        match error {
             MarkError::NotFinite { place, .. } => MarkError::NotFinite { step: Some(self.step), place },
             error => error,
-        })
+        }
     }
 }
 

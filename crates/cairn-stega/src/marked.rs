@@ -225,17 +225,20 @@ impl MarkedField {
     /// `base_of` makes theta_0 of its stored form.
     fn read(bytes: &[u8], base_of: impl FnOnce(&[u8]) -> Result<Arc<Field>, MarkError>) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "marked field")?;
-        let density = match header.format.as_str() {
-            MARKED_FORMAT | LIT_FORMAT => DensityKind::Frozen,
-            FREE_FORMAT => DensityKind::Free,
-            other => {
+        let density = match (header.format.as_str(), header.carrier) {
+            (MARKED_FORMAT, CarrierKind::PerCluster) | (LIT_FORMAT, _) => DensityKind::Frozen,
+            (FREE_FORMAT, CarrierKind::Harmonics) => DensityKind::Free,
+            (MARKED_FORMAT, _) => {
+                return Err(stored("marked field", "its marks are tinted and not, by its header".into()));
+            }
+            (FREE_FORMAT, _) => {
+                return Err(stored("marked field", "its densities moved for one identity alone".into()));
+            }
+            (other, _) => {
                 let known = [MARKED_FORMAT, LIT_FORMAT, FREE_FORMAT].map(|format| format!("`{format}`")).join(", ");
                 return Err(stored("marked field", format!("format `{other}`, this program reads {known}")));
             }
         };
-        if density == DensityKind::Free && header.carrier != CarrierKind::Harmonics {
-            return Err(stored("marked field", "its densities moved for one identity alone".into()));
-        }
         let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
         let file = SafeTensors::deserialize(bytes).map_err(bad)?;
         let base = base_of(file.tensor("base").map_err(bad)?.data())?;

@@ -11,6 +11,9 @@ use crate::renders::Render;
 use crate::trainer::MarkTrainer;
 use candle_core::Tensor;
 
+/// As much as a step makes a mark stronger, at most: a view that hardly shows it says little of the others.
+const MOST_STRONGER: f64 = 1.1;
+
 /// A checked step that may be taken.
 pub(crate) struct Owed {
     /// A carrier's next mean square and its scale, where this step moves it.
@@ -20,8 +23,8 @@ pub(crate) struct Owed {
 }
 
 impl MarkTrainer {
-    /// How much of the picture loss and the pull counts now, 0 to 1: a mark may fade
-    /// only as far as it is read with ease. Without a budget nothing would hold it then.
+    /// How much of the picture loss counts now, 0 to 1: as much as marks are read with ease; all of it without
+    /// a budget, since nothing else would hold them then.
     fn fading(&self) -> f32 {
         if self.config.budget { self.ease() } else { 1.0 }
     }
@@ -33,6 +36,7 @@ impl MarkTrainer {
     /// [`MarkError::NotFinite`]; the carriers are then still owed and the caller
     /// forgets it.
     pub(crate) fn owe(&mut self, renders: &[Render], slopes: &Tensor) -> Result<Owed, MarkError> {
+        // Of each carrier that was seen, how far it strays where its own identity's renders show it.
         let mut worst = vec![None::<f64>; self.carriers.len()];
         let mut mean = 0.0;
         let fading = self.fading();
@@ -55,7 +59,8 @@ impl MarkTrainer {
             let square = m.change.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / m.change.len() as f64;
             self.finite(square, "a marked render")?;
             if !self.settled[m.carrier] {
-                worst[m.carrier] = Some(worst[m.carrier].unwrap_or(0.0).max(square));
+                let own = if m.stranger { 0.0 } else { square };
+                worst[m.carrier] = Some(worst[m.carrier].unwrap_or(0.0).max(own));
             }
             mean += square / renders.len() as f64;
         }
@@ -70,14 +75,14 @@ impl MarkTrainer {
     }
 
     /// The factor that brings a carrier to the budget, neither above nor below it, whose renders of this step
-    /// strayed `worst` (mean square) from the base field's; 1 where there is no budget. Marks that were read with
-    /// ease could once fade below it: views that no step saw were the first to be lost.
+    /// strayed `worst` (mean square) from the base field's; 1 where there is no budget, or nothing to go by. Marks that were
+    /// read with ease could once fade below it: views that no step saw were the first to be lost.
     fn scale(&self, worst: f64) -> Result<f32, MarkError> {
         let allowed = 10f64.powf(-self.budget_now_db() / 10.0);
         if !self.config.budget || worst == 0.0 {
             return Ok(1.0);
         }
-        let factor = (allowed / worst).sqrt() as f32;
+        let factor = (allowed / worst).sqrt().min(MOST_STRONGER) as f32;
         self.finite(f64::from(factor), "a carrier's scale")?;
         Ok(factor)
     }
@@ -93,7 +98,8 @@ impl MarkTrainer {
     /// the budget holds.
     pub(crate) fn move_carriers(&mut self, owed: &Owed) {
         let decay = self.config.final_rate.powf(self.step as f64 / self.config.steps as f64) as f32;
-        let pull = self.fading() * self.config.pull as f32;
+        // What a budget holds need not be pulled: what few views show would be pulled least, and grow beside the rest.
+        let pull = if self.config.budget { 0.0 } else { self.config.pull as f32 };
         let rate = self.config.learning_rate_carrier as f32 * decay;
         for site in &self.sites {
             let (how, own) = (Move { mask: &site.mask, rate, pull }, site.carriers.clone());

@@ -49,6 +49,16 @@ impl Networks {
         }
     }
 
+    /// The likeliest class of each of `pictures` (`side x side x 3`), by the classifier alone.
+    ///
+    /// # Errors
+    /// [`MarkError::NotFinite`] when a probability is not finite.
+    pub(crate) fn classes(&self, pictures: &[Vec<f32>], side: usize) -> Result<Vec<usize>, MarkError> {
+        let probabilities = softmax(&self.classifier.forward(&to_tensor(pictures, side)?)?)?.to_vec2::<f32>()?;
+        probabilities.iter().try_for_each(|p| finite(p, "a class's probability"))?;
+        Ok(probabilities.iter().map(|p| winner(p)).collect())
+    }
+
     /// Class probabilities and hidden signals for `pictures`
     /// (each `side x side x 3`); owners count for less on pictures unlike their renders. With `forced`, that class is told to the
     /// detector in place of the classifier's own answer.

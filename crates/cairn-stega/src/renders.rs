@@ -26,6 +26,8 @@ pub(crate) struct Render {
     /// The scene's number, and its bank's of the view.
     pub(crate) site: usize,
     pub(crate) view: usize,
+    /// Whether the view is of another identity's cluster, where nobody will see this mark.
+    pub(crate) stranger: bool,
     pub(crate) appearance: Appearance,
     /// Marked minus base, `height x width x 3`.
     pub(crate) change: Vec<f32>,
@@ -63,7 +65,8 @@ impl MarkTrainer {
             let stranger = self.sites[site].carriers.len() > 1 && rng.random_range(0..ONE_IN_STRANGERS) == 0;
             let whose = if stranger { rng.random_range(of_site.clone()) } else { identity };
             let view = self.sites[site].bank.draw(whose - of_site.start, rng);
-            let (marked, twin, render) = self.render((site, view), Some(identity), rng);
+            let (marked, twin, mut render) = self.render((site, view), Some(identity), rng);
+            render.stranger = whose != identity;
             shown.marked.push(marked);
             shown.twins.push(twin);
             shown.renders.push(render);
@@ -131,7 +134,10 @@ impl MarkTrainer {
         };
         let (marked, twin) = (seen(&std::mem::take(&mut attacked.rgb)), seen(&twin.rgb));
         let gain = tone.gain;
-        (marked, twin, Render { class, carrier: at, site, view, appearance, change, inside, attacked, window, gain })
+        let stranger = false;
+        let render =
+            Render { class, carrier: at, site, view, stranger, appearance, change, inside, attacked, window, gain };
+        (marked, twin, render)
     }
 
     /// What happens to a picture of this step. Not before marks are read at all:

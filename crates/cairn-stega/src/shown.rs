@@ -25,7 +25,7 @@ const STREAM: u64 = 1 << 34;
 /// Views of an owner that are rendered as files.
 const FILES: usize = 24;
 /// Views of an owner that no step saw, which are rendered as files as well.
-const FRESH: usize = 16;
+const FRESH: usize = 24;
 /// The least share of a side that a cut leaves.
 const LEAST_CUT: f32 = 0.6;
 

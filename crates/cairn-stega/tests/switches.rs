@@ -122,6 +122,25 @@ fn signals_move_marks_only_where_they_are_told_to() {
 }
 
 #[test]
+fn a_budget_is_spent_however_much_the_picture_loss_asks() {
+    // Read with ease from the first step, so that the picture loss counts in full.
+    let wanted = MarkConfig { weight_picture: 1e6, budget_ramp: 0.2, budget_db: 36.0, ..config(30) };
+    let kept = |config: MarkConfig| {
+        let mut trainer = start(config);
+        let mut kept = 0.0;
+        while trainer.steps_done() < trainer.steps_total() {
+            kept = trainer.step().unwrap().kept_db;
+        }
+        kept
+    };
+    // The furthest of a step's renders lies at the budget, the mean a little nearer.
+    let held = kept(wanted.clone());
+    assert!((35.0..39.0).contains(&held), "{held} dB");
+    let free = kept(MarkConfig { budget: false, ..wanted });
+    assert!(free > held + 3.0, "{free} dB without a budget, {held} with it");
+}
+
+#[test]
 fn without_a_budget_nothing_scales_a_mark() {
     // Neither a picture loss nor a gradient worth the name: only the budget is left to move marks.
     let still = MarkConfig { learning_rate_carrier: 1e-9, pull: 0.0, ..config(4) };

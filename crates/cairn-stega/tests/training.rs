@@ -61,6 +61,43 @@ fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
 }
 
 #[test]
+fn training_ends_after_two_good_judgements_in_a_row_across_a_stop() {
+    const EACH: u64 = 25;
+    let easy = || MarkConfig {
+        budget_db: 30.0,
+        budget_start_db: 26.0,
+        budget_ramp: 0.1,
+        classify_until: 0.5,
+        enough_ssim: 0.0,
+        ..config(1200)
+    };
+    // Judged at every so many steps, until its end or `until`; right answers at each.
+    let go_on = |trainer: &mut MarkTrainer, until: u64| {
+        let mut told = Vec::new();
+        while trainer.steps_done() < trainer.steps_total().min(until) {
+            trainer.step().unwrap();
+            if trainer.steps_done().is_multiple_of(EACH) {
+                told.push(trainer.judge().unwrap().accuracy);
+            }
+        }
+        told
+    };
+    let mut whole = start(easy());
+    let told = go_on(&mut whole, u64::MAX);
+    let end = whole.steps_done();
+    assert!(end < 1200, "it never ended: {told:?}");
+    assert!(told[told.len() - 2..] == [1.0, 1.0], "{told:?}");
+    let mut first = start(easy());
+    go_on(&mut first, end - EACH);
+    assert_eq!(first.steps_total(), 1200, "it ended after one good judgement");
+    let stopped = first.checkpoint().unwrap();
+    let mut second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
+    go_on(&mut second, u64::MAX);
+    assert_eq!(second.steps_done(), end);
+    assert!(bytes(second.finish().unwrap()) == bytes(whole.finish().unwrap()));
+}
+
+#[test]
 fn what_looks_unlike_any_marked_render_is_doubted_and_marked_renders_are_not() {
     let config = MarkConfig { budget_db: 36.0, classify_until: 0.3, ..config(400) };
     let (marked, doubting) = trained(config.clone());

@@ -44,7 +44,8 @@ pub use train::{Marked, Task as Mark, run as mark};
 
 /// What `--quick` lays over the settings: everything runs, nothing is good.
 const QUICK_TOML: &str = "[field]\nsteps = 64\nrays_per_step = 512\nvoxels = 32768\nlevels = 2\n\
-    [mark]\nsteps = 40\nvirtual_views = 1\nlongest_side_px = 64\nfiner = 1\nclassify_until = 10.0\n";
+    [mark]\nsteps = 40\nvirtual_views = 1\nlongest_side_px = 64\nfiner = 1\nclassifier.channels = [16, 32, 64, 64]\n\
+    classify_until = 10.0\n";
 /// Pictures' longest side under `--quick`, px.
 const QUICK_SIDE_PX: usize = 64;
 /// Views of each split, at most, under `--quick`.
