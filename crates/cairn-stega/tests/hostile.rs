@@ -3,10 +3,9 @@
 
 mod common;
 
-use cairn_capture::{Camera, Picture};
-use cairn_field::Field;
+use cairn_field::{AppearanceMode, Field};
 use cairn_stega::{Detector, MarkConfig, MarkError, MarkTrainer, MarkedField};
-use common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, train_field_of, trained};
+use common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, train_field_lit, trained};
 use safetensors::tensor::{SafeTensors, TensorView};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -161,35 +160,26 @@ fn what_does_not_fit_is_refused_by_name() {
     assert!(error.contains("NaN") && error.contains("detector.memory"), "{error}");
 }
 
-/// The ball at noon from one side, at dusk from the other.
-fn at_two_hours(camera: &Camera) -> Picture {
-    let noon = camera.pose.position.x > 0.0;
-    let rgb = photograph(camera).into_rgb().chunks_exact(3).flat_map(|p| [p[0], p[1] * 0.7, p[2] * 0.4]).collect();
-    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-    if noon { photograph(camera) } else { Picture::new(w, h, rgb).unwrap() }
-}
-
 #[test]
 fn marks_of_before_are_read_only_where_no_light_tinted_them() {
-    let relabelled = |photograph: fn(&Camera) -> Picture| {
-        let field = train_field_of(60, photograph);
-        let lights = field.appearances().len();
+    let relabelled = |appearance| {
+        let field = train_field_lit(30, photograph, appearance);
         let plan = plan_of(&field, 2, photograph);
-        let trainer =
-            MarkTrainer::new(field, plan, MarkConfig { classify_until: 10.0, ..config(2) }, 7, &mut |_, _| true);
-        let mut trainer = trainer.unwrap();
+        let mut trainer = MarkTrainer::new(field, plan, config(2), 7, &mut |_, _| true).unwrap();
         run(&mut trainer);
         let marked = trainer.finish().unwrap().0;
         let old = altered(&marked.to_bytes().unwrap(), |h| h["format"] = "cairn.marked/1".into(), "", <[u8]>::to_vec);
-        (lights, marked, MarkedField::from_bytes(&old))
+        (marked, MarkedField::from_bytes(&old))
     };
-    let (lights, marked, read) = relabelled(photograph);
+    let (marked, read) = relabelled(AppearanceMode::Off);
     let render = |marked: &MarkedField| marked.render(&cameras()[0], marked.base().canonical_appearance());
     assert_eq!(render(&marked).rgb(), render(&read.unwrap()).rgb());
-    assert_eq!(lights, 0);
-    let (lights, _, read) = relabelled(at_two_hours);
+    let (marked, read) = relabelled(AppearanceMode::On);
     let error = read.err().unwrap().to_string();
-    assert!(lights > 0 && error.contains("cairn.marked/1") && error.contains("train the scene again"), "{error}");
+    assert!(error.contains("cairn.marked/1") && error.contains("train the scene again"), "{error}");
+    let mixed = altered(&marked.to_bytes().unwrap(), |h| h["carrier"] = "harmonics".into(), "", <[u8]>::to_vec);
+    let error = MarkedField::from_bytes(&mixed).err().unwrap().to_string();
+    assert!(error.contains("tinted and not"), "{error}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 
 use cairn_capture::{Camera, Distortion, Intrinsics, Picture, Pose};
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
-use cairn_field::{BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
+use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
 use cairn_nn::{ClassifierConfig, UNetConfig};
 use cairn_stega::{Detector, MarkConfig, MarkPlan, MarkTrainer, MarkedField, PlannedView};
 use glam::DVec3;
@@ -47,13 +47,19 @@ pub fn train_field(steps: u64) -> Arc<Field> {
 
 /// What `photograph` shows after `steps` steps of stage 1.
 pub fn train_field_of(steps: u64, photograph: fn(&Camera) -> Picture) -> Arc<Field> {
+    train_field_lit(steps, photograph, AppearanceMode::default())
+}
+
+/// The same, with views' own light or without.
+pub fn train_field_lit(steps: u64, photograph: fn(&Camera) -> Picture, appearance: AppearanceMode) -> Arc<Field> {
     let view = |(i, camera): (usize, Camera)| {
         let picture = Arc::new(photograph(&camera));
         TrainingView { name: format!("view{i}"), contributor: "ada".into(), camera, picture }
     };
     let views = cameras().into_iter().enumerate().map(view).collect();
     let frame = SceneFrame::Bounded { centre: DVec3::ZERO, half: DVec3::splat(1.2) };
-    let config = FieldConfig { steps, rays_per_step: 1024, voxels: 8000, levels: 1, ..FieldConfig::default() };
+    let config =
+        FieldConfig { steps, rays_per_step: 1024, voxels: 8000, levels: 1, appearance, ..FieldConfig::default() };
     let mut trainer = BaseTrainer::new(views, frame, Some([0.8; 3]), config, 3).unwrap();
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().unwrap();
