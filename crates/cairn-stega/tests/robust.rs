@@ -57,7 +57,7 @@ fn what_is_trained_to_last_lasts_longer() {
         Distortion::Blur { sigma_px: 0.7 },
         Distortion::Light { brightness: 1.15, contrast: 0.85 },
     ];
-    let plain = MarkConfig { budget_db: 30.0, budget_start_db: 26.0, classify_until: 0.3, ..config(300) };
+    let plain = MarkConfig { budget_db: 32.0, budget_start_db: 26.0, classify_until: 0.3, ..config(600) };
     let lasting = MarkConfig { robust: RobustConfig { jpeg_quality: 100, ..robust(1).robust }, ..plain.clone() };
     let score = |config| {
         let (marked, detector) = trained(config);
