@@ -40,8 +40,8 @@ impl CarrierBasis {
     }
 
     /// What light makes of a carrier's colours, a row for each channel that comes out, near and far, where the field is
-    /// seen with `appearance`. Nothing of constant ones: an appearance fitted to a dusky photograph made marks six
-    /// decibels stronger and turned their hue, which is what tells owners apart.
+    /// seen with `appearance`. Nothing of constant ones: an appearance fitted to a dusky photograph made marks six to
+    /// eight decibels stronger and turned their hue, which is what tells owners apart.
     pub(crate) fn tints(self, appearance: &Appearance) -> [[[f32; 3]; 3]; 2] {
         match self {
             Self::Constant => [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]; 2],

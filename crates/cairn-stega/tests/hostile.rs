@@ -126,6 +126,9 @@ fn what_does_not_fit_is_refused_by_name() {
         (MarkConfig { weight_picture: -1.0, ..config(3) }, "mark.weight_picture"),
         (MarkConfig { enough_snr_db: f64::NAN, ..config(3) }, "mark.enough_snr_db"),
         (MarkConfig { enough_characters: -0.1, ..config(3) }, "mark.enough_characters"),
+        (MarkConfig { finer: 3, ..config(3) }, "mark.finer"),
+        // 32 px cannot be halved six times; the 64 of `finer` = 2 could.
+        (with(|c| c.classifier.channels = vec![8; 6]), "mark.classifier.channels"),
         (with(|c| c.audio.sample_rate_hz = 100), "mark.audio.sample_rate_hz"),
         (with(|c| c.audio.longest_s = 31.0), "mark.audio.longest_s"),
         (with(|c| c.audio.channels = vec![]), "mark.audio.channels"),
