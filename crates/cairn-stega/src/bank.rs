@@ -8,6 +8,7 @@ use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, covering, evenly, virtual_views};
 use crate::site::MarkScene;
+use crate::stream::{Fresh, Stream};
 use crate::trainer::MarkPlan;
 use crate::window::Window;
 use cairn_field::marched::MarchedView;
@@ -67,12 +68,15 @@ pub(crate) struct Bank {
     pub(crate) judged_outside: Vec<BankView>,
     /// Unmarked pictures kept for judging, at the networks' size.
     pub(crate) judged_unmarked: Vec<Vec<f32>>,
+    /// Where virtual views come and go.
+    stream: Stream,
 }
 
 /// The views of a bank before their ray weights are worked out.
 pub(crate) struct Chosen {
-    /// Each identity's views to train on, and those to judge it by.
+    /// Each identity's views to train on, virtual ones last, and those to judge it by.
     of: Vec<(Vec<PlannedView>, Vec<PlannedView>)>,
+    stream: Stream,
     outside: Vec<PlannedView>,
     judged_outside: Vec<PlannedView>,
 }
@@ -88,7 +92,7 @@ impl Chosen {
         let small: Vec<PlannedView> = plan.views.iter().map(shrink).collect();
         let identity_of = |v: &PlannedView| plan.clusters.identity_of(&v.camera.pose).identity;
         let most = config.views.max(MOST_TIMES * config.views / plan.clusters.clusters.len().max(1));
-        let mut of = Vec::new();
+        let (mut of, mut stream) = (Vec::new(), Stream::new(seed));
         for cluster in &plan.clusters.clusters {
             let members = small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
             let members = covering(members, config.views, most, config.views_apart_deg);
@@ -104,6 +108,7 @@ impl Chosen {
             let between = virtual_views(&plan.clusters, cluster.identity, &members, between, &mut rng);
             let held = JUDGED.max(members.len() / TEACH_PER_JUDGED);
             let held = virtual_views(&plan.clusters, cluster.identity, &members, held, &mut rng);
+            stream.add(cluster.identity, members.clone(), between.len());
             of.push((members.into_iter().chain(between).collect(), held));
         }
         let (mut outside, mut judged_outside) = (Vec::new(), Vec::new());
@@ -113,7 +118,17 @@ impl Chosen {
                 if kept_to_judge(i, judged_outside.len(), 4 * JUDGED) { &mut judged_outside } else { &mut outside };
             list.push(v);
         }
-        Ok(Self { of, outside, judged_outside })
+        Ok(Self { of, stream, outside, judged_outside })
+    }
+
+    /// With the first `count` fresh views of a training in their places.
+    pub(crate) fn renewed(mut self, plan: &MarkPlan, count: u64) -> Self {
+        for k in 0..count {
+            if let Some(Fresh { identity, place, view }) = self.stream.fresh(&plan.clusters, k) {
+                self.of[identity].0[place] = view;
+            }
+        }
+        self
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -136,13 +151,32 @@ fn kept_to_judge(i: usize, so_far: usize, most: usize) -> bool {
     i % 5 == 4 && so_far < most
 }
 
-/// Works out ray weights, view after view, as long as `progress` wants it.
-pub(crate) struct Prepare<'a> {
+/// How ray weights of a scene's views are worked out.
+struct Rays<'a> {
     field: &'a Field,
     /// Rays across a pixel of the views.
-    rays: usize,
+    across: usize,
     /// Whether densities move as well.
     free: bool,
+}
+
+impl<'a> Rays<'a> {
+    fn new(scene: &'a MarkScene, config: &MarkConfig) -> Self {
+        let (across, free) = (rays_across(&scene.plan, config), config.density == DensityKind::Free);
+        Self { field: &scene.field, across, free }
+    }
+
+    fn view(&self, v: PlannedView, cutoff: f32) -> BankView {
+        // Entries are for colours alone.
+        let marched = (self.free && cutoff.is_finite()).then(|| MarchedView::new(&v.camera, self.across));
+        let cutoff = if self.free { f32::INFINITY } else { cutoff };
+        BankView { linear: self.field.view(&v.camera, cutoff, self.across), marched, appearance: v.appearance }
+    }
+}
+
+/// Works out ray weights, view after view, as long as `progress` wants it.
+pub(crate) struct Prepare<'a> {
+    rays: Rays<'a>,
     done: usize,
     total: usize,
     progress: &'a mut dyn FnMut(usize, usize) -> bool,
@@ -158,8 +192,7 @@ impl<'a> Prepare<'a> {
         (done, total): (usize, usize),
         progress: &'a mut dyn FnMut(usize, usize) -> bool,
     ) -> Self {
-        let (rays, free) = (rays_across(&scene.plan, config), config.density == DensityKind::Free);
-        Self { field: &scene.field, rays, free, done, total, progress }
+        Self { rays: Rays::new(scene, config), done, total, progress }
     }
 
     fn go_on(&mut self) -> Result<(), MarkError> {
@@ -170,10 +203,7 @@ impl<'a> Prepare<'a> {
 
     fn view(&mut self, v: PlannedView, cutoff: f32) -> Result<BankView, MarkError> {
         self.go_on()?;
-        // Entries are for colours alone.
-        let marched = (self.free && cutoff.is_finite()).then(|| MarchedView::new(&v.camera, self.rays));
-        let cutoff = if self.free { f32::INFINITY } else { cutoff };
-        Ok(BankView { linear: self.field.view(&v.camera, cutoff, self.rays), marched, appearance: v.appearance })
+        Ok(self.rays.view(v, cutoff))
     }
 
     fn views(&mut self, views: Vec<PlannedView>, cutoff: f32) -> Result<Vec<BankView>, MarkError> {
@@ -206,7 +236,7 @@ impl Bank {
                 judged_outside.push(prepare.view(v, CUTOFF)?);
             } else {
                 prepare.go_on()?;
-                judge.push(shrunk(&prepare.field.render(&v.camera, &v.appearance), side));
+                judge.push(shrunk(&prepare.rays.field.render(&v.camera, &v.appearance), side));
             }
         }
         for (i, photograph) in plan.negatives.iter().enumerate() {
@@ -231,7 +261,17 @@ impl Bank {
             judged,
             judged_outside,
             judged_unmarked: judge,
+            stream: chosen.stream,
         })
+    }
+
+    /// Puts the `k`-th fresh view of a training in its place.
+    pub(crate) fn renew(&mut self, scene: &MarkScene, config: &MarkConfig, k: u64) {
+        if let Some(Fresh { identity, place, view }) = self.stream.fresh(&scene.plan.clusters, k) {
+            let at = self.of[identity][place];
+            self.views[at] = Rays::new(scene, config).view(view, CUTOFF);
+            self.draws.forget(at);
+        }
     }
 
     /// An unmarked picture, `attack` done to it: half are the base field's renders of any view

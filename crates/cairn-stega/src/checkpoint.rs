@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Format of a stage-2 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/6";
+const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/7";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -159,9 +159,12 @@ impl MarkTrainer {
             let why = "it was made with another base field, or other views, clusters, signals or photographs";
             return Err(stored("checkpoint", why.into()));
         }
+        if header.step > header.config.steps {
+            return Err(stored("checkpoint", format!("step {} of {}", header.step, header.config.steps)));
+        }
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
-        let (config, seed) = (header.config.clone(), header.seed);
-        let mut trainer = Self::prepared((scenes, fingerprint), config, seed, progress)?;
+        let (config, at) = (header.config.clone(), (header.seed, header.step));
+        let mut trainer = Self::prepared((scenes, fingerprint), config, at, progress)?;
         trainer.restore(&header, &file)?;
         Ok(trainer)
     }
@@ -169,9 +172,6 @@ impl MarkTrainer {
     /// Takes over a checkpoint's state, every number of it checked.
     fn restore(&mut self, header: &Header, file: &SafeTensors<'_>) -> Result<(), MarkError> {
         let damaged = |why: String| Err(stored("checkpoint", why));
-        if header.step > self.config.steps {
-            return damaged(format!("step {} of {}", header.step, self.config.steps));
-        }
         let (steps, expected) = (header.carrier_steps.len(), self.carriers.len());
         if steps != expected {
             return damaged(format!("`carrier_steps` has {steps} entries for {expected} carriers"));

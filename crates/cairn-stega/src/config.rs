@@ -162,6 +162,8 @@ pub struct MarkConfig {
     /// Poses between each cluster's photographs to train on as well, 0 to 256; where more than
     /// `views` photographs' poses are, as many as those.
     pub virtual_views: usize,
+    /// Every so many steps a virtual view of each scene gives its place to a fresh one, identities in turn, 0 (never) to 1,000,000.
+    pub fresh_every: u64,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
     /// Training ends when twice in a row all held-out virtual poses are answered right (where marks are to last, nearly all
@@ -225,6 +227,7 @@ impl Default for MarkConfig {
             views_apart_deg: 10.0,
             settled_share: 0.25,
             virtual_views: 6,
+            fresh_every: 0,
             longest_side_px: 192,
             enough_ssim: 0.985,
             enough_snr_db: 25.0,
@@ -267,6 +270,7 @@ impl MarkConfig {
         check((1..=64).contains(&self.batch), "mark.batch", self.batch.to_string(), "1 to 64")?;
         check((1..=10_000).contains(&self.views), "mark.views", self.views.to_string(), "1 to 10000")?;
         check(self.virtual_views <= 256, "mark.virtual_views", self.virtual_views.to_string(), "0 to 256")?;
+        check(self.fresh_every <= 1_000_000, "mark.fresh_every", self.fresh_every.to_string(), "0 (never) to 1000000")?;
         check(
             (64..=4096).contains(&self.longest_side_px),
             "mark.longest_side_px",

@@ -14,11 +14,11 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
-/// Format of a stored detector: 4 since it knows where its owners' renders lie. Another
-/// number is refused by name, but for 3.
-pub const DETECTOR_FORMAT: &str = "cairn.detector/4";
+/// Format of a stored detector: 4 since it knows where its owners' renders lie, 5 since its settings say how finely its
+/// classifier looks and which views came and went. Another number is refused by name, but for 3 and 4.
+pub const DETECTOR_FORMAT: &str = "cairn.detector/5";
 /// Those that are read.
-const DETECTOR_FORMATS: [&str; 2] = ["cairn.detector/3", DETECTOR_FORMAT];
+const DETECTOR_FORMATS: [&str; 3] = ["cairn.detector/3", "cairn.detector/4", DETECTOR_FORMAT];
 
 /// F_psi and Fc_psi after training.
 pub struct Detector {

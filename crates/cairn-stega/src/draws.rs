@@ -44,6 +44,11 @@ impl Draws {
         }
     }
 
+    /// Another view stands in the place of `view`.
+    pub(crate) fn forget(&mut self, view: usize) {
+        self.losses[view] = UNSEEN;
+    }
+
     /// All running cross-entropies, for a checkpoint.
     pub(crate) fn losses(&self) -> &[f32] {
         &self.losses

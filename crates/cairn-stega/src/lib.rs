@@ -36,6 +36,7 @@ mod shape;
 mod shown;
 mod signal;
 mod site;
+mod stream;
 mod trainer;
 mod window;
 

@@ -27,9 +27,17 @@ pub fn between(a: &Pose, b: &Pose, share: f64) -> Option<Pose> {
 
 /// A view is mixed with one of so many of its nearest: half-way to one from the other
 /// side lies inside what was photographed.
-const NEAREST: usize = 6;
+const NEAREST: usize = 12;
+/// How far beyond either view a mixture may lie, as a share of the way between them.
+const BEYOND: f64 = 0.25;
+/// Of so many mixtures the one is taken that looks furthest away from all photographs (best-candidate sampling: Mitchell
+/// 1991): marks are missed from where nobody stood, and mixtures of neighbours are seldom there.
+const CANDIDATES: usize = 4;
 
-/// Draws up to `count` virtual views of cluster `identity` from its `members`;
+/// Mixtures that are tried for each that is wanted.
+const TRIES: usize = 20;
+
+/// Draws up to `count` virtual views of cluster `identity` from its `members`, rather where these look far apart;
 /// each belongs to the cluster by the clusters' own rule.
 pub fn virtual_views(
     clusters: &Clusters,
@@ -39,21 +47,32 @@ pub fn virtual_views(
     rng: &mut ChaCha8Rng,
 ) -> Vec<PlannedView> {
     let mut views = Vec::with_capacity(count);
-    // A cluster bent around others may refuse mixtures: bounded tries.
-    for _ in 0..count * 20 {
-        if views.len() == count || members.is_empty() {
-            break;
-        }
-        let a = &members[rng.random_range(0..members.len())];
-        let b = near(clusters, a, members, rng.random_range(0..NEAREST.min(members.len())));
-        let (share, tint) = (rng.random_range(0.0..1.0), rng.random_range(0.0f32..1.0));
-        let Some(pose) = between(&a.camera.pose, &b.camera.pose, share) else { continue };
-        if clusters.identity_of(&pose).identity == Some(identity) {
-            let camera = Camera { intrinsics: a.camera.intrinsics, pose };
-            views.push(PlannedView { camera, appearance: a.appearance.mixed(&b.appearance, tint) });
-        }
+    let look = |pose: &Pose| DQuat::from_mat3(&pose.rotation);
+    let away = |view: &PlannedView| {
+        let looks = look(&view.camera.pose);
+        members.iter().map(|m| look(&m.camera.pose).angle_between(looks)).fold(f64::INFINITY, f64::min)
+    };
+    while views.len() < count && !members.is_empty() {
+        let candidates: Vec<PlannedView> =
+            (0..CANDIDATES).filter_map(|_| mixture(clusters, identity, members, rng)).collect();
+        let Some(best) = candidates.into_iter().max_by(|a, b| away(a).total_cmp(&away(b))) else { break };
+        views.push(best);
     }
     views
+}
+
+/// A mixture of two views that belongs to the cluster.
+fn mixture(clusters: &Clusters, identity: u32, members: &[PlannedView], rng: &mut ChaCha8Rng) -> Option<PlannedView> {
+    // A cluster bent around others may refuse mixtures: bounded tries.
+    (0..TRIES).find_map(|_| {
+        let a = &members[rng.random_range(0..members.len())];
+        let b = near(clusters, a, members, rng.random_range(0..NEAREST.min(members.len())));
+        let (share, tint) = (rng.random_range(-BEYOND..1.0 + BEYOND), rng.random_range(0.0f32..1.0));
+        let pose = between(&a.camera.pose, &b.camera.pose, share)?;
+        let camera = Camera { intrinsics: a.camera.intrinsics, pose };
+        let own = clusters.identity_of(&pose).identity == Some(identity);
+        own.then(|| PlannedView { camera, appearance: a.appearance.mixed(&b.appearance, tint) })
+    })
 }
 
 /// The member that is `rank`-th nearest to `a`, itself being the first.
@@ -106,7 +125,9 @@ pub fn at_most(camera: &Camera, longest_px: usize) -> Camera {
 mod tests {
     use super::*;
     use cairn_capture::{Distortion, Intrinsics};
+    use cairn_cluster::{ClusterConfig, Grouping};
     use glam::DVec3;
+    use rand::SeedableRng;
 
     /// Views from a ring, so many degrees from one to the next.
     fn ring(views: usize, step_deg: f64) -> Vec<PlannedView> {
@@ -132,5 +153,26 @@ mod tests {
             DQuat::from_mat3(&a.camera.pose.rotation).angle_between(DQuat::from_mat3(&b.camera.pose.rotation))
         };
         assert!(far.windows(2).all(|w| gap(&w[0], &w[1]).to_degrees() < 30.5), "taken views leave a gap");
+    }
+
+    #[test]
+    fn virtual_views_fill_the_gap_between_photographs() {
+        // Two arcs of eighty degrees, and nobody on the hundred between them on either side.
+        let members: Vec<PlannedView> =
+            ring(36, 10.0).into_iter().enumerate().filter(|(i, _)| i % 18 < 9).map(|(_, v)| v).collect();
+        let poses: Vec<Pose> = members.iter().map(|v| v.camera.pose).collect();
+        let grouping =
+            Grouping::Anchors(ClusterConfig { anchors: 1, neighbours: poses.len(), ..ClusterConfig::default() });
+        let clusters = Clusters::build(&poses, &grouping, &[], 5).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let views = virtual_views(&clusters, 1, &members, 40, &mut rng);
+        assert_eq!(views.len(), 40);
+        let look = |v: &PlannedView| DQuat::from_mat3(&v.camera.pose.rotation);
+        let away = |v: &PlannedView| {
+            members.iter().map(|m| look(m).angle_between(look(v))).fold(f64::INFINITY, f64::min).to_degrees()
+        };
+        let far = views.iter().filter(|v| away(v) > 10.0).count();
+        println!("far {far}");
+        assert!(far >= 1, "{far} of 40 look more than ten degrees away from any photograph");
     }
 }

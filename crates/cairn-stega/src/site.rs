@@ -34,7 +34,7 @@ pub(crate) struct Site {
 }
 
 impl Site {
-    /// One for each scene, with ray weights worked out; `progress` is asked before
+    /// One for each scene, with ray weights worked out, those of the first `fresh` views that come and go among them; `progress` is asked before
     /// each view of any of them.
     ///
     /// # Errors
@@ -43,14 +43,15 @@ impl Site {
     pub(crate) fn all(
         scenes: Vec<MarkScene>,
         config: &MarkConfig,
-        seed: u64,
+        (seed, fresh): (u64, u64),
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Vec<Self>, MarkError> {
         if scenes.is_empty() {
             return Err(MarkError::Plan("no scene to mark; bring one or more".into()));
         }
         scenes.iter().try_for_each(|scene| check_signals(&scene.plan, config))?;
-        let chosen = scenes.iter().map(|s| Chosen::draw(&s.plan, config, seed)).collect::<Result<Vec<_>, _>>()?;
+        let chosen = |s: &MarkScene| Ok(Chosen::draw(&s.plan, config, seed)?.renewed(&s.plan, fresh));
+        let chosen = scenes.iter().map(chosen).collect::<Result<Vec<_>, MarkError>>()?;
         let total = chosen.iter().map(Chosen::len).sum();
         let (mut sites, mut done) = (Vec::<Self>::with_capacity(scenes.len()), 0);
         for (scene, chosen) in scenes.into_iter().zip(chosen) {

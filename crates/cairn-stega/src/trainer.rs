@@ -120,19 +120,19 @@ impl MarkTrainer {
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
         let fingerprint = fingerprint(&scenes)?;
-        Self::prepared((scenes, fingerprint), config, seed, progress)
+        Self::prepared((scenes, fingerprint), config, (seed, 0), progress)
     }
 
-    /// As [`MarkTrainer::joint`], with the plans' fingerprint known.
+    /// As [`MarkTrainer::joint`], with the plans' fingerprint known, and the views that step `step` finds.
     pub(crate) fn prepared(
         (scenes, fingerprint): (Vec<MarkScene>, String),
         config: MarkConfig,
-        seed: u64,
+        (seed, step): (u64, u64),
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
         config.validate()?;
         let hidden: Vec<Signal> = scenes.iter().flat_map(|s| s.plan.signals.clone()).collect();
-        let sites = Site::all(scenes, &config, seed, progress)?;
+        let sites = Site::all(scenes, &config, (seed, fresh_before(&config, step)), progress)?;
         let heads = HeadSizes::of(&hidden, &config);
         let hues = hues(sites.last().map_or(0, |s| s.carriers.end), &[]);
         let pattern = |site: &Site, i: usize| site.pattern(&config, seed, (i, hues[i]));
@@ -188,6 +188,7 @@ impl MarkTrainer {
         if self.step >= self.steps_total() {
             return Ok(self.stats(0.0, 0.0, 0.0, f64::INFINITY));
         }
+        self.renew();
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream((1 << 32) + self.step);
         let shown = self.marked_renders(&mut rng);
@@ -225,6 +226,16 @@ impl MarkTrainer {
         self.joined |= self.classify < self.config.classify_until;
         self.step += 1;
         Ok(self.stats(value, classify, recover, owed.kept_db))
+    }
+
+    /// A virtual view of each scene gives its place to a fresh one where it is time to. A step that is tried
+    /// again finds the same.
+    fn renew(&mut self) {
+        for k in fresh_before(&self.config, self.step)..fresh_before(&self.config, self.step + 1) {
+            for site in &mut self.sites {
+                site.bank.renew(&site.scene, &self.config, k);
+            }
+        }
     }
 
     /// The first scene's marked field and the detector at the best state judged so far (where
@@ -320,4 +331,9 @@ impl MarkTrainer {
         let at = if self.sites.len() > 1 { rng.random_range(0..self.sites.len()) } else { 0 };
         &self.sites[at]
     }
+}
+
+/// How many fresh views have come before step `step` begins, from 0.
+fn fresh_before(config: &MarkConfig, step: u64) -> u64 {
+    step.saturating_sub(1).checked_div(config.fresh_every).unwrap_or(0)
 }

@@ -127,6 +127,7 @@ fn what_does_not_fit_is_refused_by_name() {
         (MarkConfig { enough_snr_db: f64::NAN, ..config(3) }, "mark.enough_snr_db"),
         (MarkConfig { enough_characters: -0.1, ..config(3) }, "mark.enough_characters"),
         (MarkConfig { finer: 3, ..config(3) }, "mark.finer"),
+        (MarkConfig { fresh_every: 1_000_001, ..config(3) }, "mark.fresh_every"),
         // 32 px cannot be halved six times; the 64 of `finer` = 2 could.
         (with(|c| c.classifier.channels = vec![8; 6]), "mark.classifier.channels"),
         (with(|c| c.audio.sample_rate_hz = 100), "mark.audio.sample_rate_hz"),
@@ -148,7 +149,16 @@ fn what_does_not_fit_is_refused_by_name() {
     }
     let old = altered(&detector, |h| h["format"] = "cairn.detector/1".into(), "", <[u8]>::to_vec);
     let error = Detector::from_bytes(&old).err().unwrap().to_string();
-    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/4"), "{error}");
+    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/5"), "{error}");
+    for before in ["cairn.detector/3", "cairn.detector/4"] {
+        let without = |h: &mut serde_json::Value| {
+            h["format"] = before.into();
+            let settings = h["config"].as_object_mut().unwrap();
+            assert!(settings.remove("fresh_every").is_some() && settings.remove("finer").is_some());
+        };
+        let read = Detector::from_bytes(&altered(&detector, without, "", <[u8]>::to_vec));
+        assert!(read.is_ok(), "{before}: {:?}", read.err());
+    }
     for heads in [
         serde_json::json!({ "picture": true, "audio": u32::MAX, "text": null }),
         serde_json::json!({ "picture": true, "audio": null, "text": 1u64 << 40 }),
@@ -225,11 +235,17 @@ fn damaged_checkpoints_are_refused_by_part() {
     };
     let header = |change: &dyn Fn(&mut serde_json::Value)| altered(&bytes, change, "", <[u8]>::to_vec);
     let old = "cairn.marked.checkpoint/1";
-    refused(&header(&|h| h["format"] = old.into()), &[old, "cairn.marked.checkpoint/6"]);
+    refused(&header(&|h| h["format"] = old.into()), &[old, "cairn.marked.checkpoint/7"]);
     for steps in [vec![], vec![3u64], vec![3, 3, 3]] {
         refused(&header(&|h| h["carrier_steps"] = steps.clone().into()), &["carrier_steps", "2 carriers"]);
     }
     refused(&header(&|h| h["step"] = 21.into()), &["step 21 of 20"]);
+    // Refused before as many views are drawn as such a training would have seen.
+    let endless = |h: &mut serde_json::Value| {
+        h["step"] = u64::MAX.into();
+        h["config"]["fresh_every"] = 1.into();
+    };
+    refused(&header(&endless), &["of 20"]);
     for bad in [f64::NAN, f64::INFINITY] {
         refused(&header(&|h| h["classify_bits"] = bad.to_bits().into()), &["classify_bits"]);
     }

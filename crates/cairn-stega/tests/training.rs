@@ -21,20 +21,27 @@ fn any_number_of_threads_gives_the_same_bytes() {
 
 #[test]
 fn an_interrupted_run_ends_in_the_same_bytes() {
-    let whole = bytes(trained(config(12)));
-    let mut first = start(config(12));
-    for _ in 0..7 {
-        first.step().unwrap();
-        if first.steps_done() == 5 {
-            first.judge().unwrap();
+    let mut ends = Vec::new();
+    // Stopped between two exchanges of views, before one, after one, and where there are none.
+    for (fresh_every, stop) in [(0, 7), (3, 8), (4, 8), (1, 7)] {
+        let config = || MarkConfig { fresh_every, ..config(12) };
+        let whole = bytes(trained(config()));
+        let mut first = start(config());
+        for _ in 0..stop {
+            first.step().unwrap();
+            if first.steps_done() == 5 {
+                first.judge().unwrap();
+            }
         }
+        let stopped = first.checkpoint().unwrap();
+        drop(first);
+        let mut second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
+        assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
+        run(&mut second);
+        assert!(bytes(second.finish().unwrap()) == whole, "the resumed run ended elsewhere ({fresh_every}, {stop})");
+        assert!(!ends.contains(&whole), "fresh views every {fresh_every} steps change nothing");
+        ends.push(whole);
     }
-    let stopped = first.checkpoint().unwrap();
-    drop(first);
-    let mut second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
-    assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
-    run(&mut second);
-    assert!(bytes(second.finish().unwrap()) == whole, "the resumed run ended elsewhere");
 }
 
 #[test]
