@@ -159,10 +159,11 @@ pub struct MarkConfig {
     /// How often a view comes up whose mark is read with ease, as a share of how often others
     /// do, 0.01 to 1; 1: all alike.
     pub settled_share: f64,
-    /// Poses between each cluster's photographs to train on as well, 0 to 256; where more than
-    /// `views` photographs' poses are, as many as those.
+    /// Poses between each cluster's photographs and a little beyond, rather where these look far apart, to train on as
+    /// well, 0 to 256; where more than `views` photographs' poses are, as many as those.
     pub virtual_views: usize,
-    /// Every so many steps a virtual view of each scene gives its place to a fresh one, identities in turn, 0 (never) to 1,000,000.
+    /// Every so many steps a virtual view of each scene gives its place to a fresh one, identities in turn, 0 (never)
+    /// to 1,000,000.
     pub fresh_every: u64,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,

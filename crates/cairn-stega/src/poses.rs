@@ -172,7 +172,7 @@ mod tests {
             members.iter().map(|m| look(m).angle_between(look(v))).fold(f64::INFINITY, f64::min).to_degrees()
         };
         let far = views.iter().filter(|v| away(v) > 10.0).count();
-        println!("far {far}");
-        assert!(far >= 1, "{far} of 40 look more than ten degrees away from any photograph");
+        // Mixtures drawn without choice: 2.
+        assert!(far >= 8, "{far} of 40 look more than ten degrees away from any photograph");
     }
 }

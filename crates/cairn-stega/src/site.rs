@@ -34,8 +34,8 @@ pub(crate) struct Site {
 }
 
 impl Site {
-    /// One for each scene, with ray weights worked out, those of the first `fresh` views that come and go among them; `progress` is asked before
-    /// each view of any of them.
+    /// One for each scene, with ray weights worked out, those of the first `fresh` views that come and go among them;
+    /// `progress` is asked before each view of any of them.
     ///
     /// # Errors
     /// [`MarkError::Plan`] for no scene, a cluster without training views or another number of signals

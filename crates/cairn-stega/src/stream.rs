@@ -1,9 +1,9 @@
 //! Virtual views that come and go while stage 2 trains.
 //!
 //! A training that sees the same views again and again learns them by heart: a mark moves to where these very views
-//! read it best, and is missed from others. What a view costs is its ray weights, some tenths of a
-//! second; so a virtual one can give its place to another every few steps, and a training sees hundreds of poses in
-//! the memory that dozens take. Which comes when follows from the seed alone, so that a training that is resumed goes on with
+//! read it best, and is missed from others. What a view costs is its ray weights, some tenths of a second; so a
+//! virtual one can give its place to another every few steps, and a training sees hundreds of poses in the memory
+//! that dozens take. Which comes when follows from the seed alone, so that a training that is resumed goes on with
 //! the same.
 
 use crate::poses::{PlannedView, virtual_views};
