@@ -1,7 +1,7 @@
 //! Asks a detector of one owner about renders from all around an object, with the mark and without: whether marks are read from where nobody
 //! stood. Prints how many are right among poses ever further from the nearest photograph that was trained on, and among marks ever
 //! fainter, and the mean cross-entropies. Poses lie on a spiral over the upper half of the sphere on which the capture's cameras
-//! stand on average.
+//! stand on average; the object is at the origin, with z up, as in NeRF-Synthetic.
 //!
 //! `cargo run --release -p cairn-stega --example around -- FOLDER MARKED DETECTOR [POSES]`
 
@@ -30,6 +30,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let detector = Detector::from_bytes(&std::fs::read(detector)?)?;
     let photographs: Vec<DVec3> = capture.training().map(|i| capture.views[i].camera.pose.position).collect();
     let intrinsics = capture.views.first().ok_or("a capture without views")?.camera.intrinsics;
+    if photographs.is_empty() {
+        return Err(format!("{folder} holds no photograph to train on").into());
+    }
     let radius = photographs.iter().map(|at| at.length()).sum::<f64>() / photographs.len() as f64;
     let bits = |p: Picture| Picture::from_rgb8(p.width(), p.height(), &p.to_rgb8());
     let light = marked.base().canonical_appearance();
@@ -42,6 +45,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let pose = Pose::look_at(radius * DVec3::new(ring * cos, ring * sin, z), DVec3::ZERO, DVec3::Z)?;
         let camera = Camera { intrinsics, pose };
         let Some(owner) = marked.clusters().identity_of(&pose).identity else { continue };
+        if owner as usize >= detector.classes() {
+            return Err(format!(
+                "{owner} owns a pose, of {} classes; give the field's own detector",
+                detector.classes()
+            )
+            .into());
+        }
         let [with, base] =
             [marked.render(&camera, light), marked.base().render(&camera, light)].map(bits).map(|p| p.ok());
         let (with, base) = with.zip(base).ok_or("a render that is no picture")?;

@@ -1,5 +1,5 @@
 //! The views stage 2 trains on: each cluster's photographs' poses and virtual
-//! ones between them, with ray weights worked out once, and unmarked pictures.
+//! ones between them, with ray weights worked out once a view, and unmarked pictures.
 
 use crate::config::{CarrierKind, DensityKind, MarkConfig};
 use crate::distort::{Attack, Distortion};
@@ -123,10 +123,8 @@ impl Chosen {
 
     /// With the first `count` fresh views of a training in their places.
     pub(crate) fn renewed(mut self, plan: &MarkPlan, count: u64) -> Self {
-        for k in 0..count {
-            if let Some(Fresh { identity, place, view }) = self.stream.fresh(&plan.clusters, k) {
-                self.of[identity].0[place] = view;
-            }
+        for Fresh { identity, place, view } in self.stream.last(&plan.clusters, count) {
+            self.of[identity].0[place] = view;
         }
         self
     }

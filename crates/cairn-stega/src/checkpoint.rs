@@ -1,5 +1,5 @@
 //! Stage 2 interrupted and taken up again, to the same bytes. Ray weights are
-//! worked out anew: they follow from the field and the plan.
+//! worked out anew: they follow from the field, the plan, and how many steps were taken.
 
 use crate::carrier::Carrier;
 use crate::config::MarkConfig;

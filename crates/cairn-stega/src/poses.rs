@@ -25,13 +25,15 @@ pub fn between(a: &Pose, b: &Pose, share: f64) -> Option<Pose> {
     Pose::new(DMat3::from_quat(rotation), a.position.lerp(b.position, share)).ok()
 }
 
-/// A view is mixed with one of so many of its nearest: half-way to one from the other
-/// side lies inside what was photographed.
+/// A view is mixed with one of so many of its nearest.
 const NEAREST: usize = 12;
+/// And with none that looks further away than this, radians: half-way to one from the other side lies inside what was
+/// photographed.
+const MOST_APART: f64 = std::f64::consts::FRAC_PI_3;
 /// How far beyond either view a mixture may lie, as a share of the way between them.
 const BEYOND: f64 = 0.25;
-/// Of so many mixtures the one is taken that looks furthest away from all photographs (best-candidate sampling: Mitchell
-/// 1991): marks are missed from where nobody stood, and mixtures of neighbours are seldom there.
+/// Of so many mixtures the one is taken that looks furthest away from all photographs: marks are missed from where nobody
+/// stood, and mixtures of neighbours are seldom there.
 const CANDIDATES: usize = 4;
 
 /// Mixtures that are tried for each that is wanted.
@@ -47,11 +49,7 @@ pub fn virtual_views(
     rng: &mut ChaCha8Rng,
 ) -> Vec<PlannedView> {
     let mut views = Vec::with_capacity(count);
-    let look = |pose: &Pose| DQuat::from_mat3(&pose.rotation);
-    let away = |view: &PlannedView| {
-        let looks = look(&view.camera.pose);
-        members.iter().map(|m| look(&m.camera.pose).angle_between(looks)).fold(f64::INFINITY, f64::min)
-    };
+    let away = |view: &PlannedView| members.iter().map(|m| apart(m, view)).fold(f64::INFINITY, f64::min);
     while views.len() < count && !members.is_empty() {
         let candidates: Vec<PlannedView> =
             (0..CANDIDATES).filter_map(|_| mixture(clusters, identity, members, rng)).collect();
@@ -68,11 +66,17 @@ fn mixture(clusters: &Clusters, identity: u32, members: &[PlannedView], rng: &mu
         let a = &members[rng.random_range(0..members.len())];
         let b = near(clusters, a, members, rng.random_range(0..NEAREST.min(members.len())));
         let (share, tint) = (rng.random_range(-BEYOND..1.0 + BEYOND), rng.random_range(0.0f32..1.0));
-        let pose = between(&a.camera.pose, &b.camera.pose, share)?;
+        let pose = between(&a.camera.pose, &b.camera.pose, share).filter(|_| apart(a, b) <= MOST_APART)?;
         let camera = Camera { intrinsics: a.camera.intrinsics, pose };
         let own = clusters.identity_of(&pose).identity == Some(identity);
         own.then(|| PlannedView { camera, appearance: a.appearance.mixed(&b.appearance, tint) })
     })
+}
+
+/// The angle between two views' ways of looking, radians.
+fn apart(a: &PlannedView, b: &PlannedView) -> f64 {
+    let [a, b] = [a, b].map(|v| DQuat::from_mat3(&v.camera.pose.rotation));
+    a.angle_between(b)
 }
 
 /// The member that is `rank`-th nearest to `a`, itself being the first.
@@ -157,22 +161,34 @@ mod tests {
 
     #[test]
     fn virtual_views_fill_the_gap_between_photographs() {
-        // Two arcs of eighty degrees, and nobody on the hundred between them on either side.
+        // Two arcs of eight, and nobody on the 54 degrees between them on either side.
         let members: Vec<PlannedView> =
-            ring(36, 10.0).into_iter().enumerate().filter(|(i, _)| i % 18 < 9).map(|(_, v)| v).collect();
+            ring(20, 18.0).into_iter().enumerate().filter(|(i, _)| i % 10 < 8).map(|(_, v)| v).collect();
         let poses: Vec<Pose> = members.iter().map(|v| v.camera.pose).collect();
         let grouping =
             Grouping::Anchors(ClusterConfig { anchors: 1, neighbours: poses.len(), ..ClusterConfig::default() });
         let clusters = Clusters::build(&poses, &grouping, &[], 5).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let views = virtual_views(&clusters, 1, &members, 40, &mut rng);
-        assert_eq!(views.len(), 40);
-        let look = |v: &PlannedView| DQuat::from_mat3(&v.camera.pose.rotation);
-        let away = |v: &PlannedView| {
-            members.iter().map(|m| look(m).angle_between(look(v))).fold(f64::INFINITY, f64::min).to_degrees()
-        };
-        let far = views.iter().filter(|v| away(v) > 10.0).count();
-        // Mixtures drawn without choice: 2.
-        assert!(far >= 8, "{far} of 40 look more than ten degrees away from any photograph");
+        let views = virtual_views(&clusters, 1, &members, 400, &mut rng);
+        assert_eq!(views.len(), 400);
+        let away = |v: &&PlannedView| members.iter().all(|m| apart(m, v).to_degrees() > 10.0);
+        let far = views.iter().filter(away).count();
+        // 36; of mixtures drawn without choice 9.
+        assert!(far >= 20, "{far} of 400 look more than ten degrees away from any photograph");
+    }
+
+    #[test]
+    fn no_virtual_camera_stands_inside_what_few_photographs_show() {
+        for count in [8, 12, 16] {
+            let members = ring(count, 360.0 / count as f64);
+            let poses: Vec<Pose> = members.iter().map(|v| v.camera.pose).collect();
+            let grouping = ClusterConfig { anchors: 1, neighbours: count, ..ClusterConfig::default() };
+            let clusters = Clusters::build(&poses, &Grouping::Anchors(grouping), &[], 5).unwrap();
+            let views = virtual_views(&clusters, 1, &members, 60, &mut ChaCha8Rng::seed_from_u64(2));
+            assert_eq!(views.len(), 60);
+            let nearest =
+                views.iter().map(|v| v.camera.pose.position.truncate().length()).fold(f64::INFINITY, f64::min);
+            assert!(nearest > 0.85 * 3.0, "{count} photographs: {nearest} of 3 from the middle");
+        }
     }
 }

@@ -74,7 +74,9 @@ impl MarkTrainer {
             let (view, harmed) = (views[at % views.len()], at >= views.len());
             let attack = if harmed { Attack::one(&self.config.robust, rng) } else { Attack::none() };
             let picture = self.as_a_file(site, identity, view, (&attack, harmed), rng);
-            renders.extend(self.shown(picture, identity, (view, harmed))?);
+            // A view that came late may not be read yet, and then says nothing of where marks are.
+            let shown = self.shown(picture, identity, (view, harmed || self.config.fresh_every > 0))?;
+            renders.extend(shown.map(|shown| Shown { harmed, ..shown }));
         }
         Ok(renders)
     }

@@ -10,6 +10,7 @@ use crate::poses::{PlannedView, virtual_views};
 use cairn_cluster::Clusters;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::collections::HashSet;
 
 /// Streams of fresh views' draws, apart from those of steps and the judge.
 const STREAM: u64 = 1 << 35;
@@ -24,7 +25,7 @@ pub(crate) struct Stream {
 struct Source {
     /// Its number in its scene.
     identity: u32,
-    /// The poses that fresh views lie between.
+    /// The poses that fresh views are mixtures of.
     members: Vec<PlannedView>,
     /// How many views, the last of its own, give their places in turn.
     places: usize,
@@ -52,14 +53,37 @@ impl Stream {
     /// The `k`-th fresh view: identities take turns, and the places of each. `None` where the identity whose turn it is
     /// has no virtual views, or the poses drawn are none of its cluster's.
     pub(crate) fn fresh(&self, clusters: &Clusters, k: u64) -> Option<Fresh> {
-        let identities = self.of.len() as u64;
-        let (identity, turn) = ((k % identities) as usize, k / identities);
-        let Source { identity: number, members, places } = &self.of[identity];
-        let place = members.len() + turn.checked_rem(*places as u64)? as usize;
+        let (identity, place) = self.place(k)?;
+        let Source { identity: number, members, .. } = &self.of[identity];
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(STREAM + k);
         let view = virtual_views(clusters, *number, members, 1, &mut rng).pop()?;
         Some(Fresh { identity, place, view })
+    }
+
+    /// What the first `count` fresh views leave: the last that came to each place.
+    pub(crate) fn last(&self, clusters: &Clusters, count: u64) -> Vec<Fresh> {
+        let all: usize = self.of.iter().map(|of| of.places).sum();
+        let (mut left, mut taken) = (Vec::new(), HashSet::new());
+        for k in (0..count).rev() {
+            if taken.len() == all {
+                break;
+            }
+            let Some(at) = self.place(k).filter(|at| !taken.contains(at)) else { continue };
+            if let Some(fresh) = self.fresh(clusters, k) {
+                taken.insert(at);
+                left.push(fresh);
+            }
+        }
+        left
+    }
+
+    /// Whose turn the `k`-th is, from 0, and which of its places'.
+    fn place(&self, k: u64) -> Option<(usize, usize)> {
+        let identity = k.checked_rem(self.of.len() as u64)? as usize;
+        let Source { members, places, .. } = &self.of[identity];
+        let turn = (k / self.of.len() as u64).checked_rem(*places as u64)?;
+        Some((identity, members.len() + turn as usize))
     }
 }
 
@@ -70,6 +94,7 @@ mod tests {
     use cairn_cluster::{ClusterConfig, Grouping};
     use cairn_field::Appearance;
     use glam::{DMat3, DVec3};
+    use std::collections::HashMap;
 
     /// Twelve views from a ring in two clusters, and each one's views.
     fn clustered() -> (Clusters, [Vec<PlannedView>; 2]) {
@@ -114,6 +139,26 @@ mod tests {
             assert_eq!(another.fresh(&clusters, k).unwrap().view.camera, view.camera);
             seen.push(at);
         }
+    }
+
+    #[test]
+    fn what_is_left_is_the_last_of_each_place() {
+        let (clusters, members) = clustered();
+        let mut stream = Stream::new(3);
+        (1..).zip(&members).for_each(|(identity, members)| stream.add(identity, members.clone(), 3));
+        for count in [0, 1, 5, 6, 7, 20] {
+            let mut one_by_one = HashMap::new();
+            for fresh in (0..count).filter_map(|k| stream.fresh(&clusters, k)) {
+                one_by_one.insert((fresh.identity, fresh.place), fresh.view.camera);
+            }
+            let left = stream.last(&clusters, count);
+            assert_eq!(left.len(), one_by_one.len(), "{count}");
+            for fresh in left {
+                assert_eq!(one_by_one[&(fresh.identity, fresh.place)], fresh.view.camera, "{count}");
+            }
+        }
+        // Only as many are drawn as there are places.
+        assert_eq!(stream.last(&clusters, 1_000_000_000_000).len(), 6);
     }
 
     #[test]

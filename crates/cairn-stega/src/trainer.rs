@@ -123,7 +123,7 @@ impl MarkTrainer {
         Self::prepared((scenes, fingerprint), config, (seed, 0), progress)
     }
 
-    /// As [`MarkTrainer::joint`], with the plans' fingerprint known, and the views that step `step` finds.
+    /// As [`MarkTrainer::joint`], with the plans' fingerprint known, and the views that are there after `step` steps.
     pub(crate) fn prepared(
         (scenes, fingerprint): (Vec<MarkScene>, String),
         config: MarkConfig,
@@ -132,7 +132,7 @@ impl MarkTrainer {
     ) -> Result<Self, MarkError> {
         config.validate()?;
         let hidden: Vec<Signal> = scenes.iter().flat_map(|s| s.plan.signals.clone()).collect();
-        let sites = Site::all(scenes, &config, (seed, fresh_before(&config, step)), progress)?;
+        let sites = Site::all(scenes, &config, (seed, fresh_after(&config, step)), progress)?;
         let heads = HeadSizes::of(&hidden, &config);
         let hues = hues(sites.last().map_or(0, |s| s.carriers.end), &[]);
         let pattern = |site: &Site, i: usize| site.pattern(&config, seed, (i, hues[i]));
@@ -188,7 +188,6 @@ impl MarkTrainer {
         if self.step >= self.steps_total() {
             return Ok(self.stats(0.0, 0.0, 0.0, f64::INFINITY));
         }
-        self.renew();
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream((1 << 32) + self.step);
         let shown = self.marked_renders(&mut rng);
@@ -225,13 +224,13 @@ impl MarkTrainer {
         self.classify = if self.classify.is_finite() { 0.9 * self.classify + 0.1 * classify } else { classify };
         self.joined |= self.classify < self.config.classify_until;
         self.step += 1;
+        self.renew();
         Ok(self.stats(value, classify, recover, owed.kept_db))
     }
 
-    /// A virtual view of each scene gives its place to a fresh one where it is time to. A step that is tried
-    /// again finds the same.
+    /// A virtual view of each scene gives its place to a fresh one where the step just taken makes it time to.
     fn renew(&mut self) {
-        for k in fresh_before(&self.config, self.step)..fresh_before(&self.config, self.step + 1) {
+        for k in fresh_after(&self.config, self.step - 1)..fresh_after(&self.config, self.step) {
             for site in &mut self.sites {
                 site.bank.renew(&site.scene, &self.config, k);
             }
@@ -333,7 +332,7 @@ impl MarkTrainer {
     }
 }
 
-/// How many fresh views have come before step `step` begins, from 0.
-fn fresh_before(config: &MarkConfig, step: u64) -> u64 {
-    step.saturating_sub(1).checked_div(config.fresh_every).unwrap_or(0)
+/// How many fresh views have come to each scene after `steps` steps.
+fn fresh_after(config: &MarkConfig, steps: u64) -> u64 {
+    steps.checked_div(config.fresh_every).unwrap_or(0)
 }

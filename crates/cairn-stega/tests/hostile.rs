@@ -68,7 +68,7 @@ fn checkpoint(config: MarkConfig) -> Vec<u8> {
 #[test]
 fn a_poisoned_step_is_not_taken() {
     // The picture loss at its heaviest, so that a carrier's gradient overflows before its renders do.
-    let bytes = checkpoint(MarkConfig { weight_picture: 1e6, budget_ramp: 0.0, ..config(20) });
+    let bytes = checkpoint(MarkConfig { weight_picture: 1e6, budget_ramp: 0.0, fresh_every: 3, ..config(20) });
     for (name, poisoned, place) in [
         ("a gradient", filled(&bytes, "carrier1.values", 1e37), "a carrier's gradient"),
         ("a gradient's square", filled(&bytes, "carrier1.values", 1e20), "a carrier's gradient"),

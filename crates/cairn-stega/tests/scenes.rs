@@ -64,7 +64,8 @@ fn a_joint_training_is_resumed_to_the_same_bytes_and_on_the_same_scenes_only() {
         let (fields, detector) = trainer.finish_joint().unwrap();
         (fields.iter().map(|f| f.to_bytes().unwrap()).collect::<Vec<_>>(), detector.to_bytes().unwrap())
     };
-    let mut whole = MarkTrainer::joint(scenes(), config(10), 7, &mut |_, _| true).unwrap();
+    let mut whole =
+        MarkTrainer::joint(scenes(), MarkConfig { fresh_every: 2, ..config(10) }, 7, &mut |_, _| true).unwrap();
     for _ in 0..5 {
         whole.step().unwrap();
     }
@@ -125,7 +126,7 @@ fn growing_is_resumed_to_the_same_bytes() {
     let mut first = MarkTrainer::new(field(), one, config(5), 7, &mut |_, _| true).unwrap();
     run(&mut first);
     let before = first.finish().unwrap();
-    let mut whole = grow(&earlier(&before, same), config(30)).unwrap();
+    let mut whole = grow(&earlier(&before, same), MarkConfig { fresh_every: 4, ..config(30) }).unwrap();
     for _ in 0..4 {
         whole.step().unwrap();
     }
