@@ -73,7 +73,9 @@ fn a_detector_that_is_told_nothing_cannot_be_forced() {
 
 #[test]
 fn a_classifier_may_see_finer_pictures_than_the_detector() {
-    let (marked, detector) = unjudged(plan(), MarkConfig { finer: 2, ..config(6) });
+    // Whatever looks unlike its few renders would be doubted, and the classifier not heard.
+    let heard = MarkConfig { finer: 2, unfamiliar_beyond: 0.0, ..config(6) };
+    let (marked, detector) = unjudged(plan(), heard);
     assert_ne!(part(&marked, "carriers"), part(&unjudged(plan(), config(6)).0, "carriers"));
     let detector = Detector::from_bytes(&detector).unwrap();
     // Detail that the mean over two pixels each way does not see.
