@@ -25,7 +25,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
     let mut ends: Vec<[Vec<u8>; 2]> = Vec::new();
     // Stopped where no views come and go, between two exchanges, right after one, and with one in every step.
     for (fresh_every, stop) in [(0, 7), (3, 8), (2, 8), (1, 7)] {
-        let config = || MarkConfig { fresh_every, ..config(12) };
+        let config = || MarkConfig { fresh_every, ..config(24) };
         let whole = bytes(trained(config()));
         let mut first = start(config());
         for _ in 0..stop {
