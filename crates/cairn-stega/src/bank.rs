@@ -303,6 +303,11 @@ impl Bank {
         &self.of[identity]
     }
 
+    /// How many of them, the first, stay for all of a training: photographs' poses.
+    pub(crate) fn staying(&self, identity: usize) -> usize {
+        self.stream.members(identity)
+    }
+
     /// A view of `identity` (from 0).
     pub(crate) fn draw(&self, identity: usize, rng: &mut ChaCha8Rng) -> usize {
         self.draws.draw(&self.of[identity], rng)

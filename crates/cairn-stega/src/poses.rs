@@ -96,11 +96,10 @@ pub(crate) fn evenly(views: Vec<PlannedView>, most: usize) -> Vec<PlannedView> {
 /// `some` of the views, evenly, and up to `most` where others look more than `apart_deg` degrees away from all
 /// that are taken, the furthest first: networks that saw an object from two dozen sides do not know the sides between.
 pub(crate) fn covering(views: Vec<PlannedView>, some: usize, most: usize, apart_deg: f64) -> Vec<PlannedView> {
-    let look = |v: &PlannedView| DQuat::from_mat3(&v.camera.pose.rotation);
     let stride = views.len().div_ceil(some).max(1);
     let mut taken: Vec<bool> = (0..views.len()).map(|i| i % stride == 0).collect();
     let nearest_taken = |v: &PlannedView| {
-        let of = views.iter().step_by(stride).map(|t| look(t).angle_between(look(v)));
+        let of = views.iter().step_by(stride).map(|t| apart(t, v));
         of.fold(f64::INFINITY, f64::min)
     };
     let mut away: Vec<f64> = views.iter().map(nearest_taken).collect();
@@ -108,8 +107,7 @@ pub(crate) fn covering(views: Vec<PlannedView>, some: usize, most: usize, apart_
         let furthest = (0..views.len()).filter(|i| !taken[*i]).max_by(|a, b| away[*a].total_cmp(&away[*b]));
         let Some(furthest) = furthest.filter(|i| away[*i] > apart_deg.to_radians()) else { break };
         taken[furthest] = true;
-        let next = look(&views[furthest]);
-        away.iter_mut().zip(&views).for_each(|(away, v)| *away = away.min(look(v).angle_between(next)));
+        away.iter_mut().zip(&views).for_each(|(away, v)| *away = away.min(apart(v, &views[furthest])));
     }
     views.into_iter().zip(taken).filter_map(|(v, taken)| taken.then_some(v)).collect()
 }

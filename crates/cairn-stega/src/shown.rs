@@ -68,14 +68,16 @@ impl MarkTrainer {
         each: usize,
         rng: &mut ChaCha8Rng,
     ) -> Result<Vec<Shown>, MarkError> {
-        let views = site.bank.views_of(identity - site.identities.start);
+        let own = identity - site.identities.start;
+        let (views, staying) = (site.bank.views_of(own), site.bank.staying(own));
         let mut renders = Vec::with_capacity(each);
         for at in 0..each.max(views.len()) {
             let (view, harmed) = (views[at % views.len()], at >= views.len());
             let attack = if harmed { Attack::one(&self.config.robust, rng) } else { Attack::none() };
             let picture = self.as_a_file(site, identity, view, (&attack, harmed), rng);
             // A view that came late may not be read yet, and then says nothing of where marks are.
-            let shown = self.shown(picture, identity, (view, harmed || self.config.fresh_every > 0))?;
+            let late = self.config.fresh_every > 0 && at % views.len() >= staying;
+            let shown = self.shown(picture, identity, (view, harmed || late))?;
             renders.extend(shown.map(|shown| Shown { harmed, ..shown }));
         }
         Ok(renders)

@@ -78,6 +78,11 @@ impl Stream {
         left
     }
 
+    /// How many views of `identity` (from 0) never give their places away.
+    pub(crate) fn members(&self, identity: usize) -> usize {
+        self.of[identity].members.len()
+    }
+
     /// Whose turn the `k`-th is, from 0, and which of its places'.
     fn place(&self, k: u64) -> Option<(usize, usize)> {
         let identity = k.checked_rem(self.of.len() as u64)? as usize;
