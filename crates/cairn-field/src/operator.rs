@@ -20,6 +20,10 @@ use rayon::prelude::*;
 
 /// Marks entries in contracted space, which another appearance matrix tints.
 const FAR: u32 = 1 << 31;
+/// Shares of rows that gradients go to at the same time, at most: each goes through all entries.
+const MOST_SHARES: usize = 8;
+/// Entries looked at to make shares even.
+const SAMPLES: usize = 4096;
 
 /// What a carrier's coefficients multiply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -241,28 +245,21 @@ impl LinearView {
     pub fn apply(&self, carrier: &[f32], basis: CarrierBasis, appearance: &Appearance, picture: &mut [f32]) {
         assert_eq!(picture.len(), self.width * self.height * 3, "a picture of this view's size");
         let [near, far] = basis.tints(appearance);
+        let lights = appearance.lights();
         picture.par_chunks_exact_mut(3).with_min_len(512).enumerate().for_each(|(pixel, out)| {
-            let along = self.colours.weights(&self.harmonics[pixel], &appearance.lights());
-            let mut sums = [[0.0f32; 3]; 2];
-            for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
-                let sum = &mut sums[usize::from(row & FAR != 0)];
-                let at = (row & !FAR) as usize;
-                match basis {
-                    CarrierBasis::Constant => {
-                        let c = &carrier[at * 3..at * 3 + 3];
-                        for k in 0..3 {
-                            sum[k] += weight * c[k];
-                        }
-                    }
-                    CarrierBasis::Harmonics => {
-                        let c = &carrier[at * 3 * SH..(at + 1) * 3 * SH];
-                        for k in 0..3 {
-                            let dot: f32 = c[k * SH..(k + 1) * SH].iter().zip(&along).map(|(a, b)| a * b).sum();
-                            sum[k] += weight * dot;
-                        }
-                    }
+            let sums = match basis {
+                CarrierBasis::Constant => {
+                    let rows = carrier.as_chunks::<3>().0;
+                    self.seen_by(pixel).map(|entries| weighed(entries, |at| rows[at]))
                 }
-            }
+                CarrierBasis::Harmonics => {
+                    let rows = carrier.as_chunks::<SH>().0;
+                    let along = self.colours.weights(&self.harmonics[pixel], &lights);
+                    let dot = |row: &[f32; SH]| row.iter().zip(&along).map(|(a, b)| a * b).sum();
+                    let colour = |at: usize| std::array::from_fn(|k| dot(&rows[3 * at + k]));
+                    self.seen_by(pixel).map(|entries| weighed(entries, colour))
+                }
+            };
             for (c, v) in out.iter_mut().enumerate() {
                 for k in 0..3 {
                     *v += near[c][k] * sums[0][k] + far[c][k] * sums[1][k];
@@ -271,9 +268,21 @@ impl LinearView {
         });
     }
 
+    /// A pixel's entries, those near and those in contracted space.
+    fn seen_by(&self, pixel: usize) -> [&[(u32, f32)]; 2] {
+        let entries = &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize];
+        // Rows ascend, and the far ones' mark is their highest bit.
+        let near = match entries.last() {
+            Some((row, _)) if row & FAR != 0 => entries.partition_point(|(row, _)| row & FAR == 0),
+            _ => entries.len(),
+        };
+        let (near, far) = entries.split_at(near);
+        [near, far]
+    }
+
     /// The transpose of [`LinearView::apply`]: adds to `gradient` (as `carrier`)
-    /// what d(loss)/d(picture) owes the coefficients. One thread, in pixel
-    /// order, so that sums come out the same every time; `touched` hears each row.
+    /// what d(loss)/d(picture) owes the coefficients; `touched` hears each row. Each row's sum is taken by one
+    /// thread in pixel order, so that it comes out the same with any number of them.
     ///
     /// # Panics
     /// When `slope` is of another size.
@@ -286,31 +295,89 @@ impl LinearView {
         touched: &mut [bool],
     ) {
         assert_eq!(slope.len(), self.width * self.height * 3, "a picture of this view's size");
-        let tints = basis.tints(appearance);
+        rayon::scope(|scope| {
+            let mut rest = Owed { first: 0, gradient, touched };
+            for end in self.shares(rayon::current_num_threads().min(MOST_SHARES)) {
+                let (part, behind) = rest.split_at(end, basis.width());
+                rest = behind;
+                scope.spawn(move |_| self.push_rows(slope, basis, appearance, part));
+            }
+            self.push_rows(slope, basis, appearance, rest);
+        });
+    }
+
+    /// The rows where `parts` about equally many entries end, but for the last part.
+    fn shares(&self, parts: usize) -> Vec<usize> {
+        let mut rows: Vec<u32> =
+            self.entries.iter().step_by(1 + self.entries.len() / SAMPLES).map(|(row, _)| row & !FAR).collect();
+        rows.sort_unstable();
+        (1..parts).filter_map(|part| rows.get(rows.len() * part / parts)).map(|row| *row as usize).collect()
+    }
+
+    /// [`LinearView::push_back`] to some of the rows.
+    fn push_rows(&self, slope: &[f32], basis: CarrierBasis, appearance: &Appearance, owed: Owed<'_>) {
+        let Owed { first, gradient, touched } = owed;
+        let (tints, lights) = (basis.tints(appearance), appearance.lights());
         for (pixel, g) in slope.chunks_exact(3).enumerate() {
-            let along = self.colours.weights(&self.harmonics[pixel], &appearance.lights());
-            let pulled: [[f32; 3]; 2] =
-                std::array::from_fn(|part| std::array::from_fn(|k| (0..3).map(|c| tints[part][c][k] * g[c]).sum()));
-            for &(row, weight) in &self.entries[self.starts[pixel] as usize..self.starts[pixel + 1] as usize] {
-                let p = &pulled[usize::from(row & FAR != 0)];
-                let at = (row & !FAR) as usize;
-                touched[at] = true;
+            for (entries, tint) in self.seen_by(pixel).into_iter().zip(&tints) {
+                let pulled: [f32; 3] = std::array::from_fn(|k| (0..3).map(|c| tint[c][k] * g[c]).sum());
                 match basis {
                     CarrierBasis::Constant => {
-                        for k in 0..3 {
-                            gradient[at * 3 + k] += weight * p[k];
-                        }
+                        let rows = gradient.as_chunks_mut::<3>().0;
+                        within(entries, (first, touched), |at, weight| {
+                            rows[at].iter_mut().zip(pulled).for_each(|(o, p)| *o += weight * p);
+                        });
                     }
                     CarrierBasis::Harmonics => {
-                        for k in 0..3 {
-                            let out = &mut gradient[at * 3 * SH + k * SH..][..SH];
-                            for (o, b) in out.iter_mut().zip(&along) {
-                                *o += weight * p[k] * b;
+                        let rows = gradient.as_chunks_mut::<SH>().0;
+                        let along = self.colours.weights(&self.harmonics[pixel], &lights);
+                        within(entries, (first, touched), |at, weight| {
+                            for (row, p) in rows[3 * at..3 * at + 3].iter_mut().zip(pulled) {
+                                row.iter_mut().zip(&along).for_each(|(o, b)| *o += weight * p * b);
                             }
-                        }
+                        });
                     }
                 }
             }
         }
+    }
+}
+
+/// The weighted sum of rows' colours.
+#[inline]
+fn weighed(entries: &[(u32, f32)], colour: impl Fn(usize) -> [f32; 3]) -> [f32; 3] {
+    entries.iter().fold([0.0; 3], |sum, (row, weight)| {
+        let colour = colour((row & !FAR) as usize);
+        std::array::from_fn(|k| sum[k] + weight * colour[k])
+    })
+}
+
+/// Calls `each` with those entries that are among the rows from `first` on, counted from there, and marks them as touched.
+#[inline]
+fn within(entries: &[(u32, f32)], (first, touched): (usize, &mut [bool]), mut each: impl FnMut(usize, f32)) {
+    for (row, weight) in entries {
+        // Rows before the first wrap round, and are past the last as well.
+        let at = ((row & !FAR) as usize).wrapping_sub(first);
+        if let Some(touched) = touched.get_mut(at) {
+            *touched = true;
+            each(at, *weight);
+        }
+    }
+}
+
+/// What a run of rows, from the `first` on, is owed.
+struct Owed<'a> {
+    first: usize,
+    gradient: &'a mut [f32],
+    touched: &'a mut [bool],
+}
+
+impl<'a> Owed<'a> {
+    /// The rows before `end` and those from it on, `width` coefficients each.
+    fn split_at(self, end: usize, width: usize) -> (Self, Self) {
+        let Self { first, gradient, touched } = self;
+        let (gradient, gradient_behind) = gradient.split_at_mut((end - first) * width);
+        let (touched, touched_behind) = touched.split_at_mut(end - first);
+        (Self { first, gradient, touched }, Self { first: end, gradient: gradient_behind, touched: touched_behind })
     }
 }

@@ -116,6 +116,29 @@ fn the_transpose_is_exact() {
 }
 
 #[test]
+fn any_number_of_threads_gives_the_same_transpose() {
+    for (frame, from) in cases() {
+        for basis in BASES {
+            let (field, ..) = pair(&frame, basis);
+            let (linear, _) = view(&field, from, 0.0);
+            let (look, slope) = (random_appearance(12), (0..24 * 24 * 3).map(|i| (i as f32 * 0.7).sin()));
+            let slope: Vec<f32> = slope.collect();
+            let with = |threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let (mut gradient, mut touched) = (vec![0.0; field.rows() * basis.width()], vec![false; field.rows()]);
+                pool.install(|| linear.push_back(&slope, basis, &look, &mut gradient, &mut touched));
+                (gradient, touched)
+            };
+            let one = with(1);
+            assert!(one.1.iter().filter(|touched| **touched).count() > 100, "{frame:?}: rows are seen");
+            for threads in [2, 5, 20] {
+                assert!(with(threads) == one, "{frame:?}, {basis:?}: one thread and {threads} differ");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_cutoff_leaves_out_little_and_saves_entries() {
     let (field, _, carrier) = pair(&ball_box(), CarrierBasis::Constant);
     let look = random_appearance(12);

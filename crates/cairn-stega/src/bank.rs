@@ -1,6 +1,7 @@
 //! The views stage 2 trains on: each cluster's photographs' poses and virtual
 //! ones between them, with ray weights worked out once a view, and unmarked pictures.
 
+use crate::ahead::Ahead;
 use crate::config::{CarrierKind, DensityKind, MarkConfig};
 use crate::distort::{Attack, Distortion};
 use crate::draws::Draws;
@@ -16,6 +17,7 @@ use cairn_field::operator::{LinearView, MarkableField};
 use cairn_field::{Appearance, Field};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 
 /// Entries of a view's linear map below this share of a pixel are left out
 /// while training: a quarter of an 8-bit step at full contrast.
@@ -70,6 +72,8 @@ pub(crate) struct Bank {
     pub(crate) judged_unmarked: Vec<Vec<f32>>,
     /// Where virtual views come and go.
     stream: Stream,
+    /// The next of those that come.
+    ahead: Ahead,
 }
 
 /// The views of a bank before their ray weights are worked out.
@@ -150,18 +154,24 @@ fn kept_to_judge(i: usize, so_far: usize, most: usize) -> bool {
 }
 
 /// How ray weights of a scene's views are worked out.
-struct Rays<'a> {
-    field: &'a Field,
+#[derive(Clone)]
+pub(crate) struct Rays {
+    field: Arc<Field>,
     /// Rays across a pixel of the views.
     across: usize,
     /// Whether densities move as well.
     free: bool,
 }
 
-impl<'a> Rays<'a> {
-    fn new(scene: &'a MarkScene, config: &MarkConfig) -> Self {
+impl Rays {
+    fn new(scene: &MarkScene, config: &MarkConfig) -> Self {
         let (across, free) = (rays_across(&scene.plan, config), config.density == DensityKind::Free);
-        Self { field: &scene.field, across, free }
+        Self { field: scene.field.clone(), across, free }
+    }
+
+    /// A view that is trained on.
+    pub(crate) fn taught(&self, v: PlannedView) -> BankView {
+        self.view(v, CUTOFF)
     }
 
     fn view(&self, v: PlannedView, cutoff: f32) -> BankView {
@@ -174,7 +184,7 @@ impl<'a> Rays<'a> {
 
 /// Works out ray weights, view after view, as long as `progress` wants it.
 pub(crate) struct Prepare<'a> {
-    rays: Rays<'a>,
+    rays: Rays,
     done: usize,
     total: usize,
     progress: &'a mut dyn FnMut(usize, usize) -> bool,
@@ -185,7 +195,7 @@ impl<'a> Prepare<'a> {
     /// Before each view `progress` hears how many are done and how many there are, and says
     /// whether to go on.
     pub(crate) fn new(
-        scene: &'a MarkScene,
+        scene: &MarkScene,
         config: &MarkConfig,
         (done, total): (usize, usize),
         progress: &'a mut dyn FnMut(usize, usize) -> bool,
@@ -260,15 +270,20 @@ impl Bank {
             judged_outside,
             judged_unmarked: judge,
             stream: chosen.stream,
+            ahead: Ahead::default(),
         })
     }
 
-    /// Puts the `k`-th fresh view of a training in its place.
+    /// Puts the `k`-th fresh view of a training in its place, and begins the next.
     pub(crate) fn renew(&mut self, scene: &MarkScene, config: &MarkConfig, k: u64) {
+        let rays = Rays::new(scene, config);
         if let Some(Fresh { identity, place, view }) = self.stream.fresh(&scene.plan.clusters, k) {
             let at = self.of[identity][place];
-            self.views[at] = Rays::new(scene, config).view(view, CUTOFF);
+            self.views[at] = self.ahead.take(k).unwrap_or_else(|| rays.taught(view));
             self.draws.forget(at);
+        }
+        if let Some(Fresh { view, .. }) = self.stream.fresh(&scene.plan.clusters, k + 1) {
+            self.ahead.begin(k + 1, rays, view);
         }
     }
 

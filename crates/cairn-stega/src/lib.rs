@@ -9,6 +9,7 @@
 //! [`MarkedField`] and a [`Detector`]. Several scenes may share a detector (`site`), and identities
 //! may come later (`growth`).
 
+mod ahead;
 mod bank;
 mod carrier;
 mod checkpoint;
