@@ -74,6 +74,10 @@ pub struct Args {
     /// Train this row only, by its name in the ledger; may be given several times (suite `ablation`)
     #[arg(long = "row", value_name = "NAME")]
     rows: Vec<String>,
+    /// How many trainings each capture gets, with seeds from `--seed` on (suites `mark` and `honesty`: three, where not
+    /// given; a row says how many there were)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
+    trainings: Option<u64>,
     /// Also train for twice the configured steps (suite `field`); measure the log of ten million records, alone (suite
     /// `registry`: a quarter of an hour to grow it)
     #[arg(long)]

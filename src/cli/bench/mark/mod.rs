@@ -1,5 +1,5 @@
 //! Suites `mark`, `honesty` and `ablation`: what stage 2 makes of captures' base fields. Each capture is
-//! marked three times, with other seeds and other hidden pictures, and judged on
+//! marked three times (or `--trainings`), with other seeds and other hidden pictures, and judged on
 //! views that no training saw: pictures kept, hidden pictures recovered, classes
 //! told, false owners on pictures of anything else, and what outlasts the ways
 //! that pictures travel.
@@ -50,7 +50,7 @@ const QUICK_TOML: &str = "[field]\nsteps = 64\nrays_per_step = 512\nvoxels = 327
 const QUICK_SIDE_PX: usize = 64;
 /// Views of each split, at most, under `--quick`.
 const QUICK_VIEWS: usize = 12;
-/// Trainings of each capture: seeds from the one that was asked for on, and each its own hidden pictures.
+/// Trainings of each capture, where it is not said how many: seeds from the one that was asked for on, and each its own hidden pictures.
 const RUNS: u64 = 3;
 
 /// Which of the marks' suites.
@@ -230,7 +230,7 @@ impl Run {
             field: training.field,
             mark: training.mark,
             seed: args.seed,
-            runs: if args.quick || !ablation.is_empty() { 1 } else { RUNS },
+            runs: args.trainings.unwrap_or(if args.quick || !ablation.is_empty() { 1 } else { RUNS }),
             permute: false,
             lay_over: false,
             name: match ablation {
