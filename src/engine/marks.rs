@@ -113,18 +113,23 @@ impl Marking {
         }
     }
 
-    /// The marked fields' bytes, a scene each, and the detector's, at the best state judged.
+    /// The marked fields' bytes, a scene each, and the detector's, at the best state judged; `None` when `preparing` did
+    /// not want to go on.
     ///
     /// # Errors
-    /// When they cannot be written out.
-    pub fn finish(self) -> Result<(Vec<Vec<u8>>, Vec<u8>), EngineError> {
+    /// When marks were never read, and when the parts cannot be written out.
+    pub fn finish(self, preparing: Preparing<'_>) -> Result<Option<(Vec<Vec<u8>>, Vec<u8>)>, EngineError> {
         if let Some(best) = self.trainer.best() {
             let (step, accuracy, recovered) = (best.step, best.accuracy, best.recovered);
             tracing::info!(step, accuracy, ?recovered, "best state on virtual poses");
         }
-        let (fields, detector) = self.trainer.finish_joint()?;
+        let progress = &mut |done, total| preparing(stages::MARKED_RENDERS, done, total);
+        let (fields, detector) = match self.trainer.finish_joint(progress) {
+            Err(MarkError::Stopped) => return Ok(None),
+            finished => finished?,
+        };
         let fields = fields.iter().map(MarkedField::to_bytes).collect::<Result<_, _>>()?;
-        Ok((fields, detector.to_bytes()?))
+        Ok(Some((fields, detector.to_bytes()?)))
     }
 }
 

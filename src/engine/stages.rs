@@ -26,6 +26,8 @@ pub const MARK: &str = "marked field";
 pub const PHOTOGRAPHS: &str = "photographs";
 /// Name of working out views as linear maps, before stage 2.
 pub const RAY_WEIGHTS: &str = "ray weights";
+/// Name of learning what marked renders look like, after stage 2.
+pub const MARKED_RENDERS: &str = "marked renders";
 
 /// Hears what is being prepared, how many parts of it are done and how many there
 /// are; answers whether to go on.

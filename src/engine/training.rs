@@ -144,7 +144,11 @@ impl Training {
         if !self.drive((stages::MARK, stages::MARK, clock), &mut trainer, &file, control)? {
             return Ok(None);
         }
-        let (fields, detector) = trainer.finish()?;
+        let finishing = Instant::now();
+        let finished = trainer.finish(&mut preparing(control))?;
+        control.spent(stages::MARK, finishing.elapsed().as_secs_f64())?;
+        // The checkpoint of the last step is there, and finishes another time.
+        let Some((fields, detector)) = finished else { return Ok(None) };
         let files = fields.into_iter().zip(&signals).map(|(field, signals)| {
             let signals = signals.iter().map(hidden::encoded).collect();
             MarkFiles { field, detector: detector.clone(), signals }

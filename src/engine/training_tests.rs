@@ -211,6 +211,41 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
 }
 
 #[test]
+fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time() {
+    let trained = Trained::new();
+    let scene = scenes::open(&trained.path("scenes"), "town").unwrap();
+    let (settings, seed) = (&trained.job.spec.settings, trained.job.spec.seed);
+    let clusters = clusters(&scene, &trained.job.spec.grouping, seed).unwrap();
+    let begin = |checkpoint: Option<&[u8]>| {
+        let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
+        let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, settings.mark.side_px(), seed));
+        let signals = (0..clusters.clusters.len()).map(emblem).collect();
+        let scenes = vec![ToMark { scene: &scene, base, clusters: &clusters, signals }];
+        Marking::start(scenes, None, (&settings.mark, seed), checkpoint, &mut |_, _, _| true).unwrap().unwrap()
+    };
+    let mut marking = begin(None);
+    while marking.steps().0 < marking.steps().1 {
+        marking.step().unwrap();
+    }
+    let checkpoint = marking.checkpoint().unwrap();
+    let mut heard = Vec::new();
+    let stopped = marking.finish(&mut |stage, done, total| {
+        heard.push((stage, done, total));
+        done < 3
+    });
+    assert!(stopped.unwrap().is_none());
+    let total = heard[0].2;
+    assert_eq!(heard, [0, 1, 2, 3].map(|done| (stages::MARKED_RENDERS, done, total)));
+    heard.clear();
+    let finished = begin(Some(&checkpoint)).finish(&mut |stage, done, total| {
+        heard.push((stage, done, total));
+        true
+    });
+    assert_eq!(finished.unwrap().unwrap().0.len(), 1);
+    assert!(heard.iter().all(|(_, done, of)| done <= of && *of == total) && heard.len() > total / 2, "{total}");
+}
+
+#[test]
 fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
     let trained = Trained::new();
     let mut job = trained.job.clone();

@@ -8,6 +8,7 @@ use crate::draws::Draws;
 use crate::error::MarkError;
 use crate::negatives::{Negatives, shrunk};
 use crate::poses::{PlannedView, at_most, covering, evenly, virtual_views};
+use crate::progress::Progress;
 use crate::site::MarkScene;
 use crate::stream::{Fresh, Stream};
 use crate::trainer::MarkPlan;
@@ -185,32 +186,17 @@ impl Rays {
 /// Works out ray weights, view after view, as long as `progress` wants it.
 pub(crate) struct Prepare<'a> {
     rays: Rays,
-    done: usize,
-    total: usize,
-    progress: &'a mut dyn FnMut(usize, usize) -> bool,
+    progress: Progress<'a>,
 }
 
 impl<'a> Prepare<'a> {
-    /// For `scene`, before which `done` of the `total` views of all scenes were worked out.
-    /// Before each view `progress` hears how many are done and how many there are, and says
-    /// whether to go on.
-    pub(crate) fn new(
-        scene: &MarkScene,
-        config: &MarkConfig,
-        (done, total): (usize, usize),
-        progress: &'a mut dyn FnMut(usize, usize) -> bool,
-    ) -> Self {
-        Self { rays: Rays::new(scene, config), done, total, progress }
-    }
-
-    fn go_on(&mut self) -> Result<(), MarkError> {
-        let go_on = (self.progress)(self.done, self.total);
-        self.done += 1;
-        if go_on { Ok(()) } else { Err(MarkError::Stopped) }
+    /// For `scene`; `progress` goes through the views of all scenes.
+    pub(crate) fn new(scene: &MarkScene, config: &MarkConfig, progress: Progress<'a>) -> Self {
+        Self { rays: Rays::new(scene, config), progress }
     }
 
     fn view(&mut self, v: PlannedView, cutoff: f32) -> Result<BankView, MarkError> {
-        self.go_on()?;
+        self.progress.next()?;
         Ok(self.rays.view(v, cutoff))
     }
 
@@ -243,7 +229,7 @@ impl Bank {
             if marked_outside {
                 judged_outside.push(prepare.view(v, CUTOFF)?);
             } else {
-                prepare.go_on()?;
+                prepare.progress.next()?;
                 judge.push(shrunk(&prepare.rays.field.render(&v.camera, &v.appearance), side));
             }
         }

@@ -31,6 +31,7 @@ mod moves;
 mod negatives;
 mod networks;
 mod poses;
+mod progress;
 mod registered;
 mod renders;
 mod shape;

@@ -11,6 +11,7 @@ use crate::marked::MarkedField;
 use crate::negatives::shrunk;
 use crate::networks::to_tensor;
 use crate::poses::{PlannedView, at_most, evenly, virtual_views};
+use crate::progress::Progress;
 use crate::site::Site;
 use crate::trainer::MarkTrainer;
 use cairn_capture::Picture;
@@ -31,11 +32,12 @@ const LEAST_CUT: f32 = 0.6;
 
 impl MarkTrainer {
     /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks, or
-    /// an owner's are all the same.
+    /// an owner's are all the same. `hears` is asked before each render, as [`Progress`] has it.
     ///
     /// # Errors
-    /// [`MarkError::NotFinite`] for a feature that is not; [`MarkError`] for marks that do not fit their field.
-    pub(crate) fn familiar(&self) -> Result<Option<Familiar>, MarkError> {
+    /// [`MarkError::NotFinite`] for a feature that is not; [`MarkError`] for marks that do not fit their field;
+    /// [`MarkError::Stopped`].
+    pub(crate) fn familiar(&self, hears: &mut dyn FnMut(usize, usize) -> bool) -> Result<Option<Familiar>, MarkError> {
         let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
         if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
             return Ok(None);
@@ -43,15 +45,17 @@ impl MarkTrainer {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(STREAM);
         let each = RENDERS_EACH.max(RENDERS.div_ceil(owners));
+        // Where views are few, or many, some more or less.
+        let mut progress = Progress::new((0, owners * (each + FRESH)), hears);
         let mut classes = Vec::with_capacity(owners);
         for site in &self.sites {
             let field = self.marked(site)?;
             for identity in site.identities.clone() {
                 let mut class = match self.config.robust.enabled {
-                    true => self.as_harmed_files(&field, (site, identity), each, &mut rng)?,
-                    false => self.as_trained_on((site, identity), each, &mut rng)?,
+                    true => self.as_harmed_files(&field, (site, identity), each, (&mut rng, &mut progress))?,
+                    false => self.as_trained_on((site, identity), each, (&mut rng, &mut progress))?,
                 };
-                class.extend(self.as_fresh_files(&field, (site, identity), &mut rng)?);
+                class.extend(self.as_fresh_files(&field, (site, identity), (&mut rng, &mut progress))?);
                 classes.push(class);
             }
         }
@@ -66,12 +70,13 @@ impl MarkTrainer {
         &self,
         (site, identity): (&Site, usize),
         each: usize,
-        rng: &mut ChaCha8Rng,
+        (rng, progress): (&mut ChaCha8Rng, &mut Progress<'_>),
     ) -> Result<Vec<Shown>, MarkError> {
         let own = identity - site.identities.start;
         let (views, staying) = (site.bank.views_of(own), site.bank.staying(own));
         let mut renders = Vec::with_capacity(each);
         for at in 0..each.max(views.len()) {
+            progress.next()?;
             let (view, harmed) = (views[at % views.len()], at >= views.len());
             let attack = if harmed { Attack::one(&self.config.robust, rng) } else { Attack::none() };
             let picture = self.as_a_file(site, identity, view, (&attack, harmed), rng);
@@ -88,11 +93,12 @@ impl MarkTrainer {
         &self,
         field: &MarkedField,
         (site, identity): (&Site, usize),
-        rng: &mut ChaCha8Rng,
+        (rng, progress): (&mut ChaCha8Rng, &mut Progress<'_>),
     ) -> Result<Vec<Shown>, MarkError> {
         let (number, members) = self.members(field, (site, identity));
         let views = virtual_views(field.clusters(), number, &members, FRESH, rng);
         let shown = views.iter().enumerate().map(|(view, PlannedView { camera, appearance })| {
+            progress.next()?;
             let camera = at_most(camera, self.config.robust.native_px);
             let render = eight_bits(&field.render_as(&camera, appearance, Some(number)));
             // As with harm: what is not read says nothing of where marks are.
@@ -117,7 +123,7 @@ impl MarkTrainer {
         field: &MarkedField,
         (site, identity): (&Site, usize),
         each: usize,
-        rng: &mut ChaCha8Rng,
+        (rng, progress): (&mut ChaCha8Rng, &mut Progress<'_>),
     ) -> Result<Vec<Shown>, MarkError> {
         let side = self.config.shown_px();
         let (number, members) = self.members(field, (site, identity));
@@ -131,6 +137,7 @@ impl MarkTrainer {
             let render = eight_bits(&field.render_as(&camera, appearance, Some(number)));
             renders.extend(self.shown(shrunk(&render, side), identity, (view, false))?);
             for copy in 0..copies {
+                progress.next()?;
                 let attack = match copy % 3 {
                     0 => Attack::one(&self.config.robust, rng),
                     _ => Attack::always(&self.config.robust, rng),

@@ -6,6 +6,7 @@ use crate::bank::{Bank, Chosen, Prepare};
 use crate::carrier::Carrier;
 use crate::config::{CarrierKind, MarkConfig};
 use crate::error::MarkError;
+use crate::progress::Progress;
 use crate::shape::{CarrierShape, carrier_mask};
 use crate::trainer::MarkPlan;
 use cairn_field::Field;
@@ -56,7 +57,7 @@ impl Site {
         let (mut sites, mut done) = (Vec::<Self>::with_capacity(scenes.len()), 0);
         for (scene, chosen) in scenes.into_iter().zip(chosen) {
             let views = chosen.len();
-            let mut prepare = Prepare::new(&scene, config, (done, total), progress);
+            let mut prepare = Prepare::new(&scene, config, Progress::new((done, total), progress));
             let bank = Bank::new(&scene.plan, chosen, config, &mut prepare)?;
             done += views;
             let (first, first_carrier) = sites.last().map_or((0, 0), |s| (s.identities.end, s.carriers.end));

@@ -244,15 +244,20 @@ impl MarkTrainer {
     /// [`MarkError::NotLearnt`] when the marks were never read well enough for the
     /// detector to train; [`MarkError`] when the parts cannot be put together.
     pub fn finish(self) -> Result<(MarkedField, Detector), MarkError> {
-        let (mut fields, detector) = self.finish_joint()?;
+        let (mut fields, detector) = self.finish_joint(&mut |_, _| true)?;
         Ok((fields.swap_remove(0), detector))
     }
 
-    /// As [`MarkTrainer::finish`], each scene's marked field in their order.
+    /// As [`MarkTrainer::finish`], each scene's marked field in their order. What marked renders look like is learnt
+    /// first, from some hundred of each owner: before each `progress` hears how many are done and about how many
+    /// there are; where it answers false, nothing comes of it, and a checkpoint of before has to be resumed.
     ///
     /// # Errors
-    /// As [`MarkTrainer::finish`].
-    pub fn finish_joint(mut self) -> Result<(Vec<MarkedField>, Detector), MarkError> {
+    /// As [`MarkTrainer::finish`]; [`MarkError::Stopped`].
+    pub fn finish_joint(
+        mut self,
+        progress: &mut dyn FnMut(usize, usize) -> bool,
+    ) -> Result<(Vec<MarkedField>, Detector), MarkError> {
         if !self.joined {
             let (steps, classify, until) = (self.step, self.classify, self.config.classify_until);
             return Err(MarkError::NotLearnt { steps, classify, until });
@@ -264,7 +269,7 @@ impl MarkTrainer {
                 *carrier = Carrier::from_values(carrier.shape, values);
             }
         }
-        self.networks.familiar = self.familiar()?;
+        self.networks.familiar = self.familiar(progress)?;
         let mut carriers = self.carriers.into_iter().map(|c| c.values);
         let (mut fields, kind) = (Vec::new(), (self.config.carrier, self.config.density));
         for Site { scene: MarkScene { field, plan }, carriers: own, .. } in self.sites {

@@ -50,7 +50,7 @@ fn right(marked: &MarkedField, detector: &Detector, first: u32) -> (usize, usize
 fn scenes_share_a_detector_that_tells_their_owners_apart() {
     let mut trainer = MarkTrainer::joint(scenes(), strong(500), 7, &mut |_, _| true).unwrap();
     run(&mut trainer);
-    let (fields, detector) = trainer.finish_joint().unwrap();
+    let (fields, detector) = trainer.finish_joint(&mut |_, _| true).unwrap();
     assert_eq!((fields.len(), detector.classes()), (2, 4));
     let (one, two) = (right(&fields[0], &detector, 0), right(&fields[1], &detector, 2));
     let (right, asked) = (one.0 + two.0, one.1 + two.1);
@@ -61,7 +61,7 @@ fn scenes_share_a_detector_that_tells_their_owners_apart() {
 #[test]
 fn a_joint_training_is_resumed_to_the_same_bytes_and_on_the_same_scenes_only() {
     let bytes = |trainer: MarkTrainer| {
-        let (fields, detector) = trainer.finish_joint().unwrap();
+        let (fields, detector) = trainer.finish_joint(&mut |_, _| true).unwrap();
         (fields.iter().map(|f| f.to_bytes().unwrap()).collect::<Vec<_>>(), detector.to_bytes().unwrap())
     };
     let mut whole =

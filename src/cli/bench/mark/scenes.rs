@@ -103,7 +103,7 @@ pub fn run(task: &Task) -> anyhow::Result<Joined> {
     }
     drop(progress);
     let steps = trainer.steps_done();
-    let (fields, detector) = trainer.finish_joint()?;
+    let (fields, detector) = trainer.finish_joint(&mut |_, _| true)?;
     let seconds = begun.elapsed().as_secs_f64();
     let mut found = Vec::new();
     for (at, (marked, (source, _, files))) in fields.iter().zip(&task.scenes).enumerate() {
