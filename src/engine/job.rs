@@ -178,9 +178,9 @@ pub struct StageSeconds {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
-    /// `waiting`, `photographs`, `base field`, `ray weights`, `marked field`, `finished`.
+    /// `waiting`, `photographs`, `screening`, `base field`, `ray weights`, `marked field`, `marked renders`, `finished`.
     pub stage: String,
-    /// Steps of this stage done; photographs decoded, views worked out.
+    /// Steps of this stage done; photographs decoded, views worked out, pictures rendered.
     pub step: u64,
     /// Steps of this stage in all; 0 while not known.
     pub total: u64,

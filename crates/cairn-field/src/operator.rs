@@ -285,7 +285,7 @@ impl LinearView {
     /// thread in pixel order, so that it comes out the same with any number of them.
     ///
     /// # Panics
-    /// When `slope` is of another size.
+    /// When `slope` is of another size, or `touched` has not a place for each of the gradient's rows.
     pub fn push_back(
         &self,
         slope: &[f32],
@@ -295,6 +295,7 @@ impl LinearView {
         touched: &mut [bool],
     ) {
         assert_eq!(slope.len(), self.width * self.height * 3, "a picture of this view's size");
+        assert_eq!(gradient.len(), touched.len() * basis.width(), "a place for each row");
         rayon::scope(|scope| {
             let mut rest = Owed { first: 0, gradient, touched };
             for end in self.shares(rayon::current_num_threads().min(MOST_SHARES)) {

@@ -1,7 +1,6 @@
 //! The views stage 2 trains on: each cluster's photographs' poses and virtual
 //! ones between them, with ray weights worked out once a view, and unmarked pictures.
 
-use crate::ahead::Ahead;
 use crate::config::{CarrierKind, DensityKind, MarkConfig};
 use crate::distort::{Attack, Distortion};
 use crate::draws::Draws;
@@ -73,8 +72,6 @@ pub(crate) struct Bank {
     pub(crate) judged_unmarked: Vec<Vec<f32>>,
     /// Where virtual views come and go.
     stream: Stream,
-    /// The next of those that come.
-    ahead: Ahead,
 }
 
 /// The views of a bank before their ray weights are worked out.
@@ -155,8 +152,7 @@ fn kept_to_judge(i: usize, so_far: usize, most: usize) -> bool {
 }
 
 /// How ray weights of a scene's views are worked out.
-#[derive(Clone)]
-pub(crate) struct Rays {
+struct Rays {
     field: Arc<Field>,
     /// Rays across a pixel of the views.
     across: usize,
@@ -168,11 +164,6 @@ impl Rays {
     fn new(scene: &MarkScene, config: &MarkConfig) -> Self {
         let (across, free) = (rays_across(&scene.plan, config), config.density == DensityKind::Free);
         Self { field: scene.field.clone(), across, free }
-    }
-
-    /// A view that is trained on.
-    pub(crate) fn taught(&self, v: PlannedView) -> BankView {
-        self.view(v, CUTOFF)
     }
 
     fn view(&self, v: PlannedView, cutoff: f32) -> BankView {
@@ -256,21 +247,28 @@ impl Bank {
             judged_outside,
             judged_unmarked: judge,
             stream: chosen.stream,
-            ahead: Ahead::default(),
         })
     }
 
-    /// Puts the `k`-th fresh view of a training in its place, and begins the next.
-    pub(crate) fn renew(&mut self, scene: &MarkScene, config: &MarkConfig, k: u64) {
-        let rays = Rays::new(scene, config);
+    /// Puts the `k`-th fresh view of a training in its place: `ready`, where it was worked out before.
+    pub(crate) fn renew(&mut self, scene: &MarkScene, config: &MarkConfig, (k, ready): (u64, Option<BankView>)) {
         if let Some(Fresh { identity, place, view }) = self.stream.fresh(&scene.plan.clusters, k) {
             let at = self.of[identity][place];
-            self.views[at] = self.ahead.take(k).unwrap_or_else(|| rays.taught(view));
+            self.views[at] = ready.unwrap_or_else(|| Rays::new(scene, config).view(view, CUTOFF));
             self.draws.forget(at);
         }
-        if let Some(Fresh { view, .. }) = self.stream.fresh(&scene.plan.clusters, k + 1) {
-            self.ahead.begin(k + 1, rays, view);
-        }
+    }
+
+    /// How the `k`-th fresh view is worked out; `None` where none comes.
+    pub(crate) fn fresh(
+        &self,
+        scene: &MarkScene,
+        config: &MarkConfig,
+        k: u64,
+    ) -> Option<impl FnOnce() -> BankView + Send + 'static + use<>> {
+        let Fresh { view, .. } = self.stream.fresh(&scene.plan.clusters, k)?;
+        let rays = Rays::new(scene, config);
+        Some(move || rays.view(view, CUTOFF))
     }
 
     /// An unmarked picture, `attack` done to it: half are the base field's renders of any view

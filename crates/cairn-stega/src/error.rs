@@ -47,7 +47,9 @@ pub enum MarkError {
         until: f64,
     },
     /// The caller's `progress` asked to stop; nothing was made.
-    #[error("stopped, as asked, while ray weights were worked out; start again to go on")]
+    #[error(
+        "stopped, as asked, before stage 2's first step or after its last; start it, or resume its checkpoint, to go on"
+    )]
     Stopped,
     /// The networks failed.
     #[error(transparent)]

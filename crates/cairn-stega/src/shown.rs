@@ -32,7 +32,7 @@ const LEAST_CUT: f32 = 0.6;
 
 impl MarkTrainer {
     /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks, or
-    /// an owner's are all the same. `hears` is asked before each render, as [`Progress`] has it.
+    /// an owner's are all the same. `hears` is asked before each picture, as [`Progress`] has it.
     ///
     /// # Errors
     /// [`MarkError::NotFinite`] for a feature that is not; [`MarkError`] for marks that do not fit their field;
@@ -46,7 +46,8 @@ impl MarkTrainer {
         rng.set_stream(STREAM);
         let each = RENDERS_EACH.max(RENDERS.div_ceil(owners));
         // Where views are few, or many, some more or less.
-        let mut progress = Progress::new((0, owners * (each + FRESH)), hears);
+        let files = if self.config.robust.enabled { FILES } else { 0 };
+        let mut progress = Progress::new((0, owners * (each + files + FRESH)), hears);
         let mut classes = Vec::with_capacity(owners);
         for site in &self.sites {
             let field = self.marked(site)?;
@@ -133,6 +134,7 @@ impl MarkTrainer {
         let copies = each.div_ceil(views.len().max(1));
         let mut renders = Vec::with_capacity(views.len() * (1 + copies));
         for (view, PlannedView { camera, appearance }) in views.iter().enumerate() {
+            progress.next()?;
             let camera = at_most(camera, self.config.robust.native_px);
             let render = eight_bits(&field.render_as(&camera, appearance, Some(number)));
             renders.extend(self.shown(shrunk(&render, side), identity, (view, false))?);

@@ -7,6 +7,8 @@
 //! anew where `mark.density` is free. Like stage 1, a step reads no clock and no file and draws only from its
 //! seed.
 
+use crate::ahead::Ahead;
+use crate::bank::BankView;
 use crate::carrier::{Carrier, hues};
 use crate::checkpoint::fingerprint;
 use crate::config::{Guidance, MarkConfig};
@@ -70,6 +72,8 @@ pub struct MarkTrainer {
     pub(crate) joined: bool,
     /// The scenes, most often one. Identities and carriers are counted through all of them.
     pub(crate) sites: Vec<Site>,
+    /// The next fresh view of each scene, by its number and the view's.
+    pub(crate) ahead: Ahead<(usize, u64), BankView>,
     /// The plans' and the fields' digest, which a checkpoint must meet again.
     pub(crate) fingerprint: String,
     /// What the heads are to say of each identity, identity 1 first.
@@ -153,6 +157,7 @@ impl MarkTrainer {
             // Without a classifier there is nothing to wait for.
             joined: config.guidance == Guidance::NoClassifier,
             sites,
+            ahead: Ahead::new(),
             fingerprint,
             signals: hidden.iter().map(|s| Numbers::of(s, &heads, config.side_px())).collect(),
             settled: vec![false; carriers.len()],
@@ -230,9 +235,12 @@ impl MarkTrainer {
 
     /// A virtual view of each scene gives its place to a fresh one where the step just taken makes it time to.
     fn renew(&mut self) {
+        let last = fresh_after(&self.config, self.config.steps);
         for k in fresh_after(&self.config, self.step - 1)..fresh_after(&self.config, self.step) {
-            for site in &mut self.sites {
-                site.bank.renew(&site.scene, &self.config, k);
+            for (at, Site { scene, bank, .. }) in self.sites.iter_mut().enumerate() {
+                bank.renew(scene, &self.config, (k, self.ahead.take(&(at, k))));
+                let next = (k + 1 < last).then(|| bank.fresh(scene, &self.config, k + 1)).flatten();
+                next.into_iter().for_each(|work| self.ahead.begin((at, k + 1), work));
             }
         }
     }
@@ -249,7 +257,7 @@ impl MarkTrainer {
     }
 
     /// As [`MarkTrainer::finish`], each scene's marked field in their order. What marked renders look like is learnt
-    /// first, from some hundred of each owner: before each `progress` hears how many are done and about how many
+    /// first, from some hundred of each owner: again and again `progress` hears how many are done and about how many
     /// there are; where it answers false, nothing comes of it, and a checkpoint of before has to be resumed.
     ///
     /// # Errors

@@ -74,8 +74,8 @@ pub struct Args {
     /// Train this row only, by its name in the ledger; may be given several times (suite `ablation`)
     #[arg(long = "row", value_name = "NAME")]
     rows: Vec<String>,
-    /// How many trainings each capture gets, with seeds from `--seed` on (suites `mark` and `honesty`: three, where not
-    /// given; a row says how many there were)
+    /// How many trainings each capture gets, with seeds from `--seed` on (suites `mark` and `honesty`; else three, or one
+    /// with `--quick`). Their rows are another case than without
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
     trainings: Option<u64>,
     /// Also train for twice the configured steps (suite `field`); measure the log of ten million records, alone (suite
@@ -146,7 +146,10 @@ impl Args {
     /// What a row calls `case`: under other settings it is another case.
     fn case_name(&self, case: &str) -> String {
         let settings = self.settings.as_deref().and_then(Path::file_stem).map(|s| format!(", {}", s.to_string_lossy()));
-        format!("{case}{}{}", if self.quick { ", quick" } else { "" }, settings.unwrap_or_default())
+        let trainings =
+            self.trainings.map(|n| if n == 1 { ", one training".into() } else { format!(", {n} trainings") });
+        let quick = if self.quick { ", quick" } else { "" };
+        format!("{case}{quick}{}{}", settings.unwrap_or_default(), trainings.unwrap_or_default())
     }
 
     /// What stands in the file of settings; nothing where there is none.
@@ -178,6 +181,8 @@ impl Args {
 
 /// Answers `cairn bench`.
 pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
+    let many = matches!(args.suite, Suite::Mark | Suite::Honesty);
+    anyhow::ensure!(many || args.trainings.is_none(), "--trainings is for suites `mark` and `honesty`; leave it out");
     // Read now: an unreadable one is better found before the work than after it.
     Ledger::load(&args.ledger)?;
     let mut rows = Rows::new(&args);
