@@ -67,6 +67,15 @@ impl Grown {
     }
 }
 
+/// What comes of stage 2, as bytes of files.
+#[derive(PartialEq, Eq)]
+pub struct Marked {
+    /// The marked fields, a scene each.
+    pub fields: Vec<Vec<u8>>,
+    /// The detector of them all.
+    pub detector: Vec<u8>,
+}
+
 impl Marking {
     /// Stage 2 for the scenes' training views, new, from earlier models or from a checkpoint. Works
     /// out every view's ray weights first; `None` when `preparing` did not want to
@@ -113,12 +122,12 @@ impl Marking {
         }
     }
 
-    /// The marked fields' bytes, a scene each, and the detector's, at the best state judged; `None` when `preparing` did
+    /// What comes of it, at the best state judged; `None` when `preparing` did
     /// not want to go on.
     ///
     /// # Errors
     /// When marks were never read, and when the parts cannot be written out.
-    pub fn finish(self, preparing: Preparing<'_>) -> Result<Option<(Vec<Vec<u8>>, Vec<u8>)>, EngineError> {
+    pub fn finish(self, preparing: Preparing<'_>) -> Result<Option<Marked>, EngineError> {
         if let Some(best) = self.trainer.best() {
             let (step, accuracy, recovered) = (best.step, best.accuracy, best.recovered);
             tracing::info!(step, accuracy, ?recovered, "best state on virtual poses");
@@ -129,7 +138,7 @@ impl Marking {
             finished => finished?,
         };
         let fields = fields.iter().map(MarkedField::to_bytes).collect::<Result<_, _>>()?;
-        Ok(Some((fields, detector.to_bytes()?)))
+        Ok(Some(Marked { fields, detector: detector.to_bytes()? }))
     }
 }
 

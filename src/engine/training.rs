@@ -21,7 +21,7 @@ use super::hidden;
 use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
 use super::joint::{Part, shares, signals};
-use super::marks::{Marking, ToMark};
+use super::marks::{Marked, Marking, ToMark};
 use super::model::{IdentityInfo, MarkFiles};
 use super::quarantine::Quarantine;
 use super::stages::{self, Field, Stage};
@@ -148,7 +148,7 @@ impl Training {
         let finished = trainer.finish(&mut preparing(control))?;
         control.spent(stages::MARK, finishing.elapsed().as_secs_f64())?;
         // The checkpoint of the last step is there, and finishes another time.
-        let Some((fields, detector)) = finished else { return Ok(None) };
+        let Some(Marked { fields, detector }) = finished else { return Ok(None) };
         let files = fields.into_iter().zip(&signals).map(|(field, signals)| {
             let signals = signals.iter().map(hidden::encoded).collect();
             MarkFiles { field, detector: detector.clone(), signals }
