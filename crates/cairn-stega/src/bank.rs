@@ -271,10 +271,10 @@ impl Bank {
         Some(move || rays.view(view, CUTOFF))
     }
 
-    /// An unmarked picture, `attack` done to it: a third are the base field's renders of any view
-    /// in any light (each marked one has its twin besides), the rest pictures of something else, with `jpegs` half of those as JPEGs.
+    /// An unmarked picture, `attack` done to it: half are the base field's renders of any view
+    /// in any light, half pictures of something else, with `jpegs` half of those as JPEGs.
     pub(crate) fn unmarked(&self, side: usize, attack: &Attack, jpegs: bool, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        if rng.random_range(0..3) != 0 {
+        if rng.random_range(0..2) == 0 {
             let seen = attack.apply(self.negatives.draw(jpegs, rng), [side, side]);
             return Window::whole(seen.size[0], seen.size[1], side).apply(&seen.rgb);
         }
