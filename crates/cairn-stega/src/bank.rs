@@ -64,6 +64,8 @@ pub(crate) struct Bank {
     /// Whether a carrier is seen on those as well; else they are without entries for marks.
     marked_outside: bool,
     negatives: Negatives,
+    /// How many of them are shown for each base render.
+    others: u32,
     /// Virtual views kept for judging: identity (from 0) and view.
     pub(crate) judged: Vec<(usize, BankView)>,
     /// Views of nobody's cluster kept for judging, where a carrier is seen on them.
@@ -242,7 +244,8 @@ impl Bank {
             of,
             outside,
             marked_outside,
-            negatives: Negatives::new(side, teach.into_iter()),
+            negatives: Negatives::new(side, config.others_colours, teach.into_iter()),
+            others: config.others,
             judged,
             judged_outside,
             judged_unmarked: judge,
@@ -271,10 +274,10 @@ impl Bank {
         Some(move || rays.view(view, CUTOFF))
     }
 
-    /// An unmarked picture, `attack` done to it: half are the base field's renders of any view
-    /// in any light, half pictures of something else, with `jpegs` half of those as JPEGs.
+    /// An unmarked picture, `attack` done to it: one of the base field's renders of any view in any light, or, by
+    /// `mark.others`, a picture of something else, with `jpegs` half of those as JPEGs.
     pub(crate) fn unmarked(&self, side: usize, attack: &Attack, jpegs: bool, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        if rng.random_range(0..2) == 0 {
+        if rng.random_range(0..=self.others) < self.others {
             let seen = attack.apply(self.negatives.draw(jpegs, rng), [side, side]);
             return Window::whole(seen.size[0], seen.size[1], side).apply(&seen.rgb);
         }

@@ -47,6 +47,18 @@ pub enum MaskKind {
     Binary,
 }
 
+/// What the colours of pictures of something else are like, among a training's unmarked pictures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OthersColours {
+    /// Mixed and exchanged by turns, near those of the scene's photographs; grey stays grey.
+    #[default]
+    Near,
+    /// Any exchange, from none of the colour to more than twice as much, casts, and coloured grain: what may tell a mark
+    /// of one hue, that a channel and lightness vary together, is then seen on what carries none as well.
+    Any,
+}
+
 /// What the classifier is to the detector.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -177,6 +189,10 @@ pub struct MarkConfig {
     /// An owner is no longer believed of pictures that lie this many times as far from the
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
+    /// Pictures of something else for each of the base field's renders, among a step's unmarked pictures, 1 to 16.
+    pub others: u32,
+    /// What their colours are like.
+    pub others_colours: OthersColours,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
     /// How many times finer than hidden pictures are the pictures that the classifier sees, 1, 2 or 4; the
@@ -234,6 +250,8 @@ impl Default for MarkConfig {
             enough_snr_db: 25.0,
             enough_characters: 1.0,
             unfamiliar_beyond: 1.25,
+            others: 1,
+            others_colours: OthersColours::Near,
             robust: RobustConfig::default(),
             finer: 1,
             classifier: ClassifierConfig::default(),
@@ -271,6 +289,7 @@ impl MarkConfig {
         check((1..=64).contains(&self.batch), "mark.batch", self.batch.to_string(), "1 to 64")?;
         check((1..=10_000).contains(&self.views), "mark.views", self.views.to_string(), "1 to 10000")?;
         check(self.virtual_views <= 256, "mark.virtual_views", self.virtual_views.to_string(), "0 to 256")?;
+        check((1..=16).contains(&self.others), "mark.others", self.others.to_string(), "1 to 16")?;
         check(self.fresh_every <= 1_000_000, "mark.fresh_every", self.fresh_every.to_string(), "0 (never) to 1000000")?;
         check(
             (64..=4096).contains(&self.longest_side_px),

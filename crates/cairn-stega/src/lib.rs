@@ -43,7 +43,7 @@ mod trainer;
 mod window;
 
 pub use carrier::Carrier;
-pub use config::{CarrierKind, DensityKind, Guidance, LossKind, MarkConfig, MaskKind};
+pub use config::{CarrierKind, DensityKind, Guidance, LossKind, MarkConfig, MaskKind, OthersColours};
 pub use deepstega::{DeepConfig, DeepStats, DeepStega, DeepTrainer};
 pub use detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use distort::{Distortion, RobustConfig};

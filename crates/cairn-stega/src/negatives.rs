@@ -2,29 +2,40 @@
 //! anything else. Without them a classifier says yes to everything, and a
 //! detector recognises the scene and not the mark.
 
+use crate::config::OthersColours;
 use crate::distort::Blur;
 use cairn_capture::{AreaFilter, Picture};
 use rand::RngExt;
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
+/// Standard deviation of the faintest and of the strongest grain, and of the softest one's blur, px.
+const GRAIN: [f32; 2] = [0.5 / 255.0, 12.0 / 255.0];
+const GRAIN_PX: f32 = 1.5;
+/// Share of the pictures in other colours that are without any.
+const GREY: f64 = 0.1;
+/// Share of them that are cast in one light, so that what is grey has its colour.
+const CAST: f64 = 0.5;
 /// Share of the pictures from the bank that are shown as they are.
 const AS_IT_IS: f64 = 0.4;
 
 /// A bank of unmarked pictures at the networks' size.
 pub(crate) struct Negatives {
     side: usize,
+    /// What their colours become.
+    colours: OthersColours,
     /// Each as it is, and as it is read from a JPEG; `side x side x 3`.
     pictures: Vec<[Vec<f32>; 2]>,
 }
 
 impl Negatives {
-    pub(crate) fn new(side: usize, pictures: impl Iterator<Item = [Vec<f32>; 2]>) -> Self {
-        Self { side, pictures: pictures.collect() }
+    pub(crate) fn new(side: usize, colours: OthersColours, pictures: impl Iterator<Item = [Vec<f32>; 2]>) -> Self {
+        Self { side, colours, pictures: pictures.collect() }
     }
 
     /// One of the bank as it is, or made into a picture of something else: cropped,
-    /// mirrored, in other colours, sharpened, with coloured edges, two laid over one another,
-    /// or plain noise.
+    /// mirrored, in other colours, sharpened, with coloured edges, where colours may be any with coloured grain, two
+    /// laid over one another, or plain noise.
     /// A project has photographs of its landmark only, and the world has others: what
     /// their colours are like must not be what tells a mark.
     /// With `jpegs`, half come as JPEGs.
@@ -62,8 +73,36 @@ impl Negatives {
         if rng.random_range(0..3) == 0 {
             self.fringe(&mut picture, rng);
         }
-        recoloured(&mut picture, rng);
+        match self.colours {
+            OthersColours::Near => recoloured(&mut picture, rng),
+            OthersColours::Any => {
+                recast(&mut picture, rng);
+                if rng.random_range(0..2) == 0 {
+                    self.grain(&mut picture, rng);
+                }
+            }
+        }
         picture
+    }
+
+    /// Faint texture of a colour or two, as fine as a pixel or some pixels wide, all over the picture: brushes, sensors and coding leave
+    /// it, as strong as a mark, and a mark is not any texture.
+    fn grain(&self, picture: &mut [f32], rng: &mut ChaCha8Rng) {
+        let [least, most] = GRAIN;
+        for _ in 0..rng.random_range(1..3) {
+            let strength = least * (most / least).powf(rng.random_range(0.0f32..1.0));
+            let colour: [f32; 3] = std::array::from_fn(|_| rng.random_range(-1.0f32..1.0));
+            let mut noise = Vec::with_capacity(picture.len());
+            for _ in 0..self.side * self.side {
+                let v = rng.random_range(-1.0f32..1.0);
+                noise.extend(colour.map(|c| c * v));
+            }
+            if rng.random_bool(0.5) {
+                noise = Blur::new(rng.random_range(0.3..GRAIN_PX)).apply(&noise, [self.side; 2]);
+            }
+            let size = (noise.iter().map(|v| v * v).sum::<f32>() / noise.len() as f32).sqrt().max(1e-9);
+            picture.iter_mut().zip(noise).for_each(|(p, v)| *p = (*p + strength / size * v).clamp(0.0, 1.0));
+        }
     }
 
     /// One channel moved by up to a pixel and a half each way: coloured edges, as lenses,
@@ -101,27 +140,52 @@ impl Negatives {
     }
 }
 
-/// Channels exchanged, then mixed by a matrix near the identity that keeps grey, then a
-/// curve: other materials, lights and cameras.
+/// Channels exchanged by turns, then mixed by a matrix near the identity, then a curve: other materials, lights and
+/// cameras. Grey stays grey.
 fn recoloured(picture: &mut [f32], rng: &mut ChaCha8Rng) {
     let shift = rng.random_range(0..3);
     let strength = rng.random_range(0.0f32..0.6);
     let gamma = rng.random_range(0.6f32..1.6);
-    let matrix: [[f32; 3]; 3] = std::array::from_fn(|row| {
+    let matrix = mixing(strength, rng);
+    for pixel in picture.chunks_exact_mut(3) {
+        pixel.rotate_left(shift);
+        let mixed = matrix.map(|mix| mix[0] * pixel[0] + mix[1] * pixel[1] + mix[2] * pixel[2]);
+        pixel.iter_mut().zip(mixed).for_each(|(v, m)| *v = m.clamp(0.0, 1.0).powf(gamma));
+    }
+}
+
+/// Channels exchanged in any way, mixed further, with none of the colour to more than twice as much, half of them cast in one
+/// light. How colours vary together is what tells a mark most easily, and other places' photographs have it, too.
+fn recast(picture: &mut [f32], rng: &mut ChaCha8Rng) {
+    let mut order = [0, 1, 2];
+    order.shuffle(rng);
+    let strength = rng.random_range(0.0f32..0.8);
+    let saturation = if rng.random_bool(GREY) { 0.0 } else { 2.5 * rng.random_range(0.0f32..1.0) };
+    let gamma = rng.random_range(0.6f32..1.6);
+    let cast: [f32; 3] = match rng.random_bool(CAST) {
+        true => std::array::from_fn(|_| rng.random_range(0.15f32..1.0)),
+        false => [1.0; 3],
+    };
+    let matrix = mixing(strength, rng);
+    for pixel in picture.chunks_exact_mut(3) {
+        let of = order.map(|c| pixel[c]);
+        let mixed = matrix.map(|mix| mix[0] * of[0] + mix[1] * of[1] + mix[2] * of[2]);
+        let grey = of.iter().sum::<f32>() / 3.0;
+        for ((v, mixed), cast) in pixel.iter_mut().zip(mixed).zip(cast) {
+            *v = (cast * (grey + saturation * (mixed - grey))).clamp(0.0, 1.0).powf(gamma);
+        }
+    }
+}
+
+/// A matrix near the identity, by up to `strength`, that keeps grey.
+fn mixing(strength: f32, rng: &mut ChaCha8Rng) -> [[f32; 3]; 3] {
+    std::array::from_fn(|row| {
         let mut mix: [f32; 3] =
             std::array::from_fn(|c| f32::from(u8::from(c == row)) + strength * rng.random_range(-1.0f32..1.0));
         let off = (mix.iter().sum::<f32>() - 1.0) / 3.0;
         mix.iter_mut().for_each(|m| *m -= off);
         mix
-    });
-    for pixel in picture.chunks_exact_mut(3) {
-        pixel.rotate_left(shift);
-        let of = [pixel[0], pixel[1], pixel[2]];
-        for (v, mix) in pixel.iter_mut().zip(&matrix) {
-            let mixed = mix[0] * of[0] + mix[1] * of[1] + mix[2] * of[2];
-            *v = mixed.clamp(0.0, 1.0).powf(gamma);
-        }
-    }
+    })
 }
 
 /// A picture at the networks' size, clamped to what a file can hold.
@@ -135,7 +199,7 @@ mod tests {
     use rand::SeedableRng;
 
     #[test]
-    fn other_colours_keep_grey_grey_and_stay_in_range() {
+    fn near_colours_keep_grey_grey_and_stay_in_range() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for _ in 0..50 {
             let mut picture = vec![0.4, 0.4, 0.4, 1.0, 0.0, 0.3, 0.0, 0.0, 0.0];
@@ -147,9 +211,67 @@ mod tests {
     }
 
     #[test]
+    fn any_colours_stay_in_range_and_some_are_none_or_cast_on_what_is_grey() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        // Of as many pictures: those in which a grey pixel stays grey, and those in which a coloured one becomes so.
+        let (mut uncast, mut grey) = (0, 0);
+        for _ in 0..400 {
+            let mut picture = vec![0.4, 0.4, 0.4, 1.0, 0.0, 0.3, 0.0, 0.0, 0.0];
+            recast(&mut picture, &mut rng);
+            assert!(picture.iter().all(|v| (0.0..=1.0).contains(v)), "{picture:?}");
+            let same = |pixel: &[f32]| pixel.iter().all(|v| (v - pixel[0]).abs() < 1e-5);
+            uncast += usize::from(same(&picture[..3]));
+            grey += usize::from(same(&picture[..3]) && same(&picture[3..6]));
+        }
+        assert!((160..240).contains(&uncast), "half are cast, and {uncast} of 400 are not");
+        assert!((8..40).contains(&grey), "one in ten has no colour, of those not cast {grey}");
+    }
+
+    /// How red-green and lightness vary together over `picture`.
+    fn together(picture: &[f32]) -> f32 {
+        let of = |pixel: &[f32]| (pixel[0] - pixel[1], pixel.iter().sum::<f32>());
+        let n = (picture.len() / 3) as f32;
+        let (red, light) = picture.chunks_exact(3).map(of).fold((0.0, 0.0), |sum, of| (sum.0 + of.0, sum.1 + of.1));
+        picture.chunks_exact(3).map(of).map(|(r, l)| (r - red / n) * (l - light / n)).sum()
+    }
+
+    #[test]
+    fn colour_goes_with_light_either_way() {
+        // Grey stripes: a mark of one hue, tilted towards grey, has colour that goes with light.
+        let stripes: Vec<f32> = (0..64).flat_map(|i| [if i % 2 == 0 { 0.3 } else { 0.7 }; 3]).collect();
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let mut ways = [0; 2];
+        for _ in 0..200 {
+            let mut picture = stripes.clone();
+            recast(&mut picture, &mut rng);
+            let with = together(&picture);
+            ways[0] += usize::from(with > 0.1);
+            ways[1] += usize::from(with < -0.1);
+        }
+        assert!(ways.iter().all(|way| (30..80).contains(way)), "{ways:?} of 200");
+    }
+
+    #[test]
+    fn grain_is_faint_and_not_grey() {
+        let bank = Negatives::new(32, OthersColours::Any, std::iter::empty());
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        for _ in 0..40 {
+            let mut picture = vec![0.5; 32 * 32 * 3];
+            bank.grain(&mut picture, &mut rng);
+            let off: Vec<f32> = picture.iter().map(|v| v - 0.5).collect();
+            let size = (off.iter().map(|v| v * v).sum::<f32>() / off.len() as f32).sqrt();
+            // One or two, each between these.
+            assert!((0.9 * GRAIN[0]..2.1 * GRAIN[1]).contains(&size), "{size}");
+            let coloured =
+                off.chunks_exact(3).filter(|p| (p[0] - p[1]).abs() + (p[1] - p[2]).abs() > 0.1 * size).count();
+            assert!(coloured > 32 * 16, "{coloured} of 1024");
+        }
+    }
+
+    #[test]
     fn a_fringe_moves_one_channel_and_leaves_the_others() {
         let ramp: Vec<f32> = (0..16 * 16).flat_map(|i| [(i % 16) as f32 / 16.0; 3]).collect();
-        let bank = Negatives::new(16, std::iter::empty());
+        let bank = Negatives::new(16, OthersColours::Near, std::iter::empty());
         let mut rng = ChaCha8Rng::seed_from_u64(9);
         for _ in 0..20 {
             let mut moved = ramp.clone();
@@ -164,7 +286,7 @@ mod tests {
     #[test]
     fn what_is_drawn_differs_and_is_a_picture() {
         let half: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
-        let bank = Negatives::new(16, std::iter::once([half.clone(), half]));
+        let bank = Negatives::new(16, OthersColours::Near, std::iter::once([half.clone(), half]));
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let drawn: Vec<Vec<f32>> = (0..40).map(|_| bank.draw(true, &mut rng)).collect();
         assert!(drawn.iter().all(|p| p.len() == 16 * 16 * 3 && p.iter().all(|v| (0.0..=1.0).contains(v))));
@@ -173,9 +295,24 @@ mod tests {
     }
 
     #[test]
+    fn what_is_grey_gets_colour_where_colours_may_be_any() {
+        let grey: Vec<f32> = (0..16 * 16).flat_map(|i| [(i % 16) as f32 / 16.0; 3]).collect();
+        let coloured = |colours: OthersColours| {
+            let bank = Negatives::new(16, colours, std::iter::once([grey.clone(), grey.clone()]));
+            let mut rng = ChaCha8Rng::seed_from_u64(5);
+            let has_colour = |picture: &Vec<f32>| picture.chunks_exact(3).any(|p| (p[0] - p[1]).abs() > 0.01);
+            (0..300).filter(|_| has_colour(&bank.draw(false, &mut rng))).count()
+        };
+        // Plain noise, one in twelve, and moved channels, one in three of those that are not shown as they are.
+        let [near, any] = [OthersColours::Near, OthersColours::Any].map(coloured);
+        assert!((50..110).contains(&near), "{near} of 300");
+        assert!((130..200).contains(&any), "{any} of 300");
+    }
+
+    #[test]
     fn jpegs_are_drawn_when_asked_for_and_never_else() {
         let [plain, jpeg] = [0.2, 0.9].map(|v| vec![v; 16 * 16 * 3]);
-        let bank = Negatives::new(16, std::iter::once([plain.clone(), jpeg.clone()]));
+        let bank = Negatives::new(16, OthersColours::Near, std::iter::once([plain.clone(), jpeg.clone()]));
         let drawn = |jpegs: bool| {
             let mut rng = ChaCha8Rng::seed_from_u64(4);
             let all: Vec<Vec<f32>> = (0..400).map(|_| bank.draw(jpegs, &mut rng)).collect();
