@@ -8,7 +8,8 @@ use cairn_cluster::Clusters;
 use cairn_field::watermarks;
 use cairn_metrics::psnr_db_from_mse;
 use cairn_stega::{
-    Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Signal, at_most,
+    Earlier, Judgement, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Recovered, Signal,
+    at_most,
 };
 
 pub use cairn_stega::{Detector, MarkedField};
@@ -24,6 +25,11 @@ pub const JUDGE_EVERY: u64 = 50;
 const EXPLAINED_BY: usize = 12;
 /// Longest side at which they do, pixels.
 const EXPLAINED_PX: usize = 640;
+
+/// Shares (and SSIM) of what comes back below which people are told so.
+const WEAK: f64 = 0.9;
+/// The same of sounds, SNR in dB.
+const WEAK_SNR_DB: f64 = 15.0;
 
 /// Trains the marked fields and the detector, and keeps the best state judged.
 pub struct Marking {
@@ -160,8 +166,32 @@ impl Stage for Marking {
     }
 
     fn notes(&self) -> Vec<String> {
-        self.note.iter().cloned().collect()
+        let is_done = self.trainer.steps_done() >= self.trainer.steps_total();
+        let weak = self.trainer.best().filter(|_| is_done).and_then(weak_note);
+        self.note.iter().cloned().chain(weak).collect()
     }
+}
+
+/// What to say where marks or signals do not come back well from the virtual poses of the state that is kept.
+fn weak_note(kept: &Judgement) -> Option<String> {
+    let Recovered { picture_ssim, audio_snr_db, text_characters } = kept.recovered;
+    let share = |what: &str, share: f64| (share < WEAK).then(|| format!("{what} {:.0} %", 100.0 * share));
+    let weak: Vec<String> = [
+        share("answers right:", kept.accuracy),
+        picture_ssim.filter(|ssim| *ssim < WEAK).map(|ssim| format!("hidden pictures' SSIM: {ssim:.2}")),
+        audio_snr_db.filter(|snr| *snr < WEAK_SNR_DB).map(|snr| format!("hidden sounds' SNR: {snr:.1} dB")),
+        text_characters.and_then(|characters| share("hidden texts' characters:", characters)),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    (!weak.is_empty()).then(|| {
+        format!(
+            "marks are not read as they should be from poses between photographs ({}): train with more steps (mark.steps), \
+             stronger marks (a lower mark.budget_db) or fewer identities",
+            weak.join(", ")
+        )
+    })
 }
 
 /// What to say where marks are `kept` fainter than was `asked` for; a resumed training does not
@@ -203,4 +233,28 @@ fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture]) -> f64 
         }
     }
     if count > 0 { psnr_db_from_mse(squares / count as f64) } else { f64::NEG_INFINITY }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_does_not_come_back_is_said_and_what_does_is_not() {
+        let recovered = |picture_ssim, audio_snr_db, text_characters| Judgement {
+            step: 1400,
+            accuracy: 1.0,
+            attacked: 1.0,
+            recovered: Recovered { picture_ssim, audio_snr_db, text_characters },
+        };
+        assert_eq!(weak_note(&recovered(Some(0.97), Some(30.0), Some(1.0))), None);
+        assert_eq!(weak_note(&recovered(None, None, None)), None);
+        let note = weak_note(&recovered(Some(0.02), Some(3.0), Some(0.5))).unwrap();
+        assert!(
+            note.contains("(hidden pictures' SSIM: 0.02, hidden sounds' SNR: 3.0 dB, hidden texts' characters: 50 %)"),
+            "{note}"
+        );
+        let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }).unwrap();
+        assert!(confused.contains("(answers right: 60 %)"), "{confused}");
+    }
 }

@@ -2,7 +2,9 @@
 //! what a setting of `[mark]` does. The base field is trained once and kept in
 //! FIELD.
 //!
-//! `cargo run --release -p cairn-stega --example liberty -- FOLDER SCALE SIGNALS FIELD [mark settings] [field settings]`
+//! `cargo run --release -p cairn-stega --example liberty -- FOLDER SCALE SIGNALS FIELD [MARK [FIELD SETTINGS [ANCHORS NEIGHBOURS]]]`
+//!
+//! MARK and FIELD SETTINGS are JSON; pictures of SIGNALS are hidden by turns where there are more anchors.
 
 use cairn_capture::{Capture, Picture, ReadOptions, View, decode_picture};
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
@@ -17,7 +19,7 @@ type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
 fn main() -> Fallible<()> {
     let arguments: Vec<String> = std::env::args().collect();
     let [_, folder, scale, signals, field_file, rest @ ..] = arguments.as_slice() else {
-        return Err("usage: liberty FOLDER SCALE SIGNALS FIELD [mark settings] [field settings]".into());
+        return Err("usage: liberty FOLDER SCALE SIGNALS FIELD [MARK [FIELD SETTINGS [ANCHORS NEIGHBOURS]]]".into());
     };
     let scale: f64 = scale.parse()?;
     let setting = |i: usize| rest.get(i).map_or("{}", String::as_str);
@@ -34,6 +36,9 @@ fn main() -> Fallible<()> {
     let field = base_field(&capture, field_file, setting(1), &camera, &photograph)?;
     let poses: Vec<_> = capture.views.iter().map(|v| v.camera.pose).collect();
     let mut around = ClusterConfig::default();
+    if let [_, _, anchors, neighbours] = rest {
+        (around.anchors, around.neighbours) = (anchors.parse()?, neighbours.parse()?);
+    }
     around.neighbours = around.neighbours.min(poses.len() / around.anchors);
     let grouping = Grouping::Anchors(around);
     let clusters = Clusters::build(&poses, &grouping, &[], 1)?;
@@ -49,6 +54,7 @@ fn main() -> Fallible<()> {
     files.sort();
     let hidden = files
         .iter()
+        .cycle()
         .take(clusters.clusters.len())
         .map(|f| Ok(decode_picture(&std::fs::read(f)?, &cairn_capture::Limits::default(), None)?))
         .collect::<Fallible<Vec<_>>>()?;

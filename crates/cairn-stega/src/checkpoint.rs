@@ -27,6 +27,9 @@ struct Header {
     /// Bits of the running cross-entropy: infinity has no place in JSON.
     classify_bits: u64,
     joined: bool,
+    /// After which step; none in checkpoints of before it was asked.
+    #[serde(default)]
+    joined_at: u64,
     enough: bool,
     converged: bool,
     carrier_steps: Vec<u64>,
@@ -86,7 +89,8 @@ impl MarkTrainer {
             seed: self.seed,
             step: self.step,
             classify_bits: self.classify.to_bits(),
-            joined: self.joined,
+            joined: self.joined.is_some(),
+            joined_at: self.joined.unwrap_or(0),
             enough: self.enough,
             converged: self.converged,
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
@@ -221,7 +225,7 @@ impl MarkTrainer {
         }
         self.step = header.step;
         self.classify = classify;
-        self.joined = header.joined;
+        self.joined = header.joined.then_some(header.joined_at);
         (self.enough, self.converged) = (header.enough, header.converged);
         Ok(())
     }

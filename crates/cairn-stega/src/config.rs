@@ -96,8 +96,8 @@ pub struct MarkConfig {
     pub steps: u64,
     /// Share of the steps, above 0 to 1, that adding identities to a trained scene takes.
     pub grow_share: f64,
-    /// Marked renders a step, 1 to 64; each goes with the base field's render of
-    /// the same view and with an unmarked picture of anything.
+    /// Marked renders a step, 1 to 64, and never fewer than there are identities; each goes with the base field's
+    /// render of the same view and with an unmarked picture of anything.
     pub batch: usize,
     /// l0, weight of the classification (equation 3); 0 to 1,000,000.
     pub weight_classify: f64,

@@ -204,7 +204,7 @@ impl MarkTrainer {
             count(&read[1].0, 0);
             self.attacked(at as u64, (site, identity), view, &mut outlasted)?;
             // Before the detector has joined it says nothing, and is asked nothing.
-            if self.joined {
+            if self.joined.is_some() {
                 tally.count(&read[0].1, &self.signals[identity], hidden_side)?;
             }
         }
@@ -228,7 +228,7 @@ impl MarkTrainer {
             recovered: tally.means(),
         };
         // Before the budget has tightened marks are easier to read than they may be.
-        let fair = self.step >= self.ramp_steps();
+        let fair = self.tightened() >= 1.0;
         if fair && self.best.as_ref().is_none_or(|b| judgement.score() >= b.judgement.score()) {
             self.best = Some(State {
                 judgement,

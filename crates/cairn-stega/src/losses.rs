@@ -42,7 +42,7 @@ impl MarkTrainer {
         let each = surprises(&probabilities.to_vec2::<f32>()?, &classes);
         let taught = self.config.guidance != Guidance::NoClassifier;
         let weighted = (cross * if taught { self.config.weight_classify } else { 0.0 })?;
-        if !self.joined {
+        if self.joined.is_none() {
             return Ok((weighted, Losses { classify, each, recover: 0.0 }));
         }
         // The gate silences most unmarked pictures by itself: one twin and one other

@@ -50,14 +50,14 @@ pub(crate) struct Shown {
 }
 
 impl MarkTrainer {
-    /// Renders one view of each of `batch` identities, marked and not. Where one
+    /// Renders one view of each of [`MarkTrainer::batch`] identities, marked and not. Where one
     /// carrier is seen from everywhere, also a view of nobody's cluster: what theta
     /// shows there is to be silent (equation 2).
     pub(crate) fn marked_renders(&self, rng: &mut ChaCha8Rng) -> Shown {
         let identities = self.signals.len();
-        let first = (self.step as usize * self.config.batch) % identities;
+        let first = (self.step as usize * self.batch()) % identities;
         let mut shown = Shown::default();
-        for k in 0..self.config.batch {
+        for k in 0..self.batch() {
             let identity = (first + k) % identities;
             let site = self.site_of(identity);
             let of_site = self.sites[site].identities.clone();
@@ -143,7 +143,7 @@ impl MarkTrainer {
     /// What happens to a picture of this step. Not before marks are read at all:
     /// what is not there yet cannot be made to last.
     pub(crate) fn attack(&self, rng: &mut ChaCha8Rng) -> Attack {
-        if self.joined { Attack::draw(&self.config.robust, rng) } else { Attack::none() }
+        if self.joined.is_some() { Attack::draw(&self.config.robust, rng) } else { Attack::none() }
     }
 
     /// What happens to a picture of this step that was never marked: a JPEG also where marks are not
@@ -151,7 +151,7 @@ impl MarkTrainer {
     /// edges look most like a mark. Nothing else: what a mark outlasts by itself must not speak against it.
     pub(crate) fn attack_on_unmarked(&self, rng: &mut ChaCha8Rng) -> Attack {
         let robust = &self.config.robust;
-        match robust.has_jpegs() || !self.joined || rng.random_bool(1.0 - JPEGS) {
+        match robust.has_jpegs() || self.joined.is_none() || rng.random_bool(1.0 - JPEGS) {
             true => self.attack(rng),
             false => Attack::jpeg(robust, rng),
         }

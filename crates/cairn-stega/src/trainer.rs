@@ -62,14 +62,17 @@ pub struct MarkStats {
     pub kept_db: f64,
 }
 
+/// How far the budget tightens at most while the detector waits for marks to be read.
+const UNREAD: f64 = 0.5;
+
 /// Trains a marked field, a detector and a classifier; see the module's text.
 pub struct MarkTrainer {
     pub(crate) config: MarkConfig,
     pub(crate) seed: u64,
     pub(crate) step: u64,
-    /// Running mean of the cross-entropy, and whether the detector has joined.
+    /// Running mean of the cross-entropy, and after which step the detector joined, if it has.
     pub(crate) classify: f64,
-    pub(crate) joined: bool,
+    pub(crate) joined: Option<u64>,
     /// The scenes, most often one. Identities and carriers are counted through all of them.
     pub(crate) sites: Vec<Site>,
     /// The next fresh view of each scene, by its number and the view's.
@@ -155,7 +158,7 @@ impl MarkTrainer {
             step: 0,
             classify: f64::INFINITY,
             // Without a classifier there is nothing to wait for.
-            joined: config.guidance == Guidance::NoClassifier,
+            joined: (config.guidance == Guidance::NoClassifier).then_some(0),
             sites,
             ahead: Ahead::new(),
             fingerprint,
@@ -198,10 +201,10 @@ impl MarkTrainer {
         let shown = self.marked_renders(&mut rng);
         let (mut pictures, renders) = (shown.marked, shown.renders);
         pictures.extend(shown.twins);
-        for _ in 0..self.config.batch {
+        for _ in 0..self.batch() {
             let attack = self.attack_on_unmarked(&mut rng);
             let mut other =
-                self.any_site(&mut rng).bank.unmarked(self.config.shown_px(), &attack, self.joined, &mut rng);
+                self.any_site(&mut rng).bank.unmarked(self.config.shown_px(), &attack, self.joined.is_some(), &mut rng);
             Tone::draw(&mut rng).apply(&mut other);
             pictures.push(other);
         }
@@ -227,8 +230,12 @@ impl MarkTrainer {
         self.average.take_in(&self.networks.params)?;
         self.hear(&renders, &each);
         self.classify = if self.classify.is_finite() { 0.9 * self.classify + 0.1 * classify } else { classify };
-        self.joined |= self.classify < self.config.classify_until;
         self.step += 1;
+        // In the last step it would be too late for the budget.
+        let in_time = self.step < self.config.steps || self.step == 1;
+        if self.joined.is_none() && in_time && self.classify < self.config.classify_until {
+            self.joined = Some(self.step);
+        }
         self.renew();
         Ok(self.stats(value, classify, recover, owed.kept_db))
     }
@@ -266,7 +273,7 @@ impl MarkTrainer {
         mut self,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<(Vec<MarkedField>, Detector), MarkError> {
-        if !self.joined {
+        if self.joined.is_none() {
             let (steps, classify, until) = (self.step, self.classify, self.config.classify_until);
             return Err(MarkError::NotLearnt { steps, classify, until });
         }
@@ -290,7 +297,7 @@ impl MarkTrainer {
     /// Takes in how the step's `renders` and their twins were told; `each` has first those, then these.
     fn hear(&mut self, renders: &[Render], each: &[f32]) {
         let (marked, twins) = each.split_at(renders.len());
-        for ((render, marked), twin) in renders.iter().zip(marked).zip(twins).take(self.config.batch) {
+        for ((render, marked), twin) in renders.iter().zip(marked).zip(twins).take(self.batch()) {
             self.sites[render.site].bank.draws.hear(render.view, 0.5 * (marked + twin));
         }
     }
@@ -314,22 +321,26 @@ impl MarkTrainer {
         }
     }
 
-    /// Steps after which the budget stands at its final value; 0 where there is none.
-    pub(crate) fn ramp_steps(&self) -> u64 {
-        if self.config.budget { (self.config.steps as f64 * self.config.budget_ramp) as u64 } else { 0 }
+    /// How far the budget has tightened, 0 to 1.
+    pub(crate) fn tightened(&self) -> f64 {
+        tightened(&self.config, self.step, self.joined)
     }
 
     /// How close to the base field's renders must be kept in this step, dB.
     pub(crate) fn budget_now_db(&self) -> f64 {
-        let share = (self.step as f64 / self.ramp_steps().max(1) as f64).min(1.0);
-        self.config.budget_start_db + (self.config.budget_db - self.config.budget_start_db) * share
+        self.config.budget_start_db + (self.config.budget_db - self.config.budget_start_db) * self.tightened()
     }
 
     /// How surely marks are read, 0 to 1: the cross-entropy's distance below
     /// `classify_until`. 0 until the detector has joined.
     pub(crate) fn ease(&self) -> f32 {
         let below = 1.0 - self.classify / self.config.classify_until;
-        if self.joined { below.clamp(0.0, 1.0) as f32 } else { 0.0 }
+        if self.joined.is_some() { below.clamp(0.0, 1.0) as f32 } else { 0.0 }
+    }
+
+    /// Marked renders a step: none of the identities misses one, however many there are.
+    pub(crate) fn batch(&self) -> usize {
+        self.config.batch.max(self.signals.len())
     }
 
     /// The scene of identity `i` (from 0).
@@ -348,4 +359,49 @@ impl MarkTrainer {
 /// How many fresh views have come to each scene after `steps` steps.
 fn fresh_after(config: &MarkConfig, steps: u64) -> u64 {
     steps.checked_div(config.fresh_every).unwrap_or(0)
+}
+
+/// How far the budget has tightened after `step` steps, 0 to 1 (1 where there is none): evenly over `mark.budget_ramp` of all
+/// steps, but before marks are read at all no further than [`UNREAD`]; from where the detector has `joined` on as fast, or
+/// in half of the steps that are left.
+fn tightened(config: &MarkConfig, step: u64, joined: Option<u64>) -> f64 {
+    let (step, steps) = (step as f64, config.steps as f64);
+    let ramp = (steps * config.budget_ramp).floor();
+    if !config.budget || ramp < 1.0 {
+        return 1.0;
+    }
+    match joined.map(|at| at as f64) {
+        None => (step / ramp).min(UNREAD),
+        Some(at) if at <= UNREAD * ramp => (step / ramp).min(1.0),
+        Some(at) => {
+            let rest = ((1.0 - UNREAD) * ramp).min(0.5 * (steps - at)).max(1.0);
+            (UNREAD + (1.0 - UNREAD) * (step - at) / rest).min(1.0)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_budget_waits_until_marks_are_read_and_is_met_before_the_end() {
+        let config = MarkConfig { steps: 1000, budget_ramp: 0.4, ..MarkConfig::default() };
+        let at = |step, joined| tightened(&config, step, joined);
+        // Read early, it tightens evenly.
+        for (step, share) in [(0, 0.0), (100, 0.25), (200, 0.5), (400, 1.0), (900, 1.0)] {
+            assert!((at(step, Some(50)) - share).abs() < 1e-12, "{step}");
+        }
+        // Not read, it waits; read late, it goes on from there as fast,
+        assert_eq!((at(60, None), at(300, None), at(900, None)), (0.15, UNREAD, UNREAD));
+        assert_eq!(at(300, Some(300)), UNREAD);
+        assert!((at(340, Some(300)) - (UNREAD + 0.1)).abs() < 1e-12);
+        assert_eq!(at(500, Some(300)), 1.0);
+        // or faster, so that what is kept meets it.
+        assert!(at(940, Some(900)) < 1.0 && at(950, Some(900)) == 1.0);
+        assert_eq!(at(1000, Some(1000)), UNREAD);
+        let none = MarkConfig { budget: false, ..config.clone() };
+        assert_eq!(tightened(&none, 0, None), 1.0);
+        assert_eq!(tightened(&MarkConfig { budget_ramp: 0.0, ..config }, 0, None), 1.0);
+    }
 }

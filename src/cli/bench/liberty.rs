@@ -9,6 +9,11 @@ use super::super::{look, scene, train};
 use super::Args;
 use super::rows::Rows;
 
+/// Clusters, where it is not said how many.
+pub const ANCHORS: u32 = 3;
+/// Views of each.
+pub const NEIGHBOURS: u32 = 20;
+
 /// Trains and scores it, and adds its rows.
 pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
     let from = args.captures()?.join("liberty");
@@ -35,8 +40,8 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
     scene::import(line, &import).await?;
     let train = train::Args {
         name: "liberty".into(),
-        anchors: 3,
-        neighbours: Some(20),
+        anchors: args.anchors,
+        neighbours: Some(args.neighbours),
         by_contributor: false,
         least_views: 2,
         seed: args.seed,
@@ -51,7 +56,9 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         keys: None,
     };
     let job = train::run_to_end(line, &train).await?;
-    let case = args.case_name("liberty");
+    let (m, k) = (args.anchors, args.neighbours);
+    let clusters = if (m, k) == (ANCHORS, NEIGHBOURS) { String::new() } else { format!(", {m} anchors of {k} views") };
+    let case = args.case_name(&format!("liberty{clusters}"));
     for stage in &job.stages {
         rows.add(&case, &stage.stage, stage.seconds, "s", None);
     }

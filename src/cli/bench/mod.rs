@@ -60,6 +60,12 @@ pub struct Args {
     /// Stop after the base field (suites `demo` and `liberty`)
     #[arg(long)]
     base_only: bool,
+    /// M, the number of clusters around anchors (suite `liberty`). Other clusters than three of twenty are another case
+    #[arg(long, value_name = "M", default_value_t = liberty::ANCHORS)]
+    anchors: u32,
+    /// K, the views of a cluster (suite `liberty`)
+    #[arg(long, value_name = "K", default_value_t = liberty::NEIGHBOURS)]
+    neighbours: u32,
     /// Pictures to hide, in order of file name (suite `liberty`: drawn where not given; `mark`
     /// and `baseline`: else the captures' folder `signals`)
     #[arg(long, value_name = "DIR")]

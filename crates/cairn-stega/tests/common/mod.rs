@@ -86,7 +86,8 @@ pub fn plan() -> MarkPlan {
 pub fn plan_of(field: &Field, identities: usize, photograph: fn(&Camera) -> Picture) -> MarkPlan {
     let cameras = cameras();
     let poses: Vec<Pose> = cameras.iter().map(|c| c.pose).collect();
-    let grouping = Grouping::Anchors(ClusterConfig { anchors: identities, neighbours: 4, ..ClusterConfig::default() });
+    let neighbours = 4.min(cameras.len() / identities);
+    let grouping = Grouping::Anchors(ClusterConfig { anchors: identities, neighbours, ..ClusterConfig::default() });
     let appearance = field.canonical_appearance().clone();
     MarkPlan {
         clusters: Clusters::build(&poses, &grouping, &[], 5).unwrap(),
