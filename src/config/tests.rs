@@ -1,6 +1,7 @@
 //! The default file against the defaults in code, and what is refused.
 
 use cairn_field::AppearanceMode;
+use cairn_stega::OthersColours;
 
 use super::raw::Raw;
 use super::*;
@@ -51,6 +52,25 @@ fn shipped_overlays_are_accepted() {
     ] {
         let settings = training_settings(&base, &[(name, text)]).unwrap();
         assert_ne!(settings, base, "{name}.toml changes nothing");
+    }
+}
+
+#[test]
+fn pictures_of_something_else_take_any_colours_where_nothing_says_otherwise() {
+    let base = Config::from_toml("", "test").unwrap().training;
+    let others = |over: &[(&str, &str)]| {
+        let overlays: Vec<(&str, &str)> =
+            [overlay_for(SceneKind::ForwardFacing)].into_iter().chain(over.iter().copied()).collect();
+        let mark = training_settings(&base, &overlays).unwrap().mark;
+        (mark.others, mark.others_colours)
+    };
+    assert_eq!(others(&[]), (2, OthersColours::Any));
+    for (name, text) in [
+        ("quick", QUICK_TOML),
+        ("robust", include_str!("../../configs/robust.toml")),
+        ("paper", include_str!("../../configs/paper.toml")),
+    ] {
+        assert_eq!(others(&[(name, text)]), (1, OthersColours::Near), "{name}");
     }
 }
 

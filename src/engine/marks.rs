@@ -175,7 +175,7 @@ impl Stage for Marking {
 /// What to say where marks or signals do not come back well from the virtual poses of the state that is kept.
 fn weak_note(kept: &Judgement) -> Option<String> {
     let Recovered { picture_ssim, audio_snr_db, text_characters } = kept.recovered;
-    let share = |what: &str, share: f64| (share < WEAK).then(|| format!("{what} {:.0} %", 100.0 * share));
+    let share = |what: &str, share: f64| (share < WEAK).then(|| format!("{what} {:.1} %", 100.0 * share));
     let weak: Vec<String> = [
         share("answers right:", kept.accuracy),
         picture_ssim.filter(|ssim| *ssim < WEAK).map(|ssim| format!("hidden pictures' SSIM: {ssim:.2}")),
@@ -187,8 +187,8 @@ fn weak_note(kept: &Judgement) -> Option<String> {
     .collect();
     (!weak.is_empty()).then(|| {
         format!(
-            "marks are not read as they should be from poses between photographs ({}): train with more steps (mark.steps), \
-             stronger marks (a lower mark.budget_db) or fewer identities",
+            "poses between photographs are not answered as they should be ({}): train with more steps (mark.steps), \
+             stronger marks (a lower mark.budget_db, or where the job keeps them fainter a higher mark.most_cost_db) or fewer identities",
             weak.join(", ")
         )
     })
@@ -251,10 +251,12 @@ mod tests {
         assert_eq!(weak_note(&recovered(None, None, None)), None);
         let note = weak_note(&recovered(Some(0.02), Some(3.0), Some(0.5))).unwrap();
         assert!(
-            note.contains("(hidden pictures' SSIM: 0.02, hidden sounds' SNR: 3.0 dB, hidden texts' characters: 50 %)"),
+            note.contains(
+                "(hidden pictures' SSIM: 0.02, hidden sounds' SNR: 3.0 dB, hidden texts' characters: 50.0 %)"
+            ),
             "{note}"
         );
         let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }).unwrap();
-        assert!(confused.contains("(answers right: 60 %)"), "{confused}");
+        assert!(confused.contains("(answers right: 60.0 %)"), "{confused}");
     }
 }

@@ -36,8 +36,12 @@ fn main() -> Fallible<()> {
     let field = base_field(&capture, field_file, setting(1), &camera, &photograph)?;
     let poses: Vec<_> = capture.views.iter().map(|v| v.camera.pose).collect();
     let mut around = ClusterConfig::default();
-    if let [_, _, anchors, neighbours] = rest {
-        (around.anchors, around.neighbours) = (anchors.parse()?, neighbours.parse()?);
+    match rest {
+        [_, _, anchors, neighbours] => {
+            (around.anchors, around.neighbours) = (anchors.parse::<usize>()?.max(1), neighbours.parse()?);
+        }
+        rest if rest.len() > 2 => return Err("ANCHORS and NEIGHBOURS come together, and nothing after them".into()),
+        _ => {}
     }
     around.neighbours = around.neighbours.min(poses.len() / around.anchors);
     let grouping = Grouping::Anchors(around);

@@ -219,6 +219,9 @@ impl MarkTrainer {
             self.networks.params.load(&params)?;
             self.best = Some(State { judgement, params, carriers });
         }
+        if header.joined_at > header.step {
+            return damaged(format!("`joined_at` is {}, after {} steps", header.joined_at, header.step));
+        }
         self.networks.params.load(&part(file, "networks")?)?;
         if !header.settled.is_empty() {
             self.settled.clone_from(&header.settled);

@@ -96,7 +96,7 @@ pub struct MarkConfig {
     pub steps: u64,
     /// Share of the steps, above 0 to 1, that adding identities to a trained scene takes.
     pub grow_share: f64,
-    /// Marked renders a step, 1 to 64, and never fewer than there are identities; each goes with the base field's
+    /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64. Each goes with the base field's
     /// render of the same view and with an unmarked picture of anything.
     pub batch: usize,
     /// l0, weight of the classification (equation 3); 0 to 1,000,000.
@@ -189,7 +189,8 @@ pub struct MarkConfig {
     /// An owner is no longer believed of pictures that lie this many times as far from the
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
-    /// Pictures of something else for each of the base field's renders, among a step's unmarked pictures, 1 to 16.
+    /// Among a step's unmarked pictures of anything (not the marked renders' twins) how many are of something else for each
+    /// render of the base field, 1 to 16.
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OthersColours,

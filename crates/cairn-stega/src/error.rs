@@ -36,7 +36,7 @@ pub enum MarkError {
     },
     /// Training ended before the marks could be read, so that the detector never trained.
     #[error(
-        "after {steps} steps the classifier's cross-entropy is {classify:.3} nats and never fell below `mark.classify_until` = {until}: the marks were not learnt. Train again with more `mark.steps`, or with stronger marks (a lower `mark.budget_db`; without a budget, a lower `mark.weight_picture`)"
+        "after {steps} steps the classifier's cross-entropy is {classify:.3} nats and did not fall below `mark.classify_until` = {until} in time: the marks were not learnt. Train again with more `mark.steps`, or with stronger marks (a lower `mark.budget_db`; without a budget, a lower `mark.weight_picture`)"
     )]
     NotLearnt {
         /// Steps done.

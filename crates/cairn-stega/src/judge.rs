@@ -228,7 +228,7 @@ impl MarkTrainer {
             recovered: tally.means(),
         };
         // Before the budget has tightened marks are easier to read than they may be.
-        let fair = self.tightened() >= 1.0;
+        let fair = self.tightened_last() >= 1.0;
         if fair && self.best.as_ref().is_none_or(|b| judgement.score() >= b.judgement.score()) {
             self.best = Some(State {
                 judgement,

@@ -64,6 +64,11 @@ pub struct MarkStats {
 
 /// How far the budget tightens at most while the detector waits for marks to be read.
 const UNREAD: f64 = 0.5;
+/// Share of the steps that have to be left where the detector joins.
+const LEAST_LEFT: f64 = 0.02;
+/// Marked renders a step that there are at most for the sake of many identities, as many as `mark.batch` may be: more
+/// of them take turns.
+const MOST_FOR_ALL: usize = 64;
 
 /// Trains a marked field, a detector and a classifier; see the module's text.
 pub struct MarkTrainer {
@@ -231,8 +236,9 @@ impl MarkTrainer {
         self.hear(&renders, &each);
         self.classify = if self.classify.is_finite() { 0.9 * self.classify + 0.1 * classify } else { classify };
         self.step += 1;
-        // In the last step it would be too late for the budget.
-        let in_time = self.step < self.config.steps || self.step == 1;
+        // Later, neither the budget nor the detector would have steps enough.
+        let left = self.config.steps - self.step;
+        let in_time = left as f64 >= LEAST_LEFT * self.config.steps as f64 || self.step == 1;
         if self.joined.is_none() && in_time && self.classify < self.config.classify_until {
             self.joined = Some(self.step);
         }
@@ -326,6 +332,11 @@ impl MarkTrainer {
         tightened(&self.config, self.step, self.joined)
     }
 
+    /// The same where the last step scaled the carriers.
+    pub(crate) fn tightened_last(&self) -> f64 {
+        tightened(&self.config, self.step.saturating_sub(1), self.joined)
+    }
+
     /// How close to the base field's renders must be kept in this step, dB.
     pub(crate) fn budget_now_db(&self) -> f64 {
         self.config.budget_start_db + (self.config.budget_db - self.config.budget_start_db) * self.tightened()
@@ -338,9 +349,12 @@ impl MarkTrainer {
         if self.joined.is_some() { below.clamp(0.0, 1.0) as f32 } else { 0.0 }
     }
 
-    /// Marked renders a step: none of the identities misses one, however many there are.
+    /// Marked renders a step: one of each identity that still learns, up to [`MOST_FOR_ALL`].
     pub(crate) fn batch(&self) -> usize {
-        self.config.batch.max(self.signals.len())
+        // One carrier for all settles nobody.
+        let settled = self.settled.iter().filter(|is_settled| **is_settled).count();
+        let learning = self.signals.len() - settled.min(self.signals.len());
+        self.config.batch.max(learning.min(MOST_FOR_ALL))
     }
 
     /// The scene of identity `i` (from 0).
@@ -399,7 +413,6 @@ mod tests {
         assert_eq!(at(500, Some(300)), 1.0);
         // or faster, so that what is kept meets it.
         assert!(at(940, Some(900)) < 1.0 && at(950, Some(900)) == 1.0);
-        assert_eq!(at(1000, Some(1000)), UNREAD);
         let none = MarkConfig { budget: false, ..config.clone() };
         assert_eq!(tightened(&none, 0, None), 1.0);
         assert_eq!(tightened(&MarkConfig { budget_ramp: 0.0, ..config }, 0, None), 1.0);

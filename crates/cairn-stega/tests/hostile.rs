@@ -248,6 +248,9 @@ fn damaged_checkpoints_are_refused_by_part() {
         h["config"]["fresh_every"] = 1.into();
     };
     refused(&header(&endless), &["of 20"]);
+    refused(&header(&|h| h["joined_at"] = 1_000.into()), &["joined_at", "1000"]);
+    let before = header(&|h| assert!(h.as_object_mut().unwrap().remove("joined_at").is_some()));
+    assert!(MarkTrainer::resume(&before, field(), plan(), &mut |_, _| true).is_ok(), "a checkpoint of before");
     for bad in [f64::NAN, f64::INFINITY] {
         refused(&header(&|h| h["classify_bits"] = bad.to_bits().into()), &["classify_bits"]);
     }

@@ -9,11 +9,6 @@ use super::super::{look, scene, train};
 use super::Args;
 use super::rows::Rows;
 
-/// Clusters, where it is not said how many.
-pub const ANCHORS: u32 = 3;
-/// Views of each.
-pub const NEIGHBOURS: u32 = 20;
-
 /// Trains and scores it, and adds its rows.
 pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
     let from = args.captures()?.join("liberty");
@@ -40,8 +35,8 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
     scene::import(line, &import).await?;
     let train = train::Args {
         name: "liberty".into(),
-        anchors: args.anchors,
-        neighbours: Some(args.neighbours),
+        anchors: args.anchors.unwrap_or(3),
+        neighbours: if args.anchors.is_some() { args.neighbours } else { Some(20) },
         by_contributor: false,
         least_views: 2,
         seed: args.seed,
@@ -56,8 +51,8 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         keys: None,
     };
     let job = train::run_to_end(line, &train).await?;
-    let (m, k) = (args.anchors, args.neighbours);
-    let clusters = if (m, k) == (ANCHORS, NEIGHBOURS) { String::new() } else { format!(", {m} anchors of {k} views") };
+    let of = args.neighbours.map_or(String::new(), |k| format!(" of {k} views"));
+    let clusters = args.anchors.map_or(String::new(), |m| format!(", {m} anchors{of}"));
     let case = args.case_name(&format!("liberty{clusters}"));
     for stage in &job.stages {
         rows.add(&case, &stage.stage, stage.seconds, "s", None);

@@ -60,12 +60,12 @@ pub struct Args {
     /// Stop after the base field (suites `demo` and `liberty`)
     #[arg(long)]
     base_only: bool,
-    /// M, the number of clusters around anchors (suite `liberty`). Other clusters than three of twenty are another case
-    #[arg(long, value_name = "M", default_value_t = liberty::ANCHORS)]
-    anchors: u32,
-    /// K, the views of a cluster (suite `liberty`)
-    #[arg(long, value_name = "K", default_value_t = liberty::NEIGHBOURS)]
-    neighbours: u32,
+    /// M, the number of clusters around anchors (suite `liberty`; else three, of twenty views). Their rows are another case than without
+    #[arg(long, value_name = "M", value_parser = clap::value_parser!(u32).range(1..))]
+    anchors: Option<u32>,
+    /// K, the views of a cluster (suite `liberty`, with --anchors; else as many as there are, twenty at most)
+    #[arg(long, value_name = "K", requires = "anchors", value_parser = clap::value_parser!(u32).range(1..))]
+    neighbours: Option<u32>,
     /// Pictures to hide, in order of file name (suite `liberty`: drawn where not given; `mark`
     /// and `baseline`: else the captures' folder `signals`)
     #[arg(long, value_name = "DIR")]
@@ -188,6 +188,8 @@ impl Args {
 /// Answers `cairn bench`.
 pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
     let many = matches!(args.suite, Suite::Mark | Suite::Honesty);
+    let only = args.suite == Suite::Liberty || args.anchors.is_none();
+    anyhow::ensure!(only, "--anchors and --neighbours are for suite `liberty`; leave them out");
     anyhow::ensure!(many || args.trainings.is_none(), "--trainings is for suites `mark` and `honesty`; leave it out");
     // Read now: an unreadable one is better found before the work than after it.
     Ledger::load(&args.ledger)?;
