@@ -84,6 +84,26 @@ fn the_suite_leaves_tables_charts_and_rows() {
     assert_eq!(std::fs::read_to_string(place.path("l.md")).unwrap(), again, "the page is as it was");
 }
 
+#[test]
+fn without_curves_only_the_configured_steps_are_measured() {
+    let place = Place::new();
+    captures(&place);
+    let common =
+        ["--quick", "--no-curves", "--captures", "captures", "--ledger", "l.json", "--out", "out", "--case", "lego"];
+    place.cairn_ok(&[&["bench", "field", "--seed", "2"], &common[..]].concat());
+    let ledger: Value = serde_json::from_slice(&std::fs::read(place.path("l.json")).unwrap()).unwrap();
+    let rows: Vec<&str> = ledger.as_array().unwrap().iter().map(|row| row["metric"].as_str().unwrap()).collect();
+    for metric in ["PSNR", "SSIM", "training", "rendering rays/s"] {
+        assert!(rows.contains(&metric), "no {metric}: {rows:?}");
+    }
+    let curves = |metric: &&&str| metric.contains("of the steps") || metric.contains("error");
+    assert_eq!(rows.iter().find(curves), None);
+    assert_eq!(table(&place.path("out/budgets.csv")).1.len(), 1);
+    assert!(!place.path("out/tradeoffs.csv").exists());
+    let refused = place.cairn(&[&["bench", "few"], &common[..]].concat());
+    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("--no-curves"));
+}
+
 fn check_rows(place: &Place, said: &str) {
     let ledger: Value = serde_json::from_slice(&std::fs::read(place.path("l.json")).unwrap()).unwrap();
     let rows = ledger.as_array().unwrap();

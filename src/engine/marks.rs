@@ -30,6 +30,8 @@ const EXPLAINED_PX: usize = 640;
 const WEAK: f64 = 0.9;
 /// The same of sounds, SNR in dB.
 const WEAK_SNR_DB: f64 = 15.0;
+/// Below this share of those an identity is lost, whatever comes back of others.
+const LOST: f64 = 0.5;
 
 /// Trains the marked fields and the detector, and keeps the best state judged.
 pub struct Marking {
@@ -172,26 +174,35 @@ impl Stage for Marking {
     }
 }
 
-/// What to say where marks or signals do not come back well from the virtual poses of the state that is kept.
+/// What to say where marks or signals do not come back well from the virtual poses of the state that is kept, of all
+/// identities or of the one that does worst.
 fn weak_note(kept: &Judgement) -> Option<String> {
-    let Recovered { picture_ssim, audio_snr_db, text_characters } = kept.recovered;
-    let share = |what: &str, share: f64| (share < WEAK).then(|| format!("{what} {:.1} %", 100.0 * share));
-    let weak: Vec<String> = [
-        share("answers right:", kept.accuracy),
-        picture_ssim.filter(|ssim| *ssim < WEAK).map(|ssim| format!("hidden pictures' SSIM: {ssim:.2}")),
-        audio_snr_db.filter(|snr| *snr < WEAK_SNR_DB).map(|snr| format!("hidden sounds' SNR: {snr:.1} dB")),
-        text_characters.and_then(|characters| share("hidden texts' characters:", characters)),
-    ]
-    .into_iter()
-    .flatten()
-    .collect();
+    let mut weak = weak_figures(kept.accuracy, &kept.recovered, 1.0);
+    if let Some(worst) = kept.weakest {
+        let lost = weak_figures(worst.told, &worst.recovered, LOST);
+        weak.extend((!lost.is_empty()).then(|| format!("of identity {} alone: {}", worst.identity, lost.join(", "))));
+    }
     (!weak.is_empty()).then(|| {
         format!(
             "poses between photographs are not answered as they should be ({}): train with more steps (mark.steps), \
              stronger marks (a lower mark.budget_db, or where the job keeps them fainter a higher mark.most_cost_db) or fewer identities",
-            weak.join(", ")
+            weak.join("; ")
         )
     })
+}
+
+/// Each figure that is below `share` of what is enough, as people are told it.
+fn weak_figures(right: f64, recovered: &Recovered, share: f64) -> Vec<String> {
+    let Recovered { picture_ssim, audio_snr_db, text_characters } = *recovered;
+    let (weak, weak_snr_db) = (share * WEAK, share * WEAK_SNR_DB);
+    let percent = |what: &str, of: f64| (of < weak).then(|| format!("{what} {:.1} %", 100.0 * of));
+    let figures = [
+        percent("answers right:", right),
+        picture_ssim.filter(|ssim| *ssim < weak).map(|ssim| format!("hidden pictures' SSIM: {ssim:.2}")),
+        audio_snr_db.filter(|snr| *snr < weak_snr_db).map(|snr| format!("hidden sounds' SNR: {snr:.1} dB")),
+        text_characters.and_then(|characters| percent("hidden texts' characters:", characters)),
+    ];
+    figures.into_iter().flatten().collect()
 }
 
 /// What to say where marks are `kept` fainter than was `asked` for; a resumed training does not
@@ -238,6 +249,7 @@ fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture]) -> f64 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cairn_stega::Weakest;
 
     #[test]
     fn what_does_not_come_back_is_said_and_what_does_is_not() {
@@ -246,17 +258,31 @@ mod tests {
             accuracy: 1.0,
             attacked: 1.0,
             recovered: Recovered { picture_ssim, audio_snr_db, text_characters },
+            weakest: None,
         };
         assert_eq!(weak_note(&recovered(Some(0.97), Some(30.0), Some(1.0))), None);
         assert_eq!(weak_note(&recovered(None, None, None)), None);
         let note = weak_note(&recovered(Some(0.02), Some(3.0), Some(0.5))).unwrap();
         assert!(
             note.contains(
-                "(hidden pictures' SSIM: 0.02, hidden sounds' SNR: 3.0 dB, hidden texts' characters: 50.0 %)"
+                "(hidden pictures' SSIM: 0.02; hidden sounds' SNR: 3.0 dB; hidden texts' characters: 50.0 %)"
             ),
             "{note}"
         );
         let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }).unwrap();
         assert!(confused.contains("(answers right: 60.0 %)"), "{confused}");
+    }
+
+    #[test]
+    fn an_identity_that_is_lost_among_others_is_named() {
+        let of = |told, ssim| {
+            let recovered = |ssim| Recovered { picture_ssim: Some(ssim), ..Recovered::default() };
+            let weakest = Some(Weakest { identity: 7, told, recovered: recovered(ssim) });
+            Judgement { step: 1400, accuracy: 0.95, attacked: 0.95, recovered: recovered(0.93), weakest }
+        };
+        let note = weak_note(&of(0.0, 0.1)).unwrap();
+        assert!(note.contains("(of identity 7 alone: answers right: 0.0 %, hidden pictures' SSIM: 0.10)"), "{note}");
+        // One of its few poses missed is no loss.
+        assert_eq!(weak_note(&of(0.67, 0.7)), None);
     }
 }

@@ -37,7 +37,7 @@ pub enum LightVerdict {
 }
 
 /// Spread from which on appearances are worth having: six steps of an 8-bit colour.
-/// docs/limits/field.md has what captures of either sort gave.
+/// docs/experiments.md has what captures of either sort gave.
 const WORTH: f32 = 0.025;
 /// PSNR in their own light from which on pictures are taken to show the scene, dB: a
 /// cloud would look like the mean of each photograph, which differs in any light.

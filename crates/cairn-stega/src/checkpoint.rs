@@ -4,7 +4,7 @@
 use crate::carrier::Carrier;
 use crate::config::MarkConfig;
 use crate::error::MarkError;
-use crate::judge::{Judgement, Recovered, State};
+use crate::judge::{Judgement, Recovered, State, Weakest};
 use crate::marked::{read_header, stored};
 use crate::site::MarkScene;
 use crate::trainer::{MarkPlan, MarkTrainer};
@@ -38,6 +38,10 @@ struct Header {
     settled: Vec<bool>,
     /// Step, bits of accuracy and of accuracy under attack, and of what was recovered, of the best state.
     best: Option<(u64, [u64; 2], [Option<u64>; 3])>,
+    /// The same of who does worst in it: class, bits of what is told, and of what was recovered; none in checkpoints of before
+    /// it was asked.
+    #[serde(default)]
+    weakest: Option<(usize, u64, [Option<u64>; 3])>,
     /// [`fingerprint`] of the plan and the base field: others are refused.
     plan: String,
 }
@@ -96,9 +100,12 @@ impl MarkTrainer {
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
             settled: self.settled.clone(),
             best: best.map(|b| {
-                let Judgement { step, accuracy, attacked, recovered } = b.judgement;
+                let Judgement { step, accuracy, attacked, recovered, .. } = b.judgement;
                 (step, [accuracy, attacked].map(f64::to_bits), recovered.parts().map(|v| v.map(f64::to_bits)))
             }),
+            weakest: best
+                .and_then(|b| b.judgement.weakest)
+                .map(|w| (w.identity, w.told.to_bits(), w.recovered.parts().map(|v| v.map(f64::to_bits)))),
             plan: self.fingerprint.clone(),
         };
         let mut parts: Vec<(String, Vec<u8>)> = vec![
@@ -204,11 +211,21 @@ impl MarkTrainer {
         if let Some((step, right, parts)) = header.best {
             let recovered = Recovered::from_parts(parts.map(|v| v.map(f64::from_bits)));
             let [accuracy, attacked] = right.map(f64::from_bits);
-            let judgement = Judgement { step, accuracy, attacked, recovered };
+            let weakest = header.weakest.map(|(identity, told, parts)| Weakest {
+                identity,
+                told: f64::from_bits(told),
+                recovered: Recovered::from_parts(parts.map(|v| v.map(f64::from_bits))),
+            });
+            let judgement = Judgement { step, accuracy, attacked, recovered, weakest };
             // Perfect and hopeless sounds have an infinite SNR.
             let right = accuracy.is_finite() && attacked.is_finite();
             if !right || recovered.parts().iter().flatten().any(|v| v.is_nan()) {
                 return damaged(format!("`best` says {judgement:?}"));
+            }
+            let known = |w: &Weakest| (1..=self.signals.len()).contains(&w.identity);
+            let sane = |w: &Weakest| w.told.is_finite() && !w.recovered.parts().iter().flatten().any(|v| v.is_nan());
+            if weakest.is_some_and(|w| !known(&w) || !sane(&w)) {
+                return damaged(format!("`weakest` says {weakest:?} of {} identities", self.signals.len()));
             }
             let values = self.carriers.iter().enumerate();
             let carriers = values

@@ -17,6 +17,7 @@ use cairn_field::Field;
 use cairn_nn::text_bytes;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
 
 /// Training may end early once marks are read with more ease than this: the running
 /// cross-entropy is then below a fifth of `classify_until`, over renders cut, tinted
@@ -47,6 +48,19 @@ pub struct Judgement {
     /// are none.
     pub attacked: f64,
     /// How near the recovered signals come to the true ones.
+    pub recovered: Recovered,
+    /// Who does worst, which a mean over many identities does not show; `None` where marks of fewer than two were judged.
+    pub weakest: Option<Weakest>,
+}
+
+/// The identity whose marks and signals come back worst, over the poses that it is judged by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weakest {
+    /// Its class, from 1.
+    pub identity: usize,
+    /// The share of its marked pictures that are told as its own, [0, 1].
+    pub told: f64,
+    /// What comes back of its signals.
     pub recovered: Recovered,
 }
 
@@ -89,43 +103,62 @@ impl Recovered {
     }
 }
 
-/// What [`Recovered`] is the means of.
+/// What [`Recovered`] and [`Weakest`] are the means of; each number with its identity, from 0.
 #[derive(Default)]
 struct Tally {
-    ssim: Vec<f64>,
+    /// 1 where a marked picture is told as its own identity's, else 0.
+    told: Vec<(usize, f64)>,
+    ssim: Vec<(usize, f64)>,
     /// Noise power over signal power.
-    noise: Vec<f64>,
-    characters: Vec<f64>,
+    noise: Vec<(usize, f64)>,
+    characters: Vec<(usize, f64)>,
 }
 
 impl Tally {
-    /// Counts what `said` of an identity that hides `truth`.
-    fn count(&mut self, said: &Numbers, truth: &Numbers, side: usize) -> Result<(), MarkError> {
+    /// Counts what `said` of identity `i`, which hides `truth`.
+    fn count(&mut self, i: usize, said: &Numbers, truth: &Numbers, side: usize) -> Result<(), MarkError> {
         let picture = |rgb: &[f32]| {
             Picture::new(side, side, rgb.to_vec()).map_err(|e| MarkError::Plan(format!("a hidden picture: {e}")))
         };
         if let Some((said, truth)) = said.picture.as_ref().zip(truth.picture.as_ref()) {
-            self.ssim.push(cairn_metrics::ssim(&picture(said)?.clamped(), &picture(truth)?)?);
+            self.ssim.push((i, cairn_metrics::ssim(&picture(said)?.clamped(), &picture(truth)?)?));
         }
         if let Some((said, truth)) = said.audio.as_ref().zip(truth.audio.as_ref()) {
-            self.noise.push(10f64.powf(-cairn_metrics::snr_db(said, truth)? / 10.0));
+            self.noise.push((i, 10f64.powf(-cairn_metrics::snr_db(said, truth)? / 10.0)));
         }
         if let Some((said, truth)) = said.text.as_ref().zip(truth.text.as_ref()) {
             let bits: Vec<f32> = truth.iter().map(|bit| bit - 0.5).collect();
             let right = cairn_metrics::text_accuracy(&text_bytes(said), &text_bytes(&bits))?;
-            self.characters.push(right.characters.share().unwrap_or(0.0));
+            self.characters.push((i, right.characters.share().unwrap_or(0.0)));
         }
         Ok(())
     }
 
-    fn means(&self) -> Recovered {
-        let mean = |v: &[f64]| (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64);
+    /// Over all identities, or those of one.
+    fn recovered(&self, of: Option<usize>) -> Recovered {
         Recovered {
-            picture_ssim: mean(&self.ssim),
-            audio_snr_db: mean(&self.noise).map(|ratio| -10.0 * ratio.log10()),
-            text_characters: mean(&self.characters),
+            picture_ssim: mean(&self.ssim, of),
+            audio_snr_db: mean(&self.noise, of).map(|ratio| -10.0 * ratio.log10()),
+            text_characters: mean(&self.characters, of),
         }
     }
+
+    fn weakest(&self) -> Option<Weakest> {
+        let identities: BTreeSet<usize> = self.told.iter().map(|(i, _)| *i).collect();
+        let each = identities.iter().filter_map(|i| {
+            let told = mean(&self.told, Some(*i))?;
+            Some(Weakest { identity: i + 1, told, recovered: self.recovered(Some(*i)) })
+        });
+        let score = |w: &Weakest| w.told + w.recovered.score();
+        each.min_by(|a, b| score(a).total_cmp(&score(b))).filter(|_| identities.len() > 1)
+    }
+}
+
+/// The mean over all identities, or of one's; `None` of nothing.
+fn mean(numbers: &[(usize, f64)], of: Option<usize>) -> Option<f64> {
+    let of = numbers.iter().filter(|(i, _)| of.is_none_or(|of| of == *i)).map(|(_, number)| number);
+    let all = of.clone().count();
+    (all > 0).then(|| of.sum::<f64>() / all as f64)
 }
 
 /// What is kept of the best state.
@@ -202,10 +235,11 @@ impl MarkTrainer {
             let read = self.read(&self.pair(site, identity, view, &Attack::none()))?;
             count(&read[0].0, identity + 1);
             count(&read[1].0, 0);
+            tally.told.push((identity, f64::from(u8::from(winner(&read[0].0) == identity + 1))));
             self.attacked(at as u64, (site, identity), view, &mut outlasted)?;
             // Before the detector has joined it says nothing, and is asked nothing.
             if self.joined.is_some() {
-                tally.count(&read[0].1, &self.signals[identity], hidden_side)?;
+                tally.count(identity, &read[0].1, &self.signals[identity], hidden_side)?;
             }
         }
         for site in &self.sites {
@@ -225,7 +259,8 @@ impl MarkTrainer {
             step: self.step,
             accuracy,
             attacked: outlasted.share().unwrap_or(accuracy),
-            recovered: tally.means(),
+            recovered: tally.recovered(None),
+            weakest: tally.weakest(),
         };
         // Before the budget has tightened marks are easier to read than they may be.
         let fair = self.tightened_last() >= 1.0;
@@ -330,7 +365,27 @@ pub(crate) fn winner(probabilities: &[f32]) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::{Outlasted, balanced};
+    use super::{Outlasted, Tally, balanced};
+
+    #[test]
+    fn who_does_worst_is_known_though_the_mean_is_good() {
+        let mut tally = Tally::default();
+        for i in 0..10 {
+            for _ in 0..3 {
+                tally.told.push((i, if i == 6 { 0.0 } else { 1.0 }));
+                tally.ssim.push((i, if i == 6 { 0.1 } else { 1.0 }));
+            }
+        }
+        assert!((tally.recovered(None).picture_ssim.unwrap() - 0.91).abs() < 1e-12);
+        let worst = tally.weakest().unwrap();
+        assert_eq!((worst.identity, worst.told), (7, 0.0));
+        assert!((worst.recovered.picture_ssim.unwrap() - 0.1).abs() < 1e-12);
+        assert_eq!(worst.recovered.audio_snr_db, None);
+        // One alone is the mean.
+        let alone = Tally { told: vec![(0, 1.0)], ..Tally::default() };
+        assert_eq!(alone.weakest(), None);
+        assert_eq!(Tally::default().weakest(), None);
+    }
 
     #[test]
     fn few_marked_pictures_count_as_much_as_many_unmarked_ones() {

@@ -308,6 +308,11 @@ impl MarkTrainer {
         }
     }
 
+    /// After how many steps marks were read well enough for the detector to join, if they have been.
+    pub fn joined_at(&self) -> Option<u64> {
+        self.joined
+    }
+
     /// The best judgement so far.
     pub fn best(&self) -> Option<&Judgement> {
         self.best.as_ref().map(|b| &b.judgement)

@@ -251,6 +251,11 @@ fn damaged_checkpoints_are_refused_by_part() {
     refused(&header(&|h| h["joined_at"] = 1_000.into()), &["joined_at", "1000"]);
     let before = header(&|h| assert!(h.as_object_mut().unwrap().remove("joined_at").is_some()));
     assert!(MarkTrainer::resume(&before, field(), plan(), &mut |_, _| true).is_ok(), "a checkpoint of before");
+    let before = header(&|h| assert!(h.as_object_mut().unwrap().remove("weakest").is_some()));
+    assert!(resume(&before).is_ok(), "a checkpoint of before");
+    refused(&header(&|h| h["weakest"][0] = 0.into()), &["weakest", "2 identities"]);
+    refused(&header(&|h| h["weakest"][0] = 3.into()), &["weakest", "2 identities"]);
+    refused(&header(&|h| h["weakest"][1] = f64::NAN.to_bits().into()), &["weakest"]);
     for bad in [f64::NAN, f64::INFINITY] {
         refused(&header(&|h| h["classify_bits"] = bad.to_bits().into()), &["classify_bits"]);
     }

@@ -54,6 +54,30 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
 }
 
 #[test]
+fn a_run_interrupted_while_a_late_joined_budget_tightens_ends_in_the_same_bytes() {
+    // The budget is half-way after four steps and waits there; from where the detector joins it takes four more.
+    let config = || MarkConfig { classify_until: 0.9, budget_ramp: 0.1, ..config(80) };
+    let whole = bytes(trained(config()));
+    let mut first = start(config());
+    let mut then = None;
+    while first.steps_done() < then.unwrap_or(80) {
+        first.step().unwrap();
+        if first.steps_done().is_multiple_of(5) {
+            first.judge().unwrap();
+        }
+        then = then.or(first.joined_at().map(|at| at + 2));
+    }
+    let joined = first.joined_at().expect("the detector has not joined");
+    assert!((5..70).contains(&joined), "it joined after {joined} steps");
+    let stopped = first.checkpoint().unwrap();
+    let mut second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
+    assert_eq!(second.joined_at(), Some(joined));
+    assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
+    run(&mut second);
+    assert!(bytes(second.finish().unwrap()) == whole, "the resumed run ended elsewhere");
+}
+
+#[test]
 fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
     // With so many steps all of six seeds pass (29 or 30 right).
     let (marked, detector) = trained(MarkConfig { budget_db: 36.0, classify_until: 0.3, ..config(1200) });

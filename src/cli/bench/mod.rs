@@ -88,6 +88,9 @@ pub struct Args {
     /// `registry`: a quarter of an hour to grow it)
     #[arg(long)]
     long: bool,
+    /// Only what the configured steps give: neither the curve of budgets nor that of a render's limits (suite `field`)
+    #[arg(long, conflicts_with = "long")]
+    no_curves: bool,
     /// A Python that has PyTorch, to be measured beside (suite `conv`)
     #[arg(long, value_name = "PROGRAM")]
     torch: Option<PathBuf>,
@@ -191,6 +194,8 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
     let only = args.suite == Suite::Liberty || args.anchors.is_none();
     anyhow::ensure!(only, "--anchors and --neighbours are for suite `liberty`; leave them out");
     anyhow::ensure!(many || args.trainings.is_none(), "--trainings is for suites `mark` and `honesty`; leave it out");
+    let curves = args.suite == Suite::Field || !args.no_curves;
+    anyhow::ensure!(curves, "--no-curves is for suite `field`; leave it out");
     // Read now: an unreadable one is better found before the work than after it.
     Ledger::load(&args.ledger)?;
     let mut rows = Rows::new(&args);

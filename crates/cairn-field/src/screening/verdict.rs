@@ -6,7 +6,7 @@
 //! lies `deviations` sigmas below the median, and below `least_db` whatever the spread, so
 //! that a good capture with a narrow spread loses nobody; and other poses explain it about
 //! as well as its own, so that a photograph that nobody else's overlaps much, which fits weakly
-//! but fits nowhere better, is kept. What captures gave is in docs/limits/field.md.
+//! but fits nowhere better, is kept. What captures gave is in docs/experiments.md.
 
 use super::fit::ViewFit;
 use crate::error::FieldError;

@@ -102,6 +102,8 @@ struct Run {
     config: FieldConfig,
     seed: u64,
     shares: Vec<Share>,
+    /// Whether a render's limits are varied.
+    curves: bool,
     out: PathBuf,
 }
 
@@ -133,9 +135,10 @@ impl Run {
         let base = Config::load(place.config.as_deref())?.training;
         let config = training_settings(&base, &overlays)?.field;
         eprintln!("{name}: {} and what goes over it, {} steps", overlay.0, config.steps);
-        let shares = Share::budgets(args.long);
+        let shares = if args.no_curves { vec![Share::WHOLE] } else { Share::budgets(args.long) };
         let name = name.to_owned();
-        Ok(Self { name, right_half, source, config, seed: args.seed, shares, out: args.out.clone() })
+        let (seed, curves) = (args.seed, !args.no_curves);
+        Ok(Self { name, right_half, source, config, seed, shares, curves, out: args.out.clone() })
     }
 
     /// All of a capture's measurements. The trained fields stay in the folder.
@@ -150,6 +153,9 @@ impl Run {
         let name = self.name.as_str();
         let serve = serve::Task { field: field.clone(), cameras: cameras.clone(), label: format!("{name}, rendering") };
         let served = children.run(&serve)?;
+        if !self.curves {
+            return Ok(Outcome { budgets, served, tradeoffs: Vec::new() });
+        }
         let few: Vec<_> = cameras.iter().step_by(cameras.len().div_ceil(TRADEOFF_VIEWS)).copied().collect();
         let tradeoffs = tradeoff::Task { field, cameras: few, label: format!("{name}, limits of a render") };
         let tradeoffs = children.run(&tradeoffs)?;

@@ -62,7 +62,7 @@ pub struct Outcome {
     pub budgets: Vec<Budget>,
     /// The field of all the steps, served.
     pub served: Served,
-    /// The same, under other limits.
+    /// The same, under other limits; none where they were not asked for.
     pub tradeoffs: Vec<Tradeoff>,
 }
 

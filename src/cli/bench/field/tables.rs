@@ -50,6 +50,9 @@ pub fn save(out: &Path, name: &str, seed: u64, case: &Case, outcome: &Outcome) -
     let (name, seed) = (name.replace(", ", " "), seed.to_string());
     let budgets = budgets(&out.join("budgets.csv"), &name, &seed, case, outcome)?;
     crate::cli::write(&out.join("budgets.svg"), budget_chart(&budgets).to_svg().as_bytes())?;
+    if outcome.tradeoffs.is_empty() {
+        return Ok(());
+    }
     tradeoffs(&out.join("tradeoffs.csv"), &name, &seed, &outcome.tradeoffs)?;
     let slug: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
     for (what, which) in [("max", true), ("rms", false)] {

@@ -153,6 +153,10 @@ fn cost(rows: &mut Rows, name: &str, target: Option<Target>, runs: Vec<&Marked>)
     }
     rows.add(name, "stage 2, of it ray weights", mean(runs.iter().map(|r| r.prepared_s)), "s", None);
     rows.add(name, "stage 2, steps", mean(runs.iter().map(|r| r.steps as f64)), "", None);
+    // The latest tells what the budget waited for.
+    if let Some(joined) = runs.iter().filter_map(|r| r.joined_at).max() {
+        rows.add(name, "stage 2, steps until the detector joined, most", joined as f64, "", None);
+    }
     let peak = runs.iter().filter_map(|r| r.peak_mib).fold(0.0, f64::max);
     if peak > 0.0 {
         rows.add(name, "stage 2, peak memory", peak, "MiB", None);

@@ -64,6 +64,8 @@ pub struct Marked {
     pub prepared_s: f64,
     /// Steps taken.
     pub steps: u64,
+    /// After how many of them the detector joined.
+    pub joined_at: Option<u64>,
     /// Whether training ended before its last step.
     pub converged: bool,
     /// The most memory held, MiB.
@@ -104,7 +106,7 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
         progress.at(stats.step, &format!("{:.1} dB, ", stats.kept_db));
     }
     drop(progress);
-    let steps = trainer.steps_done();
+    let (steps, joined_at) = (trainer.steps_done(), trainer.joined_at());
     let (marked, detector) = trainer.finish()?;
     let seconds = begun.elapsed().as_secs_f64();
     crate::cli::write(&task.marked, &marked.to_bytes()?)?;
@@ -114,6 +116,7 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
         processor_s: processor_s(),
         prepared_s,
         steps,
+        joined_at,
         converged: steps < task.config.steps,
         peak_mib: peak_mib(),
     })
