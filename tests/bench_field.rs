@@ -9,41 +9,9 @@ use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use cairn_capture::Picture;
 use common::Place;
+use common::captures::captures;
 use serde_json::Value;
-
-/// `liberty` as the made-up landmark with masks, and `lego` as the same in
-/// NeRF-Synthetic's form with a split of its own.
-fn captures(place: &Place) {
-    let capture = place.path("capture");
-    let (liberty, lego) = (place.path("captures/liberty"), place.path("captures/lego"));
-    for folder in [liberty.join("images"), liberty.join("masks"), lego.join("images")] {
-        std::fs::create_dir_all(folder).unwrap();
-    }
-    for entry in std::fs::read_dir(capture.join("images")).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_name().unwrap();
-        std::fs::copy(&path, liberty.join("images").join(name)).unwrap();
-        std::fs::copy(&path, lego.join("images").join(name)).unwrap();
-        let mut mask = Picture::constant(32, 32, [0.0; 3]);
-        mask.rgb_mut()[16 * 32 * 3..].fill(1.0);
-        cairn_capture::save_png(&liberty.join("masks").join(name), &mask).unwrap();
-    }
-    std::fs::copy(capture.join("transforms.json"), liberty.join("transforms.json")).unwrap();
-    let all: Value = serde_json::from_slice(&std::fs::read(capture.join("transforms.json")).unwrap()).unwrap();
-    let frames = all["frames"].as_array().unwrap();
-    for (file, held_out) in [("transforms_train.json", false), ("transforms_test.json", true)] {
-        let split: Vec<Value> = frames
-            .iter()
-            .enumerate()
-            .filter(|(i, _)| (i % 4 == 0) == held_out)
-            .map(|(_, f)| serde_json::json!({ "file_path": f["file_path"], "transform_matrix": f["transform_matrix"] }))
-            .collect();
-        let text = serde_json::json!({ "camera_angle_x": 50f64.to_radians(), "frames": split }).to_string();
-        std::fs::write(lego.join(file), text).unwrap();
-    }
-}
 
 /// The rows of a CSV below its header, and the header.
 fn table(path: &Path) -> (Vec<String>, Vec<Vec<String>>) {
@@ -164,6 +132,11 @@ fn check_tables(out: &Path) {
     let error = header.iter().position(|name| name == "max_error_levels_same_step").unwrap();
     for row in rows.iter().filter(|row| row[2] == "nothing left out") {
         assert!(row[error].parse::<f64>().unwrap() < 0.1, "{row:?}");
+    }
+    for sheet in ["lego-1.png", "lego-1-8.png", "liberty-1.png"] {
+        let png = std::fs::read(out.join(sheet)).unwrap();
+        let sheet = cairn_capture::decode_picture(&png, &cairn_capture::Limits::default(), None).unwrap();
+        assert!(sheet.width() > 3 * 256 && sheet.rgb().iter().any(|v| *v != sheet.rgb()[0]));
     }
     for chart in ["budgets", "tradeoffs-lego-quick-max", "tradeoffs-lego-quick-rms", "tradeoffs-liberty-quick-max"] {
         let svg = std::fs::read_to_string(out.join(format!("{chart}.svg"))).unwrap();

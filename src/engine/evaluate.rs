@@ -23,6 +23,8 @@ use super::stages::Appearance;
 
 /// Most rows of a contact sheet.
 const SHEET_ROWS: usize = 8;
+/// How many times what a field shows otherwise than photographs is amplified on sheets.
+pub(crate) const OFF: f32 = 4.0;
 /// What 8 bits cannot tell from perfect, dB.
 pub const PERFECT_DB: f64 = 100.0;
 
@@ -200,8 +202,17 @@ pub fn half(picture: &Picture) -> Result<Picture, EngineError> {
     Picture::new(w - from, h, rgb).map_err(|e| EngineError::Internal(format!("half a picture: {e}")))
 }
 
+/// What `a` shows more than `b`, so many times as much, around grey; two pictures of one size.
+pub(crate) fn difference(a: &Picture, b: &Picture, times: f32) -> Picture {
+    let mut difference = a.clone();
+    for (d, b) in difference.rgb_mut().iter_mut().zip(b.rgb()) {
+        *d = (0.5 + times * (*d - b)).clamp(0.0, 1.0);
+    }
+    difference
+}
+
 /// Photograph, base, marked, their difference x 20, recovered, true picture; where
-/// sounds or texts are hidden, the true one above the recovered.
+/// sounds or texts are hidden, the true one above the recovered. Without marks what the base shows otherwise than the photograph.
 fn draw(model: &Model, scored: &[Scored]) -> Picture {
     let tile = |picture: &Picture, caption: &str| Tile { picture: picture.clone(), label: caption.to_owned() };
     let (w, h) = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
@@ -210,12 +221,8 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
     for view in scored.iter().take(SHEET_ROWS) {
         let mut row = vec![tile(&view.photograph, "PHOTOGRAPH"), tile(&view.base, "BASE")];
         if let Some(read) = &view.marked {
-            let mut difference = read.picture.clone();
-            for (d, b) in difference.rgb_mut().iter_mut().zip(view.base.rgb()) {
-                *d = (0.5 + 20.0 * (*d - b)).clamp(0.0, 1.0);
-            }
             row.push(tile(&read.picture, "MARKED"));
-            row.push(tile(&difference, "DIFFERENCE X 20"));
+            row.push(tile(&difference(&read.picture, &view.base, 20.0), "DIFFERENCE X 20"));
             let signals = model.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
             let truth = (view.truth as usize).checked_sub(1).and_then(|at| signals.get(at).copied());
             row.extend(signal_tiles(
@@ -224,15 +231,17 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
                 (read.class(), view.truth),
                 (w, h),
             ));
+        } else {
+            row.push(tile(&difference(&view.base, &view.photograph, OFF), "DIFFERENCE X 4"));
         }
         rows.push(row);
     }
     contact_sheet(&rows, w, h)
 }
 
-/// What was read and what is true, of the classes of these numbers; a tile more for
-/// sounds, and one for texts, where the detector has heads for them.
-fn signal_tiles(
+/// What was read and what is true, of the classes of these numbers (of what is read: `None` for a pose elsewhere); a tile more
+/// for sounds, and one for texts, where the detector has heads for them.
+pub(crate) fn signal_tiles(
     read: &Signal,
     truth: &Signal,
     (class, owner): (Option<u32>, u32),

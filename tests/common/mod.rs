@@ -2,6 +2,7 @@
 //! makes tiny captures of a made-up landmark.
 #![allow(dead_code)] // Every test file uses its own part of this.
 
+pub mod captures;
 pub mod files;
 pub mod world;
 

@@ -108,6 +108,17 @@ impl Field {
         field
     }
 
+    /// The field with its raw densities rounded to half precision too, as its colours are already: what storing all of it so
+    /// would do to pictures.
+    #[must_use]
+    pub fn in_half_precision(&self) -> Self {
+        let mut field = self.clone();
+        let most = f16::MAX.to_f32();
+        // Occupancy stays: what was empty was so at a density far below a rounding.
+        field.grid.raw.par_iter_mut().for_each(|v| *v = f16::from_f32(v.clamp(-most, most)).to_f32());
+        field
+    }
+
     /// What the coefficients of its colours stand for.
     pub fn colours(&self) -> Colours {
         self.colours

@@ -151,6 +151,12 @@ impl MarkedField {
         self.changed(base, add)
     }
 
+    /// The field with all its weights in half precision: carriers and colours are so already, densities are rounded.
+    #[must_use]
+    pub fn in_half_precision(&self) -> Self {
+        self.changed(self.base.in_half_precision(), |_| ())
+    }
+
     fn changed(&self, base: Field, mut change: impl FnMut(&mut [f32])) -> Self {
         let (mut carriers, shape) = (self.carriers.clone(), self.shape());
         for carrier in &mut carriers {

@@ -92,3 +92,17 @@ fn pruned_and_noisy_fields_are_what_they_say() {
     assert!((share - 0.1).abs() < 0.005, "noise of {share} RMS");
     assert!(weights(&marked.noisy(0.1, 4)) == noisy && weights(&marked.noisy(0.1, 5)) != noisy);
 }
+
+#[test]
+fn a_field_in_half_precision_shows_nearly_the_same() {
+    let (marked, _) = trained(config(3));
+    let half = marked.in_half_precision();
+    let raw = |field: &MarkedField| field.base().grid().raw.clone();
+    let off = raw(&marked).iter().zip(raw(&half)).map(|(a, b)| (a - b).abs() / a.abs().max(1e-3)).fold(0.0, f32::max);
+    // Half a unit in the eleventh bit.
+    assert!(off > 0.0 && off <= 0.5f32.powi(11), "densities are off by {off}");
+    let (camera, appearance) = (cameras()[0], field().canonical_appearance().clone());
+    let (whole, rounded) = (marked.render(&camera, &appearance), half.render(&camera, &appearance));
+    let most = whole.rgb().iter().zip(rounded.rgb()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(most > 0.0 && most < 0.5 / 255.0, "half precision changes a pixel by {most}");
+}

@@ -28,6 +28,8 @@ pub enum Part {
     Mark(mark::Mark),
     /// A marked field and its detector, judged.
     Judge(mark::Judge),
+    /// A marked field and its detector, loaded, rendered and read.
+    ServeMarks(mark::Serve),
     /// Stage 2 of several captures with one detector, judged.
     Scenes(mark::scenes::Task),
     /// Submissions to a log under load.
@@ -74,6 +76,7 @@ work! {
     baseline::TrainNetworks: Networks -> baseline::Networks,
     mark::Mark: Mark -> mark::Marked,
     mark::Judge: Judge -> mark::Judged,
+    mark::Serve: ServeMarks -> mark::Served,
     mark::scenes::Task: Scenes -> mark::scenes::Joined,
     registry::Load: Load -> registry::Loaded,
     registry::Growth: Grow -> f64,
@@ -99,6 +102,7 @@ pub fn part() -> anyhow::Result<()> {
         Part::Networks(task) => serde_json::to_string(&baseline::train_networks(&task)?)?,
         Part::Mark(task) => serde_json::to_string(&mark::mark(&task)?)?,
         Part::Judge(task) => serde_json::to_string(&mark::judge(&task)?)?,
+        Part::ServeMarks(task) => serde_json::to_string(&mark::serve(&task)?)?,
         Part::Scenes(task) => serde_json::to_string(&mark::scenes::run(&task)?)?,
         Part::Load(task) => serde_json::to_string(&registry::load(&task)?)?,
         Part::Grow(task) => serde_json::to_string(&registry::grow(&task)?)?,

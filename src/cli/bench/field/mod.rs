@@ -32,8 +32,8 @@ use super::Args;
 use super::children::Children;
 use super::rows::Rows;
 use crate::config::{Config, overlay_for, training_settings};
-pub use case::Name;
 use case::{CASES, Case};
+pub use case::{Name, SERVING_MIB};
 use outcome::{Budget, Outcome, Share};
 use source::Source;
 
@@ -64,7 +64,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
         report::rows(rows, &name, case, &outcome);
         rows.save(args)?;
     }
-    println!("tables and charts in {}", args.out.display());
+    println!("tables, charts and contact sheets in {}", args.out.display());
     Ok(())
 }
 
@@ -189,6 +189,7 @@ impl Run {
         let trained = children.run(&train)?;
         let score = score::Task {
             source: self.source.clone(),
+            sheet: field.with_extension("png"),
             field,
             right_half: self.right_half.unwrap_or(trained.appearances),
             label: format!("{name}, scoring, {what}"),

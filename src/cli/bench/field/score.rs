@@ -2,14 +2,20 @@
 
 use std::path::PathBuf;
 
-use cairn_capture::Picture;
+use cairn_bench::sheet::{Tile, contact_sheet};
+use cairn_capture::{Picture, encode_png};
 use cairn_field::Field;
 use cairn_metrics::{psnr_db, psnr_db_masked, ssim};
 use serde::{Deserialize, Serialize};
 
 use super::progress::Progress;
 use super::source::Source;
-use crate::engine::evaluate::{PERFECT_DB, eight_bits, half};
+use crate::engine::evaluate::{OFF, PERFECT_DB, difference, eight_bits, half};
+
+/// Most views on a sheet.
+const SHEET_ROWS: usize = 6;
+/// Its tiles' width and height, px.
+const TILE: [usize; 2] = [256, 256];
 
 /// What to score, and how.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -21,6 +27,8 @@ pub struct Task {
     /// Whether appearance is fitted to each photograph's left half and its right
     /// half scored; else whole pictures are, in the field's own appearance.
     pub right_half: bool,
+    /// The file for a contact sheet.
+    pub sheet: PathBuf,
     /// What people are told.
     pub label: String,
 }
@@ -59,7 +67,7 @@ pub fn run(task: &Task) -> anyhow::Result<Scored> {
     let held_out = opened.held_out();
     let mut progress = Progress::new(&task.label, held_out.len() as u64);
     let (mut psnr, mut similarity, mut masked) = (Vec::new(), Vec::new(), Vec::new());
-    let mut has_masks = false;
+    let (mut has_masks, mut sheet) = (false, Vec::new());
     for (done, index) in held_out.iter().enumerate() {
         progress.at(done as u64, "");
         let view = opened.view(*index)?;
@@ -69,6 +77,9 @@ pub fn run(task: &Task) -> anyhow::Result<Scored> {
             field.canonical_appearance().clone()
         };
         let render = eight_bits(&field.render(&view.camera, &appearance))?;
+        if done.is_multiple_of(held_out.len().div_ceil(SHEET_ROWS)) {
+            sheet.push(row(&view.picture, &render));
+        }
         let cut = |picture: &Picture| if task.right_half { half(picture) } else { Ok(picture.clone()) };
         let (photograph, part) = (cut(&view.picture)?, cut(&render)?);
         psnr.push(psnr_db(&photograph, &part)?.min(PERFECT_DB));
@@ -83,6 +94,7 @@ pub fn run(task: &Task) -> anyhow::Result<Scored> {
     drop(progress);
     anyhow::ensure!(!psnr.is_empty(), "{} holds no view out to score on", task.source.folder.display());
     anyhow::ensure!(!has_masks || !masked.is_empty(), "no mask has a pixel in the part that is scored; look at masks");
+    crate::cli::write(&task.sheet, &encode_png(&contact_sheet(&sheet, TILE[0], TILE[1])))?;
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     Ok(Scored {
         views: psnr.len(),
@@ -91,6 +103,14 @@ pub fn run(task: &Task) -> anyhow::Result<Scored> {
         ssim: mean(&similarity),
         mask: has_masks.then(|| Masked { psnr_db: mean(&masked), views: masked.len() }),
     })
+}
+
+/// A view's row on the sheet: the photograph, its render and what that shows otherwise.
+fn row(photograph: &Picture, render: &Picture) -> Vec<Tile> {
+    let off = difference(render, photograph, OFF);
+    [("PHOTOGRAPH", photograph), ("RENDER", render), ("DIFFERENCE X 4", &off)]
+        .map(|(label, picture)| Tile { picture: picture.clone(), label: label.to_owned() })
+        .to_vec()
 }
 
 /// The columns from the middle on, as [`half`] cuts a picture.

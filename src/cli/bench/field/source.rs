@@ -75,6 +75,11 @@ impl Opened {
         self.held_out().into_iter().map(|index| self.camera(index)).collect()
     }
 
+    /// A view's name.
+    pub fn name(&self, index: usize) -> &str {
+        &self.capture.views[index].name
+    }
+
     /// A view's camera, at the size it is used at.
     pub fn camera(&self, index: usize) -> Camera {
         let camera = self.capture.views[index].camera;

@@ -36,6 +36,8 @@ pub const HARD: f64 = 0.92;
 pub const AUDIO_SNR_DB: f64 = 25.0;
 /// Least share of recovered texts' characters.
 pub const TEXT_CHARACTERS: f64 = 1.0;
+/// Least pictures without a mark that each detector is asked about.
+pub const UNMARKED: f64 = 1000.0;
 /// Least accuracy under all hard distortions together, with robust training.
 pub const COMBINED: f64 = 0.90;
 

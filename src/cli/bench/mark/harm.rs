@@ -83,6 +83,7 @@ fn cut(kept: f32, [across, down]: [f32; 2]) -> Distortion {
 /// Fields whose weights were changed, each with its name and set.
 pub fn of_weights(marked: &MarkedField) -> Vec<(&'static str, Set, MarkedField)> {
     vec![
+        ("weights: float16", Set::Mild, marked.in_half_precision()),
         ("weights: 10 % smallest removed", Set::Mild, marked.pruned(0.1)),
         ("weights: 20 % smallest removed", Set::Hard, marked.pruned(0.2)),
         ("weights: noise of 0.1 RMS", Set::Hard, marked.noisy(0.1, 1)),

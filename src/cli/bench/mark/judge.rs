@@ -1,6 +1,7 @@
 //! Judging as a part: a stored marked field and detector on views that no
 //! training saw. Renders are read as files hold them, in 8 bits.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use cairn_capture::{Camera, Picture, encode_png};
@@ -12,15 +13,18 @@ use serde::{Deserialize, Serialize};
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::harm::{self, Set};
-use super::scored::Harmed;
 pub use super::scored::Judged;
-use super::{laid, permuted, sheet, train, unmarked};
+use super::scored::{Band, Harmed};
+use super::unmarked::Foreign;
+use super::{What, laid, permuted, sheet, train, unmarked};
 use crate::engine::evaluate::{PERFECT_DB, eight_bits, half};
 use crate::engine::recovery::{SeenView, picture_ssim, recovery};
 use crate::engine::report::{Recovery, Right};
 
 /// Confidence bins of the calibration.
 const BINS: usize = 15;
+/// From which confidences on answers are told apart in the ledger.
+const BANDS: [f64; 4] = [0.0, 0.5, 0.9, 0.99];
 
 /// What to judge.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -28,7 +32,7 @@ pub struct Task {
     /// The capture.
     pub source: Source,
     /// Other captures.
-    pub foreign: Vec<Source>,
+    pub foreign: Vec<Foreign>,
     /// The stored marked field.
     pub marked: PathBuf,
     /// The stored detector.
@@ -41,8 +45,8 @@ pub struct Task {
     pub permuted: usize,
     /// Whether light is fitted on left halves and right halves are scored.
     pub right_half: bool,
-    /// Whether pictures are laid over the field as well.
-    pub lay_over: bool,
+    /// For which suite: an ablation is about renders as they are, and only marks are laid over their field.
+    pub what: What,
     /// The file for a contact sheet.
     pub sheet: PathBuf,
     /// The file for the reliability table.
@@ -103,14 +107,22 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let (classes, identities) = clean(&mut asked, &views)?;
     crate::cli::write(&task.sheet, &encode_png(&sheet::draw(&asked.detector, &asked.signals, &views)?))?;
     progress.at(1, "");
-    let harms = harms(&mut asked, &marked, &views)?;
+    let before = asked.answers.len();
+    let harms = if task.what == What::Ablation { Vec::new() } else { harms(&mut asked, &marked, &views)? };
+    let harmed = before..asked.answers.len();
     progress.at(2, "");
     let followed = permuted::follow((&asked.detector, &asked.signals), (&marked, task.permuted), &views)?;
     progress.at(3, "");
-    let unmarked = unmarked::ask(&mut asked, (&opened, &task.foreign), &views)?;
+    let unmarked = match task.what {
+        What::Ablation => Vec::new(),
+        _ => unmarked::ask(&mut asked, (&opened, marked.base()), &task.foreign, &views)?,
+    };
     progress.at(4, "");
-    let laid =
-        if task.lay_over { laid::ask((&marked, &asked.detector), (&opened, &task.foreign), &views)? } else { None };
+    let foreign: Vec<Source> = task.foreign.iter().map(|other| other.source.clone()).collect();
+    let laid = match task.what {
+        What::Marks => laid::ask((&marked, &asked.detector), (&opened, &foreign), &views)?,
+        _ => None,
+    };
     drop(progress);
     let part = |picture: &Picture| if task.right_half { half(picture) } else { Ok(picture.clone()) };
     let mut sums = [0.0; 4];
@@ -140,6 +152,8 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         unmarked,
         laid,
         calibration_error: expected_calibration_error(&asked.answers, BINS)?,
+        calibration_error_unharmed: expected_calibration_error(&without(&asked.answers, harmed), BINS)?,
+        bands: bands(&asked.answers),
         answers: asked.answers.len(),
     })
 }
@@ -245,6 +259,22 @@ fn harmed(
     Ok(Harmed { name: name.to_owned(), set, classes, ssim: mean(&hidden) })
 }
 
+/// All but those at `left_out`.
+fn without<T: Clone>(all: &[T], left_out: Range<usize>) -> Vec<T> {
+    [&all[..left_out.start], &all[left_out.end..]].concat()
+}
+
+/// How often answers are right, by how sure they are.
+fn bands(answers: &[(f64, bool)]) -> Vec<Band> {
+    let band = |at: usize| {
+        let (from, to) = (BANDS[at], BANDS.get(at + 1).copied().unwrap_or(f64::INFINITY));
+        let mut right = Right::default();
+        answers.iter().filter(|(sure, _)| (from..to).contains(sure)).for_each(|(_, is_right)| right.count(*is_right));
+        Band { from, right }
+    };
+    (0..BANDS.len()).map(band).collect()
+}
+
 /// A row for each bin of confidence that has answers: how sure, how often right, how many.
 fn reliability(answers: &[(f64, bool)]) -> String {
     let mut table = "from,to,confidence,accuracy,answers\n".to_owned();
@@ -277,5 +307,15 @@ mod tests {
         let counts = table.lines().skip(1).map(|line| line.rsplit(',').next().unwrap().parse::<usize>().unwrap());
         assert_eq!(counts.sum::<usize>(), 30);
         assert!(table.contains("0.9333,1.0000,0.9833,0.5000,2"), "{table}");
+        assert_eq!(without(&answers, 3..29).len(), 4);
+        assert_eq!(without(&answers, 0..29), answers[29..]);
+    }
+
+    #[test]
+    fn every_answer_is_in_one_band_of_confidence() {
+        let answers = [(0.2, false), (0.5, true), (0.89, false), (0.9, true), (0.99, true), (1.0, true), (1.0, false)];
+        let right: Vec<_> =
+            bands(&answers).iter().map(|band| (band.from, band.right.right, band.right.asked)).collect();
+        assert_eq!(right, [(0.0, 0, 1), (0.5, 1, 2), (0.9, 1, 1), (0.99, 2, 3)]);
     }
 }

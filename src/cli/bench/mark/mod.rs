@@ -16,6 +16,7 @@ mod permuted;
 mod report;
 pub mod scenes;
 mod scored;
+mod serve;
 mod sheet;
 mod train;
 mod unmarked;
@@ -26,6 +27,7 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use cairn_field::FieldConfig;
 use cairn_stega::MarkConfig;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::super::connect::Where;
@@ -39,8 +41,10 @@ use crate::config::{Config, overlay_for, training_settings};
 use case::Case;
 
 pub use judge::{Judged, Task as Judge, run as judge};
+pub use serve::{Served, Task as Serve, run as serve};
 use train::Files;
 pub use train::{Marked, Task as Mark, run as mark};
+use unmarked::Foreign;
 
 /// What `--quick` lays over the settings: everything runs, nothing is good.
 const QUICK_TOML: &str = "[field]\nsteps = 64\nrays_per_step = 512\nvoxels = 32768\nlevels = 2\n\
@@ -54,7 +58,7 @@ const QUICK_VIEWS: usize = 12;
 const RUNS: u64 = 3;
 
 /// Which of the marks' suites.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum What {
     /// Everything about a mark.
     Marks,
@@ -93,20 +97,29 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
     let pictures = pictures(args.signals.as_deref().unwrap_or(&captures.join("signals")))?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let children = Arc::new(Children::default());
+    let mut runs = Vec::new();
     for case in cases {
         for over in &trainings {
             let mut run = Run::new(place, args, case, (&captures, &pictures), *over)?;
-            run.permute = what == What::Honesty && case.anchors > 1;
-            run.lay_over = what == What::Marks;
-            let name = run.name.clone();
+            run.what = what;
+            // All base fields before any mark: other captures' renders are among what a detector is to be silent on.
             let work = tokio::task::spawn_blocking({
-                let children = children.clone();
-                move || run.outcome(&children)
+                let (run, children) = (run.clone(), children.clone());
+                move || run.base(&children)
             });
-            let outcome = unless_stopped(work, &children).await?;
-            report::rows(rows, &name, (case, what), &outcome);
-            rows.save(args)?;
+            let base = unless_stopped(work, &children).await?;
+            runs.push((run, base));
         }
+    }
+    for (run, base) in runs {
+        let (name, case) = (run.name.clone(), run.case);
+        let work = tokio::task::spawn_blocking({
+            let children = children.clone();
+            move || run.outcome(base, &children)
+        });
+        let outcome = unless_stopped(work, &children).await?;
+        report::rows(rows, &name, (case, what), &outcome);
+        rows.save(args)?;
     }
     println!("contact sheets and reliability tables in {}", args.out.display());
     Ok(())
@@ -144,7 +157,7 @@ fn beside(picture: &Path) -> anyhow::Result<Files> {
 
 /// The pictures of a folder, in order of file name.
 pub(super) fn pictures(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let files = files(folder, &["png", "jpg"])?;
+    let files = files(folder, &["png", "jpg"]).context("say where pictures to hide are (--signals DIR)")?;
     let problem = "has no PNG or JPEG; say where pictures to hide are (--signals DIR)";
     anyhow::ensure!(!files.is_empty(), "{} {problem}", folder.display());
     Ok(files)
@@ -152,8 +165,7 @@ pub(super) fn pictures(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
 
 /// Files with one of some endings, in order of file name.
 fn files(folder: &Path, endings: &[&str]) -> anyhow::Result<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(folder)
-        .with_context(|| format!("cannot read {}; say where pictures to hide are (--signals DIR)", folder.display()))?;
+    let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     let mut files = entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
     files.retain(|path| path.extension().is_some_and(|e| endings.iter().any(|wanted| e.eq_ignore_ascii_case(wanted))));
     files.sort();
@@ -171,6 +183,8 @@ pub struct Outcome {
     pub runs: Vec<(Marked, Judged)>,
     /// The first training again with permuted identities, where it was asked for.
     pub permuted: Option<(Marked, Judged)>,
+    /// The first training's marks, served; in suite `mark`.
+    pub served: Option<Served>,
 }
 
 /// One capture's measurements, as they are asked for.
@@ -179,7 +193,7 @@ struct Run {
     case: &'static Case,
     source: Source,
     /// Other captures, to be silent on.
-    foreign: Vec<Source>,
+    foreign: Vec<Foreign>,
     pictures: Vec<PathBuf>,
     /// A sound and a text, where the case hides them.
     others: Files,
@@ -187,10 +201,8 @@ struct Run {
     mark: MarkConfig,
     seed: u64,
     runs: u64,
-    /// Whether to train once more with permuted identities.
-    permute: bool,
-    /// Whether pictures are laid over the field as well.
-    lay_over: bool,
+    /// For which suite.
+    what: What,
     name: String,
     out: PathBuf,
 }
@@ -224,15 +236,18 @@ impl Run {
         Ok(Self {
             case,
             source,
-            foreign: others.filter(|folder| folder.is_dir()).map(sized).collect(),
+            foreign: others
+                .filter(|folder| folder.is_dir())
+                .map(sized)
+                .map(|source| Foreign { source, field: None })
+                .collect(),
             pictures: pictures.to_vec(),
             others: if case.all_kinds { beside(&pictures[0])? } else { Files::default() },
             field: training.field,
             mark: training.mark,
             seed: args.seed,
             runs: args.trainings.unwrap_or(if args.quick || !ablation.is_empty() { 1 } else { RUNS }),
-            permute: false,
-            lay_over: false,
+            what: What::Marks,
             name: match ablation {
                 "" => args.case_name(case.name.as_str()),
                 ablation => format!("{}, {ablation}", args.case_name(case.name.as_str())),
@@ -241,16 +256,44 @@ impl Run {
         })
     }
 
-    fn outcome(&self, children: &Children) -> anyhow::Result<Outcome> {
-        let (field, base) = self.base(children)?;
+    /// All trainings on the base field that [`Run::base`] gave.
+    fn outcome(
+        mut self,
+        (field, base): (PathBuf, Option<base::Trained>),
+        children: &Children,
+    ) -> anyhow::Result<Outcome> {
+        self.find_fields()?;
         let mut outcome = Outcome { base, robust: self.mark.robust.enabled, ..Outcome::default() };
         for run in 0..self.runs {
             outcome.runs.push(self.training(children, &field, (run, 0))?);
         }
-        if self.permute {
+        if self.what == What::Honesty && self.case.anchors > 1 {
             outcome.permuted = Some(self.training(children, &field, (0, 1))?);
         }
+        if self.what == What::Marks {
+            let [marked, detector] = ["marked", "detector"].map(|what| self.file((0, 0), what));
+            let (cameras, label) = (self.source.open()?.held_out_cameras(), format!("{}, serving", self.name));
+            outcome.served = Some(children.run(&Serve { marked, detector, cameras, label })?);
+        }
         Ok(outcome)
+    }
+
+    /// Looks for other captures' base fields in the folder, and says of which there is none.
+    fn find_fields(&mut self) -> anyhow::Result<()> {
+        let fields = files(&self.out, &["field"])?;
+        for other in self.foreign.iter_mut().filter(|_| self.what != What::Ablation) {
+            let start = format!("{}-", other.name());
+            let is_one = |path: &&PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(&start));
+            other.field = fields.iter().find(is_one).cloned();
+            if other.field.is_none() {
+                let (name, out) = (other.name(), self.out.display());
+                println!(
+                    "{}: SKIPPED renders of {name}: {out} has no base field of it; measure it too (--case {name})",
+                    self.name
+                );
+            }
+        }
+        Ok(())
     }
 
     /// Training `run` on the base field `field`, with identities `permuted` by so many, and its judgement.
@@ -260,10 +303,9 @@ impl Run {
         field: &Path,
         (run, permuted): (u64, usize),
     ) -> anyhow::Result<(Marked, Judged)> {
-        let slug: String = self.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
-        let (tag, told) = if permuted > 0 { ("-permuted", ", identities permuted") } else { ("", "") };
+        let told = if permuted > 0 { ", identities permuted" } else { "" };
         let label = |what: &str| format!("{}, {what}{told}, {} of {}", self.name, run + 1, self.runs);
-        let file = |what: &str| self.out.join(format!("{slug}-{}{tag}.{what}", self.seed + run));
+        let file = |what: &str| self.file((run, permuted), what);
         let signals = (0..self.case.anchors).map(|i| {
             let at = run as usize * self.case.anchors + i;
             Files { picture: Some(self.pictures[at % self.pictures.len()].clone()), ..self.others.clone() }
@@ -292,10 +334,17 @@ impl Run {
             right_half: self.case.right_half,
             sheet: file("png"),
             reliability: file("csv"),
-            lay_over: self.lay_over,
+            what: self.what,
             label: label("judging"),
         };
         Ok((children.run(&mark)?, children.run(&judge)?))
+    }
+
+    /// Where a training's result goes.
+    fn file(&self, (run, permuted): (u64, usize), what: &str) -> PathBuf {
+        let slug: String = self.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+        let tag = if permuted > 0 { "-permuted" } else { "" };
+        self.out.join(format!("{slug}-{}{tag}.{what}", self.seed + run))
     }
 
     /// The stored base field, trained where it is not there yet.

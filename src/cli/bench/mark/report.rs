@@ -3,7 +3,8 @@
 
 use cairn_bench::Target;
 
-use super::case::{AUDIO_SNR_DB, COMBINED, Case, HARD, MILD, TEXT_CHARACTERS};
+use super::super::field::SERVING_MIB;
+use super::case::{AUDIO_SNR_DB, COMBINED, Case, HARD, MILD, TEXT_CHARACTERS, UNMARKED};
 use super::harm::Set;
 use super::laid::{Laid, Told};
 use super::permuted::Followed;
@@ -40,13 +41,17 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
         share(rows, name, "permuted identities, trained anew: accuracy", std::iter::once(judged.classes), None);
         followed(rows, name, "permuted identities, trained anew", std::iter::once(judged.followed));
     }
-    for at in 0..first.unmarked.len() {
-        let silent = judged().filter_map(|j| j.unmarked.get(at)).map(|s| s.silent);
-        let what = &first.unmarked[at].what;
-        rows.add(name, &format!("pictures: {what}"), silent.clone().map(|s| f64::from(s.asked as u32)).sum(), "", None);
-        share(rows, name, &format!("unmarked: {what}"), silent, Some(Target::at_least(1.0)));
-    }
+    unmarked(rows, name, &judged().collect::<Vec<_>>());
     rows.add(name, "expected calibration error", of(&|j| j.calibration_error), "", None);
+    let unharmed = of(&|j| j.calibration_error_unharmed);
+    rows.add(name, "expected calibration error, renders not harmed", unharmed, "", None);
+    for (at, band) in first.bands.iter().enumerate() {
+        let of = judged().filter_map(|j| j.bands.get(at)).map(|band| band.right);
+        let to = first.bands.get(at + 1).map_or(1.0, |next| next.from);
+        let how = format!("answers with a confidence of {} to {to}", band.from);
+        rows.add(name, &how, of.clone().map(|right| right.asked as f64).sum(), "", None);
+        share(rows, name, &format!("{how}: right"), of, None);
+    }
     if what == What::Honesty {
         return;
     }
@@ -59,6 +64,29 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
         rows.add(name, "base field, training", base.seconds, "s", None);
     }
     cost(rows, name, asked(Target::at_most(case.seconds)), trained());
+    if let Some(served) = &outcome.served {
+        rows.add(name, "rendering with marks", served.rays_per_s, "rays/s", None);
+        rows.add(name, "reading a picture", served.reading_s, "s", None);
+        if let Some(peak) = served.peak_mib {
+            rows.add(name, "peak memory, serving with marks", peak, "MiB", Some(Target::at_most(SERVING_MIB)));
+        }
+    }
+}
+
+/// Pictures without a mark that are called so, of each kind, and those of all kinds that are not.
+fn unmarked(rows: &mut Rows, name: &str, judged: &[&Judged]) {
+    let kinds = judged.first().map_or(0, |first| first.unmarked.len());
+    for at in 0..kinds {
+        let silent = judged.iter().filter_map(|j| j.unmarked.get(at)).map(|s| s.silent);
+        let what = &judged[0].unmarked[at].what;
+        rows.add(name, &format!("pictures: {what}"), silent.clone().map(|s| s.asked as f64).sum(), "", None);
+        share(rows, name, &format!("unmarked: {what}"), silent, Some(Target::at_least(1.0)));
+    }
+    let all = || judged.iter().flat_map(|j| &j.unmarked).map(|s| s.silent);
+    let made_up = all().map(|s| Right { right: s.asked - s.right, asked: s.asked });
+    let each = all().map(|s| s.asked).sum::<usize>() as f64 / judged.len().max(1) as f64;
+    rows.add(name, "pictures without a mark, each training", each, "", Some(Target::at_least(UNMARKED)));
+    share(rows, name, "false owners among pictures without a mark", made_up, Some(Target::at_most(0.0)));
 }
 
 /// Whose identity is told where mark and view speak for different ones; nothing with one identity.
@@ -96,11 +124,24 @@ fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, (suite, outcome):
         if what == "hidden SSIM" {
             let worst = found.iter().copied().fold(f64::INFINITY, f64::min);
             rows.add(name, "hidden SSIM, worst identity", worst, unit, None);
+            each_identity(rows, name, outcome);
         }
         let base = mean(all.iter().filter_map(|m| m.forced_base));
         rows.add(name, &format!("{what}, forced on base renders"), base, unit, None);
         rows.add(name, &format!("{what}, forced on grey"), mean(all.iter().map(|m| m.forced_grey)), unit, None);
         rows.add(name, &format!("{what}, forced on noise"), mean(all.iter().map(|m| m.forced_noise)), unit, None);
+    }
+}
+
+/// Each identity's hidden SSIM, its mean over the trainings; nothing where there is but one.
+fn each_identity(rows: &mut Rows, name: &str, outcome: &Outcome) {
+    let identities = outcome.runs.iter().map(|run| run.1.identities.len()).max().unwrap_or(0);
+    for at in (0..identities).filter(|_| identities > 1) {
+        let of = outcome.runs.iter().filter_map(|run| run.1.identities.get(at));
+        let found: Vec<f64> = of.filter_map(|r| r.picture_ssim).filter_map(|m| m.recovered).collect();
+        if !found.is_empty() {
+            rows.add(name, &format!("hidden SSIM, identity {}", at + 1), mean(found.into_iter()), "", None);
+        }
     }
 }
 

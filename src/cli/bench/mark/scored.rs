@@ -38,8 +38,21 @@ pub struct Judged {
     pub laid: Option<Laid>,
     /// Expected calibration error of the answers to all of the above but `followed` and `laid`.
     pub calibration_error: f64,
+    /// The same of those of them that are not about harmed renders.
+    pub calibration_error_unharmed: f64,
+    /// How often the answers behind the first are right, by how sure they are.
+    pub bands: Vec<Band>,
     /// Answers behind it.
     pub answers: usize,
+}
+
+/// Answers of about the same confidence.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct Band {
+    /// The least confidence, [0, 1].
+    pub from: f64,
+    /// Right ones.
+    pub right: Right,
 }
 
 /// Recovery after something was done to the renders.

@@ -5,6 +5,7 @@ use cairn_capture::Picture;
 use cairn_stega::{Detector, Distortion, Signal};
 
 use super::judge::View;
+use crate::engine::evaluate::{difference, signal_tiles};
 
 /// Most views on a sheet.
 const ROWS: usize = 6;
@@ -13,8 +14,8 @@ const AMPLIFIED: f32 = 20.0;
 /// Tiles' width and height, px.
 const TILE: [usize; 2] = [176, 176];
 
-/// A row a view: photograph, base, marked, their difference, what is read from it
-/// as it is and after a JPEG of quality 50, and what was hidden.
+/// A row a view: photograph, base, marked, their difference, what is read from it after a JPEG of quality 50, as it
+/// is, and what was hidden; sounds and texts as well, where there are any.
 ///
 /// # Errors
 /// For pictures that the detector refuses.
@@ -22,25 +23,21 @@ pub fn draw(detector: &Detector, signals: &[Signal], views: &[View]) -> anyhow::
     let tile = |picture: &Picture, label: String| Tile { picture: picture.clone(), label };
     let mut rows = Vec::new();
     for view in views.iter().step_by(views.len().div_ceil(ROWS)) {
-        let mut difference = view.marked.clone();
-        for (d, b) in difference.rgb_mut().iter_mut().zip(view.base.rgb()) {
-            *d = (0.5 + AMPLIFIED * (*d - b)).clamp(0.0, 1.0);
-        }
+        let difference = difference(&view.marked, &view.base, AMPLIFIED);
         let read = detector.detect(&view.marked)?;
         let harmed = detector.detect(&Distortion::Jpeg { quality: 50 }.apply(&view.marked, 0))?;
-        let shown = |signal: Option<&Signal>| {
-            signal.and_then(|s| s.picture.clone()).unwrap_or_else(|| Picture::constant(8, 8, [0.0; 3]))
-        };
-        let truth = shown(view.truth.checked_sub(1).map(|at| &signals[at]));
-        rows.push(vec![
+        let shown = |signal: &Signal| signal.picture.clone().unwrap_or_else(|| Picture::constant(8, 8, [0.0; 3]));
+        let truth = view.truth.checked_sub(1).map(|at| signals[at].clone()).unwrap_or_default();
+        let classes = (Some(read.identity.unwrap_or(0)), view.truth as u32);
+        let mut row = vec![
             tile(&view.photograph, "PHOTOGRAPH".into()),
             tile(&view.base, "BASE".into()),
             tile(&view.marked, "MARKED".into()),
             tile(&difference, format!("DIFFERENCE X {AMPLIFIED}")),
-            tile(&shown(Some(&read.recovered)), format!("READ: {}", read.identity.unwrap_or(0))),
-            tile(&shown(Some(&harmed.recovered)), format!("JPEG 50: {}", harmed.identity.unwrap_or(0))),
-            tile(&truth, format!("TRUE: {}", view.truth)),
-        ]);
+            tile(&shown(&harmed.recovered), format!("JPEG 50: {}", harmed.identity.unwrap_or(0))),
+        ];
+        row.extend(signal_tiles(&read.recovered, &truth, classes, (TILE[0], TILE[1])));
+        rows.push(row);
     }
     Ok(contact_sheet(&rows, TILE[0], TILE[1]))
 }

@@ -1,0 +1,63 @@
+//! Serving marks as a part: a fresh process that loads a stored marked field and its
+//! detector, renders views with their marks and reads them, as a daemon does when it is asked.
+
+use std::path::PathBuf;
+
+use cairn_bench::{Stopwatch, median};
+use cairn_capture::Camera;
+use cairn_stega::{Detector, MarkedField};
+use serde::{Deserialize, Serialize};
+
+use super::super::field::progress::Progress;
+use super::super::memory::peak_mib;
+use crate::engine::evaluate::eight_bits;
+
+/// Renders and readings of a view that are timed at most, and seconds after which no more are.
+const LAPS: (usize, f64) = (3, 2.0);
+
+/// What to serve.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Task {
+    /// The stored marked field.
+    pub marked: PathBuf,
+    /// The stored detector.
+    pub detector: PathBuf,
+    /// From where.
+    pub cameras: Vec<Camera>,
+    /// What people are told.
+    pub label: String,
+}
+
+/// How it went.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Served {
+    /// Rays a second of renders with a mark (without, where a pose is nobody's): the median over views.
+    pub rays_per_s: f64,
+    /// Seconds to say whose a picture is and what it hides: the median over views.
+    pub reading_s: f64,
+    /// The most memory held, MiB; `None` where the system does not tell.
+    pub peak_mib: Option<f64>,
+}
+
+/// Loads, renders in the field's own appearance, and reads.
+///
+/// # Errors
+/// For a field or detector that does not read, and no camera at all.
+pub fn run(task: &Task) -> anyhow::Result<Served> {
+    let marked = MarkedField::from_bytes(&super::read(&task.marked)?)?;
+    let detector = Detector::from_bytes(&super::read(&task.detector)?)?;
+    let appearance = marked.base().canonical_appearance().clone();
+    let mut progress = Progress::new(&task.label, task.cameras.len() as u64);
+    let (mut rates, mut reading) = (Vec::new(), Vec::new());
+    for camera in &task.cameras {
+        progress.at(rates.len() as u64, "");
+        let seconds = Stopwatch::median_within(LAPS.0, LAPS.1, || marked.render(camera, &appearance));
+        rates.push((camera.intrinsics.width * camera.intrinsics.height) as f64 / seconds.max(1e-9));
+        let picture = eight_bits(&marked.render(camera, &appearance))?;
+        detector.detect(&picture)?;
+        reading.push(Stopwatch::median_within(LAPS.0, LAPS.1, || detector.detect(&picture)));
+    }
+    let no_view = || anyhow::anyhow!("there is no view to render");
+    let (rays_per_s, reading_s) = (median(&rates).ok_or_else(no_view)?, median(&reading).ok_or_else(no_view)?);
+    Ok(Served { rays_per_s, reading_s, peak_mib: peak_mib() })
+}

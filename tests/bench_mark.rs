@@ -1,0 +1,72 @@
+//! `cairn bench mark --quick` on tiny made-up captures: what a detector is asked about,
+//! that other captures' renders are among it, and that what cannot be asked is said.
+
+mod common;
+
+use cairn_capture::{Limits, Picture, decode_picture};
+use common::Place;
+use common::captures::captures;
+use serde_json::Value;
+
+/// Three pictures to hide.
+fn signals(place: &Place) {
+    std::fs::create_dir(place.path("captures/signals")).unwrap();
+    for (at, rgb) in [[0.9, 0.2, 0.1], [0.1, 0.8, 0.2], [0.2, 0.3, 0.9]].into_iter().enumerate() {
+        let mut picture = Picture::constant(32, 32, rgb);
+        picture.rgb_mut()[..16 * 32 * 3].fill(0.1 * at as f32);
+        cairn_capture::save_png(&place.path(&format!("captures/signals/{at}.png")), &picture).unwrap();
+    }
+}
+
+#[test]
+fn a_detector_is_asked_about_everything_that_has_no_mark() {
+    let place = Place::new();
+    captures(&place);
+    signals(&place);
+    // There to be asked about, and not measured, so that there is no field of it.
+    common::copy(&place.path("captures/lego"), &place.path("captures/trex"));
+    let small = "[mark]\nsteps = 10\nclassifier.channels = [4, 8]\ndetector = { size = [32, 32], channels = [4, 8] }\n";
+    std::fs::write(place.path("small.toml"), small).unwrap();
+    let common = ["bench", "mark", "--quick", "--settings", "small.toml", "--captures", "captures"];
+    let what = ["--ledger", "l.json", "--out", "out", "--case", "lego", "--case", "liberty"];
+    let said = place.cairn_ok(&[&common[..], &what].concat());
+    assert!(said.contains("SKIPPED renders of trex") && said.contains("--case trex"), "{said}");
+    assert!(!said.contains("SKIPPED renders of l"), "{said}");
+    let ledger: Value = serde_json::from_slice(&std::fs::read(place.path("l.json")).unwrap()).unwrap();
+    let rows = ledger.as_array().unwrap();
+    assert!(rows.iter().all(|row| row["value"].as_f64().is_some_and(f64::is_finite)));
+    let value = |case: &str, metric: &str| {
+        let row = rows.iter().find(|row| row["case"] == case && row["metric"] == metric);
+        row.unwrap_or_else(|| panic!("no row {case}, {metric}"))["value"].as_f64().unwrap()
+    };
+    for (case, other) in [("lego, quick, small", "liberty"), ("liberty, quick, small", "lego")] {
+        let kinds = ["its own photographs, held out", "its own photographs, trained on", "renders of its base field"];
+        let others =
+            [format!("photographs of {other}"), format!("renders of {other}"), "photographs of trex".to_owned()];
+        let kinds: Vec<String> = kinds.map(str::to_owned).into_iter().chain(others).collect();
+        let (mut asked, mut owners) = (0.0, 0.0);
+        for kind in &kinds {
+            let pictures = value(case, &format!("pictures: {kind}"));
+            assert!(pictures >= 3.0, "{case}: {pictures} {kind}");
+            asked += pictures;
+            owners += pictures * (1.0 - value(case, &format!("unmarked: {kind}")));
+        }
+        assert_eq!(value(case, "pictures without a mark, each training"), asked);
+        let share = value(case, "false owners among pictures without a mark");
+        assert!((share * asked - owners).abs() < 1e-6, "{case}: {share} of {asked} for {owners}");
+        let bands = [("0", "0.5"), ("0.5", "0.9"), ("0.9", "0.99"), ("0.99", "1")];
+        let of = |(from, to): (&str, &str)| value(case, &format!("answers with a confidence of {from} to {to}"));
+        assert!(bands.map(of).iter().sum::<f64>() > asked, "harmed renders are asked about as well");
+        for metric in ["weights: float16: accuracy", "reading a picture", "rendering with marks"] {
+            assert!(value(case, metric) >= 0.0);
+        }
+        if cfg!(target_os = "linux") {
+            assert!(value(case, "peak memory, serving with marks") > 1.0);
+        }
+    }
+    for sheet in ["lego--quick--small-1", "liberty--quick--small-1"] {
+        let png = std::fs::read(place.path(&format!("out/{sheet}.png"))).unwrap();
+        let sheet = decode_picture(&png, &Limits::default(), None).unwrap();
+        assert!(sheet.width() > 7 * 170 && sheet.rgb().iter().any(|v| *v != sheet.rgb()[0]));
+    }
+}
