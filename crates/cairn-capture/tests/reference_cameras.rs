@@ -1,5 +1,5 @@
-//! Every format and camera model against projections that an independent script
-//! computed (reference/cameras.py): a wrong axis, sign or order shows here.
+//! Every format and camera model against projections that independent scripts
+//! computed (reference/cameras.py, lens.py): a wrong axis, sign or order shows here.
 
 mod common;
 
@@ -30,6 +30,13 @@ struct Case {
     world: Vec<[f64; 3]>,
     pixels: Vec<[f64; 2]>,
     pixels_simple_centred: Vec<[f64; 2]>,
+}
+
+/// A lens that only transforms.json can state, and where it shows each case's points.
+#[derive(Deserialize)]
+struct Lens {
+    lens: serde_json::Value,
+    pixels: Vec<Vec<[f64; 2]>>,
 }
 
 fn reference() -> Document {
@@ -121,6 +128,39 @@ fn transforms_agree_with_the_reference() {
         assert_eq!(capture.views[i].name, format!("images/{i}.png"));
         compare(&capture, i, case, &case.pixels);
     }
+}
+
+#[test]
+fn a_lens_of_sixth_order_agrees_with_the_reference_and_a_frame_may_overrule_it() {
+    let document = reference();
+    let Lens { lens, pixels } = serde_json::from_str(include_str!("reference/lens.json")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut frames = Vec::new();
+    for (i, case) in document.cases.iter().enumerate() {
+        fs::write(folder.path().join(format!("{i}.png")), photograph()).unwrap();
+        frames.push(json!({ "file_path": format!("{i}"), "transform_matrix": case.opengl_camera_to_world }));
+    }
+    let opencv = document.cases.iter().position(|case| case.model == "OPENCV").unwrap();
+    let mut read_with = |k3: Option<f64>| {
+        if let Some(k3) = k3 {
+            frames[opencv]["k3"] = json!(k3);
+        }
+        let mut all = lens.clone();
+        all.as_object_mut().unwrap().extend([("w".to_owned(), json!(64)), ("h".to_owned(), json!(48))]);
+        all["frames"] = json!(frames);
+        fs::write(folder.path().join("transforms.json"), all.to_string()).unwrap();
+        read(folder.path()).unwrap()
+    };
+    let capture = read_with(None);
+    for (i, case) in document.cases.iter().enumerate() {
+        compare(&capture, i, case, &pixels[i]);
+    }
+    // Without its sixth order the lens is the one that cameras.py has.
+    let case = &document.cases[opencv];
+    compare(&read_with(Some(0.0)), opencv, case, &case.pixels);
+    let apart = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let most = pixels[opencv].iter().zip(&case.pixels).map(apart).fold(0.0, f64::max);
+    assert!(most > 0.1, "the sixth order moves points by {most} px only");
 }
 
 #[test]
