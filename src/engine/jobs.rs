@@ -73,6 +73,12 @@ impl<'a> Control<'a> {
     #[cfg(test)]
     pub(super) fn stopping(stop: &'a AtomicU8, sender: &'a watch::Sender<Job>, path: PathBuf) -> Self {
         stop.store(CANCEL, Ordering::Release);
+        Self::going_on(stop, sender, path)
+    }
+
+    /// The same, of a job that nobody stops unless `stop` says so.
+    #[cfg(test)]
+    pub(super) fn going_on(stop: &'a AtomicU8, sender: &'a watch::Sender<Job>, path: PathBuf) -> Self {
         Self { stop, sender, path, owner: None, meter: Meter::new() }
     }
 

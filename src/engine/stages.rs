@@ -35,7 +35,7 @@ pub type Preparing<'a> = &'a mut dyn FnMut(&'static str, usize, usize) -> bool;
 
 /// A training that goes on by steps and can be put down and taken up between them.
 pub trait Stage {
-    /// Takes one step.
+    /// Takes one step. One that fails and does not count MUST leave the state as it was: it is kept.
     fn step(&mut self) -> Result<Step, EngineError>;
     /// Steps done, and steps in all.
     fn steps(&self) -> (u64, u64);

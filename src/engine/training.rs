@@ -157,7 +157,8 @@ impl Training {
     }
 
     /// Steps a stage (its name, and that under which its seconds are counted), whose `clock` runs since before its
-    /// trainer was made, to its end; false when it was asked to stop. Either way its state is on the disk on return.
+    /// trainer was made, to its end; false when it was asked to stop. Either way its state is on the disk on return, and
+    /// so it is after a step that was refused.
     pub(super) fn drive(
         &self,
         (name, counted, clock): (&str, &str, Instant),
@@ -181,7 +182,13 @@ impl Training {
             if finished || stop {
                 return Ok(finished);
             }
-            let stats = stage.step()?;
+            let stats = match stage.step() {
+                Ok(stats) => stats,
+                Err(error) => {
+                    keep_last_good(stage, step, file, (counted, saved), control);
+                    return Err(error);
+                }
+            };
             let step = step + 1;
             if step == total || told.is_none_or(|t| t.elapsed() >= PROGRESS_EVERY) {
                 told = Some(Instant::now());
@@ -197,6 +204,28 @@ impl Training {
                 });
             }
         }
+    }
+}
+
+/// Writes down what a failed step has left of `stage`, which had done `step` steps: trainers refuse a step before anything
+/// moves. What goes wrong here is only logged: the step's own error is the one to tell.
+fn keep_last_good(
+    stage: &impl Stage,
+    step: u64,
+    file: &Path,
+    (counted, saved): (&str, Instant),
+    control: &Control<'_>,
+) {
+    // It was taken, and what follows it failed: whoever resumes has to come to that again.
+    if stage.steps().0 != step {
+        return;
+    }
+    let write = || {
+        write_atomic(file, &stage.checkpoint()?)?;
+        control.spent(counted, saved.elapsed().as_secs_f64())
+    };
+    if let Err(error) = write() {
+        tracing::error!(step, %error, "the state before a failed step could not be kept; what was saved last is");
     }
 }
 

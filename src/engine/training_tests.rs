@@ -16,6 +16,9 @@ use super::super::{Engine, TrainingRequest, model, scenes};
 use super::*;
 use crate::config::Config;
 
+#[path = "training_failed_tests.rs"]
+mod failed;
+
 /// Both stages in a moment, and the light to be found out.
 const TINY: &str = "[field]\nsteps = 10\nrays_per_step = 128\nvoxels = 4096\nlevels = 1\nappearance = \"auto\"\n\
     [mark]\nsteps = 4\nvirtual_views = 1\nlongest_side_px = 64\nclassify_until = 10.0\n\
@@ -32,11 +35,16 @@ fn open(data: &Path) -> Engine {
 }
 
 fn end_of(engine: &Engine, id: &str) -> Job {
-    let mut watch = engine.jobs().watch(id).unwrap();
-    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-    let job = runtime.block_on(async { watch.wait_for(|job| job.state.has_ended()).await.unwrap().clone() });
+    let job = ended(engine, id);
     assert_eq!(job.state, JobState::Done, "{}", job.error);
     job
+}
+
+/// The job as it ended, well or not.
+fn ended(engine: &Engine, id: &str) -> Job {
+    let mut watch = engine.jobs().watch(id).unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    runtime.block_on(async { watch.wait_for(|job| job.state.has_ended()).await.unwrap().clone() })
 }
 
 /// Puts a made-up landmark into the data folder as `name`.
