@@ -6,7 +6,8 @@
 //!
 //! Geometry is worked out in f64 relative to the scene's own centre and size, so
 //! a scene in millimetres and one in kilometres, or one a million units off the
-//! origin, give the same picture.
+//! origin, give the same picture. What lies so far off for its size that f64 cannot
+//! tell its places apart is refused.
 
 use crate::error::FieldError;
 use cairn_capture::{Camera, Capture, SceneKind, View};
@@ -81,11 +82,16 @@ pub fn contract(x: DVec3) -> DVec3 {
     if n <= 1.0 { x } else { x * ((2.0 - 1.0 / n) / n) }
 }
 
+/// The largest share of a scene's size that numbers may be apart where it lies: half of it, which is what a camera may be
+/// off, is less than a fifth of a pixel where a thousand span what is seen three sizes away.
+const COARSEST: f64 = 1e-3;
+
 impl SceneFrame {
     /// Chooses the box from a capture: see the module's text for the kinds.
     ///
     /// # Errors
-    /// [`FieldError::Frame`] when there are no views or the box has no size.
+    /// [`FieldError::Frame`] when there are no views, the box has no size, or it lies so far from the origin that
+    /// coordinates there are coarser than a thousandth of its size.
     pub fn from_capture(capture: &Capture) -> Result<Self, FieldError> {
         Self::from_views(capture, 0..capture.views.len())
     }
@@ -100,14 +106,33 @@ impl SceneFrame {
         if cameras.is_empty() {
             return Err(FieldError::Frame("the capture has no views".into()));
         }
-        match capture.kind {
+        let frame = match capture.kind {
             SceneKind::ForwardFacing => {
                 let near = views.iter().filter_map(|v| v.bounds.map(|b| b.0)).fold(f64::INFINITY, f64::min);
                 Self::forward_facing(&cameras, near, &capture.points)
             }
             SceneKind::Bounded => Self::boxed(&cameras, &[], false),
             SceneKind::Unbounded => Self::boxed(&cameras, &capture.points, true),
+        };
+        frame.and_then(Self::unless_too_far)
+    }
+
+    /// The frame, unless it lies where numbers are too far apart for its size ([`COARSEST`]).
+    fn unless_too_far(self) -> Result<Self, FieldError> {
+        let (place, size) = match &self {
+            Self::ForwardFacing { position, near, .. } => (position, *near),
+            Self::Bounded { centre, half } | Self::Unbounded { centre, half } => (centre, half.min_element()),
+        };
+        let far = place.abs().max_element();
+        let apart = far * f64::EPSILON / size;
+        if apart > COARSEST {
+            return Err(FieldError::Frame(format!(
+                "the scene is {size:.1e} units in size and {far:.1e} from the origin, where coordinates are {apart:.1e} of \
+                 its size apart (allowed is {COARSEST}): its cameras are no more where they were. Subtract their mean position \
+                 from all positions and points in the program that made the capture, and import what it then writes"
+            )));
         }
+        Ok(self)
     }
 
     fn forward_facing(cameras: &[&Camera], near: f64, points: &[DVec3]) -> Result<Self, FieldError> {
