@@ -359,3 +359,7 @@ pub(crate) fn read_u64(file: &SafeTensors<'_>, name: &'static str) -> Result<Vec
     }
     Ok(t.data().chunks_exact(8).map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes"))).collect())
 }
+
+#[cfg(test)]
+#[path = "field_tests.rs"]
+mod tests;
