@@ -1,12 +1,13 @@
-//! The light of a photograph that the field was not trained with.
+//! The light of a photograph that the field was not trained with, and what no light changes.
 
 mod common;
 
 use cairn_capture::Picture;
 use cairn_field::appearance::CODE;
-use cairn_field::{Appearance, Field, FieldError};
-use common::{Numbers, ball_box, random_grid, ring, stored_with};
+use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Colours, Field, FieldConfig, FieldError, SceneFrame};
+use common::{Numbers, ball_box, ball_in_the_open, random_grid, ring, rms, stored_with, tiny, views};
 use glam::DVec3;
+use std::sync::Arc;
 
 /// All numbers of an appearance, by `1 + more`.
 fn lit(more: f32) -> Appearance {
@@ -78,4 +79,44 @@ fn a_field_with_lights_beyond_all_bounds_says_so() {
     let photograph = field.render(&camera, &lit(0.0));
     let error = field.fit_appearance_left_half(&camera, &photograph).expect_err("nobody's light");
     assert!(matches!(&error, FieldError::Stored { what: "field", .. }), "{error}");
+}
+
+/// A field trained on photographs of the ball, each in a light of its own: channels by other factors, and more or less haze.
+fn trained_in_many_lights(frame: &SceneFrame, basis_lights: bool) -> Field {
+    let mut numbers = Numbers(11);
+    let mut views = views(12, 24, 1.0, DVec3::ZERO);
+    for view in &mut views {
+        let gain: [f64; 3] = std::array::from_fn(|_| numbers.within(0.4, 0.9));
+        let haze: [f64; 3] = std::array::from_fn(|_| numbers.within(0.0, 0.1));
+        let lit = |(i, v): (usize, &f32)| (f64::from(*v) * gain[i % 3] + haze[i % 3]) as f32;
+        let rgb = view.picture.rgb().iter().enumerate().map(lit).collect();
+        view.picture = Arc::new(Picture::new(24, 24, rgb).expect("three numbers a pixel"));
+    }
+    let config = FieldConfig { appearance: AppearanceMode::On, basis_lights, ..tiny(200) };
+    let mut trainer = BaseTrainer::new(views, frame.clone(), Some([0.5; 3]), config, 3).expect("sound settings");
+    while trainer.steps_done() < trainer.steps_total() {
+        trainer.step().expect("finite numbers");
+    }
+    trainer.finish()
+}
+
+#[test]
+fn an_appearance_changes_colours_and_leaves_geometry_to_the_bit() {
+    let camera = ring(5, 32, 1.0, DVec3::ZERO)[2];
+    let bits = |map: &[f32]| map.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
+    for (frame, basis_lights) in [(ball_box(), false), (ball_in_the_open(), false), (ball_in_the_open(), true)] {
+        let field = trained_in_many_lights(&frame, basis_lights);
+        assert_eq!(field.colours(), if basis_lights { Colours::Lit } else { Colours::Harmonics });
+        let lights: Vec<&Appearance> = field.appearances().iter().map(|(_, look)| look).collect();
+        assert_eq!(lights.len(), 12);
+        let first = field.render_maps(&camera, lights[0]);
+        assert!(first.accumulation.iter().any(|a| *a > 0.9) && first.depth.iter().any(|d| *d > 0.1), "there is a ball");
+        for (n, look) in lights.iter().enumerate().skip(1) {
+            let other = field.render_maps(&camera, look);
+            assert_eq!(bits(&other.depth), bits(&first.depth), "{frame:?}: depth in light {n}");
+            assert_eq!(bits(&other.accumulation), bits(&first.accumulation), "{frame:?}: accumulation in light {n}");
+            let apart = rms(other.picture.rgb(), first.picture.rgb());
+            assert!(apart > 0.02, "{frame:?}: light {n} is {apart} from the first");
+        }
+    }
 }
