@@ -3,9 +3,9 @@
 
 mod common;
 
-use cairn_capture::Picture;
+use cairn_capture::{Picture, SceneKind};
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
-use common::{ball_box, ball_in_the_open, camera, photographs, ring, rms, tiny, views};
+use common::{ball_box, ball_in_the_open, camera, capture, facing, photographs, ring, rms, tiny, views};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -35,6 +35,39 @@ fn of_colour(colour: [f32; 3]) -> Vec<TrainingView> {
         view.picture = Arc::new(Picture::constant(20, 20, colour));
     }
     views
+}
+
+/// Views that look ahead, and the frame around them.
+fn ahead(n: usize, size: usize) -> (Vec<TrainingView>, SceneFrame) {
+    let cameras = facing(n, size, 1.0, DVec3::ZERO);
+    let views = photographs(&cameras, 1.0, DVec3::ZERO);
+    let frame = SceneFrame::from_capture(&capture(SceneKind::ForwardFacing, cameras, 1.0, DVec3::ZERO));
+    (views, frame.expect("a near plane"))
+}
+
+#[test]
+fn looking_ahead_constant_and_saturated_photographs_are_reproduced() {
+    for colour in [[0.0; 3], [1.0; 3], [0.0, 1.0, 0.5], [7.0, -3.0, 0.5]] {
+        let (mut views, frame) = ahead(5, 20);
+        for view in &mut views {
+            view.picture = Arc::new(Picture::constant(20, 20, colour));
+        }
+        let field = train(views.clone(), &frame, None, tiny(80));
+        // Beyond the range they are saturated.
+        for view in &mut views {
+            view.picture = Arc::new(Picture::constant(20, 20, colour.map(|v: f32| v.clamp(0.0, 1.0))));
+        }
+        assert!(off(&field, &views) < 0.01, "{colour:?}: {}", off(&field, &views));
+        let field = train(views.clone(), &frame, Some([0.5; 3]), tiny(200));
+        assert!(off(&field, &views) < 0.03, "{colour:?} before grey: {}", off(&field, &views));
+    }
+}
+
+#[test]
+fn looking_ahead_a_single_view_is_learnt() {
+    let (views, frame) = ahead(1, 24);
+    let field = train(views.clone(), &frame, None, tiny(150));
+    assert!(off(&field, &views) < 0.03, "{}", off(&field, &views));
 }
 
 #[test]
