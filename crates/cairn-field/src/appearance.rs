@@ -88,9 +88,13 @@ impl Appearance {
         &mut self.code
     }
 
-    /// The way from this appearance (`share` 0) to `other` (`share` 1).
+    /// The way from this appearance (`share` 0) to `other` (`share` 1); both ends exactly.
     #[must_use]
     pub fn mixed(&self, other: &Self, share: f32) -> Self {
+        // a + (b - a) may be rounded off b.
+        if share == 1.0 {
+            return other.clone();
+        }
         let code = self.code.iter().zip(&other.code).map(|(a, b)| a + (b - a) * share).collect();
         Self { code }
     }

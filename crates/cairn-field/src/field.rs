@@ -183,15 +183,28 @@ impl Field {
         }
     }
 
-    /// Fits an appearance to the left half of `photograph` (the NeRF-W
-    /// protocol: the right half is then fair to score): the likeliest one, where the
-    /// training views' appearances say what is likely. The field is not changed.
+    /// Fits an appearance to `photograph`: the likeliest one, where the training views'
+    /// appearances say what is likely. The field is not changed.
     ///
     /// # Errors
     /// [`FieldError::Views`] when the photograph's size is not the camera's, or a number of it
     /// is not finite; [`FieldError::Stored`] when the training views' appearances are such as
     /// no photograph has.
+    pub fn fit_appearance(&self, camera: &Camera, photograph: &Picture) -> Result<Appearance, FieldError> {
+        self.fit_columns(camera, photograph, camera.intrinsics.width)
+    }
+
+    /// As [`Field::fit_appearance`], to the left half of `photograph` (the NeRF-W
+    /// protocol: the right half is then fair to score).
+    ///
+    /// # Errors
+    /// As [`Field::fit_appearance`].
     pub fn fit_appearance_left_half(&self, camera: &Camera, photograph: &Picture) -> Result<Appearance, FieldError> {
+        self.fit_columns(camera, photograph, camera.intrinsics.width / 2)
+    }
+
+    /// Fits an appearance to the first `columns` of `photograph`.
+    fn fit_columns(&self, camera: &Camera, photograph: &Picture, columns: usize) -> Result<Appearance, FieldError> {
         let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
         if (w, h) != (photograph.width(), photograph.height()) {
             return Err(FieldError::Views(format!(
@@ -207,18 +220,17 @@ impl Field {
             Prior::of(&seen).ok_or_else(|| stored("field", "its appearances are beyond all bounds".into()))?
         };
         let pixels: Vec<[f32; 3]> = (0..w * h).map(|at| photograph.pixel(at % w, at / w)).collect();
+        let pixels = left(pixels, w, columns);
         let (dark, limits) = ([0.0; LIGHTS], Thresholds::SHOWN);
         let fitted = match self.colours {
             Colours::Harmonics => {
                 let of = |seen: &Seen<'_>| features(&seen.gathered, &seen.harmonics);
-                prior.fit(&left_half(self.each_pixel(camera, dark, limits, of), w), &left_half(pixels, w))
+                prior.fit(&left(self.each_pixel(camera, dark, limits, of), w, columns), &pixels)
             }
-            Colours::Lit => {
-                prior.fit_lit(&left_half(self.each_pixel(camera, dark, limits, Unlit::of), w), &left_half(pixels, w))
-            }
+            Colours::Lit => prior.fit_lit(&left(self.each_pixel(camera, dark, limits, Unlit::of), w, columns), &pixels),
         };
         fitted.ok_or_else(|| {
-            let why = "its left half has a number that is not finite, or is lit beyond all bounds; import it again";
+            let why = "it has a number that is not finite, or is lit beyond all bounds; import or save it again";
             FieldError::Views(format!("no light explains the photograph: {why}"))
         })
     }
@@ -307,9 +319,12 @@ impl Field {
     }
 }
 
-/// The left halves of rows of `width`.
-fn left_half<P: Copy>(all: Vec<P>, width: usize) -> Vec<P> {
-    all.chunks_exact(width).flat_map(|row| &row[..width / 2]).copied().collect()
+/// The first `columns` of rows of `width`.
+fn left<P: Copy>(all: Vec<P>, width: usize, columns: usize) -> Vec<P> {
+    if columns == width {
+        return all;
+    }
+    all.chunks_exact(width).flat_map(|row| &row[..columns]).copied().collect()
 }
 
 /// `camera`'s picture of these colours.

@@ -60,15 +60,50 @@ fn the_right_half_has_no_say() {
     assert_ne!(fit(&photograph), fit(&changed(|x| x < 16)));
 }
 
+/// What each half of a photograph alone would have told counts.
+#[test]
+fn both_halves_of_a_whole_photograph_have_a_say() {
+    let camera = ring(5, 32, 1.0, DVec3::ZERO)[0];
+    let field = field(10);
+    let (dim, bright) = (field.render(&camera, &lit(-0.3)), field.render(&camera, &lit(0.3)));
+    let half = |(i, (a, b)): (usize, (&f32, &f32))| if i / 3 % 32 < 16 { *a } else { *b };
+    let rgb = dim.rgb().iter().zip(bright.rgb()).enumerate().map(half).collect();
+    let torn = Picture::new(32, 32, rgb).expect("three numbers a pixel");
+    let fit = |picture: &Picture| field.fit_appearance(&camera, picture).expect("a sound photograph").code()[0];
+    let (dim, torn, bright) = (fit(&dim), fit(&torn), fit(&bright));
+    assert!((dim - 0.7).abs() < 0.1 && (bright - 1.3).abs() < 0.1, "{dim} and {bright}");
+    assert!(dim + 0.1 < torn && torn + 0.1 < bright, "{dim}, {torn}, {bright}");
+    let small = Picture::constant(31, 32, [0.5; 3]);
+    let error = field.fit_appearance(&camera, &small).expect_err("another size");
+    assert!(error.to_string().contains("31 x 32 px for a camera of 32 x 32"), "{error}");
+}
+
 #[test]
 fn a_photograph_that_no_light_explains_is_refused() {
     let camera = ring(5, 32, 1.0, DVec3::ZERO)[0];
     for broken in [f32::NAN, f32::INFINITY] {
+        // In either half.
+        for at in [300, 300 + 3 * 16] {
+            let mut photograph = field(3).render(&camera, &lit(0.0));
+            photograph.rgb_mut()[at] = broken;
+            let error = field(3).fit_appearance(&camera, &photograph).expect_err("not finite");
+            assert!(matches!(&error, FieldError::Views(why) if why.contains("photograph")), "{error}");
+        }
         let mut photograph = field(3).render(&camera, &lit(0.0));
         photograph.rgb_mut()[300] = broken;
         let error = field(3).fit_appearance_left_half(&camera, &photograph).expect_err("not finite");
         assert!(matches!(&error, FieldError::Views(why) if why.contains("photograph")), "{error}");
     }
+}
+
+#[test]
+fn the_way_from_one_light_to_another_ends_in_both_exactly() {
+    let (from, to) = (lit(0.1), lit(-0.37));
+    assert_eq!(from.mixed(&to, 0.0), from);
+    assert_eq!(from.mixed(&to, 1.0), to);
+    let half = from.mixed(&to, 0.5);
+    let ends = from.code().iter().zip(to.code());
+    assert!(half.code().iter().zip(ends).all(|(h, (a, b))| (h - 0.5 * (a + b)).abs() < 1e-6));
 }
 
 #[test]

@@ -161,6 +161,10 @@ fn the_lights_of_half_a_photograph_are_found() {
     let off: f32 = found.lights().iter().zip(truth.lights()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(off < 0.05, "{:?}", found.lights());
     assert!(rms(field.render(&camera, &found).rgb(), photograph.rgb()) < 0.01);
+    // A whole one tells more.
+    let whole = field.fit_appearance(&camera, &photograph).expect("a sound photograph");
+    assert_ne!(whole, found);
+    assert!(rms(field.render(&camera, &whole).rgb(), photograph.rgb()) < 0.01);
     let mut rgb = photograph.rgb().to_vec();
     rgb[5] = f32::NAN;
     let bad = Picture::new(64, 64, rgb).expect("three numbers a pixel");
