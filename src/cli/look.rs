@@ -7,6 +7,7 @@ use cairn_proto::v1;
 use serde::Deserialize;
 
 use super::connect::{Connection, refused};
+use super::light::{InLight, OnTheWay};
 use super::{VERSION, read, write};
 
 /// Contributors named in one line.
@@ -38,9 +39,10 @@ pub struct RenderArgs {
     /// The field before it was marked
     #[arg(long)]
     base: bool,
-    /// In the light of this training view
-    #[arg(long, value_name = "VIEW")]
-    light: Option<String>,
+    #[command(flatten)]
+    light: InLight,
+    #[command(flatten)]
+    on_the_way: OnTheWay,
     /// Also write depth along the optical axis: 16-bit grey, 0 for none, its unit is printed and said in the file
     #[arg(long, value_name = "PNG")]
     depth: Option<PathBuf>,
@@ -178,7 +180,11 @@ fn camera(path: &Path) -> anyhow::Result<v1::Camera> {
     Ok(v1::Camera { intrinsics: Some(intrinsics), pose: Some(v1::Pose { rotation, position }) })
 }
 
-fn viewpoint(view: Option<String>, pose: Option<&Path>) -> anyhow::Result<v1::Viewpoint> {
+/// The viewpoint of a view or of a camera's file.
+///
+/// # Errors
+/// For a file that is no camera, and where neither is given.
+pub fn viewpoint(view: Option<String>, pose: Option<&Path>) -> anyhow::Result<v1::Viewpoint> {
     use v1::viewpoint::From;
     let from = match (view, pose) {
         (Some(name), _) => From::ViewName(name),
@@ -190,14 +196,13 @@ fn viewpoint(view: Option<String>, pose: Option<&Path>) -> anyhow::Result<v1::Vi
 
 /// Answers `cairn render`.
 pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
-    let choice = args.light.map(v1::appearance::Choice::ViewName);
     let field = if args.base { v1::FieldKind::Base } else { v1::FieldKind::Marked };
     let request = v1::RenderRequest {
         format_version: VERSION,
         scene: args.name.clone(),
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),
         field: field.into(),
-        appearance: Some(v1::Appearance { choice }),
+        appearance: args.light.asked_with(args.on_the_way)?,
         accumulation: args.accumulation.is_some(),
         depth: args.depth.is_some(),
         depth_colours: args.depth_colours.is_some(),

@@ -10,6 +10,7 @@ mod corrections;
 mod credential;
 mod demo;
 mod keys;
+mod light;
 mod look;
 mod owners;
 mod path;

@@ -8,10 +8,12 @@ use std::time::Instant;
 use anyhow::Context as _;
 use cairn_capture::{Limits, Picture, decode_picture};
 use cairn_proto::v1::{self, render_path_request as to};
+use cairn_registry::Digest;
 use serde_json::json;
 
 use super::animation::{self, Animation, write_whole};
 use super::connect::{Connection, refused};
+use super::light::InLight;
 use super::progress::Progress;
 use super::{VERSION, read, scene};
 
@@ -49,9 +51,11 @@ pub struct Args {
     /// The field before it was marked
     #[arg(long)]
     base: bool,
-    /// In the light of this training view (neutral; with --between from the one's to the other's)
-    #[arg(long, value_name = "VIEW")]
-    light: Option<String>,
+    #[command(flatten)]
+    light: InLight,
+    /// With the light changing on the way, from the one of --light to the one of this training view
+    #[arg(long, value_name = "VIEW", requires = "light")]
+    light_to: Option<String>,
 }
 
 /// Which way to fly.
@@ -101,8 +105,9 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         width: args.width.unwrap_or(0),
         height: args.height.unwrap_or(0),
         field: if args.base { v1::FieldKind::Base } else { v1::FieldKind::Marked }.into(),
-        appearance: args
-            .light
+        appearance: args.light.asked()?,
+        appearance_to: args
+            .light_to
             .clone()
             .map(|view| v1::Appearance { choice: Some(v1::appearance::Choice::ViewName(view)) }),
     };
@@ -235,11 +240,7 @@ async fn label(line: &Connection, request: &v1::RenderPathRequest) -> anyhow::Re
         Some(to::Path::Between(b)) => json!({ "from_view": b.from_view, "to_view": b.to_view }),
         Some(to::Path::Spiral(_)) | None => json!("spiral"),
     };
-    let light = match request.appearance.as_ref().and_then(|a| a.choice.as_ref()) {
-        Some(v1::appearance::Choice::ViewName(view)) => Some(view.clone()),
-        _ => None,
-    };
-    Ok(json!({
+    let mut label = json!({
         "format_version": 1,
         "scene": request.scene,
         "job": model.map(|m| m.job_id),
@@ -248,8 +249,26 @@ async fn label(line: &Connection, request: &v1::RenderPathRequest) -> anyhow::Re
         "width": request.width,
         "height": request.height,
         "base": request.field() == v1::FieldKind::Base,
-        "light": light,
-    }))
+        "light": light(request.appearance.as_ref()),
+    });
+    // Folders of before know nothing of it.
+    if request.appearance_to.is_some() {
+        label["light_to"] = light(request.appearance_to.as_ref());
+    }
+    Ok(label)
+}
+
+/// A light in a label: a view's name, or a photograph's digest and the camera that took it.
+fn light(appearance: Option<&v1::Appearance>) -> serde_json::Value {
+    use v1::appearance::Choice;
+    match appearance.and_then(|a| a.choice.as_ref()) {
+        Some(Choice::ViewName(view)) => json!(view),
+        Some(Choice::Photograph(p)) => {
+            let digest = Digest::of(&p.photograph).to_string();
+            json!({ "photograph_sha256": digest, "taken": format!("{:?}", p.viewpoint) })
+        }
+        Some(Choice::Neutral(_) | Choice::Blend(_)) | None => serde_json::Value::Null,
+    }
 }
 
 /// Opens the folder of frames; how many of them are there to go on from.

@@ -11,8 +11,9 @@ use glam::{DMat3, DVec3};
 use crate::engine::TrainingRequest;
 use crate::engine::error::EngineError;
 use crate::engine::hidden::Given;
+use crate::engine::light::Light;
 use crate::engine::owners::AskedView;
-use crate::engine::query::{FieldKind, Light, Viewpoint};
+use crate::engine::query::{FieldKind, Viewpoint};
 use crate::engine::scenes::{ImportPlan, PlannedView};
 use crate::engine::tour::{PathKind, PathRequest};
 
@@ -142,9 +143,14 @@ pub fn camera(what: &str, camera: Option<&v1::Camera>) -> Result<Camera, EngineE
 
 /// A viewpoint.
 pub fn viewpoint(viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoint, EngineError> {
-    match viewpoint.and_then(|v| v.from).ok_or_else(|| missing("the viewpoint"))? {
+    viewpoint_of("the viewpoint", viewpoint)
+}
+
+/// A viewpoint; `what` names it in errors.
+fn viewpoint_of(what: &str, viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoint, EngineError> {
+    match viewpoint.and_then(|v| v.from).ok_or_else(|| missing(what))? {
         v1::viewpoint::From::ViewName(name) => Ok(Viewpoint::View(name)),
-        v1::viewpoint::From::Camera(c) => Ok(Viewpoint::Camera(camera("the viewpoint's camera", Some(&c))?)),
+        v1::viewpoint::From::Camera(c) => Ok(Viewpoint::Camera(camera(&format!("{what}'s camera"), Some(&c))?)),
     }
 }
 
@@ -305,9 +311,9 @@ pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), Engi
         let expected = format!("0 to below the number of frames, {}", request.frames);
         return Err(EngineError::invalid("first_frame", first, expected));
     }
-    let light = match request.appearance.and_then(|a| a.choice) {
-        None => None,
-        choice => Some(light(Some(v1::Appearance { choice }))),
+    let set = |appearance: Option<v1::Appearance>| match appearance.filter(|a| a.choice.is_some()) {
+        None => Ok(None),
+        some => light(some).map(Some),
     };
     let plan = PathRequest {
         scene: request.scene,
@@ -315,7 +321,8 @@ pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), Engi
         frames: request.frames as usize,
         size: (request.width as usize, request.height as usize),
         field: field_kind(request.field)?,
-        light,
+        light: set(request.appearance)?,
+        light_to: set(request.appearance_to)?,
     };
     Ok((plan, first))
 }
@@ -330,13 +337,25 @@ pub fn field_kind(kind: i32) -> Result<FieldKind, EngineError> {
 }
 
 /// In whose light.
-pub fn light(appearance: Option<v1::Appearance>) -> Light {
+pub fn light(appearance: Option<v1::Appearance>) -> Result<Light, EngineError> {
     use v1::appearance::Choice;
-    match appearance.and_then(|a| a.choice) {
+    Ok(match appearance.and_then(|a| a.choice) {
         None | Some(Choice::Neutral(_)) => Light::Neutral,
         Some(Choice::ViewName(name)) => Light::View(name),
-        Some(Choice::Blend(b)) => Light::Blend(b.from_view, b.to_view, b.share as f32),
-    }
+        Some(Choice::Blend(b)) => {
+            if !(0.0..=1.0).contains(&b.share) {
+                return Err(EngineError::invalid("the appearance's share", b.share, "0 to 1"));
+            }
+            Light::Blend(b.from_view, b.to_view, b.share)
+        }
+        Some(Choice::Photograph(p)) => {
+            if p.photograph.is_empty() {
+                return Err(missing("the appearance's photograph"));
+            }
+            let taken = viewpoint_of("the viewpoint of the appearance's photograph", p.viewpoint)?;
+            Light::Photograph(p.photograph.into(), taken)
+        }
+    })
 }
 
 #[cfg(test)]
@@ -374,6 +393,38 @@ mod tests {
         assert!(change(|c| c.pose.as_mut().unwrap().rotation[0] = 5.0).contains("pose"));
         assert!(change(|c| c.pose.as_mut().unwrap().rotation.truncate(8)).contains("8 numbers"));
         assert!(change(|c| c.pose = None).contains("not set"));
+    }
+
+    #[test]
+    fn lights_are_refused_by_what_is_wrong_with_them() {
+        use v1::appearance::Choice;
+        let of = |choice| light(Some(v1::Appearance { choice: Some(choice) })).map_err(|e| e.to_string());
+        let blend = |share| {
+            let (from_view, to_view) = ("a".into(), "b".into());
+            of(Choice::Blend(v1::AppearanceBlend { from_view, to_view, share }))
+        };
+        for share in [0.0, 0.25, 1.0] {
+            assert!(matches!(blend(share), Ok(Light::Blend(_, _, s)) if s == share), "{share}");
+        }
+        for share in [-1e-9, 1.0 + 1e-12, f64::NAN, f64::INFINITY] {
+            assert_eq!(blend(share).unwrap_err(), format!("the appearance's share is {share}; allowed is 0 to 1"));
+        }
+        let camera = |camera| Some(v1::Viewpoint { from: Some(v1::viewpoint::From::Camera(camera)) });
+        let photograph = |bytes: Vec<u8>, viewpoint| {
+            of(Choice::Photograph(v1::PhotographAppearance { photograph: bytes.into(), viewpoint }))
+        };
+        assert!(
+            matches!(photograph(vec![7], camera(good())), Ok(Light::Photograph(b, Viewpoint::Camera(_))) if b == [7])
+        );
+        let poseless = v1::Camera { pose: None, ..good() };
+        for (bytes, viewpoint, says) in [
+            (vec![], camera(good()), "the appearance's photograph is not set"),
+            (vec![7], None, "the viewpoint of the appearance's photograph is not set"),
+            (vec![7], camera(poseless), "the viewpoint of the appearance's photograph's camera: pose is not set"),
+        ] {
+            let refused = photograph(bytes, viewpoint).unwrap_err();
+            assert!(refused.starts_with(says), "{refused}");
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ use cairn_capture::encode_png;
 use cairn_proto::v1::{self, render_service_server::RenderService};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Request, Response, Status};
+use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
 use super::status::status;
@@ -24,13 +24,11 @@ impl RenderService for Shared {
     async fn render(&self, request: Request<v1::RenderRequest>) -> Answer<v1::RenderResponse> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
         let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
-        if field == FieldKind::Base {
-            self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&request.get_ref().scene))?;
-        }
+        self.may_see(request.extensions(), &request.get_ref().scene, field, &[request.get_ref().appearance.as_ref()])?;
         let v1::RenderRequest { scene, viewpoint, appearance, accumulation, depth, depth_colours, .. } =
             request.into_inner();
         let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
-        let light = from_proto::light(appearance);
+        let light = from_proto::light(appearance).map_err(status)?;
         let answer = self
             .compute(move |engine| {
                 let wants_maps = accumulation || depth || depth_colours;
@@ -63,11 +61,14 @@ impl RenderService for Shared {
 
     async fn render_path(&self, request: Request<v1::RenderPathRequest>) -> Answer<Self::RenderPathStream> {
         from_proto::version(request.get_ref().format_version).map_err(status)?;
-        if from_proto::field_kind(request.get_ref().field).map_err(status)? == FieldKind::Base {
-            self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&request.get_ref().scene))?;
-        }
+        let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
+        let lights = [request.get_ref().appearance.as_ref(), request.get_ref().appearance_to.as_ref()];
+        self.may_see(request.extensions(), &request.get_ref().scene, field, &lights)?;
+        let fits = lights.into_iter().any(is_fitted);
         let (plan, first) = from_proto::path(request.into_inner()).map_err(status)?;
-        let tour = Arc::new(self.run(move |engine| engine.tour(&plan)).await?);
+        let plan = move |engine: &Engine| engine.tour(&plan);
+        // Planning is geometry alone, but for a light that is fitted to a photograph.
+        let tour = Arc::new(if fits { self.compute(plan).await? } else { self.run(plan).await? });
         // One place: at most one frame waits for its reader while the next is computed.
         let (sender, receiver) = mpsc::channel(1);
         let shared = self.clone();
@@ -87,6 +88,28 @@ impl RenderService for Shared {
         });
         Ok(Response::new(ReceiverStream::new(receiver)))
     }
+}
+
+impl Shared {
+    /// Holds the caller to a token where a render would show the field without its marks: the base field's, and one in a
+    /// photograph's light. Who may choose any light chooses one so dark that the mark is nearly all that is left.
+    fn may_see(
+        &self,
+        caller: &Extensions,
+        scene: &str,
+        field: FieldKind,
+        lights: &[Option<&v1::Appearance>],
+    ) -> Result<(), Status> {
+        if field == FieldKind::Base || lights.iter().any(|light| is_fitted(*light)) {
+            self.authorise_as(caller, Need::Inspect, About::Scene(scene))?;
+        }
+        Ok(())
+    }
+}
+
+/// Whether it is fitted to a photograph.
+fn is_fitted(light: Option<&v1::Appearance>) -> bool {
+    matches!(light.and_then(|light| light.choice.as_ref()), Some(v1::appearance::Choice::Photograph(_)))
 }
 
 fn frame(engine: &Engine, tour: &Tour, at: usize) -> Result<v1::RenderPathResponse, EngineError> {

@@ -17,6 +17,7 @@ pub mod job;
 pub mod jobs;
 mod joint;
 pub mod layout;
+pub mod light;
 pub mod maps;
 pub mod marks;
 pub mod model;

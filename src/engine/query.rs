@@ -7,6 +7,7 @@ use cairn_capture::{Camera, Picture};
 
 use super::classes::{Elsewhere, Found, LaidOver};
 use super::error::EngineError;
+use super::light::{Light, same_proportions};
 use super::maps::Maps;
 use super::model::Model;
 use super::scenes::check_size;
@@ -30,17 +31,6 @@ pub enum FieldKind {
     Base,
     /// After stage 2.
     Marked,
-}
-
-/// In whose light.
-#[derive(Clone, Debug)]
-pub enum Light {
-    /// The mean of the training views'.
-    Neutral,
-    /// A training view's.
-    View(String),
-    /// Between two views': share 0 is the first, 1 the second.
-    Blend(String, String, f32),
 }
 
 /// Who it is, and how sure that is, 0 to 1.
@@ -70,16 +60,13 @@ pub struct Over {
 }
 
 /// Refuses a picture that `camera` cannot have taken whole, at whatever size.
-fn same_proportions(picture: &Picture, camera: &Camera) -> Result<(), EngineError> {
-    let (w, h) = (picture.width() as f64, picture.height() as f64);
-    let (across, down) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
-    // A side may have been rounded.
-    if (w * down / across - h).abs() > 1.0 && (h * across / down - w).abs() > 1.0 {
-        let allowed =
-            format!("the proportions of what it was rendered at, {across} x {down} px, or no viewpoint at all");
-        return Err(EngineError::invalid("the picture", format!("{w} x {h} px"), allowed));
+fn check_whole(picture: &Picture, camera: &Camera) -> Result<(), EngineError> {
+    if same_proportions(picture, camera) {
+        return Ok(());
     }
-    Ok(())
+    let (across, down) = (camera.intrinsics.width, camera.intrinsics.height);
+    let allowed = format!("the proportions of what it was rendered at, {across} x {down} px, or no viewpoint at all");
+    Err(EngineError::invalid("the picture", format!("{} x {} px", picture.width(), picture.height()), allowed))
 }
 
 /// Decodes a PNG or JPEG under the limits.
@@ -87,6 +74,14 @@ fn same_proportions(picture: &Picture, camera: &Camera) -> Result<(), EngineErro
 /// # Errors
 /// [`EngineError::OverLimit`] before decoding, and cairn-capture's.
 pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Picture, EngineError> {
+    decode_on(bytes, limits, None)
+}
+
+/// As [`decode`], what is transparent in the picture being of `background` (RGB, 0 to 1; `None` is white).
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_on(bytes: &[u8], limits: &Limits, background: Option<[f32; 3]>) -> Result<Picture, EngineError> {
     let got = bytes.len() as u64;
     if got > limits.max_photograph_bytes {
         let (what, key) = ("the picture in bytes".to_owned(), "limits.max_photograph_bytes");
@@ -98,7 +93,7 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Picture, EngineError> {
         max_pixels: limits.max_pixels,
         max_views: limits.max_views,
     };
-    Ok(cairn_capture::decode_picture(bytes, &limits, None)?)
+    Ok(cairn_capture::decode_picture(bytes, &limits, background)?)
 }
 
 impl Engine {
@@ -107,6 +102,11 @@ impl Engine {
     /// # Errors
     /// [`EngineError::NotFound`] for a view that is not there, [`EngineError::OverLimit`].
     pub fn camera(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Camera, EngineError> {
+        self.camera_of("the render", scene, viewpoint)
+    }
+
+    /// As [`Engine::camera`]; `what` names what it takes in errors.
+    pub(super) fn camera_of(&self, what: &str, scene: &str, viewpoint: &Viewpoint) -> Result<Camera, EngineError> {
         let camera = match viewpoint {
             Viewpoint::Camera(camera) => *camera,
             Viewpoint::View(name) => {
@@ -115,14 +115,15 @@ impl Engine {
                 capture.views[view_index(capture, name)?].camera
             }
         };
-        check_size("the render", camera.intrinsics.width, camera.intrinsics.height, &self.limits)?;
+        check_size(what, camera.intrinsics.width, camera.intrinsics.height, &self.limits)?;
         Ok(camera)
     }
 
     /// Renders a view, clamped to [0, 1]; with accumulation and depth where `maps` asks for them.
     ///
     /// # Errors
-    /// [`EngineError::NotTrained`], [`EngineError::NotFound`], [`EngineError::Invalid`].
+    /// [`EngineError::NotTrained`], [`EngineError::NotFound`], [`EngineError::Invalid`]; in a photograph's light what is
+    /// said of [`Light::Photograph`].
     pub fn render(
         &self,
         scene: &str,
@@ -133,7 +134,7 @@ impl Engine {
     ) -> Result<(Picture, Option<Maps>), EngineError> {
         let model = self.model(scene)?;
         let camera = self.camera(scene, viewpoint)?;
-        let appearance = appearance(&model, light)?;
+        let appearance = self.appearance(&model, light)?;
         if !maps {
             return Ok((model.look(field, &camera, &appearance)?, None));
         }
@@ -213,7 +214,7 @@ impl Engine {
         };
         let from = from.map(|viewpoint| self.camera(scene, &viewpoint)).transpose()?;
         if let Some(camera) = &from {
-            same_proportions(&picture, camera)?;
+            check_whole(&picture, camera)?;
         }
         let folder = self.scene(scene)?;
         // Where a view in quarantine says that it was taken is what is doubted.
@@ -253,28 +254,5 @@ impl Model {
             FieldKind::Marked => self.mark()?.field.render(camera, appearance),
         };
         Ok(picture.clamped())
-    }
-}
-
-/// The appearance that `light` asks for.
-pub(super) fn appearance(model: &Model, light: &Light) -> Result<Appearance, EngineError> {
-    let of = |name: &str| {
-        let known = model.base.appearances();
-        match known.iter().find(|(n, _)| n == name) {
-            Some((_, appearance)) => Ok(appearance.clone()),
-            // In scenes of one light every view has the same.
-            None if known.is_empty() => Ok(model.base.canonical_appearance().clone()),
-            None => Err(EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str()))),
-        }
-    };
-    match light {
-        Light::Neutral => Ok(model.base.canonical_appearance().clone()),
-        Light::View(name) => of(name),
-        Light::Blend(from, to, share) => {
-            if !(0.0..=1.0).contains(share) {
-                return Err(EngineError::invalid("the appearance's share", share, "0 to 1"));
-            }
-            Ok(of(from)?.mixed(&of(to)?, *share))
-        }
     }
 }

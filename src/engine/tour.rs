@@ -8,9 +8,10 @@ use cairn_field::SceneFrame;
 use glam::DVec3;
 
 use super::error::EngineError;
+use super::light::Light;
 use super::model::Model;
 use super::paths::{self, PathError};
-use super::query::{FieldKind, Light, appearance};
+use super::query::FieldKind;
 use super::scenes::check_size;
 use super::stages::Appearance;
 use super::{Engine, crowd, view_index};
@@ -44,6 +45,8 @@ pub struct PathRequest {
     pub field: FieldKind,
     /// In whose light; `None` is neutral, and between two views from the one's to the other's.
     pub light: Option<Light>,
+    /// In whose light it ends; `None` is as it begins, where that is said.
+    pub light_to: Option<Light>,
 }
 
 /// A path that was planned. It holds no model: whoever takes its frames slowly must not
@@ -75,7 +78,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`EngineError::Path`] for a path that the scene's cameras do not carry,
-    /// [`EngineError::OverLimit`], [`EngineError::NotTrained`], [`EngineError::NotFound`].
+    /// [`EngineError::OverLimit`], [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`Light::Photograph`]'s.
     pub fn tour(&self, request: &PathRequest) -> Result<Tour, EngineError> {
         let most = self.limits.max_path_frames;
         if request.frames < 2 {
@@ -95,9 +98,13 @@ impl Engine {
             model.mark()?;
         }
         let light = match (&request.light, &route) {
-            (Some(light), _) => ends(appearance(&model, light)?),
+            (Some(light), _) => ends(self.appearance(&model, light)?),
             (None, Route::Between(from, to)) => (own_light(&model, capture, from), own_light(&model, capture, to)),
             (None, _) => ends(model.base.canonical_appearance().clone()),
+        };
+        let light = match &request.light_to {
+            Some(end) => (light.0, self.appearance(&model, end)?),
+            None => light,
         };
         let cameras = route.cameras(capture, model.base.frame(), request.frames, (width, height))?;
         Ok(Tour { scene: request.scene.clone(), job: model.info.job.clone(), field: request.field, cameras, light })
