@@ -104,3 +104,68 @@ impl CustomOp2 for BitwiseCrossEntropy {
         Ok((Some(tensor(slope, x.shape())?), None))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::{Device, Var};
+
+    fn rows(values: &[f32], n: usize) -> Var {
+        Var::from_vec(values.to_vec(), (n, values.len() / n), &Device::Cpu).unwrap()
+    }
+
+    fn value(t: &Tensor) -> f32 {
+        t.to_scalar::<f32>().unwrap()
+    }
+
+    fn near(got: &[f32], expected: &[f32]) {
+        assert_eq!(got.len(), expected.len());
+        for (got, expected) in got.iter().zip(expected) {
+            assert!((got - expected).abs() < 1e-6, "{got} for {expected}");
+        }
+    }
+
+    #[test]
+    fn cross_entropy_is_the_mean_logarithm_of_the_true_class() {
+        // exp: 1, 2, 1 of 4 and 5, 1, 2 of 8. Classes 1 and 2 have 1/2 and 1/4: (ln 2 + ln 4) / 2 = 1.5 ln 2 = 1.0397208.
+        let logits = rows(&[0.0, 2.0f32.ln(), 0.0, 5.0f32.ln(), 0.0, 2.0f32.ln()], 2);
+        let loss = cross_entropy(&logits, &[1, 2]).unwrap();
+        near(&[value(&loss)], &[1.039_720_8]);
+        // The slope is the probability, less 1 for the true class, over two rows.
+        let slope = loss.backward().unwrap().get(&logits).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        near(&slope, &[0.125, -0.25, 0.125, 0.3125, 0.0625, -0.375]);
+        // Nothing said of three classes is ln 3 = 1.0986123; far out it is the difference of logits.
+        near(&[value(&cross_entropy(&rows(&[0.0; 3], 1), &[2]).unwrap())], &[1.098_612_3]);
+        assert_eq!(value(&cross_entropy(&rows(&[1000.0, -500.0], 1), &[1]).unwrap()), 1500.0);
+    }
+
+    #[test]
+    fn cross_entropy_wants_one_known_class_a_row() {
+        let logits = rows(&[0.0; 6], 2);
+        for classes in [&[0, 3][..], &[0], &[0, 1, 2]] {
+            let error = cross_entropy(&logits, classes).unwrap_err().to_string();
+            assert!(error.contains("one class below 3 for each of 2 rows"), "{classes:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn softmax_is_each_rows_share() {
+        let shares = softmax(&rows(&[0.0, 3.0f32.ln(), 2.0f32.ln(), 2.0f32.ln()], 2)).unwrap();
+        near(&shares.flatten_all().unwrap().to_vec1::<f32>().unwrap(), &[0.25, 0.75, 0.5, 0.5]);
+    }
+
+    #[test]
+    fn errors_are_means_of_sizes_and_of_squares() {
+        let (a, b) = (rows(&[1.0, -2.0, 0.5, 0.0], 2), rows(&[0.5, 1.0, 0.5, -4.0], 2));
+        // Differences 0.5, -3, 0, 4: sizes 7.5 / 4, squares 25.25 / 4.
+        let (absolute, squared) = (mean_absolute(&a, &b).unwrap(), mean_squared(&a, &b).unwrap());
+        assert_eq!((value(&absolute), value(&squared)), (1.875, 6.3125));
+        let slope =
+            |of: &Tensor| of.backward().unwrap().get(&a).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        // Signs over four, and twice the differences over four. Where there is no difference the sign counts as 1, which is as
+        // good a slope of a size as any from -1.
+        near(&slope(&absolute), &[0.25, -0.25, 0.25, 0.25]);
+        near(&slope(&squared), &[0.25, -1.5, 0.0, 2.0]);
+        assert!(mean_absolute(&a, &rows(&[0.0; 4], 1)).is_err() && mean_squared(&a, &rows(&[0.0; 4], 1)).is_err());
+    }
+}

@@ -1,4 +1,4 @@
-//! What a step is to make smaller: equations 1, 2, 3 and 5.
+//! What a step is to make smaller: equations 1, 2, 3 and 5; equation 4 needs no network (`moves`).
 //!
 //! With several heads equations 1 and 2 are the heads' mean. A render whose identity
 //! hides nothing of a head's kind counts for that head as an unmarked picture does:
@@ -43,7 +43,7 @@ impl MarkTrainer {
         let taught = self.config.guidance != Guidance::NoClassifier;
         let weighted = (cross * if taught { self.config.weight_classify } else { 0.0 })?;
         if self.joined.is_none() {
-            return Ok((weighted, Losses { classify, each, recover: 0.0 }));
+            return Ok((weighted, Losses { classify, each, ..Losses::default() }));
         }
         // The gate silences most unmarked pictures by itself: one twin and one other
         // picture a step suffice, and the detector is the costly network.
@@ -54,12 +54,13 @@ impl MarkTrainer {
         let hidden = |class: &u32| (*class as usize).checked_sub(1).map(|identity| &self.signals[identity]);
         let truths: Vec<Option<&Numbers>> = classes[..renders.len()].iter().chain(&[0, 0]).map(hidden).collect();
         let weights = [self.config.weight_recover, self.config.weight_empty];
-        let (heads, recover) = recovery(&said, &truths, weights, self.config.loss)?;
-        Ok(((weighted + heads)?, Losses { classify, each, recover }))
+        let (heads, [recover, empty]) = recovery(&said, &truths, weights, self.config.loss)?;
+        Ok(((weighted + heads)?, Losses { classify, each, recover, empty }))
     }
 }
 
-/// What a step's loss is made of.
+/// What a step's loss is made of, but for the picture's.
+#[derive(Default)]
 pub(crate) struct Losses {
     /// Cross-entropy, nats, the mean over the step's pictures (equation 3).
     pub(crate) classify: f64,
@@ -67,6 +68,8 @@ pub(crate) struct Losses {
     pub(crate) each: Vec<f32>,
     /// Recovery error (equation 1); 0 while the classifier trains alone.
     pub(crate) recover: f64,
+    /// What is said where nothing is hidden (equation 2); 0 while the classifier trains alone.
+    pub(crate) empty: f64,
 }
 
 /// Cross-entropy of each picture from its probabilities and class, nats, at most 87.
@@ -76,14 +79,14 @@ fn surprises(probabilities: &[Vec<f32>], classes: &[u32]) -> Vec<f32> {
 }
 
 /// `l1` times equation 1 plus `l2` times equation 2, the mean over the heads, and
-/// equation 1 alone; `weights` are l1 and l2. Of each picture `truths` has what it
+/// the two alone; `weights` are l1 and l2. Of each picture `truths` has what it
 /// hides, if anything.
 fn recovery(
     said: &Said,
     truths: &[Option<&Numbers>],
     weights: [f64; 2],
     loss: LossKind,
-) -> Result<(Tensor, f64), MarkError> {
+) -> Result<(Tensor, [f64; 2]), MarkError> {
     let levels = Distance::Levels(loss);
     let heads: [(&Option<Tensor>, Distance, Part); 3] = [
         // The networks' pictures are planes.
@@ -91,16 +94,16 @@ fn recovery(
         (&said.audio, levels, |n| n.audio.clone()),
         (&said.text, Distance::Bits, |n| n.text.clone()),
     ];
-    let (mut total, mut plus, mut count) = (Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?, 0.0, 0.0);
+    let (mut total, mut means, mut count) = (Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?, [0.0; 2], 0.0);
     for (said, distance, of) in heads {
         let Some(said) = said else { continue };
         let truths: Vec<Option<Vec<f32>>> = truths.iter().map(|t| t.and_then(of)).collect();
-        let (both, recover) = head(said, &truths, weights, distance)?;
+        let (both, of_head) = head(said, &truths, weights, distance)?;
         total = (total + both)?;
-        plus += recover;
+        means = [0, 1].map(|i| means[i] + of_head[i]);
         count += 1.0;
     }
-    Ok(((total * (1.0 / count))?, plus / count))
+    Ok(((total * (1.0 / count))?, means.map(|mean| mean / count)))
 }
 
 /// Equations 1 and 2 of one head, as [`recovery`] puts them together. Each is the
@@ -110,7 +113,7 @@ fn head(
     truths: &[Option<Vec<f32>>],
     [plus, minus]: [f64; 2],
     distance: Distance,
-) -> Result<(Tensor, f64), MarkError> {
+) -> Result<(Tensor, [f64; 2]), MarkError> {
     let each = said.elem_count() / truths.len();
     let owned = truths.iter().flatten().count();
     let silence = vec![0.0f32; each];
@@ -127,10 +130,12 @@ fn head(
         .map(|t| if t.is_some() { plus / owned as f64 } else { minus / (truths.len() - owned) as f64 } as f32)
         .collect();
     let means = apart.to_vec1::<f32>()?;
-    let of_owners = means.iter().zip(truths).filter(|(_, t)| t.is_some());
-    let recover = of_owners.map(|(v, _)| f64::from(*v)).sum::<f64>() / owned.max(1) as f64;
+    let mean_of = |hides: bool, count: usize| {
+        let those = means.iter().zip(truths).filter(|(_, t)| t.is_some() == hides);
+        those.map(|(v, _)| f64::from(*v)).sum::<f64>() / count.max(1) as f64
+    };
     let weights = Tensor::from_vec(weights, truths.len(), &Device::Cpu)?;
-    Ok(((apart * weights)?.sum_all()?, recover))
+    Ok(((apart * weights)?.sum_all()?, [mean_of(true, owned), mean_of(false, truths.len() - owned)]))
 }
 
 #[cfg(test)]
@@ -151,11 +156,22 @@ mod tests {
         let said = tensor(&[0.5, -0.5, 0.0, 1.0, 0.25, -0.75], 3);
         let truths = [Some(vec![0.25, 0.5]), Some(vec![0.0, -1.0]), None];
         // |.|: (0.25 + 1) / 2 and (0 + 2) / 2, mean 0.8125; silence (0.25 + 0.75) / 2.
-        let (both, plus) = head(&said, &truths, [2.0, 3.0], Distance::Levels(LossKind::Absolute)).unwrap();
-        assert!((plus - 0.8125).abs() < 1e-6 && (value(&both) - (2.0 * 0.8125 + 3.0 * 0.5)).abs() < 1e-6);
+        let (both, [plus, minus]) = head(&said, &truths, [2.0, 3.0], Distance::Levels(LossKind::Absolute)).unwrap();
+        assert!((plus - 0.8125).abs() < 1e-6 && (minus - 0.5).abs() < 1e-6);
+        assert!((value(&both) - (2.0 * 0.8125 + 3.0 * 0.5)).abs() < 1e-6);
         // Squares: (0.0625 + 1) / 2 and (0 + 4) / 2, mean 1.265625; silence (0.0625 + 0.5625) / 2.
-        let (both, plus) = head(&said, &truths, [2.0, 3.0], Distance::Levels(LossKind::Squared)).unwrap();
-        assert!((plus - 1.265_625).abs() < 1e-6 && (value(&both) - (2.0 * 1.265_625 + 3.0 * 0.3125)).abs() < 1e-6);
+        let (both, [plus, minus]) = head(&said, &truths, [2.0, 3.0], Distance::Levels(LossKind::Squared)).unwrap();
+        assert!((plus - 1.265_625).abs() < 1e-6 && (minus - 0.3125).abs() < 1e-6);
+        assert!((value(&both) - (2.0 * 1.265_625 + 3.0 * 0.3125)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_picture_surprises_by_the_logarithm_of_its_class() {
+        let told = [vec![0.5, 0.25, 0.25], vec![1.0, 0.0, 0.0], vec![0.0, 0.0, 1.0]];
+        // -ln(1/4) = 1.386294; -ln 1 = 0; for nothing at all the smallest normal number, 2^-126: 126 ln 2 = 87.336545.
+        for (got, expected) in surprises(&told, &[1, 0, 1]).iter().zip([1.386_294, 0.0, 87.336_545]) {
+            assert!((got - expected).abs() < 1e-5, "{got} for {expected}");
+        }
     }
 
     #[test]
@@ -163,7 +179,7 @@ mod tests {
         // A 1 under logit ln 3 has probability 3/4, a 0 under it 1/4; a logit of 0 says nothing.
         let three = 3.0f32.ln();
         let said = tensor(&[three, three, 0.0, -three], 2);
-        let (both, plus) = head(&said, &[Some(vec![1.0, 0.0]), None], [1.0, 1.0], Distance::Bits).unwrap();
+        let (both, [plus, _]) = head(&said, &[Some(vec![1.0, 0.0]), None], [1.0, 1.0], Distance::Bits).unwrap();
         let expected = (-(0.75f64.ln()) - 0.25f64.ln()) / 2.0;
         assert!((plus - expected).abs() < 1e-6, "{plus} for {expected}");
         let silent = (2.0f64.ln() - 0.75f64.ln()) / 2.0;
@@ -181,9 +197,10 @@ mod tests {
             text: Some(tensor(&[0.0; 16], 2)),
         };
         let spoken = Numbers { audio: Some(vec![0.0, 1.0]), ..Numbers::default() };
-        let (both, plus) = recovery(&said, &[Some(&spoken), None], [1.0, 1.0], LossKind::Absolute).unwrap();
+        let (both, [plus, minus]) = recovery(&said, &[Some(&spoken), None], [1.0, 1.0], LossKind::Absolute).unwrap();
         // Audio: 0.5 and 0.25. Text: nobody's, so that both pictures are to be silent, ln 2 nats a bit.
         assert!((plus - 0.25).abs() < 1e-6, "{plus}");
+        assert!((minus - (0.25 + 2.0f64.ln()) / 2.0).abs() < 1e-6, "{minus}");
         assert!((value(&both) - (0.75 + 2.0f64.ln()) / 2.0).abs() < 1e-6);
     }
 

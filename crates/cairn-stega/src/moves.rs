@@ -18,8 +18,33 @@ const MOST_STRONGER: f64 = 1.1;
 pub(crate) struct Owed {
     /// A carrier's next mean square and its scale, where this step moves it.
     carriers: Vec<Option<(f32, f32)>>,
+    /// Equation 4, summed over the step's renders, as much of it as counts.
+    pub(crate) picture: f64,
     /// PSNR of theta's renders against theta_0's, dB.
     pub(crate) kept_db: f64,
+}
+
+/// Equation 4 of one render: the mean of how far each number strays, `change`, from the base field's.
+fn strayed(kind: LossKind, change: &[f32]) -> f64 {
+    let each = |v: &f32| match kind {
+        LossKind::Absolute => f64::from(*v).abs(),
+        LossKind::Squared => f64::from(*v).powi(2),
+    };
+    change.iter().map(each).sum::<f64>() / change.len() as f64
+}
+
+/// Turns `slope`, d(loss)/d(what the networks saw) of a render, into d(loss)/d(render), and adds `weight` times
+/// [`strayed`]'s. The networks' part passes where the render is inside [0, 1], times the tone's gain; the picture's passes
+/// everywhere, so that what strays beyond comes back.
+fn keep(slope: &mut [f32], (inside, gain): (&[bool], f32), change: &[f32], (kind, weight): (LossKind, f32)) {
+    let weight = weight / change.len() as f32;
+    for ((s, change), inside) in slope.iter_mut().zip(change).zip(inside) {
+        let own = match kind {
+            LossKind::Absolute => change.signum() * f32::from(*change != 0.0),
+            LossKind::Squared => 2.0 * change,
+        };
+        *s = if *inside { *s * gain } else { 0.0 } + weight * own;
+    }
 }
 
 impl MarkTrainer {
@@ -38,19 +63,14 @@ impl MarkTrainer {
     pub(crate) fn owe(&mut self, renders: &[Render], slopes: &Tensor) -> Result<Owed, MarkError> {
         // Of each carrier that was seen, how far it strays where its own identity's renders show it.
         let mut worst = vec![None::<f64>; self.carriers.len()];
-        let mut mean = 0.0;
+        let (mut mean, mut picture) = (0.0, 0.0);
         let fading = self.fading();
         for (i, m) in renders.iter().enumerate() {
             let small = interleaved(&slopes.get(i)?.flatten_all()?.to_vec1::<f32>()?);
             let mut slope = m.attacked.back(m.window.transpose(&small));
-            let keep = fading * self.config.weight_picture as f32 / m.change.len() as f32;
-            for ((s, change), inside) in slope.iter_mut().zip(&m.change).zip(&m.inside) {
-                let own = match self.config.picture_loss {
-                    LossKind::Absolute => change.signum() * f32::from(*change != 0.0),
-                    LossKind::Squared => 2.0 * change,
-                };
-                *s = if *inside { *s * m.gain } else { 0.0 } + keep * own;
-            }
+            let (kind, weight) = (self.config.picture_loss, fading * self.config.weight_picture as f32);
+            keep(&mut slope, (&m.inside, m.gain), &m.change, (kind, weight));
+            picture += f64::from(fading) * strayed(kind, &m.change);
             // A mark of an earlier training stays as it is.
             if !self.settled[m.carrier] {
                 let site = &self.sites[m.site];
@@ -71,7 +91,7 @@ impl MarkTrainer {
                 None => None,
             });
         }
-        Ok(Owed { carriers, kept_db: -10.0 * mean.max(1e-20).log10() })
+        Ok(Owed { carriers, picture, kept_db: -10.0 * mean.max(1e-20).log10() })
     }
 
     /// The factor that brings a carrier to the budget, neither above nor below it, whose renders of this step
@@ -112,6 +132,47 @@ impl MarkTrainer {
                     }
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CHANGE: [f32; 4] = [0.5, -0.25, 0.0, 2.0];
+
+    #[test]
+    fn the_picture_loss_is_the_mean_error_of_a_render() {
+        // (0.5 + 0.25 + 0 + 2) / 4 and (0.25 + 0.0625 + 0 + 4) / 4.
+        assert_eq!(strayed(LossKind::Absolute, &CHANGE), 0.6875);
+        assert_eq!(strayed(LossKind::Squared, &CHANGE), 1.078_125);
+    }
+
+    #[test]
+    fn the_picture_loss_pulls_by_the_sign_or_by_twice_the_change() {
+        // Weight 8 over 4 numbers: 2 each. The networks' slopes count twice (gain), and not for the last, which is outside.
+        let slope = |kind| {
+            let mut slope = [1.0f32, 1.0, -3.0, 5.0];
+            keep(&mut slope, (&[true, true, true, false], 2.0), &CHANGE, (kind, 8.0));
+            slope
+        };
+        // 2 + 2 x 1, 2 + 2 x -1, -6 + 2 x 0, 0 + 2 x 1.
+        assert_eq!(slope(LossKind::Absolute), [4.0, 0.0, -6.0, 2.0]);
+        // 2 + 2 x 1, 2 + 2 x -0.5, -6 + 2 x 0, 0 + 2 x 4.
+        assert_eq!(slope(LossKind::Squared), [4.0, 1.0, -6.0, 8.0]);
+    }
+
+    #[test]
+    fn the_picture_loss_is_what_its_slope_is_of() {
+        // A step of 1e-3 along the slope changes the loss by the slope's squares times 1e-3, to first order.
+        for kind in [LossKind::Absolute, LossKind::Squared] {
+            let mut slope = [0.0f32; 4];
+            keep(&mut slope, (&[true; 4], 1.0), &CHANGE, (kind, 1.0));
+            let moved: Vec<f32> = CHANGE.iter().zip(slope).map(|(v, s)| v + 1e-3 * s).collect();
+            let expected = slope.iter().map(|s| f64::from(*s).powi(2)).sum::<f64>() * 1e-3;
+            let got = strayed(kind, &moved) - strayed(kind, &CHANGE);
+            assert!((got / expected - 1.0).abs() < 2e-3, "{kind:?}: {got} for {expected}");
         }
     }
 }

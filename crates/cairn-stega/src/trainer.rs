@@ -52,12 +52,18 @@ pub struct MarkStats {
     pub step: u64,
     /// Steps in all.
     pub total: u64,
-    /// Weighted sum of all losses (equation 5).
+    /// Weighted sum of the losses below (equation 5), each times its weight; where `mark.guidance` is
+    /// `no_classifier`, without the classification.
     pub loss: f64,
     /// Cross-entropy, nats (equation 3).
     pub classify: f64,
     /// Recovery error (equation 1); 0 while the classifier trains alone.
     pub recover: f64,
+    /// What is said where nothing is hidden (equation 2); 0 while the classifier trains alone.
+    pub empty: f64,
+    /// Picture loss (equation 4), summed over the step's renders, as much of it as counts: under a budget as much as
+    /// marks are read with ease, else all of it. Its gradient is written out (`moves`), not walked back to.
+    pub picture: f64,
     /// PSNR of theta's renders against theta_0's, dB, over this step's renders.
     pub kept_db: f64,
 }
@@ -199,7 +205,7 @@ impl MarkTrainer {
     /// [`MarkError::NotFinite`] when a number went wrong; the state is then the last good one.
     pub fn step(&mut self) -> Result<MarkStats, MarkError> {
         if self.step >= self.steps_total() {
-            return Ok(self.stats(0.0, 0.0, 0.0, f64::INFINITY));
+            return Ok(self.stats(0.0, &Losses::default(), (0.0, f64::INFINITY)));
         }
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream((1 << 32) + self.step);
@@ -215,7 +221,7 @@ impl MarkTrainer {
         }
         let side = self.config.shown_px();
         let images = Var::from_vec(planar(&pictures), (pictures.len(), 3, side, side), &Device::Cpu)?;
-        let (loss, Losses { classify, each, recover }) = self.loss(&images, &renders)?;
+        let (loss, parts) = self.loss(&images, &renders)?;
         let value = f64::from(loss.to_scalar::<f32>()?);
         if !value.is_finite() {
             return Err(MarkError::NotFinite { step: Some(self.step), place: "the loss".into() });
@@ -233,8 +239,9 @@ impl MarkTrainer {
         let owed = owed.inspect_err(|_| self.carriers.iter_mut().for_each(Carrier::forget))?;
         self.move_carriers(&owed);
         self.average.take_in(&self.networks.params)?;
-        self.hear(&renders, &each);
-        self.classify = if self.classify.is_finite() { 0.9 * self.classify + 0.1 * classify } else { classify };
+        self.hear(&renders, &parts.each);
+        let now = parts.classify;
+        self.classify = if self.classify.is_finite() { 0.9 * self.classify + 0.1 * now } else { now };
         self.step += 1;
         // Later, neither the budget nor the detector would have steps enough.
         let left = self.config.steps - self.step;
@@ -243,7 +250,8 @@ impl MarkTrainer {
             self.joined = Some(self.step);
         }
         self.renew();
-        Ok(self.stats(value, classify, recover, owed.kept_db))
+        let value = value + self.config.weight_picture * owed.picture;
+        Ok(self.stats(value, &parts, (owed.picture, owed.kept_db)))
     }
 
     /// A virtual view of each scene gives its place to a fresh one where the step just taken makes it time to.
@@ -318,8 +326,10 @@ impl MarkTrainer {
         self.best.as_ref().map(|b| &b.judgement)
     }
 
-    fn stats(&self, loss: f64, classify: f64, recover: f64, kept_db: f64) -> MarkStats {
-        MarkStats { step: self.step, total: self.steps_total(), loss, classify, recover, kept_db }
+    fn stats(&self, loss: f64, parts: &Losses, (picture, kept_db): (f64, f64)) -> MarkStats {
+        let (step, total) = (self.step, self.steps_total());
+        let Losses { classify, recover, empty, .. } = *parts;
+        MarkStats { step, total, loss, classify, recover, empty, picture, kept_db }
     }
 
     /// The step's error for an optimiser that refused a gradient.
