@@ -67,6 +67,35 @@ fn threads_and_interruptions_do_not_change_the_bytes() {
 }
 
 #[test]
+fn harmonics_with_densities_as_they_are_resume_to_the_same_bytes() {
+    let frozen = MarkConfig { carrier: CarrierKind::Harmonics, ..config(12) };
+    let weights = MarkConfig { mask: MaskKind::PerCoefficientGroup, recover_moves_marks: true, ..frozen.clone() };
+    for (config, stop) in [(MarkConfig { fresh_every: 2, ..frozen }, 7), (MarkConfig { budget: false, ..weights }, 6)] {
+        // The last state as well as what is kept, which may be the state judged before the stop; on one thread.
+        let ended = |mut trainer: MarkTrainer| {
+            run(&mut trainer);
+            (trainer.checkpoint().unwrap(), bytes(trainer.finish().unwrap()))
+        };
+        let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let whole = one.install(|| ended(start(config.clone())));
+        let mut first = start(config);
+        for _ in 0..stop {
+            first.step().unwrap();
+            if first.steps_done() == 5 {
+                first.judge().unwrap();
+            }
+        }
+        let stopped = first.checkpoint().unwrap();
+        drop(first);
+        let second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
+        assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another ({stop})");
+        let resumed = ended(second);
+        assert!(resumed.0 == whole.0, "the last states differ (stopped after {stop})");
+        assert!(resumed.1 == whole.1, "the resumed run ended elsewhere (stopped after {stop})");
+    }
+}
+
+#[test]
 fn a_mark_is_learnt_with_free_density() {
     let mut only = plan();
     only.signals.truncate(1);
