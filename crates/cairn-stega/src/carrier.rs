@@ -285,4 +285,30 @@ mod tests {
         assert_ne!(plain.values[..3], [0.1; 3], "the step moved nothing");
         assert_eq!(plain.values[3..], [0.1; 3]);
     }
+
+    #[test]
+    fn an_update_is_the_mask_times_the_step() {
+        let mut carrier = Carrier::from_values(CarrierShape::Colours(CarrierBasis::Constant), vec![1.0; 6]);
+        let how = Move { mask: &[0.0, 0.25, 0.5, 1.0, 1.0, 0.125], rate: 0.01, pull: 0.0 };
+        let mut take = |gradient: [f32; 6], how: &Move<'_>| {
+            owing(&mut carrier, &gradient);
+            let second = carrier.check(0).unwrap();
+            carrier.apply(second, how);
+            carrier.values.clone()
+        };
+        let near = |got: &[f32], expected: [f32; 6]| {
+            let all = got.iter().zip(expected).all(|(got, expected)| (got - expected).abs() < 1e-6);
+            assert!(all, "{got:?} for {expected:?}");
+        };
+        // All of size 2: the mean over the size is 1, so that each moves by 0.01 times its mask against its sign.
+        near(&take([2.0, 2.0, -2.0, 2.0, -2.0, 2.0], &how), [1.0, 0.9975, 1.005, 0.99, 1.01, 0.99875]);
+        // The next gradient is 0. First moments fall to 0.9 x 0.1 x 2 = 0.18, of which the start takes 1 - 0.9^2 = 0.19 out;
+        // the mean square falls to 0.99 x 0.01 x 4 = 0.0396 of 1 - 0.99^2 = 0.0199: 0.18 / 0.19 / 1.4106556 = 0.6715801.
+        let step = 0.006_715_801;
+        let second = [1.0, 0.9975 - 0.25 * step, 1.005 + 0.5 * step, 0.99 - step, 1.01 + step, 0.99875 - 0.125 * step];
+        near(&take([0.0; 6], &how), second);
+        // The pull is nothing that a mask holds: a tenth of each value, with no rate to move it otherwise.
+        let pulled = Move { rate: 0.0, pull: 0.1, ..how };
+        near(&take([0.0; 6], &pulled), second.map(|v| 0.9 * v));
+    }
 }

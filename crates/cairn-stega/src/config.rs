@@ -40,7 +40,8 @@ pub enum MaskKind {
     /// The paper's: by the magnitude of each weight of theta_0.
     #[default]
     PerWeight,
-    /// The authors' code: by the mean magnitude of each coefficient's group.
+    /// The authors' code: by the mean magnitude of each coefficient's group. With one set of harmonics only: a carrier of
+    /// a cluster's own has a single coefficient a channel.
     PerCoefficientGroup,
     /// The paper's ablation: all or nothing. The share `mask_share` of the weights that
     /// matter most does not move, the others do freely.
@@ -190,7 +191,7 @@ pub struct MarkConfig {
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
     /// Among a step's unmarked pictures of anything (not the marked renders' twins) how many are of something else for each
-    /// render of the base field, 1 to 16.
+    /// render of the base field, 0 (none) to 16.
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OthersColours,
@@ -290,7 +291,7 @@ impl MarkConfig {
         check((1..=64).contains(&self.batch), "mark.batch", self.batch.to_string(), "1 to 64")?;
         check((1..=10_000).contains(&self.views), "mark.views", self.views.to_string(), "1 to 10000")?;
         check(self.virtual_views <= 256, "mark.virtual_views", self.virtual_views.to_string(), "0 to 256")?;
-        check((1..=16).contains(&self.others), "mark.others", self.others.to_string(), "1 to 16")?;
+        check(self.others <= 16, "mark.others", self.others.to_string(), "0 (none) to 16")?;
         check(self.fresh_every <= 1_000_000, "mark.fresh_every", self.fresh_every.to_string(), "0 (never) to 1000000")?;
         check(
             (64..=4096).contains(&self.longest_side_px),
@@ -345,6 +346,12 @@ impl MarkConfig {
             "mark.density",
             "free".into(),
             "frozen where mark.carrier is per_cluster: what stands where cannot hang on who looks; set mark.carrier = \"harmonics\" as well",
+        )?;
+        check(
+            self.mask != MaskKind::PerCoefficientGroup || self.carrier == CarrierKind::Harmonics,
+            "mark.mask",
+            "per_coefficient_group".into(),
+            "none, per_weight or binary where mark.carrier is per_cluster, whose single coefficient a channel leaves nothing to be told apart by; set mark.carrier = \"harmonics\" as well",
         )?;
         self.robust.validate()?;
         check([1, 2, 4].contains(&self.finer), "mark.finer", self.finer.to_string(), "1, 2 or 4")?;
@@ -427,5 +434,17 @@ mod tests {
         assert_eq!(free.affording(33.0), free);
         let unbound = MarkConfig { budget: false, ..config };
         assert_eq!(unbound.affording(33.0), unbound);
+    }
+
+    #[test]
+    fn a_mask_by_groups_is_refused_where_there_is_one_group() {
+        let grouped = MarkConfig { mask: MaskKind::PerCoefficientGroup, ..MarkConfig::default() };
+        let error = grouped.validate().unwrap_err();
+        assert!(matches!(error, MarkError::Setting { key: "mark.mask", .. }), "{error}");
+        let text = error.to_string();
+        assert!(text.contains("per_coefficient_group") && text.contains("mark.carrier = \"harmonics\""), "{text}");
+        for density in [DensityKind::Frozen, DensityKind::Free] {
+            MarkConfig { carrier: CarrierKind::Harmonics, density, ..grouped.clone() }.validate().unwrap();
+        }
     }
 }

@@ -49,14 +49,90 @@ fn every_switch_trains_and_changes_its_own_part() {
             MarkConfig { guidance: Guidance::NoClassifier, recover_moves_marks: true, ..config(6) },
             true,
         ),
+        ("alpha", MarkConfig { mask_alpha: 1.0, ..config(6) }, true),
+        ("the mask's least", MarkConfig { mask_least: 0.9, ..config(6) }, true),
+        ("l0", MarkConfig { weight_classify: 0.3, ..config(6) }, true),
+        ("l1", MarkConfig { weight_recover: 0.3, ..config(6) }, false),
+        ("l2", MarkConfig { weight_empty: 0.3, ..config(6) }, false),
+        ("l3", MarkConfig { weight_picture: 100.0, ..config(6) }, true),
+        ("nothing else", MarkConfig { others: 0, ..config(6) }, true),
     ] {
-        let (marked, detector) = unjudged(plan(), config);
-        assert_eq!(part(&marked, "carriers") != part(&usual.0, "carriers"), marks, "{name}: the marks");
-        assert_ne!(part(&detector, "parameters"), part(&usual.1, "parameters"), "{name}: the networks");
-        let (marked, detector) = (MarkedField::from_bytes(&marked).unwrap(), Detector::from_bytes(&detector).unwrap());
-        let found = detector.detect(&marked.render(&cameras()[0], field().canonical_appearance())).unwrap();
-        assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{name}");
+        trains_otherwise(name, &usual, config, marks);
     }
+}
+
+/// That all steps with `config` end in other networks than `usual`, and in other `marks` or the same, and that what
+/// comes of them answers.
+fn trains_otherwise(name: &str, usual: &(Vec<u8>, Vec<u8>), config: MarkConfig, marks: bool) {
+    let (marked, detector) = unjudged(plan(), config);
+    assert_eq!(part(&marked, "carriers") != part(&usual.0, "carriers"), marks, "{name}: the marks");
+    assert_ne!(part(&detector, "parameters"), part(&usual.1, "parameters"), "{name}: the networks");
+    let (marked, detector) = (MarkedField::from_bytes(&marked).unwrap(), Detector::from_bytes(&detector).unwrap());
+    let found = detector.detect(&marked.render(&cameras()[0], field().canonical_appearance())).unwrap();
+    assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{name}");
+}
+
+#[test]
+fn switches_that_count_beside_another_do_so_beside_it() {
+    let binary = MarkConfig { mask: MaskKind::Binary, ..config(6) };
+    let usual = unjudged(plan(), binary.clone());
+    trains_otherwise("the share that is locked", &usual, MarkConfig { mask_share: 0.9, ..binary.clone() }, true);
+    // What a binary mask locks is locked whatever the paper's mask would be.
+    let (marked, detector) = unjudged(plan(), MarkConfig { mask_alpha: 1.0, mask_least: 0.0, ..binary });
+    assert!(part(&marked, "carriers") == part(&usual.0, "carriers"), "alpha counts in a binary mask");
+    assert!(part(&detector, "parameters") == part(&usual.1, "parameters"), "alpha counts in a binary mask");
+
+    let harmonics = MarkConfig { carrier: CarrierKind::Harmonics, ..config(6) };
+    let usual = unjudged(plan(), harmonics.clone());
+    let grouped = MarkConfig { mask: MaskKind::PerCoefficientGroup, ..harmonics.clone() };
+    trains_otherwise("a mask by groups", &usual, grouped.clone(), true);
+    let usual = unjudged(plan(), grouped.clone());
+    trains_otherwise("no mask instead of groups", &usual, MarkConfig { mask: MaskKind::None, ..harmonics }, true);
+    trains_otherwise("alpha of groups", &usual, MarkConfig { mask_alpha: 0.5, ..grouped }, true);
+}
+
+#[test]
+fn the_loss_of_a_step_is_the_weighted_sum_of_what_it_says() {
+    let weighted =
+        MarkConfig { weight_classify: 0.3, weight_recover: 0.7, weight_empty: 0.2, weight_picture: 50.0, ..config(4) };
+    let picture_loss = LossKind::Absolute;
+    for (name, config, budget) in [
+        ("under a budget", weighted.clone(), true),
+        ("without one", MarkConfig { budget: false, picture_loss, ..weighted.clone() }, false),
+        ("harmonics", MarkConfig { carrier: CarrierKind::Harmonics, loss: LossKind::Squared, ..weighted }, true),
+    ] {
+        let mut trainer = start(config.clone());
+        for step in 1..=config.steps {
+            let s = trainer.step().unwrap();
+            let sum = [
+                config.weight_classify * s.classify,
+                config.weight_recover * s.recover,
+                config.weight_empty * s.empty,
+                config.weight_picture * s.picture,
+            ];
+            let expected: f64 = sum.iter().sum();
+            assert!((s.loss / expected - 1.0).abs() < 1e-5, "{name}, step {step}: {} for {sum:?}", s.loss);
+            // The detector joins after the first step, and under a budget so does the picture.
+            assert_eq!((s.recover > 0.0, s.empty > 0.0), (step > 1, step > 1), "{name}, step {step}: {s:?}");
+            assert_eq!(s.picture > 0.0, step > 1 || !budget, "{name}, step {step}: {s:?}");
+        }
+    }
+}
+
+#[test]
+fn the_same_pictures_have_the_same_losses_whatever_their_weights() {
+    // Without a classifier to wait for, all four are there in the first step; without a budget, the picture in full.
+    let all = MarkConfig { guidance: Guidance::NoClassifier, recover_moves_marks: true, budget: false, ..config(2) };
+    let first = |config: MarkConfig| start(config).step().unwrap();
+    let one = first(all.clone());
+    let other = first(MarkConfig { weight_recover: 3.0, weight_empty: 5.0, weight_picture: 7.0, ..all.clone() });
+    assert_eq!((one.classify, one.recover), (other.classify, other.recover));
+    assert_eq!((one.empty, one.picture), (other.empty, other.picture));
+    let more = 2.0 * one.recover + 4.0 * one.empty + 6.0 * one.picture;
+    assert!((other.loss - one.loss - more).abs() < 1e-5, "{other:?} after {one:?}");
+    // The classification counts where it is trained only.
+    let deaf = first(MarkConfig { weight_classify: 9.0, ..all });
+    assert_eq!((deaf.loss, deaf.classify), (one.loss, one.classify));
 }
 
 #[test]

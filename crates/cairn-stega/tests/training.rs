@@ -182,8 +182,10 @@ fn what_looks_unlike_any_marked_render_is_doubted_and_marked_renders_are_not() {
 
 #[test]
 fn files_come_back_as_they_were_written() {
-    for carrier in [CarrierKind::PerCluster, CarrierKind::Harmonics] {
-        let (marked, detector) = trained(MarkConfig { carrier, mask: MaskKind::PerCoefficientGroup, ..config(3) });
+    for (carrier, mask) in
+        [(CarrierKind::PerCluster, MaskKind::Binary), (CarrierKind::Harmonics, MaskKind::PerCoefficientGroup)]
+    {
+        let (marked, detector) = trained(MarkConfig { carrier, mask, ..config(3) });
         let again = MarkedField::from_bytes(&marked.to_bytes().unwrap()).unwrap();
         assert!(again.to_bytes().unwrap() == marked.to_bytes().unwrap());
         // Where its base is in memory already it is shared; another one is not taken for it.
