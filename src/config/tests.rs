@@ -65,13 +65,30 @@ fn pictures_of_something_else_take_any_colours_where_nothing_says_otherwise() {
         (mark.others, mark.others_colours)
     };
     assert_eq!(others(&[]), (2, OthersColours::Any));
-    for (name, text) in [
-        ("quick", QUICK_TOML),
-        ("robust", include_str!("../../configs/robust.toml")),
-        ("paper", include_str!("../../configs/paper.toml")),
+    for (name, text, each) in [
+        ("quick", QUICK_TOML, 1),
+        ("robust", include_str!("../../configs/robust.toml"), 1),
+        // The paper knows no other pictures.
+        ("paper", include_str!("../../configs/paper.toml"), 0),
     ] {
-        assert_eq!(others(&[(name, text)]), (1, OthersColours::Near), "{name}");
+        assert_eq!(others(&[(name, text)]), (each, OthersColours::Near), "{name}");
     }
+}
+
+#[test]
+fn the_papers_recipe_is_the_same_whatever_the_kind_of_scene() {
+    let base = Config::from_toml("", "test").unwrap().training;
+    let paper = ("paper", include_str!("../../configs/paper.toml"));
+    let alone = training_settings(&base, &[paper]).unwrap();
+    assert_eq!(alone.field, base.field, "stage 1 is the kind's");
+    for kind in [SceneKind::ForwardFacing, SceneKind::Bounded, SceneKind::Unbounded] {
+        let plain = training_settings(&base, &[overlay_for(kind)]).unwrap();
+        let over = training_settings(&base, &[overlay_for(kind), paper]).unwrap();
+        assert_eq!(over.mark, alone.mark, "{kind:?}: something of the kind's is left");
+        assert_eq!(over.field, plain.field, "{kind:?}");
+    }
+    let quick = training_settings(&base, &[("quick", QUICK_TOML), paper]).unwrap();
+    assert_eq!(quick.mark, alone.mark, "something of --quick is left");
 }
 
 #[test]
