@@ -69,23 +69,29 @@ pub enum What {
     Ablation,
 }
 
-/// The rows of the paper's table of ablations, two values of alpha, the paper's carrier with its densities as they are
-/// and free (ray weights worked out once, and at every look), and what else training skips, not skipped: what is laid
-/// over the settings.
-const ABLATIONS: [(&str, &str); 13] = [
+/// The rows of the paper's table of ablations, three values of alpha, the other losses, the paper's carrier with its
+/// densities as they are and free (ray weights worked out once, and at every look) and with the mask of the authors' code,
+/// what the paper does without, and what else training skips, not skipped: what is laid over the settings.
+const ABLATIONS: [(&str, &str); 19] = [
     ("full", ""),
     ("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
     ("classifier not guiding", "[mark]\nguidance = \"untold\"\nrecover_moves_marks = true\n"),
     ("no mask", "[mark]\nmask = \"none\"\n"),
     ("binary mask at 0.5", "[mark]\nmask = \"binary\"\nmask_share = 0.5\n"),
     ("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
+    ("alpha 0", "[mark]\nmask_alpha = 0.0\n"),
     ("alpha 1", "[mark]\nmask_alpha = 1.0\n"),
     ("alpha 5", "[mark]\nmask_alpha = 5.0\n"),
+    ("squared recovery", "[mark]\nloss = \"squared\"\n"),
+    ("absolute picture loss", "[mark]\npicture_loss = \"absolute\"\n"),
+    ("no budget", "[mark]\nbudget = false\n"),
+    ("no memory", "[mark]\ndetector.memory = \"none\"\naudio.memory = \"none\"\ntext.memory = \"none\"\n"),
     ("settled views as often", "[mark]\nsettled_share = 1.0\n"),
     ("to the last step", "[mark]\nenough_ssim = 10.0\n"),
     ("two dozen views", "[mark]\nviews_apart_deg = 180.0\n"),
     ("harmonics", "[mark]\ncarrier = \"harmonics\"\n"),
     ("harmonics, free density", "[mark]\ncarrier = \"harmonics\"\ndensity = \"free\"\n"),
+    ("group mask, harmonics", "[mark]\ncarrier = \"harmonics\"\nmask = \"per_coefficient_group\"\n"),
 ];
 
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
@@ -373,6 +379,7 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cairn_capture::SceneKind;
 
     #[test]
     fn rows_are_chosen_by_name_in_their_order_and_a_wrong_name_says_which_there_are() {
@@ -386,5 +393,23 @@ mod tests {
         assert!(error.contains("`no masc`") && error.contains("no mask, binary mask at 0.5"), "{error}");
         assert_eq!(trainings(What::Marks, &[]).unwrap(), [("", "")]);
         assert!(trainings(What::Honesty, &["full".to_owned()]).is_err());
+    }
+
+    #[test]
+    fn every_row_is_accepted_over_every_kind_of_scene_and_is_another() {
+        let base = Config::from_toml("", "test").unwrap().training;
+        for kind in [SceneKind::ForwardFacing, SceneKind::Bounded, SceneKind::Unbounded] {
+            for quick in ["", QUICK_TOML] {
+                let laid = |over| training_settings(&base, &[overlay_for(kind), ("quick", quick), ("row", over)]);
+                let mut seen: Vec<(&str, MarkConfig)> = Vec::new();
+                for (name, over) in ABLATIONS {
+                    let settings = laid(over).unwrap_or_else(|e| panic!("{name}, {kind:?}: {e}"));
+                    let same = seen.iter().find(|(_, mark)| *mark == settings.mark);
+                    assert!(same.is_none(), "{name} is the same as {same:?}");
+                    assert_eq!(settings.field, laid("").unwrap().field, "{name} changes the base field");
+                    seen.push((name, settings.mark));
+                }
+            }
+        }
     }
 }
