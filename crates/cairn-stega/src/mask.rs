@@ -30,6 +30,7 @@ pub fn gradient_mask(
             all_or_nothing(&field.row_magnitudes(), share).into_iter().flat_map(|m| [m; 3]).collect()
         }
         (MaskKind::Binary, CarrierBasis::Harmonics) => all_or_nothing(&field.coefficient_magnitudes(), share),
+        // One coefficient a channel is one group, and nothing to be told apart by: `MarkConfig::validate` refuses it.
         (MaskKind::None, _) | (MaskKind::PerCoefficientGroup, CarrierBasis::Constant) => {
             vec![1.0; field.rows() * width]
         }
@@ -63,9 +64,11 @@ pub(crate) fn from_magnitudes(magnitudes: &[f32], alpha: f64, least: f64) -> Vec
     }
     let at = ((sorted.len() - 1) as f64 * FREE) as usize;
     let (_, free, _) = sorted.select_nth_unstable_by(at, f32::total_cmp);
-    let log_free = f64::from(*free).ln();
+    // Both floored alike: nothing would move where a quarter of the magnitudes were less than a normal number.
+    let log_of = |m: f32| f64::from(m.max(f32::MIN_POSITIVE)).ln();
+    let log_free = log_of(*free);
     let mask = |m: &f32| {
-        let log = f64::from(*m).max(f64::from(f32::MIN_POSITIVE)).ln();
+        let log = log_of(*m);
         ((alpha * (log_free - log)).min(0.0).exp().max(least)) as f32
     };
     magnitudes.iter().map(mask).collect()
@@ -86,6 +89,95 @@ pub(crate) fn all_or_nothing(magnitudes: &[f32], share: f64) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cairn_capture::Camera;
+    use cairn_field::operator::LinearView;
+
+    /// Rows whose coefficients have these magnitudes, the same in all channels.
+    struct Rows(Vec<[f32; SH]>);
+
+    impl MarkableField for Rows {
+        fn rows(&self) -> usize {
+            self.0.len()
+        }
+        fn lattice(&self) -> Vec<[u32; 3]> {
+            vec![[0; 3]; self.0.len()]
+        }
+        fn row_magnitudes(&self) -> Vec<f32> {
+            self.0.iter().map(|row| row[0]).collect()
+        }
+        fn coefficient_magnitudes(&self) -> Vec<f32> {
+            self.0.iter().flat_map(|row| [*row; 3]).flatten().collect()
+        }
+        fn densities(&self) -> Vec<f32> {
+            vec![0.0; self.0.len()]
+        }
+        fn view(&self, _: &Camera, _: f32, _: usize) -> LinearView {
+            unreachable!("a mask looks at no view")
+        }
+    }
+
+    /// What nobody should meet: no colour, less than a normal number, as much as there can be.
+    const ODD: [f32; SH] = [f32::MAX, 0.0, -0.0, 1e-45, 1e-42, f32::MIN_POSITIVE, 1e-3, 1.0, 1e30];
+
+    #[test]
+    fn the_group_mask_is_the_ratio_of_the_smallest_group_to_each() {
+        // Sums over two rows and three channels: 6 x 1, 6 x 2 and 6 x 4, then 6 x 1: 1, 1/8, 1/64 at alpha 3, 1, 1/2, 1/4 at 1.
+        let row = |scale: f32| [1.0, 2.0, 4.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0].map(|v: f32| v * scale);
+        let field = Rows(vec![row(0.5), row(1.5)]);
+        for (alpha, least, expected) in
+            [(3.0, 0.0, [1.0, 0.125, 1.0 / 64.0]), (1.0, 0.0, [1.0, 0.5, 0.25]), (3.0, 0.1, [1.0, 0.125, 0.1])]
+        {
+            let mask =
+                gradient_mask(MaskKind::PerCoefficientGroup, (alpha, least, 0.5), &field, CarrierBasis::Harmonics);
+            assert_eq!(mask.len(), 2 * 3 * SH);
+            for of_channel in mask.chunks_exact(SH) {
+                for (got, expected) in of_channel.iter().zip(expected.into_iter().chain([1.0; 6])) {
+                    assert!((got - expected).abs() < 1e-6, "{got} for {expected} at {alpha}, {least}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn odd_magnitudes_give_masks_in_range_in_every_kind_and_basis() {
+        for rows in [[ODD, [1.0; SH]], [[0.0; SH]; 2], [[f32::MAX; SH], [1.0; SH]], [ODD, [0.0; SH]]] {
+            let field = Rows(rows.to_vec());
+            for basis in [CarrierBasis::Constant, CarrierBasis::Harmonics] {
+                for (alpha, least) in [(0.0, 0.2), (3.0, 0.0), (3.0, 0.2), (10.0, 0.0)] {
+                    for kind in [MaskKind::PerWeight, MaskKind::PerCoefficientGroup, MaskKind::Binary, MaskKind::None] {
+                        let mask = gradient_mask(kind, (alpha, least, 0.5), &field, basis);
+                        assert_eq!(mask.len(), field.rows() * basis.width(), "{kind:?}, {basis:?}");
+                        let lowest = if kind == MaskKind::Binary { 0.0 } else { least as f32 };
+                        let odd = mask.iter().find(|m| !(lowest..=1.0).contains(*m));
+                        assert!(odd.is_none(), "{kind:?}, {basis:?}, alpha {alpha}: {odd:?}");
+                        assert!(mask.contains(&1.0), "{kind:?}, {basis:?}, alpha {alpha}: nothing moves freely");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_group_without_colour_moves_freely_and_holds_the_others_at_the_least() {
+        let field = Rows(vec![ODD; 2]);
+        let mask = gradient_mask(MaskKind::PerCoefficientGroup, (3.0, 0.2, 0.5), &field, CarrierBasis::Harmonics);
+        // Smallest is nothing at all, taken as the smallest normal f64, 2^-1022: against it even 1e-45 is large.
+        assert_eq!(mask[..SH], [0.2, 1.0, 1.0, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2]);
+        let open = gradient_mask(MaskKind::PerCoefficientGroup, (0.0, 0.2, 0.5), &field, CarrierBasis::Harmonics);
+        assert_eq!(open, [1.0; 2 * 3 * SH], "alpha 0 is no mask");
+    }
+
+    #[test]
+    fn a_binary_mask_locks_giants_and_never_what_has_no_colour() {
+        // Above zero are seven of nine: half of them, rounded up, is four.
+        assert_eq!(all_or_nothing(&ODD, 0.5), [0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(all_or_nothing(&ODD, 1.0), [0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(all_or_nothing(&ODD, 0.0), [1.0; SH]);
+        // One number a vertex counts for its three channels.
+        let rows = Rows(vec![[0.0; SH], [1e-42; SH], [f32::MAX; SH]]);
+        let mask = gradient_mask(MaskKind::Binary, (3.0, 0.2, 0.5), &rows, CarrierBasis::Constant);
+        assert_eq!(mask, [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+    }
 
     #[test]
     fn zeros_denormals_and_giants_give_masks_in_range() {
