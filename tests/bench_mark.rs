@@ -8,8 +8,11 @@ use common::Place;
 use common::captures::captures;
 use serde_json::Value;
 
-/// Three pictures to hide.
-fn signals(place: &Place) {
+/// Captures, settings for smaller networks than `--quick` has, and three pictures to hide.
+fn prepare(place: &Place) {
+    captures(place);
+    let small = "[mark]\nsteps = 10\nclassifier.channels = [4, 8]\ndetector = { size = [32, 32], channels = [4, 8] }\n";
+    std::fs::write(place.path("small.toml"), small).unwrap();
     std::fs::create_dir(place.path("captures/signals")).unwrap();
     for (at, rgb) in [[0.9, 0.2, 0.1], [0.1, 0.8, 0.2], [0.2, 0.3, 0.9]].into_iter().enumerate() {
         let mut picture = Picture::constant(32, 32, rgb);
@@ -21,12 +24,9 @@ fn signals(place: &Place) {
 #[test]
 fn a_detector_is_asked_about_everything_that_has_no_mark() {
     let place = Place::new();
-    captures(&place);
-    signals(&place);
+    prepare(&place);
     // There to be asked about, and not measured, so that there is no field of it.
     common::copy(&place.path("captures/lego"), &place.path("captures/trex"));
-    let small = "[mark]\nsteps = 10\nclassifier.channels = [4, 8]\ndetector = { size = [32, 32], channels = [4, 8] }\n";
-    std::fs::write(place.path("small.toml"), small).unwrap();
     let common = ["bench", "mark", "--quick", "--settings", "small.toml", "--captures", "captures"];
     let what = ["--ledger", "l.json", "--out", "out", "--case", "lego", "--case", "liberty"];
     let said = place.cairn_ok(&[&common[..], &what].concat());
@@ -69,4 +69,33 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
         let sheet = decode_picture(&png, &Limits::default(), None).unwrap();
         assert!(sheet.width() > 7 * 170 && sheet.rgb().iter().any(|v| *v != sheet.rgb()[0]));
     }
+}
+
+#[test]
+fn what_training_skips_is_compared_with_the_same_not_skipped() {
+    let place = Place::new();
+    prepare(&place);
+    let common =
+        ["bench", "ablation", "--quick", "--settings", "small.toml", "--captures", "captures", "--case", "lego"];
+    let ledger = |rows: &[&str]| -> Vec<Value> {
+        let what = ["--ledger", "l.json", "--out", "out"];
+        place.cairn_ok(&[&common[..], &what, rows].concat());
+        let all: Vec<Value> = serde_json::from_slice(&std::fs::read(place.path("l.json")).unwrap()).unwrap();
+        all.into_iter().filter(|row| row["case"] == "lego, quick, small, skips").collect()
+    };
+    assert_eq!(ledger(&["--row", "full"]).len(), 0, "nothing to compare with");
+    let rows = ledger(&["--row", "full", "--row", "to the last step"]);
+    let skipped: Vec<&str> =
+        rows.iter().map(|row| row["metric"].as_str().unwrap().split(':').next().unwrap()).collect();
+    assert!(
+        skipped.len() >= 4 && skipped.iter().all(|s| *s == "training ends when recovery has converged"),
+        "{skipped:?}"
+    );
+    // Both take all of the ten steps, and the same ones.
+    let adds =
+        |what: &str| rows.iter().find(|row| row["metric"].as_str().unwrap().ends_with(what)).unwrap()["value"].as_f64();
+    assert_eq!(adds(": adds to PSNR change"), Some(0.0));
+    assert_eq!(adds(": adds to accuracy"), Some(0.0));
+    let share = adds(": share of the time saved").unwrap();
+    assert!(share < 1.0 && share.is_finite());
 }

@@ -18,6 +18,7 @@ pub mod scenes;
 mod scored;
 mod serve;
 mod sheet;
+mod skips;
 mod train;
 mod unmarked;
 
@@ -114,10 +115,11 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
                 move || run.base(&children)
             });
             let base = unless_stopped(work, &children).await?;
-            runs.push((run, base));
+            runs.push((run, over.0, base));
         }
     }
-    for (run, base) in runs {
+    let mut ablated: Vec<(&Case, &str, Outcome)> = Vec::new();
+    for (run, ablation, base) in runs {
         let (name, case) = (run.name.clone(), run.case);
         let work = tokio::task::spawn_blocking({
             let children = children.clone();
@@ -125,6 +127,12 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
         });
         let outcome = unless_stopped(work, &children).await?;
         report::rows(rows, &name, (case, what), &outcome);
+        if what == What::Ablation {
+            ablated.push((case, ablation, outcome));
+            let of_case = ablated.iter().filter(|(of, ..)| of.name == case.name);
+            let of_case: Vec<_> = of_case.map(|(_, ablation, outcome)| (*ablation, outcome)).collect();
+            skips::rows(rows, &format!("{}, skips", args.case_name(case.name.as_str())), &of_case);
+        }
         rows.save(args)?;
     }
     println!("contact sheets and reliability tables in {}", args.out.display());
