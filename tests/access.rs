@@ -252,6 +252,17 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     let base = ["render", "town", "--view", view, "--base", "--out", "x.png"];
     world.refused("bob", &base, "belongs to another account");
     world.refused("ada", &base, "there is no view");
+    // In the light of a photograph that the caller brings a mark may be nearly all there is to see.
+    let photograph = world.place.text("capture/images/ada_001.png");
+    let light = ["--light-of", &photograph, "--taken-view", view, "--out", "x.png"];
+    for marked in [&["render", "town", "--view", view][..], &["path", "town", "--orbit"]] {
+        world.refused("bob", &[marked, &light].concat(), "belongs to another account");
+        let said = world.run("ada", &[marked, &light].concat()).unwrap_err();
+        assert!(!said.contains("another account") && !said.contains("Unauthenticated"), "{said}");
+        let anybody = world.place.cairn(&[marked, &light, &["--connect", &world.daemon.url]].concat());
+        let said = String::from_utf8_lossy(&anybody.stderr).into_owned();
+        assert!(!anybody.status.success() && said.contains("Unauthenticated"), "{said}");
+    }
     world.refused("bob", &["evaluate", "town"], "belongs to another account");
     // Nor is a picture laid over the field for them.
     let picture = world.place.text("capture/images/ada_002.png");

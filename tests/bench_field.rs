@@ -133,7 +133,7 @@ fn check_tables(out: &Path) {
     for row in rows.iter().filter(|row| row[2] == "nothing left out") {
         assert!(row[error].parse::<f64>().unwrap() < 0.1, "{row:?}");
     }
-    for sheet in ["lego-1.png", "lego-1-8.png", "liberty-1.png"] {
+    for sheet in ["lego-field-1-1.png", "lego-field-1-1-8.png", "liberty-field-1-1.png"] {
         let png = std::fs::read(out.join(sheet)).unwrap();
         let sheet = cairn_capture::decode_picture(&png, &cairn_capture::Limits::default(), None).unwrap();
         assert!(sheet.width() > 3 * 256 && sheet.rgb().iter().any(|v| *v != sheet.rgb()[0]));

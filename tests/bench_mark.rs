@@ -27,6 +27,9 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
     prepare(&place);
     // There to be asked about, and not measured, so that there is no field of it.
     common::copy(&place.path("captures/lego"), &place.path("captures/trex"));
+    // What other suites leave there is not taken for a base field.
+    std::fs::create_dir(place.path("out")).unwrap();
+    std::fs::write(place.path("out/lego-0.field"), "no field").unwrap();
     let common = ["bench", "mark", "--quick", "--settings", "small.toml", "--captures", "captures"];
     let what = ["--ledger", "l.json", "--out", "out", "--case", "lego", "--case", "liberty"];
     let said = place.cairn_ok(&[&common[..], &what].concat());
@@ -54,6 +57,8 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
         assert_eq!(value(case, "pictures without a mark, each training"), asked);
         let share = value(case, "false owners among pictures without a mark");
         assert!((share * asked - owners).abs() < 1e-6, "{case}: {share} of {asked} for {owners}");
+        let nothing = value(case, "nothing recovered from pictures without a mark");
+        assert!((0.0..=1.0).contains(&nothing));
         let bands = [("0", "0.5"), ("0.5", "0.9"), ("0.9", "0.99"), ("0.99", "1")];
         let of = |(from, to): (&str, &str)| value(case, &format!("answers with a confidence of {from} to {to}"));
         assert!(bands.map(of).iter().sum::<f64>() > asked, "harmed renders are asked about as well");

@@ -265,9 +265,28 @@ fn light(appearance: Option<&v1::Appearance>) -> serde_json::Value {
         Some(Choice::ViewName(view)) => json!(view),
         Some(Choice::Photograph(p)) => {
             let digest = Digest::of(&p.photograph).to_string();
-            json!({ "photograph_sha256": digest, "taken": format!("{:?}", p.viewpoint) })
+            json!({ "photograph_sha256": digest, "taken": taken(p.viewpoint.as_ref()) })
         }
         Some(Choice::Neutral(_) | Choice::Blend(_)) | None => serde_json::Value::Null,
+    }
+}
+
+/// The camera that took a photograph, in a label.
+fn taken(viewpoint: Option<&v1::Viewpoint>) -> serde_json::Value {
+    use v1::viewpoint::From;
+    match viewpoint.and_then(|v| v.from.as_ref()) {
+        Some(From::ViewName(view)) => json!(view),
+        Some(From::Camera(camera)) => {
+            let i = camera.intrinsics.unwrap_or_default();
+            let pose = camera.pose.clone().unwrap_or_default();
+            json!({
+                "px": [i.width, i.height],
+                "lens": [i.fx, i.fy, i.cx, i.cy, i.k1, i.k2, i.k3, i.p1, i.p2],
+                "rotation": pose.rotation,
+                "position": pose.position,
+            })
+        }
+        None => serde_json::Value::Null,
     }
 }
 
@@ -297,6 +316,24 @@ fn sequence(folder: &Path, label: &serde_json::Value, resume: bool, frames: u32)
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_label_says_whose_light_it_is_and_not_how_the_program_is_built() {
+        use v1::{appearance::Choice, viewpoint::From};
+        assert_eq!(light(None), serde_json::Value::Null);
+        let view = v1::Appearance { choice: Some(Choice::ViewName("a.png".into())) };
+        assert_eq!(light(Some(&view)), json!("a.png"));
+        let of = |from| {
+            let viewpoint = Some(v1::Viewpoint { from: Some(from) });
+            let photograph = v1::PhotographAppearance { photograph: vec![1, 2].into(), viewpoint };
+            light(Some(&v1::Appearance { choice: Some(Choice::Photograph(photograph)) }))
+        };
+        let digest = Digest::of([1, 2]).to_string();
+        assert_eq!(of(From::ViewName("b.png".into())), json!({ "photograph_sha256": digest, "taken": "b.png" }));
+        let camera = |intrinsics| of(From::Camera(v1::Camera { intrinsics, ..v1::Camera::default() }));
+        assert_eq!(camera(None), camera(Some(v1::Intrinsics::default())));
+        assert_ne!(camera(None), camera(Some(v1::Intrinsics { k3: 0.1, ..v1::Intrinsics::default() })));
+    }
 
     #[test]
     fn a_sequence_goes_on_with_its_own_frames_alone() {

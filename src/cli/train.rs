@@ -229,7 +229,11 @@ fn report(job: &v1::Job) -> anyhow::Result<()> {
             println!("{} cancelled; its checkpoint is kept: {resume}", job.id);
             Ok(())
         }
-        JobState::Failed => anyhow::bail!("{} failed: {}; when that is mended, {resume}", job.id, job.error),
+        JobState::Failed => anyhow::bail!(
+            "{} failed: {}; where settings or photographs are at fault, train anew with others; where the machine was, {resume}",
+            job.id,
+            job.error
+        ),
         state => anyhow::bail!("the daemon closed the line while {} was {}", job.id, state_name(state)),
     }
 }

@@ -3,11 +3,11 @@
 
 use cairn_capture::{Camera, Picture};
 
-use super::Engine;
 use super::error::EngineError;
 use super::model::Model;
 use super::query::{Viewpoint, decode_on};
 use super::stages::Appearance;
+use super::{Engine, view_index};
 
 /// A photograph is compared with the field at this length at most, px: a light is some sixty numbers, which more pixels
 /// would not tell better.
@@ -33,10 +33,25 @@ impl Engine {
     pub(super) fn appearance(&self, model: &Model, light: &Light) -> Result<Appearance, EngineError> {
         match light {
             Light::Neutral => Ok(model.base.canonical_appearance().clone()),
-            Light::View(name) => of_view(model, name),
-            Light::Blend(from, to, share) => Ok(of_view(model, from)?.mixed(&of_view(model, to)?, *share as f32)),
+            Light::View(name) => self.of_view(model, name),
+            Light::Blend(from, to, share) => {
+                Ok(self.of_view(model, from)?.mixed(&self.of_view(model, to)?, *share as f32))
+            }
             Light::Photograph(bytes, taken) => self.of_photograph(model, bytes, taken),
         }
+    }
+
+    /// The appearance of a training view; in scenes of one light every view has the same.
+    fn of_view(&self, model: &Model, name: &str) -> Result<Appearance, EngineError> {
+        let known = model.base.appearances();
+        if known.is_empty() {
+            view_index(self.scene(&model.info.scene)?.capture(), name)?;
+            return Ok(model.base.canonical_appearance().clone());
+        }
+        let found = known.iter().find(|(n, _)| n == name);
+        let (_, appearance) = found
+            .ok_or_else(|| EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str())))?;
+        Ok(appearance.clone())
     }
 
     /// Fits an appearance to a whole photograph.
@@ -60,17 +75,6 @@ impl Engine {
         }
         let (width, height) = compared_at(&photograph, &camera);
         Ok(model.base.fit_appearance(&camera.resized(width, height), &photograph.resized(width, height))?)
-    }
-}
-
-/// The appearance of a training view.
-fn of_view(model: &Model, name: &str) -> Result<Appearance, EngineError> {
-    let known = model.base.appearances();
-    match known.iter().find(|(n, _)| n == name) {
-        Some((_, appearance)) => Ok(appearance.clone()),
-        // In scenes of one light every view has the same.
-        None if known.is_empty() => Ok(model.base.canonical_appearance().clone()),
-        None => Err(EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str()))),
     }
 }
 

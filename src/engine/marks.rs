@@ -36,12 +36,16 @@ const LOST: f64 = 0.5;
 /// Trains the marked fields and the detector, and keeps the best state judged.
 pub struct Marking {
     trainer: MarkTrainer,
+    /// What each identity is called, the first scene's first.
+    whose: Vec<String>,
     /// What to say of the budget.
     note: Option<String>,
 }
 
 /// A scene to mark.
 pub struct ToMark<'a> {
+    /// What it is called.
+    pub name: &'a str,
     /// The scene with the views to train on.
     pub scene: &'a SceneFolder,
     /// theta_0.
@@ -99,10 +103,13 @@ impl Marking {
         checkpoint: Option<&[u8]>,
         preparing: Preparing<'_>,
     ) -> Result<Option<Self>, EngineError> {
-        let mut planned = Vec::with_capacity(scenes.len());
+        let (mut planned, mut whose) = (Vec::with_capacity(scenes.len()), Vec::new());
+        let several = scenes.len() > 1;
         // What was begun goes on with the budget that it has.
         let mut explained_db = checkpoint.is_none().then_some(f64::NEG_INFINITY);
-        for ToMark { scene, base, clusters, signals } in scenes {
+        for ToMark { name, scene, base, clusters, signals } in scenes {
+            let of_scene = if several { format!(" of scene {name:?}") } else { String::new() };
+            whose.extend((1..=signals.len()).map(|number| format!("identity {number}{of_scene}")));
             let capture = scene.capture();
             // Photographs carry no mark: the detector has to stay silent on them.
             let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
@@ -124,7 +131,9 @@ impl Marking {
             (None, None) => MarkTrainer::joint(planned, affordable, seed, progress),
         };
         match made {
-            Ok(trainer) => Ok(Some(Self { note: budget_note(trainer.config(), settings, explained_db), trainer })),
+            Ok(trainer) => {
+                Ok(Some(Self { note: budget_note(trainer.config(), settings, explained_db), whose, trainer }))
+            }
             Err(MarkError::Stopped) => Ok(None),
             Err(error) => Err(error.into()),
         }
@@ -169,18 +178,19 @@ impl Stage for Marking {
 
     fn notes(&self) -> Vec<String> {
         let is_done = self.trainer.steps_done() >= self.trainer.steps_total();
-        let weak = self.trainer.best().filter(|_| is_done).and_then(weak_note);
+        let weak = self.trainer.best().filter(|_| is_done).and_then(|kept| weak_note(kept, &self.whose));
         self.note.iter().cloned().chain(weak).collect()
     }
 }
 
 /// What to say where marks or signals do not come back well from the virtual poses of the state that is kept, of all
-/// identities or of the one that does worst.
-fn weak_note(kept: &Judgement) -> Option<String> {
+/// identities or of the one that does worst; `whose` are their names, class 1 first.
+fn weak_note(kept: &Judgement, whose: &[String]) -> Option<String> {
     let mut weak = weak_figures(kept.accuracy, &kept.recovered, 1.0);
     if let Some(worst) = kept.weakest {
         let lost = weak_figures(worst.told, &worst.recovered, LOST);
-        weak.extend((!lost.is_empty()).then(|| format!("of identity {} alone: {}", worst.identity, lost.join(", "))));
+        let name = worst.identity.checked_sub(1).and_then(|at| whose.get(at)).map_or("one identity", String::as_str);
+        weak.extend((!lost.is_empty()).then(|| format!("worst of all, {name}: {}", lost.join(", "))));
     }
     (!weak.is_empty()).then(|| {
         format!(
@@ -260,16 +270,16 @@ mod tests {
             recovered: Recovered { picture_ssim, audio_snr_db, text_characters },
             weakest: None,
         };
-        assert_eq!(weak_note(&recovered(Some(0.97), Some(30.0), Some(1.0))), None);
-        assert_eq!(weak_note(&recovered(None, None, None)), None);
-        let note = weak_note(&recovered(Some(0.02), Some(3.0), Some(0.5))).unwrap();
+        assert_eq!(weak_note(&recovered(Some(0.97), Some(30.0), Some(1.0)), &[]), None);
+        assert_eq!(weak_note(&recovered(None, None, None), &[]), None);
+        let note = weak_note(&recovered(Some(0.02), Some(3.0), Some(0.5)), &[]).unwrap();
         assert!(
             note.contains(
                 "(hidden pictures' SSIM: 0.02; hidden sounds' SNR: 3.0 dB; hidden texts' characters: 50.0 %)"
             ),
             "{note}"
         );
-        let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }).unwrap();
+        let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }, &[]).unwrap();
         assert!(confused.contains("(answers right: 60.0 %)"), "{confused}");
     }
 
@@ -280,9 +290,17 @@ mod tests {
             let weakest = Some(Weakest { identity: 7, told, recovered: recovered(ssim) });
             Judgement { step: 1400, accuracy: 0.95, attacked: 0.95, recovered: recovered(0.93), weakest }
         };
-        let note = weak_note(&of(0.0, 0.1)).unwrap();
-        assert!(note.contains("(of identity 7 alone: answers right: 0.0 %, hidden pictures' SSIM: 0.10)"), "{note}");
+        let whose: Vec<String> =
+            (1..=7).map(|class: i32| format!("identity {} of scene \"fern\"", class - 4)).collect();
+        let weak_note = |kept| weak_note(&kept, &whose);
+        let note = weak_note(of(0.0, 0.1)).unwrap();
+        assert!(
+            note.contains(
+                "(worst of all, identity 3 of scene \"fern\": answers right: 0.0 %, hidden pictures' SSIM: 0.10)"
+            ),
+            "{note}"
+        );
         // One of its few poses missed is no loss.
-        assert_eq!(weak_note(&of(0.67, 0.7)), None);
+        assert_eq!(weak_note(of(0.67, 0.7)), None);
     }
 }

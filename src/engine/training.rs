@@ -135,7 +135,13 @@ impl Training {
         let mut scenes = Vec::with_capacity(parts.len());
         for ((part, base), signals) in parts.iter().zip(bases).zip(&signals) {
             let (base, signals) = (Field::from_bytes(base)?, signals.clone());
-            scenes.push(ToMark { scene: &part.scene, base, clusters: &part.clusters, signals });
+            scenes.push(ToMark {
+                name: &part.job.spec.scene,
+                scene: &part.scene,
+                base,
+                clusters: &part.clusters,
+                signals,
+            });
         }
         let how = (&job.spec.settings.mark, job.spec.seed);
         let made = Marking::start(scenes, grown.as_ref(), how, checkpoint.as_deref(), &mut preparing(control))?;

@@ -66,7 +66,8 @@ impl BaseTrainer {
     /// The whole state. Equal states give equal bytes.
     ///
     /// # Errors
-    /// [`FieldError::Stored`] when it cannot be written out.
+    /// [`FieldError::Stored`] when it cannot be written out, [`FieldError::NotFinite`] where a number of it is not finite, so
+    /// that it could not be resumed.
     pub fn checkpoint(&self) -> Result<Vec<u8>, FieldError> {
         let mut header = Header {
             format: CHECKPOINT_FORMAT.into(),
@@ -106,6 +107,10 @@ impl BaseTrainer {
             ("mean_colour", &self.mean.colour),
             ("mean_codes", &self.mean.codes),
         ];
+        // A number that the next step would refuse must not take the place of a state that can be resumed.
+        if let Some((name, _)) = float.iter().find(|(_, values)| values.iter().any(|v| !v.is_finite())) {
+            return Err(FieldError::NotFinite { step: self.step, place: format!("`{name}`") });
+        }
         let bad = |e: safetensors::SafeTensorError| stored("checkpoint", e.to_string());
         let bytes: Vec<(&str, Vec<u8>)> =
             float.iter().map(|(name, values)| (*name, values.iter().flat_map(|v| v.to_le_bytes()).collect())).collect();

@@ -330,6 +330,18 @@ fn tensor(bytes: &[u8], name: &str) -> Vec<u8> {
 }
 
 #[test]
+fn a_state_that_is_not_finite_is_no_checkpoint() {
+    // Infinite in single precision: the step after the one that takes it in is refused, and so is what is left.
+    let config = FieldConfig { learning_rate_density: 1e39, ..tiny(20) };
+    let mut trainer = BaseTrainer::new(views(2, 12, 1.0, DVec3::ZERO), ball_box(), None, config, 1).expect("settings");
+    assert!(trainer.checkpoint().is_ok());
+    let failed = (0..20).find_map(|_| trainer.step().err());
+    assert!(matches!(failed, Some(FieldError::NotFinite { .. })), "{failed:?}");
+    let refused = trainer.checkpoint().expect_err("nothing that could be resumed").to_string();
+    assert!(refused.contains("not finite") && refused.contains('`'), "{refused}");
+}
+
+#[test]
 fn a_poisoned_step_is_not_taken() {
     let bytes = begun();
     let undisturbed = end(resume(&bytes));

@@ -1,6 +1,6 @@
 //! The trained detector and classifier: what a picture says of its owner.
 
-use crate::config::MarkConfig;
+use crate::config::{CarrierKind, MarkConfig, MaskKind};
 use crate::error::MarkError;
 use crate::familiar::Familiar;
 use crate::judge::winner;
@@ -144,10 +144,14 @@ impl Detector {
     /// # Errors
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
-        let header: Header = read_header(bytes, "detector")?;
+        let mut header: Header = read_header(bytes, "detector")?;
         if !DETECTOR_FORMATS.contains(&header.format.as_str()) {
             let why = format!("format `{}`, this program reads `{DETECTOR_FORMAT}`", header.format);
             return Err(stored("detector", why));
+        }
+        // Refused of late: it was no mask, and marks that were trained so are out in the world.
+        if header.config.mask == MaskKind::PerCoefficientGroup && header.config.carrier == CarrierKind::PerCluster {
+            header.config.mask = MaskKind::None;
         }
         header.config.validate()?;
         header.heads.check(&header.config)?;

@@ -53,7 +53,7 @@ pub struct Judgement {
     pub weakest: Option<Weakest>,
 }
 
-/// The identity whose marks and signals come back worst, over the poses that it is judged by.
+/// The identity of which something comes back worst, over the poses that it is judged by: its least figure is the least of all.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weakest {
     /// Its class, from 1.
@@ -90,9 +90,14 @@ impl Recovered {
     /// The mean over the heads, each 0 (nothing, or silence) to 1: SSIM, one less the
     /// ratio of noise to signal in amplitude, and characters.
     fn score(&self) -> f64 {
-        let sound = self.audio_snr_db.map(|db| (1.0 - 10f64.powf(-db / 20.0)).max(0.0));
-        let all = [self.picture_ssim, sound, self.text_characters];
+        let all = self.shares();
         all.iter().flatten().sum::<f64>() / all.iter().flatten().count().max(1) as f64
+    }
+
+    /// Each head, 0 (nothing, or silence) to 1.
+    fn shares(&self) -> [Option<f64>; 3] {
+        let sound = self.audio_snr_db.map(|db| (1.0 - 10f64.powf(-db / 20.0)).max(0.0));
+        [self.picture_ssim, sound, self.text_characters]
     }
 
     /// Whether each is good enough to end training.
@@ -149,8 +154,8 @@ impl Tally {
             let told = mean(&self.told, Some(*i))?;
             Some(Weakest { identity: i + 1, told, recovered: self.recovered(Some(*i)) })
         });
-        let score = |w: &Weakest| w.told + w.recovered.score();
-        each.min_by(|a, b| score(a).total_cmp(&score(b))).filter(|_| identities.len() > 1)
+        let least = |w: &Weakest| w.recovered.shares().iter().flatten().copied().fold(w.told, f64::min);
+        each.min_by(|a, b| least(a).total_cmp(&least(b))).filter(|_| identities.len() > 1)
     }
 }
 
@@ -381,6 +386,14 @@ mod tests {
         assert_eq!((worst.identity, worst.told), (7, 0.0));
         assert!((worst.recovered.picture_ssim.unwrap() - 0.1).abs() < 1e-12);
         assert_eq!(worst.recovered.audio_snr_db, None);
+        // Right as often as can be and hardly recovered is worse than middling in both.
+        let text = Tally {
+            told: vec![(0, 1.0), (1, 0.67)],
+            ssim: vec![(1, 0.67)],
+            characters: vec![(0, 0.4)],
+            ..Tally::default()
+        };
+        assert_eq!(text.weakest().unwrap().identity, 1);
         // One alone is the mean.
         let alone = Tally { told: vec![(0, 1.0)], ..Tally::default() };
         assert_eq!(alone.weakest(), None);

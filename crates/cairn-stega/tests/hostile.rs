@@ -151,6 +151,9 @@ fn what_does_not_fit_is_refused_by_name() {
     let old = altered(&detector, |h| h["format"] = "cairn.detector/1".into(), "", <[u8]>::to_vec);
     let error = Detector::from_bytes(&old).err().unwrap().to_string();
     assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/5"), "{error}");
+    // A mask by groups with carriers of the clusters' own was none, and is refused to trainings only.
+    let grouped = altered(&detector, |h| h["config"]["mask"] = "per_coefficient_group".into(), "", <[u8]>::to_vec);
+    assert!(grouped != detector && Detector::from_bytes(&grouped).is_ok());
     for before in ["cairn.detector/3", "cairn.detector/4"] {
         let without = |h: &mut serde_json::Value| {
             h["format"] = before.into();

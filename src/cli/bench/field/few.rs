@@ -53,7 +53,7 @@ impl Run {
         let spacing = Spacing::of(&cameras, &self.config);
         drop(opened);
         let one = |what: &str, config: FieldConfig| {
-            let file = format!("{}-few-{}.field", self.name, what.replace(' ', "-"));
+            let file = format!("{}-few-{}-{}.field", self.name, self.seed, what.replace(' ', "-"));
             self.trained(children, config, self.out.join(file), &format!("ten views, {what}"))
         };
         let shipped = one("as shipped", self.config.clone())?;

@@ -198,6 +198,6 @@ impl Run {
     }
 
     fn field(&self, share: Share) -> PathBuf {
-        self.out.join(format!("{}-{}.field", self.name, share.to_string().replace('/', "-")))
+        self.out.join(format!("{}-field-{}-{}.field", self.name, self.seed, share.to_string().replace('/', "-")))
     }
 }

@@ -49,7 +49,7 @@ fn named(folder: &Path) -> anyhow::Result<String> {
 impl Run {
     fn of_its_own(&self, children: &Children) -> anyhow::Result<Found> {
         let one = |what: &str, config: FieldConfig| {
-            let file = format!("{}-own-{}.field", self.name, what.replace(' ', "-"));
+            let file = format!("{}-own-{}-{}.field", self.name, self.seed, what.replace(' ', "-"));
             self.trained(children, config, self.out.join(file), what)
         };
         let shipped = one("as shipped", self.config.clone())?;

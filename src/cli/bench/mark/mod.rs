@@ -247,14 +247,17 @@ impl Run {
         let base = Config::load(place.config.as_deref())?.training;
         let training = training_settings(&base, &overlays)?;
         let others = case::ALL.iter().filter(|name| **name != case.name).map(|name| captures.join(name.as_str()));
+        let foreign = |folder: PathBuf| {
+            let source = sized(folder);
+            overlays[0] = overlay_for(source.open()?.kind());
+            let field = field_of(&args.out, &source, &training_settings(&base, &overlays)?.field, args.seed)?;
+            Ok(Foreign { source, field: Some(field) })
+        };
+        let foreign = others.filter(|folder| folder.is_dir()).map(foreign).collect::<anyhow::Result<_>>()?;
         Ok(Self {
             case,
             source,
-            foreign: others
-                .filter(|folder| folder.is_dir())
-                .map(sized)
-                .map(|source| Foreign { source, field: None })
-                .collect(),
+            foreign,
             pictures: pictures.to_vec(),
             others: if case.all_kinds { beside(&pictures[0])? } else { Files::default() },
             field: training.field,
@@ -276,7 +279,7 @@ impl Run {
         (field, base): (PathBuf, Option<base::Trained>),
         children: &Children,
     ) -> anyhow::Result<Outcome> {
-        self.find_fields()?;
+        self.leave_out_missing();
         let mut outcome = Outcome { base, robust: self.mark.robust.enabled, ..Outcome::default() };
         for run in 0..self.runs {
             outcome.runs.push(self.training(children, &field, (run, 0))?);
@@ -292,22 +295,19 @@ impl Run {
         Ok(outcome)
     }
 
-    /// Looks for other captures' base fields in the folder, and says of which there is none.
-    fn find_fields(&mut self) -> anyhow::Result<()> {
-        let fields = files(&self.out, &["field"])?;
+    /// Says of which other captures there is no base field in the folder, so that nobody is asked about its renders.
+    fn leave_out_missing(&mut self) {
         for other in self.foreign.iter_mut().filter(|_| self.what != What::Ablation) {
-            let start = format!("{}-", other.name());
-            let is_one = |path: &&PathBuf| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(&start));
-            other.field = fields.iter().find(is_one).cloned();
-            if other.field.is_none() {
-                let (name, out) = (other.name(), self.out.display());
-                println!(
-                    "{}: SKIPPED renders of {name}: {out} has no base field of it; measure it too (--case {name})",
-                    self.name
-                );
+            if other.field.as_ref().is_none_or(|field| field.is_file()) {
+                continue;
             }
+            other.field = None;
+            let (name, out) = (other.name(), self.out.display());
+            println!(
+                "{}: SKIPPED renders of {name}: {out} has no base field of it by these settings; measure it too (--case {name})",
+                self.name
+            );
         }
-        Ok(())
     }
 
     /// Training `run` on the base field `field`, with identities `permuted` by so many, and its judgement.
@@ -363,10 +363,7 @@ impl Run {
 
     /// The stored base field, trained where it is not there yet.
     fn base(&self, children: &Children) -> anyhow::Result<(PathBuf, Option<base::Trained>)> {
-        // Settings, seed and pictures make a field; the folder's place does not.
-        let key = serde_json::to_vec(&(&self.field, self.seed, self.source.longest_side_px, self.source.most_views))?;
-        let key: String = Sha256::digest(key).iter().take(6).map(|byte| format!("{byte:02x}")).collect();
-        let field = self.out.join(format!("{}-{key}.field", self.case.name.as_str()));
+        let field = field_of(&self.out, &self.source, &self.field, self.seed)?;
         if field.is_file() {
             eprintln!("{}: the base field {} is there", self.name, field.display());
             return Ok((field, None));
@@ -382,6 +379,14 @@ impl Run {
         let trained = children.run(&train)?;
         Ok((field, Some(trained)))
     }
+}
+
+/// Where a capture's base field lies in `out`. Settings, seed and pictures make a field; the folder's place does not.
+fn field_of(out: &Path, source: &Source, config: &FieldConfig, seed: u64) -> anyhow::Result<PathBuf> {
+    let key = serde_json::to_vec(&(config, seed, source.longest_side_px, source.most_views))?;
+    let key: String = Sha256::digest(key).iter().take(6).map(|byte| format!("{byte:02x}")).collect();
+    let name = source.folder.file_name().unwrap_or_default().to_string_lossy();
+    Ok(out.join(format!("{name}-{key}.field")))
 }
 
 #[cfg(test)]

@@ -87,6 +87,8 @@ fn unmarked(rows: &mut Rows, name: &str, judged: &[&Judged]) {
     let each = all().map(|s| s.asked).sum::<usize>() as f64 / judged.len().max(1) as f64;
     rows.add(name, "pictures without a mark, each training", each, "", Some(Target::at_least(UNMARKED)));
     share(rows, name, "false owners among pictures without a mark", made_up, Some(Target::at_most(0.0)));
+    let empty = judged.iter().flat_map(|j| &j.unmarked).map(|s| s.empty);
+    share(rows, name, "nothing recovered from pictures without a mark", empty, Some(Target::at_least(1.0)));
 }
 
 /// Whose identity is told where mark and view speak for different ones; nothing with one identity.

@@ -75,4 +75,6 @@ pub struct Silent {
     pub what: String,
     /// Those that were called `unmarked`.
     pub silent: Right,
+    /// Those of which nothing is recovered: black, silent and without text.
+    pub empty: Right,
 }

@@ -80,21 +80,22 @@ fn renders(opened: &Opened, field: &Field) -> impl Iterator<Item = anyhow::Resul
     all.into_iter().step_by(step).map(render)
 }
 
-/// How many of the forms of `pictures` are called unmarked with nothing recovered.
+/// How many of the forms of `pictures` are called unmarked, and of how many nothing is recovered.
 fn silent(
     asked: &mut Asked,
     what: String,
     pictures: impl Iterator<Item = anyhow::Result<Picture>>,
 ) -> anyhow::Result<Silent> {
-    let mut seen = Right::default();
+    let (mut silent, mut empty) = (Right::default(), Right::default());
     for picture in pictures {
         each_form(&picture?, |picture| {
             let (right, found) = asked.ask(picture, 0)?;
-            seen.count(right && is_empty(&found.recovered));
+            silent.count(right);
+            empty.count(is_empty(&found.recovered));
             Ok(())
         })?;
     }
-    Ok(Silent { what, silent: seen })
+    Ok(Silent { what, silent, empty })
 }
 
 /// Whether a signal is black, silent and without text.
