@@ -148,8 +148,9 @@ impl FieldConfig {
         let check = |ok: bool, key, value: String, allowed| {
             if ok { Ok(()) } else { Err(FieldError::Setting { key, value, allowed }) }
         };
-        let positive = |v: f64| v.is_finite() && v > 0.0;
-        let weight = |v: f64| v.is_finite() && v >= 0.0;
+        // Training counts in single precision.
+        let positive = |v: f64| (v as f32).is_finite() && v > 0.0;
+        let weight = |v: f64| (v as f32).is_finite() && v >= 0.0;
         let share = |v: f64| (0.0..=1.0).contains(&v);
         let number = |v: f64| v.to_string();
         check((1..=1_000_000).contains(&self.steps), "field.steps", self.steps.to_string(), "1 to 1000000")?;
