@@ -128,7 +128,7 @@ fn what_does_not_fit_is_refused_by_name() {
         (MarkConfig { enough_characters: -0.1, ..config(3) }, "mark.enough_characters"),
         (MarkConfig { finer: 3, ..config(3) }, "mark.finer"),
         (MarkConfig { fresh_every: 1_000_001, ..config(3) }, "mark.fresh_every"),
-        (MarkConfig { others: 0, ..config(3) }, "mark.others"),
+        (MarkConfig { others: 1_000_001, ..config(3) }, "mark.others"),
         // 32 px cannot be halved six times; the 64 of `finer` = 2 could.
         (with(|c| c.classifier.channels = vec![8; 6]), "mark.classifier.channels"),
         (with(|c| c.audio.sample_rate_hz = 100), "mark.audio.sample_rate_hz"),
