@@ -5,10 +5,9 @@ use super::Outcome;
 use crate::cli::bench::rows::Rows;
 
 /// What is skipped, the row that trains with it and the one that trains without.
-const SKIPS: [(&str, &str, &str); 4] = [
+const SKIPS: [(&str, &str, &str); 3] = [
     ("settled views come up less often", "full", "settled views as often"),
     ("training ends when recovery has converged", "full", "to the last step"),
-    ("more views where they look further apart", "full", "two dozen views"),
     // Another model as well: what densities would have learnt is not learnt.
     ("densities stay, so that ray weights are worked out once", "harmonics", "harmonics, free density"),
 ];
