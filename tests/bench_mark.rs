@@ -104,3 +104,38 @@ fn what_training_skips_is_compared_with_the_same_not_skipped() {
     let share = adds(": share of the time saved").unwrap();
     assert!(share < 1.0 && share.is_finite());
 }
+
+#[test]
+fn heads_that_nobody_uses_and_an_owner_of_later_are_compared_as_well() {
+    let place = Place::new();
+    prepare(&place);
+    let common = ["bench", "ablation", "--quick", "--settings", "small.toml", "--captures", "captures"];
+    let which = ["--ledger", "l.json", "--out", "out", "--case", "lego", "--row", "full", "--row", "two owners"];
+    let others = ["--row", "two owners, one of them later", "--row", "heads that nobody uses"];
+    place.cairn_ok(&[&common[..], &which, &others].concat());
+    let rows: Vec<Value> = serde_json::from_slice(&std::fs::read(place.path("l.json")).unwrap()).unwrap();
+    let value = |case: &str, metric: &str| {
+        let row =
+            rows.iter().find(|row| row["case"] == format!("lego, quick, small, {case}") && row["metric"] == metric);
+        row.unwrap_or_else(|| panic!("no row {case}, {metric}"))["value"].as_f64().unwrap()
+    };
+    // `mark.grow_share` of the ten steps for the second owner, after all of them for the first.
+    let steps = |case: &str| value(case, "stage 2, steps");
+    assert_eq!(
+        [steps("two owners"), steps("two owners, one of them later"), steps("heads that nobody uses")],
+        [10.0, 4.0, 10.0]
+    );
+    for what in ["only heads that somebody uses are built", "an owner who comes later is added to what is trained"] {
+        assert!(value("skips", &format!("{what}: saves")).is_finite());
+        assert!(value("skips", &format!("{what}: adds to accuracy")).abs() <= 1.0);
+    }
+    // The first owner's mark is the one of before.
+    let mark = |name: &str| {
+        let bytes =
+            std::fs::read(place.path(&format!("out/lego--quick--small--two-owners--one-of-them-later-1.{name}")));
+        cairn_stega::MarkedField::from_bytes(&bytes.unwrap()).unwrap()
+    };
+    let (first, both) = (mark("first.marked"), mark("marked"));
+    assert_eq!((first.carrier(2), both.carrier(1)), (None, first.carrier(1)));
+    assert!(both.carrier(2).is_some());
+}

@@ -200,6 +200,9 @@ pub struct MarkConfig {
     /// How many times finer than hidden pictures are the pictures that the classifier sees, 1, 2 or 4; the
     /// detector sees their means over as many pixels each way.
     pub finer: usize,
+    /// Whether heads are built that no identity uses as well, as long as what they may hide: a detector that is ready for
+    /// anything. What an identity of later hides gets its head without.
+    pub unused_heads: bool,
     /// The classifier.
     pub classifier: ClassifierConfig,
     /// The detector; its size is that of the hidden pictures.
@@ -256,6 +259,7 @@ impl Default for MarkConfig {
             others_colours: OthersColours::Near,
             robust: RobustConfig::default(),
             finer: 1,
+            unused_heads: false,
             classifier: ClassifierConfig::default(),
             detector: UNetConfig::default(),
             audio: AudioConfig::default(),

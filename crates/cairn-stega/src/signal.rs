@@ -84,13 +84,16 @@ pub struct HeadSizes {
 }
 
 impl HeadSizes {
-    /// What `signals` need: the longest sound's and the longest text's room.
+    /// What `signals` need, the longest sound's and the longest text's room; and what else there is where `mark.unused_heads`
+    /// says so.
     pub(crate) fn of(signals: &[Signal], config: &MarkConfig) -> Self {
         let audio = signals.iter().filter_map(|s| s.audio.as_ref()).map(|a| a.samples().len()).max();
+        let text = signals.iter().filter_map(|s| s.text.as_ref()).map(String::len).max();
+        let all = config.unused_heads;
         Self {
-            picture: signals.iter().any(|s| s.picture.is_some()),
-            audio: audio.map(|longest| config.audio.samples(longest)),
-            text: signals.iter().filter_map(|s| s.text.as_ref()).map(String::len).max(),
+            picture: all || signals.iter().any(|s| s.picture.is_some()),
+            audio: audio.or(all.then(|| config.most_samples())).map(|longest| config.audio.samples(longest)),
+            text: text.or(all.then_some(config.text.longest_bytes)),
         }
     }
 
@@ -170,6 +173,16 @@ mod tests {
         let sizes = HeadSizes::of(&[spoken(200), spoken(300), written.clone()], &config);
         assert_eq!(sizes, HeadSizes { picture: false, audio: Some(512), text: Some(4) });
         assert_eq!(sizes.count(), 2);
+        // Ready for anything: what nobody hides has room for the longest.
+        let ready = MarkConfig { unused_heads: true, ..config.clone() };
+        let sizes_of_all = HeadSizes::of(&[spoken(300)], &ready);
+        let text = Some(config.text.longest_bytes);
+        assert_eq!(sizes_of_all, HeadSizes { picture: true, audio: Some(512), text });
+        assert_eq!(
+            HeadSizes::of(std::slice::from_ref(&written), &ready).audio,
+            Some(64_000usize.next_multiple_of(256))
+        );
+        sizes_of_all.check(&ready).unwrap();
         let numbers = Numbers::of(&spoken(200), &sizes, 32);
         let audio = numbers.audio.as_ref().unwrap();
         assert_eq!((audio.len(), audio[199], audio[200], numbers.text.is_none()), (512, 0.25, 0.0, true));

@@ -199,3 +199,22 @@ fn a_judgement_tells_of_every_head() {
     let recovered = alone.judge().unwrap().recovered;
     assert_eq!((recovered.audio_snr_db, recovered.text_characters), (None, None));
 }
+
+#[test]
+fn heads_that_nobody_uses_are_built_where_that_is_wanted_and_stay_silent() {
+    let without = trained(plan(), hiding(60)).1;
+    assert!(without.heads().audio.is_none() && without.heads().text.is_none());
+    let mut config = MarkConfig { unused_heads: true, ..hiding(60) };
+    config.audio.longest_s = 0.1;
+    config.text.longest_bytes = 4;
+    let (marked, detector) = trained(plan(), config);
+    assert_eq!((detector.heads().picture, detector.heads().audio, detector.heads().text), (true, Some(1024), Some(4)));
+    let camera = &cameras()[0];
+    let render = marked.render(camera, field().canonical_appearance());
+    for class in [0, 1, 2] {
+        let said = detector.detect_forced(&render, class).unwrap().recovered;
+        assert_eq!(said.audio.unwrap().samples().len(), 1024);
+        // Taught nothing but silence.
+        assert!(said.text.unwrap().is_empty(), "class {class}");
+    }
+}

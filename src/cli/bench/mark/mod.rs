@@ -8,6 +8,7 @@
 //! Base fields stay in the folder and are taken again by a later run with the same
 //! settings and seed: with marks made to last and without they are the same.
 
+mod ablations;
 mod case;
 mod harm;
 mod judge;
@@ -39,11 +40,12 @@ use super::field::source::Source;
 use super::field::{Name, train as base, unless_stopped};
 use super::rows::Rows;
 use crate::config::{Config, overlay_for, training_settings};
+use ablations::{Owners, Training};
 use case::Case;
 
 pub use judge::{Judged, Task as Judge, run as judge};
 pub use serve::{Served, Task as Serve, run as serve};
-use train::Files;
+use train::{Earlier, Files};
 pub use train::{Marked, Task as Mark, run as mark};
 use unmarked::Foreign;
 
@@ -66,38 +68,13 @@ pub enum What {
     /// Only what says whether answers come from the mark: strangers' marks, pictures
     /// without one, how sure the answers are.
     Honesty,
-    /// One training each with a part of the method switched off (`ABLATIONS`).
+    /// One training each with a part of the method switched off (`ablations`).
     Ablation,
 }
 
-/// The rows of the paper's table of ablations, three values of alpha, the other losses, the paper's carrier with its
-/// densities as they are and free (ray weights worked out once, and at every look) and with the mask of the authors' code,
-/// what the paper does without, and what else training skips, not skipped: what is laid over the settings.
-const ABLATIONS: [(&str, &str); 19] = [
-    ("full", ""),
-    ("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
-    ("classifier not guiding", "[mark]\nguidance = \"untold\"\nrecover_moves_marks = true\n"),
-    ("no mask", "[mark]\nmask = \"none\"\n"),
-    ("binary mask at 0.5", "[mark]\nmask = \"binary\"\nmask_share = 0.5\n"),
-    ("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
-    ("alpha 0", "[mark]\nmask_alpha = 0.0\n"),
-    ("alpha 1", "[mark]\nmask_alpha = 1.0\n"),
-    ("alpha 5", "[mark]\nmask_alpha = 5.0\n"),
-    ("squared recovery", "[mark]\nloss = \"squared\"\n"),
-    ("absolute picture loss", "[mark]\npicture_loss = \"absolute\"\n"),
-    ("no budget", "[mark]\nbudget = false\n"),
-    ("no memory", "[mark]\ndetector.memory = \"none\"\naudio.memory = \"none\"\ntext.memory = \"none\"\n"),
-    ("settled views as often", "[mark]\nsettled_share = 1.0\n"),
-    ("to the last step", "[mark]\nenough_ssim = 10.0\n"),
-    ("two dozen views", "[mark]\nviews_apart_deg = 180.0\n"),
-    ("harmonics", "[mark]\ncarrier = \"harmonics\"\n"),
-    ("harmonics, free density", "[mark]\ncarrier = \"harmonics\"\ndensity = \"free\"\n"),
-    ("group mask, harmonics", "[mark]\ncarrier = \"harmonics\"\nmask = \"per_coefficient_group\"\n"),
-];
-
 /// Measures the captures that were asked for and puts each one's rows into the ledger.
 pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) -> anyhow::Result<()> {
-    let trainings = trainings(what, &args.rows)?;
+    let trainings = ablations::wanted(what, &args.rows)?;
     let fern = [Name::Fern];
     let cases = case::wanted(if what == What::Ablation && args.cases.is_empty() { &fern } else { &args.cases });
     let captures = args.captures_with(cases.iter().map(|case| case.name))?;
@@ -106,8 +83,8 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
     let children = Arc::new(Children::default());
     let mut runs = Vec::new();
     for case in cases {
-        for over in &trainings {
-            let mut run = Run::new(place, args, case, (&captures, &pictures), *over)?;
+        for training in &trainings {
+            let mut run = Run::new(place, args, case, (&captures, &pictures), *training)?;
             run.what = what;
             // All base fields before any mark: other captures' renders are among what a detector is to be silent on.
             let work = tokio::task::spawn_blocking({
@@ -115,7 +92,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
                 move || run.base(&children)
             });
             let base = unless_stopped(work, &children).await?;
-            runs.push((run, over.0, base));
+            runs.push((run, training.name, base));
         }
     }
     let mut ablated: Vec<(&Case, &str, Outcome)> = Vec::new();
@@ -137,24 +114,6 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
     }
     println!("contact sheets and reliability tables in {}", args.out.display());
     Ok(())
-}
-
-/// What a suite lays over a capture's settings, each by its name: of the ablations those in `rows`, all where that
-/// is empty; else nothing, without a name.
-///
-/// # Errors
-/// For a name that is none of theirs, and for rows of another suite.
-fn trainings(what: What, rows: &[String]) -> anyhow::Result<Vec<(&'static str, &'static str)>> {
-    if what != What::Ablation {
-        anyhow::ensure!(rows.is_empty(), "--row chooses among the rows of suite `ablation`; leave it out");
-        return Ok(vec![("", "")]);
-    }
-    let names = ABLATIONS.map(|(name, _)| name);
-    if let Some(other) = rows.iter().find(|row| !names.contains(&row.as_str())) {
-        anyhow::bail!("suite `ablation` has no row `{other}`; its rows are {}", names.join(", "));
-    }
-    let wanted = |(name, _): &(&str, &str)| rows.is_empty() || rows.iter().any(|row| row == name);
-    Ok(ABLATIONS.into_iter().filter(wanted).collect())
 }
 
 /// The first sound and the first text beside a picture.
@@ -213,6 +172,7 @@ struct Run {
     others: Files,
     field: FieldConfig,
     mark: MarkConfig,
+    owners: Owners,
     seed: u64,
     runs: u64,
     /// For which suite.
@@ -227,7 +187,7 @@ impl Run {
         args: &Args,
         case: &'static Case,
         (captures, pictures): (&Path, &[PathBuf]),
-        (ablation, over): (&str, &str),
+        Training { name: ablation, over, owners }: Training,
     ) -> anyhow::Result<Self> {
         let sized = |folder: PathBuf| {
             let (longest_side_px, most_views) =
@@ -262,6 +222,7 @@ impl Run {
             others: if case.all_kinds { beside(&pictures[0])? } else { Files::default() },
             field: training.field,
             mark: training.mark,
+            owners,
             seed: args.seed,
             runs: args.trainings.unwrap_or(if args.quick || !ablation.is_empty() { 1 } else { RUNS }),
             what: What::Marks,
@@ -320,23 +281,32 @@ impl Run {
         let told = if permuted > 0 { ", identities permuted" } else { "" };
         let label = |what: &str| format!("{}, {what}{told}, {} of {}", self.name, run + 1, self.runs);
         let file = |what: &str| self.file((run, permuted), what);
-        let signals = (0..self.case.anchors).map(|i| {
-            let at = run as usize * self.case.anchors + i;
+        let (anchors, neighbours) = self.clusters()?;
+        let signals = (0..anchors).map(|i| {
+            let at = run as usize * anchors + i;
             Files { picture: Some(self.pictures[at % self.pictures.len()].clone()), ..self.others.clone() }
         });
-        let mark = Mark {
+        let mut mark = Mark {
             source: self.source.clone(),
             base: field.to_owned(),
             config: self.mark.clone(),
-            anchors: self.case.anchors,
-            neighbours: self.case.neighbours,
+            anchors,
+            neighbours,
             permuted,
             signals: signals.collect(),
+            earlier: None,
             seed: self.seed + run,
             marked: file("marked"),
             detector: file("detector"),
             label: label("marking"),
         };
+        if self.owners == Owners::OneAndAnother {
+            let (marked, detector) = (file("first.marked"), file("first.detector"));
+            mark.earlier = Some(Earlier { marked: marked.clone(), detector: detector.clone() });
+            let signals = mark.signals[..1].to_vec();
+            let label = label("marking for the first");
+            children.run(&Mark { anchors: 1, signals, earlier: None, marked, detector, label, ..mark.clone() })?;
+        }
         let judge = Judge {
             source: self.source.clone(),
             foreign: self.foreign.clone(),
@@ -352,6 +322,15 @@ impl Run {
             label: label("judging"),
         };
         Ok((children.run(&mark)?, children.run(&judge)?))
+    }
+
+    /// M and K; `None` for all views.
+    fn clusters(&self) -> anyhow::Result<(usize, Option<usize>)> {
+        if self.owners == Owners::Case {
+            return Ok((self.case.anchors, self.case.neighbours));
+        }
+        let opened = self.source.open()?;
+        Ok((2, Some((opened.training().len() + opened.held_out().len()) / 2)))
     }
 
     /// Where a training's result goes.
@@ -387,42 +366,4 @@ fn field_of(out: &Path, source: &Source, config: &FieldConfig, seed: u64) -> any
     let key: String = Sha256::digest(key).iter().take(6).map(|byte| format!("{byte:02x}")).collect();
     let name = source.folder.file_name().unwrap_or_default().to_string_lossy();
     Ok(out.join(format!("{name}-{key}.field")))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use cairn_capture::SceneKind;
-
-    #[test]
-    fn rows_are_chosen_by_name_in_their_order_and_a_wrong_name_says_which_there_are() {
-        let named = |rows: &[&str]| {
-            trainings(What::Ablation, &rows.iter().map(|row| (*row).to_owned()).collect::<Vec<_>>())
-                .map(|all| all.into_iter().map(|(name, _)| name).collect::<Vec<_>>())
-        };
-        assert_eq!(named(&[]).unwrap(), ABLATIONS.map(|(name, _)| name));
-        assert_eq!(named(&["two dozen views", "full"]).unwrap(), ["full", "two dozen views"]);
-        let error = named(&["full", "no masc"]).unwrap_err().to_string();
-        assert!(error.contains("`no masc`") && error.contains("no mask, binary mask at 0.5"), "{error}");
-        assert_eq!(trainings(What::Marks, &[]).unwrap(), [("", "")]);
-        assert!(trainings(What::Honesty, &["full".to_owned()]).is_err());
-    }
-
-    #[test]
-    fn every_row_is_accepted_over_every_kind_of_scene_and_is_another() {
-        let base = Config::from_toml("", "test").unwrap().training;
-        for kind in [SceneKind::ForwardFacing, SceneKind::Bounded, SceneKind::Unbounded] {
-            for quick in ["", QUICK_TOML] {
-                let laid = |over| training_settings(&base, &[overlay_for(kind), ("quick", quick), ("row", over)]);
-                let mut seen: Vec<(&str, MarkConfig)> = Vec::new();
-                for (name, over) in ABLATIONS {
-                    let settings = laid(over).unwrap_or_else(|e| panic!("{name}, {kind:?}: {e}"));
-                    let same = seen.iter().find(|(_, mark)| *mark == settings.mark);
-                    assert!(same.is_none(), "{name} is the same as {same:?}");
-                    assert_eq!(settings.field, laid("").unwrap().field, "{name} changes the base field");
-                    seen.push((name, settings.mark));
-                }
-            }
-        }
-    }
 }

@@ -21,6 +21,7 @@ use super::super::field::source::Source;
 use super::super::field::{Name, unless_stopped};
 use super::super::memory::{peak_mib, processor_s};
 use super::super::rows::Rows;
+use super::ablations::AS_IT_IS;
 use super::judge::{View, views};
 use super::train::{Files, plan, signals};
 use super::{Run, case, pictures};
@@ -147,7 +148,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
     let children = Arc::new(Children::default());
     let mut runs = Vec::new();
     for case in case::wanted(&CAPTURES) {
-        runs.push(Run::new(place, args, case, (&captures, &pictures), ("", ""))?);
+        runs.push(Run::new(place, args, case, (&captures, &pictures), AS_IT_IS)?);
     }
     for (how, same, target) in [("one for one", false, Some(HIDDEN_SSIM)), ("one for all", true, None)] {
         let (names, seed): (Vec<String>, u64) = (runs.iter().map(|run| run.name.clone()).collect(), args.seed);

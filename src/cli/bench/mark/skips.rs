@@ -5,9 +5,11 @@ use super::Outcome;
 use crate::cli::bench::rows::Rows;
 
 /// What is skipped, the row that trains with it and the one that trains without.
-const SKIPS: [(&str, &str, &str); 3] = [
+const SKIPS: [(&str, &str, &str); 5] = [
     ("settled views come up less often", "full", "settled views as often"),
     ("training ends when recovery has converged", "full", "to the last step"),
+    ("only heads that somebody uses are built", "full", "heads that nobody uses"),
+    ("an owner who comes later is added to what is trained", "two owners, one of them later", "two owners"),
     // Another model as well: what densities would have learnt is not learnt.
     ("densities stay, so that ray weights are worked out once", "harmonics", "harmonics, free density"),
 ];

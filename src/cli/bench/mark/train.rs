@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_field::Field;
-use cairn_stega::{MarkConfig, MarkPlan, MarkTrainer, PlannedView, Signal};
+use cairn_stega::{Detector, Known, MarkConfig, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Signal};
 use serde::{Deserialize, Serialize};
 
 use super::super::field::progress::Progress;
@@ -26,6 +26,15 @@ pub struct Files {
     pub text: Option<PathBuf>,
 }
 
+/// What an earlier training stored. Its identities are the first of those that are trained now.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Earlier {
+    /// The marked field.
+    pub marked: PathBuf,
+    /// The detector.
+    pub detector: PathBuf,
+}
+
 /// What to mark, and where the result goes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Task {
@@ -43,6 +52,8 @@ pub struct Task {
     pub permuted: usize,
     /// Files of what each identity hides.
     pub signals: Vec<Files>,
+    /// What is gone on from, if anything.
+    pub earlier: Option<Earlier>,
     /// The seed.
     pub seed: u64,
     /// The file for the marked field.
@@ -88,7 +99,10 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
         weights.of(done as u64, total as u64);
         true
     };
-    let mut trainer = MarkTrainer::new(base, plan, task.config.clone(), task.seed, &mut hear)?;
+    let mut trainer = match &task.earlier {
+        None => MarkTrainer::new(base, plan, task.config.clone(), task.seed, &mut hear)?,
+        Some(earlier) => going_on(earlier, (base, plan), task, &mut hear)?,
+    };
     drop(weights);
     let prepared_s = begun.elapsed().as_secs_f64();
     let mut progress = Progress::new(&task.label, trainer.steps_total());
@@ -106,7 +120,7 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
         progress.at(stats.step, &format!("{:.1} dB, ", stats.kept_db));
     }
     drop(progress);
-    let (steps, joined_at) = (trainer.steps_done(), trainer.joined_at());
+    let (steps, joined_at, most) = (trainer.steps_done(), trainer.joined_at(), trainer.config().steps);
     let (marked, detector) = trainer.finish()?;
     let seconds = begun.elapsed().as_secs_f64();
     crate::cli::write(&task.marked, &marked.to_bytes()?)?;
@@ -117,9 +131,32 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
         prepared_s,
         steps,
         joined_at,
-        converged: steps < task.config.steps,
+        converged: steps < most,
         peak_mib: peak_mib(),
     })
+}
+
+/// A training of `plan` that goes on from an `earlier` one of its first identities.
+///
+/// # Errors
+/// For files that do not read, clusters that are others than then, and the trainer's.
+fn going_on(
+    earlier: &Earlier,
+    (field, plan): (Arc<Field>, MarkPlan),
+    task: &Task,
+    hear: &mut dyn FnMut(usize, usize) -> bool,
+) -> anyhow::Result<MarkTrainer> {
+    let marked = MarkedField::from_bytes(&super::read(&earlier.marked)?)?;
+    let detector = Detector::from_bytes(&super::read(&earlier.detector)?)?;
+    let identities: Vec<_> = (1..=plan.signals.len() as u32)
+        .map(|number| marked.carrier(number).map(|carrier| Known { class: number as usize, carrier }))
+        .collect();
+    for number in (1..).take(identities.iter().flatten().count()) {
+        let same = marked.clusters().anchor_pose(number) == plan.clusters.anchor_pose(number);
+        anyhow::ensure!(same, "identity {number} of {} has another anchor now", earlier.marked.display());
+    }
+    let earlier = cairn_stega::Earlier { detector: &detector, identities };
+    Ok(MarkTrainer::growing(vec![MarkScene { field, plan }], &earlier, task.config.clone(), task.seed, hear)?)
 }
 
 /// A capture's plan: `anchors` clusters of so many `neighbours`, `None` for all views; identities are `permuted`
