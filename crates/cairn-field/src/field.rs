@@ -62,20 +62,26 @@ struct Header {
 }
 
 impl Field {
-    /// Takes a trained grid; colours are rounded to half precision here so that
-    /// the field in memory and the one read back from a file are the same.
+    /// Takes a trained grid, as it is.
     pub(crate) fn new(
         frame: SceneFrame,
         (mut grid, colours): (Grid<f32>, Colours),
         canonical: Appearance,
         appearances: Vec<(String, Appearance)>,
     ) -> Self {
-        grid.colour.par_iter_mut().for_each(|v| *v = f16::from_f32(*v).to_f32());
         for row in grid.colour.chunks_exact_mut(ROW) {
             row[ROW - 1] = 0.0;
         }
         grid.refresh_occupancy(empty_density(grid.dims));
         Self { frame, grid, colours, canonical, appearances }
+    }
+
+    /// The field with its colours rounded to half precision, as files hold them ([`Field::to_bytes`]): the one in memory
+    /// and the one that is read back are then the same.
+    #[must_use]
+    pub fn with_stored_colours(mut self) -> Self {
+        self.grid.colour.par_iter_mut().for_each(|v| *v = f16::from_f32(*v).to_f32());
+        self
     }
 
     /// The field with each colour coefficient rounded to one of 256 even steps between

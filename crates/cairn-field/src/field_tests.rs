@@ -33,14 +33,11 @@ fn trained() -> (BaseTrainer, Vec<LandmarkView>) {
 #[test]
 fn half_precision_colours_change_no_picture_by_half_an_8_bit_level() {
     let (trainer, photographs) = trained();
-    let names = photographs.iter().map(|v| v.name.clone());
-    let looks: Vec<(String, Appearance)> = names.zip(trainer.appearances.clone()).collect();
-    assert_eq!(looks.len(), photographs.len());
-    let (mut grid, canonical) = (trainer.grid.clone(), trainer.neutral.clone());
-    let stored = Field::new(trainer.frame.clone(), (grid.clone(), trainer.colours), canonical.clone(), looks.clone());
-    grid.refresh_occupancy(empty_density(grid.dims));
-    let (frame, colours) = (trainer.frame.clone(), trainer.colours);
-    let unrounded = Field { frame, grid, colours, canonical, appearances: looks };
+    let unrounded = trainer.finish_in_f32();
+    assert_eq!(unrounded.appearances.len(), photographs.len());
+    let stored = unrounded.clone().with_stored_colours();
+    let read = Field::from_bytes(&unrounded.to_bytes().expect("bytes")).expect("a field");
+    assert!(read.grid.colour == stored.grid.colour, "files hold them so");
     let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     let rounded = apart(&stored.grid.colour, &unrounded.grid.colour);
     let mut most = 0.0f32;

@@ -316,7 +316,12 @@ impl BaseTrainer {
 
     /// The trained field: the mean of the last states ([`FieldConfig::mean_of_last`]), or the last one where that explains
     /// the photographs clearly better; before those begin the present one.
-    pub fn finish(mut self) -> Field {
+    pub fn finish(self) -> Field {
+        self.finish_in_f32().with_stored_colours()
+    }
+
+    /// As [`BaseTrainer::finish`], before its colours are rounded as files hold them: to see what that does.
+    pub fn finish_in_f32(mut self) -> Field {
         self.settle();
         let views: Vec<(Camera, Arc<Lens>)> = self.views.iter().map(|v| (v.camera, v.lens.clone())).collect();
         let least = self.config.prune_weight.min(SHOWS);

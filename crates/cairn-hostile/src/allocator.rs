@@ -1,4 +1,5 @@
-//! The system's allocator, counting what the running thread holds, so that a test can bound what a reader takes.
+//! The system's allocator, counting what the running thread holds and how often it asks, so that a test can bound what a
+//! reader takes, and hold a loop to asking for nothing.
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -10,6 +11,8 @@ thread_local! {
     static HELD: Cell<isize> = const { Cell::new(0) };
     /// The most that [`HELD`] was since it was last set back.
     static PEAK: Cell<isize> = const { Cell::new(0) };
+    /// How often this thread asked for memory.
+    static ASKED: Cell<usize> = const { Cell::new(0) };
 }
 
 /// The system's allocator with a count for each thread; see [`peak_of`].
@@ -24,15 +27,21 @@ fn add(bytes: isize) {
     });
 }
 
+fn asked() {
+    let _ = ASKED.try_with(|asked| asked.set(asked.get() + 1));
+}
+
 // SAFETY: every call goes to `System` as it came; counting touches only `Cell`s without destructors, which allocate nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        asked();
         add(layout.size() as isize);
         // SAFETY: the caller's promises about `layout` are handed on.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        asked();
         add(layout.size() as isize);
         // SAFETY: the caller's promises about `layout` are handed on.
         unsafe { System.alloc_zeroed(layout) }
@@ -45,6 +54,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        asked();
         // Old and new may both be there while the bytes move.
         add(size as isize);
         add(-(layout.size() as isize));
@@ -61,4 +71,13 @@ pub fn peak_of<T>(work: impl FnOnce() -> T) -> (T, usize) {
     PEAK.with(|peak| peak.set(before));
     let done = work();
     (done, usize::try_from(PEAK.with(Cell::get) - before).unwrap_or(0))
+}
+
+/// What `work` gives, and how often this thread asked for memory, or for more of it, meanwhile.
+///
+/// Counts as [`peak_of`] does.
+pub fn allocations_of<T>(work: impl FnOnce() -> T) -> (T, usize) {
+    let before = ASKED.with(Cell::get);
+    let done = work();
+    (done, ASKED.with(Cell::get) - before)
 }

@@ -22,7 +22,7 @@
 mod allocator;
 mod mutate;
 
-pub use allocator::{Counting, peak_of};
+pub use allocator::{Counting, allocations_of, peak_of};
 pub use mutate::{Input, inputs};
 
 use proptest::{

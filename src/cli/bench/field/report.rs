@@ -4,7 +4,7 @@ use cairn_bench::Target;
 
 use super::case::{Case, SERVING_MIB, TRAINING_MIB};
 use super::outcome::{Budget, Outcome, Share};
-use super::tradeoff::{FINE_STEP, Tradeoff, Varied};
+use super::tradeoff::{Error, FINE_STEP, Tradeoff, Varied};
 use crate::cli::bench::rows::Rows;
 
 /// Points of the rays-against-error curves that are worth a row each.
@@ -27,6 +27,9 @@ pub fn rows(rows: &mut Rows, name: &str, case: &Case, outcome: &Outcome) {
     rows.add(name, "training rays/s", trained.rays_per_s, "rays/s", None);
     rows.add(name, "rows of the grid", trained.rows as f64, "", None);
     rows.add(name, "stored field", trained.stored_mib, "MiB", None);
+    if let Some(error) = trained.stored_error {
+        errors(rows, name, ("stored in half precision", " against f32"), error);
+    }
     let wanted = case.rays_per_s.map(Target::at_least);
     rows.add(name, "rendering rays/s", served.rays_per_s, "rays/s", wanted);
     memory(rows, name, "peak memory, training", trained.peak_mib, TRAINING_MIB);
@@ -89,12 +92,18 @@ fn tradeoff(rows: &mut Rows, name: &str, found: &Tradeoff) {
         Varied::Storage => format!("stored as {}", found.label),
     };
     // What is left out shows at the same step; a step's own error against a much finer one.
-    let (error, against) = if found.varied == Varied::Step && !found.shipped {
-        (found.fine, format!(" against {FINE_STEP} voxels"))
-    } else {
-        (found.own, String::new())
-    };
+    let finer = format!(" against {FINE_STEP} voxels");
+    if found.varied != Varied::Step || found.shipped {
+        errors(rows, name, (&what, ""), found.own);
+    }
+    if found.varied == Varied::Step {
+        errors(rows, name, (&what, &finer), found.fine);
+    }
+    rows.add(name, &format!("{what}: rendering"), found.rays_per_s, "rays/s", None);
+}
+
+/// Rows of how far pictures are off, 8-bit levels: of `what`, `against` what.
+fn errors(rows: &mut Rows, name: &str, (what, against): (&str, &str), error: Error) {
     rows.add(name, &format!("{what}: max error{against}"), error.max, "levels", None);
     rows.add(name, &format!("{what}: RMS error{against}"), error.rms, "levels", None);
-    rows.add(name, &format!("{what}: rendering"), found.rays_per_s, "rays/s", None);
 }

@@ -288,6 +288,18 @@ impl Wanted {
     }
 }
 
+/// What storing does to pictures of `exact`, a field whose colours are not rounded: `stored` against it, both rendered as
+/// shipped, in the light that fits every view.
+pub fn storing(exact: &Field, stored: &Field, cameras: &[Camera]) -> Error {
+    let mut sum = Sum::default();
+    for camera in cameras {
+        let [exact, stored] = [exact, stored].map(|field| field.render(camera, field.canonical_appearance()));
+        let exact: Vec<f64> = exact.rgb().iter().map(|v| f64::from(*v)).collect();
+        sum.add(stored.rgb(), &exact);
+    }
+    sum.error()
+}
+
 /// Sums of differences of clamped colours.
 #[derive(Default)]
 struct Sum {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+use cairn_capture::Camera;
 use cairn_field::{BaseTrainer, FieldConfig};
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +12,10 @@ use super::super::baseline::Stego;
 use super::super::memory::peak_mib;
 use super::progress::Progress;
 use super::source::Source;
+use super::tradeoff::{self, Error};
 
+/// Views, at most, whose pictures are compared for what storing does.
+const MOST_VIEWS: usize = 4;
 /// Bytes of a MiB.
 const MIB: f64 = 1024.0 * 1024.0;
 
@@ -55,6 +59,8 @@ pub struct Trained {
     /// The most memory held, photographs and storing included, MiB; `None` where
     /// the system does not tell.
     pub peak_mib: Option<f64>,
+    /// What rounding colours as they are stored does to pictures of a few held-out views; `None` where none is held out.
+    pub stored_error: Option<Error>,
 }
 
 /// Trains and stores.
@@ -72,6 +78,8 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
         Ok(view)
     };
     let views = opened.training().into_iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
+    let held_out = opened.held_out_cameras();
+    let looked_at: Vec<Camera> = held_out.iter().step_by(held_out.len().div_ceil(MOST_VIEWS).max(1)).copied().collect();
     let (frame, background, rays) = (opened.frame()?, opened.background(), task.config.rays_per_step);
     drop(opened);
     let begun = Instant::now();
@@ -85,10 +93,13 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
     let steps = trainer.steps_done();
     let (vertices, appearances) = (trainer.size().1.iter().product(), trainer.has_appearance());
     let finer = trainer.finer().is_some();
-    let field = trainer.finish();
+    let exact = trainer.finish_in_f32();
+    let field = exact.clone().with_stored_colours();
     let seconds = begun.elapsed().as_secs_f64();
     let bytes = field.to_bytes()?;
     crate::cli::write(&task.field, &bytes)?;
+    let peak_mib = peak_mib();
+    let stored_error = (!looked_at.is_empty()).then(|| tradeoff::storing(&exact, &field, &looked_at));
     Ok(Trained {
         seconds,
         steps,
@@ -99,6 +110,7 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
         finer,
         appearances,
         stored_mib: bytes.len() as f64 / MIB,
-        peak_mib: peak_mib(),
+        peak_mib,
+        stored_error,
     })
 }
