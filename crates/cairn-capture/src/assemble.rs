@@ -14,6 +14,17 @@ use crate::photograph::{self, Header, WHITE};
 /// Cameras wider than this are a broken file, not a camera, px.
 pub(crate) const MAX_CAMERA_SIDE_PX: usize = 1 << 20;
 
+/// How many photographs are decoded to see whether they are transparent.
+const LOOKED_AT: usize = 5;
+
+/// How many of the photographs something is true of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Share {
+    None,
+    Some,
+    All,
+}
+
 /// What a format alone says about the kind of scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Guess {
@@ -84,13 +95,18 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
             bounds: entry.bounds,
         });
     }
+    let transparent = transparent(root, &model, &headers, options)?;
     let kind = options.kind.unwrap_or(match model.kind {
         Guess::ForwardFacing => SceneKind::ForwardFacing,
         Guess::Bounded => SceneKind::Bounded,
-        Guess::BoundedIfTransparent if headers.iter().all(|h| h.alpha) => SceneKind::Bounded,
+        Guess::BoundedIfTransparent if transparent == Share::All => SceneKind::Bounded,
         Guess::BoundedIfTransparent | Guess::Unbounded => SceneKind::Unbounded,
     });
-    let background = headers.iter().any(|h| h.alpha).then_some(WHITE);
+    let background = match (transparent, kind) {
+        (Share::All, _) | (Share::Some, SceneKind::Bounded) => Some(WHITE),
+        // A cut-out or two among photographs of an open scene: white is not what lies behind the others.
+        (Share::Some | Share::None, _) => None,
+    };
     Ok(Capture { root: root.to_path_buf(), kind, background, views, points: model.points, missing })
 }
 
@@ -161,6 +177,23 @@ fn leave_out_missing(root: &Path, model: &mut Model, options: &ReadOptions) -> R
     model.entries = there;
     let names = missing.into_iter().map(|entry| entry.name);
     Ok(std::mem::take(&mut model.missing).into_iter().chain(names).collect())
+}
+
+/// Which of the photographs are transparent, as far as a few of them tell: all, some, or none.
+fn transparent(root: &Path, model: &Model, headers: &[Header], options: &ReadOptions) -> Result<Share, CaptureError> {
+    let with_alpha: Vec<&Entry> = model.entries.iter().zip(headers).filter(|(_, h)| h.alpha).map(|(e, _)| e).collect();
+    let looked_at = with_alpha.len().min(LOOKED_AT);
+    let mut through = 0;
+    for i in 0..looked_at {
+        // Evenly over the views, the first and the last included.
+        let entry = with_alpha[i * (with_alpha.len() - 1) / (looked_at - 1).max(1)];
+        through += usize::from(photograph::shows_through(&root.join(&entry.photograph), &options.limits)?);
+    }
+    Ok(match through {
+        0 => Share::None,
+        n if n == looked_at && with_alpha.len() == headers.len() => Share::All,
+        _ => Share::Some,
+    })
 }
 
 fn headers(root: &Path, model: &Model, options: &ReadOptions) -> Result<Vec<Header>, CaptureError> {

@@ -53,7 +53,9 @@ pub struct Capture {
     /// How the scene lies around its cameras.
     pub kind: SceneKind,
     /// What transparent photographs are composited on, RGB in [0, 1]; `None`
-    /// where no photograph has an alpha channel.
+    /// where the photographs are not transparent (an alpha channel that is full
+    /// everywhere is not), or some in the open are and others are not. White then
+    /// stands in for it when a photograph is decoded, but nothing is rendered before it.
     pub background: Option<[f32; 3]>,
     /// The views, sorted by name (bytewise).
     pub views: Vec<View>,
@@ -122,8 +124,9 @@ impl Capture {
     ///
     /// The kind is guessed: LLFF whose cameras face one way is
     /// [`SceneKind::ForwardFacing`]; NeRF-Synthetic, and a `transforms.json`
-    /// whose photographs all have an alpha channel and whose `aabb_scale` is
-    /// not over 1, is [`SceneKind::Bounded`]; everything else is
+    /// whose photographs are all transparent (each has an alpha channel, and in
+    /// five of them, chosen evenly, it is somewhere less than full) and whose
+    /// `aabb_scale` is not over 1, is [`SceneKind::Bounded`]; everything else is
     /// [`SceneKind::Unbounded`], which is right, if wasteful, for any scene.
     ///
     /// # Errors

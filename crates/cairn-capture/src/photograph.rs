@@ -51,7 +51,7 @@ pub(crate) struct Header {
     pub oriented: (usize, usize),
     /// Width and height as stored, px.
     pub stored: (usize, usize),
-    /// Whether there is an alpha channel.
+    /// Whether there is an alpha channel, which may well be full everywhere (see [`shows_through`]).
     pub alpha: bool,
 }
 
@@ -74,6 +74,24 @@ fn read_header(decoder: &mut impl ImageDecoder) -> (Header, Orientation) {
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let oriented = if swaps_sides(orientation) { (h, w) } else { (w, h) };
     (Header { oriented, stored: (w, h), alpha: decoder.color_type().has_alpha() }, orientation)
+}
+
+/// Whether something shows through the photograph at `path`: some pixel's alpha is less than full. An alpha channel
+/// alone says nothing, because many programs write one that is full everywhere.
+///
+/// # Errors
+/// When it is missing, over the limits, or cannot be decoded.
+pub(crate) fn shows_through(path: &Path, limits: &Limits) -> Result<bool, CaptureError> {
+    let bytes = read_limited(path, limits.max_file_bytes)?;
+    let name = path.display().to_string();
+    let decoder = open_decoder(Cursor::new(&bytes), limits, &name)?;
+    Ok(match DynamicImage::from_decoder(decoder).map_err(|e| refused(&name, &e))? {
+        DynamicImage::ImageRgba8(image) => image.pixels().any(|p| p[3] < u8::MAX),
+        DynamicImage::ImageLumaA8(image) => image.pixels().any(|p| p[1] < u8::MAX),
+        DynamicImage::ImageRgba16(image) => image.pixels().any(|p| p[3] < u16::MAX),
+        DynamicImage::ImageLumaA16(image) => image.pixels().any(|p| p[1] < u16::MAX),
+        other => other.color().has_alpha() && other.into_rgba32f().pixels().any(|p| p[3] < 1.0),
+    })
 }
 
 /// The bytes of `path`, at most `limits.max_file_bytes` of them.

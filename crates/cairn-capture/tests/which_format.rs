@@ -69,17 +69,27 @@ fn the_usual_folders_are_tried_in_order() {
 }
 
 fn transforms(folder: &Path, transparent: [bool; 2], change: impl FnOnce(&mut Value)) -> Capture {
+    transforms_of(folder, transparent.map(|t| if t { GLASS } else { RGB }), change)
+}
+
+/// An alpha of 0 everywhere, of 255 everywhere, and a photograph without alpha.
+const GLASS: Option<u8> = Some(0);
+const FULL: Option<u8> = Some(255);
+const RGB: Option<u8> = None;
+
+/// Two frames whose photographs have these alphas.
+fn transforms_of(folder: &Path, alphas: [Option<u8>; 2], change: impl FnOnce(&mut Value)) -> Capture {
     let matrix = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]);
     let frame = |name: &str| json!({"file_path": name, "transform_matrix": matrix});
     let mut document = json!({"camera_angle_x": 0.7, "frames": [frame("a.png"), frame("./b.png")]});
     change(&mut document);
     fs::write(folder.join("transforms.json"), document.to_string()).unwrap();
-    for (name, transparent) in ["a.png", "b.png"].into_iter().zip(transparent) {
-        let glass = RgbaImage::from_pixel(64, 48, Rgba([0, 0, 0, 0]));
-        if transparent {
-            glass.save_with_format(folder.join(name), ImageFormat::Png).unwrap();
-        } else {
-            fs::write(folder.join(name), photograph()).unwrap();
+    for (name, alpha) in ["a.png", "b.png"].into_iter().zip(alphas) {
+        match alpha {
+            Some(alpha) => RgbaImage::from_pixel(64, 48, Rgba([0, 0, 0, alpha]))
+                .save_with_format(folder.join(name), ImageFormat::Png)
+                .unwrap(),
+            None => fs::write(folder.join(name), photograph()).unwrap(),
         }
     }
     read(folder).unwrap()
@@ -94,11 +104,35 @@ fn the_kind_of_scene_is_guessed_and_can_be_said() {
     };
     assert_eq!(guess([true, true], 1.0), (SceneKind::Bounded, Some([1.0; 3])));
     assert_eq!(guess([true, true], 16.0), (SceneKind::Unbounded, Some([1.0; 3])));
-    assert_eq!(guess([true, false], 1.0), (SceneKind::Unbounded, Some([1.0; 3])));
+    assert_eq!(guess([true, false], 1.0), (SceneKind::Unbounded, None));
     assert_eq!(guess([false, false], 1.0), (SceneKind::Unbounded, None));
     let said = ReadOptions { kind: Some(SceneKind::Bounded), ..Default::default() };
     assert_eq!(Capture::read(folder.path(), &said).unwrap().kind, SceneKind::Bounded);
     assert_eq!(serde_json::to_value(SceneKind::ForwardFacing).unwrap(), "forward_facing");
+}
+
+/// Many programs save photographs with an alpha channel that is full everywhere: that is no object before white.
+#[test]
+fn an_alpha_channel_that_is_full_is_not_transparent() {
+    let folder = tempfile::tempdir().unwrap();
+    let guess = |alphas| {
+        let capture = transforms_of(folder.path(), alphas, |_| {});
+        (capture.kind, capture.background)
+    };
+    let (object, open) = ((SceneKind::Bounded, Some([1.0; 3])), (SceneKind::Unbounded, None));
+    assert_eq!(guess([GLASS, Some(254)]), object);
+    for alphas in [[FULL, FULL], [FULL, GLASS], [FULL, RGB], [RGB, GLASS]] {
+        assert_eq!(guess(alphas), open, "{alphas:?}");
+    }
+    // Said to be an object, one cut-out is enough to say before what.
+    let said = ReadOptions { kind: Some(SceneKind::Bounded), ..Default::default() };
+    assert_eq!(Capture::read(folder.path(), &said).unwrap().background, Some([1.0; 3]));
+    // Of COLMAP's photographs one that is transparent says nothing of the others.
+    let folder = Colmap::small().folder();
+    let glass = RgbaImage::from_pixel(64, 48, Rgba([0; 4]));
+    glass.save_with_format(folder.path().join("images/2.png"), ImageFormat::Png).unwrap();
+    let capture = read(folder.path()).unwrap();
+    assert_eq!((capture.kind, capture.background), open);
 }
 
 #[test]
