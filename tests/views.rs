@@ -27,6 +27,29 @@ fn trained() -> Place {
     place
 }
 
+/// `poses_bounds.npy` beside the capture's `transforms.json`: the same cameras, with depth bounds.
+fn write_bounds(capture: &Path) {
+    let document: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(capture.join("transforms.json")).unwrap()).unwrap();
+    let mut frames = document["frames"].as_array().unwrap().clone();
+    frames.sort_by_key(|frame| frame["file_path"].to_string());
+    let mut numbers: Vec<f64> = Vec::new();
+    for frame in &frames {
+        for (row, size) in [32.0, 32.0, 40.0].into_iter().enumerate() {
+            let at = |column: usize| frame["transform_matrix"][row][column].as_f64().unwrap();
+            // Down, right, backwards, position.
+            numbers.extend([-at(1), at(0), at(2), at(3), size]);
+        }
+        numbers.extend([1.0, 9.0]);
+    }
+    let shape = format!("({}, 17)", frames.len());
+    let head = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
+    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    bytes.extend(format!("{head:<117}\n").bytes());
+    bytes.extend(numbers.iter().flat_map(|v| v.to_le_bytes()));
+    std::fs::write(capture.join("poses_bounds.npy"), bytes).unwrap();
+}
+
 fn picture(path: &Path) -> Picture {
     decode_picture(&std::fs::read(path).unwrap(), &Limits::default(), None).unwrap()
 }
@@ -140,6 +163,9 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
     // A scene seen from one side has no orbit; it says so before it is trained.
     let (capture, to) = (place.text("capture"), ["--connect", daemon.url.as_str()]);
     let import = ["scene", "import", "wall", "--from", &capture, "--kind", "forward-facing"];
+    let without_bounds = place.cairn(&[&import[..], &to].concat());
+    assert!(String::from_utf8_lossy(&without_bounds.stderr).contains("--kind unbounded"), "{without_bounds:?}");
+    write_bounds(Path::new(&capture));
     place.cairn_ok(&[&import[..], &to].concat());
     let refused = render.render_path(v1::RenderPathRequest { scene: "wall".into(), ..orbit(9) }).await.unwrap_err();
     assert_eq!(refused.code(), Code::FailedPrecondition);

@@ -215,6 +215,8 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
             near,
             far,
             held_out: view.held_out,
+            // A resampled copy is upright already, and has no EXIF.
+            as_stored: view.photograph.as_stored && matches!(photograph, Photograph::File(_)),
         });
         photographs.push(photograph);
     }

@@ -207,6 +207,7 @@ fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
         camera: camera(&format!("view {name}: camera"), view.camera.as_ref())?,
         contributor: text(&format!("view {name}: contributor"), view.contributor)?,
         held_out: view.held_out,
+        as_stored: view.as_stored,
         bounds,
         photograph_bytes: view.photograph_bytes,
         photograph_sha256: bytes32(&format!("view {name}: photograph_sha256"), &view.photograph_sha256)?,

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use cairn_access::Charge;
-use cairn_capture::{Camera, Capture, SceneFolder, SceneKind, View};
+use cairn_capture::{Camera, Capture, PhotographFile, SceneFolder, SceneKind, View};
 use cairn_registry::Digest;
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
@@ -42,6 +42,8 @@ pub struct PlannedView {
     pub contributor: String,
     /// Whether it is kept from training.
     pub held_out: bool,
+    /// Whether its pixels are meant without EXIF orientation ([`PhotographFile::as_stored`]).
+    pub as_stored: bool,
     /// Nearest and farthest depth, capture's unit.
     pub bounds: Option<(f64, f64)>,
     /// The photograph's bytes.
@@ -174,7 +176,7 @@ impl Import {
                 name: view.name,
                 camera: view.camera,
                 contributor: view.contributor,
-                photograph: photograph_path(Path::new(""), index),
+                photograph: PhotographFile { path: photograph_path(Path::new(""), index), as_stored: view.as_stored },
                 held_out: view.held_out,
                 bounds: view.bounds,
             });

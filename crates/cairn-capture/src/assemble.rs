@@ -9,7 +9,9 @@ use crate::camera::{Camera, Intrinsics, Pose};
 use crate::capture::{Capture, ReadOptions, SceneKind, UNKNOWN_CONTRIBUTOR, View};
 use crate::contributors;
 use crate::error::CaptureError;
+use crate::facing;
 use crate::photograph::{self, Header, WHITE};
+use crate::photograph_file::PhotographFile;
 
 /// Cameras wider than this are a broken file, not a camera, px.
 pub(crate) const MAX_CAMERA_SIDE_PX: usize = 1 << 20;
@@ -31,6 +33,7 @@ pub(crate) enum Guess {
     ForwardFacing,
     Bounded,
     BoundedIfTransparent,
+    ForwardFacingIfDeep,
     Unbounded,
 }
 
@@ -55,6 +58,8 @@ pub(crate) struct Model {
     /// The file that errors about entries name.
     pub file: PathBuf,
     pub kind: Guess,
+    /// Whether its cameras were computed on pixels as they are stored, without EXIF orientation.
+    pub as_stored: bool,
     pub entries: Vec<Entry>,
     pub points: Vec<DVec3>,
     /// Names of views that were left out already, their photographs missing.
@@ -81,16 +86,17 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
     let mut views = Vec::with_capacity(model.entries.len());
     for (((entry, header), contributor), held_out) in model.entries.iter().zip(&headers).zip(contributors).zip(held_out)
     {
-        let (width, height) = fit(&entry.intrinsics, header).ok_or_else(|| CaptureError::SizeMismatch {
-            photograph: root.join(&entry.photograph),
-            expected: (entry.intrinsics.width, entry.intrinsics.height),
-            got: header.oriented,
-        })?;
+        let (width, height, as_stored) =
+            fit(&entry.intrinsics, header, model.as_stored).ok_or_else(|| CaptureError::SizeMismatch {
+                photograph: root.join(&entry.photograph),
+                expected: (entry.intrinsics.width, entry.intrinsics.height),
+                got: header.oriented,
+            })?;
         views.push(View {
             name: entry.name.clone(),
             camera: Camera { intrinsics: entry.intrinsics.resized(width, height), pose: entry.pose },
             contributor,
-            photograph: entry.photograph.clone(),
+            photograph: PhotographFile { path: entry.photograph.clone(), as_stored },
             held_out,
             bounds: entry.bounds,
         });
@@ -100,8 +106,16 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
         Guess::ForwardFacing => SceneKind::ForwardFacing,
         Guess::Bounded => SceneKind::Bounded,
         Guess::BoundedIfTransparent if transparent == Share::All => SceneKind::Bounded,
-        Guess::BoundedIfTransparent | Guess::Unbounded => SceneKind::Unbounded,
+        Guess::ForwardFacingIfDeep if facing::looks_ahead(&model.entries, &model.points) => SceneKind::ForwardFacing,
+        Guess::BoundedIfTransparent | Guess::ForwardFacingIfDeep | Guess::Unbounded => SceneKind::Unbounded,
     });
+    if kind == SceneKind::ForwardFacing && !facing::near_is_known(&model.entries, &model.points) {
+        let expected = "depth bounds (LLFF) or sparse points before the cameras, to say where the scene begins";
+        let remedy =
+            "bring poses_bounds.npy or COLMAP's points3D with it, or import it as unbounded (--kind unbounded)";
+        let entry = "forward-facing";
+        return Err(CaptureError::malformed(&model.file, entry, expected, "neither", remedy));
+    }
     let background = match (transparent, kind) {
         (Share::All, _) | (Share::Some, SceneKind::Bounded) => Some(WHITE),
         // A cut-out or two among photographs of an open scene: white is not what lies behind the others.
@@ -213,14 +227,22 @@ fn held_out(model: &Model, options: &ReadOptions) -> Result<Vec<bool>, CaptureEr
 }
 
 /// The size that the photograph and the camera agree on: the same shape to
-/// within a pixel of the smaller of the two.
-fn fit(camera: &Intrinsics, header: &Header) -> Option<(usize, usize)> {
+/// within a pixel of the smaller of the two; and whether it is meant without its
+/// EXIF orientation. Where the shape fits both ways, `as_stored` decides.
+fn fit(camera: &Intrinsics, header: &Header, as_stored: bool) -> Option<(usize, usize, bool)> {
     let same_shape = |(w, h): (usize, usize)| {
         let (w, h, cw, ch) = (w as f64, h as f64, camera.width as f64, camera.height as f64);
         let scale = w / cw;
         (ch * scale - h).abs() <= scale.max(1.0) || (cw * h / ch - w).abs() <= (h / ch).max(1.0)
     };
-    [header.oriented, header.stored].into_iter().find(|&size| same_shape(size))
+    let stored = match (same_shape(header.oriented), same_shape(header.stored)) {
+        (false, false) => return None,
+        (true, true) => as_stored,
+        (_, stored) => stored,
+    };
+    let (width, height) = if stored { header.stored } else { header.oriented };
+    // A photograph that nothing turns is the same both ways, and need not be told apart.
+    Some((width, height, stored && header.turned))
 }
 
 /// `path` as a relative path that stays where it starts; `None` for one that is
@@ -244,12 +266,4 @@ pub(crate) fn image_folder(root: &Path, options: &ReadOptions, usual: &[&str]) -
         return Some(asked.strip_prefix(root).unwrap_or(asked).to_path_buf());
     }
     usual.iter().map(PathBuf::from).find(|folder| root.join(folder).is_dir())
-}
-
-/// Whether all `poses` look less than 60 degrees away from their mean direction,
-/// as normalised device coordinates need.
-pub(crate) fn face_one_way<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> bool {
-    let sum: DVec3 = poses.clone().map(Pose::forward).sum();
-    let Some(mean) = sum.try_normalize() else { return false };
-    poses.clone().all(|p| p.forward().dot(mean) > 0.5)
 }

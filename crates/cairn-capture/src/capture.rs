@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::camera::Camera;
 use crate::error::CaptureError;
 use crate::photograph::{self, Limits};
+use crate::photograph_file::PhotographFile;
 use crate::picture::Picture;
 use crate::{assemble, colmap, llff, transforms};
 
@@ -36,8 +37,8 @@ pub struct View {
     pub camera: Camera,
     /// Who took it; [`UNKNOWN_CONTRIBUTOR`] where no table was given.
     pub contributor: String,
-    /// Where the photograph lies, relative to [`Capture::root`].
-    pub photograph: PathBuf,
+    /// Where the photograph lies, relative to [`Capture::root`], and which way its pixels are meant.
+    pub photograph: PhotographFile,
     /// Whether it is kept from training, to measure on.
     pub held_out: bool,
     /// Nearest and farthest depth of the scene here, in the capture's unit
@@ -122,12 +123,15 @@ impl Capture {
     /// `file_path` says for transforms. Cameras are brought to the photographs'
     /// size where only the size differs.
     ///
-    /// The kind is guessed: LLFF whose cameras face one way is
-    /// [`SceneKind::ForwardFacing`]; NeRF-Synthetic, and a `transforms.json`
+    /// The kind is guessed: LLFF whose cameras face one way, and a COLMAP model
+    /// whose cameras do from about one place, with points that reach from before
+    /// all of them to at least twice as far, is [`SceneKind::ForwardFacing`]; NeRF-Synthetic, and a `transforms.json`
     /// whose photographs are all transparent (each has an alpha channel, and in
     /// five of them, chosen evenly, it is somewhere less than full) and whose
     /// `aabb_scale` is not over 1, is [`SceneKind::Bounded`]; everything else is
     /// [`SceneKind::Unbounded`], which is right, if wasteful, for any scene.
+    /// A forward-facing scene needs something that says where it begins: depth
+    /// bounds, or points before the cameras.
     ///
     /// # Errors
     /// [`CaptureError`], naming the file and the entry, for anything missing,
@@ -150,8 +154,10 @@ impl Capture {
     }
 
     /// The photograph of view `view`, decoded: as large as the view's camera,
-    /// EXIF orientation applied (unless only the stored pixels fit the camera,
-    /// which then was computed on those), alpha composited on the background.
+    /// EXIF orientation applied, alpha composited on the background. Orientation
+    /// is left out where only the stored pixels fit the camera, which then was
+    /// computed on those, and where both ways fit and the camera's format says
+    /// so ([`PhotographFile::as_stored`]).
     ///
     /// # Errors
     /// [`CaptureError`] for a view that is not there, a photograph that is
@@ -184,7 +190,7 @@ impl Capture {
     pub(crate) fn decode(&self, view: usize, path: &Path, bytes: &[u8]) -> Result<Picture, CaptureError> {
         let view = &self.views[view];
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        photograph::decode_sized(path, bytes, &limits_for(view), self.background, size)
+        photograph::decode_sized(path, bytes, &limits_for(view), self.background, size, view.photograph.as_stored)
     }
 }
 

@@ -3,7 +3,8 @@
 //!
 //! An image's pose is world-to-camera: a quaternion (w, x, y, z) and a
 //! translation, `x_camera = R x_world + t`, in OpenCV axes. COLMAP puts the top
-//! left pixel's centre at (0.5, 0.5), as Cairn does, so nothing is shifted.
+//! left pixel's centre at (0.5, 0.5), as Cairn does, so nothing is shifted. It does
+//! not look at EXIF orientation: its poses are those of the pixels as they are stored.
 
 mod binary;
 mod text;
@@ -78,7 +79,14 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
         .into_iter()
         .map(|image| entry(&images_file, &cameras, &photographs, image))
         .collect::<Result<Vec<_>, _>>()?;
-    Ok(Some(Model { file: images_file, kind: Guess::Unbounded, entries, points, missing: Vec::new() }))
+    Ok(Some(Model {
+        file: images_file,
+        kind: Guess::ForwardFacingIfDeep,
+        as_stored: true,
+        entries,
+        points,
+        missing: Vec::new(),
+    }))
 }
 
 /// `bin` or `txt`, whichever has cameras at `place`; binary first, as it is exact.

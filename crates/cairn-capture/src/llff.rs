@@ -9,10 +9,11 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 
-use crate::assemble::{Entry, Guess, MAX_CAMERA_SIDE_PX, Model, check_count, face_one_way, image_folder};
+use crate::assemble::{Entry, Guess, MAX_CAMERA_SIDE_PX, Model, check_count, image_folder};
 use crate::camera::{Distortion, Intrinsics, Pose};
 use crate::capture::ReadOptions;
 use crate::error::CaptureError;
+use crate::facing::face_one_way;
 use crate::npy;
 use crate::photograph::read_limited;
 
@@ -50,7 +51,7 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
     let rows = matrix.values.chunks_exact(17).enumerate().zip(names);
     let entries = rows.map(|((i, row), name)| entry(&file, &images, i, row, name)).collect::<Result<Vec<_>, _>>()?;
     let kind = if face_one_way(entries.iter().map(|e| &e.pose)) { Guess::ForwardFacing } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, entries, points: Vec::new(), missing: Vec::new() }))
+    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), missing: Vec::new() }))
 }
 
 fn entry(file: &Path, images: &Path, index: usize, row: &[f64], name: String) -> Result<Entry, CaptureError> {

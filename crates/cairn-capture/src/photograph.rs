@@ -51,6 +51,8 @@ pub(crate) struct Header {
     pub oriented: (usize, usize),
     /// Width and height as stored, px.
     pub stored: (usize, usize),
+    /// Whether EXIF orientation turns or mirrors the stored pixels.
+    pub turned: bool,
     /// Whether there is an alpha channel, which may well be full everywhere (see [`shows_through`]).
     pub alpha: bool,
 }
@@ -73,7 +75,8 @@ fn read_header(decoder: &mut impl ImageDecoder) -> (Header, Orientation) {
     // Broken EXIF says nothing about the pixels, so it counts as none.
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let oriented = if swaps_sides(orientation) { (h, w) } else { (w, h) };
-    (Header { oriented, stored: (w, h), alpha: decoder.color_type().has_alpha() }, orientation)
+    let turned = orientation != Orientation::NoTransforms;
+    (Header { oriented, stored: (w, h), turned, alpha: decoder.color_type().has_alpha() }, orientation)
 }
 
 /// Whether something shows through the photograph at `path`: some pixel's alpha is less than full. An alpha channel
@@ -122,17 +125,19 @@ pub fn decode_picture(bytes: &[u8], limits: &Limits, background: Option<[f32; 3]
 /// As [`decode_picture`], for the photograph at `path`, which must have `size`
 /// (width, height): found on the header, before any pixel is allocated. Where
 /// only the stored pixels have that size, the camera was computed on those, and
-/// they are returned without EXIF orientation.
+/// they are returned without EXIF orientation; where both have it, `as_stored`
+/// says whether they are.
 pub(crate) fn decode_sized(
     path: &Path,
     bytes: &[u8],
     limits: &Limits,
     background: Option<[f32; 3]>,
     size: (usize, usize),
+    as_stored: bool,
 ) -> Result<Picture, CaptureError> {
     let orient = |oriented, stored| {
         if oriented == size || stored == size {
-            return Ok(oriented == size);
+            return Ok(oriented == size && !(as_stored && stored == size));
         }
         Err(CaptureError::SizeMismatch { photograph: path.to_path_buf(), expected: size, got: oriented })
     };

@@ -252,6 +252,7 @@ fn copy_photograph(folder: &Path, capture: &Capture, index: usize) -> Result<Vie
         bounds: view.bounds,
         camera: view.camera,
         photograph,
+        as_stored: view.photograph.as_stored,
         sha256: hex(&Sha256::digest(&bytes)),
     })
 }

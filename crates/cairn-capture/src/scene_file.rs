@@ -11,6 +11,7 @@ use crate::assemble::check_intrinsics;
 use crate::camera::{Camera, Pose};
 use crate::capture::{SceneKind, View};
 use crate::error::CaptureError;
+use crate::photograph_file::PhotographFile;
 
 /// What `format` says in every scene file.
 pub(crate) const FORMAT: &str = "cairn-scene";
@@ -60,6 +61,9 @@ pub(crate) struct ViewRow {
     pub camera: Camera,
     /// File name within `photographs/`.
     pub photograph: String,
+    /// [`PhotographFile::as_stored`]; left out where it is not so.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub as_stored: bool,
     /// Hexadecimal SHA-256 of the photograph's bytes.
     pub sha256: String,
 }
@@ -130,7 +134,10 @@ impl ViewRow {
             name: self.name,
             camera: self.camera,
             contributor: self.contributor,
-            photograph: PathBuf::from(PHOTOGRAPHS).join(self.photograph),
+            photograph: PhotographFile {
+                path: PathBuf::from(PHOTOGRAPHS).join(self.photograph),
+                as_stored: self.as_stored,
+            },
             held_out: self.held_out,
             bounds: self.bounds,
         }

@@ -135,7 +135,14 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
             entries.iter_mut().for_each(|e| e.held_out = None);
         }
         let missing = names_of(missing, &entries)?;
-        return Ok(Some(Model { file: train, kind: Guess::Bounded, entries, points: Vec::new(), missing }));
+        return Ok(Some(Model {
+            file: train,
+            kind: Guess::Bounded,
+            as_stored: false,
+            entries,
+            points: Vec::new(),
+            missing,
+        }));
     }
     let file = folder.join("transforms.json");
     if !file.is_file() {
@@ -144,7 +151,7 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
     let Read { bounded, entries, missing } = read_file(folder, &file, options, None)?;
     let missing = names_of(missing, &entries)?;
     let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, entries, points: Vec::new(), missing }))
+    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), missing }))
 }
 
 /// The names of what is missing, where something is there.

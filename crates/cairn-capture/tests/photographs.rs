@@ -4,9 +4,10 @@ mod common;
 
 use std::fs;
 
-use cairn_capture::{Capture, Limits, Picture, ReadOptions, decode_picture, encode_png, save_png};
+use cairn_capture::{Capture, Limits, Picture, ReadOptions, SceneFolder, decode_picture, encode_png, save_png};
 use common::{Colmap, read, refuses};
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage, Rgba, RgbaImage};
+use serde_json::json;
 
 fn bytes_of(image: DynamicImage, format: ImageFormat) -> Vec<u8> {
     let mut out = std::io::Cursor::new(Vec::new());
@@ -18,7 +19,11 @@ fn bytes_of(image: DynamicImage, format: ImageFormat) -> Vec<u8> {
 /// elsewhere, that says it is to be shown under EXIF `orientation`.
 fn jpeg(orientation: u8) -> Vec<u8> {
     let stored = RgbImage::from_fn(64, 48, |x, y| if x < 32 && y < 24 { Rgb([255, 0, 0]) } else { Rgb([0; 3]) });
-    let plain = bytes_of(stored.into(), ImageFormat::Jpeg);
+    with_orientation(&bytes_of(stored.into(), ImageFormat::Jpeg), orientation)
+}
+
+/// The JPEG `plain` with EXIF `orientation` written into it.
+fn with_orientation(plain: &[u8], orientation: u8) -> Vec<u8> {
     // TIFF, little-endian, one entry: tag 0x112 (orientation), one SHORT.
     let mut exif = b"Exif\0\0II\x2a\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
     exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0]);
@@ -78,6 +83,43 @@ fn the_camera_says_which_pixels_it_means() {
     }
     let picture = read(folder.path()).unwrap().photograph(1).unwrap();
     assert_eq!((picture.width(), picture.height(), red_corner(&picture)), (48, 64, (false, true)));
+}
+
+/// Where a photograph has the camera's size both ways, the format says which pixels the camera was computed on.
+#[test]
+fn the_format_says_which_pixels_are_meant_where_sizes_do_not() {
+    let square = |orientation: u8| {
+        let stored = RgbImage::from_fn(48, 48, |x, y| if x < 24 && y < 24 { Rgb([255, 0, 0]) } else { Rgb([0; 3]) });
+        with_orientation(&bytes_of(stored.into(), ImageFormat::Jpeg), orientation)
+    };
+    // Orientations that keep the sides' lengths, and one that swaps those of a square: where the red is looked at.
+    for (bytes, size, oriented) in [
+        (jpeg(2), (64, 48), (false, true)),
+        (jpeg(3), (64, 48), (false, false)),
+        (jpeg(4), (64, 48), (true, false)),
+        (square(6), (48, 48), (false, true)),
+    ] {
+        let mut model = Colmap::small();
+        model.cameras[0].3 = [size.0 as u64, size.1 as u64];
+        let folder = model.folder();
+        let names = ["1.png", "2.png", "3.png"];
+        names.iter().for_each(|name| fs::write(folder.path().join("images").join(name), &bytes).unwrap());
+        let capture = read(folder.path()).unwrap();
+        let picture = capture.photograph(1).unwrap();
+        assert_eq!((picture.width(), picture.height(), red_corner(&picture)), (size.0, size.1, (true, true)));
+        // It is so in the stored scene, too.
+        let scene = SceneFolder::create(&folder.path().join("scenes"), "town", &capture).unwrap();
+        assert_eq!(red_corner(&scene.photograph(1).unwrap()), (true, true));
+        let scene = SceneFolder::open(&folder.path().join("scenes"), "town").unwrap();
+        assert_eq!(red_corner(&scene.photograph(1).unwrap()), (true, true));
+
+        fs::remove_dir_all(folder.path().join("sparse")).unwrap();
+        let matrix = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]);
+        let frames = names.map(|n| json!({"file_path": format!("images/{n}"), "transform_matrix": matrix}));
+        let document = json!({"fl_x": 55, "w": size.0, "h": size.1, "frames": frames});
+        fs::write(folder.path().join("transforms.json"), document.to_string()).unwrap();
+        assert_eq!(red_corner(&read(folder.path()).unwrap().photograph(1).unwrap()), oriented);
+    }
 }
 
 #[test]
@@ -185,7 +227,7 @@ fn a_chosen_folder_of_photographs_is_used() {
         let capture = Capture::read(folder.path(), &options).unwrap();
         let i = capture.views[0].camera.intrinsics;
         assert_eq!((i.width, i.height, i.fx, i.cy), (32, 24, 27.5, 12.5));
-        assert_eq!(capture.views[0].photograph, std::path::Path::new("half/1.png"));
+        assert_eq!(&*capture.views[0].photograph, std::path::Path::new("half/1.png"));
         assert_eq!(capture.photograph(0).unwrap().width(), 32);
     }
 }

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use cairn_capture::{Capture, ReadOptions, SceneKind};
-use common::{Colmap, npy, photograph, read};
+use common::{Colmap, npy, photograph, read, refuses};
 use image::{ImageFormat, Rgba, RgbaImage};
 use serde_json::{Value, json};
 
@@ -49,7 +49,7 @@ fn the_usual_folders_are_tried_in_order() {
     for i in 1..4 {
         fs::write(small.join(format!("{i}.png")), photograph()).unwrap();
     }
-    let first = |folder: &Path| read(folder).unwrap().views[0].photograph.clone();
+    let first = |folder: &Path| read(folder).unwrap().views[0].photograph.path.clone();
     assert_eq!(first(folder.path()), Path::new("images/1.png"));
     write_llff(folder.path(), [0.0; 3]);
     assert_eq!(first(folder.path()), Path::new("images_4/1.png"), "LLFF takes the smallest");
@@ -109,6 +109,40 @@ fn the_kind_of_scene_is_guessed_and_can_be_said() {
     let said = ReadOptions { kind: Some(SceneKind::Bounded), ..Default::default() };
     assert_eq!(Capture::read(folder.path(), &said).unwrap().kind, SceneKind::Bounded);
     assert_eq!(serde_json::to_value(SceneKind::ForwardFacing).unwrap(), "forward_facing");
+}
+
+/// A COLMAP model of photographs that were all taken from one side is forward-facing where its points say that it is
+/// deep; a landmark seen from one side, whose photographers stand nearer and farther, is not.
+#[test]
+fn a_colmap_model_that_looks_one_way_into_a_deep_scene_is_forward_facing() {
+    let kind = |turn_deg: f64, step_back: f64, depths: [f64; 2], count: usize| {
+        let mut model = Colmap::small();
+        for (image, side) in model.images.iter_mut().zip([-1.0, 0.0, 1.0]) {
+            let half = (side * turn_deg / 2.0).to_radians();
+            image.quaternion = [half.cos(), 0.0, half.sin(), 0.0];
+            // World to camera: the camera stands near `side` x and `-step_back` z.
+            let turned = glam::DQuat::from_rotation_y(2.0 * half) * glam::DVec3::new(side, 0.0, -step_back * side);
+            image.translation = (-turned).to_array();
+        }
+        let share = |i: usize| i as f64 / count as f64;
+        model.points = (0..count).map(|i| [share(i * 7 % count), 0.1, depths[0] + depths[1] * share(i)]).collect();
+        read(model.folder().path()).unwrap().kind
+    };
+    assert_eq!(kind(10.0, 0.5, [8.0, 30.0], 200), SceneKind::ForwardFacing);
+    assert_eq!(kind(40.0, 0.5, [8.0, 30.0], 200), SceneKind::Unbounded, "cameras that look apart");
+    assert_eq!(kind(10.0, 3.0, [8.0, 30.0], 200), SceneKind::Unbounded, "cameras nearer and farther");
+    assert_eq!(kind(10.0, 0.5, [8.0, 4.0], 200), SceneKind::Unbounded, "all at about one depth");
+    assert_eq!(kind(10.0, 0.5, [-1.0, 30.0], 200), SceneKind::Unbounded, "points behind the cameras");
+    assert_eq!(kind(10.0, 0.5, [8.0, 30.0], 50), SceneKind::Unbounded, "too few points to tell");
+}
+
+#[test]
+fn forward_facing_is_refused_where_nothing_says_where_the_scene_begins() {
+    let folder = Colmap::small().folder();
+    let said = ReadOptions { kind: Some(SceneKind::ForwardFacing), ..Default::default() };
+    assert_eq!(Capture::read(folder.path(), &said).unwrap().kind, SceneKind::ForwardFacing, "it has points");
+    fs::remove_file(folder.path().join("sparse/0/points3D.bin")).unwrap();
+    refuses(Capture::read(folder.path(), &said), &["images.bin, forward-facing", "depth bounds", "--kind unbounded"]);
 }
 
 /// Many programs save photographs with an alpha channel that is full everywhere: that is no object before white.
