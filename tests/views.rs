@@ -166,7 +166,11 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
     let without_bounds = place.cairn(&[&import[..], &to].concat());
     assert!(String::from_utf8_lossy(&without_bounds.stderr).contains("--kind unbounded"), "{without_bounds:?}");
     write_bounds(Path::new(&capture));
-    place.cairn_ok(&[&import[..], &to].concat());
+    // Smaller photographs would be taken first; the import says so.
+    std::fs::create_dir(Path::new(&capture).join("images_2")).unwrap();
+    let imported = place.cairn(&[&import[..], &["--images", "images"], &to].concat());
+    let said = String::from_utf8_lossy(&imported.stderr);
+    assert!(imported.status.success() && said.contains("those in images; there is images_2, too"), "{said}");
     let refused = render.render_path(v1::RenderPathRequest { scene: "wall".into(), ..orbit(9) }).await.unwrap_err();
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("--spiral"), "{refused}");

@@ -154,6 +154,7 @@ async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
         contributors: Some(capture.join("contributors.csv")),
         kind: None,
         hold_every: 8,
+        images: None,
         skip_missing: false,
         width: None,
         height: None,

@@ -45,9 +45,12 @@ pub enum Command {
 pub struct ImportArgs {
     /// The new scene's name: letters, digits, '-', '_', '.'
     pub name: String,
-    /// The capture's folder
+    /// The capture's folder, or its transforms.json
     #[arg(long, value_name = "DIR")]
     pub from: PathBuf,
+    /// The folder of photographs, in the capture's folder or absolute (its format's usual one where not given)
+    #[arg(long, value_name = "DIR")]
+    pub images: Option<PathBuf>,
     /// Who took what: a CSV table with the columns image,contributor; looked for here, then in the capture's folder
     #[arg(long, value_name = "CSV")]
     pub contributors: Option<PathBuf>,
@@ -154,18 +157,20 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         Kind::Bounded => SceneKind::Bounded,
         Kind::Unbounded => SceneKind::Unbounded,
     });
-    let contributors = args.contributors.clone().map(|table| match args.from.join(&table) {
+    let contributors = args.contributors.clone().map(|table| match Capture::folder_of(&args.from).join(&table) {
         beside if !table.exists() && beside.exists() => beside,
         _ => table,
     });
     let (hold_every, skip_missing) = (args.hold_every, args.skip_missing);
-    let options = ReadOptions { contributors, kind, hold_every, skip_missing, ..ReadOptions::default() };
+    let images = args.images.clone();
+    let options = ReadOptions { contributors, kind, hold_every, images, skip_missing, ..ReadOptions::default() };
     let capture = Capture::read(&args.from, &options)?;
     if !capture.missing.is_empty() {
         let (count, names) = (capture.missing.len(), capture.missing.join(", "));
         let views = if count == 1 { "view" } else { "views" };
         eprintln!("left out {count} {views} without photographs: {names}");
     }
+    capture.notes().iter().for_each(|note| eprintln!("{note}"));
     let (views, photographs) = prepare(&capture, args)?;
     let header = v1::ImportHeader {
         scene: args.name.clone(),

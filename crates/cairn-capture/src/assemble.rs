@@ -10,6 +10,7 @@ use crate::capture::{Capture, ReadOptions, SceneKind, UNKNOWN_CONTRIBUTOR, View}
 use crate::contributors;
 use crate::error::CaptureError;
 use crate::facing;
+use crate::named;
 use crate::photograph::{self, Header, WHITE};
 use crate::photograph_file::PhotographFile;
 
@@ -183,6 +184,11 @@ pub(crate) fn check_intrinsics(file: &Path, label: &str, i: &Intrinsics) -> Resu
 /// [`ReadOptions::skip_missing`], or where none is there, the first of them is an error.
 fn leave_out_missing(root: &Path, model: &mut Model, options: &ReadOptions) -> Result<Vec<String>, CaptureError> {
     let is_there = |entry: &Entry| root.join(&entry.photograph).is_file();
+    for entry in model.entries.iter_mut().filter(|entry| !is_there(entry)) {
+        if let Some(found) = named::find(root, &entry.photograph, &[]) {
+            entry.photograph = found;
+        }
+    }
     let (there, missing): (Vec<Entry>, Vec<Entry>) = model.entries.drain(..).partition(is_there);
     if let Some(first) = missing.first().filter(|_| there.is_empty() || !options.skip_missing) {
         let (file, entry) = (model.file.clone(), first.label.clone());

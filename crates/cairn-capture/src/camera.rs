@@ -89,6 +89,33 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
+    /// Whether the lens folds within the frame: going outwards from the principal point, distorted points turn back
+    /// before they reach the farthest corner, so that rays beyond have no direction of their own. Radial terms only,
+    /// as tangential ones are small.
+    pub fn folds(&self) -> bool {
+        let d = &self.distortion;
+        let across = self.cx.abs().max((self.width as f64 - self.cx).abs()) / self.fx;
+        let down = self.cy.abs().max((self.height as f64 - self.cy).abs()) / self.fy;
+        let corner = across.hypot(down);
+        let distorted = |r: f64| {
+            let r2 = r * r;
+            r * (1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3)))
+        };
+        // Steps of a thousandth of the corner's radius, to four times as far: a lens that shrinks more is none.
+        let steps = (0..=4000).map(|i| distorted(corner * f64::from(i) / 1000.0));
+        let mut farthest = f64::NEG_INFINITY;
+        for at in steps {
+            if at >= corner {
+                return false;
+            }
+            if at < farthest {
+                return true;
+            }
+            farthest = at;
+        }
+        true
+    }
+
     /// The same camera at another resolution; pixels may become non-square.
     ///
     /// # Panics
@@ -128,17 +155,53 @@ pub enum PoseError {
     NotFinite,
     /// The matrix does not rotate.
     #[error(
-        "the rotation is not one (it departs from orthonormal by {error:.3e}, determinant {determinant:.6}; allowed is 1e-3 and +1); re-export the cameras or drop this view"
+        "the rotation is not one (it departs from orthonormal by {error:.3e}, determinant {determinant:.6}; allowed is {allowed:.0e} and +1); re-export the cameras or drop this view"
     )]
     NotARotation {
         /// Largest absolute entry of `R^T R - 1`.
         error: f64,
         /// Determinant of `R`.
         determinant: f64,
+        /// The most that `error` may be.
+        allowed: f64,
     },
 }
 
+/// How far from orthonormal a rotation may be that Cairn itself wrote or is sent.
+const OFF: f64 = 1e-3;
+/// How far in a camera file: two decimals an entry are up to `2 * sqrt(3) * 0.005` off.
+const OFF_IN_A_FILE: f64 = 2e-2;
+
+/// Largest absolute entry of `R^T R - 1`.
+fn off_orthonormal(rotation: &DMat3) -> f64 {
+    let gram = rotation.transpose() * *rotation - DMat3::IDENTITY;
+    gram.to_cols_array().iter().fold(0.0f64, |m, v| m.max(v.abs()))
+}
+
 impl Pose {
+    /// A pose from a camera file: as [`Pose::new`], but a uniform scale is divided
+    /// out of the matrix, and one with two decimals becomes the rotation nearest to it.
+    ///
+    /// # Errors
+    /// [`PoseError`] as there, for a matrix that is farther from any scaled rotation.
+    pub(crate) fn from_file(matrix: DMat3, position: DVec3) -> Result<Self, PoseError> {
+        let exact = Self::new(matrix, position);
+        let Err(PoseError::NotARotation { determinant, .. }) = exact else { return exact };
+        if determinant.is_nan() || determinant <= 0.0 {
+            return exact;
+        }
+        let mut rotation = matrix * determinant.cbrt().recip();
+        let error = off_orthonormal(&rotation);
+        if error.is_nan() || error > OFF_IN_A_FILE {
+            return Err(PoseError::NotARotation { error, determinant, allowed: OFF_IN_A_FILE });
+        }
+        // Newton's iteration for the orthogonal factor of a matrix (Higham 1986): four steps take 2e-2 below rounding.
+        for _ in 0..4 {
+            rotation = (rotation + rotation.transpose().inverse()) * 0.5;
+        }
+        Self::new(rotation, position)
+    }
+
     /// Checks and wraps a camera-to-world rotation and position.
     /// A rotation rounded to 1e-3 is accepted and made exactly orthonormal.
     ///
@@ -148,11 +211,10 @@ impl Pose {
         if !position.is_finite() || !rotation.is_finite() {
             return Err(PoseError::NotFinite);
         }
-        let gram = rotation.transpose() * rotation - DMat3::IDENTITY;
-        let error = gram.to_cols_array().iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let error = off_orthonormal(&rotation);
         let determinant = rotation.determinant();
-        if error > 1e-3 || determinant < 0.0 {
-            return Err(PoseError::NotARotation { error, determinant });
+        if error > OFF || determinant < 0.0 {
+            return Err(PoseError::NotARotation { error, determinant, allowed: OFF });
         }
         let z = rotation.z_axis.normalize();
         let x = (rotation.x_axis - z * z.dot(rotation.x_axis)).normalize();
@@ -246,6 +308,43 @@ mod tests {
                 let back = camera.project(origin + direction * 7.5).unwrap();
                 assert!((back - DVec2::new(x, y)).length() < 1e-8, "{distortion:?} at {x}, {y}: {back}");
             }
+        }
+    }
+
+    #[test]
+    fn a_lens_that_folds_within_the_frame_is_told_apart() {
+        // The corner is at 0.65; x (1 + k1 x^2) turns back at 0.577 / sqrt(-k1), where it is two thirds of that.
+        for (k1, folds) in [(0.0, false), (0.3, false), (-0.2, false), (-0.33, false), (-0.4, true), (-2.0, true)] {
+            assert_eq!(camera(Distortion { k1, ..Default::default() }).intrinsics.folds(), folds, "k1 {k1}");
+        }
+        assert!(
+            !camera(Distortion { k1: -0.4, k2: 0.5, ..Default::default() }).intrinsics.folds(),
+            "turned back in time"
+        );
+    }
+
+    #[test]
+    fn a_file_s_rotation_may_be_scaled_and_rounded() {
+        let pose = camera(Distortion::default()).pose;
+        let near = |matrix: DMat3, off: f64| {
+            let read = Pose::from_file(matrix, pose.position).unwrap().rotation;
+            assert!(off_orthonormal(&read) < 1e-12);
+            assert!(
+                (read - pose.rotation).to_cols_array().iter().all(|v| v.abs() < off),
+                "{read} is not {}",
+                pose.rotation
+            );
+        };
+        near(pose.rotation, 1e-12);
+        near(pose.rotation * 3.0, 1e-12);
+        near(pose.rotation * 0.01, 1e-12);
+        let rounded = DMat3::from_cols_array(&pose.rotation.to_cols_array().map(|v| (v * 100.0).round() / 100.0));
+        assert!(Pose::new(rounded * 2.0, pose.position).is_err());
+        near(rounded, 0.01);
+        near(rounded * 2.0, 0.01);
+        for bad in [DVec3::new(1.0, 1.0, 1.1), DVec3::new(1.0, 1.0, -1.0), DVec3::new(1.0, 1.0, 0.0), DVec3::ZERO] {
+            let refused = Pose::from_file(DMat3::from_diagonal(bad), DVec3::ZERO);
+            assert!(matches!(refused, Err(PoseError::NotARotation { .. })), "{bad}");
         }
     }
 

@@ -102,7 +102,8 @@ impl Default for ReadOptions {
 }
 
 impl Capture {
-    /// Reads the capture in `folder`, whichever format its cameras are in.
+    /// Reads the capture in `folder`, whichever format its cameras are in. A camera file may be named instead
+    /// ([`Capture::folder_of`]); then that one is read.
     ///
     /// The first of these that is there is read:
     /// 1. `poses_bounds.npy` whose cameras all face one way (LLFF);
@@ -137,20 +138,34 @@ impl Capture {
     /// [`CaptureError`], naming the file and the entry, for anything missing,
     /// malformed or over the limits.
     pub fn read(folder: &Path, options: &ReadOptions) -> Result<Self, CaptureError> {
+        let (folder, named) = (Self::folder_of(folder), camera_file(folder));
         std::fs::read_dir(folder).map_err(CaptureError::io("open", folder))?;
-        let llff = llff::read(folder, options)?;
-        if let Some(model) = llff.as_ref().filter(|m| m.kind == assemble::Guess::ForwardFacing) {
-            return assemble::assemble(folder, model.clone(), options);
+        let transforms = || {
+            transforms::read(folder, named, options)?
+                .ok_or_else(|| CaptureError::NotACapture { folder: folder.to_path_buf() })
+        };
+        if named.is_some_and(|name| name != LLFF) {
+            return assemble::assemble(folder, transforms()?, options);
         }
-        let model = match colmap::read(folder, options)? {
+        let llff = llff::read(folder, options)?;
+        let ahead = llff.as_ref().is_some_and(|m| m.kind == assemble::Guess::ForwardFacing);
+        let colmap = if ahead || named.is_some() { None } else { colmap::read(folder, options)? };
+        let model = match colmap.or(llff) {
             Some(model) => model,
-            None => match llff {
-                Some(model) => model,
-                None => transforms::read(folder, options)?
-                    .ok_or_else(|| CaptureError::NotACapture { folder: folder.to_path_buf() })?,
-            },
+            None => transforms()?,
         };
         assemble::assemble(folder, model, options)
+    }
+
+    /// The folder of the capture at `from`: `from` itself, or where that is a camera file that gives a capture its
+    /// format (`transforms.json`, `transforms_train.json`, `poses_bounds.npy`), the folder it lies in.
+    pub fn folder_of(from: &Path) -> &Path {
+        match from.parent().filter(|_| camera_file(from).is_some()) {
+            // The file in the folder that the process is in.
+            Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
+            Some(parent) => parent,
+            None => from,
+        }
     }
 
     /// The photograph of view `view`, decoded: as large as the view's camera,
@@ -192,6 +207,15 @@ impl Capture {
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         photograph::decode_sized(path, bytes, &limits_for(view), self.background, size, view.photograph.as_stored)
     }
+}
+
+const LLFF: &str = "poses_bounds.npy";
+
+/// The name of the camera file that `from` is, if it is one.
+fn camera_file(from: &Path) -> Option<&'static str> {
+    let known = ["transforms.json", "transforms_train.json", LLFF];
+    let name = from.file_name()?.to_str()?;
+    known.into_iter().find(|&known| known == name).filter(|_| from.is_file())
 }
 
 fn limits_for(view: &View) -> Limits {

@@ -110,7 +110,7 @@ fn entry(file: &Path, cameras: &Cameras, photographs: &Path, image: Image) -> Re
     }
     let camera_to_world = DMat3::from_quat(quaternion.normalize()).transpose();
     let pose = Pose::new(camera_to_world, -(camera_to_world * image.translation))
-        .map_err(|source| CaptureError::Pose { file: file.to_path_buf(), entry: label.clone(), source })?;
+        .map_err(|problem| CaptureError::Pose { file: file.to_path_buf(), entry: label.clone(), problem })?;
     let photograph: PathBuf = photographs.join(relative);
     Ok(Entry { name: image.name, label, intrinsics, pose, photograph, bounds: None, held_out: None })
 }

@@ -7,8 +7,8 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::error::CaptureError;
+use crate::named::LEFT_AWAY;
 use crate::photograph::{Limits, read_limited};
-use crate::transforms::LEFT_AWAY;
 
 #[derive(Deserialize)]
 struct Row {

@@ -13,14 +13,14 @@ use crate::camera::PoseError;
 #[derive(Debug, Error)]
 pub enum CaptureError {
     /// The file system said no.
-    #[error("cannot {operation} {}: {source}; check that the path exists and may be accessed", path.display())]
+    #[error("cannot {operation} {}: {problem}; check that the path exists and may be accessed", path.display())]
     Io {
         /// What was tried, as a verb.
         operation: &'static str,
         /// On what.
         path: PathBuf,
-        /// What the system answered.
-        source: io::Error,
+        /// What the system answered. Not a `source`: the text has it already, and who prints sources would print it twice.
+        problem: io::Error,
     },
     /// No camera file of a known format is there.
     #[error(
@@ -59,18 +59,18 @@ pub enum CaptureError {
         model: String,
     },
     /// A pose that is not one.
-    #[error("{}, {entry}: {source}", file.display())]
+    #[error("{}, {entry}: {problem}", file.display())]
     Pose {
         /// The camera file.
         file: PathBuf,
         /// Which view.
         entry: String,
-        /// What is wrong with it.
-        source: PoseError,
+        /// What is wrong with it. Not a `source`, as in [`CaptureError::Io`].
+        problem: PoseError,
     },
     /// A camera file names a photograph that is not there.
     #[error(
-        "{}, {entry}: the photograph {} is missing; put it there, remove the entry, leave such views out (--skip-missing), or name the folder of photographs",
+        "{}, {entry}: the photograph {} is missing; put it there, remove the entry, leave such views out (--skip-missing), or name the folder of photographs (--images DIR)",
         file.display(), photograph.display()
     )]
     PhotographMissing {
@@ -207,7 +207,7 @@ impl CaptureError {
     /// Wraps what the file system said.
     pub(crate) fn io(operation: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
-        move |source| Self::Io { operation, path, source }
+        move |problem| Self::Io { operation, path, problem }
     }
 
     /// A file that says something impossible; `remedy` is for the person who brought it.

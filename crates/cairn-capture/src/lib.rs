@@ -18,6 +18,8 @@ mod facing;
 mod grey;
 mod llff;
 mod manifest;
+mod named;
+mod notes;
 mod npy;
 mod photograph;
 mod photograph_file;

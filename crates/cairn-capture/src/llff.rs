@@ -38,7 +38,10 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
     }
     check_count(&file, matrix.rows as u64, options.limits.max_views)?;
     let images = image_folder(folder, options, &FOLDERS).ok_or_else(|| {
-        let (expected, remedy) = (format!("a folder beside it: {}", FOLDERS.join(", ")), "put the photographs there");
+        let (expected, remedy) = (
+            format!("a folder beside it: {}", FOLDERS.join(", ")),
+            "put the photographs there, or name another (--images DIR)",
+        );
         CaptureError::malformed(&file, "the photographs", expected, "none".to_owned(), remedy)
     })?;
     let names = photographs(&folder.join(&images))?;
@@ -61,11 +64,8 @@ fn entry(file: &Path, images: &Path, index: usize, row: &[f64], name: String) ->
     };
     let column = |c: usize| DVec3::new(row[c], row[5 + c], row[10 + c]);
     let (down, right, back, position, hwf) = (column(0), column(1), column(2), column(3), column(4));
-    let pose = Pose::new(DMat3::from_cols(right, down, -back), position).map_err(|source| CaptureError::Pose {
-        file: file.to_path_buf(),
-        entry: label.clone(),
-        source,
-    })?;
+    let pose = Pose::from_file(DMat3::from_cols(right, down, -back), position)
+        .map_err(|problem| CaptureError::Pose { file: file.to_path_buf(), entry: label.clone(), problem })?;
     let whole = |v: f64| (v.fract() == 0.0 && v >= 1.0 && v <= MAX_CAMERA_SIDE_PX as f64).then_some(v as usize);
     let (Some(height), Some(width)) = (whole(hwf.x), whole(hwf.y)) else {
         return wrong("a height and a width in whole pixels", format!("{} and {}", hwf.x, hwf.y));
@@ -80,7 +80,7 @@ fn entry(file: &Path, images: &Path, index: usize, row: &[f64], name: String) ->
     Ok(Entry { name, label, intrinsics, pose, photograph, bounds: Some((near, far)), held_out: None })
 }
 
-/// File names of the PNG and JPEG files in `folder`, sorted.
+/// File names of the PNG and JPEG files in `folder` that are not hidden, sorted.
 fn photographs(folder: &PathBuf) -> Result<Vec<String>, CaptureError> {
     let mut names = Vec::new();
     for item in std::fs::read_dir(folder).map_err(CaptureError::io("open", folder))? {
@@ -88,6 +88,8 @@ fn photographs(folder: &PathBuf) -> Result<Vec<String>, CaptureError> {
         let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         if let (Some("png" | "jpg" | "jpeg"), Some(name)) =
             (ending.as_deref(), path.file_name().and_then(|n| n.to_str()))
+            // What macOS leaves beside files on other systems' disks (`._a.png`) is none.
+            && !name.starts_with('.')
         {
             names.push(name.to_owned());
         }

@@ -117,10 +117,10 @@ impl SceneFile {
                 return wrong(entry, "a photograph's file name, each once", format!("{:?}", view.photograph));
             }
             check_intrinsics(file, &entry, &view.camera.intrinsics)?;
-            Pose::new(view.camera.pose.rotation, view.camera.pose.position).map_err(|source| CaptureError::Pose {
+            Pose::new(view.camera.pose.rotation, view.camera.pose.position).map_err(|problem| CaptureError::Pose {
                 file: file.to_path_buf(),
                 entry,
-                source,
+                problem,
             })?;
         }
         Ok(())

@@ -19,12 +19,10 @@ use crate::assemble::{self, Entry, Guess, Model, check_count};
 use crate::camera::{Distortion, Intrinsics, Pose};
 use crate::capture::ReadOptions;
 use crate::error::CaptureError;
+use crate::named::{self, LEFT_AWAY};
 use crate::photograph::{Limits, header, read_limited};
 
 const REMEDY: &str = "correct the file, or export it again";
-
-/// Endings that camera files leave away.
-pub(crate) const LEFT_AWAY: [&str; 3] = [".png", ".jpg", ".jpeg"];
 
 /// Camera models that are a pinhole with Brown-Conrady distortion.
 const MODELS: [&str; 6] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"];
@@ -115,14 +113,15 @@ impl<'de, T: Deserialize<'de>> Visitor<'de> for AtMost<T> {
     }
 }
 
-/// Reads the transforms of `folder`; `None` where there are none.
+/// Reads the transforms of `folder`; `None` where there are none. A split (`transforms_train.json`) comes before
+/// `transforms.json`, unless `named` is that file.
 ///
 /// # Errors
 /// For JSON that is garbled, a frame that is no camera, a path that leaves the
 /// folder, or a photograph that is missing.
-pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>, CaptureError> {
+pub(crate) fn read(folder: &Path, named: Option<&str>, options: &ReadOptions) -> Result<Option<Model>, CaptureError> {
     let train = folder.join("transforms_train.json");
-    if train.is_file() {
+    if named != Some("transforms.json") && train.is_file() {
         let Read { mut entries, mut missing, .. } = read_file(folder, &train, options, Some(false))?;
         let held = ["transforms_test.json", "transforms_val.json"].map(|name| folder.join(name));
         if let Some(held) = held.iter().find(|file| file.is_file()) {
@@ -165,12 +164,13 @@ fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option
     };
     let most = options.limits.max_views;
     let bytes = read_limited(file, options.limits.max_file_bytes)?;
-    let (document, all): (Document<'_>, Lens) = twice(&bytes).map_err(garbled)?;
+    // Windows' editors put a byte order mark first, which JSON does not know.
+    let json = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    let (document, all): (Document<'_>, Lens) = twice(json).map_err(garbled)?;
     let (frames, count) = list::<&RawValue>(document.frames, most).map_err(garbled)?;
     check_count(file, count, most)?;
     let test = document.test_filenames.map(|names| list::<String>(names, most)).transpose().map_err(garbled)?;
-    let test: Option<HashSet<PathBuf>> =
-        test.map(|(names, _)| names.iter().filter_map(|path| assemble::inside(path)).collect());
+    let test: Option<HashSet<String>> = test.map(|(names, _)| names.iter().map(|path| named::plain(path)).collect());
     let mut missing = Vec::new();
     let entries = (frames.into_iter().enumerate())
         .map(|(index, raw)| {
@@ -182,16 +182,19 @@ fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option
             let photograph = match source.photograph(&frame.file_path, options) {
                 // Here, where a camera without a stated size would take it from the photograph.
                 Err(error @ CaptureError::PhotographMissing { .. }) if options.skip_missing => {
-                    let path = frame.file_path.replace('\\', "/");
-                    missing.push((path.trim_start_matches("./").to_owned(), error));
+                    missing.push((named::plain(&frame.file_path), error));
                     return Ok(None);
                 }
                 found => found?,
             };
             let pose = source.pose(&source.matrix(frame.transform_matrix)?)?;
             let intrinsics = source.intrinsics(&own.or(&all), &photograph, &options.limits)?;
-            let name = photograph.to_string_lossy().replace('\\', "/");
-            let held_out = held_out.or_else(|| Some(test.as_ref()?.contains(&photograph)));
+            // Where the folder was chosen, it is no part of the name: it may lie anywhere.
+            let named = if options.images.is_some() { photograph.file_name().map(Path::new) } else { None };
+            let name = named.unwrap_or(&photograph).to_string_lossy().replace('\\', "/");
+            let in_test =
+                |test: &HashSet<String>| test.contains(&name) || test.contains(&named::plain(&frame.file_path));
+            let held_out = held_out.or_else(|| test.as_ref().map(in_test));
             Ok(Some(Entry { name, label: source.label, intrinsics, pose, photograph, bounds: None, held_out }))
         })
         .filter_map(Result::transpose)
@@ -263,21 +266,14 @@ impl Source<'_> {
         CaptureError::malformed(self.file, self.label.clone(), expected, got, REMEDY)
     }
 
-    /// The frame's photograph, relative to the folder: as it is named, or with
-    /// one of the usual endings.
+    /// The frame's photograph, relative to the folder ([`named::find`]).
     fn photograph(&self, path: &str, options: &ReadOptions) -> Result<PathBuf, CaptureError> {
         let mut stem = assemble::inside(path)
             .ok_or_else(|| self.wrong("a file_path inside the capture's folder", format!("{path:?}")))?;
         if let Some(images) = assemble::image_folder(self.folder, options, &[]) {
-            stem = images.join(stem.file_name().unwrap_or_default());
+            stem = images.join(path.rsplit(['/', '\\']).next().unwrap_or_default());
         }
-        let endings = std::iter::once("").chain(LEFT_AWAY);
-        let mut candidates = endings.map(|ending| {
-            let mut name = stem.clone().into_os_string();
-            name.push(ending);
-            PathBuf::from(name)
-        });
-        candidates.find(|candidate| self.folder.join(candidate).is_file()).ok_or_else(|| {
+        named::find(self.folder, &stem, &LEFT_AWAY).ok_or_else(|| {
             let (file, entry) = (self.file.to_path_buf(), self.label.clone());
             CaptureError::PhotographMissing { file, entry, photograph: self.folder.join(&stem) }
         })
@@ -300,10 +296,11 @@ impl Source<'_> {
             return Err(self.wrong("a 4 x 4 transform_matrix whose last row is 0 0 0 1", got));
         }
         let column = |c: usize| DVec3::new(matrix[0][c], matrix[1][c], matrix[2][c]);
-        Pose::new(DMat3::from_cols(column(0), -column(1), -column(2)), column(3)).map_err(|source| CaptureError::Pose {
+        let matrix = DMat3::from_cols(column(0), -column(1), -column(2));
+        Pose::from_file(matrix, column(3)).map_err(|problem| CaptureError::Pose {
             file: self.file.to_path_buf(),
             entry: self.label.clone(),
-            source,
+            problem,
         })
     }
 

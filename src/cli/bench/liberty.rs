@@ -27,6 +27,7 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         contributors: Some(from.join("contributors.csv")),
         kind: None,
         hold_every: 8,
+        images: None,
         skip_missing: false,
         width: None,
         height: None,

@@ -7,7 +7,7 @@
 
 use std::cell::OnceCell;
 use std::fs;
-use std::path::{Component, Path};
+use std::path::Component;
 
 use cairn_capture::{Capture, Limits, ReadOptions, Sound, SoundLimits, decode_picture, decode_wav, encode_wav};
 use tempfile::TempDir;
