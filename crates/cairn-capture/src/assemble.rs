@@ -110,12 +110,9 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
         Guess::ForwardFacingIfDeep if facing::looks_ahead(&model.entries, &model.points) => SceneKind::ForwardFacing,
         Guess::BoundedIfTransparent | Guess::ForwardFacingIfDeep | Guess::Unbounded => SceneKind::Unbounded,
     });
-    if kind == SceneKind::ForwardFacing && !facing::near_is_known(&model.entries, &model.points) {
-        let expected = "depth bounds (LLFF) or sparse points before the cameras, to say where the scene begins";
-        let remedy =
-            "bring poses_bounds.npy or COLMAP's points3D with it, or import it as unbounded (--kind unbounded)";
-        let entry = "forward-facing";
-        return Err(CaptureError::malformed(&model.file, entry, expected, "neither", remedy));
+    if kind == SceneKind::ForwardFacing {
+        let views = model.entries.iter().map(|e| (&e.pose, e.bounds.is_some()));
+        facing::check_near(&model.file, views, &model.points)?;
     }
     let background = match (transparent, kind) {
         (Share::All, _) | (Share::Some, SceneKind::Bounded) => Some(WHITE),

@@ -6,10 +6,13 @@
 //! better off as a scene in the open: its photographers stand nearer and farther,
 //! and its points lie at about one depth. Whatever is in doubt stays unbounded.
 
+use std::path::Path;
+
 use glam::DVec3;
 
 use crate::assemble::Entry;
 use crate::camera::{Camera, Pose};
+use crate::error::CaptureError;
 
 /// Cosine of the widest angle between a camera and the mean direction: 30 degrees.
 /// LLFF's own scenes have 10.
@@ -65,9 +68,22 @@ fn corners_ahead(entry: &Entry, forward: DVec3) -> bool {
     [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)].into_iter().all(|(x, y)| camera.ray(x, y).1.dot(forward) > COS_CORNER)
 }
 
-/// Whether anything says where a forward-facing scene begins: depth bounds, or a point ahead of the cameras.
-pub(crate) fn near_is_known(entries: &[Entry], points: &[DVec3]) -> bool {
-    let forward: DVec3 = entries.iter().map(|e| e.pose.forward()).sum();
-    let centre = entries.iter().map(|e| e.pose.position).sum::<DVec3>() / entries.len() as f64;
-    entries.iter().any(|e| e.bounds.is_some()) || points.iter().any(|&p| forward.dot(p - centre) > 0.0)
+/// Refuses a forward-facing capture where nothing says where the scene begins: neither depth bounds nor a point ahead
+/// of the cameras. A training could not place its near plane. `views` are poses, and whether each has bounds.
+///
+/// # Errors
+/// [`CaptureError::Malformed`], about `file`.
+pub(crate) fn check_near<'a>(
+    file: &Path,
+    views: impl Iterator<Item = (&'a Pose, bool)> + Clone,
+    points: &[DVec3],
+) -> Result<(), CaptureError> {
+    let forward: DVec3 = views.clone().map(|(pose, _)| pose.forward()).sum();
+    let centre = views.clone().map(|(pose, _)| pose.position).sum::<DVec3>() / views.clone().count() as f64;
+    if views.clone().any(|(_, bounds)| bounds) || points.iter().any(|&p| forward.dot(p - centre) > 0.0) {
+        return Ok(());
+    }
+    let expected = "depth bounds (LLFF) or sparse points before the cameras, to say where the scene begins";
+    let remedy = "bring poses_bounds.npy or COLMAP's points3D with it, or import it as unbounded (--kind unbounded)";
+    Err(CaptureError::malformed(file, "forward-facing", expected, "neither", remedy))
 }

@@ -13,8 +13,9 @@ use glam::DVec3;
 use image::ImageFormat;
 use sha2::{Digest, Sha256};
 
-use crate::capture::Capture;
+use crate::capture::{Capture, SceneKind};
 use crate::error::CaptureError;
+use crate::facing::check_near;
 use crate::manifest::write_manifest;
 use crate::photograph::{read_limited, write_synced};
 use crate::picture::Picture;
@@ -60,12 +61,17 @@ impl SceneFolder {
     ///
     /// # Errors
     /// [`CaptureError`] for a name that is not allowed, a scene that exists, a
+    /// forward-facing one without anything that says where it begins, a
     /// photograph that is missing or broken, and the file system's.
     pub fn create(dir: &Path, name: &str, capture: &Capture) -> Result<Self, CaptureError> {
         let target = scene_path(dir, name)?;
         let taken = || CaptureError::SceneExists { path: target.clone() };
         if fs::symlink_metadata(&target).is_ok() {
             return Err(taken());
+        }
+        if capture.kind == SceneKind::ForwardFacing {
+            let views = capture.views.iter().map(|v| (&v.camera.pose, v.bounds.is_some()));
+            check_near(&target, views, &capture.points)?;
         }
         fs::create_dir_all(dir).map_err(CaptureError::io("create", dir))?;
         let staging = Staging::new(dir, name)?;

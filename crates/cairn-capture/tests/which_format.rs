@@ -6,7 +6,7 @@ mod common;
 use std::fs;
 use std::path::Path;
 
-use cairn_capture::{Capture, ReadOptions, SceneKind};
+use cairn_capture::{Capture, ReadOptions, SceneFolder, SceneKind};
 use common::{Colmap, npy, photograph, read, refuses};
 use image::{ImageFormat, Rgba, RgbaImage};
 use serde_json::{Value, json};
@@ -140,7 +140,13 @@ fn a_colmap_model_that_looks_one_way_into_a_deep_scene_is_forward_facing() {
 fn forward_facing_is_refused_where_nothing_says_where_the_scene_begins() {
     let folder = Colmap::small().folder();
     let said = ReadOptions { kind: Some(SceneKind::ForwardFacing), ..Default::default() };
-    assert_eq!(Capture::read(folder.path(), &said).unwrap().kind, SceneKind::ForwardFacing, "it has points");
+    let mut capture = Capture::read(folder.path(), &said).unwrap();
+    assert_eq!(capture.kind, SceneKind::ForwardFacing, "it has points");
+    let scenes = folder.path().join("scenes");
+    SceneFolder::create(&scenes, "wall", &capture).unwrap();
+    // Whoever sends a scene past the reader is held to it as well.
+    capture.points = vec![glam::DVec3::new(0.0, 0.0, -100.0)];
+    refuses(SceneFolder::create(&scenes, "again", &capture), &["again, forward-facing", "depth bounds"]);
     fs::remove_file(folder.path().join("sparse/0/points3D.bin")).unwrap();
     refuses(Capture::read(folder.path(), &said), &["images.bin, forward-facing", "depth bounds", "--kind unbounded"]);
 }
