@@ -39,7 +39,7 @@ pub struct Args {
     /// Fewer steps and smaller sizes, for trying things out
     #[arg(long)]
     pub quick: bool,
-    /// Stop after the base field: no marks
+    /// Stop after the base field: no marks, and no clusters needed
     #[arg(long)]
     pub base_only: bool,
     /// Mark this scene together with it, with one detector for both; again for each other scene

@@ -18,7 +18,7 @@ use super::jobs::Control;
 use super::marks::{Detector, Grown, MarkedField};
 use super::model::{self, MarkFiles, Model, ModelFiles, ModelInfo, Share, publish};
 use super::scenes;
-use super::training::{Training, clusters, identities};
+use super::training::{Training, clusters_if_any, identities};
 
 /// A scene of a training.
 pub(super) struct Part {
@@ -49,7 +49,8 @@ impl Training {
             std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
             let scene = scenes::open(&self.scenes, name)?;
             let Some(scene) = self.sifted(&own, scene, &folder, control)? else { return Ok(None) };
-            let clusters = clusters(&scene, &own.spec.grouping, own.spec.seed)?;
+            let (clusters, note) = clusters_if_any(&scene, &own.spec.grouping, (own.spec.seed, own.spec.base_only))?;
+            note.into_iter().for_each(|note| control.note(note));
             let earlier = own.spec.grow_from.first().cloned().flatten();
             let earlier = earlier.map(|from| model::of_job(&self.models, name, &from)).transpose()?;
             parts.push(Part { job: own, folder, scene, clusters, earlier });

@@ -53,7 +53,7 @@ impl Engine {
     /// Queues a training; durable on return.
     ///
     /// # Errors
-    /// For settings that are not allowed, clusters that a scene has not the
+    /// For settings that are not allowed, clusters to mark that a scene has not the
     /// views for, a scene named twice, nothing to go on from or to add, signals that do not decode or
     /// cannot be hidden, and [`super::jobs::Jobs::submit`]'s.
     pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
@@ -152,7 +152,7 @@ impl Engine {
             }
         };
         let folder = self.quarantine.without(scene, folder)?;
-        let clusters = training::clusters(&folder, &request.grouping, request.seed)?;
+        let (clusters, _) = training::clusters_if_any(&folder, &request.grouping, (request.seed, request.base_only))?;
         let known: BTreeSet<String> =
             earlier.iter().flat_map(|info| info.identities.iter().map(|i| i.label.clone())).collect();
         let identities = training::identities(&folder, &clusters);

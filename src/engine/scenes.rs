@@ -202,8 +202,8 @@ fn photograph_path(folder: &Path, index: usize) -> PathBuf {
 fn check_plan(plan: &ImportPlan, limits: &Limits) -> Result<(), EngineError> {
     let over = |what: String, key, limit: u64, got: u64| Err(EngineError::OverLimit { what, key, limit, got });
     let count = plan.views.len();
-    if count < 2 {
-        return Err(EngineError::invalid("the number of views", count, "2 or more"));
+    if count < 1 {
+        return Err(EngineError::invalid("the number of views", count, "1 or more"));
     }
     if count > limits.max_views {
         return over("the number of views".into(), "limits.max_views", limits.max_views as u64, count as u64);

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use cairn_capture::SceneFolder;
-use cairn_cluster::{Clusters, Grouping};
+use cairn_cluster::{ClusterConfig, ClusterError, Clusters, Grouping};
 use cairn_registry::Digest;
 
 use super::error::EngineError;
@@ -283,6 +283,27 @@ pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<C
         given => given,
     };
     Ok(Clusters::build(&poses, &grouping, &contributors, seed)?)
+}
+
+/// As [`clusters`], for a training that may mark nothing. That needs no clusters: where the scene has not the views for those
+/// asked for, all views are one, and what to say of it comes with them. A later training with marks makes its own.
+pub fn clusters_if_any(
+    scene: &SceneFolder,
+    grouping: &Grouping,
+    (seed, base_only): (u64, bool),
+) -> Result<(Clusters, Option<String>), EngineError> {
+    let why = match clusters(scene, grouping, seed) {
+        Err(EngineError::Cluster(
+            why @ (ClusterError::TooFewViews { .. }
+            | ClusterError::TooFewPoses { .. }
+            | ClusterError::NoContributor { .. }),
+        )) if base_only => why,
+        made => return made.map(|clusters| (clusters, None)),
+    };
+    let views = scene.training().count();
+    let all = ClusterConfig { anchors: 1, neighbours: views.max(1), ..ClusterConfig::default() };
+    let note = format!("all {views} training views are one cluster, which a base field needs no more of ({why})");
+    Ok((clusters(scene, &Grouping::Anchors(all), seed)?, Some(note)))
 }
 
 /// What the clusters' identities are called, and whose photographs they are.

@@ -1,0 +1,78 @@
+//! Base fields alone, through the binary: of captures with too few views or poses for clusters, what is said of
+//! them, what is asked of them that they have not, and how much memory their photographs take.
+
+mod common;
+
+use std::path::Path;
+
+use cairn_capture::{Picture, save_png};
+use common::Place;
+
+/// Steps enough for a field that can be rendered, and few.
+const FEW: &str = "[field]\nsteps = 8\nrays_per_step = 256\nvoxels = 4096\nlevels = 1\n";
+
+/// A capture of one photograph a pose, of so many pixels a side: stripes, each photograph's at another place.
+fn capture(folder: &Path, poses: &[[f64; 3]], side: usize) {
+    std::fs::create_dir_all(folder.join("images")).unwrap();
+    let mut frames = Vec::new();
+    for (at, [x, y, z]) in poses.iter().enumerate() {
+        let file = format!("images/{at:03}.png");
+        let pixel = |i: usize| ((i % side / 4 + at) % 2) as f32 * 0.6 + 0.2;
+        let rgb = (0..side * side).flat_map(|i| [pixel(i), 0.5, (i / side) as f32 / side as f32]).collect();
+        save_png(&folder.join(&file), &Picture::new(side, side, rgb).unwrap()).unwrap();
+        // OpenGL axes: it looks along -z.
+        let pose = [[1.0, 0.0, 0.0, *x], [0.0, 1.0, 0.0, *y], [0.0, 0.0, 1.0, *z], [0.0, 0.0, 0.0, 1.0]];
+        frames.push(serde_json::json!({ "file_path": file, "transform_matrix": pose }));
+    }
+    let text = serde_json::json!({ "camera_angle_x": 0.9, "frames": frames }).to_string();
+    std::fs::write(folder.join("transforms.json"), text).unwrap();
+}
+
+/// A place with that capture as the scene `few`, and the settings' file.
+fn few(poses: &[[f64; 3]], side: usize, hold_every: &str) -> Place {
+    let place = Place { dir: tempfile::tempdir().unwrap() };
+    std::fs::write(place.path("few.toml"), FEW).unwrap();
+    capture(&place.path("capture"), poses, side);
+    let (from, data) = (place.text("capture"), place.text("data"));
+    place.cairn_ok(&["scene", "import", "few", "--from", &from, "--hold-every", hold_every, "--data", &data]);
+    place
+}
+
+fn said(output: &std::process::Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn one_training_view_is_enough_for_a_base_field() {
+    for (what, poses, hold_every) in [
+        ("two views, one held out", vec![[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], "2"),
+        ("one view", vec![[0.0, 0.0, 3.0]], "0"),
+        ("one pose", vec![[0.0, 0.0, 3.0]; 6], "0"),
+    ] {
+        let place = few(&poses, 24, hold_every);
+        let (data, settings) = (place.text("data"), place.text("few.toml"));
+        let train = ["train", "few", "--settings", &settings, "--data", &data];
+        // To mark it there are too few views or poses still.
+        let refused = place.cairn(&train);
+        assert!(!refused.status.success() && said(&refused).contains("lower anchors (M)"), "{what}: {refused:?}");
+        let done = place.cairn_ok(&[&train[..], &["--base-only"]].concat());
+        assert!(done.contains("done") && done.contains("training views are one cluster"), "{what}: {done}");
+        place.cairn_ok(&[&train[..], &["--base-only", "--by-contributor"]].concat());
+        let out = place.text("view.png");
+        let render = ["render", "few", "--view", "images/000.png", "--base", "--out", &out, "--data", &data];
+        assert!(place.cairn_ok(&render).starts_with("24 x 24 px"), "{what}");
+    }
+}
+
+#[test]
+fn clusters_of_a_base_field_bind_no_later_marks() {
+    let place = Place::new();
+    let (data, tiny) = (place.text("data"), place.text("tiny.toml"));
+    place.import("town", ["--data", &data]);
+    let train = ["train", "town", "--settings", &tiny, "--data", &data];
+    let done = place.cairn_ok(&[&train[..], &["--base-only", "--anchors", "11"]].concat());
+    assert!(done.contains("all 10 training views are one cluster"), "{done}");
+    place.cairn_ok(&[&train[..], &["--anchors", "2"]].concat());
+    let shown = place.cairn_ok(&["scene", "show", "town", "--data", &data]);
+    assert!(shown.contains("identity 2: ") && !shown.contains("identity 3: "), "{shown}");
+}
