@@ -76,3 +76,19 @@ fn clusters_of_a_base_field_bind_no_later_marks() {
     let shown = place.cairn_ok(&["scene", "show", "town", "--data", &data]);
     assert!(shown.contains("identity 2: ") && !shown.contains("identity 3: "), "{shown}");
 }
+
+#[test]
+fn a_base_field_alone_says_how_it_is_rendered() {
+    let place = few(&[[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], 24, "0");
+    let (data, settings, out) = (place.text("data"), place.text("few.toml"), place.text("out.png"));
+    place.cairn_ok(&["train", "few", "--base-only", "--settings", &settings, "--data", &data]);
+    let refused = place.cairn(&["render", "few", "--view", "images/000.png", "--out", &out, "--data", &data]);
+    assert!(said(&refused).contains("ask for that (--base, or FIELD_KIND_BASE)"), "{refused:?}");
+    let frames = place.text("frames");
+    let ends = ["--between", "images/000.png", "images/001.png"];
+    let path = [&["path", "few"][..], &ends, &["--frames", "2", "--out", &out, "--sequence", &frames, "--data", &data]];
+    let refused = place.cairn(&path.concat());
+    assert!(said(&refused).contains("--base"), "{refused:?}");
+    assert!(!place.path("frames").exists(), "a refused flight left a folder behind");
+    assert!(place.cairn_ok(&[&path.concat()[..], &["--base"]].concat()).starts_with("2 frames"));
+}

@@ -115,6 +115,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     if let Some(folder) = &args.sequence {
         let label = label(line, &request).await?;
         flight.pictures = sequence(folder, &label, args.resume, args.frames)?;
+        flight.label = (!args.resume).then_some(label);
         request.first_frame = flight.pictures;
         for i in 0..flight.pictures {
             let picture = decode(&read(&frame_path(folder, i))?)?;
@@ -130,6 +131,8 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
 /// What is written of a flight.
 struct Flight<'a> {
     args: &'a Args,
+    /// What a new folder of frames is of; made when the request is accepted.
+    label: Option<serde_json::Value>,
     animation: Option<Animation>,
     /// Frames that are there.
     pictures: u32,
@@ -139,7 +142,7 @@ struct Flight<'a> {
 
 impl<'a> Flight<'a> {
     fn new(args: &'a Args) -> Self {
-        Self { args, animation: None, pictures: 0, size: (0, 0) }
+        Self { args, label: None, animation: None, pictures: 0, size: (0, 0) }
     }
 
     /// Takes frame after frame until all are there.
@@ -149,6 +152,10 @@ impl<'a> Flight<'a> {
         let mut interrupt = tokio::spawn(tokio::signal::ctrl_c());
         let scene = request.scene.clone();
         let mut stream = line.about(&scene).render().render_path(request).await.map_err(refused)?.into_inner();
+        // Not before: what is refused leaves no folder that looks like a flight cut off.
+        if let (Some(folder), Some(label)) = (&self.args.sequence, self.label.take()) {
+            begin(folder, &label)?;
+        }
         let (mut shown, begun) = (Progress::new(true), Instant::now());
         shown.draw("frames", (first.into(), total.into()), "", -1.0);
         loop {
@@ -290,7 +297,7 @@ fn taken(viewpoint: Option<&v1::Viewpoint>) -> serde_json::Value {
     }
 }
 
-/// Opens the folder of frames; how many of them are there to go on from.
+/// How many frames the folder holds to go on from. Without `resume` there must be none.
 fn sequence(folder: &Path, label: &serde_json::Value, resume: bool, frames: u32) -> anyhow::Result<u32> {
     let file = folder.join(LABEL);
     if resume {
@@ -303,14 +310,21 @@ fn sequence(folder: &Path, label: &serde_json::Value, resume: bool, frames: u32)
         );
         return Ok((0..frames).take_while(|i| frame_path(folder, *i).exists()).count() as u32);
     }
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    // What was cut off before its first frame is begun anew.
+    let is_frame = |name: &str| name.starts_with("frame-") && name.ends_with(".png");
+    let mut there = std::fs::read_dir(folder).into_iter().flatten().flatten();
     anyhow::ensure!(
-        !file.exists() && !frame_path(folder, 0).exists(),
+        !there.any(|entry| is_frame(&entry.file_name().to_string_lossy())),
         "{} holds frames already; go on with --resume, or give another folder",
         folder.display()
     );
-    write_whole(&file, &serde_json::to_vec_pretty(label)?)?;
     Ok(0)
+}
+
+/// Makes the folder of frames, and says in it what they are of.
+fn begin(folder: &Path, label: &serde_json::Value) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    write_whole(&folder.join(LABEL), &serde_json::to_vec_pretty(label)?)
 }
 
 #[cfg(test)]
@@ -341,6 +355,10 @@ mod tests {
         let folder = folder.path().join("frames");
         let (label, other) = (json!({ "frames": 5 }), json!({ "frames": 6 }));
         assert_eq!(sequence(&folder, &label, false, 5).unwrap(), 0);
+        assert!(!folder.exists(), "made before the request is accepted");
+        begin(&folder, &other).unwrap();
+        assert_eq!(sequence(&folder, &label, false, 5).unwrap(), 0, "no frame of the other one came");
+        begin(&folder, &label).unwrap();
         for i in [0, 1, 3] {
             std::fs::write(frame_path(&folder, i), "png").unwrap();
         }

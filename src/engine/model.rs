@@ -267,6 +267,22 @@ impl Model {
             why: "its newest model is a base field alone; train it with marks".into(),
         })
     }
+
+    /// The marked field, to render it.
+    ///
+    /// # Errors
+    /// [`EngineError::WrongState`] where only the base field was trained: that is there to be rendered.
+    pub fn marked_field(&self) -> Result<&MarkedField, EngineError> {
+        let none = || {
+            EngineError::WrongState {
+            what: format!("scene {:?}", self.info.scene),
+            operation: "rendered with marks",
+            why: "its newest model is a base field alone; ask for that (--base, or FIELD_KIND_BASE), or train it with marks"
+                .into(),
+        }
+        };
+        self.mark.as_ref().map(|mark| &mark.field).ok_or_else(none)
+    }
 }
 
 /// `base`: the field of stage 1 and its stored form. The marked field of a large grid shares it.

@@ -141,7 +141,7 @@ impl Engine {
         // Where densities are frozen a mark is colour alone, and what lies behind it the base field's.
         let shapes = match field {
             FieldKind::Base => &model.base,
-            FieldKind::Marked => model.mark()?.field.theta(),
+            FieldKind::Marked => model.marked_field()?.theta(),
         };
         let seen = shapes.render_maps(&camera, &appearance);
         let maps = Maps::new(model.base.frame(), &camera, &seen);
@@ -247,11 +247,11 @@ impl Model {
     /// What `camera` sees, clamped to [0, 1].
     ///
     /// # Errors
-    /// As [`Model::mark`].
+    /// As [`Model::marked_field`].
     pub fn look(&self, field: FieldKind, camera: &Camera, appearance: &Appearance) -> Result<Picture, EngineError> {
         let picture = match field {
             FieldKind::Base => self.base.render(camera, appearance),
-            FieldKind::Marked => self.mark()?.field.render(camera, appearance),
+            FieldKind::Marked => self.marked_field()?.render(camera, appearance),
         };
         Ok(picture.clamped())
     }

@@ -95,7 +95,7 @@ impl Engine {
         check_size("a frame", width, height, &self.limits)?;
         let model = self.model(&request.scene)?;
         if request.field == FieldKind::Marked {
-            model.mark()?;
+            model.marked_field()?;
         }
         let light = match (&request.light, &route) {
             (Some(light), _) => ends(self.appearance(&model, light)?),
