@@ -92,3 +92,26 @@ fn a_base_field_alone_says_how_it_is_rendered() {
     assert!(!place.path("frames").exists(), "a refused flight left a folder behind");
     assert!(place.cairn_ok(&[&path.concat()[..], &["--base"]].concat()).starts_with("2 frames"));
 }
+
+#[test]
+fn how_a_scene_lies_is_said() {
+    let place = Place { dir: tempfile::tempdir().unwrap() };
+    std::fs::write(place.path("few.toml"), FEW).unwrap();
+    capture(&place.path("capture"), &[[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], 24);
+    let (from, data) = (place.text("capture"), place.text("data"));
+    let import = ["--from", &from, "--data", &data, "--hold-every"];
+    let guessed = place.cairn_ok(&[&["scene", "import", "a"][..], &import, &["2"]].concat());
+    assert!(guessed.contains(" MB, unbounded (guessed; --kind says otherwise), not trained"), "{guessed}");
+    let given = place.cairn_ok(&[&["scene", "import", "b", "--kind", "bounded"][..], &import, &["2"]].concat());
+    assert!(given.contains(" MB, bounded, not trained"), "{given}");
+    for shown in [vec!["list"], vec!["show", "b"]] {
+        let shown = place.cairn_ok(&[&["scene"][..], &shown, &["--data", &data]].concat());
+        assert!(shown.contains("b: 2 views (1 held out)") && shown.contains(", bounded, not trained"), "{shown}");
+    }
+    let settings = place.text("few.toml");
+    let trained = place.cairn_ok(&["train", "b", "--base-only", "--settings", &settings, "--data", &data]);
+    assert!(trained.contains(" accepted for b (bounded)"), "{trained}");
+    // A split that leaves nothing is refused in the words of the command line.
+    let refused = place.cairn(&[&["scene", "import", "c"][..], &import, &["1"]].concat());
+    assert!(said(&refused).contains("--hold-every 0") && !said(&refused).contains("hold_every"), "{refused:?}");
+}

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
-use cairn_capture::{Capture, ReadOptions, SceneKind, encode_png};
+use cairn_capture::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
 use cairn_proto::v1::{self, import_scene_request::Part};
 use sha2::{Digest, Sha256};
 
@@ -90,13 +90,13 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Import(args) => {
             let summary = import(line, &args).await?;
-            println!("imported {}", one_line(&summary));
+            println!("imported {}", one_line(&summary, args.kind.is_none()));
             Ok(())
         }
         Command::List => {
             let request = v1::ListScenesRequest { format_version: VERSION };
             let scenes = line.scenes().list(request).await.map_err(refused)?.into_inner().scenes;
-            scenes.iter().for_each(|s| println!("{}", one_line(s)));
+            scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
             Ok(())
         }
         Command::Show { name } => show(line, name).await,
@@ -110,19 +110,42 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     }
 }
 
-fn one_line(s: &v1::SceneSummary) -> String {
+/// A scene in one line; `guessed`: nobody said how it lies.
+fn one_line(s: &v1::SceneSummary, guessed: bool) -> String {
     let trained = if s.trained { "trained" } else { "not trained" };
     let megabytes = s.photograph_bytes as f64 / 1e6;
     format!(
-        "{}: {} views ({} held out) by {} contributors, {megabytes:.1} MB, {trained}",
-        s.name, s.views, s.held_out_views, s.contributors
+        "{}: {} views ({} held out) by {} contributors, {megabytes:.1} MB, {}, {trained}",
+        s.name,
+        s.views,
+        s.held_out_views,
+        s.contributors,
+        lies(s, guessed)
     )
+}
+
+/// How a scene lies, and what is behind it where that is known.
+pub fn lies(s: &v1::SceneSummary, guessed: bool) -> String {
+    let kind = match s.kind() {
+        v1::SceneKind::Unspecified => "of a kind that is not said",
+        v1::SceneKind::ForwardFacing => "forward-facing",
+        v1::SceneKind::Bounded => "bounded",
+        v1::SceneKind::Unbounded => "unbounded",
+    };
+    let guessed = if guessed { " (guessed; --kind says otherwise)" } else { "" };
+    let background = match s.background[..] {
+        [] => String::new(),
+        [0.0, 0.0, 0.0] => ", on black".to_owned(),
+        [1.0, 1.0, 1.0] => ", on white".to_owned(),
+        ref rgb => format!(", on RGB {}", rgb.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(" ")),
+    };
+    format!("{kind}{guessed}{background}")
 }
 
 async fn show(line: &Connection, name: String) -> anyhow::Result<()> {
     let scene = get(line, &name).await?;
     if let Some(summary) = &scene.summary {
-        println!("{}", one_line(summary));
+        println!("{}", one_line(summary, false));
     }
     for view in &scene.views {
         let held_out = if view.held_out { "  held out" } else { "" };
@@ -164,7 +187,7 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     let (hold_every, skip_missing) = (args.hold_every, args.skip_missing);
     let images = args.images.clone();
     let options = ReadOptions { contributors, kind, hold_every, images, skip_missing, ..ReadOptions::default() };
-    let capture = Capture::read(&args.from, &options)?;
+    let capture = Capture::read(&args.from, &options).map_err(in_flags)?;
     if !capture.missing.is_empty() {
         let (count, names) = (capture.missing.len(), capture.missing.join(", "));
         let views = if count == 1 { "view" } else { "views" };
@@ -189,6 +212,17 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         return Err(error);
     }
     answer.map_err(refused)?.into_inner().scene.context("the daemon's answer names no scene")
+}
+
+/// The same error, in the words of the command line where it speaks of a setting.
+fn in_flags(error: CaptureError) -> CaptureError {
+    match error {
+        CaptureError::Malformed { file, entry, expected, got, remedy } if remedy.contains("hold_every") => {
+            let remedy = "give --hold-every 0, or 2 or more with several views";
+            CaptureError::Malformed { file, entry, expected, got: got.replace("hold_every", "--hold-every"), remedy }
+        }
+        other => other,
+    }
 }
 
 fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::ImportView>, Vec<Photograph>)> {

@@ -7,7 +7,7 @@ use cairn_proto::v1::{self, JobState, start_training_request::Clusters};
 
 use super::connect::{Connection, refused};
 use super::progress::Progress;
-use super::{VERSION, read};
+use super::{VERSION, read, scene};
 
 /// `cairn train`.
 #[derive(Clone, Debug, clap::Args)]
@@ -70,7 +70,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         None => line.about(&args.name).training().start(request(&args)?).await.map_err(refused)?.into_inner().job,
     };
     let job = job.context("the daemon's answer names no job")?;
-    println!("{} accepted for {}", job.id, scenes(&job));
+    println!("{} accepted for {}", job.id, scenes_as_they_lie(line, &job).await);
     say_what_is_ahead(line, &job).await;
     if args.detach {
         return Ok(());
@@ -139,6 +139,16 @@ async fn say_what_is_ahead(line: &Connection, job: &v1::Job) {
 /// The names of a job's scenes.
 fn scenes(job: &v1::Job) -> String {
     std::iter::once(job.scene.as_str()).chain(job.also.iter().map(String::as_str)).collect::<Vec<_>>().join(", ")
+}
+
+/// The same with how each lies, by which its settings were chosen; without where the scene cannot be asked for.
+async fn scenes_as_they_lie(line: &Connection, job: &v1::Job) -> String {
+    let mut told = Vec::new();
+    for name in std::iter::once(&job.scene).chain(&job.also) {
+        let summary = scene::get(line, name).await.ok().and_then(|answer| answer.summary);
+        told.push(summary.map_or_else(|| name.clone(), |s| format!("{name} ({})", scene::lies(&s, false))));
+    }
+    told.join(", ")
 }
 
 /// The folder's files as signals: those that differ in their endings alone are one identity's.

@@ -71,6 +71,7 @@ pub fn scene_summary(name: &str, scene: &SceneFolder, trained: bool) -> v1::Scen
         photograph_bytes: capture.views.iter().map(size).sum(),
         trained,
         kind: scene_kind(capture.kind).into(),
+        background: capture.background.map(Vec::from).unwrap_or_default(),
     }
 }
 

@@ -167,7 +167,7 @@ pub enum ClusterError {
     },
     /// Nobody brought enough views.
     #[error(
-        "no contributor has {min_views} views of their own; the most, {most}, are from {contributor:?}; lower min_views or bring a table of contributors"
+        "no contributor has {min_views} views of their own; the most, {most}, are from {contributor:?}; lower least_views (--least-views) or bring a table of contributors"
     )]
     NoContributor {
         /// Views wanted.
@@ -341,7 +341,7 @@ impl Grouping {
                 config.direction_weight
             }
             Self::ByContributor { min_views, direction_weight } => {
-                at_least("min_views", *min_views, 2, "at least 2: one view says nothing about how far it reaches")?;
+                at_least("least_views", *min_views, 2, "at least 2: one view says nothing about how far it reaches")?;
                 *direction_weight
             }
         };
