@@ -115,3 +115,39 @@ fn how_a_scene_lies_is_said() {
     let refused = place.cairn(&[&["scene", "import", "c"][..], &import, &["1"]].concat());
     assert!(said(&refused).contains("--hold-every 0") && !said(&refused).contains("hold_every"), "{refused:?}");
 }
+
+/// The most memory that `cairn` with `arguments` held at a time, bytes.
+#[cfg(target_os = "linux")]
+fn peak(place: &Place, arguments: &[&str]) -> usize {
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_cairn"))
+        .args(arguments)
+        .current_dir(place.dir.path())
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut most = 0;
+    while child.try_wait().unwrap().is_none() {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+        let held = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let held = held.and_then(|line| line.split_whitespace().next()?.parse::<usize>().ok());
+        most = most.max(held.unwrap_or(0) * 1024);
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(child.wait().unwrap().success(), "cairn {arguments:?}");
+    most
+}
+
+/// In full these photographs take 288 MB, in 8 bits 72.
+#[cfg(target_os = "linux")]
+#[test]
+fn photographs_are_kept_in_8_bits_as_they_are_read() {
+    let (views, side) = (24, 1000);
+    let poses: Vec<[f64; 3]> = (0..views).map(|i| [f64::from(i) * 0.05, 0.0, 3.0]).collect();
+    let place = few(&poses, side, "0");
+    let (data, settings) = (place.text("data"), place.text("few.toml"));
+    std::fs::write(&settings, format!("{FEW}[quarantine]\nenabled = false\n")).unwrap();
+    let most = peak(&place, &["train", "few", "--base-only", "--settings", &settings, "--data", &data]);
+    let in_full = views as usize * side * side * 12;
+    assert!(most > 0 && most < in_full, "{most} bytes at a time, of {in_full} that the photographs take in full");
+}

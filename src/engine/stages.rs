@@ -8,7 +8,9 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use cairn_capture::{Picture, SceneFolder};
-use cairn_field::{BaseTrainer, FieldConfig, LightVerdict, SceneFrame, Screening, Spacing, TrainingView};
+use cairn_field::{
+    BaseTrainer, FieldConfig, KeptView, LightVerdict, SceneFrame, Screening, Spacing, ToLearn, TrainingView,
+};
 
 pub use cairn_field::{Appearance, Field};
 
@@ -176,31 +178,40 @@ fn place(scene: &SceneFolder) -> Result<(SceneFrame, Option<[f32; 3]>), EngineEr
     Ok((SceneFrame::from_views(capture, scene.kept())?, capture.background))
 }
 
-/// The views to train on, decoded.
-fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<TrainingView>>, EngineError> {
-    let Some(photographs) = photographs(scene, preparing)? else { return Ok(None) };
-    let named = |(index, picture): (usize, Picture)| {
+/// The views to train on, decoded. Each is kept in 8 bits before the next is read: in full they take four times as much.
+fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<KeptView>>, EngineError> {
+    let kept = |index: usize, picture: Picture| {
         let view = &scene.capture().views[index];
-        TrainingView {
+        let view = TrainingView {
             name: view.name.clone(),
             contributor: view.contributor.clone(),
             camera: view.camera,
             picture: Arc::new(picture),
-        }
+        };
+        Ok(view.kept()?)
     };
-    Ok(Some(scene.training().zip(photographs).map(named).collect()))
+    each_photograph(scene, preparing, kept)
 }
 
 /// The training views' photographs, in their order; `None` when `preparing` did not
 /// want to go on.
 pub fn photographs(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Picture>>, EngineError> {
+    each_photograph(scene, preparing, |_, picture| Ok(picture))
+}
+
+/// What `keep` makes of each training view (its index) and its photograph, one after another.
+fn each_photograph<T>(
+    scene: &SceneFolder,
+    preparing: Preparing<'_>,
+    mut keep: impl FnMut(usize, Picture) -> Result<T, EngineError>,
+) -> Result<Option<Vec<T>>, EngineError> {
     let training: Vec<usize> = scene.training().collect();
-    let mut pictures = Vec::with_capacity(training.len());
+    let mut kept = Vec::with_capacity(training.len());
     for index in &training {
-        if !preparing(PHOTOGRAPHS, pictures.len(), training.len()) {
+        if !preparing(PHOTOGRAPHS, kept.len(), training.len()) {
             return Ok(None);
         }
-        pictures.push(scene.photograph(*index)?);
+        kept.push(keep(*index, scene.photograph(*index)?)?);
     }
-    Ok(Some(pictures))
+    Ok(Some(kept))
 }

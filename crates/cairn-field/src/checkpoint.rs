@@ -12,7 +12,7 @@ use crate::light::LightVerdict;
 use crate::lights::Colours;
 use crate::mean::{Mean, codes_of};
 use crate::optimise::{Adam, RowState};
-use crate::prepared::{Prepared, TrainingView, prepare};
+use crate::prepared::{Prepared, ToLearn, prepare};
 use crate::trainer::BaseTrainer;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
@@ -134,7 +134,7 @@ impl BaseTrainer {
     /// # Errors
     /// [`FieldError::Stored`] for an unknown format or a damaged file;
     /// [`FieldError::Views`] for other views.
-    pub fn resume(bytes: &[u8], views: Vec<TrainingView>) -> Result<Self, FieldError> {
+    pub fn resume(bytes: &[u8], views: Vec<impl ToLearn>) -> Result<Self, FieldError> {
         let header = read_known(bytes)?;
         header.config.validate()?;
         Self::resume_with(bytes, prepare(views, &header.config)?)

@@ -59,7 +59,7 @@ pub use field::{FIELD_FORMAT, Field, LIT_FIELD_FORMAT, Rendering};
 pub use frame::{RayPath, SceneFrame, contract};
 pub use light::LightVerdict;
 pub use lights::Colours;
-pub use prepared::TrainingView;
+pub use prepared::{KeptView, ToLearn, TrainingView};
 pub use real::Real;
 pub use screening::{QuarantineConfig, Screened, Screening, ScreeningOutcome, ViewFit};
 pub use spacing::Spacing;

@@ -23,6 +23,51 @@ pub struct TrainingView {
     pub picture: Arc<Picture>,
 }
 
+/// A view as training keeps it until it is prepared: a quarter of the size of a [`TrainingView`]. Who reads photograph
+/// after photograph keeps each so ([`ToLearn::kept`]), and holds one of them in full at a time.
+#[derive(Clone, Debug)]
+pub struct KeptView {
+    name: String,
+    contributor: String,
+    camera: Camera,
+    /// 8-bit RGB.
+    pixels: Vec<u8>,
+}
+
+/// A view to learn from, in full or as it is kept. Both give the same field.
+pub trait ToLearn: Send {
+    /// The view's name.
+    fn name(&self) -> &str;
+
+    /// The view as training keeps it.
+    ///
+    /// # Errors
+    /// [`FieldError::Views`] for a picture whose size is not its camera's, or with a number that is not finite.
+    fn kept(self) -> Result<KeptView, FieldError>;
+}
+
+impl ToLearn for TrainingView {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn kept(self) -> Result<KeptView, FieldError> {
+        check(&self)?;
+        let pixels = self.picture.to_rgb8();
+        Ok(KeptView { name: self.name, contributor: self.contributor, camera: self.camera, pixels })
+    }
+}
+
+impl ToLearn for KeptView {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn kept(self) -> Result<KeptView, FieldError> {
+        Ok(self)
+    }
+}
+
 /// A view as training uses it: 8-bit pixels (what photographs have) and its lens.
 pub(crate) struct Prepared {
     pub(crate) name: String,
@@ -51,21 +96,20 @@ impl Prepared {
 }
 
 /// Views as training uses them, in their order; what visible watermarks cover is looked for where the settings leave it out.
-pub(crate) fn prepare(views: Vec<TrainingView>, config: &FieldConfig) -> Result<Vec<Arc<Prepared>>, FieldError> {
+pub(crate) fn prepare(views: Vec<impl ToLearn>, config: &FieldConfig) -> Result<Vec<Arc<Prepared>>, FieldError> {
     if views.is_empty() {
         return Err(FieldError::Views("none to train on; hold fewer out or import more photographs".into()));
     }
-    views.iter().try_for_each(check)?;
-    let lenses = Lens::shared(views.iter().map(|v| v.camera));
     // Pictures go as they are converted: they are four times as large.
-    let bits = |v: TrainingView| (v.name, v.contributor, v.camera, v.picture.to_rgb8());
-    let views: Vec<(String, String, Camera, Vec<u8>)> = views.into_par_iter().map(bits).collect();
+    let kept: Vec<Result<KeptView, FieldError>> = views.into_par_iter().map(ToLearn::kept).collect();
+    let views: Vec<KeptView> = kept.into_iter().collect::<Result<_, _>>()?;
+    let lenses = Lens::shared(views.iter().map(|v| v.camera));
     let mut over: Vec<Option<Arc<VisibleWatermark>>> = vec![None; views.len()];
     if config.leave_out_watermarks {
         let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
         let seen: Vec<(&str, Seen<'_>)> = views
             .iter()
-            .map(|(_, contributor, camera, pixels)| (contributor.as_str(), Seen { size: size(camera), pixels }))
+            .map(|view| (view.contributor.as_str(), Seen { size: size(&view.camera), pixels: &view.pixels }))
             .collect();
         for mark in find(&seen) {
             let mark = Arc::new(mark);
@@ -73,7 +117,7 @@ pub(crate) fn prepare(views: Vec<TrainingView>, config: &FieldConfig) -> Result<
         }
     }
     let parts = views.into_iter().zip(lenses).zip(over);
-    let prepared = parts.map(|(((name, _, camera, pixels), lens), watermark)| {
+    let prepared = parts.map(|((KeptView { name, camera, pixels, .. }, lens), watermark)| {
         Arc::new(Prepared { name, camera, lens, pixels, watermark })
     });
     Ok(prepared.collect())

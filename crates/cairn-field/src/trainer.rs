@@ -14,7 +14,7 @@ use crate::light::LightVerdict;
 use crate::lights::{Colours, LIGHTS_RATE};
 use crate::mean::Mean;
 use crate::optimise::{Adam, Rates, RowState};
-use crate::prepared::{Prepared, TrainingView, mean_colour, prepare};
+use crate::prepared::{Prepared, ToLearn, mean_colour, prepare};
 use crate::rays::Lens;
 use crate::resolution::{dims_of_level, finest, level_end, tile_side};
 use crate::sampling::{Tile, Tiles};
@@ -75,7 +75,7 @@ impl BaseTrainer {
     /// [`FieldError`] for settings out of range, no views, or a picture whose
     /// size is not its camera's.
     pub fn new(
-        views: Vec<TrainingView>,
+        views: Vec<impl ToLearn>,
         frame: SceneFrame,
         background: Option<[f32; 3]>,
         config: FieldConfig,

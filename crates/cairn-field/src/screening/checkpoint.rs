@@ -6,7 +6,7 @@ use crate::config::FieldConfig;
 use crate::error::FieldError;
 use crate::field::stored;
 use crate::frame::SceneFrame;
-use crate::prepared::TrainingView;
+use crate::prepared::ToLearn;
 use crate::trainer::BaseTrainer;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -91,7 +91,7 @@ impl Screening {
     /// # Errors
     /// [`FieldError::Stored`] for an unknown format or a damaged file;
     /// [`FieldError::Views`] for other views.
-    pub fn resume(bytes: &[u8], views: Vec<TrainingView>) -> Result<Self, FieldError> {
+    pub fn resume(bytes: &[u8], views: Vec<impl ToLearn>) -> Result<Self, FieldError> {
         let end = bytes.iter().take(MOST_HEADER_BYTES).position(|b| *b == b'\n');
         let Some(end) = end else { return refuse("it has no first line") };
         let (line, rest) = (&bytes[..end], &bytes[end + 1..]);
@@ -105,7 +105,7 @@ impl Screening {
         if digest(&line_of(&header)?, rest) != stated {
             return refuse("its SHA-256 is another than it says: the file was damaged");
         }
-        if !views.iter().map(|v| &v.name).eq(&header.views) {
+        if !views.iter().map(ToLearn::name).eq(&header.views) {
             let why = "they are not the views this screening began with; start the training anew";
             return Err(FieldError::Views(why.into()));
         }

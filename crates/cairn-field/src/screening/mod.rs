@@ -28,7 +28,7 @@ mod verdict;
 use crate::config::{AppearanceMode, FieldConfig};
 use crate::error::FieldError;
 use crate::frame::SceneFrame;
-use crate::prepared::{Prepared, TrainingView, prepare};
+use crate::prepared::{Prepared, ToLearn, prepare};
 use crate::sampling::mixed;
 use crate::trainer::{BaseTrainer, StepStats};
 use fit::Judge;
@@ -85,7 +85,7 @@ impl Screening {
     /// [`FieldError`] for settings out of range, fewer than [`LEAST_VIEWS`] views, or a
     /// picture whose size is not its camera's.
     pub fn new(
-        views: Vec<TrainingView>,
+        views: Vec<impl ToLearn>,
         trusted: &BTreeSet<String>,
         (frame, background): (SceneFrame, Option<[f32; 3]>),
         (field, settings): (&FieldConfig, &QuarantineConfig),
