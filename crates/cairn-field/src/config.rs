@@ -32,6 +32,10 @@ pub struct FieldConfig {
     pub voxel_px: f64,
     /// So many vertices at most for that, 4,096 to 500,000,000.
     pub most_voxels: usize,
+    /// The last grid has fewer vertices than `voxels` where a voxel would be narrower than so many pixels of the middling view,
+    /// as seen at the scene's centre: small photographs do not tell what lies between their pixels; 0 (never) to 1. Takes two
+    /// levels at least.
+    pub least_voxel_px: f64,
     /// Coarse-to-fine levels, 1 to 5; each has eight times the voxels of the last (and more where
     /// `voxel_px` asks for more).
     pub levels: usize,
@@ -111,6 +115,7 @@ impl Default for FieldConfig {
             voxels: 2_000_000,
             voxel_px: 0.0,
             most_voxels: 48_000_000,
+            least_voxel_px: 0.8,
             levels: 3,
             learning_rate_density: 0.3,
             learning_rate_colour: 0.05,
@@ -174,6 +179,8 @@ impl FieldConfig {
             self.most_voxels.to_string(),
             "4096 to 500000000",
         )?;
+        let least = self.least_voxel_px;
+        check((0.0..=1.0).contains(&least), "field.least_voxel_px", number(least), "0 to 1")?;
         check((1..=5).contains(&self.levels), "field.levels", self.levels.to_string(), "1 to 5")?;
         for (key, value) in [
             ("field.learning_rate_density", self.learning_rate_density),

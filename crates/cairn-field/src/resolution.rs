@@ -21,16 +21,21 @@ pub(crate) fn dims_of_level(config: &FieldConfig, frame: &SceneFrame, level: usi
     p.map(|side| ((side * unit).round() as usize).clamp(4, 4096))
 }
 
-/// Vertices of the last grid with which a voxel is [`FieldConfig::voxel_px`] pixels of the middling
-/// view wide, within [`FieldConfig::voxels`] and [`FieldConfig::most_voxels`].
-pub(crate) fn finest(config: &FieldConfig, frame: &SceneFrame, cameras: &[Camera]) -> usize {
-    if config.voxel_px == 0.0 || config.levels < 2 {
-        return config.voxels;
+/// Vertices of the last grid: [`FieldConfig::voxels`]; where it may be `finer` as many more as make a voxel
+/// [`FieldConfig::voxel_px`] pixels of the middling view wide, up to [`FieldConfig::most_voxels`]; and fewer where it would be
+/// narrower than [`FieldConfig::least_voxel_px`].
+pub(crate) fn finest(config: &FieldConfig, frame: &SceneFrame, cameras: &[Camera], finer: bool) -> usize {
+    let usual = config.voxels;
+    let across = pixels_across(frame, cameras);
+    if config.levels < 2 || across.is_nan() {
+        return usual;
     }
-    let side = pixels_across(frame, cameras) / config.voxel_px;
-    let wanted = frame.proportions().iter().product::<f64>() * side.powi(3);
-    // Saturates; NaN (no cameras) is 0.
-    (wanted as usize).min(config.most_voxels).max(config.voxels)
+    // Saturates; what divides by 0 is more than there can be.
+    let of_width = |px: f64| (frame.proportions().iter().product::<f64>() * (across / px).powi(3)) as usize;
+    let wanted = if finer && config.voxel_px > 0.0 { of_width(config.voxel_px).min(config.most_voxels) } else { 0 };
+    // The first level's grid is there already, and the last is no coarser.
+    let first = usual >> (3 * (config.levels - 1));
+    wanted.max(usual.min(of_width(config.least_voxel_px).max(first)))
 }
 
 /// Step at which `level` ends: the last level gets three fifths of all steps.
@@ -88,7 +93,14 @@ mod tests {
     }
 
     fn config(voxel_px: f64) -> FieldConfig {
-        FieldConfig { voxels: 8_000, most_voxels: 64_000_000, levels: 4, voxel_px, ..FieldConfig::default() }
+        FieldConfig {
+            voxels: 8_000,
+            most_voxels: 64_000_000,
+            least_voxel_px: 0.0,
+            levels: 4,
+            voxel_px,
+            ..FieldConfig::default()
+        }
     }
 
     #[test]
@@ -97,15 +109,15 @@ mod tests {
         // From 5 away with 500 px of focal length: 100 px a unit, 200 px for the longest side.
         let cameras = [camera(500.0, centre + DVec3::Z * 5.0, centre)];
         let bounded = SceneFrame::Bounded { centre, half };
-        assert_eq!(finest(&config(2.0), &bounded, &cameras), 100 * 50 * 25);
+        assert_eq!(finest(&config(2.0), &bounded, &cameras, true), 100 * 50 * 25);
         // In the open the cube is two boxes wide.
         let open = SceneFrame::Unbounded { centre, half };
-        assert_eq!(finest(&config(2.0), &open, &cameras), 8 * 100 * 50 * 25);
+        assert_eq!(finest(&config(2.0), &open, &cameras, true), 8 * 100 * 50 * 25);
         // Forward-facing: two depths wide at 500 px a depth.
         let rotation = DMat3::IDENTITY;
         let ahead = SceneFrame::ForwardFacing { rotation, position: centre, near: 1.0, low: [-1.0; 2], high: [1.0; 2] };
         let [x, y, z] = ahead.proportions().map(|p| p * 500.0);
-        assert_eq!(finest(&config(2.0), &ahead, &cameras), (x * y * z) as usize);
+        assert_eq!(finest(&config(2.0), &ahead, &cameras, true), (x * y * z) as usize);
     }
 
     #[test]
@@ -114,14 +126,35 @@ mod tests {
         let frame = SceneFrame::Unbounded { centre, half };
         let far = [camera(500.0, DVec3::Z * 500.0, centre)];
         let near = [camera(5000.0, DVec3::Z * 2.0, centre)];
-        assert_eq!(finest(&config(2.0), &frame, &far), 8_000, "a far camera asks for less");
-        assert_eq!(finest(&config(2.0), &frame, &near), 64_000_000);
-        assert_eq!(finest(&config(0.0), &frame, &near), 8_000);
-        assert_eq!(finest(&FieldConfig { levels: 1, ..config(2.0) }, &frame, &near), 8_000);
-        assert_eq!(finest(&config(2.0), &frame, &[]), 8_000);
+        assert_eq!(finest(&config(2.0), &frame, &far, true), 8_000, "a far camera asks for less");
+        assert_eq!(finest(&config(2.0), &frame, &near, true), 64_000_000);
+        assert_eq!(finest(&config(0.0), &frame, &near, true), 8_000);
+        assert_eq!(finest(&FieldConfig { levels: 1, ..config(2.0) }, &frame, &near, true), 8_000);
+        assert_eq!(finest(&config(2.0), &frame, &[], true), 8_000);
         // Cameras in the middle see walls that are half a box off: 500 px for half of it.
         let inside = [camera(500.0, DVec3::Z * 1e-9, DVec3::Z)];
-        assert_eq!(finest(&config(10.0), &frame, &inside), 200 * 200 * 200);
+        assert_eq!(finest(&config(10.0), &frame, &inside, true), 200 * 200 * 200);
+    }
+
+    #[test]
+    fn small_photographs_have_no_voxels_between_their_pixels() {
+        let (centre, half) = (DVec3::ZERO, DVec3::ONE);
+        let frame = SceneFrame::Bounded { centre, half };
+        let many = |least_voxel_px| FieldConfig { voxels: 8_000_000, least_voxel_px, ..config(2.0) };
+        // From 5 away with 100 px of focal length: 40 px for the box.
+        let small = [camera(100.0, DVec3::Z * 5.0, centre)];
+        for finer in [false, true] {
+            assert_eq!(finest(&many(0.5), &frame, &small, finer), 80 * 80 * 80);
+            assert_eq!(finest(&many(1.0), &frame, &small, finer), 40 * 40 * 40);
+            assert_eq!(finest(&many(0.0), &frame, &small, finer), 8_000_000);
+            assert_eq!(finest(&FieldConfig { levels: 1, ..many(0.5) }, &frame, &small, finer), 8_000_000);
+            // No coarser than the first level: 8 million by three times eight.
+            let smaller = [camera(10.0, DVec3::Z * 5.0, centre)];
+            assert_eq!(finest(&many(1.0), &frame, &smaller, finer), 8_000_000 / 512);
+        }
+        // Where 200 px or more lie across it stays as it was.
+        let usual = [camera(500.0, DVec3::Z * 5.0, centre)];
+        assert_eq!(finest(&many(0.5), &frame, &usual, false), 8_000_000);
     }
 
     #[test]
@@ -135,5 +168,7 @@ mod tests {
         assert_eq!(sides(512_000), [10, 20, 40, 80]);
         // Eight times as many vertices, twice the side: by a factor of 2 * 2^(1/3) a level.
         assert_eq!(sides(8 * 512_000), [10, 25, 63, 160]);
+        // An eighth as many, half the side.
+        assert_eq!(sides(512_000 / 8), [10, 16, 25, 40]);
     }
 }

@@ -172,14 +172,18 @@ impl BaseTrainer {
         (more && self.level + 1 == self.config.levels).then_some(vertices)
     }
 
+    /// Vertices of the last level's lattice where they are fewer than [`FieldConfig::voxels`], because of
+    /// [`FieldConfig::least_voxel_px`]; `None` before that level, too.
+    pub fn coarser(&self) -> Option<usize> {
+        let fewer = self.level + 1 == self.config.levels && self.finest() < self.config.voxels;
+        fewer.then(|| self.grid.dims.iter().product())
+    }
+
     /// Vertices that the last level is to have, by what is known of the light now: where a level begins before that
     /// is known, it and those before it are as they were.
     fn finest(&self) -> usize {
-        if self.has_appearance() {
-            return self.config.voxels;
-        }
         let cameras: Vec<Camera> = self.views.iter().map(|v| v.camera).collect();
-        finest(&self.config, &self.frame, &cameras)
+        finest(&self.config, &self.frame, &cameras, !self.has_appearance())
     }
 
     /// How many times as much as configured both total variations weigh, as far as is known yet.
