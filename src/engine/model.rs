@@ -274,12 +274,9 @@ impl Model {
     /// [`EngineError::WrongState`] where only the base field was trained: that is there to be rendered.
     pub fn marked_field(&self) -> Result<&MarkedField, EngineError> {
         let none = || {
-            EngineError::WrongState {
-            what: format!("scene {:?}", self.info.scene),
-            operation: "rendered with marks",
-            why: "its newest model is a base field alone; ask for that (--base, or FIELD_KIND_BASE), or train it with marks"
-                .into(),
-        }
+            let why = "its newest model is a base field alone; ask for that (--base, or FIELD_KIND_BASE), or train it with marks";
+            let what = format!("scene {:?}", self.info.scene);
+            EngineError::WrongState { what, operation: "rendered with marks", why: why.into() }
         };
         self.mark.as_ref().map(|mark| &mark.field).ok_or_else(none)
     }
