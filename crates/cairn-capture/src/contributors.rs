@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::error::CaptureError;
-use crate::named::LEFT_AWAY;
+use crate::named::{LEFT_AWAY, composed};
 use crate::photograph::{Limits, read_limited};
 
 #[derive(Deserialize)]
@@ -20,7 +20,7 @@ struct Row {
 ///
 /// The table has a heading with at least `image` and `contributor`. An image is
 /// named as the camera file names it, or by its file name where only one
-/// photograph has that.
+/// photograph has that, in any Unicode normalisation.
 ///
 /// # Errors
 /// For a row that names no photograph (rows for those that are `missing` are checked and passed
@@ -40,6 +40,8 @@ pub(crate) fn read(
     // Those that are missing count as well: a file name that two photographs had names neither.
     let all: Vec<&str> = names.iter().copied().chain(missing.iter().map(String::as_str)).collect();
     let index = index_of(&all);
+    let of_any_form: Vec<String> = all.iter().map(|name| composed(name)).collect();
+    let of_any_form = index_of(&of_any_form);
     let bytes = read_limited(table, limits.max_file_bytes)?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
     let mut found: Vec<Option<(String, usize)>> = vec![None; all.len()];
@@ -53,7 +55,8 @@ pub(crate) fn read(
         // A missing photograph's ending is not known where the camera file leaves it away.
         let bare =
             || LEFT_AWAY.iter().find_map(|e| index.get(row.image.strip_suffix(e)?).filter(|v| **v >= names.len()));
-        let Some(&view) = index.get(row.image.as_str()).or_else(bare) else {
+        let other_form = || of_any_form.get(composed(&row.image).as_str());
+        let Some(&view) = index.get(row.image.as_str()).or_else(bare).or_else(other_form) else {
             let problem = "the capture has no photograph of that name, or several".to_owned();
             return Err(wrong(entry, problem, "name it as the camera file does, or remove the row"));
         };
@@ -75,13 +78,13 @@ pub(crate) fn read(
 }
 
 /// Every name, and every file name that only one view has.
-fn index_of<'a>(names: &[&'a str]) -> HashMap<&'a str, usize> {
+fn index_of<T: AsRef<str>>(names: &[T]) -> HashMap<&str, usize> {
     let mut short: HashMap<&str, Option<usize>> = HashMap::new();
-    for (i, name) in names.iter().enumerate() {
+    for (i, name) in names.iter().map(AsRef::as_ref).enumerate() {
         let file = name.rsplit('/').next().unwrap_or(name);
         short.entry(file).and_modify(|at| *at = None).or_insert(Some(i));
     }
     let mut index: HashMap<&str, usize> = short.into_iter().filter_map(|(name, at)| Some((name, at?))).collect();
-    index.extend(names.iter().enumerate().map(|(i, name)| (*name, i)));
+    index.extend(names.iter().enumerate().map(|(i, name)| (name.as_ref(), i)));
     index
 }

@@ -6,7 +6,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use unicode_normalization_alignments::UnicodeNormalization;
+use unicode_normalization::UnicodeNormalization;
 
 /// Endings that camera files leave away.
 pub(crate) const LEFT_AWAY: [&str; 6] = [".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"];
@@ -59,8 +59,8 @@ fn of_other_form(root: &Path, path: &Path) -> Option<PathBuf> {
 }
 
 /// `text` in normalisation form C.
-fn composed(text: &str) -> String {
-    text.nfc().map(|(c, _)| c).collect()
+pub(crate) fn composed(text: &str) -> String {
+    text.nfc().collect()
 }
 
 /// How a camera file's `path` is compared with another of its own: `/` between folders, no `./` at the start.

@@ -59,6 +59,45 @@ fn endings_separators_and_accents_of_other_systems() {
     assert_eq!(common::read(folder.path()).unwrap().views.len(), 3);
 }
 
+#[test]
+fn a_table_names_photographs_in_any_unicode_form() {
+    // Composed in the table and apart on the disk, and the other way round; by path and by file name.
+    let files = ["cafe\u{301}/1.png", "m\u{fc}.png", "left/e\u{301}.png"];
+    let folder = tempfile::tempdir().unwrap();
+    for file in files {
+        let path = folder.path().join(file);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, photograph()).unwrap();
+    }
+    fs::write(folder.path().join("transforms.json"), document(&files).to_string()).unwrap();
+    let table = folder.path().join("contributors.csv");
+    let with = |rows: &str| {
+        fs::write(&table, format!("\u{feff}image,contributor\n{rows}")).unwrap();
+        Capture::read(folder.path(), &ReadOptions { contributors: Some(table.clone()), ..ReadOptions::default() })
+    };
+    let read = with("caf\u{e9}/1.png,ada\nmu\u{308}.png,bo\n\u{e9}.png,cy\n").unwrap();
+    let whose: Vec<_> = read.views.iter().map(|v| (v.name.as_str(), v.contributor.as_str())).collect();
+    assert_eq!(whose, [(files[0], "ada"), (files[2], "cy"), (files[1], "bo")]);
+    let twice = "caf\u{e9}/1.png,ada\ncafe\u{301}/1.png,bo\nm\u{fc}.png,bo\n\u{e9}.png,cy\n";
+    refuses(with(twice), &["line 3", "already has a row, line 2"]);
+    refuses(with("cafe/1.png,ada\nm\u{fc}.png,bo\n\u{e9}.png,cy\n"), &["line 2 (cafe/1.png)", "no photograph"]);
+}
+
+#[test]
+fn a_text_model_may_begin_with_a_byte_order_mark() {
+    let folder = tempfile::tempdir().unwrap();
+    Colmap::small().write_photographs(folder.path());
+    Colmap::small().write_text(folder.path());
+    let plain = read(folder.path()).unwrap();
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        let path = folder.path().join("sparse").join(name);
+        let text = fs::read_to_string(&path).unwrap();
+        fs::write(&path, format!("\u{feff}{text}")).unwrap();
+    }
+    let marked = read(folder.path()).unwrap();
+    assert_eq!(format!("{:?}", marked.views), format!("{:?}", plain.views));
+}
+
 #[cfg(unix)]
 #[test]
 fn a_file_of_just_that_name_comes_first() {

@@ -44,7 +44,9 @@ impl Reader {
             return Ok(None);
         }
         let line = String::from_utf8(line).map_err(|e| self.wrong("a line in UTF-8", e.to_string()))?;
-        Ok(Some(line.trim_end_matches(['\n', '\r']).to_owned()))
+        // Windows' editors put a byte order mark first.
+        let text = if self.number == 1 { line.trim_start_matches('\u{feff}') } else { &line };
+        Ok(Some(text.trim_end_matches(['\n', '\r']).to_owned()))
     }
 
     /// The next line that is neither empty nor a comment; `None` at the end.
