@@ -1,5 +1,6 @@
 //! A grid as fine as the photographs: where they share one light the last grid grows until a voxel is
-//! as many pixels wide as asked for, and shows more of what no training saw.
+//! as many pixels wide as asked for, and shows more of what no training saw. And no finer than the
+//! photographs: what lies between their pixels is learnt by heart.
 
 mod common;
 
@@ -14,11 +15,16 @@ const VOXELS: usize = 64_000;
 
 /// Forty places around a landmark, in one light or in each contributor's own.
 fn capture(light_variation: f32, seed: u64) -> LandmarkCapture {
+    photographed((60, 80), light_variation, seed)
+}
+
+/// The same in photographs of `width` by `height` pixels.
+fn photographed((width, height): (usize, usize), light_variation: f32, seed: u64) -> LandmarkCapture {
     let config = LandmarkConfig {
         contributors: 2,
         photographs: 20,
-        width: 60,
-        height: 80,
+        width,
+        height,
         passers_by: false,
         light_variation,
         ..LandmarkConfig::default()
@@ -66,6 +72,23 @@ fn detail_that_photographs_share_is_shown() {
     println!("voxels as they were: {coarse:.2} dB, two pixels wide: {fine:.2} dB");
     // Landmarks of seeds 1 to 6 gained 1.4 to 1.9 dB.
     assert!(fine > coarse + 0.7, "{coarse:.2} dB, {fine:.2} dB");
+}
+
+#[test]
+fn small_photographs_are_not_learnt_by_heart() {
+    let capture = photographed((24, 32), 0.0, 1);
+    let trained = |least_voxel_px| {
+        let config = FieldConfig { voxels: 8_000_000, levels: 4, voxel_px: 0.0, least_voxel_px, ..wild(400) };
+        run(BaseTrainer::new(views(&capture), frame(&capture), None, config, 1).expect("sound settings"))
+    };
+    let shown = |least_voxel_px| {
+        let trainer = trained(least_voxel_px);
+        println!("{least_voxel_px} px: {:?}", trainer.size().1);
+        held_out_db(&trainer.finish(), capture.views.iter().step_by(4))
+    };
+    let (any, kept) = (shown(0.0), shown(0.8));
+    println!("voxels of any width: {any:.2} dB, 0.8 px at least: {kept:.2} dB");
+    assert!(kept > any + 1.0, "{any:.2} dB, {kept:.2} dB");
 }
 
 #[test]
