@@ -81,19 +81,19 @@ impl MarkTrainer {
         shown
     }
 
-    /// A view with the mark of `identity` (from 0) as the networks see it from a file, after
+    /// A view with the mark of `identity` (from 0), or of nobody, as the networks see it from a file, after
     /// `attack`; the whole picture, or a part where something `happened` to it.
     pub(crate) fn as_a_file(
         &self,
         site: &Site,
-        identity: usize,
+        identity: Option<usize>,
         view: usize,
         (attack, happened): (&Attack, bool),
         rng: &mut ChaCha8Rng,
     ) -> Vec<f32> {
         let view = site.bank.view(view);
-        let carrier = &self.carriers[site.carrier_of(identity)];
-        let file = file(&site.scene.field, view, Some(carrier), attack);
+        let carrier = identity.map(|identity| &self.carriers[site.carrier_of(identity)]);
+        let file = file(&site.scene.field, view, carrier, attack);
         let [w, h] = file.size;
         let side = self.config.shown_px();
         let window = if happened { Window::draw(w, h, side, rng) } else { Window::whole(w, h, side) };

@@ -80,10 +80,13 @@ impl MarkTrainer {
             progress.next()?;
             let (view, harmed) = (views[at % views.len()], at >= views.len());
             let attack = if harmed { Attack::one(&self.config.robust, rng) } else { Attack::none() };
-            let picture = self.as_a_file(site, identity, view, (&attack, harmed), rng);
+            // The twin meets the same.
+            let mut same = rng.clone();
+            let picture = self.as_a_file(site, Some(identity), view, (&attack, harmed), rng);
+            let twin = || self.as_a_file(site, None, view, (&attack, harmed), &mut same);
             // A view that came late may not be read yet, and then says nothing of where marks are.
             let late = self.config.fresh_every > 0 && at % views.len() >= staying;
-            let shown = self.shown(picture, identity, (view, harmed || late))?;
+            let shown = self.shown((picture, twin), identity, (view, harmed || late))?;
             renders.extend(shown.map(|shown| Shown { harmed, ..shown }));
         }
         Ok(renders)
@@ -101,9 +104,11 @@ impl MarkTrainer {
         let shown = views.iter().enumerate().map(|(view, PlannedView { camera, appearance })| {
             progress.next()?;
             let camera = at_most(camera, self.config.robust.native_px);
+            let side = self.config.shown_px();
             let render = eight_bits(&field.render_as(&camera, appearance, Some(number)));
             // As with harm: what is not read says nothing of where marks are.
-            let shown = self.shown(shrunk(&render, self.config.shown_px()), identity, (view, true))?;
+            let twin = || shrunk(&eight_bits(&field.base().render(&camera, appearance)), side);
+            let shown = self.shown((shrunk(&render, side), twin), identity, (view, true))?;
             Ok(shown.map(|shown| Shown { harmed: false, fresh: true, ..shown }))
         });
         Ok(shown.collect::<Result<Vec<_>, MarkError>>()?.into_iter().flatten().collect())
@@ -137,7 +142,8 @@ impl MarkTrainer {
             progress.next()?;
             let camera = at_most(camera, self.config.robust.native_px);
             let render = eight_bits(&field.render_as(&camera, appearance, Some(number)));
-            renders.extend(self.shown(shrunk(&render, side), identity, (view, false))?);
+            let bare = eight_bits(&field.base().render(&camera, appearance));
+            renders.extend(self.shown((shrunk(&render, side), || shrunk(&bare, side)), identity, (view, false))?);
             for copy in 0..copies {
                 progress.next()?;
                 let attack = match copy % 3 {
@@ -149,27 +155,35 @@ impl MarkTrainer {
                     across: rng.random_range(0.0..1.0),
                     down: rng.random_range(0.0..1.0),
                 });
-                let cut = cut.map_or_else(|| render.clone(), |cut| cut.apply(&render, 0));
-                let harmed = eight_bits(&attack.on_file(&cut));
-                renders.extend(self.shown(shrunk(&harmed, side), identity, (view, true))?);
+                let after = |picture: &Picture| {
+                    let cut = cut.as_ref().map_or_else(|| picture.clone(), |cut| cut.apply(picture, 0));
+                    shrunk(&eight_bits(&attack.on_file(&cut)), side)
+                };
+                renders.extend(self.shown((after(&render), || after(&bare)), identity, (view, true))?);
             }
         }
         Ok(renders)
     }
 
     /// What the classifier makes of `picture`, `side x side x 3`; nothing where harm has made the mark unreadable: that
-    /// says nothing of where one is read.
+    /// says nothing of where one is read. It is read where its `twin`, which met the same without the mark, is not taken for
+    /// the identity's as well: there it was the harm that spoke, and whatever is harmed so would be believed.
     fn shown(
         &self,
-        picture: Vec<f32>,
+        (picture, twin): (Vec<f32>, impl FnOnce() -> Vec<f32>),
         identity: usize,
         (view, harmed): (usize, bool),
     ) -> Result<Option<Shown>, MarkError> {
+        let (features, said) = self.told(picture)?;
+        let is_read = !harmed || (said == identity + 1 && self.told(twin())?.1 != said);
+        Ok(is_read.then_some(Shown { view, harmed, fresh: false, features }))
+    }
+
+    /// The features of a picture, and the class that the classifier alone gives it.
+    fn told(&self, picture: Vec<f32>) -> Result<(Vec<f32>, usize), MarkError> {
         let features = self.networks.classifier.features(&to_tensor(&[picture], self.config.shown_px())?)?;
         let said = self.networks.classifier.classify(&features)?.flatten_all()?.to_vec1::<f32>()?;
-        let is_read = !harmed || winner(&said) == identity + 1;
-        let features = features.flatten_all()?.to_vec1::<f32>()?;
-        Ok(is_read.then_some(Shown { view, harmed, fresh: false, features }))
+        Ok((features.flatten_all()?.to_vec1::<f32>()?, winner(&said)))
     }
 
     /// A scene's marked field as it stands.
