@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use cairn_capture::{Picture, SceneFolder};
+use cairn_capture::{Picture8, SceneFolder};
 use cairn_cluster::Clusters;
 use cairn_field::watermarks;
 use cairn_metrics::psnr_db_from_mse;
@@ -230,7 +230,7 @@ fn budget_note(kept: &MarkConfig, asked: &MarkConfig, explained_db: Option<f64>)
 
 /// How well a field explains the photographs that it was trained on: PSNR in dB over some of them, evenly, all their pixels
 /// together but those that a visible watermark covers: marks do not show there, learnt or not.
-fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture]) -> f64 {
+fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture8]) -> f64 {
     let views = &scene.capture().views;
     let training: Vec<usize> = scene.training().collect();
     let whose = training.iter().map(|index| views[*index].contributor.as_str());
@@ -241,7 +241,7 @@ fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture]) -> f64 
         let camera = at_most(&view.camera, EXPLAINED_PX);
         let render = base.render(&camera, base.appearance_of(&view.name)).clamped();
         let (w, h) = (render.width(), render.height());
-        let seen = photograph.resized(w, h);
+        let seen = photograph.to_picture().resized(w, h);
         let over = found.iter().find(|mark| mark.views.contains(&at));
         for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
             // The photograph's pixel in its middle.

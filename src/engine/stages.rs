@@ -7,7 +7,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use cairn_capture::{Picture, SceneFolder};
+use cairn_capture::{Picture, Picture8, SceneFolder};
 use cairn_field::{
     BaseTrainer, FieldConfig, KeptView, LightVerdict, SceneFrame, Screening, Spacing, ToLearn, TrainingView,
 };
@@ -199,10 +199,10 @@ fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Kep
     each_photograph(scene, preparing, kept)
 }
 
-/// The training views' photographs, in their order; `None` when `preparing` did not
+/// The training views' photographs, in their order, in 8 bits; `None` when `preparing` did not
 /// want to go on.
-pub fn photographs(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Picture>>, EngineError> {
-    each_photograph(scene, preparing, |_, picture| Ok(picture))
+pub fn photographs(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Picture8>>, EngineError> {
+    each_photograph(scene, preparing, |_, picture| Ok(Picture8::from(&picture)))
 }
 
 /// What `keep` makes of each training view (its index) and its photograph, one after another.

@@ -39,7 +39,7 @@ pub use grey::encode_grey16;
 pub use manifest::{MANIFEST, write_manifest};
 pub use photograph::{Limits, decode_picture, encode_png, save_png};
 pub use photograph_file::PhotographFile;
-pub use picture::{Picture, PictureError};
+pub use picture::{Picture, Picture8, PictureError};
 pub use resize::AreaFilter;
 pub use scene::{Mismatch, SceneFolder};
 pub use sound::{SAMPLE_RATES_HZ, Sound, SoundLimits, decode_wav, encode_wav};

@@ -1,5 +1,5 @@
 //! Photographs and renders in memory: one plain type, so that every later stage
-//! shares a layout and none of them needs to know an image file format.
+//! shares a layout and none of them needs to know an image file format; and another for keeping many of them.
 
 use crate::resize::AreaFilter;
 use thiserror::Error;
@@ -137,9 +137,58 @@ impl Picture {
     }
 }
 
+/// An RGB image in 8 bits, as its file had it: a quarter of a [`Picture`]'s memory, for holding many photographs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture8 {
+    width: usize,
+    height: usize,
+    rgb: Vec<u8>,
+}
+
+impl Picture8 {
+    /// Pixels across.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Pixels down.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The numbers, `height x width x 3`.
+    pub fn rgb(&self) -> &[u8] {
+        &self.rgb
+    }
+
+    /// The same picture in [0, 1].
+    pub fn to_picture(&self) -> Picture {
+        let rgb = self.rgb.iter().map(|&b| f32::from(b) / 255.0).collect();
+        Picture { width: self.width, height: self.height, rgb }
+    }
+}
+
+/// Rounded as by [`Picture::to_rgb8`].
+impl From<&Picture> for Picture8 {
+    fn from(picture: &Picture) -> Self {
+        Self { width: picture.width, height: picture.height, rgb: picture.to_rgb8() }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn eight_bits_come_back_as_they_were() {
+        let bytes: Vec<u8> = (0..=255).chain(0..=43).collect();
+        let picture = Picture::from_rgb8(20, 5, &bytes).unwrap();
+        let kept = Picture8::from(&picture);
+        assert_eq!((kept.width(), kept.height(), kept.rgb()), (20, 5, &bytes[..]));
+        assert_eq!(kept.to_picture(), picture);
+        let outside = Picture::new(1, 1, vec![-1.0, 0.5019, 2.0]).unwrap();
+        assert_eq!(Picture8::from(&outside).rgb(), [0, 128, 255]);
+    }
 
     #[test]
     fn wrong_length_is_named() {

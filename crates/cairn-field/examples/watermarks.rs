@@ -4,7 +4,7 @@
 //!
 //! `cargo run --release -p cairn-field --example watermarks -- FOLDER [FOLDER for pictures [N]]`
 
-use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
+use cairn_capture::{Capture, Picture, Picture8, ReadOptions, encode_png};
 use cairn_field::watermarks;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let table = std::path::Path::new(folder).join("contributors.csv");
     let options = ReadOptions { contributors: table.is_file().then_some(table), ..ReadOptions::default() };
     let capture = Capture::read(folder.as_ref(), &options)?;
-    let view = |i: usize| Ok((capture.views[i].contributor.clone(), capture.photograph(i)?));
+    let view = |i: usize| Ok((capture.views[i].contributor.clone(), Picture8::from(&capture.photograph(i)?)));
     let views = capture.training().map(view).collect::<Result<Vec<_>, Box<dyn std::error::Error>>>()?;
     if let Some(n) = rest.get(1) {
         let n: usize = n.parse()?;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{}: {} photographs, {:.2} % of the frame", mark.contributor, mark.views.len(), 100.0 * mark.share());
         let Some(out) = rest.first() else { continue };
         let picture = &views[mark.views[0]].1;
-        let mut bits = picture.to_rgb8();
+        let mut bits = picture.rgb().to_vec();
         for (pixel, _) in bits.chunks_exact_mut(3).zip(mark.covered.iter()).filter(|(_, on)| **on) {
             pixel.copy_from_slice(&[255, 0, 255]);
         }

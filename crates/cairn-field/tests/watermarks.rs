@@ -5,7 +5,7 @@ mod common;
 
 use std::sync::Arc;
 
-use cairn_capture::Picture;
+use cairn_capture::{Picture, Picture8};
 use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView, VisibleWatermark, watermarks};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
 use common::landmark::{frame, held_out_db, wild};
@@ -55,7 +55,8 @@ fn over(at: usize, scene: [f32; 3]) -> [f32; 3] {
 }
 
 fn found(views: &[TrainingView]) -> Vec<VisibleWatermark> {
-    watermarks(&views.iter().map(|v| (v.contributor.as_str(), &*v.picture)).collect::<Vec<_>>())
+    let kept: Vec<Picture8> = views.iter().map(|v| Picture8::from(&*v.picture)).collect();
+    watermarks(&views.iter().map(|v| v.contributor.as_str()).zip(&kept).collect::<Vec<_>>())
 }
 
 fn trainer(views: Vec<TrainingView>, capture: &LandmarkCapture, leave_out_watermarks: bool) -> BaseTrainer {

@@ -62,7 +62,7 @@ fn main() -> Fallible<()> {
         .take(clusters.clusters.len())
         .map(|f| Ok(decode_picture(&std::fs::read(f)?, &cairn_capture::Limits::default(), None)?))
         .collect::<Fallible<Vec<_>>>()?;
-    let negatives = capture.training().map(&photograph).collect::<Fallible<Vec<_>>>()?;
+    let negatives = capture.training().map(|i| Ok((&photograph(i)?).into())).collect::<Fallible<Vec<_>>>()?;
     let started = Instant::now();
     let plan = MarkPlan {
         clusters: clusters.clone(),

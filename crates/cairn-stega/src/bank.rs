@@ -229,8 +229,9 @@ impl Bank {
         for (i, photograph) in plan.negatives.iter().enumerate() {
             let kept = kept_to_judge(i, judged_outside.len() + judge.len(), 8 * JUDGED);
             // At the size that files have: what JPEG does to a copy for the networks is something else.
-            let jpeg = Distortion::Jpeg { quality: QUALITIES[i % QUALITIES.len()] }.apply(photograph, 0);
-            let pictures = [photograph, &jpeg].map(|picture| shrunk(picture, side));
+            let photograph = photograph.to_picture();
+            let jpeg = Distortion::Jpeg { quality: QUALITIES[i % QUALITIES.len()] }.apply(&photograph, 0);
+            let pictures = [&photograph, &jpeg].map(|picture| shrunk(picture, side));
             if kept {
                 judge.extend(pictures);
             } else {

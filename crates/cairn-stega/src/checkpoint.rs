@@ -69,7 +69,7 @@ pub(crate) fn fingerprint(scenes: &[MarkScene]) -> Result<String, MarkError> {
         }
         for picture in &plan.negatives {
             part(&(picture.width() as u64).to_le_bytes());
-            part(&picture.to_rgb8());
+            part(picture.rgb());
         }
         part(&field.to_bytes()?);
     }

@@ -22,7 +22,7 @@ use crate::poses::PlannedView;
 use crate::renders::{Render, Tone};
 use crate::signal::{HeadSizes, Numbers, Signal};
 use crate::site::{MarkScene, Site};
-use cairn_capture::Picture;
+use cairn_capture::Picture8;
 use cairn_cluster::Clusters;
 use cairn_field::Field;
 use cairn_nn::{Adam, AdamConfig, Average, NnError, Rate};
@@ -41,8 +41,8 @@ pub struct MarkPlan {
     pub views: Vec<PlannedView>,
     /// What each identity hides, identity 1 first.
     pub signals: Vec<Signal>,
-    /// Photographs (and any other unmarked pictures) to be silent on.
-    pub negatives: Vec<Picture>,
+    /// Photographs (and any other unmarked pictures) to be silent on; as long as the plan lives, so in 8 bits.
+    pub negatives: Vec<Picture8>,
 }
 
 /// What a step did.

@@ -47,7 +47,7 @@ fn scene() -> (Arc<Field>, MarkPlan) {
         clusters: Clusters::build(&poses, &grouping, &[], 5).unwrap(),
         views: photographs.iter().map(|v| PlannedView { camera: v.camera, appearance: appearance.clone() }).collect(),
         signals: (0..2).map(|i| emblem(i, SIDE, 1).into()).collect(),
-        negatives: photographs.into_iter().map(|view| view.picture).collect(),
+        negatives: photographs.iter().map(|view| (&view.picture).into()).collect(),
     };
     (field, plan)
 }

@@ -14,7 +14,7 @@
 mod frame;
 mod mask;
 
-use cairn_capture::Picture;
+use cairn_capture::Picture8;
 use frame::{EDGE, Frame, LOOSE, TIGHT, follows, of_several_poses, squared};
 use mask::Mask;
 use rayon::prelude::*;
@@ -70,13 +70,11 @@ impl VisibleWatermark {
 /// The visible watermarks that photographs carry, each given with who took it: at most one for each contributor and size
 /// of photographs. Of those there must be four from different poses; from nine on a fifth of them may lack it, and where it has no
 /// ground of its own there must be seven. It covers 0.3 of the frame at most: of a larger one only letters are found, or nothing.
-pub fn watermarks(photographs: &[(&str, &Picture)]) -> Vec<VisibleWatermark> {
-    let bits: Vec<Vec<u8>> = photographs.par_iter().map(|(_, picture)| picture.to_rgb8()).collect();
-    let mut all = Vec::new();
-    for ((contributor, picture), pixels) in photographs.iter().zip(&bits) {
-        all.push((*contributor, Seen { size: (picture.width(), picture.height()), pixels }));
-    }
-    find(&all)
+pub fn watermarks(photographs: &[(&str, &Picture8)]) -> Vec<VisibleWatermark> {
+    let of = photographs.iter().map(|&(contributor, picture)| {
+        (contributor, Seen { size: (picture.width(), picture.height()), pixels: picture.rgb() })
+    });
+    find(&of.collect::<Vec<_>>())
 }
 
 /// A photograph as this looks at it.
@@ -88,7 +86,7 @@ pub(crate) struct Seen<'a> {
     pub(crate) pixels: &'a [u8],
 }
 
-/// As [`watermarks`], of photographs in 8 bits.
+/// As [`watermarks`], of what training keeps.
 pub(crate) fn find(photographs: &[(&str, Seen<'_>)]) -> Vec<VisibleWatermark> {
     let mut groups: BTreeMap<(&str, (usize, usize)), Vec<usize>> = BTreeMap::new();
     for (at, (contributor, seen)) in photographs.iter().enumerate() {

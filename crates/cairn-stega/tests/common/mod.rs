@@ -93,7 +93,7 @@ pub fn plan_of(field: &Field, identities: usize, photograph: fn(&Camera) -> Pict
         clusters: Clusters::build(&poses, &grouping, &[], 5).unwrap(),
         views: cameras.iter().map(|c| PlannedView { camera: *c, appearance: appearance.clone() }).collect(),
         signals: (0..identities).map(|i| signal(i).into()).collect(),
-        negatives: cameras.iter().map(photograph).collect(),
+        negatives: cameras.iter().map(|camera| (&photograph(camera)).into()).collect(),
     }
 }
 

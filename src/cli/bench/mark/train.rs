@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+use cairn_capture::Picture8;
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_field::Field;
 use cairn_stega::{Detector, Known, MarkConfig, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Signal};
@@ -179,7 +180,7 @@ pub(super) fn plan(
     let views = training.iter().map(|index| {
         let view = opened.view(*index)?;
         let planned = PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() };
-        Ok((planned, Arc::unwrap_or_clone(view.picture)))
+        Ok((planned, Picture8::from(&*view.picture)))
     });
     let (views, negatives) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
     Ok(MarkPlan { clusters, views, signals, negatives })
