@@ -30,11 +30,13 @@ pub enum Owners {
 
 /// The rows of the paper's table of ablations, three values of alpha, the other losses, the paper's carrier with its
 /// densities as they are and free (ray weights worked out once, and at every look) and with the mask of the authors' code,
-/// what the paper does without, and what else training skips, not skipped.
-const ABLATIONS: [Training; 22] = [
+/// what the paper does without, and what else training skips, not skipped. Without a classifier nothing but recovery can move marks, so that
+/// *recovery moves marks* is what that row is to be compared with.
+const ABLATIONS: [Training; 23] = [
     row("full", ""),
     row("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
-    row("classifier not guiding", "[mark]\nguidance = \"untold\"\nrecover_moves_marks = true\n"),
+    row("recovery moves marks", "[mark]\nrecover_moves_marks = true\n"),
+    row("classifier not guiding", "[mark]\nguidance = \"untold\"\n"),
     row("no mask", "[mark]\nmask = \"none\"\n"),
     row("binary mask at 0.5", "[mark]\nmask = \"binary\"\nmask_share = 0.5\n"),
     row("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
@@ -84,7 +86,7 @@ mod tests {
     use super::*;
     use crate::config::{Config, overlay_for, training_settings};
     use cairn_capture::SceneKind;
-    use cairn_stega::MarkConfig;
+    use cairn_stega::{Guidance, MarkConfig};
 
     #[test]
     fn rows_are_chosen_by_name_in_their_order_and_a_wrong_name_says_which_there_are() {
@@ -98,6 +100,18 @@ mod tests {
         assert!(error.contains("`no masc`") && error.contains("no mask, binary mask at 0.5"), "{error}");
         assert_eq!(wanted(What::Marks, &[]).unwrap(), [AS_IT_IS]);
         assert!(wanted(What::Honesty, &["full".to_owned()]).is_err());
+    }
+
+    #[test]
+    fn what_the_classifier_is_for_is_all_that_its_rows_switch() {
+        let base = Config::from_toml("", "test").unwrap().training;
+        let mark = |name| {
+            let over = ABLATIONS.into_iter().find(|training| training.name == name).unwrap().over;
+            training_settings(&base, &[("row", over)]).unwrap().mark
+        };
+        let guided = |mark: MarkConfig| MarkConfig { guidance: Guidance::Told, ..mark };
+        assert_eq!(guided(mark("classifier not guiding")), mark("full"));
+        assert_eq!(guided(mark("no classifier")), mark("recovery moves marks"));
     }
 
     #[test]
