@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use cairn_capture::{Picture8, SceneFolder};
+use cairn_capture::{Camera, Picture8, SceneFolder};
 use cairn_cluster::Clusters;
 use cairn_field::watermarks;
 use cairn_metrics::psnr_db_from_mse;
@@ -114,7 +114,11 @@ impl Marking {
             // Photographs carry no mark: the detector has to stay silent on them.
             let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
             if let Some(most) = &mut explained_db {
-                *most = most.max(explained(&base, scene, &negatives));
+                let taken = scene.training().map(|index| {
+                    let view = &capture.views[index];
+                    Taken { camera: view.camera, name: &view.name, contributor: &view.contributor }
+                });
+                *most = most.max(explained(&base, &taken.collect::<Vec<_>>(), &negatives));
             }
             let views = scene.training().map(|index| {
                 let view = &capture.views[index];
@@ -228,18 +232,27 @@ fn budget_note(kept: &MarkConfig, asked: &MarkConfig, explained_db: Option<f64>)
     })
 }
 
-/// How well a field explains the photographs that it was trained on: PSNR in dB over some of them, evenly, all their pixels
-/// together but those that a visible watermark covers: marks do not show there, learnt or not.
-fn explained(base: &Field, scene: &SceneFolder, photographs: &[Picture8]) -> f64 {
-    let views = &scene.capture().views;
-    let training: Vec<usize> = scene.training().collect();
-    let whose = training.iter().map(|index| views[*index].contributor.as_str());
+/// From where and by whom a photograph was taken.
+pub struct Taken<'a> {
+    /// Its camera.
+    pub camera: Camera,
+    /// The view's name.
+    pub name: &'a str,
+    /// Who took it.
+    pub contributor: &'a str,
+}
+
+/// How well a field explains the photographs that it was trained on, `taken` in their order: PSNR in dB over some of them, evenly, all
+/// their pixels together but those that a visible watermark covers: marks do not show there, learnt or not. For
+/// [`MarkConfig::affording`]; negative infinity of none.
+pub fn explained(base: &Field, taken: &[Taken<'_>], photographs: &[Picture8]) -> f64 {
+    let whose = taken.iter().map(|view| view.contributor);
     let found = watermarks(&whose.zip(photographs).collect::<Vec<_>>());
     let (mut squares, mut count) = (0.0, 0usize);
     for at in (0..photographs.len()).step_by(photographs.len().div_ceil(EXPLAINED_BY).max(1)) {
-        let (photograph, view) = (&photographs[at], &views[training[at]]);
+        let (photograph, view) = (&photographs[at], &taken[at]);
         let camera = at_most(&view.camera, EXPLAINED_PX);
-        let render = base.render(&camera, base.appearance_of(&view.name)).clamped();
+        let render = base.render(&camera, base.appearance_of(view.name)).clamped();
         let (w, h) = (render.width(), render.height());
         let seen = photograph.to_picture().resized(w, h);
         let over = found.iter().find(|mark| mark.views.contains(&at));

@@ -329,8 +329,7 @@ impl Run {
         if self.owners == Owners::Case {
             return Ok((self.case.anchors, self.case.neighbours));
         }
-        let opened = self.source.open()?;
-        Ok((2, Some((opened.training().len() + opened.held_out().len()) / 2)))
+        Ok((2, Some(self.source.open()?.training().len() / 2)))
     }
 
     /// Where a training's result goes.

@@ -79,20 +79,26 @@ pub struct Found {
 /// # Errors
 /// For files that do not read, settings out of range, and the trainer's.
 pub fn run(task: &Task) -> anyhow::Result<Joined> {
-    let mut scenes = Vec::new();
+    let (mut scenes, mut planned) = (Vec::new(), Vec::new());
     for (source, base, files) in &task.scenes {
         let field = Arc::new(Field::from_bytes(&super::read(base)?)?);
         let hidden = signals(std::slice::from_ref(files), &task.config)?;
-        let plan = plan((&source.open()?, &field), (1, None), hidden, (task.seed, 0))?;
-        scenes.push(MarkScene { field, plan });
+        planned.push((plan((&source.open()?, &field), (1, None), hidden, (task.seed, 0))?, field));
     }
     let begun = Instant::now();
+    // As the engine does: the scene that is explained best says what marks may cost in all of them.
+    let mut explained_db = f64::NEG_INFINITY;
+    for (planned, field) in planned {
+        explained_db = explained_db.max(planned.explained_db(&field));
+        scenes.push(MarkScene { field, plan: planned.plan });
+    }
+    let config = task.config.affording(explained_db);
     let mut weights = Progress::new(&format!("{}: ray weights", task.label), 1);
     let mut hear = |done: usize, total: usize| {
         weights.of(done as u64, total as u64);
         true
     };
-    let mut trainer = MarkTrainer::joint(scenes, task.config.clone(), task.seed, &mut hear)?;
+    let mut trainer = MarkTrainer::joint(scenes, config, task.seed, &mut hear)?;
     drop(weights);
     let mut progress = Progress::new(&task.label, trainer.steps_total());
     while trainer.steps_done() < trainer.steps_total() {

@@ -14,7 +14,7 @@ use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::super::memory::{peak_mib, processor_s};
 use crate::engine::hidden::{Parts, decoded};
-use crate::engine::marks::JUDGE_EVERY;
+use crate::engine::marks::{JUDGE_EVERY, Taken, explained};
 
 /// Files of what one identity hides.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -66,14 +66,16 @@ pub struct Task {
 }
 
 /// How it went.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Marked {
     /// Seconds from the loaded base field to the finished detector.
     pub seconds: f64,
     /// Processor seconds, of all threads; loading and storing are in them.
     pub processor_s: Option<f64>,
-    /// Of the seconds, those before the first step: ray weights.
+    /// Of the seconds, those before the first step: ray weights, and what marks may cost.
     pub prepared_s: f64,
+    /// How far below the base field's renders marks were kept, PSNR in dB; `None` without a budget.
+    pub budget_db: Option<f64>,
     /// Steps taken.
     pub steps: u64,
     /// After how many of them the detector joined.
@@ -92,17 +94,19 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
     let base = Arc::new(Field::from_bytes(&super::read(&task.base)?)?);
     let opened = task.source.open()?;
     let signals = signals(&task.signals, &task.config)?;
-    let plan = plan((&opened, &base), (task.anchors, task.neighbours), signals, (task.seed, task.permuted))?;
+    let planned = plan((&opened, &base), (task.anchors, task.neighbours), signals, (task.seed, task.permuted))?;
     drop(opened);
     let begun = Instant::now();
+    let config = task.config.affording(planned.explained_db(&base));
+    let (plan, budget_db) = (planned.plan, config.budget.then_some(config.budget_db));
     let mut weights = Progress::new(&format!("{}: ray weights", task.label), 1);
     let mut hear = |done: usize, total: usize| {
         weights.of(done as u64, total as u64);
         true
     };
     let mut trainer = match &task.earlier {
-        None => MarkTrainer::new(base, plan, task.config.clone(), task.seed, &mut hear)?,
-        Some(earlier) => going_on(earlier, (base, plan), task, &mut hear)?,
+        None => MarkTrainer::new(base, plan, config, task.seed, &mut hear)?,
+        Some(earlier) => going_on(earlier, (base, plan), (config, task.seed), &mut hear)?,
     };
     drop(weights);
     let prepared_s = begun.elapsed().as_secs_f64();
@@ -130,6 +134,7 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
         seconds,
         processor_s: processor_s(),
         prepared_s,
+        budget_db,
         steps,
         joined_at,
         converged: steps < most,
@@ -144,7 +149,7 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
 fn going_on(
     earlier: &Earlier,
     (field, plan): (Arc<Field>, MarkPlan),
-    task: &Task,
+    (config, seed): (MarkConfig, u64),
     hear: &mut dyn FnMut(usize, usize) -> bool,
 ) -> anyhow::Result<MarkTrainer> {
     let marked = MarkedField::from_bytes(&super::read(&earlier.marked)?)?;
@@ -157,10 +162,28 @@ fn going_on(
         anyhow::ensure!(same, "identity {number} of {} has another anchor now", earlier.marked.display());
     }
     let earlier = cairn_stega::Earlier { detector: &detector, identities };
-    Ok(MarkTrainer::growing(vec![MarkScene { field, plan }], &earlier, task.config.clone(), task.seed, hear)?)
+    Ok(MarkTrainer::growing(vec![MarkScene { field, plan }], &earlier, config, seed, hear)?)
 }
 
-/// A capture's plan: `anchors` clusters of so many `neighbours`, `None` for all views; identities are `permuted`
+/// A capture's plan, and by whom its photographs were taken.
+pub(super) struct Planned {
+    /// What is trained.
+    pub plan: MarkPlan,
+    /// Name and contributor of each of its views.
+    taken: Vec<(String, String)>,
+}
+
+impl Planned {
+    /// How well `base` explains the photographs, PSNR in dB: what marks may cost hangs on it, here as in the engine.
+    pub fn explained_db(&self, base: &Field) -> f64 {
+        let views = self.plan.views.iter().zip(&self.taken);
+        let taken: Vec<Taken<'_>> =
+            views.map(|(view, (name, contributor))| Taken { camera: view.camera, name, contributor }).collect();
+        explained(base, &taken, &self.plan.negatives)
+    }
+}
+
+/// A capture's plan: `anchors` clusters of so many `neighbours`, `None` for all views to train on; identities are `permuted`
 /// by so many.
 ///
 /// # Errors
@@ -170,20 +193,21 @@ pub(super) fn plan(
     (anchors, neighbours): (usize, Option<usize>),
     signals: Vec<Signal>,
     (seed, permuted): (u64, usize),
-) -> anyhow::Result<MarkPlan> {
-    let (training, held_out) = (opened.training(), opened.held_out());
-    // Over all poses, as the engine does; only the rule for poses is used.
-    let poses: Vec<_> = training.iter().chain(&held_out).map(|index| opened.camera(*index).pose).collect();
+) -> anyhow::Result<Planned> {
+    let training = opened.training();
+    // Over the training views alone, as the engine does: what is held out has no say in whose a pose is.
+    let poses: Vec<_> = training.iter().map(|index| opened.camera(*index).pose).collect();
     let neighbours = neighbours.unwrap_or(poses.len()).min(poses.len() / anchors.max(1));
     let config = ClusterConfig { anchors, neighbours, ..ClusterConfig::default() };
     let clusters = Clusters::build(&poses, &Grouping::Anchors(config), &[], seed)?.permuted(permuted);
     let views = training.iter().map(|index| {
         let view = opened.view(*index)?;
         let planned = PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() };
-        Ok((planned, Picture8::from(&*view.picture)))
+        Ok((planned, (Picture8::from(&*view.picture), (view.name, view.contributor))))
     });
-    let (views, negatives) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
-    Ok(MarkPlan { clusters, views, signals, negatives })
+    let (views, photographs): (_, Vec<_>) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
+    let (negatives, taken) = photographs.into_iter().unzip();
+    Ok(Planned { plan: MarkPlan { clusters, views, signals, negatives }, taken })
 }
 
 /// Reads what identities hide.
