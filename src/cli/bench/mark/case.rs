@@ -9,13 +9,13 @@ pub struct Case {
     pub name: Name,
     /// M, identities.
     pub anchors: usize,
-    /// K, views of each; `None` for all of them.
+    /// K, training views of each; `None` for all of them.
     pub neighbours: Option<usize>,
     /// Whether a sound and a text are hidden with each picture.
     pub all_kinds: bool,
     /// Whether light is fitted on the left half and the right half is scored.
     pub right_half: bool,
-    /// Least SSIM of recovered against hidden pictures.
+    /// Least SSIM of recovered against hidden pictures, of each identity.
     pub hidden_ssim: f64,
     /// Least share of right classes.
     pub accuracy: f64,
@@ -36,7 +36,7 @@ pub const HARD: f64 = 0.92;
 pub const AUDIO_SNR_DB: f64 = 25.0;
 /// Least share of recovered texts' characters.
 pub const TEXT_CHARACTERS: f64 = 1.0;
-/// Least pictures without a mark that each detector is asked about.
+/// Least different pictures without a mark that each detector is asked about.
 pub const UNMARKED: f64 = 1000.0;
 /// Least accuracy under all hard distortions together, with robust training.
 pub const COMBINED: f64 = 0.90;

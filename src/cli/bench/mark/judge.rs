@@ -113,9 +113,9 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     progress.at(2, "");
     let followed = permuted::follow((&asked.detector, &asked.signals), (&marked, task.permuted), &views)?;
     progress.at(3, "");
-    let unmarked = match task.what {
-        What::Ablation => Vec::new(),
-        _ => unmarked::ask(&mut asked, (&opened, marked.base()), &task.foreign, &views)?,
+    let (unmarked, unmarked_pictures) = match task.what {
+        What::Ablation => (Vec::new(), 0),
+        _ => unmarked::ask(&mut asked, (&task.source, marked.base()), &task.foreign, &views)?,
     };
     progress.at(4, "");
     let foreign: Vec<Source> = task.foreign.iter().map(|other| other.source.clone()).collect();
@@ -137,6 +137,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let kept = kept.collect::<anyhow::Result<Vec<f64>>>()?;
     let [base_psnr_db, marked_psnr_db, base_ssim, marked_ssim] = sums.map(|sum| sum / views.len() as f64);
     crate::cli::write(&task.reliability, reliability(&asked.answers).as_bytes())?;
+    let unharmed = without(&asked.answers, harmed);
     Ok(Judged {
         views: views.len(),
         marked_views: kept.len(),
@@ -150,10 +151,12 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         harms,
         followed,
         unmarked,
+        unmarked_pictures,
         laid,
         calibration_error: expected_calibration_error(&asked.answers, BINS)?,
-        calibration_error_unharmed: expected_calibration_error(&without(&asked.answers, harmed), BINS)?,
+        calibration_error_unharmed: expected_calibration_error(&unharmed, BINS)?,
         bands: bands(&asked.answers),
+        bands_unharmed: bands(&unharmed),
         answers: asked.answers.len(),
     })
 }
@@ -247,16 +250,18 @@ fn harmed(
     (name, set): (&str, Set),
     pairs: Vec<(usize, Picture, Picture)>,
 ) -> anyhow::Result<Harmed> {
-    let (mut classes, mut hidden) = (Right::default(), Vec::new());
+    let (mut classes, mut twins, mut hidden) = (Right::default(), Right::default(), Vec::new());
     for (truth, marked, base) in pairs {
         let (right, read) = asked.ask(&marked, truth)?;
+        let (silent, _) = asked.ask(&base, 0)?;
         classes.count(right);
-        classes.count(asked.ask(&base, 0)?.0);
+        classes.count(silent);
+        twins.count(silent);
         if truth > 0 {
             hidden.extend(asked.likeness(truth, &read)?);
         }
     }
-    Ok(Harmed { name: name.to_owned(), set, classes, ssim: mean(&hidden) })
+    Ok(Harmed { name: name.to_owned(), set, classes, twins, ssim: mean(&hidden) })
 }
 
 /// All but those at `left_out`.

@@ -8,7 +8,7 @@ use super::permuted::Followed;
 use crate::engine::report::{Recovery, Right};
 
 /// Everything about one marked field and its detector; pictures are rounded to 8 bits.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Judged {
     /// Held-out views.
     pub views: usize,
@@ -34,6 +34,8 @@ pub struct Judged {
     pub followed: Followed,
     /// What carries no mark, and is to be `unmarked`.
     pub unmarked: Vec<Silent>,
+    /// Different pictures among them, all kinds together.
+    pub unmarked_pictures: usize,
     /// What laying pictures over the field says, where that was asked for and can be.
     pub laid: Option<Laid>,
     /// Expected calibration error of the answers to all of the above but `followed` and `laid`.
@@ -42,7 +44,9 @@ pub struct Judged {
     pub calibration_error_unharmed: f64,
     /// How often the answers behind the first are right, by how sure they are.
     pub bands: Vec<Band>,
-    /// Answers behind it.
+    /// The same of those behind the second.
+    pub bands_unharmed: Vec<Band>,
+    /// Answers behind the first.
     pub answers: usize,
 }
 
@@ -64,6 +68,8 @@ pub struct Harmed {
     pub set: Set,
     /// Right classes over theta's and theta_0's renders.
     pub classes: Right,
+    /// Of theta_0's renders alone, after the same was done to them, those that are called `unmarked`.
+    pub twins: Right,
     /// Mean hidden SSIM of theta's renders.
     pub ssim: Option<f64>,
 }
@@ -73,7 +79,9 @@ pub struct Harmed {
 pub struct Silent {
     /// What they are.
     pub what: String,
-    /// Those that were called `unmarked`.
+    /// Different pictures.
+    pub pictures: usize,
+    /// Of the answers, one to each of a picture's forms, those that were called `unmarked`.
     pub silent: Right,
     /// Those of which nothing is recovered: black, silent and without text.
     pub empty: Right,

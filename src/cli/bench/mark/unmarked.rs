@@ -1,13 +1,19 @@
 //! Pictures that carry no mark: theta_0's renders, the capture's photographs, and other
 //! captures' photographs and renders, each as it is, written as a JPEG, and cut. An
-//! owner found on one of them is made up, and so is whatever is recovered from it.
+//! owner found on one of them is made up, and so is whatever is recovered from it. Renders are from where photographs were taken
+//! and from between: views that nobody photographed cost nothing but their rendering.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use cairn_capture::Picture;
+use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_field::Field;
-use cairn_stega::{Distortion, Signal};
+use cairn_stega::{Distortion, PlannedView, Signal, virtual_views};
+use rand::SeedableRng as _;
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 
 use super::super::field::source::{Opened, Source};
 use super::judge::{Asked, View};
@@ -15,8 +21,15 @@ use super::scored::Silent;
 use crate::engine::evaluate::eight_bits;
 use crate::engine::report::Right;
 
-/// Renders of each field at most, their views evenly.
-const RENDERS: usize = 60;
+/// Renders of each field at most: four captures' and their photographs are over a thousand pictures.
+const RENDERS: usize = 170;
+/// Of them at most so many from where photographs were taken, evenly.
+const PHOTOGRAPHED: usize = 60;
+/// What the poses of the others are drawn by: the same for every detector, and no training's.
+const POSES_SEED: u64 = 0x0075_6e6d_6172_6b65;
+
+/// One after another: all at once are too many to hold.
+type Pictures<'a> = &'a mut dyn Iterator<Item = anyhow::Result<Picture>>;
 
 /// Another capture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -34,30 +47,32 @@ impl Foreign {
     }
 }
 
-/// Asks all of them; `base` is theta_0.
+/// Asks about all of them, and says how many different ones they are; `base` is theta_0 of the capture at `source`.
 ///
 /// # Errors
 /// For photographs that do not decode and fields that do not read.
 pub fn ask(
     asked: &mut Asked,
-    (opened, base): (&Opened, &Field),
+    (source, base): (&Source, &Field),
     foreign: &[Foreign],
     views: &[View],
-) -> anyhow::Result<Vec<Silent>> {
-    let held_out = views.iter().map(|view| Ok(view.photograph.clone()));
-    let mut told = vec![silent(asked, "its own photographs, held out".into(), held_out)?];
-    let own = photographs(opened, opened.training());
-    told.push(silent(asked, "its own photographs, trained on".into(), own)?);
-    told.push(silent(asked, "renders of its base field".into(), renders(opened, base))?);
+) -> anyhow::Result<(Vec<Silent>, usize)> {
+    let (opened, mut seen) = (source.open()?, BTreeSet::new());
+    let mut silent = |what: String, pictures: Pictures<'_>| silent((&mut *asked, &mut seen), what, pictures);
+    let mut held_out = views.iter().map(|view| anyhow::Ok(view.photograph.clone()));
+    let mut told = vec![silent("its own photographs, held out".into(), &mut held_out)?];
+    let mut own = photographs(&opened, opened.training());
+    told.push(silent("its own photographs, trained on".into(), &mut own)?);
+    told.push(silent("renders of its base field".into(), &mut renders((&opened, source), base)?)?);
     for other in foreign {
         let (opened, name) = (other.source.open()?, other.name());
-        told.push(silent(asked, format!("photographs of {name}"), photographs(&opened, every(&opened)))?);
+        told.push(silent(format!("photographs of {name}"), &mut photographs(&opened, every(&opened)))?);
         if let Some(path) = &other.field {
             let field = Field::from_bytes(&super::read(path)?)?;
-            told.push(silent(asked, format!("renders of {name}"), renders(&opened, &field))?);
+            told.push(silent(format!("renders of {name}"), &mut renders((&opened, &other.source), &field)?)?);
         }
     }
-    Ok(told)
+    Ok((told, seen.len()))
 }
 
 /// All of a capture's views.
@@ -69,33 +84,57 @@ fn photographs(opened: &Opened, of: Vec<usize>) -> impl Iterator<Item = anyhow::
     of.into_iter().map(|index| Ok((*opened.view(index)?.picture).clone()))
 }
 
-/// Renders as files hold them, each in its photograph's own light where the field knows that.
-fn renders(opened: &Opened, field: &Field) -> impl Iterator<Item = anyhow::Result<Picture>> {
-    let all = every(opened);
-    let step = all.len().div_ceil(RENDERS).max(1);
-    let render = |index| {
-        let appearance = field.appearance_of(opened.name(index));
-        Ok(eight_bits(&field.render(&opened.camera(index), appearance))?)
-    };
-    all.into_iter().step_by(step).map(render)
+/// Renders as files hold them.
+fn renders(of: (&Opened, &Source), field: &Field) -> anyhow::Result<impl Iterator<Item = anyhow::Result<Picture>>> {
+    let render = |view: PlannedView| Ok(eight_bits(&field.render(&view.camera, &view.appearance))?);
+    Ok(poses(of, field)?.into_iter().map(render))
 }
 
-/// How many of the forms of `pictures` are called unmarked, and of how many nothing is recovered.
+/// From where they are: photographs' poses, each in its photograph's own light where the field knows that, and
+/// poses between those in light between theirs, as many of these as the source gives views of a split.
+fn poses((opened, source): (&Opened, &Source), field: &Field) -> anyhow::Result<Vec<PlannedView>> {
+    let view = |index| {
+        let appearance = field.appearance_of(opened.name(index)).clone();
+        PlannedView { camera: opened.camera(index), appearance }
+    };
+    let views: Vec<PlannedView> = every(opened).into_iter().map(view).collect();
+    let step = views.len().div_ceil(PHOTOGRAPHED).max(1);
+    let mut poses: Vec<PlannedView> = views.iter().step_by(step).cloned().collect();
+    let between = source.most_views.unwrap_or(RENDERS).min(RENDERS - poses.len());
+    let photographed: Vec<_> = views.iter().map(|view| view.camera.pose).collect();
+    // One cluster of all: what lies among the photographs belongs to it.
+    let all = ClusterConfig { anchors: 1, neighbours: photographed.len(), ..ClusterConfig::default() };
+    let all = Clusters::build(&photographed, &Grouping::Anchors(all), &[], POSES_SEED)?;
+    poses.extend(virtual_views(&all, 1, &views, between, &mut ChaCha8Rng::seed_from_u64(POSES_SEED)));
+    Ok(poses)
+}
+
+/// How many of the forms of `pictures` are called unmarked, and of how many nothing is recovered. Pictures that are
+/// there twice are one; those not in `seen` come into it.
 fn silent(
-    asked: &mut Asked,
+    (asked, seen): (&mut Asked, &mut BTreeSet<[u8; 32]>),
     what: String,
-    pictures: impl Iterator<Item = anyhow::Result<Picture>>,
+    pictures: Pictures<'_>,
 ) -> anyhow::Result<Silent> {
-    let (mut silent, mut empty) = (Right::default(), Right::default());
+    let (mut silent, mut empty, mut different) = (Right::default(), Right::default(), BTreeSet::new());
     for picture in pictures {
-        each_form(&picture?, |picture| {
+        let picture = picture?;
+        different.insert(digest(&picture));
+        each_form(&picture, |picture| {
             let (right, found) = asked.ask(picture, 0)?;
             silent.count(right);
             empty.count(is_empty(&found.recovered));
             Ok(())
         })?;
     }
-    Ok(Silent { what, silent, empty })
+    seen.extend(&different);
+    Ok(Silent { what, pictures: different.len(), silent, empty })
+}
+
+/// SHA-256 of a picture in 8 bits.
+fn digest(picture: &Picture) -> [u8; 32] {
+    let width = (picture.width() as u64).to_le_bytes();
+    Sha256::new().chain_update(width).chain_update(picture.to_rgb8()).finalize().into()
 }
 
 /// Whether a signal is black, silent and without text.
