@@ -183,7 +183,8 @@ impl Stage for Marking {
     fn notes(&self) -> Vec<String> {
         let is_done = self.trainer.steps_done() >= self.trainer.steps_total();
         let weak = self.trainer.best().filter(|_| is_done).and_then(|kept| weak_note(kept, &self.whose));
-        self.note.iter().cloned().chain(weak).collect()
+        let restarted = self.trainer.restarted().iter().map(ToString::to_string);
+        self.note.iter().cloned().chain(restarted).chain(weak).collect()
     }
 }
 

@@ -9,6 +9,7 @@ use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_stega::Signal;
 use tokio::sync::watch;
 
+use super::super::hidden::Given;
 use super::super::job::JobState;
 use super::super::model::ModelInfo;
 use super::super::published::tests::TestFolder;
@@ -178,6 +179,23 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
     let [again] = &resumed(0.1)[..] else { panic!("it was told before") };
     assert!(again.contains(&format!("marks are kept {kept:.1} dB")), "{again}");
     assert_eq!(resumed(0.0), Vec::<String>::new(), "an earlier release's job");
+}
+
+#[test]
+fn a_job_that_grows_says_which_head_had_to_start_afresh() {
+    let dir = TestFolder::new();
+    let engine = open(dir.path());
+    import(dir.path(), "town", 3);
+    let hiding = |texts: &[&str]| {
+        texts.iter().map(|text| Given { text: Some((*text).to_owned()), ..Given::default() }).collect::<Vec<_>>()
+    };
+    let first = TrainingRequest { signals: hiding(&["Ada", "Bo"]), ..request(2) };
+    let first = end_of(&engine, &engine.train(first).unwrap().id);
+    let later = TrainingRequest { grow: true, signals: hiding(&["Cleo, who came later"]), ..request(3) };
+    let later = end_of(&engine, &engine.train(later).unwrap().id);
+    let of_heads = |job: &Job| job.notes.iter().filter(|note| note.contains("the head for hidden texts")).count();
+    assert_eq!((of_heads(&first), of_heads(&later)), (0, 1), "{:?}", later.notes);
+    assert!(later.notes.iter().any(|note| note.contains("20 bytes where it was 3")), "{:?}", later.notes);
 }
 
 #[test]

@@ -1,11 +1,14 @@
 //! A carrier: the coefficients that hold a mark, how they show, and how they move.
 
 use crate::bank::BankView;
+use crate::distort::Attack;
 use crate::error::MarkError;
 use crate::shape::CarrierShape;
 use cairn_field::operator::MarkableField;
 use cairn_field::{Appearance, Field};
+use half::f16;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 const BETA_1: f32 = 0.9;
@@ -81,6 +84,27 @@ impl Carrier {
             touched: vec![false; rows],
             theta: OnceLock::new(),
         }
+    }
+
+    /// The carrier as `attack` has it, in half precision or as it is. It is for showing only: the gradient of what it shows is
+    /// owed by the carrier itself, as if nothing had been rounded (the straight-through estimate).
+    pub(crate) fn after(&self, attack: &Attack) -> Cow<'_, Self> {
+        if !attack.rounds_weights() {
+            return Cow::Borrowed(self);
+        }
+        let mut values = vec![0.0f32; self.values.len()];
+        let rounded = values.par_iter_mut().with_min_len(TASK).zip(&self.values);
+        rounded.for_each(|(to, from)| *to = f16::from_f32(*from).to_f32());
+        Cow::Owned(Self {
+            shape: self.shape,
+            values,
+            first: Vec::new(),
+            second: 0.0,
+            steps: 0,
+            gradient: Vec::new(),
+            touched: Vec::new(),
+            theta: OnceLock::new(),
+        })
     }
 
     /// The coefficients, `rows x shape.width()`.
@@ -258,6 +282,17 @@ mod tests {
             let apart = (hue_of(&values) - hue).rem_euclid(PI);
             assert!(apart.min(PI - apart) < 1e-4, "{hue}: {}", hue_of(&values));
         }
+    }
+
+    #[test]
+    fn half_precision_is_shown_where_it_is_drawn_and_moves_nothing() {
+        let values = vec![0.1f32, -0.003, 1e-7, 0.5, 65_000.0, 0.0];
+        let carrier = Carrier::from_values(CarrierShape::Colours(CarrierBasis::Constant), values.clone());
+        assert!(matches!(carrier.after(&Attack::none()), Cow::Borrowed(_)));
+        let half = carrier.after(&Attack::of_weights());
+        // A tenth is 1638 / 2^14, three thousandths 1573 / 2^19, 1e-7 two of the smallest steps, 65000 a multiple of 32 at least.
+        assert_eq!(half.values, [1638.0 / 16_384.0, -1573.0 / 524_288.0, 2.0f32.powi(-23), 0.5, 64_992.0, 0.0]);
+        assert_eq!(carrier.values, values);
     }
 
     #[test]

@@ -4,6 +4,7 @@
 use crate::carrier::Carrier;
 use crate::config::MarkConfig;
 use crate::error::MarkError;
+use crate::growth::Restarted;
 use crate::judge::{Judgement, Recovered, State, Weakest};
 use crate::marked::{read_header, stored};
 use crate::site::MarkScene;
@@ -24,7 +25,7 @@ struct Header {
     config: MarkConfig,
     seed: u64,
     step: u64,
-    /// Bits of the running cross-entropy: infinity has no place in JSON.
+    /// Bits of how far from read marks are, the running mean: infinity has no place in JSON.
     classify_bits: u64,
     joined: bool,
     /// After which step; none in checkpoints of before it was asked.
@@ -36,6 +37,9 @@ struct Header {
     /// Carriers that stay as they are; none in checkpoints of before there were any.
     #[serde(default)]
     settled: Vec<bool>,
+    /// Heads that could not go on from an earlier training's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    restarted: Vec<Restarted>,
     /// Step, bits of accuracy and of accuracy under attack, and of what was recovered, of the best state.
     best: Option<(u64, [u64; 2], [Option<u64>; 3])>,
     /// The same of who does worst in it: class, bits of what is told, and of what was recovered; none in checkpoints of before
@@ -92,13 +96,14 @@ impl MarkTrainer {
             config: self.config.clone(),
             seed: self.seed,
             step: self.step,
-            classify_bits: self.classify.to_bits(),
+            classify_bits: self.unread.to_bits(),
             joined: self.joined.is_some(),
             joined_at: self.joined.unwrap_or(0),
             enough: self.enough,
             converged: self.converged,
             carrier_steps: self.carriers.iter().map(|c| c.steps).collect(),
             settled: self.settled.clone(),
+            restarted: self.restarted.clone(),
             best: best.map(|b| {
                 let Judgement { step, accuracy, attacked, recovered, .. } = b.judgement;
                 (step, [accuracy, attacked].map(f64::to_bits), recovered.parts().map(|v| v.map(f64::to_bits)))
@@ -190,10 +195,10 @@ impl MarkTrainer {
         if ![0, expected].contains(&header.settled.len()) {
             return damaged(format!("`settled` has {} entries for {expected} carriers", header.settled.len()));
         }
-        let classify = f64::from_bits(header.classify_bits);
+        let unread = f64::from_bits(header.classify_bits);
         // Infinite until the first step.
-        if classify.is_nan() || (header.step > 0 && !classify.is_finite()) {
-            return damaged(format!("`classify_bits` says {classify}"));
+        if unread.is_nan() || (header.step > 0 && !unread.is_finite()) {
+            return damaged(format!("`classify_bits` says {unread}"));
         }
         self.adam.load(&self.networks.params, &part(file, "adam")?)?;
         self.average.load(&part(file, "average")?)?;
@@ -244,7 +249,8 @@ impl MarkTrainer {
             self.settled.clone_from(&header.settled);
         }
         self.step = header.step;
-        self.classify = classify;
+        self.unread = unread;
+        self.restarted.clone_from(&header.restarted);
         self.joined = header.joined.then_some(header.joined_at);
         (self.enough, self.converged) = (header.enough, header.converged);
         Ok(())

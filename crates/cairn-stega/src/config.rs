@@ -100,6 +100,10 @@ pub struct MarkConfig {
     /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64. Each goes with the base field's
     /// render of the same view and with an unmarked picture of anything.
     pub batch: usize,
+    /// Whether a step's loss is the mean of equation 5 over its renders of theta, as the paper has it an image at a time.
+    /// Otherwise (the default, which the shipped weights were chosen with) equation 3 is the mean over all pictures of the step,
+    /// equations 1 and 2 the means over those that hide something and over the others, and equation 4 the sum over the renders.
+    pub loss_per_render: bool,
     /// l0, weight of the classification (equation 3); 0 to 1,000,000.
     pub weight_classify: f64,
     /// l1, weight of recovery (equation 1); 0 to 1,000,000.
@@ -181,7 +185,8 @@ pub struct MarkConfig {
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
     /// Training ends when twice in a row all held-out virtual poses are answered right (where marks are to last, nearly all
-    /// after harm as well) and the hidden pictures' mean SSIM has reached this, 0 to 10; above 1 = never.
+    /// after harm as well; without a classifier nothing is asked but what comes back) and the hidden pictures' mean SSIM has reached
+    /// this, 0 to 10; above 1 = never.
     pub enough_ssim: f64,
     /// The same for hidden sounds' SNR, dB, 0 to 1000.
     pub enough_snr_db: f64,
@@ -219,6 +224,7 @@ impl Default for MarkConfig {
             steps: 1400,
             grow_share: 0.4,
             batch: 3,
+            loss_per_render: false,
             weight_classify: 1.0,
             weight_recover: 1.0,
             weight_empty: 1.0,
@@ -395,6 +401,16 @@ impl MarkConfig {
             ("mark.text", self.text == other.text),
         ];
         tables.iter().find(|(_, same)| !same).map(|(key, _)| *key)
+    }
+
+    /// Whether there is a classifier to tell how well marks are read.
+    pub(crate) fn has_classifier(&self) -> bool {
+        self.guidance != Guidance::NoClassifier
+    }
+
+    /// Whether unmarked is silent by the detector's gate: it is as shut as the detector is told that a picture is unmarked.
+    pub(crate) fn has_gate(&self) -> bool {
+        self.detector.gated && self.guidance == Guidance::Told
     }
 
     /// Samples of the longest sound that may be hidden.

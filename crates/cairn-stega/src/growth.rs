@@ -9,10 +9,14 @@ use crate::carrier::{Carrier, hue_of, hues};
 use crate::config::{CarrierKind, MarkConfig};
 use crate::detector::Detector;
 use crate::error::MarkError;
+use crate::heads::{AUDIO, TEXT};
+use crate::signal::HeadSizes;
 use crate::site::MarkScene;
 use crate::trainer::MarkTrainer;
 use cairn_field::operator::MarkableField;
 use cairn_nn::Average;
+use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// An earlier training to go on from.
 #[derive(Clone)]
@@ -32,9 +36,58 @@ pub struct Known<'a> {
     pub carrier: &'a [f32],
 }
 
+/// A head that an earlier training had and that could not go on from it: it is as long as the longest signal, and what was
+/// learnt in another length does not fit. As text, what people are told.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Restarted {
+    /// The head for sounds.
+    Audio {
+        /// Samples that it held.
+        before: usize,
+        /// Samples that it holds.
+        now: usize,
+    },
+    /// The head for texts.
+    Text {
+        /// Bytes of UTF-8 that it held.
+        before: usize,
+        /// Bytes of UTF-8 that it holds.
+        now: usize,
+    },
+}
+
+impl Restarted {
+    /// Those of the heads that were there `before` of which a tensor is among the `fresh` ones (names of
+    /// [`cairn_nn::Params::graft`]).
+    fn among(fresh: &[String], before: &HeadSizes, now: &HeadSizes) -> Vec<Self> {
+        let is_fresh = |scope: &str| fresh.iter().any(|name| name.starts_with(scope));
+        let audio = before.audio.zip(now.audio).filter(|_| is_fresh(AUDIO));
+        let text = before.text.zip(now.text).filter(|_| is_fresh(TEXT));
+        let audio = audio.map(|(before, now)| Self::Audio { before, now });
+        audio.into_iter().chain(text.map(|(before, now)| Self::Text { before, now })).collect()
+    }
+}
+
+impl fmt::Display for Restarted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (kind, before, now, unit) = match self {
+            Self::Audio { before, now } => ("sounds", before, now, "samples"),
+            Self::Text { before, now } => ("texts", before, now, "bytes"),
+        };
+        write!(
+            f,
+            "the head for hidden {kind} starts afresh: it is as long as the longest of them, {now} {unit} where it was {before}, and \
+             what it had learnt does not fit. The {kind} of earlier identities are learnt again in this training's steps: see that \
+             they still come back, and if not, train with a larger mark.grow_share, or add {kind} of at most {before} {unit} only"
+        )
+    }
+}
+
 impl MarkTrainer {
     /// As [`MarkTrainer::joint`], going on from an `earlier` training of some of the
-    /// identities: their carriers stay as they are, and `mark.grow_share` of the steps are taken.
+    /// identities: their carriers stay as they are, and `mark.grow_share` of the steps are taken. A head whose length
+    /// differs starts afresh ([`MarkTrainer::restarted`]).
     ///
     /// # Errors
     /// As [`MarkTrainer::joint`]; [`MarkError::Plan`] where the earlier training does not fit: other networks or
@@ -53,7 +106,8 @@ impl MarkTrainer {
         let mut trainer = Self::joint(scenes, config, seed, progress)?;
         let mut class_of = vec![Some(0)];
         class_of.extend(earlier.identities.iter().map(|known| known.map(|k| k.class)));
-        trainer.networks.params.graft(earlier.detector.params(), &class_of)?;
+        let fresh = trainer.networks.params.graft(earlier.detector.params(), &class_of)?;
+        trainer.restarted = Restarted::among(&fresh, earlier.detector.heads(), trainer.networks.detector.sizes());
         trainer.average = Average::new(&trainer.networks.params, trainer.config.average)?;
         let taken: Vec<f32> = earlier.identities.iter().flatten().map(|known| hue_of(known.carrier)).collect();
         let mut free = hues(earlier.identities.len() - taken.len(), &taken).into_iter();
@@ -101,5 +155,27 @@ impl Earlier<'_> {
             }
             _ => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_head_starts_afresh_where_it_was_and_has_another_length() {
+        let sizes = |audio, text| HeadSizes { picture: true, audio, text };
+        let fresh = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+        let both = fresh(&["detector.audio.place", "detector.text.memory", "detector.text.place"]);
+        let (before, now) = (sizes(Some(256), Some(3)), sizes(Some(512), Some(12)));
+        let restarted = Restarted::among(&both, &before, &now);
+        assert_eq!(restarted, [Restarted::Audio { before: 256, now: 512 }, Restarted::Text { before: 3, now: 12 }]);
+        let said = restarted[1].to_string();
+        for part in ["hidden texts", "12 bytes where it was 3", "learnt again", "mark.grow_share", "at most 3 bytes"] {
+            assert!(said.contains(part), "{part}: {said}");
+        }
+        // Nobody hid such a thing before: nothing is forgotten. And what fits goes on.
+        assert_eq!(Restarted::among(&both, &sizes(None, None), &now), []);
+        assert_eq!(Restarted::among(&fresh(&["detector.out.weight"]), &before, &before), []);
     }
 }

@@ -8,6 +8,10 @@ use crate::signal::{HeadSizes, Numbers};
 use cairn_nn::{AudioHead, Params, TextHead, UNet, avg_pool};
 use candle_core::Tensor;
 
+/// What the names of the audio head's and the text head's parameters start with.
+pub(crate) const AUDIO: &str = "detector.audio";
+pub(crate) const TEXT: &str = "detector.text";
+
 /// F_psi.
 pub(crate) struct Heads {
     sizes: HeadSizes,
@@ -42,11 +46,11 @@ impl Heads {
             false => UNet::encoder(&config.detector, classes, params.scope("detector"))?,
         };
         let audio = match sizes.audio {
-            Some(samples) => Some(AudioHead::new(&config.audio, samples, encoder, params.scope("detector.audio"))?),
+            Some(samples) => Some(AudioHead::new(&config.audio, samples, encoder, params.scope(AUDIO))?),
             None => None,
         };
         let text = match sizes.text {
-            Some(bytes) => Some(TextHead::new(&config.text, bytes, encoder, params.scope("detector.text"))?),
+            Some(bytes) => Some(TextHead::new(&config.text, bytes, encoder, params.scope(TEXT))?),
             None => None,
         };
         Ok(Self { sizes, finer: config.finer, unet, audio, text })
@@ -71,6 +75,12 @@ impl Heads {
 }
 
 impl Said {
+    /// As much, and nothing: black, silence, and every bit a guess.
+    pub(crate) fn silent(&self) -> Result<Self, MarkError> {
+        let none = |said: &Option<Tensor>| said.as_ref().map(Tensor::zeros_like).transpose();
+        Ok(Self { picture: none(&self.picture)?, audio: none(&self.audio)?, text: none(&self.text)? })
+    }
+
     /// What was said of picture `i`.
     ///
     /// # Errors

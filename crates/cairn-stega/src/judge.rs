@@ -20,8 +20,8 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 
 /// Training may end early once marks are read with more ease than this: the running
-/// cross-entropy is then below a fifth of `classify_until`, over renders cut, tinted
-/// and noisy as no judged one is.
+/// cross-entropy is then below a fifth of `classify_until` (without a classifier, recovery's error below a fifth of
+/// silence's), over renders cut, tinted and noisy as no judged one is.
 const EASE_TO_END: f32 = 0.8;
 
 /// Training may end early once every answer on judged pictures is right with this probability or
@@ -200,9 +200,11 @@ fn share<'a>(of: impl Iterator<Item = &'a bool> + Clone) -> Option<f64> {
 }
 
 impl Judgement {
-    fn score(&self) -> f64 {
+    /// What states are ranked by; without a classifier its answers are those of an untrained one, and recovery is all there is.
+    fn score(&self, has_classifier: bool) -> f64 {
         // An owner missed or made up is worse than a blurred signal.
-        self.accuracy + self.attacked + self.recovered.score()
+        let answers = if has_classifier { self.accuracy + self.attacked } else { 0.0 };
+        answers + self.recovered.score()
     }
 }
 
@@ -211,7 +213,8 @@ impl MarkTrainer {
     /// they are the best so far. The caller decides when; a run that judges at the same steps gives the same
     /// bytes. Training counts as converged once everything is answered right twice in a row, with
     /// ease in training too (the few judged poses alone flatter), and the hidden
-    /// signals are all good enough (`enough_ssim`, `enough_snr_db`, `enough_characters`).
+    /// signals are all good enough (`enough_ssim`, `enough_snr_db`, `enough_characters`). Without a classifier
+    /// (`mark.guidance`) that and ease are all that is asked, and the best state is the one that recovers most.
     ///
     /// # Errors
     /// [`MarkError::NotFinite`] when an answer is not finite; [`MarkError`] when the
@@ -269,7 +272,8 @@ impl MarkTrainer {
         };
         // Before the budget has tightened marks are easier to read than they may be.
         let fair = self.tightened_last() >= 1.0;
-        if fair && self.best.as_ref().is_none_or(|b| judgement.score() >= b.judgement.score()) {
+        let named = self.config.has_classifier();
+        if fair && self.best.as_ref().is_none_or(|b| judgement.score(named) >= b.judgement.score(named)) {
             self.best = Some(State {
                 judgement,
                 params: self.networks.params.to_bytes()?,
@@ -278,8 +282,8 @@ impl MarkTrainer {
         }
         // What only keeps silent has shown nothing.
         let easy = self.ease() > EASE_TO_END && told[1].1 > 0;
-        let right = judgement.accuracy == 1.0 && outlasted.is_enough();
-        let enough = fair && easy && sure && right && judgement.recovered.is_enough(&self.config);
+        let right = !named || (sure && judgement.accuracy == 1.0 && outlasted.is_enough());
+        let enough = fair && easy && right && judgement.recovered.is_enough(&self.config);
         // Twice in a row: once may be luck.
         self.converged |= enough && self.enough;
         self.enough = enough;
@@ -352,7 +356,7 @@ fn seen(field: &Field, view: &BankView, carrier: Option<&Carrier>, attack: &Atta
 pub(crate) fn file(field: &Field, view: &BankView, carrier: Option<&Carrier>, attack: &Attack) -> Attacked {
     let mut rgb = view.linear.base(&view.appearance);
     if let Some(carrier) = carrier {
-        carrier.show(field, view, &view.appearance, &mut rgb);
+        carrier.after(attack).show(field, view, &view.appearance, &mut rgb);
     }
     attack.apply(eight_bits(rgb), [view.linear.width(), view.linear.height()])
 }

@@ -48,7 +48,7 @@ pub use deepstega::{DeepConfig, DeepStats, DeepStega, DeepTrainer};
 pub use detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use distort::{Distortion, RobustConfig};
 pub use error::MarkError;
-pub use growth::{Earlier, Known};
+pub use growth::{Earlier, Known, Restarted};
 pub use judge::{Judgement, Recovered, Weakest};
 pub use lsb::{hide_in_lowest_bits, read_lowest_bits};
 pub use marked::{MARKED_FORMAT, MarkedField};

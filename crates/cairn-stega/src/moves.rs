@@ -18,7 +18,7 @@ const MOST_STRONGER: f64 = 1.1;
 pub(crate) struct Owed {
     /// A carrier's next mean square and its scale, where this step moves it.
     carriers: Vec<Option<(f32, f32)>>,
-    /// Equation 4, summed over the step's renders, as much of it as counts.
+    /// Equation 4, summed over the step's renders or their mean (`mark.loss_per_render`), as much of it as counts.
     pub(crate) picture: f64,
     /// PSNR of theta's renders against theta_0's, dB.
     pub(crate) kept_db: f64,
@@ -65,12 +65,13 @@ impl MarkTrainer {
         let mut worst = vec![None::<f64>; self.carriers.len()];
         let (mut mean, mut picture) = (0.0, 0.0);
         let fading = self.fading();
+        let over = if self.config.loss_per_render { renders.len() as f32 } else { 1.0 };
         for (i, m) in renders.iter().enumerate() {
             let small = interleaved(&slopes.get(i)?.flatten_all()?.to_vec1::<f32>()?);
             let mut slope = m.attacked.back(m.window.transpose(&small));
-            let (kind, weight) = (self.config.picture_loss, fading * self.config.weight_picture as f32);
+            let (kind, weight) = (self.config.picture_loss, fading * self.config.weight_picture as f32 / over);
             keep(&mut slope, (&m.inside, m.gain), &m.change, (kind, weight));
-            picture += f64::from(fading) * strayed(kind, &m.change);
+            picture += f64::from(fading) * strayed(kind, &m.change) / f64::from(over);
             // A mark of an earlier training stays as it is.
             if !self.settled[m.carrier] {
                 let site = &self.sites[m.site];

@@ -116,14 +116,13 @@ impl MarkTrainer {
         let class = identity.map_or(0, |i| i as u32 + 1);
         let mut base = linear.base(&appearance);
         let mut picture = base.clone();
-        let carrier = &self.carriers[at];
-        carrier.show(&scene.field, seen_from, &appearance, &mut picture);
+        let attack = self.attack(rng);
+        self.carriers[at].after(&attack).show(&scene.field, seen_from, &appearance, &mut picture);
         let change = picture.iter().zip(&base).map(|(a, b)| a - b).collect();
         let inside = picture.iter().map(|v| (0.0..=1.0).contains(v)).collect();
         picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         base.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         let size = [linear.width(), linear.height()];
-        let attack = self.attack(rng);
         let (mut attacked, twin) = rayon::join(|| attack.apply(picture, size), || attack.apply(base, size));
         let window = Window::draw(attacked.size[0], attacked.size[1], self.config.shown_px(), rng);
         let tone = Tone::draw(rng);

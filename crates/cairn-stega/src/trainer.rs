@@ -11,9 +11,10 @@ use crate::ahead::Ahead;
 use crate::bank::BankView;
 use crate::carrier::{Carrier, hues};
 use crate::checkpoint::fingerprint;
-use crate::config::{Guidance, MarkConfig};
+use crate::config::MarkConfig;
 use crate::detector::Detector;
 use crate::error::MarkError;
+use crate::growth::Restarted;
 use crate::judge::{Judgement, State};
 use crate::losses::Losses;
 use crate::marked::MarkedField;
@@ -53,16 +54,17 @@ pub struct MarkStats {
     /// Steps in all.
     pub total: u64,
     /// Weighted sum of the losses below (equation 5), each times its weight; where `mark.guidance` is
-    /// `no_classifier`, without the classification.
+    /// `no_classifier`, without the classification. With `mark.loss_per_render` all of them are means over the step's renders.
     pub loss: f64,
-    /// Cross-entropy, nats (equation 3).
+    /// Cross-entropy, nats (equation 3): the mean over the step's pictures, or with `mark.loss_per_render` the mean over
+    /// theta's and that over theta_0's together.
     pub classify: f64,
     /// Recovery error (equation 1); 0 while the classifier trains alone.
     pub recover: f64,
     /// What is said where nothing is hidden (equation 2); 0 while the classifier trains alone.
     pub empty: f64,
-    /// Picture loss (equation 4), summed over the step's renders, as much of it as counts: under a budget as much as
-    /// marks are read with ease, else all of it. Its gradient is written out (`moves`), not walked back to.
+    /// Picture loss (equation 4), summed over the step's renders (their mean with `mark.loss_per_render`), as much of it as
+    /// counts: under a budget as much as marks are read with ease, else all of it. Its gradient is written out (`moves`), not walked back to.
     pub picture: f64,
     /// PSNR of theta's renders against theta_0's, dB, over this step's renders.
     pub kept_db: f64,
@@ -81,8 +83,8 @@ pub struct MarkTrainer {
     pub(crate) config: MarkConfig,
     pub(crate) seed: u64,
     pub(crate) step: u64,
-    /// Running mean of the cross-entropy, and after which step the detector joined, if it has.
-    pub(crate) classify: f64,
+    /// Running mean of how far from read marks are (`Losses::unread`), and after which step the detector joined, if it has.
+    pub(crate) unread: f64,
     pub(crate) joined: Option<u64>,
     /// The scenes, most often one. Identities and carriers are counted through all of them.
     pub(crate) sites: Vec<Site>,
@@ -95,6 +97,8 @@ pub struct MarkTrainer {
     pub(crate) carriers: Vec<Carrier>,
     /// Which of them stay as they are: marks of an earlier training.
     pub(crate) settled: Vec<bool>,
+    /// Heads that could not go on from an earlier training's.
+    pub(crate) restarted: Vec<Restarted>,
     pub(crate) networks: Networks,
     pub(crate) adam: Adam,
     /// The networks' mean over the last steps: what is judged, and kept.
@@ -167,14 +171,15 @@ impl MarkTrainer {
             adam: Adam::new(AdamConfig::default(), rate)?,
             seed,
             step: 0,
-            classify: f64::INFINITY,
+            unread: f64::INFINITY,
             // Without a classifier there is nothing to wait for.
-            joined: (config.guidance == Guidance::NoClassifier).then_some(0),
+            joined: (!config.has_classifier()).then_some(0),
             sites,
             ahead: Ahead::new(),
             fingerprint,
             signals: hidden.iter().map(|s| Numbers::of(s, &heads, config.side_px())).collect(),
             settled: vec![false; carriers.len()],
+            restarted: Vec::new(),
             carriers,
             networks,
             best: None,
@@ -240,13 +245,13 @@ impl MarkTrainer {
         self.move_carriers(&owed);
         self.average.take_in(&self.networks.params)?;
         self.hear(&renders, &parts.each);
-        let now = parts.classify;
-        self.classify = if self.classify.is_finite() { 0.9 * self.classify + 0.1 * now } else { now };
+        let now = parts.unread;
+        self.unread = if self.unread.is_finite() { 0.9 * self.unread + 0.1 * now } else { now };
         self.step += 1;
         // Later, neither the budget nor the detector would have steps enough.
         let left = self.config.steps - self.step;
         let in_time = left as f64 >= LEAST_LEFT * self.config.steps as f64 || self.step == 1;
-        if self.joined.is_none() && in_time && self.classify < self.config.classify_until {
+        if self.joined.is_none() && in_time && self.unread < self.config.classify_until {
             self.joined = Some(self.step);
         }
         self.renew();
@@ -288,7 +293,7 @@ impl MarkTrainer {
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<(Vec<MarkedField>, Detector), MarkError> {
         if self.joined.is_none() {
-            let (steps, classify, until) = (self.step, self.classify, self.config.classify_until);
+            let (steps, classify, until) = (self.step, self.unread, self.config.classify_until);
             return Err(MarkError::NotLearnt { steps, classify, until });
         }
         self.average.swap(&self.networks.params)?;
@@ -319,6 +324,11 @@ impl MarkTrainer {
     /// After how many steps marks were read well enough for the detector to join, if they have been.
     pub fn joined_at(&self) -> Option<u64> {
         self.joined
+    }
+
+    /// Heads that had to start afresh where identities came later, since they are longer or shorter than they were.
+    pub fn restarted(&self) -> &[Restarted] {
+        &self.restarted
     }
 
     /// The best judgement so far.
@@ -357,11 +367,9 @@ impl MarkTrainer {
         self.config.budget_start_db + (self.config.budget_db - self.config.budget_start_db) * self.tightened()
     }
 
-    /// How surely marks are read, 0 to 1: the cross-entropy's distance below
-    /// `classify_until`. 0 until the detector has joined.
+    /// How surely marks are read, 0 to 1; 0 until the detector has joined.
     pub(crate) fn ease(&self) -> f32 {
-        let below = 1.0 - self.classify / self.config.classify_until;
-        if self.joined.is_some() { below.clamp(0.0, 1.0) as f32 } else { 0.0 }
+        if self.joined.is_some() { ease(&self.config, self.unread) } else { 0.0 }
     }
 
     /// Marked renders a step: one of each identity that still learns, up to [`MOST_FOR_ALL`].
@@ -383,6 +391,13 @@ impl MarkTrainer {
         let at = if self.sites.len() > 1 { rng.random_range(0..self.sites.len()) } else { 0 };
         &self.sites[at]
     }
+}
+
+/// How surely marks are read that are `unread` so far, 0 to 1: the cross-entropy's distance below `classify_until`. Without a
+/// classifier there is none to go by, and it is recovery's distance from what a detector that says nothing gets wrong.
+fn ease(config: &MarkConfig, unread: f64) -> f32 {
+    let hopeless = if config.has_classifier() { config.classify_until } else { 1.0 };
+    (1.0 - unread / hopeless).clamp(0.0, 1.0) as f32
 }
 
 /// How many fresh views have come to each scene after `steps` steps.
@@ -412,6 +427,26 @@ fn tightened(config: &MarkConfig, step: u64, joined: Option<u64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Guidance;
+
+    #[test]
+    fn ease_goes_by_the_classifier_and_without_one_by_recovery() {
+        let told = MarkConfig { classify_until: 0.3, ..MarkConfig::default() };
+        let untold = MarkConfig { guidance: Guidance::Untold, ..told.clone() };
+        let none = MarkConfig { guidance: Guidance::NoClassifier, ..told.clone() };
+        for (config, unread, expected) in [
+            (&told, 0.075, 0.75),
+            (&told, 0.69, 0.0),
+            (&untold, 0.15, 0.5),
+            (&none, 0.25, 0.75),
+            // As much wrong as silence is, more, and before the first step.
+            (&none, 1.0, 0.0),
+            (&none, 1.7, 0.0),
+            (&none, f64::INFINITY, 0.0),
+        ] {
+            assert!((ease(config, unread) - expected).abs() < 1e-6, "{unread} of {:?}", config.guidance);
+        }
+    }
 
     #[test]
     fn the_budget_waits_until_marks_are_read_and_is_met_before_the_end() {

@@ -4,8 +4,10 @@
 mod common;
 
 use cairn_nn::Memory;
-use cairn_stega::{CarrierKind, DensityKind, Detector, Guidance, LossKind, MarkConfig, MarkedField, MaskKind};
-use common::{SIDE, cameras, field, start};
+use cairn_stega::{
+    CarrierKind, DensityKind, Detector, Guidance, LossKind, MarkConfig, MarkStats, MarkTrainer, MarkedField, MaskKind,
+};
+use common::{SIDE, cameras, field, photograph, plan_of, start};
 use serde::Deserialize;
 
 /// A settings file of stage 2 alone.
@@ -33,6 +35,7 @@ fn the_papers_recipe_is_what_the_file_says() {
         [mark.weight_classify, mark.weight_recover, mark.weight_empty, mark.weight_picture],
         [0.05, 1.0, 1.0, 1.0]
     );
+    assert!(mark.loss_per_render, "a step of several renders is none of equation 5");
     assert_eq!((mark.loss, mark.picture_loss), (LossKind::Absolute, LossKind::Absolute));
     assert_eq!(
         (mark.carrier, mark.density, mark.recover_moves_marks),
@@ -47,6 +50,43 @@ fn the_papers_recipe_is_what_the_file_says() {
     );
     assert_eq!([mark.detector.memory, mark.audio.memory, mark.text.memory], [Memory::None; 3]);
     assert_eq!((mark.detector.high_pass_gain, mark.classifier.high_pass_gain, mark.detector.gated), (0.0, 0.0, false));
+}
+
+/// The first step of three identities with the file's settings, and how many renders of theta it shows.
+fn first_of_three(change: impl FnOnce(&mut MarkConfig)) -> (MarkStats, f64) {
+    let mut config = paper(20);
+    change(&mut config);
+    let plan = plan_of(&field(), 3, photograph);
+    let outside = cameras().iter().any(|camera| plan.clusters.identity_of(&camera.pose).identity.is_none());
+    let mut trainer = MarkTrainer::new(field(), plan, config, 7, &mut |_, _| true).unwrap();
+    (trainer.step().unwrap(), if outside { 4.0 } else { 3.0 })
+}
+
+/// Equation 5 is of one render; a step shows a render of each of three identities, and one of no cluster where there is one.
+#[test]
+fn a_step_of_three_identities_is_the_mean_of_equation_5_over_its_renders() {
+    let near = |got: f64, expected: f64| assert!((got / expected - 1.0).abs() < 1e-5, "{got} for {expected}");
+    // Without a classifier to wait for, every loss is there in the first step, of the same pictures under any weights.
+    let of = |per_render: bool, weights: [f64; 4]| {
+        first_of_three(|mark| {
+            (mark.guidance, mark.loss_per_render) = (Guidance::NoClassifier, per_render);
+            [mark.weight_classify, mark.weight_recover, mark.weight_empty, mark.weight_picture] = weights;
+        })
+    };
+    let ((render, renders), (step, _)) = (of(true, [0.05, 1.0, 1.0, 1.0]), of(false, [0.05, 1.0, 1.0, 1.0]));
+    // l3: the mean over the renders instead of their sum.
+    near(step.picture, renders * render.picture);
+    // l1: three of the renders hide something.
+    near(render.recover, step.recover * 3.0 / renders);
+    // The loss is those means by their weights, and nothing else is in it.
+    near(render.loss, render.recover + render.empty + render.picture);
+    let (heavy, _) = of(true, [0.05, 3.0, 5.0, 7.0]);
+    near(heavy.loss, 3.0 * render.recover + 5.0 * render.empty + 7.0 * render.picture);
+    // l0: theta's renders and theta_0's are two means. Nothing is learnt yet, and four classes are a guess each.
+    let (taught, _) = first_of_three(|_| ());
+    assert!((taught.classify / (2.0 * 4.0f64.ln()) - 1.0).abs() < 0.2, "{taught:?}");
+    near(taught.loss, 0.05 * taught.classify + taught.picture);
+    near(taught.picture, render.picture);
 }
 
 #[test]

@@ -30,6 +30,29 @@ fn interrupted_and_on_any_number_of_threads_the_same_bytes() {
     assert!(bytes(trained(config(12))) != whole, "attacks changed nothing");
 }
 
+/// Which attacks are drawn hangs on neither setting, so that what differs is what the mark was rounded to.
+#[test]
+fn marks_in_half_precision_are_trained_on_where_they_are_to_last() {
+    let harmless = RobustConfig {
+        share: 1.0,
+        jpeg_quality: 100,
+        blur_px: 0.0,
+        noise: 0.0,
+        light: 0.0,
+        rotate_deg: 0.0,
+        scale: 1.0,
+        eight_bits: false,
+        ..robust(1).robust
+    };
+    let networks = |half_weights: bool, enabled: bool| {
+        let robust = RobustConfig { half_weights, enabled, ..harmless.clone() };
+        let (_, detector) = bytes(trained(MarkConfig { robust, ..config(6) }));
+        safetensors::SafeTensors::deserialize(&detector).unwrap().tensor("parameters").unwrap().data().to_vec()
+    };
+    assert!(networks(true, true) != networks(false, true), "no mark was rounded");
+    assert!(networks(true, false) == networks(false, false), "a mark was rounded that is not to last");
+}
+
 /// Right answers over marked and unmarked renders after each of `distortions`.
 fn accuracy(marked: &MarkedField, detector: &Detector, distortions: &[Distortion]) -> f64 {
     let (mut right, mut asked) = (0, 0);

@@ -6,7 +6,9 @@ mod common;
 
 use cairn_capture::{Camera, Picture};
 use cairn_field::Field;
-use cairn_stega::{Detector, Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, MarkedField};
+use cairn_stega::{
+    Detector, Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, MarkedField, Restarted, Signal,
+};
 use common::{cameras, config, field, photograph, plan, plan_of, run, trained};
 use std::sync::{Arc, OnceLock};
 
@@ -136,6 +138,34 @@ fn growing_is_resumed_to_the_same_bytes() {
         run(trainer);
     }
     assert!(common::bytes(whole.finish().unwrap()) == common::bytes(again.finish().unwrap()));
+}
+
+#[test]
+fn a_head_that_has_to_be_longer_for_who_comes_later_starts_afresh_and_says_so() {
+    let says = |text: &str| Signal { text: Some(text.to_owned()), ..Signal::default() };
+    let (mut one, same) = alone();
+    one.signals = vec![says("Ada")];
+    let mut first = MarkTrainer::new(field(), one, config(5), 7, &mut |_, _| true).unwrap();
+    run(&mut first);
+    let before = first.finish().unwrap();
+    let plan_with = |new: &str| {
+        let mut plan = plan();
+        plan.signals = vec![says(new); 2];
+        plan.signals[same] = says("Ada");
+        plan
+    };
+    let grow = |new: &str| {
+        let scenes = vec![MarkScene { field: field(), plan: plan_with(new) }];
+        MarkTrainer::growing(scenes, &earlier(&before, same), config(30), 8, &mut |_, _| true).unwrap()
+    };
+    assert_eq!(grow("Bo").restarted(), [], "what is no longer fits");
+    let mut longer = grow("Bo, the builder");
+    let expected = [Restarted::Text { before: 3, now: 15 }];
+    assert_eq!(longer.restarted(), expected);
+    longer.step().unwrap();
+    let again =
+        MarkTrainer::resume(&longer.checkpoint().unwrap(), field(), plan_with("Bo, the builder"), &mut |_, _| true);
+    assert_eq!(again.unwrap().restarted(), expected, "forgotten by the checkpoint");
 }
 
 #[test]

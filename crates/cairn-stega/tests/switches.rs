@@ -56,6 +56,7 @@ fn every_switch_trains_and_changes_its_own_part() {
         ("l2", MarkConfig { weight_empty: 0.3, ..config(6) }, false),
         ("l3", MarkConfig { weight_picture: 100.0, ..config(6) }, true),
         ("nothing else", MarkConfig { others: 0, ..config(6) }, true),
+        ("equation 5 a render", MarkConfig { loss_per_render: true, ..config(6) }, true),
     ] {
         trains_otherwise(name, &usual, config, marks);
     }
@@ -99,7 +100,12 @@ fn the_loss_of_a_step_is_the_weighted_sum_of_what_it_says() {
     for (name, config, budget) in [
         ("under a budget", weighted.clone(), true),
         ("without one", MarkConfig { budget: false, picture_loss, ..weighted.clone() }, false),
-        ("harmonics", MarkConfig { carrier: CarrierKind::Harmonics, loss: LossKind::Squared, ..weighted }, true),
+        (
+            "harmonics",
+            MarkConfig { carrier: CarrierKind::Harmonics, loss: LossKind::Squared, ..weighted.clone() },
+            true,
+        ),
+        ("equation 5 a render", MarkConfig { loss_per_render: true, ..weighted }, true),
     ] {
         let mut trainer = start(config.clone());
         for step in 1..=config.steps {

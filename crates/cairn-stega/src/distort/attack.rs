@@ -36,6 +36,10 @@ pub struct RobustConfig {
     pub rotate_deg: f64,
     /// Smallest copy, share of a side, 0.1 to 1.
     pub scale: f64,
+    /// Whether pictures are rounded to eight bits a channel at the end.
+    pub eight_bits: bool,
+    /// Whether the mark's coefficients are rounded to half precision, as files hold them.
+    pub half_weights: bool,
 }
 
 impl Default for RobustConfig {
@@ -51,6 +55,8 @@ impl Default for RobustConfig {
             light: 0.25,
             rotate_deg: 30.0,
             scale: 0.6,
+            eight_bits: true,
+            half_weights: true,
         }
     }
 }
@@ -120,15 +126,19 @@ impl RobustConfig {
             (self.blur_px > 0.0, Distortion::Blur { sigma_px }),
             (self.noise > 0.0, Distortion::Noise { sigma }),
             (self.jpeg_quality < 100, Distortion::Jpeg { quality }),
+            // Not where marks are not trained to last: these are drawn for them as well (`Attack::one`).
+            (self.enabled && self.eight_bits, Distortion::EightBits),
         ];
         list.into_iter().filter(|(wanted, _)| *wanted).map(|(_, d)| d).collect()
     }
 }
 
-/// What is done to a picture, drawn once, so that a marked render and its twin meet the same.
+/// What is done to a picture and to what it is rendered from, drawn once, so that a marked render and its twin meet the same.
 pub(crate) struct Attack {
     steps: Vec<(Distortion, u64)>,
     native_px: f32,
+    /// Whether the mark is shown as half precision leaves it.
+    half_weights: bool,
 }
 
 /// An attacked picture, `height x width x 3`, and its way back.
@@ -148,7 +158,18 @@ enum Back {
 impl Attack {
     /// Nothing.
     pub(crate) fn none() -> Self {
-        Self { steps: Vec::new(), native_px: 1.0 }
+        Self { steps: Vec::new(), native_px: 1.0, half_weights: false }
+    }
+
+    /// Whether the mark's coefficients are rounded to half precision before they are shown.
+    pub(crate) fn rounds_weights(&self) -> bool {
+        self.half_weights
+    }
+
+    /// Nothing but that.
+    #[cfg(test)]
+    pub(crate) fn of_weights() -> Self {
+        Self { half_weights: true, ..Self::none() }
     }
 
     /// As often as the settings want it, a few distortions or all; else none.
@@ -175,7 +196,10 @@ impl Attack {
         let native_px = config.native_px as f32 * rng.random_range(0.7f32..1.4);
         let all = config.all(rng);
         let steps = all.into_iter().filter(|_| rng.random_bool(odds)).collect::<Vec<_>>();
-        Self { steps: steps.into_iter().map(|step| (step, rng.random())).collect(), native_px }
+        let steps = steps.into_iter().map(|step| (step, rng.random())).collect();
+        // Drawn in any case, so that the setting changes nothing else.
+        let is_rounded = rng.random_bool(odds);
+        Self { steps, native_px, half_weights: is_rounded && config.half_weights }
     }
 
     /// One distortion alone, of any strength up to the settings' limits; none where all of them are harmless.
@@ -185,7 +209,7 @@ impl Attack {
             return Self::none();
         }
         let step = all.swap_remove(rng.random_range(0..all.len()));
-        Self { steps: vec![(step, rng.random())], native_px: config.native_px as f32 }
+        Self { steps: vec![(step, rng.random())], native_px: config.native_px as f32, half_weights: false }
     }
 
     /// A JPEG of any quality down to the settings' limit, or where that leaves JPEGs out down to
@@ -193,7 +217,8 @@ impl Attack {
     pub(crate) fn jpeg(config: &RobustConfig, rng: &mut ChaCha8Rng) -> Self {
         let native_px = config.native_px as f32 * rng.random_range(0.7f32..1.4);
         let lowest = if config.jpeg_quality < 100 { config.jpeg_quality } else { LOWEST_QUALITY };
-        Self { steps: vec![(Distortion::Jpeg { quality: drawn_quality(lowest, rng) }, 0)], native_px }
+        let steps = vec![(Distortion::Jpeg { quality: drawn_quality(lowest, rng) }, 0)];
+        Self { steps, native_px, half_weights: false }
     }
 
     /// Does it to a file, whose pixels are those of the large picture.
@@ -280,5 +305,32 @@ mod tests {
             (0..200).flat_map(|_| Attack::always(config, rng).steps).any(|(d, _)| matches!(d, Distortion::Jpeg { .. }))
         };
         assert!(met(&all, &mut rng) && !met(&turned, &mut rng), "marked pictures meet only what is asked for");
+    }
+
+    #[test]
+    fn rounding_is_drawn_where_marks_are_to_last_and_only_there() {
+        let on = RobustConfig { enabled: true, ..RobustConfig::default() };
+        let drawn = |config: &RobustConfig, draw: fn(&RobustConfig, &mut ChaCha8Rng) -> Attack| {
+            let mut rng = ChaCha8Rng::seed_from_u64(9);
+            let attacks: Vec<Attack> = (0..400).map(|_| draw(config, &mut rng)).collect();
+            let rounds = |attack: &&Attack| attack.steps.iter().any(|(step, _)| *step == Distortion::EightBits);
+            [attacks.iter().filter(rounds).count(), attacks.iter().filter(|a| a.half_weights).count()]
+        };
+        // A quarter has all, the others 35 in a hundred: 205 of 400, by the luck of the draw up to 30 more or less.
+        let [pictures, weights] = drawn(&on, Attack::always);
+        assert!((175..235).contains(&pictures) && (175..235).contains(&weights), "{pictures} and {weights}");
+        assert_eq!(drawn(&on, Attack::everything), [400, 400]);
+        let [pictures, weights] = drawn(&on, Attack::one);
+        assert!((30..90).contains(&pictures) && weights == 0, "one of seven, {pictures}");
+        assert_eq!(drawn(&RobustConfig { eight_bits: false, ..on.clone() }, Attack::everything), [0, 400]);
+        assert_eq!(drawn(&RobustConfig { half_weights: false, ..on.clone() }, Attack::everything), [400, 0]);
+        // What is drawn where marks are not trained to last is what it was.
+        let off = RobustConfig { enabled: false, ..on };
+        assert_eq!([Attack::draw, Attack::one].map(|draw| drawn(&off, draw)), [[0; 2]; 2]);
+        // The last thing that happens to a picture is that it is kept.
+        let all = Attack::everything(&RobustConfig { enabled: true, ..off }, &mut ChaCha8Rng::seed_from_u64(1));
+        assert_eq!(all.steps.last().map(|(step, _)| *step), Some(Distortion::EightBits));
+        let kept = all.apply((0..48 * 48 * 3).map(|i| (i % 251) as f32 / 250.0).collect(), [48, 48]);
+        assert!(kept.rgb.iter().all(|v| (v * 255.0 - (v * 255.0).round()).abs() < 1e-3));
     }
 }

@@ -107,6 +107,16 @@ fn jpeg_passes_the_gradient_of_what_it_keeps() {
 }
 
 #[test]
+fn a_gradient_passes_rounding_as_if_nothing_had_happened() {
+    let picture = made(2, 1, vec![0.1, 0.25, 0.999, 0.5, 0.0, 1.0]);
+    let (out, trace) = Distortion::EightBits.traced(&picture, 0);
+    let levels = [26.0, 64.0, 255.0, 128.0, 0.0, 255.0];
+    assert_eq!(out.rgb(), levels.map(|level: f32| level / 255.0));
+    let slope = vec![0.5, -1.0, 2.0, 0.25, 3.0, -4.0];
+    assert_eq!(trace.back(slope.clone()), slope);
+}
+
+#[test]
 fn noise_has_its_deviation_and_follows_from_its_seed() {
     let grey = made(64, 64, vec![0.5; 64 * 64 * 3]);
     let noise = Distortion::Noise { sigma: 0.1 };
@@ -160,6 +170,7 @@ fn an_attack_comes_back_through_all_that_it_did() {
         noise: 0.0,
         light: 0.0,
         jpeg_quality: 100,
+        eight_bits: false,
         ..RobustConfig::default()
     };
     let (size, mut longest) = ([40, 30], 0);
