@@ -13,6 +13,7 @@ mod camera;
 mod capture;
 mod colmap;
 mod contributors;
+mod emblem;
 mod error;
 mod facing;
 mod grey;
@@ -34,6 +35,7 @@ mod transforms;
 
 pub use camera::{Camera, Distortion, Intrinsics, Pose, PoseError};
 pub use capture::{Capture, ReadOptions, SceneKind, UNKNOWN_CONTRIBUTOR, View};
+pub use emblem::{Ground, decode_emblem};
 pub use error::CaptureError;
 pub use grey::encode_grey16;
 pub use manifest::{MANIFEST, write_manifest};

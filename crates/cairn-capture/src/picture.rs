@@ -121,6 +121,28 @@ impl Picture {
         Self::new(width, height, rgb.iter().map(|&b| f32::from(b) / 255.0).collect())
     }
 
+    /// The picture as it is once it was kept in 8 bits: numbers in [0, 1] on 256 levels.
+    #[must_use]
+    pub fn in_8_bits(mut self) -> Self {
+        for v in &mut self.rgb {
+            *v = (v.clamp(0.0, 1.0) * 255.0).round() / 255.0;
+        }
+        self
+    }
+
+    /// How far pixels are from the picture's mean colour: root mean square over pixels and channels, 0 where all are alike.
+    pub fn spread(&self) -> f64 {
+        let count = (self.width * self.height) as f64;
+        let mut mean = [0.0f64; 3];
+        for pixel in self.rgb.as_chunks::<3>().0 {
+            (0..3).for_each(|c| mean[c] += f64::from(pixel[c]) / count);
+        }
+        let squares: f64 = (self.rgb.as_chunks::<3>().0.iter())
+            .map(|pixel| (0..3).map(|c| (f64::from(pixel[c]) - mean[c]).powi(2)).sum::<f64>())
+            .sum();
+        (squares / (3.0 * count)).sqrt()
+    }
+
     /// This picture at `width x height`, each new pixel the mean of the area it
     /// covers (exact box filter; bilinear in the limit of enlarging by area).
     ///

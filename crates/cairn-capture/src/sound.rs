@@ -18,6 +18,8 @@ const MAX_CHANNELS: u16 = 32;
 /// 16-bit samples a full scale: the same both ways, so that a file read and
 /// written again has the same bytes.
 const FULL_SCALE: f32 = 32_768.0;
+/// Channels of which less than this share is left in their mean are one turned against the other.
+const CANCELLED: f64 = 1e-3;
 
 /// A mono sound: samples with full scale at -1 and 1, all finite, at least one.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,6 +76,19 @@ impl Sound {
     /// The largest level, dB below full scale; minus infinity for digital silence.
     pub fn peak_db(&self) -> f64 {
         20.0 * f64::from(self.samples.iter().fold(0.0f32, |most, v| most.max(v.abs()))).log10()
+    }
+
+    /// The root mean square of the levels, dB below full scale; minus infinity for digital silence.
+    pub fn rms_db(&self) -> f64 {
+        let squares: f64 = self.samples.iter().map(|v| f64::from(*v).powi(2)).sum();
+        10.0 * (squares / self.samples.len() as f64).log10()
+    }
+
+    /// The sound as it is once it was kept as a WAV file ([`encode_wav`]): clamped to full scale, on 16-bit levels.
+    #[must_use]
+    pub fn in_16_bits(&self) -> Self {
+        let samples = self.to_pcm16().into_iter().map(|level| f32::from(level) / FULL_SCALE).collect();
+        Self { samples, sample_rate_hz: self.sample_rate_hz }
     }
 
     /// As 16-bit samples, rounded to nearest and clamped to full scale.
@@ -139,8 +154,11 @@ fn mixed_down(
 ) -> Result<Vec<f32>, CaptureError> {
     let mut mono = Vec::with_capacity(frames);
     let (channels, mut sum, mut count) = (usize::from(spec.channels), 0.0f64, 0);
+    let mut loudest = 0.0f64;
     let mut take = |level: Result<f64, hound::Error>| -> Result<(), CaptureError> {
-        sum += level.map_err(|e| refused(name, e))?;
+        let level = level.map_err(|e| refused(name, e))?;
+        loudest = loudest.max(level.abs());
+        sum += level;
         count += 1;
         if count == channels {
             mono.push((sum / channels as f64) as f32);
@@ -154,6 +172,13 @@ fn mixed_down(
             let full = f64::from(1u32 << (spec.bits_per_sample - 1).min(31));
             reader.samples::<i32>().try_for_each(|v| take(v.map(|v| f64::from(v) / full)))?;
         }
+    }
+    let left = mono.iter().fold(0.0f32, |most, v| most.max(v.abs()));
+    if f64::from(left) < CANCELLED * loudest {
+        return Err(refused(
+            name,
+            "its channels cancel each other where they are mixed down to one; bring one of them",
+        ));
     }
     Ok(mono)
 }
@@ -247,6 +272,31 @@ mod tests {
         assert_eq!(read.samples()[..4], [-1.0, 32767.0 / 32768.0, 0.25, -0.75]);
         assert_eq!(encode_wav(&read), file);
         assert!((read.seconds() - 6.0 / 16_000.0).abs() < 1e-12 && read.peak_db() == 0.0);
+    }
+
+    #[test]
+    fn levels_are_told_and_a_sound_is_what_its_file_will_say() {
+        let sound = Sound::new(vec![0.5, -0.5, 0.5, -0.5], 16_000).unwrap();
+        assert!((sound.rms_db() + 6.0206).abs() < 1e-3 && (sound.peak_db() + 6.0206).abs() < 1e-3);
+        assert_eq!(sound.in_16_bits(), sound);
+        let odd = Sound::new(vec![1.7, -1.7, 1e-6, 0.3], 16_000).unwrap();
+        assert!(odd.peak_db() > 4.6);
+        assert_eq!(odd.in_16_bits(), decode_wav("a", &encode_wav(&odd), &ROOM).unwrap());
+        assert_eq!(odd.in_16_bits().samples()[2], 0.0);
+        assert_eq!(Sound::new(vec![0.0; 3], 16_000).unwrap().rms_db(), f64::NEG_INFINITY);
+    }
+
+    #[test]
+    fn channels_that_cancel_each_other_are_not_called_silence() {
+        let against = |i: usize, c: u16| 0.5 * (i as f64 * 0.1).sin() * if c == 0 { 1.0 } else { -1.0 };
+        for (bits, format) in [(16, SampleFormat::Int), (32, SampleFormat::Float)] {
+            let error = decode_wav("b.wav", &wav(spec(2, bits, format), 100, against), &ROOM).unwrap_err().to_string();
+            assert!(error.contains("b.wav") && error.contains("cancel each other"), "{error}");
+        }
+        // Silence in all channels is silence, and one channel of two is a sound.
+        assert!(decode_wav("a", &wav(spec(2, 16, SampleFormat::Int), 100, |_, _| 0.0), &ROOM).is_ok());
+        let one = |i: usize, c: u16| if c == 0 { 0.5 * (i as f64 * 0.1).sin() } else { 0.0 };
+        assert!(decode_wav("a", &wav(spec(2, 16, SampleFormat::Int), 100, one), &ROOM).is_ok());
     }
 
     #[test]

@@ -7,6 +7,10 @@ use cairn_capture::{Picture, Sound};
 use cairn_nn::{text_bits, text_bytes};
 use serde::{Deserialize, Serialize};
 
+/// Pictures whose pixels are closer to one colour than this (root mean square, of the range) are nothing to see: a black one is
+/// what a detector shows where nothing is hidden, and any other says no more than its colour.
+const LEAST_SPREAD: f64 = 0.01;
+
 /// A hidden signal: a picture, a sound, a text, or some of them together. Also what
 /// a detector recovers; it then has what the detector has heads for.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,6 +38,14 @@ impl Signal {
         let refuse = |problem: String| Err(MarkError::Signal { identity: number, problem });
         if *self == Self::default() {
             return refuse("nothing to hide; bring a picture, a sound or a text".into());
+        }
+        if let Some(picture) = &self.picture
+            && picture.spread() < LEAST_SPREAD
+        {
+            let [r, g, b] = picture.pixel(picture.width() / 2, picture.height() / 2).map(|v| (255.0 * v).round());
+            return refuse(format!(
+                "a picture of nearly one colour (RGB {r}, {g}, {b}), on which nothing is seen; bring one that shows something, or leave it out"
+            ));
         }
         if let Some(audio) = &self.audio {
             let (got, rate) = (audio.sample_rate_hz(), config.audio.sample_rate_hz);
@@ -192,6 +204,20 @@ mod tests {
         };
         let said = said.signal(32, 16_000).unwrap();
         assert_eq!((said.text.as_deref(), said.audio.unwrap().samples().len()), (Some("Éva"), 512));
+    }
+
+    #[test]
+    fn pictures_on_which_nothing_is_seen_are_refused() {
+        let config = MarkConfig::default();
+        let check = |picture: Picture| Signal::from(picture).check(3, &config).map_err(|e| e.to_string());
+        for (colour, named) in [([0.0; 3], "0, 0, 0"), ([1.0; 3], "255, 255, 255"), ([1.0, 0.0, 0.4], "255, 0, 102")] {
+            let error = check(Picture::constant(40, 40, colour)).unwrap_err();
+            assert!(["identity 3", "nearly one colour", named].iter().all(|part| error.contains(part)), "{error}");
+        }
+        // A black dot of a few pixels on white is seen.
+        let mut dot = Picture::constant(128, 128, [1.0; 3]);
+        dot.rgb_mut()[..3 * 8].fill(0.0);
+        check(dot).unwrap();
     }
 
     #[test]
