@@ -156,6 +156,13 @@ fn a_record_outlives_the_next_training_and_speaks_for_its_own_alone() {
     assert!(said.contains("of 1 models of scene \"town\" none has the marked field"), "{said}");
 }
 
+/// A PNG of a colour above white.
+fn emblem(colour: [f32; 3]) -> Vec<u8> {
+    let mut picture = cairn_capture::Picture::constant(40, 40, colour);
+    picture.rgb_mut()[40 * 20 * 3..].fill(1.0);
+    cairn_capture::encode_png(&picture)
+}
+
 #[test]
 fn anchors_and_signals_of_ones_own_go_all_the_way() {
     let place = Place::new();
@@ -163,15 +170,21 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
     place.import("town", ["--data", &data]);
     let signals = place.path("signals");
     std::fs::create_dir(&signals).unwrap();
-    for (name, colour) in [("b.png", [0.0, 1.0, 0.2]), ("a.png", [1.0, 0.0, 0.4])] {
-        let picture = cairn_capture::Picture::constant(40, 40, colour);
-        std::fs::write(signals.join(name), cairn_capture::encode_png(&picture)).unwrap();
+    for (name, colour) in [("10.png", [0.0, 1.0, 0.2]), ("2.png", [1.0, 0.0, 0.4])] {
+        std::fs::write(signals.join(name), emblem(colour)).unwrap();
     }
+    std::fs::write(signals.join("._2.png"), "what macOS leaves").unwrap();
     let (tiny, signals) = (place.text("tiny.toml"), signals.display().to_string());
     let train = ["train", "town", "--anchors", "2", "--neighbours", "4", "--signals", &signals];
     let keys = place.text("owners");
-    place.cairn_ok(&[&train[..], &["--settings", &tiny, "--data", &data, "--keys", &keys]].concat());
-    // In order of file name: a.png is identity 1's. It is hidden at the detector's size.
+    let told = place.cairn_ok(&[&train[..], &["--settings", &tiny, "--data", &data, "--keys", &keys]].concat());
+    // In the order in which people count: 2.png is identity 1's, which is said first. It is hidden at the detector's size.
+    let lines: Vec<&str> = told.lines().map(str::trim).collect();
+    for (line, end) in [(1, ") hides 2 (picture)"), (2, ") hides 10 (picture)")] {
+        let begin = format!("identity {line} (anchor-");
+        assert!(lines[line].starts_with(&begin) && lines[line].ends_with(end), "{told}");
+        assert_eq!(lines.iter().filter(|l| **l == lines[line]).count(), 1, "{told}");
+    }
     for (number, colour) in [(1, [255, 0, 102]), (2, [0, 255, 51])] {
         let kept = std::fs::read(place.path(&format!("owners/{number}/signal.png"))).unwrap();
         let kept = cairn_capture::decode_picture(&kept, &cairn_capture::Limits::default(), None).unwrap();
@@ -191,6 +204,11 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
     let refused = place.cairn(&[&short[..], &["--data", &data]].concat());
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(!refused.status.success() && said.contains("the number of signals") && said.contains('3'), "{said}");
+    // So is one too many, by name.
+    let long = ["train", "town", "--anchors", "1", "--signals", &signals, "--settings", &tiny, "--data", &data];
+    let refused = place.cairn(&long);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && said.contains("too many (\"10\""), "{said}");
 }
 
 #[test]
@@ -222,8 +240,7 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
     place.import("town", ["--data", &data]);
     let signals = place.path("signals");
     std::fs::create_dir(&signals).unwrap();
-    let picture = cairn_capture::Picture::constant(40, 40, [1.0, 0.0, 0.4]);
-    std::fs::write(signals.join("a.png"), cairn_capture::encode_png(&picture)).unwrap();
+    std::fs::write(signals.join("a.png"), emblem([1.0, 0.0, 0.4])).unwrap();
     std::fs::write(signals.join("a.txt"), "© Éva\n").unwrap();
     let spoken = cairn_landmark::sounds::credit(0, 0.4, 22_050, 3);
     std::fs::write(signals.join("b.wav"), cairn_capture::encode_wav(&spoken)).unwrap();

@@ -159,6 +159,11 @@ impl Connection {
         Line { connection: self, scene }
     }
 
+    /// Largest message that is sent or taken, bytes.
+    pub fn max_message_bytes(&self) -> usize {
+        self.most
+    }
+
     /// The key of --account.
     pub fn account_key(&self) -> Option<&OwnerKey> {
         self.account.as_ref()

@@ -21,6 +21,7 @@ mod records;
 mod registry;
 mod scene;
 mod sign;
+mod signals;
 mod train;
 mod unlock;
 mod witness;

@@ -1,12 +1,14 @@
 //! `cairn train` and `cairn jobs`: start or take up a training and watch it.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use cairn_proto::v1::{self, JobState, start_training_request::Clusters};
+use clap::builder::ArgPredicate;
 
 use super::connect::{Connection, refused};
 use super::progress::Progress;
+use super::signals::{fit_one_message, signals};
 use super::{VERSION, read, scene};
 
 /// `cairn train`.
@@ -26,12 +28,18 @@ pub struct Args {
     /// Views that a contributor needs to be an identity, with --by-contributor
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub least_views: u32,
-    /// The same seed gives the same bytes
-    #[arg(long, default_value_t = 1)]
+    /// The same seed gives the same bytes [default: 1, with --grow the earlier training's]
+    #[arg(
+        long,
+        default_value = "1",
+        default_value_if("grow", ArgPredicate::IsPresent, "0"),
+        hide_default_value = true
+    )]
     pub seed: u64,
-    /// What to hide, in order of file name, identity 1 first: PNG, JPEG, WAV and TXT files; those of one name but for
-    /// the ending are one identity's (pictures are drawn where not given)
-    #[arg(long, value_name = "DIR")]
+    /// What to hide, one for each identity: PNG, JPEG, WAV and TXT files; those of one name but for the ending are one
+    /// identity's. Where all are named as identities are labelled each is its identity's, else identity 1's is first, 2 before
+    /// 10 (pictures are drawn where not given)
+    #[arg(long, value_name = "DIR", conflicts_with = "base_only")]
     pub signals: Option<PathBuf>,
     /// Training settings that go over the daemon's (see configs/)
     #[arg(long, value_name = "FILE")]
@@ -46,7 +54,8 @@ pub struct Args {
     #[arg(long = "with", value_name = "SCENE", conflicts_with = "base_only")]
     pub with: Vec<String>,
     /// Go on from the newest model: fields and marks stay as they are, and identities that it has not are added
-    /// (ask for more anchors, or contributors of fewer views); --signals are then those of the added ones
+    /// (ask for more anchors, or contributors of fewer views); all that it has must be among them, and --signals are those of the
+    /// added ones
     #[arg(long, conflicts_with_all = ["base_only", "quick"])]
     pub grow: bool,
     /// Take up a cancelled or failed job of this scene instead
@@ -65,18 +74,21 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     let job = match &args.resume {
         Some(id) => {
             let request = v1::ResumeTrainingRequest { format_version: VERSION, job_id: id.clone() };
-            line.about(&args.name).training().resume(request).await.map_err(refused)?.into_inner().job
+            let job = line.about(&args.name).training().resume(request).await.map_err(refused)?.into_inner().job;
+            job.context("the daemon's answer names no job")?
         }
-        None => line.about(&args.name).training().start(request(&args)?).await.map_err(refused)?.into_inner().job,
+        None => start(line, &args).await?,
     };
-    let job = job.context("the daemon's answer names no job")?;
     println!("{} accepted for {}", job.id, scenes_as_they_lie(line, &job).await);
+    // Who hides what, above all: it is in records for good, and the time to look is now.
+    let told = job.notes.clone();
+    told.iter().for_each(|note| println!("  {note}"));
     say_what_is_ahead(line, &job).await;
     if args.detach {
         return Ok(());
     }
     let job = watch(line, &job.id, true).await?;
-    report(&job)?;
+    report(&job, &told)?;
     if let Some(folder) = args.keys.filter(|_| job.state() == JobState::Done) {
         let signed = super::sign::sign_all(line, &args.name, &folder).await?;
         println!("{} owner records signed; keys and bundles are in {}", signed.len(), folder.display());
@@ -87,10 +99,17 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
 
 /// Starts a training and watches it to its good end.
 pub async fn run_to_end(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
-    let answer = line.about(&args.name).training().start(request(args)?).await.map_err(refused)?.into_inner();
-    let job = watch(line, &answer.job.context("the services' answer names no job")?.id, true).await?;
+    let job = watch(line, &start(line, args).await?.id, true).await?;
     anyhow::ensure!(job.state() == JobState::Done, "{} {} {}", job.id, state_name(job.state()), job.error);
     Ok(job)
+}
+
+/// Has a training accepted.
+async fn start(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
+    let request = request(args)?;
+    fit_one_message(&request.signals, line.max_message_bytes())?;
+    let answer = line.about(&args.name).training().start(request).await.map_err(refused)?.into_inner();
+    answer.job.context("the daemon's answer names no job")
 }
 
 /// The request that the arguments stand for.
@@ -151,40 +170,6 @@ async fn scenes_as_they_lie(line: &Connection, job: &v1::Job) -> String {
     told.join(", ")
 }
 
-/// The folder's files as signals: those that differ in their endings alone are one identity's.
-fn signals(folder: &Path) -> anyhow::Result<Vec<v1::Signal>> {
-    let list = std::fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))?;
-    let mut paths = list.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<PathBuf>>>()?;
-    paths.sort();
-    // In the order of each one's first file.
-    let mut signals: Vec<(PathBuf, v1::Signal)> = Vec::new();
-    for path in paths {
-        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).unwrap_or_default();
-        if !matches!(ending.as_str(), "png" | "jpg" | "jpeg" | "wav" | "txt") {
-            continue;
-        }
-        let name = path.with_extension("");
-        let at = signals.iter().position(|(n, _)| *n == name).unwrap_or_else(|| {
-            signals.push((name, v1::Signal::default()));
-            signals.len() - 1
-        });
-        let signal = &mut signals[at].1;
-        let bytes = read(&path)?;
-        let taken = match ending.as_str() {
-            "wav" => std::mem::replace(&mut signal.audio, bytes.into()).len(),
-            "txt" => {
-                let text = String::from_utf8(bytes).with_context(|| format!("{} is no UTF-8", path.display()))?;
-                // Editors end a file with an end of line, which nobody means to hide.
-                std::mem::replace(&mut signal.text, text.trim_end_matches(['\r', '\n']).to_owned()).len()
-            }
-            _ => std::mem::replace(&mut signal.picture, bytes.into()).len(),
-        };
-        anyhow::ensure!(taken == 0, "{}: a second of its kind under that name; rename one of them", path.display());
-    }
-    anyhow::ensure!(!signals.is_empty(), "{} holds no PNG, JPEG, WAV or TXT to hide", folder.display());
-    Ok(signals.into_iter().map(|(_, signal)| signal).collect())
-}
-
 /// Watches a job to its end, with a bar. The first Ctrl-C cancels it.
 pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1::Job> {
     let request = v1::WatchTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
@@ -226,13 +211,14 @@ fn draw(shown: &mut Progress, job: &v1::Job) {
     shown.draw(&p.stage, (p.step, p.total), &quality, p.seconds_left);
 }
 
-fn report(job: &v1::Job) -> anyhow::Result<()> {
+/// How a job ended, with its notes but those that were `told` when it began.
+fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
     let resume = format!("go on with `cairn train {} --resume {}`", job.scene, job.id);
     match job.state() {
         JobState::Done => {
             let stages: Vec<String> = job.stages.iter().map(|s| format!("{} {:.0} s", s.stage, s.seconds)).collect();
             println!("{} done ({})", job.id, stages.join(", "));
-            job.notes.iter().for_each(|note| println!("  {note}"));
+            job.notes.iter().filter(|note| !told.contains(note)).for_each(|note| println!("  {note}"));
             Ok(())
         }
         JobState::Cancelled => {
@@ -270,4 +256,35 @@ pub async fn jobs(line: &Connection) -> anyhow::Result<()> {
         println!("{}  {}  {}{place}{error}", job.id, scenes(&job), state_name(job.state()));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser as _;
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn asked(line: &[&str]) -> Result<v1::StartTrainingRequest, String> {
+        let line = Line::try_parse_from([&["train", "town"][..], line].concat()).map_err(|e| e.to_string())?;
+        request(&line.args).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn a_scene_that_grows_has_the_seed_that_it_was_trained_with() {
+        let seed = |line: &[&str]| asked(line).unwrap().seed;
+        assert_eq!((seed(&[]), seed(&["--seed", "9"])), (1, 9));
+        // 0 asks the daemon for it.
+        assert_eq!((seed(&["--grow"]), seed(&["--grow", "--seed", "9"])), (0, 9));
+    }
+
+    #[test]
+    fn nothing_is_hidden_where_nothing_is_marked() {
+        let refused = asked(&["--base-only", "--signals", "folder"]).unwrap_err();
+        assert!(refused.contains("--base-only") && refused.contains("--signals"), "{refused}");
+    }
 }

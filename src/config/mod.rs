@@ -20,7 +20,7 @@ use cairn_capture::SceneKind;
 use thiserror::Error;
 
 pub use access::{Access, Mode, TlsFiles};
-pub use overlay::{TrainingSettings, training_settings};
+pub use overlay::{TrainingSettings, overridden, training_settings};
 use raw::Raw;
 pub use raw::{Limits, LogFormat};
 pub use registry::{PublicHttp, WitnessSetting};
@@ -75,8 +75,10 @@ pub struct Config {
     pub log_filter: String,
     /// How log lines look.
     pub log_format: LogFormat,
-    /// The settings of training, before a request's own go over them.
+    /// The settings of training, before a request's own go over them, where no kind of scene chooses.
     pub training: TrainingSettings,
+    /// What the settings file says of training, TOML: it goes over what the kind of a scene chooses.
+    pub training_configured: String,
 }
 
 /// A bearer token; never printed.
@@ -171,9 +173,11 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn from_toml(text: &str, place: &str) -> Result<Self, ConfigError> {
-        let table = overlay::laid_over(overlay::parse(DEFAULT_TOML, "configs/default.toml")?, text, place)?;
+        let defaults = overlay::parse(DEFAULT_TOML, "configs/default.toml")?;
+        let table = overlay::laid_over(defaults.clone(), text, place)?;
         let raw: Raw = table.try_into().map_err(|e| overlay::toml_error(place, &e))?;
-        checked(raw)
+        let training_configured = overlay::configured(&overlay::parse(text, place)?, &defaults, place)?;
+        Ok(Self { training_configured, ..checked(raw)? })
     }
 }
 
@@ -231,6 +235,7 @@ fn checked(raw: Raw) -> Result<Config, ConfigError> {
         log_filter: raw.log.filter,
         log_format: raw.log.format,
         training,
+        training_configured: String::new(),
     })
 }
 

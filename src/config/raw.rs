@@ -101,6 +101,18 @@ pub struct Limits {
     pub max_scene_bytes: u64,
 }
 
+impl Limits {
+    /// Those of a picture.
+    pub fn of_pictures(&self) -> cairn_capture::Limits {
+        cairn_capture::Limits {
+            max_file_bytes: self.max_photograph_bytes,
+            max_side_px: self.max_side_px,
+            max_pixels: self.max_pixels,
+            max_views: self.max_views,
+        }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Training {

@@ -103,6 +103,58 @@ fn every_kind_of_scene_has_settings_that_are_accepted() {
 }
 
 #[test]
+fn what_a_settings_file_says_stands_over_the_kinds_choice_key_by_key() {
+    let settings = |text: &str, kind, own: &str| {
+        let config = Config::from_toml(text, "test").unwrap();
+        let overlays = [overlay_for(kind), ("the daemon's settings", &config.training_configured), ("own", own)];
+        training_settings(&TrainingSettings::default(), &overlays).unwrap()
+    };
+    let plain = settings("", SceneKind::Unbounded, "");
+    // One key of stage 2: the kind chooses all else, in both stages.
+    let marked = settings("[mark]\nbudget_db = 38\n[mark.robust]\nenabled = true", SceneKind::Unbounded, "");
+    assert!(marked.mark.budget_db == 38.0 && marked.mark.robust.enabled);
+    assert_eq!((marked.field, marked.mark.fresh_every), (plain.field.clone(), plain.mark.fresh_every));
+    // One of stage 1 leaves stage 2's alone.
+    let field = settings("[field]\nsteps = 77", SceneKind::Bounded, "");
+    assert_eq!((field.field.steps, field.field.voxel_px, field.mark.budget_db, field.mark.finer), (77, 2.2, 52.5, 2));
+    assert_eq!(field.mark.classifier.channels, [12, 16, 32, 64, 64]);
+    // So does a default that somebody asks for by name; a request's own word is the last.
+    assert_eq!(settings("[mark]\nbudget_db = 52.0", SceneKind::Unbounded, "").mark.budget_db, 52.0);
+    assert_eq!(settings("[mark]\nbudget_db = 38", SceneKind::Unbounded, "[mark]\nbudget_db = 40").mark.budget_db, 40.0);
+}
+
+#[test]
+fn a_copy_of_the_default_file_says_only_what_was_changed_in_it() {
+    let said = |text: &str| Config::from_toml(text, "test").unwrap().training_configured;
+    let copy = said(DEFAULT_TOML);
+    let kinds = [SceneKind::ForwardFacing, SceneKind::Bounded, SceneKind::Unbounded];
+    for kind in kinds {
+        let of = |configured: &str| {
+            training_settings(&TrainingSettings::default(), &[overlay_for(kind), ("configured", configured)]).unwrap()
+        };
+        assert_eq!(of(&copy), of(""), "{kind:?}");
+        // An older release's copy lacks some keys.
+        let older = DEFAULT_TOML.replace("\nleast_voxel_px = 0.8\n", "\n").replace("\ngrow_share = 0.4\n", "\n");
+        assert_eq!(of(&said(&older)), of(""), "{kind:?}");
+        let changed = of(&said(&DEFAULT_TOML.replace("budget_db = 52.0", "budget_db = 38")));
+        assert_eq!((changed.mark.budget_db, changed.field), (38.0, of("").field), "{kind:?}");
+    }
+    assert_eq!(said(""), "");
+}
+
+#[test]
+fn what_stands_over_the_kinds_choice_is_told() {
+    let keys = |text: &str| overridden(overlay_for(SceneKind::Unbounded), ("test", text), &[]).unwrap();
+    assert_eq!(keys("[mark]\nbudget_db = 38.0\nsteps = 5"), ["mark.budget_db = 38.0 (42.0 there)"]);
+    assert_eq!(keys("[mark]\nbudget_db = 42.0\n[field]\nhuber = 0.1"), ["field.huber = 0.1 (0.2 there)"]);
+    assert_eq!(keys(""), [""; 0]);
+    assert_eq!(keys("[mark]\nbudget_db = 42"), [""; 0], "it says the same");
+    // What is said again by somebody else does not stand.
+    let (daemons, own) = (("test", "[mark]\nbudget_db = 38.0"), ("own", "[mark]\nbudget_db = 40.0"));
+    assert_eq!(overridden(overlay_for(SceneKind::Unbounded), daemons, &[own]).unwrap(), [""; 0]);
+}
+
+#[test]
 fn refusals_name_key_value_and_what_is_allowed() {
     for (text, wanted) in [
         ("[limits]\nqueue_lenght = 3", ["`limits.queue_lenght` = 3", "queue_length"]),

@@ -10,7 +10,8 @@ use glam::{DMat3, DVec3};
 
 use crate::engine::TrainingRequest;
 use crate::engine::error::EngineError;
-use crate::engine::hidden::Given;
+use crate::engine::given::Given;
+use crate::engine::hidden::Parts;
 use crate::engine::light::Light;
 use crate::engine::owners::AskedView;
 use crate::engine::query::{FieldKind, Viewpoint};
@@ -237,7 +238,7 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
         grouping,
         seed: request.seed,
         settings_toml: request.settings_toml,
-        signals: request.signals.into_iter().map(signal).collect(),
+        signals: request.signals.into_iter().map(signal).collect::<Result<_, _>>()?,
         quick: request.quick,
         base_only: request.base_only,
         owner: None,
@@ -245,13 +246,18 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
 }
 
 /// What an identity is to hide; a field that is not there is empty on the wire.
-fn signal(signal: v1::Signal) -> Given {
+fn signal(signal: v1::Signal) -> Result<Given, EngineError> {
     let some = |bytes: Vec<u8>| (!bytes.is_empty()).then_some(bytes);
-    Given {
+    let name = match signal.name {
+        none if none.is_empty() => none,
+        name => text("a signal's name", name)?,
+    };
+    let parts = Parts {
         picture: some(signal.picture.to_vec()),
         audio: some(signal.audio.to_vec()),
         text: some(signal.text.into_bytes()),
-    }
+    };
+    Ok(Given { name, parts })
 }
 
 /// Clusters around anchors.
@@ -426,6 +432,21 @@ mod tests {
             let refused = photograph(bytes, viewpoint).unwrap_err();
             assert!(refused.starts_with(says), "{refused}");
         }
+    }
+
+    #[test]
+    fn signals_keep_their_names_and_order() {
+        let by = v1::start_training_request::Clusters::ByContributor(v1::ByContributor { least_views: 2 });
+        let of = |name: &str| v1::Signal { name: name.into(), text: "t".into(), ..v1::Signal::default() };
+        let asked = |names: &[&str]| {
+            let signals = names.iter().map(|name| of(name)).collect();
+            training(v1::StartTrainingRequest { clusters: Some(by.clone()), signals, ..Default::default() })
+        };
+        let wanted = asked(&["drone-2", ""]).unwrap();
+        assert_eq!(wanted.signals.iter().map(|g| g.name.as_str()).collect::<Vec<_>>(), ["drone-2", ""]);
+        assert_eq!(wanted.signals[0].parts.text.as_deref(), Some(&b"t"[..]));
+        let refused = asked(&["a\nb"]).unwrap_err().to_string();
+        assert!(refused.contains("a signal's name"), "{refused}");
     }
 
     #[test]

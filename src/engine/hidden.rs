@@ -11,12 +11,10 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::error::EngineError;
 use super::folder::{read_limited, write_atomic};
-use super::query;
-use crate::config::Limits;
 
 /// Largest file of a published signal's part, bytes.
 const MAX_PART_BYTES: u64 = 16 << 20;
-/// Largest file of a part beside a job, where a picture has the size it was brought in.
+/// Largest file of a part beside a job, where earlier releases kept a picture at the size it was brought in.
 const MAX_GIVEN_BYTES: u64 = 1 << 30;
 
 /// One of each for a signal's picture, sound and text, where it has them.
@@ -109,38 +107,6 @@ pub fn kinds<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Kinds>, D::Error>
     })
 }
 
-/// What somebody gives to hide: a PNG or JPEG, a WAV, a text.
-pub type Given = Parts<Vec<u8>>;
-
-impl Given {
-    /// The signal of identity `number`, its sound at the rate that `mark` asks for.
-    ///
-    /// # Errors
-    /// For what does not decode, is over the limits, or cannot be hidden.
-    pub fn signal(&self, number: usize, mark: &MarkConfig, limits: &Limits) -> Result<Signal, EngineError> {
-        let picture = self.picture.as_ref().map(|bytes| query::decode(bytes, limits)).transpose()?;
-        let audio = match &self.audio {
-            None => None,
-            Some(bytes) => {
-                let name = format!("the sound of identity {number}");
-                let (max_file_bytes, longest_s) = (limits.max_photograph_bytes, mark.audio.longest_s);
-                let sound = decode_wav(&name, bytes, &SoundLimits { max_file_bytes, longest_s })?;
-                Some(sound.resampled(mark.audio.sample_rate_hz)?)
-            }
-        };
-        let text = match &self.text {
-            None => None,
-            Some(bytes) => Some(String::from_utf8(bytes.clone()).map_err(|e| {
-                let got = format!("no UTF-8 from byte {}", e.utf8_error().valid_up_to());
-                EngineError::invalid(format!("the text of identity {number}"), got, "UTF-8")
-            })?),
-        };
-        let signal = Signal { picture, audio, text };
-        signal.check(number, mark)?;
-        Ok(signal)
-    }
-}
-
 /// Which parts `signal` has.
 pub fn kinds_of(signal: &Signal) -> Kinds {
     Kinds { picture: signal.picture.is_some(), audio: signal.audio.is_some(), text: signal.text.is_some() }
@@ -171,8 +137,8 @@ pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &MarkConfig) -> Re
         audio: kinds.audio.then_some(()),
         text: kinds.text.then_some(()),
     };
-    let mut signal =
-        decoded(&read_parts(&wanted, number, |name, ()| read_limited(&folder.join(name), MAX_GIVEN_BYTES))?)?;
+    let files = read_parts(&wanted, number, |name, ()| read_limited(&folder.join(name), MAX_GIVEN_BYTES))?;
+    let mut signal = decoded_within(&files, MAX_GIVEN_BYTES)?;
     let side = mark.side_px();
     signal.picture = signal.picture.map(|p| p.resized(side, side));
     Ok(signal)
@@ -196,8 +162,16 @@ pub fn read(folder: &Path, number: usize, digests: &Parts<Digest>) -> Result<Par
 /// # Errors
 /// For one that does not decode.
 pub fn decoded(files: &Parts<Vec<u8>>) -> Result<Signal, EngineError> {
-    let limits = SoundLimits { max_file_bytes: MAX_PART_BYTES, longest_s: f64::INFINITY };
-    let picture = |bytes: &Vec<u8>| cairn_capture::decode_picture(bytes, &cairn_capture::Limits::default(), None);
+    decoded_within(files, MAX_PART_BYTES)
+}
+
+/// As [`decoded`], of files of `max_file_bytes` at most.
+fn decoded_within(files: &Parts<Vec<u8>>, max_file_bytes: u64) -> Result<Signal, EngineError> {
+    let limits = SoundLimits { max_file_bytes, longest_s: f64::INFINITY };
+    // Files that the daemon wrote itself, some under larger limits than it has now.
+    let pictures =
+        cairn_capture::Limits { max_file_bytes, max_pixels: 1_000_000_000, max_side_px: 65_536, ..Default::default() };
+    let picture = |bytes: &Vec<u8>| cairn_capture::decode_picture(bytes, &pictures, None);
     let text = |bytes: &Vec<u8>| {
         String::from_utf8(bytes.clone()).map_err(|e| EngineError::Internal(format!("a hidden text is no UTF-8: {e}")))
     };
@@ -273,24 +247,5 @@ mod tests {
         assert_eq!(kinds("2").unwrap(), [Kinds { picture: true, audio: false, text: false }; 2]);
         let new = r#"[{"picture":false,"audio":true,"text":true}]"#;
         assert_eq!(kinds(new).unwrap(), [Kinds { picture: false, audio: true, text: true }]);
-    }
-
-    #[test]
-    fn what_is_given_is_made_ready_or_refused_by_name() {
-        let (mark, limits) = (MarkConfig::default(), crate::config::Config::from_toml("", "test").unwrap().limits);
-        let recorded = Sound::new((0..44_100).map(|i| (i as f32 * 0.05).sin() * 0.5).collect(), 44_100).unwrap();
-        let given = Given { audio: Some(encode_wav(&recorded)), text: Some("a".into()), picture: None };
-        let signal = given.signal(1, &mark, &limits).unwrap();
-        let sound = signal.audio.unwrap();
-        assert_eq!((sound.sample_rate_hz(), sound.samples().len()), (16_000, 16_000));
-        let says = |given: Given, expected: &[&str]| {
-            let error = given.signal(2, &mark, &limits).unwrap_err().to_string();
-            assert!(error.contains("identity 2") && expected.iter().all(|part| error.contains(part)), "{error}");
-        };
-        says(Given { text: Some(vec![b'a', 0xff]), ..Given::default() }, &["byte 1", "UTF-8"]);
-        says(Given::default(), &["nothing to hide"]);
-        let long = Sound::new(vec![0.1; 5 * 8000], 8000).unwrap();
-        says(Given { audio: Some(encode_wav(&long)), ..Given::default() }, &["5.00 s", "4 s"]);
-        says(Given { audio: Some(b"RIFF".to_vec()), ..Given::default() }, &["WAV"]);
     }
 }

@@ -211,7 +211,7 @@ impl Jobs {
         Ok(Self { shared, capacity, worker: Mutex::new(Some(worker)) })
     }
 
-    /// Queues a job that `owner` pays for. `prepare` puts what the job needs into its
+    /// Queues a job that `owner` pays for, of which `notes` is known already. `prepare` puts what the job needs into its
     /// folder before the job counts.
     ///
     /// # Errors
@@ -220,6 +220,7 @@ impl Jobs {
         &self,
         owner: Option<Digest>,
         spec: JobSpec,
+        notes: Vec<String>,
         prepare: impl FnOnce(&std::path::Path) -> Result<(), EngineError>,
     ) -> Result<Job, EngineError> {
         let mut inner = self.shared.lock();
@@ -228,7 +229,7 @@ impl Jobs {
         let last = inner.jobs.keys().next_back().and_then(|id| id.strip_prefix("job-")?.parse::<u64>().ok());
         let id = format!("job-{:06}", last.unwrap_or(0) + 1);
         let folder = self.shared.folder.join(&id);
-        let job = Job { owner, ..Job::accepted(id.clone(), spec, unix_s()) };
+        let job = Job { owner, notes, ..Job::accepted(id.clone(), spec, unix_s()) };
         let write = || {
             std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
             prepare(&folder)?;

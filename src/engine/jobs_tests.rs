@@ -59,7 +59,7 @@ fn wait_for(jobs: &Jobs, id: &str, wanted: impl Fn(&Job) -> bool) -> Job {
 }
 
 fn submit(jobs: &Jobs) -> String {
-    jobs.submit(None, spec(), |_| Ok(())).unwrap().id
+    jobs.submit(None, spec(), Vec::new(), |_| Ok(())).unwrap().id
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn jobs_run_in_turn_and_the_queue_has_an_end() {
     let first = submit(&jobs);
     wait_for(&jobs, &first, |j| j.state == JobState::Running);
     let second = submit(&jobs);
-    assert!(matches!(jobs.submit(None, spec(), |_| Ok(())), Err(EngineError::QueueFull { limit: 1 })));
+    assert!(matches!(jobs.submit(None, spec(), Vec::new(), |_| Ok(())), Err(EngineError::QueueFull { limit: 1 })));
     tick.send(()).unwrap();
     wait_for(&jobs, &first, |j| j.state == JobState::Done);
     wait_for(&jobs, &second, |j| j.state == JobState::Running);
@@ -106,7 +106,7 @@ fn what_was_cut_off_is_found_again_and_what_was_not_durable_is_not() {
     let (first, second) = (submit(&jobs), submit(&jobs));
     wait_for(&jobs, &first, |j| j.progress.step > 0);
     jobs.shut_down();
-    assert!(matches!(jobs.submit(None, spec(), |_| Ok(())), Err(EngineError::ShuttingDown)));
+    assert!(matches!(jobs.submit(None, spec(), Vec::new(), |_| Ok(())), Err(EngineError::ShuttingDown)));
     drop(jobs);
     std::fs::create_dir(dir.path().join("job-000003")).unwrap();
 
@@ -139,7 +139,7 @@ fn a_job_that_cannot_be_prepared_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let (_tick, work) = counting();
     let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
-    let refused = jobs.submit(None, spec(), |_| Err(EngineError::ShuttingDown));
+    let refused = jobs.submit(None, spec(), Vec::new(), |_| Err(EngineError::ShuttingDown));
     assert!(refused.is_err());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
 }

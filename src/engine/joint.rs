@@ -18,7 +18,7 @@ use super::jobs::Control;
 use super::marks::{Detector, Grown, MarkedField};
 use super::model::{self, MarkFiles, Model, ModelFiles, ModelInfo, Share, publish};
 use super::scenes;
-use super::training::{Training, clusters_if_any, identities};
+use super::training::{Training, all_are_kept, clusters_if_any, identities};
 
 /// A scene of a training.
 pub(super) struct Part {
@@ -110,6 +110,8 @@ impl Training {
                 signals.extend(now.iter().map(|_| None));
                 continue;
             };
+            // Views may have gone into quarantine since the job was accepted.
+            all_are_kept(&info, &now)?;
             let before: BTreeMap<String, u32> = info.identities.iter().map(|i| (i.label.clone(), i.number)).collect();
             let Model { info, mark, .. } = Model::load(&self.models, info)?;
             let mark = mark.ok_or_else(|| EngineError::Internal(format!("{} has no marks to go on from", info.job)))?;

@@ -15,6 +15,7 @@ use cairn_stega::{
 pub use cairn_stega::{Detector, MarkedField};
 
 use super::error::EngineError;
+use super::given::QUIET_DB;
 use super::stages::{self, Field, Preparing, Stage, Step};
 
 /// Steps between judgements of a state on poses it was not trained on; fixed, so
@@ -38,6 +39,8 @@ pub struct Marking {
     trainer: MarkTrainer,
     /// What each identity is called, the first scene's first.
     whose: Vec<String>,
+    /// The quietest hidden sound: the place of its identity in `whose`, and its level, RMS in dB of full scale.
+    quietest: Option<(usize, f64)>,
     /// What to say of the budget.
     note: Option<String>,
 }
@@ -104,11 +107,14 @@ impl Marking {
         preparing: Preparing<'_>,
     ) -> Result<Option<Self>, EngineError> {
         let (mut planned, mut whose) = (Vec::with_capacity(scenes.len()), Vec::new());
+        let mut levels: Vec<(usize, f64)> = Vec::new();
         let several = scenes.len() > 1;
         // What was begun goes on with the budget that it has.
         let mut explained_db = checkpoint.is_none().then_some(f64::NEG_INFINITY);
         for ToMark { name, scene, base, clusters, signals } in scenes {
             let of_scene = if several { format!(" of scene {name:?}") } else { String::new() };
+            let sounds = (whose.len()..).zip(&signals).filter_map(|(at, s)| Some((at, s.audio.as_ref()?.rms_db())));
+            levels.extend(sounds);
             whose.extend((1..=signals.len()).map(|number| format!("identity {number}{of_scene}")));
             let capture = scene.capture();
             // Photographs carry no mark: the detector has to stay silent on them.
@@ -136,7 +142,8 @@ impl Marking {
         };
         match made {
             Ok(trainer) => {
-                Ok(Some(Self { note: budget_note(trainer.config(), settings, explained_db), whose, trainer }))
+                let quietest = levels.into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
+                Ok(Some(Self { note: budget_note(trainer.config(), settings, explained_db), whose, quietest, trainer }))
             }
             Err(MarkError::Stopped) => Ok(None),
             Err(error) => Err(error.into()),
@@ -182,25 +189,33 @@ impl Stage for Marking {
 
     fn notes(&self) -> Vec<String> {
         let is_done = self.trainer.steps_done() >= self.trainer.steps_total();
-        let weak = self.trainer.best().filter(|_| is_done).and_then(|kept| weak_note(kept, &self.whose));
+        let weak = self.trainer.best().filter(|_| is_done).and_then(|kept| weak_note(kept, &self.whose, self.quietest));
         let restarted = self.trainer.restarted().iter().map(ToString::to_string);
         self.note.iter().cloned().chain(restarted).chain(weak).collect()
     }
 }
 
 /// What to say where marks or signals do not come back well from the virtual poses of the state that is kept, of all
-/// identities or of the one that does worst; `whose` are their names, class 1 first.
-fn weak_note(kept: &Judgement, whose: &[String]) -> Option<String> {
+/// identities or of the one that does worst; `whose` are their names, class 1 first. What is lost of a sound that was quiet
+/// from the first no step brings back: of the quietest its place in `whose` and its level are said.
+fn weak_note(kept: &Judgement, whose: &[String], quietest: Option<(usize, f64)>) -> Option<String> {
+    let called = |at: usize| whose.get(at).map_or("one identity", String::as_str);
     let mut weak = weak_figures(kept.accuracy, &kept.recovered, 1.0);
     if let Some(worst) = kept.weakest {
         let lost = weak_figures(worst.told, &worst.recovered, LOST);
-        let name = worst.identity.checked_sub(1).and_then(|at| whose.get(at)).map_or("one identity", String::as_str);
+        let name = called(worst.identity.wrapping_sub(1));
         weak.extend((!lost.is_empty()).then(|| format!("worst of all, {name}: {}", lost.join(", "))));
     }
+    let (is_heard, quiet) =
+        (weak.iter().any(|figure| figure.contains("SNR")), quietest.filter(|(_, db)| *db < QUIET_DB));
+    let level = quietest.filter(|_| is_heard).map_or(String::new(), |(at, db)| {
+        let louder = quiet.map_or("", |_| ", too quiet to come back well: bring it louder");
+        format!("; the quietest hidden sound, that of {}, is at {db:.0} dB of full scale (RMS){louder}", called(at))
+    });
     (!weak.is_empty()).then(|| {
         format!(
             "poses between photographs are not answered as they should be ({}): train with more steps (mark.steps), \
-             stronger marks (a lower mark.budget_db, or where the job keeps them fainter a higher mark.most_cost_db) or fewer identities",
+             stronger marks (a lower mark.budget_db, or where the job keeps them fainter a higher mark.most_cost_db) or fewer identities{level}",
             weak.join("; ")
         )
     })
@@ -284,17 +299,37 @@ mod tests {
             recovered: Recovered { picture_ssim, audio_snr_db, text_characters },
             weakest: None,
         };
-        assert_eq!(weak_note(&recovered(Some(0.97), Some(30.0), Some(1.0)), &[]), None);
-        assert_eq!(weak_note(&recovered(None, None, None), &[]), None);
-        let note = weak_note(&recovered(Some(0.02), Some(3.0), Some(0.5)), &[]).unwrap();
+        let weak_note = |kept: &Judgement| weak_note(kept, &[], None);
+        assert_eq!(weak_note(&recovered(Some(0.97), Some(30.0), Some(1.0))), None);
+        assert_eq!(weak_note(&recovered(None, None, None)), None);
+        let note = weak_note(&recovered(Some(0.02), Some(3.0), Some(0.5))).unwrap();
         assert!(
             note.contains(
                 "(hidden pictures' SSIM: 0.02; hidden sounds' SNR: 3.0 dB; hidden texts' characters: 50.0 %)"
             ),
             "{note}"
         );
-        let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }, &[]).unwrap();
+        let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }).unwrap();
         assert!(confused.contains("(answers right: 60.0 %)"), "{confused}");
+    }
+
+    #[test]
+    fn a_sound_that_comes_back_badly_is_told_with_its_level() {
+        let kept = |audio_snr_db| Judgement {
+            step: 1400,
+            accuracy: 1.0,
+            attacked: 1.0,
+            recovered: Recovered { picture_ssim: Some(0.5), audio_snr_db, text_characters: None },
+            weakest: None,
+        };
+        let whose = ["identity 1".to_owned(), "identity 2".to_owned()];
+        let note = |snr, level| weak_note(&kept(snr), &whose, Some((1, level))).unwrap();
+        let quiet = note(Some(3.0), -52.4);
+        assert!(quiet.contains("that of identity 2, is at -52 dB") && quiet.ends_with("bring it louder"), "{quiet}");
+        let loud = note(Some(3.0), -20.6);
+        assert!(loud.ends_with("is at -21 dB of full scale (RMS)"), "{loud}");
+        // Where sounds are not what is weak, their level is no news.
+        assert!(!note(Some(30.0), -52.4).contains("quietest"));
     }
 
     #[test]
@@ -306,7 +341,7 @@ mod tests {
         };
         let whose: Vec<String> =
             (1..=7).map(|class: i32| format!("identity {} of scene \"fern\"", class - 4)).collect();
-        let weak_note = |kept| weak_note(&kept, &whose);
+        let weak_note = |kept| weak_note(&kept, &whose, None);
         let note = weak_note(of(0.0, 0.1)).unwrap();
         assert!(
             note.contains(

@@ -12,6 +12,7 @@ pub mod drawing;
 pub mod error;
 pub mod evaluate;
 pub mod folder;
+pub mod given;
 pub mod hidden;
 pub mod job;
 pub mod jobs;
@@ -49,7 +50,7 @@ use cairn_capture::{Capture, SceneFolder};
 use cairn_registry::{Digest, Registry};
 use cairn_witness::WitnessClient;
 
-use crate::config::{Config, Limits, TrainingSettings};
+use crate::config::{Config, Limits};
 use access::Access;
 use error::EngineError;
 use folder::DataFolder;
@@ -70,7 +71,8 @@ pub struct Engine {
     access: Arc<Access>,
     quarantine: Arc<Quarantine>,
     limits: Limits,
-    training: TrainingSettings,
+    /// The training settings that the daemon's own file sets, TOML.
+    configured: String,
     /// The model used last: loading one takes seconds, and queries come in rows.
     cache: Mutex<Option<Arc<Model>>>,
     // Last, so that the folder is let go when all else in it is closed.
@@ -122,7 +124,7 @@ impl Engine {
             access,
             quarantine,
             limits: config.limits.clone(),
-            training: config.training.clone(),
+            configured: config.training_configured.clone(),
             cache: Mutex::new(None),
         })
     }

@@ -87,13 +87,7 @@ pub fn decode_on(bytes: &[u8], limits: &Limits, background: Option<[f32; 3]>) ->
         let (what, key) = ("the picture in bytes".to_owned(), "limits.max_photograph_bytes");
         return Err(EngineError::OverLimit { what, key, limit: limits.max_photograph_bytes, got });
     }
-    let limits = cairn_capture::Limits {
-        max_file_bytes: limits.max_photograph_bytes,
-        max_side_px: limits.max_side_px,
-        max_pixels: limits.max_pixels,
-        max_views: limits.max_views,
-    };
-    Ok(cairn_capture::decode_picture(bytes, &limits, background)?)
+    Ok(cairn_capture::decode_picture(bytes, &limits.of_pictures(), background)?)
 }
 
 impl Engine {

@@ -8,11 +8,12 @@ use cairn_registry::Digest;
 
 use super::Engine;
 use super::error::EngineError;
-use super::hidden::{self, Given};
+use super::given::{Added, Given, assigned, hides_note};
+use super::hidden;
 use super::job::{Beside, Job, JobSpec};
-use super::model::ModelInfo;
+use super::model::{IdentityInfo, ModelInfo};
 use super::training;
-use crate::config::{QUICK_TOML, TrainingSettings, overlay_for, training_settings};
+use crate::config::{QUICK_TOML, TrainingSettings, overlay_for, overridden, training_settings};
 
 /// What to train, as it is asked for.
 #[derive(Clone, Debug)]
@@ -25,12 +26,12 @@ pub struct TrainingRequest {
     pub grow: bool,
     /// How views become identities; a K of 0 is as many views a cluster as the scene has for it.
     pub grouping: Grouping,
-    /// The seed.
+    /// The seed; 0 with `grow` is the newest model's.
     pub seed: u64,
     /// TOML that goes over the settings.
     pub settings_toml: String,
-    /// What to hide, identity 1 first; empty to draw pictures. Where the training goes on from
-    /// another, what the added identities hide.
+    /// What to hide, by the names of identities or else identity 1 first ([`assigned`]); empty to draw pictures. Where
+    /// the training goes on from another, what the added identities hide.
     pub signals: Vec<Given>,
     /// Whether to lay the quick settings over the daemon's.
     pub quick: bool,
@@ -45,8 +46,12 @@ struct Wanted {
     settings: TrainingSettings,
     clusters: Clusters,
     /// Identities that have no mark yet.
-    added: usize,
+    added: Vec<Added>,
+    /// Labels of those that have one.
+    marked: BTreeSet<String>,
     earlier: Option<ModelInfo>,
+    /// What to say of its settings.
+    note: Option<String>,
 }
 
 impl Engine {
@@ -54,11 +59,11 @@ impl Engine {
     ///
     /// # Errors
     /// For settings that are not allowed, clusters to mark that a scene has not the
-    /// views for, a scene named twice, nothing to go on from or to add, signals that do not decode or
-    /// cannot be hidden, and [`super::jobs::Jobs::submit`]'s.
+    /// views for, a scene named twice, nothing to go on from or to add, clusters that leave an earlier identity out, signals
+    /// that do not decode or cannot be hidden, more of them than identities to mark, and [`super::jobs::Jobs::submit`]'s.
     pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
         request.check()?;
-        let request = self.as_large_as_before(request)?;
+        let request = self.as_before(request)?;
         let shared = match request.grow {
             true => Some(self.detector_of(&request.scene)?),
             false => None,
@@ -68,8 +73,8 @@ impl Engine {
             wanted.push(self.wanted(&request, scene, shared.as_ref())?);
         }
         let settings = wanted[0].settings.clone();
-        let added = wanted.iter().map(|w| w.added).sum::<usize>();
-        if request.grow && added == 0 {
+        let added: Vec<Added> = wanted.iter().flat_map(|w| w.added.iter().cloned()).collect();
+        if request.grow && added.is_empty() {
             let identities = wanted.iter().map(|w| w.clusters.clusters.len()).sum::<usize>();
             let expected = "clusters among which there is one without a mark";
             return Err(EngineError::invalid(
@@ -78,13 +83,16 @@ impl Engine {
                 expected,
             ));
         }
-        if !request.signals.is_empty() && request.signals.len() < added {
-            let expected = format!("none, or one for each of the {added} identities");
-            return Err(EngineError::invalid("the number of signals", request.signals.len(), expected));
-        }
-        let mut signals = Vec::with_capacity(added);
-        for (number, given) in (1..=added).zip(&request.signals) {
-            signals.push(given.signal(number, &settings.mark, &self.limits)?);
+        let mut notes: Vec<String> = Vec::new();
+        wanted.iter_mut().for_each(|w| notes.extend(w.note.take()));
+        let marked = wanted.iter().flat_map(|w| w.marked.iter().cloned()).collect();
+        let mut signals = Vec::with_capacity(added.len());
+        for (identity, at) in added.iter().zip(assigned(&request.signals, &added, &marked)?) {
+            let given = &request.signals[at];
+            let (signal, said) = given.signal(identity.number, &settings.mark, &self.limits)?;
+            notes.push(hides_note(identity, given, &signal));
+            notes.extend(said);
+            signals.push(signal);
         }
         let also = request.also.into_iter().zip(&wanted[1..]);
         let spec = JobSpec {
@@ -100,21 +108,26 @@ impl Engine {
             signals: signals.iter().map(hidden::kinds_of).collect(),
             base_only: request.base_only,
         };
-        self.jobs.submit(request.owner, spec, |folder| {
+        self.jobs.submit(request.owner, spec, notes, |folder| {
             (1..).zip(&signals).try_for_each(|(number, signal)| hidden::keep(folder, number, signal))
         })
     }
 
     /// A request to go on in which clusters are as large as they are where it gives no size: whose views
-    /// are credited does not change because somebody else's are added.
-    fn as_large_as_before(&self, mut request: TrainingRequest) -> Result<TrainingRequest, EngineError> {
+    /// are credited does not change because somebody else's are added. Without a seed it has theirs, from which anchors follow.
+    fn as_before(&self, mut request: TrainingRequest) -> Result<TrainingRequest, EngineError> {
+        let Some(info) = (if request.grow { self.newest_model(&request.scene)? } else { None }) else {
+            return Ok(request);
+        };
         if let Grouping::Anchors(config) = &mut request.grouping
-            && request.grow
             && config.neighbours == 0
-            && let Some(info) = self.newest_model(&request.scene)?
             && let Grouping::Anchors(before) = info.clusters.grouping()
         {
             config.neighbours = before.neighbours;
+        }
+        if request.seed == 0 {
+            let unread = |_| EngineError::Internal(format!("{} has no seed but {:?}", info.job, info.seed));
+            request.seed = info.seed.parse().map_err(unread)?;
         }
         Ok(request)
     }
@@ -138,30 +151,39 @@ impl Engine {
         let newest = if shared.is_some() { self.newest_model(scene)? } else { None };
         let earlier = newest.filter(|info| info.mark.as_ref().is_some_and(|mark| Some(&mark.detector) == shared));
         let own = ("the request's settings", request.settings_toml.as_str());
-        let settings = match &earlier {
+        let (kind, configured) = (overlay_for(folder.capture().kind), self.configured.as_str());
+        let (settings, note) = match &earlier {
             Some(info) => {
                 let before = info.settings_toml(&self.folder.models())?;
-                training_settings(&self.training, &[("the earlier training's settings", &before), own])?
+                let overlays = [("the earlier training's settings", before.as_str()), own];
+                (training_settings(&TrainingSettings::default(), &overlays)?, None)
             }
             None => {
-                // Who configured stage 1 himself is taken at his word; else the kind of scene decides.
-                let configured = self.training.field != TrainingSettings::default().field;
-                let kind = if configured { ("no settings", "") } else { overlay_for(folder.capture().kind) };
                 let quick = ("configs/quick.toml", if request.quick { QUICK_TOML } else { "" });
-                training_settings(&self.training, &[kind, quick, own])?
+                let overlays = [kind, ("the daemon's settings", configured), quick, own];
+                let settings = training_settings(&TrainingSettings::default(), &overlays)?;
+                let keys = overridden(kind, ("the daemon's settings", configured), &[quick, own])?;
+                let said =
+                    |keys: Vec<String>| format!("the daemon's settings stand over {}: {}", kind.0, keys.join(", "));
+                (settings, Some(keys).filter(|keys| !keys.is_empty()).map(said))
             }
         };
         let folder = self.quarantine.without(scene, folder)?;
         let (clusters, _) = training::clusters_if_any(&folder, &request.grouping, (request.seed, request.base_only))?;
-        let known: BTreeSet<String> =
-            earlier.iter().flat_map(|info| info.identities.iter().map(|i| i.label.clone())).collect();
         let identities = training::identities(&folder, &clusters);
-        let added = identities.iter().filter(|identity| !known.contains(&identity.label)).count();
-        if let Some(info) = earlier.as_ref().filter(|_| added == identities.len()) {
-            let what = format!("none of the identities of {scene:?} that {} marked", info.job);
-            return Err(EngineError::invalid("the clusters", what, "the earlier ones and more, with the same seed"));
+        if let Some(info) = &earlier {
+            training::all_are_kept(info, &identities)?;
         }
-        Ok(Wanted { settings, clusters, added, earlier })
+        let marked: BTreeSet<String> =
+            earlier.iter().flat_map(|info| info.identities.iter().map(|i| i.label.clone())).collect();
+        let of_scene = if request.also.is_empty() { String::new() } else { format!(" of scene {scene:?}") };
+        let new = identities.into_iter().filter(|identity| !marked.contains(&identity.label));
+        let added = new.map(|IdentityInfo { number, label, .. }| Added {
+            called: format!("identity {number} ({label}){of_scene}"),
+            number: number as usize,
+            label,
+        });
+        Ok(Wanted { settings, clusters, added: added.collect(), marked, earlier, note })
     }
 }
 
@@ -172,9 +194,13 @@ impl TrainingRequest {
             let got = format!("{:?} beside {:?}", self.also, self.scene);
             return Err(EngineError::invalid("the scenes", got, "each scene once"));
         }
-        if self.base_only && (self.grow || !self.also.is_empty()) {
-            let got = if self.grow { "grow" } else { "other scenes" };
-            let expected = "neither: what they share are marks";
+        if self.base_only && (self.grow || !self.also.is_empty() || !self.signals.is_empty()) {
+            let got = match (self.grow, self.also.is_empty()) {
+                (true, _) => "grow",
+                (false, false) => "other scenes",
+                (false, true) => "signals to hide",
+            };
+            let expected = "none of them: it makes no marks";
             return Err(EngineError::invalid("a training of the base field only", got, expected));
         }
         Ok(())

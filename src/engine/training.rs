@@ -22,7 +22,7 @@ use super::job::{Job, Progress};
 use super::jobs::{Control, Outcome, Work};
 use super::joint::{Part, shares, signals};
 use super::marks::{Marked, Marking, ToMark};
-use super::model::{IdentityInfo, MarkFiles};
+use super::model::{IdentityInfo, MarkFiles, ModelInfo};
 use super::quarantine::Quarantine;
 use super::stages::{self, Field, Stage};
 
@@ -325,6 +325,31 @@ pub fn identities(scene: &SceneFolder, clusters: &Clusters) -> Vec<IdentityInfo>
         }
     };
     clusters.clusters.iter().map(describe).collect()
+}
+
+/// Refuses to go on from `earlier` where one of its identities is not among `now`: nothing would read its mark any more.
+///
+/// # Errors
+/// [`EngineError::Invalid`] naming those that are missing.
+pub fn all_are_kept(earlier: &ModelInfo, now: &[IdentityInfo]) -> Result<(), EngineError> {
+    let is_kept = |label: &str| now.iter().any(|identity| identity.label == label);
+    let lost = earlier.identities.iter().map(|i| i.label.as_str()).filter(|label| !is_kept(label));
+    let lost: Vec<&str> = lost.collect();
+    if lost.is_empty() {
+        return Ok(());
+    }
+    let got = format!("without {}, marked by {}, whose marks nobody would read any more", lost.join(", "), earlier.job);
+    let (scene, seed) = (&earlier.scene, &earlier.seed);
+    let grouping = match earlier.clusters.grouping() {
+        Grouping::Anchors(c) => format!("{} anchors or more of {} views, seed {seed}", c.anchors, c.neighbours),
+        Grouping::ByContributor { .. } => "clusters by contributor, as small as then or smaller".to_owned(),
+    };
+    let expected = format!(
+        "all {} identities that {scene:?} has, and more: {grouping}, over the views of then (`cairn quarantine list {scene}` shows \
+         which went or came back since); or train it anew, without growing",
+        earlier.identities.len()
+    );
+    Err(EngineError::invalid(format!("the clusters of {scene:?}"), got, expected))
 }
 
 /// Contributors of the photographs with how many each took, most first, then by name.

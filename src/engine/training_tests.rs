@@ -17,6 +17,8 @@ use super::super::{Engine, TrainingRequest, model, scenes};
 use super::*;
 use crate::config::Config;
 
+#[path = "training_asked_tests.rs"]
+mod asked;
 #[path = "training_failed_tests.rs"]
 mod failed;
 
