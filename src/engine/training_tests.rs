@@ -189,7 +189,7 @@ fn a_job_that_grows_says_which_head_had_to_start_afresh() {
     let engine = open(dir.path());
     import(dir.path(), "town", 3);
     let hiding = |texts: &[&str]| {
-        texts.iter().map(|text| Given { text: Some((*text).to_owned()), ..Given::default() }).collect::<Vec<_>>()
+        texts.iter().map(|text| Given { text: Some(text.as_bytes().to_vec()), ..Given::default() }).collect::<Vec<_>>()
     };
     let first = TrainingRequest { signals: hiding(&["Ada", "Bo"]), ..request(2) };
     let first = end_of(&engine, &engine.train(first).unwrap().id);

@@ -8,7 +8,7 @@ use cairn_nn::Memory;
 use cairn_stega::{
     CarrierKind, Detector, Guidance, LossKind, MarkConfig, MarkPlan, MarkTrainer, MarkedField, MaskKind,
 };
-use common::{SIDE, bytes, cameras, config, field, plan, start};
+use common::{SIDE, bytes, cameras, config, field, photograph, plan, plan_of, start};
 use safetensors::tensor::SafeTensors;
 
 /// Bytes of one part of a file.
@@ -139,6 +139,19 @@ fn the_same_pictures_have_the_same_losses_whatever_their_weights() {
     // The classification counts where it is trained only.
     let deaf = first(MarkConfig { weight_classify: 9.0, ..all });
     assert_eq!((deaf.loss, deaf.classify), (one.loss, one.classify));
+}
+
+/// An untrained classifier's cross-entropy stays near ln 2: told by that, nothing would ever be read with ease.
+#[test]
+fn without_a_classifier_ease_comes_from_recovery_and_the_picture_counts() {
+    let guidance = Guidance::NoClassifier;
+    let mut config = MarkConfig { guidance, recover_moves_marks: true, classify_until: 0.3, ..config(400) };
+    (config.budget_db, config.budget_start_db) = (28.0, 25.0);
+    config.detector.memory = Memory::Coarsest;
+    let mut trainer = MarkTrainer::new(field(), plan_of(&field(), 1, photograph), config, 7, &mut |_, _| true).unwrap();
+    let picture: Vec<f64> = (0..160).map(|_| trainer.step().unwrap().picture).collect();
+    assert_eq!(picture[0], 0.0, "nothing is read yet");
+    assert!(picture[140..].iter().all(|picture| *picture > 0.0), "{:?}", &picture[140..]);
 }
 
 #[test]
