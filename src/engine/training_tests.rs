@@ -9,7 +9,8 @@ use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_stega::Signal;
 use tokio::sync::watch;
 
-use super::super::hidden::Given;
+use super::super::given::Given;
+use super::super::hidden::Parts;
 use super::super::job::JobState;
 use super::super::model::ModelInfo;
 use super::super::published::tests::TestFolder;
@@ -188,9 +189,11 @@ fn a_job_that_grows_says_which_head_had_to_start_afresh() {
     let dir = TestFolder::new();
     let engine = open(dir.path());
     import(dir.path(), "town", 3);
-    let hiding = |texts: &[&str]| {
-        texts.iter().map(|text| Given { text: Some(text.as_bytes().to_vec()), ..Given::default() }).collect::<Vec<_>>()
+    let hidden = |text: &&str| Given {
+        parts: Parts { text: Some(text.as_bytes().to_vec()), ..Parts::default() },
+        ..Given::default()
     };
+    let hiding = |texts: &[&str]| texts.iter().map(hidden).collect::<Vec<_>>();
     let first = TrainingRequest { signals: hiding(&["Ada", "Bo"]), ..request(2) };
     let first = end_of(&engine, &engine.train(first).unwrap().id);
     let later = TrainingRequest { grow: true, signals: hiding(&["Cleo, who came later"]), ..request(3) };
