@@ -440,7 +440,7 @@ mod tests {
         let of = |name: &str| v1::Signal { name: name.into(), text: "t".into(), ..v1::Signal::default() };
         let asked = |names: &[&str]| {
             let signals = names.iter().map(|name| of(name)).collect();
-            training(v1::StartTrainingRequest { clusters: Some(by.clone()), signals, ..Default::default() })
+            training(v1::StartTrainingRequest { clusters: Some(by), signals, ..Default::default() })
         };
         let wanted = asked(&["drone-2", ""]).unwrap();
         assert_eq!(wanted.signals.iter().map(|g| g.name.as_str()).collect::<Vec<_>>(), ["drone-2", ""]);
