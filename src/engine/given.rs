@@ -123,12 +123,12 @@ fn level_note(what: &str, peak_db: f64, rms_db: f64) -> Option<String> {
 }
 
 /// Which of `given` each identity of `added` hides, as places in `given`: nothing where nothing is given. Those that are all
-/// called as identities are labelled go by that, otherwise all go by their order. `marked` are the labels of identities that
-/// keep what they hide.
+/// called as identities are labelled go by that, otherwise all go by their order, and those beyond the last identity are
+/// nobody's ([`left_over_note`]). `marked` are the labels of identities that keep what they hide.
 ///
 /// # Errors
-/// [`EngineError::Invalid`] for fewer or more than there are identities, and for names of which only some are labels;
-/// each names what is left over and what would do.
+/// [`EngineError::Invalid`] for fewer than there are identities, and for names of which only some are labels; each names
+/// what does not fit and what would do.
 pub fn assigned(given: &[Given], added: &[Added], marked: &BTreeSet<String>) -> Result<Vec<usize>, EngineError> {
     if given.is_empty() {
         return Ok(Vec::new());
@@ -171,19 +171,17 @@ pub fn assigned(given: &[Given], added: &[Added], marked: &BTreeSet<String>) -> 
 
 /// [`assigned`], where no name is an identity's.
 fn by_order(given: &[Given], added: &[Added]) -> Result<Vec<usize>, EngineError> {
-    if given.len() == added.len() {
-        return Ok((0..given.len()).collect());
+    if given.len() < added.len() {
+        let expected = format!("none, or one for each of the {} identities to mark: {}", added.len(), called(added));
+        return Err(EngineError::invalid("the number of signals", given.len(), expected));
     }
-    let expected = format!("none, or one for each of the {} identities to mark: {}", added.len(), called(added));
-    let got = match given.get(added.len()..).filter(|surplus| !surplus.is_empty()) {
-        None => given.len().to_string(),
-        Some(surplus) => {
-            let surplus: Vec<&Given> = surplus.iter().collect();
-            let (all, more, which) = (given.len(), surplus.len(), names(&surplus));
-            format!("{all}, {more} of them too many ({which}: take them out, or ask for more identities)")
-        }
-    };
-    Err(EngineError::invalid("the number of signals", got, expected))
+    Ok((0..added.len()).collect())
+}
+
+/// What to say of those of `given` that nobody hides where identities hide those at the places `taken`; `None` where all are hidden.
+pub fn left_over_note(given: &[Given], taken: &[usize]) -> Option<String> {
+    let rest: Vec<&Given> = (0..given.len()).filter(|at| !taken.contains(at)).map(|at| &given[at]).collect();
+    (!rest.is_empty()).then(|| format!("nobody hides {}: there are more signals than identities to mark", names(&rest)))
 }
 
 /// What to say of who hides what: `given` named, with its kinds.

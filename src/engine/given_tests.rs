@@ -136,8 +136,17 @@ fn signals_that_are_nobodys_are_refused_by_name() {
     says(&["ada"], &["ada", "carol"], &["none for identity 2 (carol)"]);
     says(&["ada", "ada"], &["ada", "carol"], &["\"ada\" twice"]);
     says(&["eve", "dora"], &["dora"], &["\"eve\" (marked already", "identity 1 (dora)"]);
-    says(&["logo", "seal", "crest"], &["ada", "carol"], &["number of signals is 3", "\"crest\"", "take them out"]);
     says(&["logo"], &["ada", "carol"], &["number of signals is 1", "2 identities", "identity 2 (carol)"]);
+}
+
+#[test]
+fn what_nobody_hides_is_said_by_name() {
+    let given = ["logo", "seal", "crest", ""].map(given);
+    let taken = assigned(&given, &added(&["ada", "carol"]), &BTreeSet::new()).unwrap();
+    assert_eq!(taken, [0, 1]);
+    let note = left_over_note(&given, &taken).unwrap();
+    assert!(note.contains("\"crest\", one without a name") && !note.contains("seal"), "{note}");
+    assert_eq!(left_over_note(&given[..2], &taken), None);
 }
 
 #[test]

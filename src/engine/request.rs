@@ -8,7 +8,7 @@ use cairn_registry::Digest;
 
 use super::Engine;
 use super::error::EngineError;
-use super::given::{Added, Given, assigned, hides_note};
+use super::given::{Added, Given, assigned, hides_note, left_over_note};
 use super::hidden;
 use super::job::{Beside, Job, JobSpec};
 use super::model::{IdentityInfo, ModelInfo};
@@ -60,7 +60,7 @@ impl Engine {
     /// # Errors
     /// For settings that are not allowed, clusters to mark that a scene has not the
     /// views for, a scene named twice, nothing to go on from or to add, clusters that leave an earlier identity out, signals
-    /// that do not decode or cannot be hidden, more of them than identities to mark, and [`super::jobs::Jobs::submit`]'s.
+    /// that do not decode or cannot be hidden, fewer of them than identities to mark, and [`super::jobs::Jobs::submit`]'s.
     pub fn train(&self, request: TrainingRequest) -> Result<Job, EngineError> {
         request.check()?;
         let request = self.as_before(request)?;
@@ -87,13 +87,15 @@ impl Engine {
         wanted.iter_mut().for_each(|w| notes.extend(w.note.take()));
         let marked = wanted.iter().flat_map(|w| w.marked.iter().cloned()).collect();
         let mut signals = Vec::with_capacity(added.len());
-        for (identity, at) in added.iter().zip(assigned(&request.signals, &added, &marked)?) {
-            let given = &request.signals[at];
+        let places = assigned(&request.signals, &added, &marked)?;
+        for (identity, at) in added.iter().zip(&places) {
+            let given = &request.signals[*at];
             let (signal, said) = given.signal(identity.number, &settings.mark, &self.limits)?;
             notes.push(hides_note(identity, given, &signal));
             notes.extend(said);
             signals.push(signal);
         }
+        notes.extend(left_over_note(&request.signals, &places));
         let also = request.also.into_iter().zip(&wanted[1..]);
         let spec = JobSpec {
             scene: request.scene,
