@@ -3,16 +3,17 @@
 use cairn_cluster::Grouping;
 use cairn_field::FieldConfig;
 use cairn_registry::Digest;
+use cairn_stega::MarkConfig;
 use serde::{Deserialize, Serialize};
 
 use super::hidden::Kinds;
 use crate::config::TrainingSettings;
 
 /// Format version of `job.json`: 2 since signals are sounds and texts as well, 3 since a
-/// training may be of several scenes, or go on from an earlier one.
-pub const VERSION: u32 = 3;
+/// training may be of several scenes, or go on from an earlier one, 4 since each of several has marks by its own settings.
+pub const VERSION: u32 = 4;
 /// Those that are read.
-pub const VERSIONS: [u32; 3] = [1, 2, VERSION];
+pub const VERSIONS: [u32; 4] = [1, 2, 3, VERSION];
 
 /// What to train. Never changes after the job was accepted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,7 +27,7 @@ pub struct JobSpec {
     /// Every random number comes from it. Text in JSON: it uses all 64 bits.
     #[serde(with = "as_text")]
     pub seed: u64,
-    /// Settings of both stages, all of them.
+    /// Settings of both stages, all of them; of several scenes, stage 1's of the first, and stage 2's that all share.
     pub settings: TrainingSettings,
     /// What the hidden signals in the job's folder are, identity 1's first, as
     /// `signal-<n>.png`, `.wav` and `.txt`; empty where they are drawn from the seed.
@@ -37,6 +38,10 @@ pub struct JobSpec {
     /// Other scenes that are marked together with it, with one detector for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub also: Vec<Beside>,
+    /// Of each of several scenes what its marks are made by: what all share, and what it has to itself
+    /// ([`MarkConfig::for_scene`]). Empty for one scene, and in jobs of before, whose scenes have the first one's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub marks: Vec<MarkConfig>,
     /// Of each scene the job whose model is gone on from, `None` for one that begins; empty
     /// where all begin.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -105,7 +110,11 @@ impl Job {
             own.spec.scene.clone_from(&beside.scene);
             own.spec.settings.field = beside.field.clone();
         }
+        if let Some(mark) = self.spec.marks.get(at) {
+            own.spec.settings.mark = mark.clone();
+        }
         own.spec.also.clear();
+        own.spec.marks.clear();
         own.spec.grow_from = self.spec.grow_from.get(at).cloned().into_iter().collect();
         // Its field is there: nothing is trained on its photographs any more.
         own.spec.settings.quarantine.enabled &= !grown;

@@ -42,6 +42,7 @@ fn counting() -> (mpsc::Sender<()>, Counting) {
 fn spec() -> JobSpec {
     JobSpec {
         also: Vec::new(),
+        marks: Vec::new(),
         grow_from: Vec::new(),
         scene: "s".into(),
         grouping: Grouping::Anchors(ClusterConfig::default()),

@@ -41,8 +41,8 @@ pub struct Marking {
     whose: Vec<String>,
     /// The quietest hidden sound: the place of its identity in `whose`, and its level, RMS in dB of full scale.
     quietest: Option<(usize, f64)>,
-    /// What to say of the budget.
-    note: Option<String>,
+    /// What to say of each scene's budget.
+    notes: Vec<String>,
 }
 
 /// A scene to mark.
@@ -57,6 +57,8 @@ pub struct ToMark<'a> {
     pub clusters: &'a Clusters,
     /// What each identity hides.
     pub signals: Vec<Signal>,
+    /// What marks are made by in it. Several scenes share networks, steps and losses.
+    pub settings: &'a MarkConfig,
 }
 
 /// What is gone on from. Identities are counted through all scenes.
@@ -109,9 +111,8 @@ impl Marking {
         let (mut planned, mut whose) = (Vec::with_capacity(scenes.len()), Vec::new());
         let mut levels: Vec<(usize, f64)> = Vec::new();
         let several = scenes.len() > 1;
-        // What was begun goes on with the budget that it has.
-        let mut explained_db = checkpoint.is_none().then_some(f64::NEG_INFINITY);
-        for ToMark { name, scene, base, clusters, signals } in scenes {
+        let mut asked = Vec::with_capacity(scenes.len());
+        for ToMark { name, scene, base, clusters, signals, settings: own } in scenes {
             let of_scene = if several { format!(" of scene {name:?}") } else { String::new() };
             let sounds = (whose.len()..).zip(&signals).filter_map(|(at, s)| Some((at, s.audio.as_ref()?.rms_db())));
             levels.extend(sounds);
@@ -119,21 +120,24 @@ impl Marking {
             let capture = scene.capture();
             // Photographs carry no mark: the detector has to stay silent on them.
             let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
-            if let Some(most) = &mut explained_db {
-                let taken = scene.training().map(|index| {
-                    let view = &capture.views[index];
-                    Taken { camera: view.camera, name: &view.name, contributor: &view.contributor }
-                });
-                *most = most.max(explained(&base, &taken.collect::<Vec<_>>(), &negatives));
-            }
+            let taken = scene.training().map(|index| {
+                let view = &capture.views[index];
+                Taken { camera: view.camera, name: &view.name, contributor: &view.contributor }
+            });
+            // What was begun goes on with the budget that it has.
+            let explained_db = checkpoint.is_none().then(|| explained(&base, &taken.collect::<Vec<_>>(), &negatives));
+            asked.push((of_scene, own, explained_db));
             let views = scene.training().map(|index| {
                 let view = &capture.views[index];
                 PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() }
             });
             let plan = MarkPlan { clusters: clusters.clone(), views: views.collect(), signals, negatives };
-            planned.push(MarkScene { field: Arc::new(base), plan });
+            let affordable = explained_db.map(|db| own.affording(db));
+            planned.push(MarkScene { field: Arc::new(base), plan, settings: affordable });
         }
-        let affordable = explained_db.map_or(settings.clone(), |db| settings.affording(db));
+        // One scene's settings are the training's.
+        let own = if several { None } else { planned.first_mut().and_then(|scene| scene.settings.take()) };
+        let affordable = own.unwrap_or_else(|| settings.clone());
         let progress = &mut |done, total| preparing(stages::RAY_WEIGHTS, done, total);
         let made = match (checkpoint, grown) {
             (Some(bytes), _) => MarkTrainer::resume_joint(bytes, planned, progress),
@@ -143,7 +147,10 @@ impl Marking {
         match made {
             Ok(trainer) => {
                 let quietest = levels.into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
-                Ok(Some(Self { note: budget_note(trainer.config(), settings, explained_db), whose, quietest, trainer }))
+                let notes = asked.into_iter().enumerate().filter_map(|(at, (of_scene, own, explained_db))| {
+                    budget_note(trainer.config_of(at), own, (&of_scene, explained_db))
+                });
+                Ok(Some(Self { notes: notes.collect(), whose, quietest, trainer }))
             }
             Err(MarkError::Stopped) => Ok(None),
             Err(error) => Err(error.into()),
@@ -191,7 +198,7 @@ impl Stage for Marking {
         let is_done = self.trainer.steps_done() >= self.trainer.steps_total();
         let weak = self.trainer.best().filter(|_| is_done).and_then(|kept| weak_note(kept, &self.whose, self.quietest));
         let restarted = self.trainer.restarted().iter().map(ToString::to_string);
-        self.note.iter().cloned().chain(restarted).chain(weak).collect()
+        self.notes.iter().cloned().chain(restarted).chain(weak).collect()
     }
 }
 
@@ -235,13 +242,13 @@ fn weak_figures(right: f64, recovered: &Recovered, share: f64) -> Vec<String> {
     figures.into_iter().flatten().collect()
 }
 
-/// What to say where marks are `kept` fainter than was `asked` for; a resumed training does not
+/// What to say where marks `of_scene` are `kept` fainter than was `asked` for; a resumed training does not
 /// know any more how well its photographs are explained.
-fn budget_note(kept: &MarkConfig, asked: &MarkConfig, explained_db: Option<f64>) -> Option<String> {
+fn budget_note(kept: &MarkConfig, asked: &MarkConfig, (of_scene, explained_db): (&str, Option<f64>)) -> Option<String> {
     let why = explained_db.map_or(String::new(), |db| format!("it explains photographs to {db:.1} dB, and "));
     (kept.budget_db > asked.budget_db).then(|| {
         format!(
-            "marks are kept {:.1} dB below the base field's renders instead of {:.1}: {why}they are to cost photographs at most \
+            "marks{of_scene} are kept {:.1} dB below the base field's renders instead of {:.1}: {why}they are to cost photographs at most \
              {} dB (mark.most_cost_db)",
             kept.budget_db, asked.budget_db, kept.most_cost_db
         )

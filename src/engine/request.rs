@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 
 use cairn_cluster::{Clusters, Grouping};
 use cairn_registry::Digest;
+use cairn_stega::MarkConfig;
 
 use super::Engine;
 use super::error::EngineError;
@@ -43,6 +44,7 @@ pub struct TrainingRequest {
 
 /// A scene of a request.
 struct Wanted {
+    scene: String,
     settings: TrainingSettings,
     clusters: Clusters,
     /// Identities that have no mark yet.
@@ -72,7 +74,7 @@ impl Engine {
         for scene in &request.also {
             wanted.push(self.wanted(&request, scene, shared.as_ref())?);
         }
-        let settings = wanted[0].settings.clone();
+        let (settings, marks, said) = shared_settings(&wanted);
         let added: Vec<Added> = wanted.iter().flat_map(|w| w.added.iter().cloned()).collect();
         if request.grow && added.is_empty() {
             let identities = wanted.iter().map(|w| w.clusters.clusters.len()).sum::<usize>();
@@ -85,6 +87,7 @@ impl Engine {
         }
         let mut notes: Vec<String> = Vec::new();
         wanted.iter_mut().for_each(|w| notes.extend(w.note.take()));
+        notes.extend(said);
         let marked = wanted.iter().flat_map(|w| w.marked.iter().cloned()).collect();
         let mut signals = Vec::with_capacity(added.len());
         let places = assigned(&request.signals, &added, &marked)?;
@@ -108,6 +111,7 @@ impl Engine {
             seed: request.seed,
             settings,
             signals: signals.iter().map(hidden::kinds_of).collect(),
+            marks,
             base_only: request.base_only,
         };
         self.jobs.submit(request.owner, spec, notes, |folder| {
@@ -185,8 +189,31 @@ impl Engine {
             number: number as usize,
             label,
         });
-        Ok(Wanted { settings, clusters, added: added.collect(), marked, earlier, note })
+        Ok(Wanted { scene: scene.into(), settings, clusters, added: added.collect(), marked, earlier, note })
     }
+}
+
+/// The settings of a training, what each of several scenes has its marks made by, and what to say of it.
+///
+/// Several scenes share classifier and detector. These are as one wants them that goes on from an earlier training, else as
+/// [`MarkConfig::finest`] says.
+fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<MarkConfig>, Option<String>) {
+    let of_first = wanted[0].settings.clone();
+    if wanted.len() == 1 {
+        return (of_first, Vec::new(), None);
+    }
+    let finest = MarkConfig::finest(wanted.iter().map(|w| &w.settings.mark));
+    let shared = wanted.iter().find(|w| w.earlier.is_some()).unwrap_or(&wanted[finest]);
+    let mark = &shared.settings.mark;
+    let marks = wanted.iter().map(|w| mark.for_scene(&w.settings.mark)).collect();
+    let said = (mark.finer != of_first.mark.finer).then(|| {
+        format!(
+            "all scenes are marked with classifier and detector as scene {:?} wants them, which looks at marks most finely \
+             (mark.finer = {}); how strong marks are and which views are looked at is each scene's own",
+            shared.scene, mark.finer
+        )
+    });
+    (TrainingSettings { mark: mark.clone(), ..of_first }, marks, said)
 }
 
 impl TrainingRequest {

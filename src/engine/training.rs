@@ -141,6 +141,7 @@ impl Training {
                 base,
                 clusters: &part.clusters,
                 signals,
+                settings: &part.job.spec.settings.mark,
             });
         }
         let how = (&job.spec.settings.mark, job.spec.seed);

@@ -1,5 +1,6 @@
 //! What becomes of a request before anything is trained: whose settings hold, who hides what, and what is refused.
 
+use cairn_capture::SceneKind;
 use cairn_cluster::ClusterConfig;
 
 use super::super::super::error::EngineError;
@@ -17,13 +18,19 @@ fn hiding(name: &str) -> Given {
 fn untrained(settings: &str) -> (TestFolder, Engine) {
     let dir = TestFolder::new();
     let engine = Engine::open(dir.path(), &Config::from_toml(settings, "test").unwrap()).unwrap();
+    put(&dir, "town", None);
+    (dir, engine)
+}
+
+/// Puts a scene into a data folder, of its own kind or of that one.
+fn put(dir: &TestFolder, name: &str, kind: Option<SceneKind>) {
     let config = LandmarkConfig { contributors: 2, photographs: 4, width: 32, height: 32, ..LandmarkConfig::default() };
-    let folder = dir.path().join("capture-town");
+    let folder = dir.path().join(format!("capture-{name}"));
     Landmark::generate(&config, 3).unwrap().write(&folder).unwrap();
     let table = ReadOptions { contributors: Some(folder.join("contributors.csv")), ..ReadOptions::default() };
-    let capture = Capture::read(&folder, &table).unwrap();
-    SceneFolder::create(&dir.path().join("scenes"), "town", &capture).unwrap();
-    (dir, engine)
+    let mut capture = Capture::read(&folder, &table).unwrap();
+    capture.kind = kind.unwrap_or(capture.kind);
+    SceneFolder::create(&dir.path().join("scenes"), name, &capture).unwrap();
 }
 
 /// A training of `town` by contributor.
@@ -58,6 +65,38 @@ fn the_daemons_settings_stand_over_the_kinds_key_by_key_and_the_job_says_so() {
     let own = "[mark]\nbudget_db = 41.0\n".to_owned();
     let job = accepted(&engine, TrainingRequest { settings_toml: own, ..request(2) });
     assert_eq!((job.spec.settings.mark.budget_db, job.spec.settings.mark.robust.enabled), (41.0, true));
+}
+
+#[test]
+fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_ones_networks() {
+    let (dir, engine) = untrained("");
+    put(&dir, "mill", Some(SceneKind::Bounded));
+    put(&dir, "gate", Some(SceneKind::Unbounded));
+    let of_kind = |kind| training_settings(&TrainingSettings::default(), &[overlay_for(kind)]).unwrap();
+    let [object, front] = [SceneKind::Bounded, SceneKind::Unbounded].map(of_kind);
+    assert!(object.mark.finer > front.mark.finer && object.mark.budget_db != front.mark.budget_db);
+    let wanted = |scene: &str, also: &str| TrainingRequest {
+        scene: scene.into(),
+        also: vec![also.into()],
+        settings_toml: String::new(),
+        ..request(2)
+    };
+    for (scene, also, first, second) in [("gate", "mill", &front, &object), ("mill", "gate", &object, &front)] {
+        let job = accepted(&engine, wanted(scene, also));
+        assert_eq!(job.spec.settings.mark, object.mark, "{scene} and {also}");
+        assert_eq!(job.spec.settings.field, first.field);
+        for (at, own) in [first, second].into_iter().enumerate() {
+            let settings = job.of_scene(at).spec.settings;
+            assert_eq!(settings.field, own.field);
+            assert_eq!(settings.mark, object.mark.for_scene(&own.mark), "{scene} and {also}, {at}");
+        }
+        let said = job.notes.iter().filter(|note| note.contains("\"mill\"") && note.contains("mark.finer = 2")).count();
+        assert_eq!(said, usize::from(scene == "gate"), "{:?}", job.notes);
+    }
+    // One alone is as ever.
+    let job = accepted(&engine, TrainingRequest { also: Vec::new(), ..wanted("gate", "mill") });
+    assert_eq!((&job.spec.settings.mark, &job.of_scene(0).spec.settings.mark), (&front.mark, &front.mark));
+    assert!(job.spec.marks.is_empty());
 }
 
 #[test]

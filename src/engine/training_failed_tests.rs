@@ -78,6 +78,7 @@ fn spec() -> JobSpec {
     JobSpec {
         scene: "town".into(),
         also: Vec::new(),
+        marks: Vec::new(),
         grow_from: Vec::new(),
         grouping: Grouping::Anchors(cairn_cluster::ClusterConfig::default()),
         seed: 7,

@@ -162,7 +162,8 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
         let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, config.side_px(), 7));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
-        let scenes = vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals }];
+        let scenes =
+            vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &config }];
         Marking::start(scenes, None, (&config, 7), checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
     let notes = |budget_db, most_cost_db| begin(budget_db, most_cost_db, None).notes();
@@ -232,7 +233,8 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     let signals = (0..clusters.clusters.len()).map(emblem).collect();
     let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
     heard.clear();
-    let scenes = vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals }];
+    let scenes =
+        vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &settings.mark }];
     let made = Marking::start(scenes, None, (&settings.mark, seed), None, &mut |stage, done, total| {
         heard.push((stage, done, total));
         stage != stages::RAY_WEIGHTS || done < 3
@@ -253,7 +255,8 @@ fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time(
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
         let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, settings.mark.side_px(), seed));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
-        let scenes = vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals }];
+        let scenes =
+            vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &settings.mark }];
         Marking::start(scenes, None, (&settings.mark, seed), checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
     let trained = || {

@@ -34,6 +34,9 @@ struct Header {
     enough: bool,
     converged: bool,
     carrier_steps: Vec<u64>,
+    /// What each scene has to itself; none where they have the same, and in checkpoints of before they could have.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    of_scenes: Vec<MarkConfig>,
     /// Carriers that stay as they are; none in checkpoints of before there were any.
     #[serde(default)]
     settled: Vec<bool>,
@@ -59,7 +62,7 @@ pub(crate) fn fingerprint(scenes: &[MarkScene]) -> Result<String, MarkError> {
         hash.update((bytes.len() as u64).to_le_bytes());
         hash.update(bytes);
     };
-    for MarkScene { field, plan } in scenes {
+    for MarkScene { field, plan, .. } in scenes {
         let views: Vec<_> = plan.views.iter().map(|v| (&v.camera, &v.appearance)).collect();
         let json = serde_json::to_vec(&(views, &plan.clusters, plan.signals.len()));
         part(&json.map_err(|e| stored("checkpoint", format!("its plan: {e}")))?);
@@ -94,6 +97,10 @@ impl MarkTrainer {
         let header = Header {
             format: CHECKPOINT_FORMAT.into(),
             config: self.config.clone(),
+            of_scenes: match self.sites.iter().all(|site| site.config == self.config) {
+                true => Vec::new(),
+                false => self.sites.iter().map(|site| site.config.clone()).collect(),
+            },
             seed: self.seed,
             step: self.step,
             classify_bits: self.unread.to_bits(),
@@ -153,7 +160,7 @@ impl MarkTrainer {
         plan: MarkPlan,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
-        Self::resume_joint(bytes, vec![MarkScene { field, plan }], progress)
+        Self::resume_joint(bytes, vec![MarkScene::new(field, plan)], progress)
     }
 
     /// As [`MarkTrainer::resume`], of several scenes in the order they were begun in.
@@ -162,7 +169,7 @@ impl MarkTrainer {
     /// As [`MarkTrainer::resume`].
     pub fn resume_joint(
         bytes: &[u8],
-        scenes: Vec<MarkScene>,
+        mut scenes: Vec<MarkScene>,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "checkpoint")?;
@@ -178,6 +185,13 @@ impl MarkTrainer {
         if header.step > header.config.steps {
             return Err(stored("checkpoint", format!("step {} of {}", header.step, header.config.steps)));
         }
+        let (own, expected) = (header.of_scenes.len(), scenes.len());
+        if ![0, expected].contains(&own) {
+            return Err(stored("checkpoint", format!("`of_scenes` has {own} entries for {expected} scenes")));
+        }
+        // As it was begun, whatever they would be by now.
+        let mut own = header.of_scenes.iter().cloned();
+        scenes.iter_mut().for_each(|scene| scene.settings = own.next());
         let file = SafeTensors::deserialize(bytes).map_err(|e| stored("checkpoint", e.to_string()))?;
         let (config, at) = (header.config.clone(), (header.seed, header.step));
         let mut trainer = Self::prepared((scenes, fingerprint), config, at, progress)?;

@@ -200,6 +200,9 @@ pub struct MarkConfig {
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OthersColours,
+    /// Share of the pictures that are shown with noise much stronger than a mark, a marked render and its twin with the same, once
+    /// marks are read, 0 to 1: noise is no mark.
+    pub noisy_share: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
     /// How many times finer than hidden pictures are the pictures that the classifier sees, 1, 2 or 4; the
@@ -263,6 +266,7 @@ impl Default for MarkConfig {
             unfamiliar_beyond: 1.25,
             others: 1,
             others_colours: OthersColours::Near,
+            noisy_share: 0.25,
             robust: RobustConfig::default(),
             finer: 1,
             unused_heads: false,
@@ -287,6 +291,39 @@ impl MarkConfig {
         let affordable_db = (explained_db + below).min(MOST_BUDGET_DB);
         let is_raised = self.budget && self.most_cost_db > 0.0 && affordable_db > self.budget_db;
         Self { budget_db: if is_raised { affordable_db } else { self.budget_db }, ..self.clone() }
+    }
+
+    /// These settings for one of several scenes that share a detector, of which its `own` say how strong its marks are, which views
+    /// are looked at, and what is shown that is unmarked; networks, steps and losses are everybody's.
+    #[must_use]
+    pub fn for_scene(&self, own: &Self) -> Self {
+        Self {
+            budget_db: own.budget_db,
+            budget_start_db: self.budget_start_db.min(own.budget_db),
+            most_cost_db: own.most_cost_db,
+            views: own.views,
+            views_apart_deg: own.views_apart_deg,
+            settled_share: own.settled_share,
+            virtual_views: own.virtual_views,
+            fresh_every: own.fresh_every,
+            // What the networks see is not to be made of less.
+            longest_side_px: own.longest_side_px.max(self.longest_side_px.min(self.shown_px())),
+            others: own.others,
+            others_colours: own.others_colours,
+            ..self.clone()
+        }
+    }
+
+    /// Which of several scenes' settings says how their classifier and detector are made: the first of those whose marks are looked
+    /// at most finely ([`MarkConfig::finer`]), since what reads a faint mark reads a stronger one; 0 of none.
+    pub fn finest<'a>(of: impl IntoIterator<Item = &'a Self>) -> usize {
+        let finer: Vec<usize> = of.into_iter().map(|config| config.finer).collect();
+        finer.iter().position(|of| Some(of) == finer.iter().max()).unwrap_or(0)
+    }
+
+    /// How many fresh views have come to a scene after `steps` steps.
+    pub(crate) fn fresh_after(&self, steps: u64) -> u64 {
+        steps.checked_div(self.fresh_every).unwrap_or(0)
     }
 
     /// Checks every range.
@@ -329,6 +366,7 @@ impl MarkConfig {
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
             ("mark.views_apart_deg", self.views_apart_deg, 0.0, 180.0, "0 to 180"),
             ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
+            ("mark.noisy_share", self.noisy_share, 0.0, 1.0, "0 to 1"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
@@ -454,6 +492,23 @@ mod tests {
         assert_eq!(free.affording(33.0), free);
         let unbound = MarkConfig { budget: false, ..config };
         assert_eq!(unbound.affording(33.0), unbound);
+    }
+
+    #[test]
+    fn of_several_scenes_networks_are_shared_and_marks_are_each_ones_own() {
+        let forward = MarkConfig { budget_db: 31.0, others: 2, longest_side_px: 64, ..MarkConfig::default() };
+        let object =
+            MarkConfig { finer: 2, budget_db: 52.5, fresh_every: 3, longest_side_px: 400, ..MarkConfig::default() };
+        assert_eq!(MarkConfig::finest([&forward, &object, &object]), 1);
+        assert_eq!(MarkConfig::finest([&forward, &forward]), 0);
+        assert_eq!(MarkConfig::finest([]), 0);
+        let own = object.for_scene(&forward);
+        assert_eq!((own.finer, own.budget_db, own.others, own.fresh_every), (2, 31.0, 2, 0));
+        // Not less than the networks are shown, and no budget that starts beyond its end.
+        assert_eq!((own.longest_side_px, own.budget_start_db), (256, 31.0));
+        own.validate().unwrap();
+        assert_eq!(object.for_scene(&own), own);
+        assert_eq!(object.for_scene(&object), object);
     }
 
     #[test]

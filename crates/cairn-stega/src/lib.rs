@@ -20,6 +20,7 @@ mod distort;
 mod draws;
 mod error;
 mod familiar;
+mod grain;
 mod growth;
 mod heads;
 mod judge;

@@ -8,6 +8,7 @@ use crate::config::LossKind;
 use crate::error::MarkError;
 use crate::networks::interleaved;
 use crate::renders::Render;
+use crate::site::Site;
 use crate::trainer::MarkTrainer;
 use candle_core::Tensor;
 
@@ -86,20 +87,22 @@ impl MarkTrainer {
             mean += square / renders.len() as f64;
         }
         let mut carriers = Vec::with_capacity(worst.len());
-        for (carrier, worst) in self.carriers.iter().zip(worst) {
-            carriers.push(match worst {
-                Some(worst) => Some((carrier.check(self.step)?, self.scale(worst)?)),
-                None => None,
-            });
+        for site in &self.sites {
+            for (carrier, worst) in self.carriers[site.carriers.clone()].iter().zip(&worst[site.carriers.clone()]) {
+                carriers.push(match worst {
+                    Some(worst) => Some((carrier.check(self.step)?, self.scale(site, *worst)?)),
+                    None => None,
+                });
+            }
         }
         Ok(Owed { carriers, picture, kept_db: -10.0 * mean.max(1e-20).log10() })
     }
 
-    /// The factor that brings a carrier to the budget, neither above nor below it, whose renders of this step
+    /// The factor that brings a carrier of `site` to its budget, neither above nor below it, whose renders of this step
     /// strayed `worst` (mean square) from the base field's; 1 where there is no budget, or nothing to go by. Marks that were
     /// read with ease could once fade below it: views that no step saw were the first to be lost.
-    fn scale(&self, worst: f64) -> Result<f32, MarkError> {
-        let allowed = 10f64.powf(-self.budget_now_db() / 10.0);
+    fn scale(&self, site: &Site, worst: f64) -> Result<f32, MarkError> {
+        let allowed = 10f64.powf(-site.budget_db(self.tightened()) / 10.0);
         if !self.config.budget || worst == 0.0 {
             return Ok(1.0);
         }

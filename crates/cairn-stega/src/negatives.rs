@@ -4,14 +4,14 @@
 
 use crate::config::OthersColours;
 use crate::distort::Blur;
+use crate::grain::Grain;
 use cairn_capture::{AreaFilter, Picture};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-/// Standard deviation of the faintest and of the strongest grain, and of the softest one's blur, px.
+/// Standard deviation of the faintest and of the strongest grain.
 const GRAIN: [f32; 2] = [0.5 / 255.0, 12.0 / 255.0];
-const GRAIN_PX: f32 = 1.5;
 /// Share of the pictures in other colours that are without any.
 const GREY: f64 = 0.1;
 /// Share of them that are cast in one light, so that what is grey has its colour.
@@ -85,23 +85,11 @@ impl Negatives {
         picture
     }
 
-    /// Faint texture of a colour or two, as fine as a pixel or some pixels wide, all over the picture: brushes, sensors and coding leave
-    /// it, as strong as a mark, and a mark is not any texture.
+    /// Texture of a hue or two all over the picture: a mark is not any texture.
     fn grain(&self, picture: &mut [f32], rng: &mut ChaCha8Rng) {
-        let [least, most] = GRAIN;
         for _ in 0..rng.random_range(1..3) {
-            let strength = least * (most / least).powf(rng.random_range(0.0f32..1.0));
-            let colour: [f32; 3] = std::array::from_fn(|_| rng.random_range(-1.0f32..1.0));
-            let mut noise = Vec::with_capacity(picture.len());
-            for _ in 0..self.side * self.side {
-                let v = rng.random_range(-1.0f32..1.0);
-                noise.extend(colour.map(|c| c * v));
-            }
-            if rng.random_bool(0.5) {
-                noise = Blur::new(rng.random_range(0.3..GRAIN_PX)).apply(&noise, [self.side; 2]);
-            }
-            let size = (noise.iter().map(|v| v * v).sum::<f32>() / noise.len() as f32).sqrt().max(1e-9);
-            picture.iter_mut().zip(noise).for_each(|(p, v)| *p = (*p + strength / size * v).clamp(0.0, 1.0));
+            Grain::draw(GRAIN, 1.0, rng).apply(picture, self.side);
+            picture.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
         }
     }
 

@@ -2,6 +2,7 @@
 //! without the mark, and what cameras and files do to either.
 
 use crate::distort::{Attack, Attacked};
+use crate::grain::Grain;
 use crate::judge::file;
 use crate::site::Site;
 use crate::trainer::MarkTrainer;
@@ -14,6 +15,10 @@ use rand_chacha::ChaCha8Rng;
 /// class must come from the mark and not from what the view shows. Oftener, and
 /// too few renders would be those that a mark is judged by, its own cluster's.
 const ONE_IN_STRANGERS: i32 = 3;
+/// Standard deviation of the faintest and of the strongest noise of a noisy picture.
+const NOISY: [f32; 2] = [1.0 / 255.0, 6.0 / 255.0];
+/// Share of it that is of one hue.
+const ONE_HUE: f64 = 0.5;
 /// Share of a step's unmarked pictures that are JPEGs where marks are not trained to outlast one.
 const JPEGS: f64 = 0.2;
 
@@ -125,10 +130,10 @@ impl MarkTrainer {
         let size = [linear.width(), linear.height()];
         let (mut attacked, twin) = rayon::join(|| attack.apply(picture, size), || attack.apply(base, size));
         let window = Window::draw(attacked.size[0], attacked.size[1], self.config.shown_px(), rng);
-        let tone = Tone::draw(rng);
+        let tone = self.tone(rng);
         let seen = |full: &[f32]| {
             let mut seen = window.apply(full);
-            tone.apply(&mut seen);
+            tone.apply(&mut seen, self.config.shown_px());
             seen
         };
         let (marked, twin) = (seen(&std::mem::take(&mut attacked.rgb)), seen(&twin.rgb));
@@ -145,6 +150,12 @@ impl MarkTrainer {
         if self.joined.is_some() { Attack::draw(&self.config.robust, rng) } else { Attack::none() }
     }
 
+    /// Noisy ones not before marks are read at all, either.
+    pub(crate) fn tone(&self, rng: &mut ChaCha8Rng) -> Tone {
+        let share = if self.joined.is_some() { self.config.noisy_share } else { 0.0 };
+        Tone::draw(share, rng)
+    }
+
     /// What happens to a picture of this step that was never marked: a JPEG also where marks are not
     /// trained to outlast one. One may be lost there, but none may be found: blocks and ringing
     /// edges look most like a mark. Nothing else: what a mark outlasts by itself must not speak against it.
@@ -158,30 +169,35 @@ impl MarkTrainer {
 }
 
 /// What cameras, screens and files do to a picture without harm: a little
-/// brightness and contrast, the noise of eight bits.
+/// brightness and contrast, the noise of eight bits. Some have much more noise: it takes most marks, and leaves what
+/// a classifier that never saw any took for one.
 pub(crate) struct Tone {
     gain: f32,
     shift: f32,
     noise: f32,
     seed: u64,
+    grain: Option<Grain>,
 }
 
 impl Tone {
-    pub(crate) fn draw(rng: &mut ChaCha8Rng) -> Self {
+    /// `noisy`: how often there is more noise, 0 to 1.
+    fn draw(noisy: f64, rng: &mut ChaCha8Rng) -> Self {
         Self {
             gain: rng.random_range(0.9..1.1),
             shift: rng.random_range(-0.05..0.05),
             noise: rng.random_range(0.0..1.5 / 255.0),
             seed: rng.random(),
+            grain: rng.random_bool(noisy).then(|| Grain::draw(NOISY, ONE_HUE, rng)),
         }
     }
 
-    /// The same on every picture it is applied to, noise included: a marked
+    /// The same on every picture of `side x side x 3` it is applied to, noise included: a marked
     /// render and its twin shall differ by the mark alone.
-    pub(crate) fn apply(&self, picture: &mut [f32]) {
+    pub(crate) fn apply(&self, picture: &mut [f32], side: usize) {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         for v in picture.iter_mut() {
             *v = 0.5 + (*v - 0.5) * self.gain + self.shift + self.noise * rng.random_range(-1.0f32..1.0);
         }
+        self.grain.iter().for_each(|grain| grain.apply(picture, side));
     }
 }

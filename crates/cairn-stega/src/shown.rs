@@ -85,7 +85,7 @@ impl MarkTrainer {
             let picture = self.as_a_file(site, Some(identity), view, (&attack, harmed), rng);
             let twin = || self.as_a_file(site, None, view, (&attack, harmed), &mut same);
             // A view that came late may not be read yet, and then says nothing of where marks are.
-            let late = self.config.fresh_every > 0 && at % views.len() >= staying;
+            let late = site.config.fresh_every > 0 && at % views.len() >= staying;
             let shown = self.shown((picture, twin), identity, (view, harmed || late))?;
             renders.extend(shown.map(|shown| Shown { harmed, ..shown }));
         }

@@ -20,11 +20,23 @@ pub struct MarkScene {
     pub field: Arc<Field>,
     /// Whose poses are whose, and what they hide.
     pub plan: MarkPlan,
+    /// Where several scenes share a detector, the scene's own settings, of which [`MarkConfig::for_scene`] takes what it may have to
+    /// itself; none: the training's.
+    pub settings: Option<MarkConfig>,
+}
+
+impl MarkScene {
+    /// A scene that has the training's settings.
+    pub fn new(field: Arc<Field>, plan: MarkPlan) -> Self {
+        Self { field, plan, settings: None }
+    }
 }
 
 /// A scene being marked.
 pub(crate) struct Site {
     pub(crate) scene: MarkScene,
+    /// The training's settings, with those that the scene has to itself.
+    pub(crate) config: MarkConfig,
     pub(crate) bank: Bank,
     /// How much each coefficient of a carrier may move.
     pub(crate) mask: Vec<f32>,
@@ -35,37 +47,42 @@ pub(crate) struct Site {
 }
 
 impl Site {
-    /// One for each scene, with ray weights worked out, those of the first `fresh` views that come and go among them;
+    /// One for each scene, with ray weights worked out, as they are after `step` steps (views come and go);
     /// `progress` is asked before each view of any of them.
     ///
     /// # Errors
-    /// [`MarkError::Plan`] for no scene, a cluster without training views or another number of signals
+    /// [`MarkError::Setting`] for a scene's own that are out of range; [`MarkError::Plan`] for no scene, a cluster without training views or another number of signals
     /// than clusters; [`MarkError::Signal`]; [`MarkError::Stopped`].
     pub(crate) fn all(
         scenes: Vec<MarkScene>,
         config: &MarkConfig,
-        (seed, fresh): (u64, u64),
+        (seed, step): (u64, u64),
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Vec<Self>, MarkError> {
         if scenes.is_empty() {
             return Err(MarkError::Plan("no scene to mark; bring one or more".into()));
         }
         scenes.iter().try_for_each(|scene| check_signals(&scene.plan, config))?;
-        let chosen = |s: &MarkScene| Ok(Chosen::draw(&s.plan, config, seed)?.renewed(&s.plan, fresh));
+        let chosen = |s: &MarkScene| {
+            let own = s.settings.as_ref().map_or_else(|| config.clone(), |own| config.for_scene(own));
+            own.validate()?;
+            Ok((Chosen::draw(&s.plan, &own, seed)?.renewed(&s.plan, own.fresh_after(step)), own))
+        };
         let chosen = scenes.iter().map(chosen).collect::<Result<Vec<_>, MarkError>>()?;
-        let total = chosen.iter().map(Chosen::len).sum();
+        let total = chosen.iter().map(|(chosen, _)| chosen.len()).sum();
         let (mut sites, mut done) = (Vec::<Self>::with_capacity(scenes.len()), 0);
-        for (scene, chosen) in scenes.into_iter().zip(chosen) {
+        for (scene, (chosen, own)) in scenes.into_iter().zip(chosen) {
             let views = chosen.len();
-            let mut prepare = Prepare::new(&scene, config, Progress::new((done, total), progress));
-            let bank = Bank::new(&scene.plan, chosen, config, &mut prepare)?;
+            let mut prepare = Prepare::new(&scene, &own, Progress::new((done, total), progress));
+            let bank = Bank::new(&scene.plan, chosen, &own, &mut prepare)?;
             done += views;
             let (first, first_carrier) = sites.last().map_or((0, 0), |s| (s.identities.end, s.carriers.end));
             let identities = first..first + scene.plan.signals.len();
             let carriers = if config.carrier == CarrierKind::PerCluster { identities.len() } else { 1 };
             let shape = CarrierShape::of(config.carrier, config.density);
             let mask = carrier_mask(config, scene.field.as_ref(), shape);
-            sites.push(Self { scene, bank, mask, identities, carriers: first_carrier..first_carrier + carriers });
+            let carriers = first_carrier..first_carrier + carriers;
+            sites.push(Self { scene, config: own, bank, mask, identities, carriers });
         }
         Ok(sites)
     }
@@ -75,6 +92,12 @@ impl Site {
         let shape = CarrierShape::of(config.carrier, config.density);
         let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
         Carrier::pattern(self.scene.field.as_ref(), shape, seed, (which, hue), amplitude)
+    }
+
+    /// How close to its base field's renders the scene's must be kept where the budget has tightened so far (0 to 1), dB.
+    pub(crate) fn budget_db(&self, tightened: f64) -> f64 {
+        let MarkConfig { budget_start_db, budget_db, .. } = self.config;
+        budget_start_db + (budget_db - budget_start_db) * tightened
     }
 
     /// Which carrier the scene's identity `i` (of all scenes', from 0) is in.

@@ -20,7 +20,7 @@ use crate::losses::Losses;
 use crate::marked::MarkedField;
 use crate::networks::{Networks, planar};
 use crate::poses::PlannedView;
-use crate::renders::{Render, Tone};
+use crate::renders::Render;
 use crate::signal::{HeadSizes, Numbers, Signal};
 use crate::site::{MarkScene, Site};
 use cairn_capture::Picture8;
@@ -126,7 +126,7 @@ impl MarkTrainer {
         seed: u64,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
-        Self::joint(vec![MarkScene { field, plan }], config, seed, progress)
+        Self::joint(vec![MarkScene::new(field, plan)], config, seed, progress)
     }
 
     /// As [`MarkTrainer::new`], for several scenes with one detector and one classifier
@@ -154,7 +154,7 @@ impl MarkTrainer {
     ) -> Result<Self, MarkError> {
         config.validate()?;
         let hidden: Vec<Signal> = scenes.iter().flat_map(|s| s.plan.signals.clone()).collect();
-        let sites = Site::all(scenes, &config, (seed, fresh_after(&config, step)), progress)?;
+        let sites = Site::all(scenes, &config, (seed, step), progress)?;
         let heads = HeadSizes::of(&hidden, &config);
         let hues = hues(sites.last().map_or(0, |s| s.carriers.end), &[]);
         let pattern = |site: &Site, i: usize| site.pattern(&config, seed, (i, hues[i]));
@@ -199,6 +199,11 @@ impl MarkTrainer {
         &self.config
     }
 
+    /// The settings of scene number `at` (from 0), which there is: the training's, with those that it has to itself.
+    pub fn config_of(&self, at: usize) -> &MarkConfig {
+        &self.sites[at].config
+    }
+
     /// Steps in all; those done once training has converged.
     pub fn steps_total(&self) -> u64 {
         if self.converged { self.step } else { self.config.steps }
@@ -221,7 +226,7 @@ impl MarkTrainer {
             let attack = self.attack_on_unmarked(&mut rng);
             let mut other =
                 self.any_site(&mut rng).bank.unmarked(self.config.shown_px(), &attack, self.joined.is_some(), &mut rng);
-            Tone::draw(&mut rng).apply(&mut other);
+            self.tone(&mut rng).apply(&mut other, self.config.shown_px());
             pictures.push(other);
         }
         let side = self.config.shown_px();
@@ -261,11 +266,11 @@ impl MarkTrainer {
 
     /// A virtual view of each scene gives its place to a fresh one where the step just taken makes it time to.
     fn renew(&mut self) {
-        let last = fresh_after(&self.config, self.config.steps);
-        for k in fresh_after(&self.config, self.step - 1)..fresh_after(&self.config, self.step) {
-            for (at, Site { scene, bank, .. }) in self.sites.iter_mut().enumerate() {
-                bank.renew(scene, &self.config, (k, self.ahead.take(&(at, k))));
-                let next = (k + 1 < last).then(|| bank.fresh(scene, &self.config, k + 1)).flatten();
+        for (at, Site { scene, config, bank, .. }) in self.sites.iter_mut().enumerate() {
+            let last = config.fresh_after(config.steps);
+            for k in config.fresh_after(self.step - 1)..config.fresh_after(self.step) {
+                bank.renew(scene, config, (k, self.ahead.take(&(at, k))));
+                let next = (k + 1 < last).then(|| bank.fresh(scene, config, k + 1)).flatten();
                 next.into_iter().for_each(|work| self.ahead.begin((at, k + 1), work));
             }
         }
@@ -306,7 +311,7 @@ impl MarkTrainer {
         self.networks.familiar = self.familiar(progress)?;
         let mut carriers = self.carriers.into_iter().map(|c| c.values);
         let (mut fields, kind) = (Vec::new(), (self.config.carrier, self.config.density));
-        for Site { scene: MarkScene { field, plan }, carriers: own, .. } in self.sites {
+        for Site { scene: MarkScene { field, plan, .. }, carriers: own, .. } in self.sites {
             let own = carriers.by_ref().take(own.len()).collect();
             fields.push(MarkedField::new(field, plan.clusters, kind, own)?);
         }
@@ -362,11 +367,6 @@ impl MarkTrainer {
         tightened(&self.config, self.step.saturating_sub(1), self.joined)
     }
 
-    /// How close to the base field's renders must be kept in this step, dB.
-    pub(crate) fn budget_now_db(&self) -> f64 {
-        self.config.budget_start_db + (self.config.budget_db - self.config.budget_start_db) * self.tightened()
-    }
-
     /// How surely marks are read, 0 to 1; 0 until the detector has joined.
     pub(crate) fn ease(&self) -> f32 {
         if self.joined.is_some() { ease(&self.config, self.unread) } else { 0.0 }
@@ -398,11 +398,6 @@ impl MarkTrainer {
 fn ease(config: &MarkConfig, unread: f64) -> f32 {
     let hopeless = if config.has_classifier() { config.classify_until } else { 1.0 };
     (1.0 - unread / hopeless).clamp(0.0, 1.0) as f32
-}
-
-/// How many fresh views have come to each scene after `steps` steps.
-fn fresh_after(config: &MarkConfig, steps: u64) -> u64 {
-    steps.checked_div(config.fresh_every).unwrap_or(0)
 }
 
 /// How far the budget has tightened after `step` steps, 0 to 1 (1 where there is none): evenly over `mark.budget_ramp` of all

@@ -26,7 +26,7 @@ fn other_field() -> Arc<Field> {
 
 fn scenes() -> Vec<MarkScene> {
     let other = plan_of(&other_field(), 1, negative);
-    vec![MarkScene { field: field(), plan: plan() }, MarkScene { field: other_field(), plan: other }]
+    vec![MarkScene::new(field(), plan()), MarkScene::new(other_field(), other)]
 }
 
 /// Marks that are learnt in few steps.
@@ -66,13 +66,21 @@ fn a_joint_training_is_resumed_to_the_same_bytes_and_on_the_same_scenes_only() {
         let (fields, detector) = trainer.finish_joint(&mut |_, _| true).unwrap();
         (fields.iter().map(|f| f.to_bytes().unwrap()).collect::<Vec<_>>(), detector.to_bytes().unwrap())
     };
+    // The second has its own settings: what it is taken up with does not count.
+    let own = |fresh_every| {
+        let mut scenes = scenes();
+        scenes[1].settings = Some(MarkConfig { fresh_every, budget_db: 40.0, ..config(10) });
+        scenes
+    };
     let mut whole =
-        MarkTrainer::joint(scenes(), MarkConfig { fresh_every: 2, ..config(10) }, 7, &mut |_, _| true).unwrap();
+        MarkTrainer::joint(own(3), MarkConfig { fresh_every: 2, ..config(10) }, 7, &mut |_, _| true).unwrap();
     for _ in 0..5 {
         whole.step().unwrap();
     }
     let stopped = whole.checkpoint().unwrap();
-    let mut again = MarkTrainer::resume_joint(&stopped, scenes(), &mut |_, _| true).unwrap();
+    let mut again = MarkTrainer::resume_joint(&stopped, own(0), &mut |_, _| true).unwrap();
+    assert_eq!([0, 1].map(|at| again.config_of(at).fresh_every), [2, 3]);
+    assert_eq!([0, 1].map(|at| again.config_of(at).budget_db), [config(10).budget_db, 40.0]);
     for trainer in [&mut whole, &mut again] {
         run(trainer);
     }
@@ -86,6 +94,40 @@ fn a_joint_training_is_resumed_to_the_same_bytes_and_on_the_same_scenes_only() {
     }
     let none = MarkTrainer::joint(Vec::new(), config(3), 7, &mut |_, _| true).err().unwrap();
     assert!(none.to_string().contains("no scene"), "{none}");
+}
+
+/// PSNR of a field's marked renders against its base renders, dB, of the view whose mark is strongest.
+fn kept_db(marked: &MarkedField) -> f64 {
+    let appearance = marked.base().canonical_appearance();
+    let of = |camera: &Camera| {
+        let (with, without) = (marked.render(camera, appearance), marked.base().render(camera, appearance));
+        let square: f64 = with.rgb().iter().zip(without.rgb()).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+        -10.0 * (square / with.rgb().len() as f64).max(1e-12).log10()
+    };
+    cameras().iter().map(of).fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn each_scene_is_marked_as_strongly_as_its_own_settings_say() {
+    let kept = |budgets: [Option<f64>; 2]| {
+        let mut scenes = scenes();
+        for (scene, budget_db) in scenes.iter_mut().zip(budgets) {
+            scene.settings = budget_db.map(|budget_db| MarkConfig { budget_db, ..strong(300) });
+        }
+        let mut trainer = MarkTrainer::joint(scenes, strong(300), 7, &mut |_, _| true).unwrap();
+        run(&mut trainer);
+        let (fields, _) = trainer.finish_joint(&mut |_, _| true).unwrap();
+        [&fields[0], &fields[1]].map(kept_db)
+    };
+    let [one, two] = kept([None, Some(42.0)]);
+    assert!((one - 36.0).abs() < 2.0 && (two - 42.0).abs() < 2.0, "{one} dB for 36 and {two} for 42");
+    let [one, two] = kept([Some(42.0), None]);
+    assert!((one - 42.0).abs() < 2.0 && (two - 36.0).abs() < 2.0, "{one} dB for 42 and {two} for 36");
+
+    let mut wrong = scenes();
+    wrong[1].settings = Some(MarkConfig { others: 99, ..strong(3) });
+    let error = MarkTrainer::joint(wrong, strong(3), 7, &mut |_, _| true).err().unwrap();
+    assert!(matches!(error, MarkError::Setting { key: "mark.others", .. }), "{error}");
 }
 
 /// The plan of one owner, and what was one identity of it of the plan of two.
@@ -103,7 +145,7 @@ fn earlier<'a>((marked, detector): &'a (MarkedField, Detector), same: usize) -> 
 }
 
 fn grow(earlier: &Earlier<'_>, config: MarkConfig) -> Result<MarkTrainer, MarkError> {
-    MarkTrainer::growing(vec![MarkScene { field: field(), plan: plan() }], earlier, config, 8, &mut |_, _| true)
+    MarkTrainer::growing(vec![MarkScene::new(field(), plan())], earlier, config, 8, &mut |_, _| true)
 }
 
 #[test]
@@ -155,7 +197,7 @@ fn a_head_that_has_to_be_longer_for_who_comes_later_starts_afresh_and_says_so() 
         plan
     };
     let grow = |new: &str| {
-        let scenes = vec![MarkScene { field: field(), plan: plan_with(new) }];
+        let scenes = vec![MarkScene::new(field(), plan_with(new))];
         MarkTrainer::growing(scenes, &earlier(&before, same), config(30), 8, &mut |_, _| true).unwrap()
     };
     assert_eq!(grow("Bo").restarted(), [], "what is no longer fits");

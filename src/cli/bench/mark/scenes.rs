@@ -38,10 +38,8 @@ const HIDDEN_SSIM: f64 = 0.97;
 /// What to mark together.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Task {
-    /// The captures, with their stored base fields and what each hides.
-    pub scenes: Vec<(Source, PathBuf, Files)>,
-    /// Stage 2's settings.
-    pub config: MarkConfig,
+    /// The captures, with their stored base fields, what each hides, and stage 2's settings of each.
+    pub scenes: Vec<(Source, PathBuf, Files, MarkConfig)>,
     /// The seed.
     pub seed: u64,
     /// What people are told.
@@ -79,26 +77,26 @@ pub struct Found {
 /// # Errors
 /// For files that do not read, settings out of range, and the trainer's.
 pub fn run(task: &Task) -> anyhow::Result<Joined> {
+    // As the engine does: one scene's networks, each scene's marks.
+    let finest = MarkConfig::finest(task.scenes.iter().map(|(.., config)| config));
+    let shared = task.scenes.get(finest).map(|(.., config)| config.clone()).unwrap_or_default();
     let (mut scenes, mut planned) = (Vec::new(), Vec::new());
-    for (source, base, files) in &task.scenes {
+    for (source, base, files, own) in &task.scenes {
         let field = Arc::new(Field::from_bytes(&super::read(base)?)?);
-        let hidden = signals(std::slice::from_ref(files), &task.config)?;
-        planned.push((plan((&source.open()?, &field), (1, None), hidden, (task.seed, 0))?, field));
+        let hidden = signals(std::slice::from_ref(files), &shared)?;
+        planned.push((plan((&source.open()?, &field), (1, None), hidden, (task.seed, 0))?, field, own));
     }
     let begun = Instant::now();
-    // As the engine does: the scene that is explained best says what marks may cost in all of them.
-    let mut explained_db = f64::NEG_INFINITY;
-    for (planned, field) in planned {
-        explained_db = explained_db.max(planned.explained_db(&field));
-        scenes.push(MarkScene { field, plan: planned.plan });
+    for (planned, field, own) in planned {
+        let settings = Some(own.affording(planned.explained_db(&field)));
+        scenes.push(MarkScene { field, plan: planned.plan, settings });
     }
-    let config = task.config.affording(explained_db);
     let mut weights = Progress::new(&format!("{}: ray weights", task.label), 1);
     let mut hear = |done: usize, total: usize| {
         weights.of(done as u64, total as u64);
         true
     };
-    let mut trainer = MarkTrainer::joint(scenes, config, task.seed, &mut hear)?;
+    let mut trainer = MarkTrainer::joint(scenes, shared.clone(), task.seed, &mut hear)?;
     drop(weights);
     let mut progress = Progress::new(&task.label, trainer.steps_total());
     while trainer.steps_done() < trainer.steps_total() {
@@ -113,8 +111,8 @@ pub fn run(task: &Task) -> anyhow::Result<Joined> {
     let (fields, detector) = trainer.finish_joint(&mut |_, _| true)?;
     let seconds = begun.elapsed().as_secs_f64();
     let mut found = Vec::new();
-    for (at, (marked, (source, _, files))) in fields.iter().zip(&task.scenes).enumerate() {
-        let hidden = signals(std::slice::from_ref(files), &task.config)?;
+    for (at, (marked, (source, _, files, _))) in fields.iter().zip(&task.scenes).enumerate() {
+        let hidden = signals(std::slice::from_ref(files), &shared)?;
         found.push(judged(&detector, (at as u32, marked), &hidden[0], &views(&source.open()?, marked, false)?)?);
     }
     Ok(Joined { seconds, processor_s: processor_s(), steps, peak_mib: peak_mib(), scenes: found })
@@ -167,9 +165,9 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
                 for (at, run) in runs.iter().enumerate() {
                     let picture = pictures[if same { 0 } else { at % pictures.len() }].clone();
                     let files = Files { picture: Some(picture), ..Files::default() };
-                    scenes.push((run.source.clone(), run.base(&children)?.0, files));
+                    scenes.push((run.source.clone(), run.base(&children)?.0, files, run.mark.clone()));
                 }
-                children.run(&Task { scenes, config: runs[0].mark.clone(), seed, label })
+                children.run(&Task { scenes, seed, label })
             }
         });
         let joined = unless_stopped(work, &children).await?;

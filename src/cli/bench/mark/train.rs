@@ -162,7 +162,7 @@ fn going_on(
         anyhow::ensure!(same, "identity {number} of {} has another anchor now", earlier.marked.display());
     }
     let earlier = cairn_stega::Earlier { detector: &detector, identities };
-    Ok(MarkTrainer::growing(vec![MarkScene { field, plan }], &earlier, config, seed, hear)?)
+    Ok(MarkTrainer::growing(vec![MarkScene::new(field, plan)], &earlier, config, seed, hear)?)
 }
 
 /// A capture's plan, and by whom its photographs were taken.
