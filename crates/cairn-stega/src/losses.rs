@@ -42,8 +42,12 @@ type Part = fn(&Numbers) -> Option<Vec<f32>>;
 impl MarkTrainer {
     /// Equation 5 without its picture term, which needs no network: the loss, and what
     /// it is made of. `images` are the renders (those of
-    /// identities first), then the twins, then the other unmarked pictures.
-    pub(crate) fn loss(&self, images: &Var, renders: &[Render]) -> Result<(Tensor, Losses), MarkError> {
+    /// identities first), then the twins, then the other unmarked pictures; `noisy` says of each whether it came with much noise.
+    pub(crate) fn loss(
+        &self,
+        images: &Var,
+        (renders, noisy): (&[Render], &[bool]),
+    ) -> Result<(Tensor, Losses), MarkError> {
         let all = images.dims()[0];
         let mut classes: Vec<u32> = renders.iter().map(|r| r.class).collect();
         classes.resize(all, 0);
@@ -56,8 +60,7 @@ impl MarkTrainer {
         let each = surprises(&probabilities.to_vec2::<f32>()?, &classes);
         let taught = self.config.has_classifier();
         let weighted = (cross * if taught { self.config.weight_classify } else { 0.0 })?;
-        // Two halves, of marked pictures and of unmarked ones, are as many nats as two pictures.
-        let unread = classify / if of_renders.is_some() { 2.0 } else { 1.0 };
+        let unread = mean_of_quiet(&each, noisy);
         if self.joined.is_none() {
             return Ok((weighted, Losses { classify, each, unread, ..Losses::default() }));
         }
@@ -80,7 +83,7 @@ impl MarkTrainer {
             true => unread,
             false => {
                 let silent = recovery(&said.silent()?, &truths, (weights, of_renders), self.config.loss)?;
-                share_of_silence([recover, empty], silent.1[0])
+                Some(share_of_silence([recover, empty], silent.1[0]))
             }
         };
         Ok(((weighted + heads)?, Losses { classify, each, recover, empty, unread }))
@@ -135,8 +138,15 @@ pub(crate) struct Losses {
     pub(crate) recover: f64,
     /// What is said where nothing is hidden (equation 2); 0 while the classifier trains alone.
     pub(crate) empty: f64,
-    /// How far from read marks are: the cross-entropy of a picture, nats, or without a classifier [`share_of_silence`].
-    pub(crate) unread: f64,
+    /// How far from read marks are: the mean cross-entropy, nats, of the pictures that are not noisy, if any; without a classifier
+    /// [`share_of_silence`].
+    pub(crate) unread: Option<f64>,
+}
+
+/// The mean of `each` over the pictures that are not `noisy`: noise may take a mark, which says nothing of how well it is read without.
+fn mean_of_quiet(each: &[f32], noisy: &[bool]) -> Option<f64> {
+    let quiet: Vec<f64> = each.iter().zip(noisy).filter(|(_, noisy)| !**noisy).map(|(v, _)| f64::from(*v)).collect();
+    (!quiet.is_empty()).then(|| quiet.iter().sum::<f64>() / quiet.len() as f64)
 }
 
 /// Cross-entropy of each picture from its probabilities and class, nats, at most 87.
@@ -226,6 +236,12 @@ mod tests {
 
     fn value(t: &Tensor) -> f64 {
         f64::from(t.to_scalar::<f32>().unwrap())
+    }
+
+    #[test]
+    fn how_well_marks_are_read_is_told_by_pictures_without_noise() {
+        assert_eq!(mean_of_quiet(&[1.0, 9.0, 2.0], &[false, true, false]), Some(1.5));
+        assert_eq!(mean_of_quiet(&[9.0], &[true]), None);
     }
 
     #[test]

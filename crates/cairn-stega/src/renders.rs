@@ -42,6 +42,8 @@ pub(crate) struct Render {
     pub(crate) attacked: Attacked,
     pub(crate) window: Window,
     pub(crate) gain: f32,
+    /// Whether much noise was laid over it, which may have taken its mark.
+    pub(crate) noisy: bool,
 }
 
 /// The pictures of one step, `side x side x 3` each.
@@ -137,10 +139,22 @@ impl MarkTrainer {
             seen
         };
         let (marked, twin) = (seen(&std::mem::take(&mut attacked.rgb)), seen(&twin.rgb));
-        let gain = tone.gain;
+        let (gain, noisy) = (tone.gain, tone.is_noisy());
         let stranger = false;
-        let render =
-            Render { class, carrier: at, site, view, stranger, appearance, change, inside, attacked, window, gain };
+        let render = Render {
+            class,
+            carrier: at,
+            site,
+            view,
+            stranger,
+            appearance,
+            change,
+            inside,
+            attacked,
+            window,
+            gain,
+            noisy,
+        };
         (marked, twin, render)
     }
 
@@ -189,6 +203,10 @@ impl Tone {
             seed: rng.random(),
             grain: rng.random_bool(noisy).then(|| Grain::draw(NOISY, ONE_HUE, rng)),
         }
+    }
+
+    pub(crate) fn is_noisy(&self) -> bool {
+        self.grain.is_some()
     }
 
     /// The same on every picture of `side x side x 3` it is applied to, noise included: a marked

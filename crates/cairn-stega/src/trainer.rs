@@ -35,8 +35,7 @@ use std::sync::Arc;
 /// What stage 2 is to do in a scene.
 #[derive(Clone, Debug)]
 pub struct MarkPlan {
-    /// Which poses are whose. Built over the training views or over all: only
-    /// its rule for poses is used.
+    /// Which poses are whose; of its views only the rule for poses is used.
     pub clusters: Clusters,
     /// The training views: cameras and appearances. Held-out views have no place here.
     pub views: Vec<PlannedView>,
@@ -221,17 +220,22 @@ impl MarkTrainer {
         rng.set_stream((1 << 32) + self.step);
         let shown = self.marked_renders(&mut rng);
         let (mut pictures, renders) = (shown.marked, shown.renders);
+        let mut noisy: Vec<bool> = renders.iter().map(|render| render.noisy).collect();
+        // A twin has its render's noise.
+        noisy.extend_from_within(..shown.twins.len());
         pictures.extend(shown.twins);
         for _ in 0..self.batch() {
             let attack = self.attack_on_unmarked(&mut rng);
             let mut other =
                 self.any_site(&mut rng).bank.unmarked(self.config.shown_px(), &attack, self.joined.is_some(), &mut rng);
-            self.tone(&mut rng).apply(&mut other, self.config.shown_px());
+            let tone = self.tone(&mut rng);
+            tone.apply(&mut other, self.config.shown_px());
+            noisy.push(tone.is_noisy());
             pictures.push(other);
         }
         let side = self.config.shown_px();
         let images = Var::from_vec(planar(&pictures), (pictures.len(), 3, side, side), &Device::Cpu)?;
-        let (loss, parts) = self.loss(&images, &renders)?;
+        let (loss, parts) = self.loss(&images, (&renders, &noisy))?;
         let value = f64::from(loss.to_scalar::<f32>()?);
         if !value.is_finite() {
             return Err(MarkError::NotFinite { step: Some(self.step), place: "the loss".into() });
@@ -250,8 +254,9 @@ impl MarkTrainer {
         self.move_carriers(&owed);
         self.average.take_in(&self.networks.params)?;
         self.hear(&renders, &parts.each);
-        let now = parts.unread;
-        self.unread = if self.unread.is_finite() { 0.9 * self.unread + 0.1 * now } else { now };
+        if let Some(now) = parts.unread {
+            self.unread = if self.unread.is_finite() { 0.9 * self.unread + 0.1 * now } else { now };
+        }
         self.step += 1;
         // Later, neither the budget nor the detector would have steps enough.
         let left = self.config.steps - self.step;
@@ -321,7 +326,8 @@ impl MarkTrainer {
     /// Takes in how the step's `renders` and their twins were told; `each` has first those, then these.
     fn hear(&mut self, renders: &[Render], each: &[f32]) {
         let (marked, twins) = each.split_at(renders.len());
-        for ((render, marked), twin) in renders.iter().zip(marked).zip(twins).take(self.batch()) {
+        let heard = renders.iter().zip(marked).zip(twins).take(self.batch());
+        for ((render, marked), twin) in heard.filter(|((render, _), _)| !render.noisy) {
             self.sites[render.site].bank.draws.hear(render.view, 0.5 * (marked + twin));
         }
     }

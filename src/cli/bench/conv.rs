@@ -64,7 +64,9 @@ pub fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
         let rate = shape.flops().map_err(anyhow::Error::msg)? / fastest * 1e-6;
         rows.add(&case, &format!("{}, fastest run", pass.name()), rate, "GFLOP/s", None);
         if let Some(theirs) = torch.get(&key) {
-            let ratio = ours / summary(theirs).0;
+            let theirs = summary(theirs).0;
+            rows.add(&case, &format!("{}, PyTorch", pass.name()), theirs, "ms", None);
+            let ratio = ours / theirs;
             rows.add(&case, &format!("{}, against PyTorch", pass.name()), ratio, "", Some(Target::at_most(MOST)));
         }
     }
