@@ -206,13 +206,22 @@ fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<MarkConfig>, Opt
     let shared = wanted.iter().find(|w| w.earlier.is_some()).unwrap_or(&wanted[finest]);
     let mark = &shared.settings.mark;
     let marks = wanted.iter().map(|w| mark.for_scene(&w.settings.mark)).collect();
-    let said = (mark.finer != of_first.mark.finer).then(|| {
-        format!(
-            "all scenes are marked with classifier and detector as scene {:?} wants them, which looks at marks most finely \
-             (mark.finer = {}); how strong marks are and which views are looked at is each scene's own",
-            shared.scene, mark.finer
-        )
-    });
+    let finer = |w: &&Wanted| w.settings.mark.finer > mark.finer;
+    let said = if let Some(w) = wanted.iter().find(finer) {
+        Some(format!(
+            "marks of scene {:?} want to be looked at more finely (mark.finer = {}) than by the detector that is gone on from ({}): \
+             if they are not read, train all scenes from the start, or make them stronger (a lower mark.budget_db)",
+            w.scene, w.settings.mark.finer, mark.finer
+        ))
+    } else {
+        (mark.finer != of_first.mark.finer).then(|| {
+            format!(
+                "all scenes are marked with classifier and detector as scene {:?} wants them, which looks at marks most finely \
+                 (mark.finer = {}); how strong marks are and which views are looked at is each scene's own",
+                shared.scene, mark.finer
+            )
+        })
+    };
     (TrainingSettings { mark: mark.clone(), ..of_first }, marks, said)
 }
 

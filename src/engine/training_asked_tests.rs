@@ -100,6 +100,24 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
 }
 
 #[test]
+fn marks_that_want_a_finer_look_than_the_detector_gone_on_from_has_are_told_so() {
+    let trained = Trained::new();
+    let engine = open(trained.dir.path());
+    put(&trained.dir, "mill", Some(SceneKind::Bounded));
+    put(&trained.dir, "gate", Some(SceneKind::Unbounded));
+    for (also, told) in [("mill", true), ("gate", false)] {
+        let settings_toml = String::new();
+        let more = TrainingRequest { also: vec![also.into()], grow: true, settings_toml, ..request(2) };
+        let job = accepted(&engine, more);
+        let (town, other) = (&trained.job.spec.settings.mark, &job.of_scene(1).spec.settings.mark);
+        assert_eq!((&job.spec.settings.mark, &job.of_scene(0).spec.settings.mark), (town, town));
+        assert_eq!((other.finer, &other.classifier, other.steps), (town.finer, &town.classifier, town.steps));
+        let said = job.notes.iter().any(|note| note.contains(also) && note.contains("more finely"));
+        assert_eq!(said, told, "{:?}", job.notes);
+    }
+}
+
+#[test]
 fn who_hides_what_goes_by_labels_and_is_told_before_training_begins() {
     let (dir, engine) = untrained("");
     let scene = engine.scene("town").unwrap();

@@ -348,8 +348,21 @@ fn scenes_that_are_marked_together_share_a_detector_and_say_whose_mark_it_is() {
         let error = engine.train(TrainingRequest { also, ..wanted.clone() }).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
-    let error = engine.train(TrainingRequest { base_only: true, ..wanted }).unwrap_err().to_string();
+    let error = engine.train(TrainingRequest { base_only: true, ..wanted.clone() }).unwrap_err().to_string();
     assert!(error.contains("base field only"), "{error}");
+
+    // Each is marked as strongly as its photographs ask for, and goes on so where identities come later.
+    let settings_toml = format!("{TINY}\n[mark.robust]\nenabled = false\n");
+    let faint = settings_toml.replace("[mark]\n", "[mark]\nbudget_db = 20.0\nbudget_start_db = 20.0\n");
+    let job = end_of(&engine, &engine.train(TrainingRequest { settings_toml: faint, ..wanted.clone() }).unwrap().id);
+    for name in ["town", "mill"] {
+        let about = format!("marks of scene {name:?} are kept");
+        assert_eq!(job.notes.iter().filter(|note| note.starts_with(&about)).count(), 1, "{:?}", job.notes);
+    }
+    let more = TrainingRequest { grow: true, settings_toml: String::new(), also: wanted.also, ..request(3) };
+    let grown = end_of(&engine, &engine.train(more).unwrap().id);
+    assert_eq!(grown.spec.marks, job.spec.marks);
+    assert_eq!(labels(&engine.newest_model("mill").unwrap().unwrap()).len(), 3);
 }
 
 #[test]

@@ -4,6 +4,7 @@ use crate::distort::RobustConfig;
 use crate::error::MarkError;
 use cairn_nn::{AudioConfig, ClassifierConfig, TextConfig, UNetConfig};
 use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
 
 /// Where a mark lives in the field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -200,8 +201,8 @@ pub struct MarkConfig {
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OthersColours,
-    /// Share of the pictures that are shown with noise much stronger than a mark, a marked render and its twin with the same, once
-    /// marks are read, 0 to 1: noise is no mark.
+    /// Share of the pictures that are shown with noise of 1 to 6 levels of 255 (RMS, at [`MarkConfig::shown_px`]), a marked render and
+    /// its twin with the same, once marks are read, 0 to 0.9: noise is no mark. Nothing where there is no classifier.
     pub noisy_share: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
@@ -266,7 +267,8 @@ impl Default for MarkConfig {
             unfamiliar_beyond: 1.25,
             others: 1,
             others_colours: OthersColours::Near,
-            noisy_share: 0.25,
+            // Kinds of scenes have it on; what was stored before it was there goes on without.
+            noisy_share: 0.0,
             robust: RobustConfig::default(),
             finer: 1,
             unused_heads: false,
@@ -306,8 +308,12 @@ impl MarkConfig {
             settled_share: own.settled_share,
             virtual_views: own.virtual_views,
             fresh_every: own.fresh_every,
-            // What the networks see is not to be made of less.
-            longest_side_px: own.longest_side_px.max(self.longest_side_px.min(self.shown_px())),
+            // What the networks see is not to be made of less, nor of much more than they do.
+            longest_side_px: match own.finer.cmp(&self.finer) {
+                Ordering::Less => own.longest_side_px.max(self.longest_side_px.min(self.shown_px())),
+                Ordering::Equal => own.longest_side_px,
+                Ordering::Greater => own.longest_side_px.min(self.longest_side_px),
+            },
             others: own.others,
             others_colours: own.others_colours,
             ..self.clone()
@@ -366,7 +372,7 @@ impl MarkConfig {
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
             ("mark.views_apart_deg", self.views_apart_deg, 0.0, 180.0, "0 to 180"),
             ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
-            ("mark.noisy_share", self.noisy_share, 0.0, 1.0, "0 to 1"),
+            ("mark.noisy_share", self.noisy_share, 0.0, 0.9, "0 to 0.9"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
@@ -496,19 +502,38 @@ mod tests {
 
     #[test]
     fn of_several_scenes_networks_are_shared_and_marks_are_each_ones_own() {
-        let forward = MarkConfig { budget_db: 31.0, others: 2, longest_side_px: 64, ..MarkConfig::default() };
-        let object =
-            MarkConfig { finer: 2, budget_db: 52.5, fresh_every: 3, longest_side_px: 400, ..MarkConfig::default() };
+        let usual = MarkConfig::default();
+        let forward = MarkConfig {
+            steps: 99,
+            weight_recover: 9.0,
+            budget_db: 31.0,
+            most_cost_db: 0.3,
+            views: 7,
+            views_apart_deg: 8.0,
+            settled_share: 0.9,
+            virtual_views: 5,
+            fresh_every: 11,
+            longest_side_px: 64,
+            others: 3,
+            others_colours: OthersColours::Any,
+            ..usual.clone()
+        };
+        let object = MarkConfig { finer: 2, budget_db: 52.5, longest_side_px: 400, steps: 1500, ..usual.clone() };
         assert_eq!(MarkConfig::finest([&forward, &object, &object]), 1);
         assert_eq!(MarkConfig::finest([&forward, &forward]), 0);
         assert_eq!(MarkConfig::finest([]), 0);
         let own = object.for_scene(&forward);
-        assert_eq!((own.finer, own.budget_db, own.others, own.fresh_every), (2, 31.0, 2, 0));
-        // Not less than the networks are shown, and no budget that starts beyond its end.
-        assert_eq!((own.longest_side_px, own.budget_start_db), (256, 31.0));
         own.validate().unwrap();
-        assert_eq!(object.for_scene(&own), own);
-        assert_eq!(object.for_scene(&object), object);
+        // Pictures not smaller than the networks are shown, and no budget that starts beyond its end.
+        let (finer, steps, weight_recover) = (2, 1500, usual.weight_recover);
+        let of_forward =
+            MarkConfig { finer, steps, weight_recover, longest_side_px: 256, budget_start_db: 31.0, ..forward.clone() };
+        assert_eq!(own, of_forward);
+        for (shared, own) in [(&object, &own), (&object, &object), (&usual, &usual)] {
+            assert_eq!(shared.for_scene(own), *own);
+        }
+        // Where the networks look less finely than a scene wants, larger pictures would be for nothing.
+        assert_eq!(usual.for_scene(&object).longest_side_px, usual.longest_side_px);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Faint noise as sensors, coding and brushes leave it: as strong as a mark, and no mark.
+//! Noise as sensors, coding and brushes leave it, about as strong as marks are, and no mark.
 
 use crate::distort::Blur;
 use rand::{RngExt, SeedableRng};

@@ -60,6 +60,7 @@ impl MarkTrainer {
         let each = surprises(&probabilities.to_vec2::<f32>()?, &classes);
         let taught = self.config.has_classifier();
         let weighted = (cross * if taught { self.config.weight_classify } else { 0.0 })?;
+        // By pictures, also where the loss is a mean over renders: `classify_until` means the same there.
         let unread = mean_of_quiet(&each, noisy);
         if self.joined.is_none() {
             return Ok((weighted, Losses { classify, each, unread, ..Losses::default() }));

@@ -164,9 +164,11 @@ impl MarkTrainer {
         if self.joined.is_some() { Attack::draw(&self.config.robust, rng) } else { Attack::none() }
     }
 
-    /// Noisy ones not before marks are read at all, either.
+    /// The tone of a picture of this step. Noise not before marks are read at all, either, and only where there is a classifier that
+    /// could take it for a mark.
     pub(crate) fn tone(&self, rng: &mut ChaCha8Rng) -> Tone {
-        let share = if self.joined.is_some() { self.config.noisy_share } else { 0.0 };
+        let noisy = self.joined.is_some() && self.config.has_classifier();
+        let share = if noisy { self.config.noisy_share } else { 0.0 };
         Tone::draw(share, rng)
     }
 
@@ -183,8 +185,8 @@ impl MarkTrainer {
 }
 
 /// What cameras, screens and files do to a picture without harm: a little
-/// brightness and contrast, the noise of eight bits. Some have much more noise: it takes most marks, and leaves what
-/// a classifier that never saw any took for one.
+/// brightness and contrast, the noise of eight bits. Some have more noise, which a classifier that never saw
+/// any takes for a mark.
 pub(crate) struct Tone {
     gain: f32,
     shift: f32,
@@ -217,5 +219,32 @@ impl Tone {
             *v = 0.5 + (*v - 0.5) * self.gain + self.shift + self.noise * rng.random_range(-1.0f32..1.0);
         }
         self.grain.iter().for_each(|grain| grain.apply(picture, side));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tone_does_the_same_to_a_render_and_to_its_twin_and_some_are_noisy() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut noisy = 0;
+        for _ in 0..200 {
+            let tone = Tone::draw(0.25, &mut rng);
+            let [mut dark, mut light] = [0.3f32, 0.6].map(|level| vec![level; 16 * 16 * 3]);
+            tone.apply(&mut dark, 16);
+            tone.apply(&mut light, 16);
+            let mut apart = light.iter().zip(&dark).map(|(l, d)| l - d);
+            assert!(apart.all(|v| (v - 0.3 * tone.gain).abs() < 1e-5));
+            let mean = dark.iter().sum::<f32>() / dark.len() as f32;
+            let spread = (dark.iter().map(|v| (v - mean).powi(2)).sum::<f32>() / dark.len() as f32).sqrt();
+            // Eight bits' is 0.87 levels at most.
+            let is_noise = if tone.is_noisy() { spread > 0.9 * NOISY[0] } else { spread < 0.9 * NOISY[0] };
+            assert!(is_noise, "{spread}");
+            noisy += usize::from(tone.is_noisy());
+        }
+        assert!((25..80).contains(&noisy), "{noisy} of 200");
+        assert!((0..50).all(|_| !Tone::draw(0.0, &mut rng).is_noisy()));
     }
 }

@@ -256,6 +256,10 @@ fn damaged_checkpoints_are_refused_by_part() {
     assert!(MarkTrainer::resume(&before, field(), plan(), &mut |_, _| true).is_ok(), "a checkpoint of before");
     let before = header(&|h| assert!(h.as_object_mut().unwrap().remove("weakest").is_some()));
     assert!(resume(&before).is_ok(), "a checkpoint of before");
+    let own = serde_json::to_value(vec![config(20); 2]).unwrap();
+    refused(&header(&|h| h["of_scenes"] = own.clone()), &["of_scenes", "2 entries for 1 scenes"]);
+    let wrong = serde_json::to_value([MarkConfig { others: 99, ..config(20) }]).unwrap();
+    refused(&header(&|h| h["of_scenes"] = wrong.clone()), &["mark.others"]);
     refused(&header(&|h| h["weakest"][0] = 0.into()), &["weakest", "2 identities"]);
     refused(&header(&|h| h["weakest"][0] = 3.into()), &["weakest", "2 identities"]);
     refused(&header(&|h| h["weakest"][1] = f64::NAN.to_bits().into()), &["weakest"]);

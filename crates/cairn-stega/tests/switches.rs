@@ -55,7 +55,7 @@ fn every_switch_trains_and_changes_its_own_part() {
         ("l1", MarkConfig { weight_recover: 0.3, ..config(6) }, false),
         ("l2", MarkConfig { weight_empty: 0.3, ..config(6) }, false),
         ("l3", MarkConfig { weight_picture: 100.0, ..config(6) }, true),
-        ("no noise", MarkConfig { noisy_share: 0.0, ..config(6) }, true),
+        ("noise", MarkConfig { noisy_share: 0.5, ..config(6) }, true),
         ("nothing else", MarkConfig { others: 0, ..config(6) }, true),
         ("equation 5 a render", MarkConfig { loss_per_render: true, ..config(6) }, true),
     ] {

@@ -32,7 +32,7 @@ pub enum Owners {
 /// densities as they are and free (ray weights worked out once, and at every look) and with the mask of the authors' code,
 /// what the paper does without, and what else training skips, not skipped. Without a classifier nothing but recovery can move marks, so that
 /// *recovery moves marks* is what that row is to be compared with.
-const ABLATIONS: [Training; 23] = [
+const ABLATIONS: [Training; 24] = [
     row("full", ""),
     row("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
     row("recovery moves marks", "[mark]\nrecover_moves_marks = true\n"),
@@ -47,6 +47,7 @@ const ABLATIONS: [Training; 23] = [
     row("absolute picture loss", "[mark]\npicture_loss = \"absolute\"\n"),
     row("no budget", "[mark]\nbudget = false\n"),
     row("no memory", "[mark]\ndetector.memory = \"none\"\naudio.memory = \"none\"\ntext.memory = \"none\"\n"),
+    row("no noise", "[mark]\nnoisy_share = 0.0\n"),
     row("settled views as often", "[mark]\nsettled_share = 1.0\n"),
     row("to the last step", "[mark]\nenough_ssim = 10.0\n"),
     row("two dozen views", "[mark]\nviews_apart_deg = 180.0\n"),
