@@ -116,7 +116,7 @@ fn what_a_settings_file_says_stands_over_the_kinds_choice_key_by_key() {
     assert_eq!((marked.field, marked.mark.fresh_every), (plain.field.clone(), plain.mark.fresh_every));
     // One of stage 1 leaves stage 2's alone.
     let field = settings("[field]\nsteps = 77", SceneKind::Bounded, "");
-    assert_eq!((field.field.steps, field.field.voxel_px, field.mark.budget_db, field.mark.finer), (77, 2.2, 52.5, 2));
+    assert_eq!((field.field.steps, field.field.voxel_px, field.mark.budget_db, field.mark.finer), (77, 2.2, 52.2, 2));
     assert_eq!(field.mark.classifier.channels, [12, 16, 32, 64, 64]);
     // So does a default that somebody asks for by name; a request's own word is the last.
     assert_eq!(settings("[mark]\nbudget_db = 52.0", SceneKind::Unbounded, "").mark.budget_db, 52.0);

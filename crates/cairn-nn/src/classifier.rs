@@ -12,7 +12,7 @@ use crate::front::front_end;
 use crate::layers::{ConvBlock, LEAKY_SLOPE, Linear, check_image};
 use crate::norm::leaky_relu;
 use crate::params::{Init, Scope};
-use crate::resample::pool_moments;
+use crate::resample::{avg_pool, pool_moments};
 
 /// How a [`Classifier`] is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,11 +28,14 @@ pub struct ClassifierConfig {
     /// Amplification of the high-pass channels, which are then all it sees; 0 for
     /// the picture itself (see [`front_end`]).
     pub high_pass_gain: f32,
+    /// Whether statistics are over the textured parts of a picture alone, for which `high_pass_gain` has to be above 0: a blank ground
+    /// carries no mark, and how much of a picture it takes hangs on where an object is seen from.
+    pub textured_only: bool,
 }
 
 impl Default for ClassifierConfig {
     fn default() -> Self {
-        Self { inputs: 3, channels: vec![16, 32, 64, 64], groups: 0, high_pass_gain: 30.0 }
+        Self { inputs: 3, channels: vec![16, 32, 64, 64], groups: 0, high_pass_gain: 30.0, textured_only: false }
     }
 }
 
@@ -60,6 +63,10 @@ impl Classifier {
     /// with other shapes.
     pub fn new(config: &ClassifierConfig, classes: usize, mut scope: Scope<'_>) -> Result<Self> {
         check_sizes(config.inputs, &config.channels, classes, config.high_pass_gain)?;
+        if config.textured_only && config.high_pass_gain == 0.0 {
+            let (key, got) = ("textured_only", "true".into());
+            return Err(NnError::Setting { key, got, allowed: "false where high_pass_gain is 0" });
+        }
         // With a front end, only what it lets through: a classifier that saw the
         // picture itself would learn to recognise the scene.
         let mut inputs = config.inputs;
@@ -120,15 +127,50 @@ impl Classifier {
             true => Some(colour_energies(&x)?),
             false => None,
         };
+        let weights = match self.config.textured_only {
+            true => Some(textured(&x, self.config.high_pass_gain, 1 << self.blocks.len())?),
+            false => None,
+        };
         for block in &self.blocks {
             x = block.forward(&x)?;
         }
-        let features = pool_moments(&x)?;
+        let features = match &weights {
+            Some(weights) => weighted_moments(&x, weights)?,
+            None => pool_moments(&x)?,
+        };
+        let energies = match (energies, &weights) {
+            // As if all of the picture were as its textured part.
+            (Some(energies), Some(weights)) => Some(energies.broadcast_sub(&weights.mean_keepdim(1)?.log()?)?),
+            (energies, _) => energies,
+        };
         Ok(match energies {
             Some(energies) => Tensor::cat(&[&features, &energies], 1)?,
             None => features,
         })
     }
+}
+
+/// Energy of a residual of all channels, before amplification, at which a cell is half textured: some two levels of 255 in each.
+const TEXTURED: f64 = 1.1e-4;
+/// Weight of a cell that is blank: a picture that is blank all over is as it is everywhere.
+const BLANK: f64 = 0.05;
+
+/// How textured each cell of `cell` x `cell` pixels is, N x cells, from [`BLANK`] to 1, from the residual `x`, N x C x H x W. It is
+/// a weight, not something to learn by: no gradient passes. `gain` is what the residual is amplified by.
+fn textured(x: &Tensor, gain: f32, cell: usize) -> Result<Tensor> {
+    let energy = avg_pool(&x.detach().sqr()?.sum_keepdim(1)?, [cell, cell])?.flatten_from(1)?;
+    let squared = energy.sqr()?;
+    let half = TEXTURED * f64::from(gain).powi(2);
+    let share = squared.div(&squared.affine(1.0, half * half)?)?;
+    Ok(share.affine(1.0 - BLANK, BLANK)?)
+}
+
+/// As [`pool_moments`], cells counting by `weights`, N x (H W).
+fn weighted_moments(x: &Tensor, weights: &Tensor) -> Result<Tensor> {
+    let x = x.flatten_from(2)?;
+    let weights = weights.broadcast_div(&weights.sum_keepdim(1)?)?.unsqueeze(2)?;
+    let moments = [x.matmul(&weights)?, x.sqr()?.matmul(&weights)?];
+    Ok(Tensor::cat(&moments, 1)?.squeeze(2)?)
 }
 
 /// Colour directions whose energies are measured: lightness and six hues.

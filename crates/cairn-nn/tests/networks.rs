@@ -177,6 +177,33 @@ fn the_detector_sees_the_class_and_not_a_number_shows() -> Result<()> {
 }
 
 #[test]
+fn a_blank_ground_counts_for_little_where_statistics_are_of_what_is_textured() -> Result<()> {
+    let features = |textured_only: bool, width: usize| -> Result<Vec<f32>> {
+        let mut params = Params::new(5);
+        let config = ClassifierConfig { channels: vec![8, 8], textured_only, ..ClassifierConfig::default() };
+        let classifier = Classifier::new(&config, 2, params.scope("classifier"))?;
+        // Texture on the left, the ground white beside it.
+        let texture = |i: usize| 0.5 + 0.1 * ((i * 2_654_435_761) >> 7 & 1023) as f32 / 1023.0;
+        let value =
+            |i: usize| if i % width < 32 { texture(i / width * 32 + i % width + i / (32 * width) * 1024) } else { 1.0 };
+        let image =
+            Tensor::from_vec((0..3 * 32 * width).map(value).collect::<Vec<_>>(), (1, 3, 32, width), &Device::Cpu)?;
+        Ok(classifier.features(&image)?.flatten_all()?.to_vec1::<f32>()?)
+    };
+    let apart = |textured_only: bool| -> Result<f32> {
+        let (a, b): (Vec<f32>, Vec<f32>) = (features(textured_only, 64)?, features(textured_only, 160)?);
+        let size = a.iter().map(|v| v * v).sum::<f32>();
+        Ok((a.iter().zip(&b).map(|(a, b)| (a - b).powi(2)).sum::<f32>() / size).sqrt())
+    };
+    let (whole, textured) = (apart(false)?, apart(true)?);
+    assert!(whole > 0.4 && textured < 0.25 * whole, "{whole} and {textured}");
+    // Where all is textured it is as without.
+    let (a, b) = (features(false, 32)?, features(true, 32)?);
+    assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 0.02 * (1.0 + a.abs())), "{a:?} and {b:?}");
+    Ok(())
+}
+
+#[test]
 fn wrong_settings_and_shapes_are_refused_by_name() -> Result<()> {
     let mut params = Params::new(1);
     let bad = UNetConfig { size: [100, 128], ..Default::default() };
@@ -185,6 +212,9 @@ fn wrong_settings_and_shapes_are_refused_by_name() -> Result<()> {
     let bad = ClassifierConfig { high_pass_gain: f32::NAN, ..Default::default() };
     let error = Classifier::new(&bad, 2, params.scope("c")).expect_err("NaN").to_string();
     assert!(error.contains("high_pass_gain"), "{error}");
+    let bad = ClassifierConfig { high_pass_gain: 0.0, textured_only: true, ..Default::default() };
+    let error = Classifier::new(&bad, 2, params.scope("c")).expect_err("no residual").to_string();
+    assert!(error.contains("textured_only") && error.contains("high_pass_gain is 0"), "{error}");
     let nets = small_networks(&mut params)?;
     let error = nets.0.forward(&wave(&[1, 3, 30, 32], 0.0)).expect_err("30 rows").to_string();
     assert!(error.contains("multiples of 4"), "{error}");
