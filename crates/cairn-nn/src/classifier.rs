@@ -5,13 +5,16 @@
 //! short stack of strided convolutions and statistics over the whole picture do.
 
 use candle_core::Tensor;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::colour::{DIRECTIONS, colour_energies};
 use crate::error::{NnError, Result};
-use crate::front::front_end;
+use crate::front::{front_end, residual};
 use crate::layers::{ConvBlock, LEAKY_SLOPE, Linear, check_image};
 use crate::norm::leaky_relu;
 use crate::params::{Init, Scope};
+use crate::raw::{tensor, with_floats};
 use crate::resample::{avg_pool, pool_moments};
 
 /// How a [`Classifier`] is built.
@@ -119,10 +122,10 @@ impl Classifier {
     /// As [`Classifier::forward`].
     pub fn features(&self, images: &Tensor) -> Result<Tensor> {
         check_image("the classifier", images, self.config.inputs, 1 << self.blocks.len())?;
-        let mut x = front_end(images, self.config.high_pass_gain, None)?;
-        if self.config.high_pass_gain != 0.0 {
-            x = x.narrow(1, self.config.inputs, self.config.inputs)?.contiguous()?;
-        }
+        let mut x = match self.config.high_pass_gain != 0.0 {
+            true => residual(images, self.config.high_pass_gain)?,
+            false => front_end(images, 0.0, None)?,
+        };
         let energies = match self.config.high_pass_gain != 0.0 && self.config.inputs == 3 {
             true => Some(colour_energies(&x)?),
             false => None,
@@ -158,11 +161,26 @@ const BLANK: f64 = 0.05;
 /// How textured each cell of `cell` x `cell` pixels is, N x cells, from [`BLANK`] to 1, from the residual `x`, N x C x H x W. It is
 /// a weight, not something to learn by: no gradient passes. `gain` is what the residual is amplified by.
 fn textured(x: &Tensor, gain: f32, cell: usize) -> Result<Tensor> {
-    let energy = avg_pool(&x.detach().sqr()?.sum_keepdim(1)?, [cell, cell])?.flatten_from(1)?;
+    let energy = avg_pool(&energy(x)?, [cell, cell])?.flatten_from(1)?;
     let squared = energy.sqr()?;
     let half = TEXTURED * f64::from(gain).powi(2);
     let share = squared.div(&squared.affine(1.0, half * half)?)?;
     Ok(share.affine(1.0 - BLANK, BLANK)?)
+}
+
+/// Sum of squares over the channels of each pixel, N x 1 x H x W, of `x`, N x C x H x W; without a gradient.
+fn energy(x: &Tensor) -> Result<Tensor> {
+    let (n, c, h, w) = x.dims4()?;
+    let pixels = h * w;
+    let mut out = vec![0.0; n * pixels];
+    with_floats("cairn-energy", &x.contiguous()?, |x| {
+        out.par_chunks_mut(pixels).zip(x.par_chunks(c * pixels)).for_each(|(out, x)| {
+            for plane in x.chunks_exact(pixels) {
+                out.iter_mut().zip(plane).for_each(|(o, v)| *o += v * v);
+            }
+        });
+    })?;
+    Ok(tensor(out, &(n, 1, h, w).into())?)
 }
 
 /// As [`pool_moments`], cells counting by `weights`, N x (H W).
@@ -171,38 +189,6 @@ fn weighted_moments(x: &Tensor, weights: &Tensor) -> Result<Tensor> {
     let weights = weights.broadcast_div(&weights.sum_keepdim(1)?)?.unsqueeze(2)?;
     let moments = [x.matmul(&weights)?, x.sqr()?.matmul(&weights)?];
     Ok(Tensor::cat(&moments, 1)?.squeeze(2)?)
-}
-
-/// Colour directions whose energies are measured: lightness and six hues.
-const DIRECTIONS: usize = 7;
-
-/// Logarithms of the residual's energy along [`DIRECTIONS`] colour directions,
-/// N x 7, from `x`, N x 3 x H x W in opponent colours: colour statistics of
-/// residuals tell a hidden texture from a natural one (Goljan, Fridrich and
-/// Cogranne 2014), and marks differ by their colour direction by design.
-fn colour_energies(x: &Tensor) -> Result<Tensor> {
-    let (n, c, h, w) = x.dims4()?;
-    let flat = x.reshape((n, c, h * w))?;
-    let covariance = (flat.matmul(&flat.transpose(1, 2)?.contiguous()?)? / (h * w) as f64)?;
-    let mut weights = Vec::with_capacity(9 * DIRECTIONS);
-    let directions: Vec<[f32; 3]> = (0..DIRECTIONS).map(direction).collect();
-    for a in 0..3 {
-        for b in 0..3 {
-            weights.extend(directions.iter().map(|d| d[a] * d[b]));
-        }
-    }
-    let weights = Tensor::from_vec(weights, (9, DIRECTIONS), x.device())?;
-    // The floor is the energy of eight bits' rounding after amplification.
-    Ok(covariance.reshape((n, 9))?.matmul(&weights)?.affine(1.0, 1e-3)?.log()?)
-}
-
-/// Unit directions in opponent colours: the last is lightness, the others hues 30 degrees apart.
-fn direction(which: usize) -> [f32; 3] {
-    if which + 1 == DIRECTIONS {
-        return [1.0, 0.0, 0.0];
-    }
-    let (sin, cos) = (std::f32::consts::PI * which as f32 / (DIRECTIONS - 1) as f32).sin_cos();
-    [0.0, cos, sin]
 }
 
 /// Checks what both networks have in common.

@@ -30,11 +30,17 @@ const CHROMA: f32 = 4.0;
 /// # Errors
 /// When shapes do not fit or a tensor is not f32 on the CPU.
 pub fn front_end(x: &Tensor, gain: f32, classes: Option<&Tensor>) -> Result<Tensor> {
-    let op = FrontEnd { gain };
+    let op = FrontEnd { gain, copies: true };
     match classes {
         None => x.contiguous()?.apply_op1(op),
         Some(classes) => x.contiguous()?.apply_op2(&classes.contiguous()?, op),
     }
+}
+
+/// The second part of [`front_end`] alone, N x C x H x W, with `gain` above 0: for whoever shall not see the picture itself. To
+/// the same bytes.
+pub(crate) fn residual(x: &Tensor, gain: f32) -> Result<Tensor> {
+    x.contiguous()?.apply_op1(FrontEnd { gain, copies: false })
 }
 
 /// Channels that [`front_end`] makes of `channels` and `classes`.
@@ -44,6 +50,8 @@ pub(crate) fn front_channels(channels: usize, gain: f32, classes: usize) -> usiz
 
 struct FrontEnd {
     gain: f32,
+    /// Whether the picture itself comes first.
+    copies: bool,
 }
 
 const NAME: &str = "cairn-front-end";
@@ -59,15 +67,17 @@ impl FrontEnd {
         if x.is_empty() {
             candle_core::bail!("{NAME}: the input {shape:?} is empty");
         }
-        let channels = front_channels(c, self.gain, k);
+        let copied = if self.copies { c } else { 0 };
+        let channels = front_channels(c, self.gain, k) + copied - c;
         let pixels = h * w;
         let mut out = vec![0.0; n * channels * pixels];
         out.par_chunks_mut(channels * pixels).enumerate().for_each(|(image, out)| {
             let (seen, flat) = out.split_at_mut((channels - k) * pixels);
-            let (copy, high) = seen.split_at_mut(c * pixels);
-            copy.copy_from_slice(&x[image * c * pixels..][..c * pixels]);
+            let (copy, high) = seen.split_at_mut(copied * pixels);
+            let x = &x[image * c * pixels..][..c * pixels];
+            copy.copy_from_slice(&x[..copied * pixels]);
             if self.gain != 0.0 {
-                self.residual(copy, (w, pixels), high);
+                self.residual(x, (w, pixels), high);
                 high.iter_mut().for_each(|v| *v /= 1.0 + v.abs());
             }
             if let Some((classes, _)) = classes {
@@ -85,11 +95,13 @@ impl FrontEnd {
         let mut dx = vec![0.0; n * c * pixels];
         dx.par_chunks_mut(c * pixels).enumerate().for_each(|(image, dx)| {
             let at = |channel: usize| &grad[(image * channels + channel) * pixels..][..c * pixels];
-            dx.copy_from_slice(at(0));
+            if self.copies {
+                dx.copy_from_slice(at(0));
+            }
             if self.gain != 0.0 {
                 let mut slope = vec![0.0; c * pixels];
                 self.residual(&x[image * c * pixels..][..c * pixels], (w, pixels), &mut slope);
-                for (s, g) in slope.iter_mut().zip(at(c)) {
+                for (s, g) in slope.iter_mut().zip(at(if self.copies { c } else { 0 })) {
                     *s = g / (1.0 + s.abs()).powi(2);
                 }
                 mix(&mut slope, pixels, true);
@@ -232,5 +244,31 @@ impl CustomOp2 for FrontEnd {
             (0..n * k).map(|at| sum(plane(at / k, at % k))).collect()
         })?;
         Ok((dx, Some(tensor(flat, classes.shape())?)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::{Device, Var};
+
+    fn bits(t: &Tensor) -> Result<Vec<u32>> {
+        Ok(t.flatten_all()?.to_vec1::<f32>()?.iter().map(|v| v.to_bits()).collect())
+    }
+
+    #[test]
+    fn the_residual_alone_is_the_front_ends_second_part_also_backwards() -> Result<()> {
+        let data = (0..2 * 3 * 9 * 7).map(|i| 0.5 + 0.5 * (i as f32 * 0.739).sin()).collect::<Vec<_>>();
+        let x = Var::from_tensor(&Tensor::from_vec(data, (2, 3, 9, 7), &Device::Cpu)?)?;
+        let part = front_end(&x, 30.0, None)?.narrow(1, 3, 3)?.contiguous()?;
+        let alone = residual(&x, 30.0)?;
+        assert_eq!(bits(&part)?, bits(&alone)?);
+        let weight = (part.detach().affine(2.0, 0.3)?.sqr()? + 0.1)?;
+        let [a, b] = [part, alone].map(|t| {
+            let grads = (t * &weight)?.backward()?;
+            bits(grads.get(&x).expect("a gradient"))
+        });
+        assert_eq!(a?, b?);
+        Ok(())
     }
 }

@@ -34,6 +34,7 @@ mod audio;
 mod average;
 mod block;
 mod classifier;
+mod colour;
 mod conv;
 mod error;
 mod front;

@@ -138,7 +138,8 @@ impl MarkTrainer {
             tone.apply(&mut seen, self.config.shown_px());
             seen
         };
-        let (marked, twin) = (seen(&std::mem::take(&mut attacked.rgb)), seen(&twin.rgb));
+        let full = std::mem::take(&mut attacked.rgb);
+        let (marked, twin) = rayon::join(|| seen(&full), || seen(&twin.rgb));
         let (gain, noisy) = (tone.gain, tone.is_noisy());
         let stranger = false;
         let render = Render {

@@ -30,6 +30,7 @@ use cairn_nn::{Adam, AdamConfig, Average, NnError, Rate};
 use candle_core::{Device, Var};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// What stage 2 is to do in a scene.
@@ -224,16 +225,18 @@ impl MarkTrainer {
         // A twin has its render's noise.
         noisy.extend_from_within(..shown.twins.len());
         pictures.extend(shown.twins);
+        let side = self.config.shown_px();
+        let mut others = Vec::with_capacity(self.batch());
         for _ in 0..self.batch() {
             let attack = self.attack_on_unmarked(&mut rng);
-            let mut other =
-                self.any_site(&mut rng).bank.unmarked(self.config.shown_px(), &attack, self.joined.is_some(), &mut rng);
-            let tone = self.tone(&mut rng);
-            tone.apply(&mut other, self.config.shown_px());
+            let other = self.any_site(&mut rng).bank.unmarked(side, &attack, self.joined.is_some(), &mut rng);
+            others.push((other, self.tone(&mut rng)));
+        }
+        others.par_iter_mut().for_each(|(other, tone)| tone.apply(other, side));
+        for (other, tone) in others {
             noisy.push(tone.is_noisy());
             pictures.push(other);
         }
-        let side = self.config.shown_px();
         let images = Var::from_vec(planar(&pictures), (pictures.len(), 3, side, side), &Device::Cpu)?;
         let (loss, parts) = self.loss(&images, (&renders, &noisy))?;
         let value = f64::from(loss.to_scalar::<f32>()?);
