@@ -14,17 +14,11 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
-/// How many threads candle's element-wise operations take: those that work begun ahead of a training's steps leave
-/// (`cairn_stega`), half of them. They wait for one another in a loop that does nothing else, and with more of them than idle cores
-/// stage 2 on two cores spent a quarter of its processor time in that loop.
+/// How many threads candle's element-wise operations take.
 const CANDLE_THREADS: &str = "CANDLE_NUM_THREADS";
 
 fn main() -> ExitCode {
-    if std::env::var_os(CANDLE_THREADS).is_none() {
-        let threads = std::thread::available_parallelism().map_or(1, |n| (n.get() / 2).max(1));
-        // SAFETY: no other thread is there yet that could read the environment.
-        unsafe { std::env::set_var(CANDLE_THREADS, threads.to_string()) };
-    }
+    leave_cores();
     match cli::Cli::parse().run() {
         Ok(code) => code,
         Err(error) => {
@@ -33,4 +27,17 @@ fn main() -> ExitCode {
             ExitCode::from(2)
         }
     }
+}
+
+/// Gives candle's element-wise operations half of the threads, if nobody has said how many: the others are for what is begun ahead of a
+/// training's steps (`cairn_stega`). candle's threads wait for one another in a loop that does nothing else, and with more of them
+/// than idle cores stage 2 on two cores spent a quarter of its processor time there.
+fn leave_cores() {
+    if std::env::var_os(CANDLE_THREADS).is_some() {
+        return;
+    }
+    let wanted = std::env::var("RAYON_NUM_THREADS").ok().and_then(|n| n.parse::<usize>().ok()).filter(|n| *n > 0);
+    let threads = wanted.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    // SAFETY: no other thread is there yet that could read the environment.
+    unsafe { std::env::set_var(CANDLE_THREADS, (threads / 2).max(1).to_string()) };
 }
