@@ -139,6 +139,7 @@ impl CustomOp3 for Block {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raw::bits;
     use crate::{conv2d, group_norm_leaky, leaky_relu};
     use candle_core::{Device, Var};
 
@@ -146,10 +147,6 @@ mod tests {
         let count = shape.iter().product::<usize>();
         let data = (0..count).map(|i| (i as f32 * 0.739 + phase).sin()).collect();
         Var::from_tensor(&Tensor::from_vec(data, shape, &Device::Cpu)?)
-    }
-
-    fn bits(t: &Tensor) -> Result<Vec<u32>> {
-        Ok(t.flatten_all()?.to_vec1::<f32>()?.iter().map(|v| v.to_bits()).collect())
     }
 
     #[test]

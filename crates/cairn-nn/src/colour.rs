@@ -74,11 +74,8 @@ impl CustomOp1 for Covariance {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raw::bits;
     use candle_core::{Device, Var};
-
-    fn bits(t: &Tensor) -> Result<Vec<u32>> {
-        Ok(t.flatten_all()?.to_vec1::<f32>()?.iter().map(|v| v.to_bits()).collect())
-    }
 
     #[test]
     fn the_covariance_and_its_gradient_are_those_of_its_parts() -> Result<()> {

@@ -57,6 +57,11 @@ struct FrontEnd {
 const NAME: &str = "cairn-front-end";
 
 impl FrontEnd {
+    /// How many of `channels` come first as they are.
+    fn copied(&self, channels: usize) -> usize {
+        if self.copies { channels } else { 0 }
+    }
+
     fn forward(&self, x: &[f32], shape: &Shape, classes: Option<(&[f32], &Shape)>) -> Result<(CpuStorage, Shape)> {
         let (n, c, h, w) = shape.dims4()?;
         let k = match classes {
@@ -67,7 +72,7 @@ impl FrontEnd {
         if x.is_empty() {
             candle_core::bail!("{NAME}: the input {shape:?} is empty");
         }
-        let copied = if self.copies { c } else { 0 };
+        let copied = self.copied(c);
         let channels = front_channels(c, self.gain, k) + copied - c;
         let pixels = h * w;
         let mut out = vec![0.0; n * channels * pixels];
@@ -95,13 +100,12 @@ impl FrontEnd {
         let mut dx = vec![0.0; n * c * pixels];
         dx.par_chunks_mut(c * pixels).enumerate().for_each(|(image, dx)| {
             let at = |channel: usize| &grad[(image * channels + channel) * pixels..][..c * pixels];
-            if self.copies {
-                dx.copy_from_slice(at(0));
-            }
+            let copied = self.copied(c);
+            dx[..copied * pixels].copy_from_slice(&at(0)[..copied * pixels]);
             if self.gain != 0.0 {
                 let mut slope = vec![0.0; c * pixels];
                 self.residual(&x[image * c * pixels..][..c * pixels], (w, pixels), &mut slope);
-                for (s, g) in slope.iter_mut().zip(at(if self.copies { c } else { 0 })) {
+                for (s, g) in slope.iter_mut().zip(at(copied)) {
                     *s = g / (1.0 + s.abs()).powi(2);
                 }
                 mix(&mut slope, pixels, true);
@@ -250,11 +254,8 @@ impl CustomOp2 for FrontEnd {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raw::bits;
     use candle_core::{Device, Var};
-
-    fn bits(t: &Tensor) -> Result<Vec<u32>> {
-        Ok(t.flatten_all()?.to_vec1::<f32>()?.iter().map(|v| v.to_bits()).collect())
-    }
 
     #[test]
     fn the_residual_alone_is_the_front_ends_second_part_also_backwards() -> Result<()> {

@@ -21,6 +21,12 @@ pub(crate) fn with_floats<R>(op: &str, t: &Tensor, f: impl FnOnce(&[f32]) -> R) 
     Ok(f(floats(op, storage, layout)?))
 }
 
+/// The numbers' bytes, to compare two ways to the same.
+#[cfg(test)]
+pub(crate) fn bits(t: &Tensor) -> Result<Vec<u32>> {
+    Ok(t.flatten_all()?.to_vec1::<f32>()?.iter().map(|v| v.to_bits()).collect())
+}
+
 /// A CPU tensor of `data`.
 pub(crate) fn tensor(data: Vec<f32>, shape: &Shape) -> Result<Tensor> {
     Tensor::from_vec(data, shape, &Device::Cpu)
