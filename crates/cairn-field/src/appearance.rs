@@ -62,6 +62,23 @@ impl From<Appearance> for Stored {
     }
 }
 
+/// An appearance's weights by feature, one of padding behind its channels': four are worked out at once.
+pub(crate) struct Shades([[f32; 4]; FEATURES]);
+
+impl Shades {
+    /// [`Appearance::shade`], to the same bits.
+    #[inline(always)]
+    pub(crate) fn of(&self, features: &[f32; FEATURES]) -> [f32; 3] {
+        let mut sum = [0.0; 4];
+        for (weights, feature) in self.0.iter().zip(features) {
+            for c in 0..4 {
+                sum[c] += weights[c] * feature;
+            }
+        }
+        [sum[0], sum[1], sum[2]]
+    }
+}
+
 impl Appearance {
     /// Colours as stored, in front of a `background` of one colour.
     pub fn neutral(background: [f32; 3]) -> Self {
@@ -123,6 +140,11 @@ impl Appearance {
         })
     }
 
+    /// [`Appearance::shade`] for the many pixels of a picture.
+    pub(crate) fn shades(&self) -> Shades {
+        Shades(std::array::from_fn(|k| [0, 1, 2, 3].map(|c| if c < 3 { self.code[c * FEATURES + k] } else { 0.0 })))
+    }
+
     /// From d(loss)/d(pixel) to d(loss)/d(what the ray gathered); `basis` is the
     /// ray's.
     pub fn pull<T: Real>(&self, g: [T; 3], basis: &[T; SH]) -> Gathered<T> {
@@ -181,4 +203,21 @@ pub fn features<T: Real>(gathered: &Gathered<T>, basis: &[T; SH]) -> [T; FEATURE
         f[8 + k] = gathered.end * basis[k];
     }
     f
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Appearance, CODE, FEATURES};
+
+    #[test]
+    fn a_pictures_pixels_are_shaded_to_the_same_bits_as_one() {
+        // Of both signs and many sizes, so that another order of sums would show.
+        let number = |i: usize| ((i * 7919 % 1013) as f32 - 506.0) * 10f32.powi(i as i32 % 7 - 4);
+        let look = Appearance::from_code((0..CODE).map(number).collect()).expect("finite numbers");
+        let shades = look.shades();
+        for pixel in 0..100 {
+            let features: [f32; FEATURES] = std::array::from_fn(|k| number(pixel * 31 + k));
+            assert_eq!(shades.of(&features).map(f32::to_bits), look.shade(&features).map(f32::to_bits));
+        }
+    }
 }

@@ -380,7 +380,7 @@ impl<T: Real> Grid<T> {
 
 /// Asks for what lies at `address`, which need not be anybody's.
 #[inline(always)]
-fn prefetch<V>(address: *const V) {
+pub(crate) fn prefetch<V>(address: *const V) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};

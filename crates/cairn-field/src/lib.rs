@@ -50,6 +50,7 @@ mod table;
 mod tints;
 mod trainer;
 mod watermark;
+mod weights;
 
 pub use appearance::Appearance;
 pub use composite::Thresholds;

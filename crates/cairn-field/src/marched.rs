@@ -73,7 +73,7 @@ impl MarchedView {
         let add = |sum: &mut [f32; FEATURES], seen: &Seen<'_>| {
             sum.iter_mut().zip(features(&seen.gathered, &seen.harmonics)).for_each(|(s, f)| *s += f);
         };
-        let sums = tiling.gather(add, |sum, ()| sum.iter_mut().for_each(|s| *s *= share));
+        let sums = tiling.gather(add, |sum| sum.iter_mut().for_each(|s| *s *= share));
         sums.into_iter().flat_map(|sum| appearance.shade(&sum)).collect()
     }
 

@@ -6,24 +6,27 @@
 //! weights are worked out once a view and kept as one sparse matrix; applying it
 //! and its transpose is all the rendering that stage 2 does.
 
-use crate::appearance::{Appearance, FEATURES, features};
+use crate::appearance::{Appearance, FEATURES};
 use crate::composite::Thresholds;
 use crate::field::Field;
+use crate::grid::prefetch;
 use crate::lights::{Colours, LIGHTS};
-use crate::picture::{PerLight, Seen, Tiling};
+use crate::picture::{PerLight, Tiling};
 use crate::rays::Lens;
 use crate::real::Real;
 use crate::sh::{SH, SH_DC};
-use crate::table::Table;
+use crate::weights::ViewWeights;
 use cairn_capture::Camera;
 use rayon::prelude::*;
 
 /// Marks entries in contracted space, which another appearance matrix tints.
-const FAR: u32 = 1 << 31;
+pub(crate) const FAR: u32 = 1 << 31;
 /// Shares of rows that gradients go to at the same time, at most: each goes through all entries.
 const MOST_SHARES: usize = 8;
 /// Entries looked at to make shares even.
 const SAMPLES: usize = 4096;
+/// Entries from one whose row is used to one whose row is asked for.
+const AHEAD: usize = 64;
 
 /// What a carrier's coefficients multiply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,78 +133,9 @@ impl MarkableField for Field {
         let fine = if rays == 1 { *camera } else { camera.resized(width * rays, height * rays) };
         let lens = Lens::new(&fine);
         let tiling = Tiling::of(self, (&fine, &lens), [0.0; LIGHTS], Thresholds::SHOWN, rays);
-        let add = |pixel: &mut Pixel, seen: &Seen<'_>| pixel.add(seen, cutoff, self.colours);
-        let pixels = tiling.gather(add, |pixel, table: &mut Table| pixel.take_mean(rays * rays, table));
-        let mut starts = vec![0u32];
-        let mut entries = Vec::with_capacity(pixels.iter().map(|p| p.entries.len()).sum());
-        let (mut harmonics, mut features) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(pixels.len()));
-        let mut lit = Vec::new();
-        for pixel in pixels {
-            entries.extend(pixel.entries);
-            starts.push(entries.len() as u32);
-            harmonics.push(pixel.harmonics);
-            features.push(pixel.features);
-            if self.colours == Colours::Lit {
-                lit.push(pixel.lit);
-            }
-        }
+        let ViewWeights { starts, entries, harmonics, features, lit } =
+            ViewWeights::of(&tiling, self.colours, rays, cutoff);
         LinearView { width, height, starts, entries, colours: self.colours, harmonics, features, lit }
-    }
-}
-
-/// A pixel of a linear map as it is worked out.
-#[derive(Clone)]
-struct Pixel {
-    features: [f32; FEATURES],
-    harmonics: [f32; SH],
-    lit: PerLight,
-    entries: Vec<(u32, f32)>,
-}
-
-impl Default for Pixel {
-    fn default() -> Self {
-        Self { features: [0.0; FEATURES], harmonics: [0.0; SH], lit: [[0.0; 6]; LIGHTS], entries: Vec::new() }
-    }
-}
-
-impl Pixel {
-    /// Adds a ray.
-    fn add(&mut self, seen: &Seen<'_>, cutoff: f32, colours: Colours) {
-        if colours == Colours::Lit {
-            let sums = self.lit.as_flattened_mut().iter_mut();
-            sums.zip(seen.per_light().as_flattened()).for_each(|(sum, v)| *sum += v);
-        }
-        seen.each_vertex(|row, weight, far| {
-            if row != 0 && weight >= cutoff {
-                self.entries.push((row as u32 | if far { FAR } else { 0 }, weight));
-            }
-        });
-        let of_ray = features(&seen.gathered, &seen.harmonics);
-        self.features.iter_mut().zip(of_ray).for_each(|(sum, f)| *sum += f);
-        self.harmonics.iter_mut().zip(seen.harmonics).for_each(|(sum, b)| *sum += b);
-    }
-
-    /// Becomes the mean over `rays`, each row once, ascending. `table` is room for the work.
-    fn take_mean(&mut self, rays: usize, table: &mut Table) {
-        let share = 1.0 / rays as f32;
-        self.features
-            .iter_mut()
-            .chain(&mut self.harmonics)
-            .chain(self.lit.as_flattened_mut())
-            .for_each(|v| *v *= share);
-        table.clear();
-        let mut merged: Vec<(u32, f32)> = Vec::new();
-        for (row, weight) in &self.entries {
-            let fresh = merged.len() as u32;
-            let at = table.find_or_insert(*row, fresh);
-            if at == fresh {
-                merged.push((*row, 0.0));
-            }
-            merged[at as usize].1 += share * weight;
-        }
-        merged.sort_unstable_by_key(|entry| entry.0);
-        merged.shrink_to_fit();
-        self.entries = merged;
     }
 }
 
@@ -223,18 +157,16 @@ impl LinearView {
 
     /// The base field's picture of this view, `height x width x 3`, not clamped.
     pub fn base(&self, appearance: &Appearance) -> Vec<f32> {
-        let lights = appearance.lights();
-        let shade = |(pixel, f): (usize, &[f32; FEATURES])| {
-            let mut f = *f;
-            for (lit, by) in self.lit.get(pixel).into_iter().flatten().zip(lights) {
-                for k in 0..3 {
-                    f[k] += by * lit[k];
-                    f[4 + k] += by * lit[3 + k];
-                }
-            }
-            appearance.shade(&f)
-        };
-        self.features.par_iter().enumerate().with_min_len(1024).flat_map_iter(shade).collect()
+        let (lights, shades) = (appearance.lights(), appearance.shades());
+        let mut picture = vec![0.0; 3 * self.features.len()];
+        let pixels = picture.as_chunks_mut().0.par_iter_mut().zip(&self.features).with_min_len(1024).enumerate();
+        pixels.for_each(|(pixel, (out, features)): (usize, (&mut [f32; 3], _))| {
+            *out = match self.lit.get(pixel) {
+                None => shades.of(features),
+                Some(lit) => shades.of(&under(*features, lit, &lights)),
+            };
+        });
+        picture
     }
 
     /// Adds to `picture` (`height x width x 3`) what `carrier` (`rows x width`
@@ -247,6 +179,7 @@ impl LinearView {
         let [near, far] = basis.tints(appearance);
         let lights = appearance.lights();
         picture.par_chunks_exact_mut(3).with_min_len(512).enumerate().for_each(|(pixel, out)| {
+            self.ask_ahead(pixel, carrier, basis.width(), 0);
             let sums = match basis {
                 CarrierBasis::Constant => {
                     let rows = carrier.as_chunks::<3>().0;
@@ -266,6 +199,17 @@ impl LinearView {
                 }
             }
         });
+    }
+
+    /// Asks for those of `values` (rows of `width`, from the row `first` on) that pixels a little on from `pixel` see:
+    /// rows lie far apart, and to wait for them was a third of what a picture took.
+    #[inline(always)]
+    fn ask_ahead(&self, pixel: usize, values: &[f32], width: usize, first: usize) {
+        let count = values.len() / width;
+        let [from, to] = [pixel, pixel + 1].map(|at| (self.starts[at] as usize + AHEAD).min(self.entries.len()));
+        for at in self.entries[from..to].iter().map(|(row, _)| place(*row, first)).filter(|at| *at < count) {
+            prefetch(values.as_ptr().wrapping_add(at * width));
+        }
     }
 
     /// A pixel's entries, those near and those in contracted space.
@@ -320,6 +264,7 @@ impl LinearView {
         let Owed { first, gradient, touched } = owed;
         let (tints, lights) = (basis.tints(appearance), appearance.lights());
         for (pixel, g) in slope.chunks_exact(3).enumerate() {
+            self.ask_ahead(pixel, gradient, basis.width(), first);
             for (entries, tint) in self.seen_by(pixel).into_iter().zip(&tints) {
                 let pulled: [f32; 3] = std::array::from_fn(|k| (0..3).map(|c| tint[c][k] * g[c]).sum());
                 match basis {
@@ -344,6 +289,17 @@ impl LinearView {
     }
 }
 
+/// A pixel's features where basis lights add to them.
+fn under(mut features: [f32; FEATURES], lit: &PerLight, lights: &[f32; LIGHTS]) -> [f32; FEATURES] {
+    for (lit, by) in lit.iter().zip(lights) {
+        for k in 0..3 {
+            features[k] += by * lit[k];
+            features[4 + k] += by * lit[3 + k];
+        }
+    }
+    features
+}
+
 /// The weighted sum of rows' colours.
 #[inline]
 fn weighed(entries: &[(u32, f32)], colour: impl Fn(usize) -> [f32; 3]) -> [f32; 3] {
@@ -357,13 +313,18 @@ fn weighed(entries: &[(u32, f32)], colour: impl Fn(usize) -> [f32; 3]) -> [f32; 
 #[inline]
 fn within(entries: &[(u32, f32)], (first, touched): (usize, &mut [bool]), mut each: impl FnMut(usize, f32)) {
     for (row, weight) in entries {
-        // Rows before the first wrap round, and are past the last as well.
-        let at = ((row & !FAR) as usize).wrapping_sub(first);
+        let at = place(*row, first);
         if let Some(touched) = touched.get_mut(at) {
             *touched = true;
             each(at, *weight);
         }
     }
+}
+
+/// An entry's row, counted from `first`; of one before, past every last.
+#[inline(always)]
+fn place(row: u32, first: usize) -> usize {
+    ((row & !FAR) as usize).wrapping_sub(first)
 }
 
 /// What a run of rows, from the `first` on, is owed.

@@ -98,7 +98,7 @@ impl Field {
     ) -> Vec<O> {
         let lens = Lens::new(camera);
         let tiling = Tiling::of(self, (camera, &lens), lights, limits, 1);
-        tiling.gather(|out, seen| *out = pixel(seen), |_, ()| {})
+        tiling.gather(|out, seen| *out = pixel(seen), |_| {})
     }
 }
 
@@ -131,37 +131,54 @@ impl<'a> Tiling<'a> {
         Self { field, camera, lens, lights, limits, rays, across: across.max(rays), down: down.max(rays) }
     }
 
-    /// What `add` makes of each pixel's rays, and `finish` of that, with a thread's `R` to use
-    /// again; row-major.
-    pub(crate) fn gather<P: Clone + Default + Send, R: Default + Send>(
+    /// What `add` makes of each pixel's rays, and `finish` of that; row-major.
+    pub(crate) fn gather<P: Clone + Default + Send>(
         &self,
         add: impl Fn(&mut P, &Seen<'_>) + Sync,
-        finish: impl Fn(&mut P, &mut R) + Sync,
+        finish: impl Fn(&mut P) + Sync,
     ) -> Vec<P> {
+        let none = |pixels: usize| vec![P::default(); pixels];
+        let finish = |pixel: &mut P, (): &mut (), (pixels, at): (&mut Vec<P>, usize)| {
+            finish(pixel);
+            pixels[at] = std::mem::take(pixel);
+        };
+        self.bands(none, add, finish).into_iter().flatten().collect()
+    }
+
+    /// What a thread makes of each band of pixels, from the top: `begin` is told how many they are, `add` of a pixel
+    /// and each of its rays, and `finish` of the pixel when it has them all, with a thread's `R` to use again, the
+    /// band, and the pixel's place in that, row-major. `finish` leaves the pixel as a new one is: it will be another.
+    pub(crate) fn bands<P: Default + Send, R: Default + Send, B: Send>(
+        &self,
+        begin: impl Fn(usize) -> B + Sync,
+        add: impl Fn(&mut P, &Seen<'_>) + Sync,
+        finish: impl Fn(&mut P, &mut R, (&mut B, usize)) + Sync,
+    ) -> Vec<B> {
         let (rays, width) = (self.rays, self.lens.size().0 / self.rays);
         // A room is large: as many are made as threads want one at a time, not one for each task.
-        let rooms: Mutex<Vec<(Room, R)>> = Mutex::default();
+        let rooms: Mutex<Vec<(Room, Vec<P>, R)>> = Mutex::default();
         let at_rest = || rooms.lock().unwrap_or_else(PoisonError::into_inner);
         let band = |n: usize| {
             let taken = at_rest().pop();
-            let (mut room, mut work) = taken.unwrap_or_default();
+            let (mut room, mut pixels, mut work) = taken.unwrap_or_default();
             let (from, to) = (n * self.down, ((n + 1) * self.down).min(self.lens.size().1));
-            let mut pixels = vec![P::default(); (to - from) / rays * width];
-            let place = |x: usize, y: usize| (y - from) / rays * width + x / rays;
+            pixels.resize_with(self.across / rays * (self.down / rays), P::default);
+            let mut band = begin((to - from) / rays * width);
             for tile in self.band(n) {
+                let across = (tile.x.1 - tile.x.0) / rays;
+                let place = |x: usize, y: usize| (y - from) / rays * across + (x - tile.x.0) / rays;
                 tile.render(&mut room, |x, y, seen| add(&mut pixels[place(x, y)], seen));
                 for y in (tile.y.0..tile.y.1).step_by(rays) {
                     for x in (tile.x.0..tile.x.1).step_by(rays) {
-                        finish(&mut pixels[place(x, y)], &mut work);
+                        let at = (y - from) / rays * width + x / rays;
+                        finish(&mut pixels[place(x, y)], &mut work, (&mut band, at));
                     }
                 }
             }
-            at_rest().push((room, work));
-            pixels
+            at_rest().push((room, pixels, work));
+            band
         };
-        let bands = (0..self.lens.size().1.div_ceil(self.down)).into_par_iter();
-        let bands: Vec<Vec<P>> = bands.map(band).collect();
-        bands.into_iter().flatten().collect()
+        (0..self.lens.size().1.div_ceil(self.down)).into_par_iter().map(band).collect()
     }
 
     /// The tiles of band `n`, from the left.

@@ -30,7 +30,7 @@ pub(crate) fn features_of(field: &Field, (camera, lens): (&Camera, &Lens), rays:
         let f = features(&seen.gathered, &seen.harmonics);
         sum.iter_mut().zip(f).for_each(|(s, v)| *s += share * v);
     };
-    tiling.gather(add, |_, ()| {})
+    tiling.gather(add, |_| {})
 }
 
 impl Lens {
