@@ -181,3 +181,24 @@ fn several_rays_a_pixel_are_the_mean_of_a_larger_picture() {
         assert!((dot(&ax, &y) - dot(&carrier, &aty)).abs() < 1e-6 * dot(&ax, &ax).sqrt() * dot(&y, &y).sqrt());
     }
 }
+
+/// A picture's bands and tiles need not come out even: pixels lie where they belong all the same.
+#[test]
+fn pictures_of_any_size_are_put_together_in_order() {
+    let (frame, from) = cases()[0].clone();
+    let (field, after, carrier) = pair(&frame, CarrierBasis::Constant);
+    let plain = Appearance::neutral([0.3; 3]);
+    for (width, height, rays) in [(37, 29, 1), (17, 9, 1), (1, 31, 1), (13, 11, 3), (5, 2, 7)] {
+        let (_, square) = view(&field, from, 0.0);
+        let camera = square.resized(width, height);
+        let linear = field.view(&camera, 0.0, rays);
+        let smaller = |field: &Field| {
+            let large = field.render(&camera.resized(width * rays, height * rays), &plain);
+            cairn_capture::AreaFilter::new([width * rays, height * rays], [width, height]).apply(large.rgb())
+        };
+        let mut picture = linear.base(&plain);
+        assert!(apart(&picture, &smaller(&field)) < 1e-4, "{width} x {height} px, {rays} rays across one");
+        linear.apply(&carrier, CarrierBasis::Constant, &plain, &mut picture);
+        assert!(apart(&picture, &smaller(&after)) < 1e-4, "{width} x {height} px, {rays} rays across one, marked");
+    }
+}
