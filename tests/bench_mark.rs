@@ -127,6 +127,19 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
             assert!(value(case, "peak memory, serving with marks") > 1.0);
         }
     }
+    // Each field is rendered once: the second case is asked about what the first one's judgement left.
+    let folders = std::fs::read_dir(place.path("out/unmarked")).unwrap().map(|folder| folder.unwrap().path());
+    let mut kept: Vec<f64> = folders.map(|folder| std::fs::read_dir(folder).unwrap().count() as f64 * 3.0).collect();
+    let mut rendered =
+        ["lego", "liberty"].map(|of| value(&format!("{of}, quick, small"), "answers: renders of its base field"));
+    kept.sort_by(f64::total_cmp);
+    rendered.sort_by(f64::total_cmp);
+    assert_eq!(kept, rendered, "three forms of each");
+    for (case, other) in [("lego", "liberty"), ("liberty", "lego")] {
+        let [own, theirs] = [(case, "its base field"), (other, case)]
+            .map(|(of, what)| value(&format!("{of}, quick, small"), &format!("distinct pictures: renders of {what}")));
+        assert_eq!(own, theirs, "{case}");
+    }
     // Held-out poses have no say in whose a pose is: a cluster has training views alone.
     let marked = std::fs::read(place.path("out/lego--quick--small-1.marked")).unwrap();
     let clusters = cairn_stega::MarkedField::from_bytes(&marked).unwrap().clusters().clusters.clone();

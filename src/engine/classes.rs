@@ -184,7 +184,13 @@ mod tests {
 
     fn said(class: u32, probabilities: &[f32]) -> Detection {
         let (probabilities, recovered) = (probabilities.to_vec(), Signal::default());
-        Detection { identity: (class > 0).then_some(class), probabilities, recovered, text_bytes: None }
+        Detection {
+            identity: (class > 0).then_some(class),
+            probabilities,
+            is_closer: false,
+            recovered,
+            text_bytes: None,
+        }
     }
 
     #[test]

@@ -196,6 +196,9 @@ pub struct MarkConfig {
     /// An owner is no longer believed of pictures that lie this many times as far from the
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
+    /// A picture that is told to be unmarked is looked at more closely: an owner is named whom its middle (three quarters
+    /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never.
+    pub closer_look: f64,
     /// Among a step's unmarked pictures of anything (not the marked renders' twins) how many are of something else for each
     /// render of the base field, 0 (none) to 16.
     pub others: u32,
@@ -265,6 +268,7 @@ impl Default for MarkConfig {
             enough_snr_db: 25.0,
             enough_characters: 1.0,
             unfamiliar_beyond: 1.25,
+            closer_look: 0.9,
             others: 1,
             others_colours: OthersColours::Near,
             // Kinds of scenes have it on; what was stored before it was there goes on without.
@@ -373,6 +377,7 @@ impl MarkConfig {
             ("mark.views_apart_deg", self.views_apart_deg, 0.0, 180.0, "0 to 180"),
             ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
             ("mark.noisy_share", self.noisy_share, 0.0, 0.9, "0 to 0.9"),
+            ("mark.closer_look", self.closer_look, 0.5, 1.0, "0.5 to 1"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),

@@ -1,12 +1,13 @@
 //! The trained detector and classifier: what a picture says of its owner.
 
 use crate::config::{CarrierKind, MarkConfig, MaskKind};
+use crate::distort::Distortion;
 use crate::error::MarkError;
 use crate::familiar::Familiar;
 use crate::judge::winner;
 use crate::marked::{read_header, stored};
 use crate::negatives::shrunk;
-use crate::networks::Networks;
+use crate::networks::{Networks, to_tensor};
 use crate::signal::{HeadSizes, Signal};
 use cairn_capture::Picture;
 use cairn_nn::Params;
@@ -19,6 +20,10 @@ use std::collections::HashMap;
 pub const DETECTOR_FORMAT: &str = "cairn.detector/5";
 /// Those that are read.
 const DETECTOR_FORMATS: [&str; 3] = ["cairn.detector/3", "cairn.detector/4", DETECTOR_FORMAT];
+
+/// How much of each side the middles keep that a closer look is at, one after another. Training shows parts of
+/// three fifths of a side and more (`window.rs`).
+const MIDDLES: [f32; 2] = [0.75, 0.6];
 
 /// F_psi and Fc_psi after training.
 pub struct Detector {
@@ -33,6 +38,8 @@ pub struct Detection {
     pub identity: Option<u32>,
     /// Probability of each class; class 0 is `unmarked`.
     pub probabilities: Vec<f32>,
+    /// Whether only a closer look found the owner ([`MarkConfig::closer_look`]): all else said here is then of the picture's middle.
+    pub is_closer: bool,
     /// The recovered signal, of all that the detector has heads for: a picture,
     /// side x side in [0, 1]; a sound of the head's length; a text. Where nothing is
     /// hidden they are black, silent and empty.
@@ -80,7 +87,8 @@ impl Detector {
         self.config.side_px()
     }
 
-    /// Classifies `picture` (any size) and recovers what it hides.
+    /// Classifies `picture` (any size) and recovers what it hides. What says nothing as a whole is looked at
+    /// more closely ([`MarkConfig::closer_look`]).
     ///
     /// # Errors
     /// [`MarkError::Plan`] when a number of the picture is not finite,
@@ -108,12 +116,36 @@ impl Detector {
             return Err(MarkError::Plan(format!("pixel ({x}, {y}) is not finite; send another picture")));
         }
         let shown = self.config.shown_px();
-        let mut read = self.networks.read(&[shrunk(picture, shown)], shown, forced)?;
-        let (probabilities, hidden) = read.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
+        let read = |seen| {
+            let answer = self.networks.read(&[seen], shown, forced)?.pop();
+            answer.ok_or_else(|| MarkError::Plan("no answer".into()))
+        };
+        let mut answer = read(shrunk(picture, shown))?;
+        let is_silent = forced.is_none() && winner(&answer.0) == 0;
+        let closer = if is_silent { self.closer(picture)? } else { None };
+        let is_closer = closer.is_some();
+        if let Some(middle) = closer {
+            answer = read(middle)?;
+        }
+        let (probabilities, hidden) = answer;
         let text_bytes = hidden.text.as_deref().map(cairn_nn::text_bytes);
         let recovered = hidden.signal(self.side_px(), self.config.audio.sample_rate_hz)?;
         let class = winner(&probabilities);
-        Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, recovered, text_bytes })
+        Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, is_closer, recovered, text_bytes })
+    }
+
+    /// The largest middle of `picture` in which an owner is told surely enough, as the networks are shown it. From afar, or beside much
+    /// that bears no mark, a mark is too little of a picture to be told from the whole of it.
+    fn closer(&self, picture: &Picture) -> Result<Option<Vec<f32>>, MarkError> {
+        let (least, shown) = (self.config.closer_look as f32, self.config.shown_px());
+        if least >= 1.0 || !self.config.has_classifier() {
+            return Ok(None);
+        }
+        let middle = |kept| Distortion::Crop { kept, across: 0.5, down: 0.5 }.apply(picture, 0);
+        let middles = MIDDLES.map(|kept| shrunk(&middle(kept), shown));
+        let odds = self.networks.odds(&to_tensor(&middles, shown)?)?;
+        let is_told = |odds: &Vec<f32>| winner(odds) > 0 && odds[winner(odds)] >= least;
+        Ok(middles.into_iter().zip(&odds).find_map(|(middle, odds)| is_told(odds).then_some(middle)))
     }
 
     /// As safetensors. Equal detectors give equal bytes.

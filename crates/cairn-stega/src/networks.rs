@@ -59,8 +59,24 @@ impl Networks {
         Ok(probabilities.iter().map(|p| winner(p)).collect())
     }
 
+    /// The class probabilities of each of `images` (N x 3 x side x side); owners count for less on pictures unlike their renders.
+    ///
+    /// # Errors
+    /// [`MarkError::NotFinite`] when one is not finite.
+    pub(crate) fn odds(&self, images: &Tensor) -> Result<Vec<Vec<f32>>, MarkError> {
+        let features = self.classifier.features(images)?;
+        let mut probabilities = softmax(&self.classifier.classify(&features)?)?.to_vec2::<f32>()?;
+        probabilities.iter().try_for_each(|p| finite(p, "a class's probability"))?;
+        if let Some(familiar) = &self.familiar {
+            for (probabilities, features) in probabilities.iter_mut().zip(features.to_vec2::<f32>()?) {
+                familiar.doubt(probabilities, &features);
+            }
+        }
+        Ok(probabilities)
+    }
+
     /// Class probabilities and hidden signals for `pictures`
-    /// (each `side x side x 3`); owners count for less on pictures unlike their renders. With `forced`, that class is told to the
+    /// (each `side x side x 3`). With `forced`, that class is told to the
     /// detector in place of the classifier's own answer.
     ///
     /// # Errors
@@ -72,14 +88,7 @@ impl Networks {
         forced: Option<usize>,
     ) -> Result<Vec<Reading>, MarkError> {
         let images = to_tensor(pictures, side)?;
-        let features = self.classifier.features(&images)?;
-        let mut probabilities = softmax(&self.classifier.classify(&features)?)?.to_vec2::<f32>()?;
-        probabilities.iter().try_for_each(|p| finite(p, "a class's probability"))?;
-        if let Some(familiar) = &self.familiar {
-            for (probabilities, features) in probabilities.iter_mut().zip(features.to_vec2::<f32>()?) {
-                familiar.doubt(probabilities, &features);
-            }
-        }
+        let probabilities = self.odds(&images)?;
         // The detector is told the decision, not its odds: half an owner's signal is nobody's.
         let told = probabilities.iter().flat_map(|p| {
             let class = forced.unwrap_or_else(|| winner(p));

@@ -158,7 +158,7 @@ fn what_does_not_fit_is_refused_by_name() {
         let without = |h: &mut serde_json::Value| {
             h["format"] = before.into();
             let settings = h["config"].as_object_mut().unwrap();
-            let since = ["fresh_every", "finer", "others", "others_colours", "noisy_share"];
+            let since = ["fresh_every", "finer", "others", "others_colours", "noisy_share", "closer_look"];
             assert!(since.iter().all(|key| settings.remove(*key).is_some()));
         };
         let read = Detector::from_bytes(&altered(&detector, without, "", <[u8]>::to_vec));

@@ -98,6 +98,47 @@ fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
     }
     assert!(asked >= 18, "{asked} questions are too few to mean anything");
     assert!(right as f64 >= 0.9 * f64::from(asked), "{right} of {asked} right");
+    closer_looks_tell_marks_amid_much_that_bears_none(&marked, &detector);
+}
+
+/// Amid much that bears no mark one is told by a closer look, and by that alone.
+fn closer_looks_tell_marks_amid_much_that_bears_none(marked: &MarkedField, detector: &Detector) {
+    // Three fifths of each side are the render.
+    let amid = |render: &Picture| {
+        let (w, h) = (render.width(), render.height());
+        let (across, down) = (w * 5 / 3, h * 5 / 3);
+        let [left, top] = [(across - w) / 2, (down - h) / 2];
+        let mut picture = Picture::constant(across, down, [0.5; 3]);
+        for (y, row) in render.rgb().chunks_exact(w * 3).enumerate() {
+            let at = ((top + y) * across + left) * 3;
+            picture.rgb_mut()[at..at + w * 3].copy_from_slice(row);
+        }
+        picture
+    };
+    // The same detector as it would be that looks at the whole alone.
+    let mut stored = detector.to_bytes().unwrap();
+    let key = br#"\"closer_look\":0.9"#;
+    let at = stored.windows(key.len()).position(|found| found == key).expect("it is among the settings");
+    stored[at + key.len() - 3..at + key.len()].copy_from_slice(b"1.0");
+    let whole = Detector::from_bytes(&stored).unwrap();
+
+    let (mut closer, mut by_whole, mut silent, mut asked) = (0, 0, 0, 0);
+    let appearance = field().canonical_appearance().clone();
+    for camera in cameras() {
+        let Some(identity) = marked.clusters().identity_of(&camera.pose).identity else { continue };
+        let [with, without] =
+            [marked.render(&camera, &appearance), field().render(&camera, &appearance)].map(|p| amid(&p));
+        let found = detector.detect(&with).unwrap();
+        assert!(!found.is_closer || found.probabilities[found.identity.unwrap() as usize] >= 0.89, "{found:?}");
+        closer += usize::from(found.is_closer && found.identity == Some(identity));
+        let alone = whole.detect(&with).unwrap();
+        assert!(!alone.is_closer && (alone.identity.is_none() || alone.identity == found.identity));
+        by_whole += usize::from(alone.identity == Some(identity));
+        silent += usize::from(detector.detect(&without).unwrap().identity.is_none());
+        asked += 1;
+    }
+    assert!(closer >= asked / 2, "{closer} of {asked} marks by a closer look, {by_whole} by the whole");
+    assert!(silent >= asked - 1, "{silent} of {asked} without a mark are silent");
 }
 
 #[test]

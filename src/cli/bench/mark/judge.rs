@@ -47,6 +47,8 @@ pub struct Task {
     pub right_half: bool,
     /// For which suite: an ablation is about renders as they are, and only marks are laid over their field.
     pub what: What,
+    /// The folder for renders without a mark, which all trainings are asked about.
+    pub kept: PathBuf,
     /// The file for a contact sheet.
     pub sheet: PathBuf,
     /// The file for the reliability table.
@@ -73,6 +75,8 @@ pub struct Asked {
     signals: Vec<Signal>,
     /// Confidence of each answer, and whether it was right.
     answers: Vec<(f64, bool)>,
+    /// Which of them a closer look gave.
+    closer: Vec<usize>,
 }
 
 impl Asked {
@@ -81,9 +85,20 @@ impl Asked {
         let found = self.detector.detect(picture)?;
         let class = found.identity.unwrap_or(0) as usize;
         let sure = found.probabilities.get(class).copied().unwrap_or_default();
+        if found.is_closer {
+            self.closer.push(self.answers.len());
+        }
         // Sums of probabilities may miss one by a rounding.
         self.answers.push((f64::from(sure).clamp(0.0, 1.0), class == truth));
         Ok((class == truth, found))
+    }
+
+    /// How often answers that a closer look gave are right, but for those at `left_out`.
+    fn closer(&self, left_out: &Range<usize>) -> Right {
+        let mut right = Right::default();
+        let of = self.closer.iter().filter(|at| !left_out.contains(at));
+        of.for_each(|at| right.count(self.answers[*at].1));
+        right
     }
 
     /// SSIM of what was recovered against the picture of identity `truth`, if it hides one.
@@ -99,7 +114,12 @@ impl Asked {
 pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let marked = MarkedField::from_bytes(&super::read(&task.marked)?)?;
     let detector = Detector::from_bytes(&super::read(&task.detector)?)?;
-    let mut asked = Asked { detector, signals: train::signals(&task.signals, &task.config)?, answers: Vec::new() };
+    let mut asked = Asked {
+        detector,
+        signals: train::signals(&task.signals, &task.config)?,
+        answers: Vec::new(),
+        closer: Vec::new(),
+    };
     let opened = task.source.open()?;
     let mut progress = Progress::new(&task.label, 5);
     let views = views(&opened, &marked, task.right_half)?;
@@ -115,7 +135,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     progress.at(3, "");
     let (unmarked, unmarked_pictures) = match task.what {
         What::Ablation => (Vec::new(), 0),
-        _ => unmarked::ask(&mut asked, (&task.source, marked.base()), &task.foreign, &views)?,
+        _ => unmarked::ask(&mut asked, (&task.source, marked.base()), (&task.foreign, &task.kept), &views)?,
     };
     progress.at(4, "");
     let foreign: Vec<Source> = task.foreign.iter().map(|other| other.source.clone()).collect();
@@ -137,6 +157,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let kept = kept.collect::<anyhow::Result<Vec<f64>>>()?;
     let [base_psnr_db, marked_psnr_db, base_ssim, marked_ssim] = sums.map(|sum| sum / views.len() as f64);
     crate::cli::write(&task.reliability, reliability(&asked.answers).as_bytes())?;
+    let (closer, closer_unharmed) = (asked.closer(&(0..0)), asked.closer(&harmed));
     let unharmed = without(&asked.answers, harmed);
     Ok(Judged {
         views: views.len(),
@@ -158,6 +179,8 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         bands: bands(&asked.answers),
         bands_unharmed: bands(&unharmed),
         answers: asked.answers.len(),
+        closer,
+        closer_unharmed,
     })
 }
 

@@ -6,12 +6,13 @@
 //!
 //! Every training and judging runs in a process of its own, as in suite `field`.
 //! Base fields stay in the folder and are taken again by a later run with the same
-//! settings and seed: with marks made to last and without they are the same.
+//! settings and seed: with marks made to last and without they are the same. So do their renders, in its folder `unmarked`.
 
 mod ablations;
 mod case;
 mod harm;
 mod judge;
+mod kept;
 mod laid;
 mod permuted;
 mod report;
@@ -316,6 +317,7 @@ impl Run {
             config: self.mark.clone(),
             permuted,
             right_half: self.case.right_half,
+            kept: self.out.join("unmarked"),
             sheet: file("png"),
             reliability: file("csv"),
             what: self.what,

@@ -48,6 +48,8 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     rows.add(name, "expected calibration error, renders not harmed", unharmed, "", None);
     bands(rows, name, "answers", judged().map(|j| &j.bands));
     bands(rows, name, "renders not harmed, answers", judged().map(|j| &j.bands_unharmed));
+    closer(rows, name, "answers", judged().map(|j| j.closer));
+    closer(rows, name, "renders not harmed, answers", judged().map(|j| j.closer_unharmed));
     if what == What::Honesty {
         return;
     }
@@ -79,6 +81,12 @@ fn bands<'a>(rows: &mut Rows, name: &str, what: &str, of: impl Iterator<Item = &
         rows.add(name, &how, right.clone().map(|right| right.asked as f64).sum(), "", None);
         share(rows, name, &format!("{how}: right"), right, None);
     }
+}
+
+/// How many answers only a closer look gave, and how often they are right: owners, all of them.
+fn closer(rows: &mut Rows, name: &str, what: &str, of: impl Iterator<Item = Right> + Clone) {
+    rows.add(name, &format!("{what} by a closer look"), of.clone().map(|right| right.asked as f64).sum(), "", None);
+    share(rows, name, &format!("{what} by a closer look: right"), of, None);
 }
 
 /// Pictures without a mark that are called so, of each kind, and those of all kinds that are not. Every detector is asked about
@@ -340,6 +348,8 @@ mod tests {
             bands: bands([[3, 10], [80, 100]]),
             bands_unharmed: bands([[0, 0], [50, 50]]),
             calibration_error: 0.125,
+            closer: Right { right: 3, asked: 4 },
+            closer_unharmed: Right { right: 2, asked: 2 },
             ..Judged::default()
         };
         let rows = ledger(Name::Lego, vec![judged]);
@@ -350,6 +360,8 @@ mod tests {
         assert_eq!(told("renders not harmed, answers with a confidence of 0.99 to 1"), 50.0);
         assert_eq!(told("renders not harmed, answers with a confidence of 0.99 to 1: right"), 1.0);
         assert_eq!(told("expected calibration error"), 0.125);
+        assert_eq!((told("answers by a closer look"), told("answers by a closer look: right")), (4.0, 0.75));
+        assert_eq!(told("renders not harmed, answers by a closer look: right"), 1.0);
     }
 
     #[test]

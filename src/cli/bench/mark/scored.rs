@@ -48,6 +48,10 @@ pub struct Judged {
     pub bands_unharmed: Vec<Band>,
     /// Answers behind the first.
     pub answers: usize,
+    /// Of them, those that only a closer look gave.
+    pub closer: Right,
+    /// The same of those behind the second.
+    pub closer_unharmed: Right,
 }
 
 /// Answers of about the same confidence.

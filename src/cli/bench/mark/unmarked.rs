@@ -4,7 +4,7 @@
 //! and from between: views that nobody photographed cost nothing but their rendering.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cairn_capture::Picture;
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
@@ -17,8 +17,8 @@ use sha2::{Digest as _, Sha256};
 
 use super::super::field::source::{Opened, Source};
 use super::judge::{Asked, View};
+use super::kept::Kept;
 use super::scored::Silent;
-use crate::engine::evaluate::eight_bits;
 use crate::engine::report::Right;
 
 /// Renders of each field at most: four captures' and their photographs are over a thousand pictures.
@@ -47,14 +47,15 @@ impl Foreign {
     }
 }
 
-/// Asks about all of them, and says how many different ones they are; `base` is theta_0 of the capture at `source`.
+/// Asks about all of them, and says how many different ones they are; `base` is theta_0 of the capture at `source`. Renders are
+/// kept in the folder `kept`.
 ///
 /// # Errors
-/// For photographs that do not decode and fields that do not read.
+/// For photographs that do not decode, fields that do not read, and a folder that cannot be written.
 pub fn ask(
     asked: &mut Asked,
     (source, base): (&Source, &Field),
-    foreign: &[Foreign],
+    (foreign, kept): (&[Foreign], &Path),
     views: &[View],
 ) -> anyhow::Result<(Vec<Silent>, usize)> {
     let (opened, mut seen) = (source.open()?, BTreeSet::new());
@@ -63,13 +64,13 @@ pub fn ask(
     let mut told = vec![silent("its own photographs, held out".into(), &mut held_out)?];
     let mut own = photographs(&opened, opened.training());
     told.push(silent("its own photographs, trained on".into(), &mut own)?);
-    told.push(silent("renders of its base field".into(), &mut renders((&opened, source), base)?)?);
+    told.push(silent("renders of its base field".into(), &mut renders((&opened, source), base, kept)?)?);
     for other in foreign {
         let (opened, name) = (other.source.open()?, other.name());
         told.push(silent(format!("photographs of {name}"), &mut photographs(&opened, every(&opened)))?);
         if let Some(path) = &other.field {
             let field = Field::from_bytes(&super::read(path)?)?;
-            told.push(silent(format!("renders of {name}"), &mut renders((&opened, &other.source), &field)?)?);
+            told.push(silent(format!("renders of {name}"), &mut renders((&opened, &other.source), &field, kept)?)?);
         }
     }
     Ok((told, seen.len()))
@@ -85,9 +86,13 @@ fn photographs(opened: &Opened, of: Vec<usize>) -> impl Iterator<Item = anyhow::
 }
 
 /// Renders as files hold them.
-fn renders(of: (&Opened, &Source), field: &Field) -> anyhow::Result<impl Iterator<Item = anyhow::Result<Picture>>> {
-    let render = |view: PlannedView| Ok(eight_bits(&field.render(&view.camera, &view.appearance))?);
-    Ok(poses(of, field)?.into_iter().map(render))
+fn renders<'a>(
+    of: (&Opened, &Source),
+    field: &'a Field,
+    kept: &Path,
+) -> anyhow::Result<impl Iterator<Item = anyhow::Result<Picture>> + use<'a>> {
+    let kept = Kept::new(field, kept)?;
+    Ok(poses(of, field)?.into_iter().map(move |view| kept.render(&view)))
 }
 
 /// From where they are: photographs' poses, each in its photograph's own light where the field knows that, and
