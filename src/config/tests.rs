@@ -145,8 +145,8 @@ fn a_copy_of_the_default_file_says_only_what_was_changed_in_it() {
 #[test]
 fn what_stands_over_the_kinds_choice_is_told() {
     let keys = |text: &str| overridden(overlay_for(SceneKind::Unbounded), ("test", text), &[]).unwrap();
-    assert_eq!(keys("[mark]\nbudget_db = 38.0\nbatch = 5"), ["mark.budget_db = 38.0 (41.0 there)"]);
-    assert_eq!(keys("[mark]\nbudget_db = 41.0\n[field]\nhuber = 0.1"), ["field.huber = 0.1 (0.2 there)"]);
+    assert_eq!(keys("[mark]\nbudget_db = 38.0\nbatch = 5"), ["mark.budget_db = 38.0 (39.5 there)"]);
+    assert_eq!(keys("[mark]\nbudget_db = 39.5\n[field]\nhuber = 0.1"), ["field.huber = 0.1 (0.2 there)"]);
     assert_eq!(keys(""), [""; 0]);
     assert_eq!(keys("[mark]\nbudget_db = 41"), [""; 0], "it says the same");
     // What is said again by somebody else does not stand.
