@@ -148,7 +148,8 @@ fn what_stands_over_the_kinds_choice_is_told() {
     assert_eq!(keys("[mark]\nbudget_db = 38.0\nbatch = 5"), ["mark.budget_db = 38.0 (39.5 there)"]);
     assert_eq!(keys("[mark]\nbudget_db = 39.5\n[field]\nhuber = 0.1"), ["field.huber = 0.1 (0.2 there)"]);
     assert_eq!(keys(""), [""; 0]);
-    assert_eq!(keys("[mark]\nbudget_db = 41"), [""; 0], "it says the same");
+    let (whole, same) = (("kind", "[mark]\nbudget_db = 41.0"), ("test", "[mark]\nbudget_db = 41"));
+    assert_eq!(overridden(whole, same, &[]).unwrap(), [""; 0], "it says the same");
     // What is said again by somebody else does not stand.
     let (daemons, own) = (("test", "[mark]\nbudget_db = 38.0"), ("own", "[mark]\nbudget_db = 40.0"));
     assert_eq!(overridden(overlay_for(SceneKind::Unbounded), daemons, &[own]).unwrap(), [""; 0]);
