@@ -117,7 +117,7 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
         };
         assert_eq!(of("renders not harmed, answers"), asked + 2.0 * views);
         assert_eq!(of("answers"), asked + 2.0 * views + 2.0 * harmed);
-        for metric in ["reading a picture", "rendering with marks"] {
+        for metric in ["reading a picture", "reading a picture without a mark", "rendering with marks"] {
             assert!(value(case, metric) > 0.0);
         }
         // The settings let marks cost next to nothing, so that the budget is raised as a job's would be.
@@ -128,8 +128,12 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
         }
     }
     // Each field is rendered once: the second case is asked about what the first one's judgement left.
-    let folders = std::fs::read_dir(place.path("out/unmarked")).unwrap().map(|folder| folder.unwrap().path());
-    let mut kept: Vec<f64> = folders.map(|folder| std::fs::read_dir(folder).unwrap().count() as f64 * 3.0).collect();
+    let within = |folder: &std::path::Path| -> Vec<std::path::PathBuf> {
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect()
+    };
+    let programs = within(&place.path("out/unmarked"));
+    assert_eq!(programs.len(), 1);
+    let mut kept: Vec<f64> = within(&programs[0]).iter().map(|field| within(field).len() as f64 * 3.0).collect();
     let mut rendered =
         ["lego", "liberty"].map(|of| value(&format!("{of}, quick, small"), "answers: renders of its base field"));
     kept.sort_by(f64::total_cmp);

@@ -259,10 +259,18 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         }
         _ => println!("unmarked (confidence {:.2})", answer.confidence),
     }
+    closer(answer.closer_look);
     if over_field {
         laid(answer.laid_over.as_ref());
     }
     Ok(())
+}
+
+/// Whether the answer is that of the picture's middle.
+fn closer(looked: bool) {
+    if looked {
+        println!("read in the middle of the picture: the whole says nothing");
+    }
 }
 
 /// What laying the picture over the field said.
@@ -308,6 +316,7 @@ pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
         (0, None) => println!("unmarked"),
         (number, _) => println!("identity {number}: {}", answer.label),
     }
+    closer(answer.closer_look);
     if over_field {
         laid(answer.laid_over.as_ref());
     }

@@ -211,7 +211,8 @@ pub fn who(who: Who) -> v1::WhoResponse {
         },
     };
     let laid_over = who.laid_over.map(laid_over);
-    v1::WhoResponse { format_version: VERSION, answer: Some(answer), confidence: who.confidence, laid_over }
+    let (answer, confidence, closer_look) = (Some(answer), who.confidence, who.is_closer);
+    v1::WhoResponse { format_version: VERSION, answer, confidence, laid_over, closer_look }
 }
 
 /// What laying a picture over a field says.

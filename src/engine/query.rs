@@ -48,6 +48,8 @@ pub struct Who {
     pub records: Vec<u64>,
     /// What laying a picture over the field said, where that was asked for.
     pub laid_over: Option<LaidOver>,
+    /// By picture: whether the whole of it says nothing, and the answer is its middle's (`mark.closer_look`).
+    pub is_closer: bool,
 }
 
 /// Laying a picture over the field.
@@ -177,7 +179,8 @@ impl Engine {
     pub fn who_by_picture(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Who, EngineError> {
         let (model, found) = self.read_picture(scene, bytes, over)?;
         let who = self.who(&model.info, found.identity, found.confidence.into())?;
-        Ok(Who { elsewhere: found.elsewhere, laid_over: found.laid_over, ..who })
+        let is_closer = found.detection.is_closer;
+        Ok(Who { elsewhere: found.elsewhere, laid_over: found.laid_over, is_closer, ..who })
     }
 
     /// What a picture hides, and who that stands for.
@@ -225,7 +228,8 @@ impl Engine {
     fn who(&self, info: &super::ModelInfo, identity: Option<u32>, confidence: f64) -> Result<Who, EngineError> {
         let Some(number) = identity else {
             let (contributors, records) = (Vec::new(), Vec::new());
-            return Ok(Who { identity: None, contributors, confidence, elsewhere: None, records, laid_over: None });
+            let (elsewhere, laid_over, is_closer) = (None, None, false);
+            return Ok(Who { identity: None, contributors, confidence, elsewhere, records, laid_over, is_closer });
         };
         let known = info.identity(number)?;
         let Some(contributors) = self.quarantine.credited(&info.scene, known)? else {
@@ -233,7 +237,8 @@ impl Engine {
         };
         let records = self.records_of(info, known)?;
         let identity = Some((number, known.label.clone()));
-        Ok(Who { identity, contributors, confidence, elsewhere: None, records, laid_over: None })
+        let (elsewhere, laid_over, is_closer) = (None, None, false);
+        Ok(Who { identity, contributors, confidence, elsewhere, records, laid_over, is_closer })
     }
 }
 

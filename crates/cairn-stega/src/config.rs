@@ -197,7 +197,8 @@ pub struct MarkConfig {
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
     /// A picture that is told to be unmarked is looked at more closely: an owner is named whom its middle (three quarters
-    /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never.
+    /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never. Nothing without a classifier, or where
+    /// nothing is doubted ([`MarkConfig::unfamiliar_beyond`] 0).
     pub closer_look: f64,
     /// Among a step's unmarked pictures of anything (not the marked renders' twins) how many are of something else for each
     /// render of the base field, 0 (none) to 16.
@@ -268,7 +269,8 @@ impl Default for MarkConfig {
             enough_snr_db: 25.0,
             enough_characters: 1.0,
             unfamiliar_beyond: 1.25,
-            closer_look: 0.9,
+            // Kinds of scenes have it on; what was stored before it was there goes on without.
+            closer_look: 1.0,
             others: 1,
             others_colours: OthersColours::Near,
             // Kinds of scenes have it on; what was stored before it was there goes on without.

@@ -9,6 +9,7 @@ use crate::marked::{read_header, stored};
 use crate::negatives::shrunk;
 use crate::networks::{Networks, to_tensor};
 use crate::signal::{HeadSizes, Signal};
+use crate::window::LEAST;
 use cairn_capture::Picture;
 use cairn_nn::Params;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -16,14 +17,16 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// Format of a stored detector: 4 since it knows where its owners' renders lie, 5 since its settings say how finely its
-/// classifier looks and which views came and went. Another number is refused by name, but for 3 and 4.
-pub const DETECTOR_FORMAT: &str = "cairn.detector/5";
+/// classifier looks and which views came and went, 6 since they say how closely it looks. Another number is refused by name, but
+/// for 3 to 5.
+pub const DETECTOR_FORMAT: &str = "cairn.detector/6";
 /// Those that are read.
-const DETECTOR_FORMATS: [&str; 3] = ["cairn.detector/3", "cairn.detector/4", DETECTOR_FORMAT];
+const DETECTOR_FORMATS: [&str; 4] = ["cairn.detector/3", "cairn.detector/4", "cairn.detector/5", DETECTOR_FORMAT];
 
-/// How much of each side the middles keep that a closer look is at, one after another. Training shows parts of
-/// three fifths of a side and more (`window.rs`).
+/// How much of each side the middles keep that a closer look is at, one after another; none keeps less than the parts that
+/// training shows.
 const MIDDLES: [f32; 2] = [0.75, 0.6];
+const _: () = assert!(MIDDLES[1] as f64 >= LEAST - 1e-6);
 
 /// F_psi and Fc_psi after training.
 pub struct Detector {
@@ -115,37 +118,36 @@ impl Detector {
             let (x, y) = (at / 3 % picture.width(), at / 3 / picture.width());
             return Err(MarkError::Plan(format!("pixel ({x}, {y}) is not finite; send another picture")));
         }
-        let shown = self.config.shown_px();
-        let read = |seen| {
-            let answer = self.networks.read(&[seen], shown, forced)?.pop();
-            answer.ok_or_else(|| MarkError::Plan("no answer".into()))
-        };
-        let mut answer = read(shrunk(picture, shown))?;
-        let is_silent = forced.is_none() && winner(&answer.0) == 0;
-        let closer = if is_silent { self.closer(picture)? } else { None };
-        let is_closer = closer.is_some();
-        if let Some(middle) = closer {
-            answer = read(middle)?;
-        }
-        let (probabilities, hidden) = answer;
+        let (seen, probabilities, is_closer) = self.seen(picture, forced.is_none())?;
+        let class = winner(&probabilities);
+        let images = to_tensor(&[seen], self.config.shown_px())?;
+        let hidden = self.networks.hidden(&images, &[forced.unwrap_or(class)])?.pop();
+        let hidden = hidden.ok_or_else(|| MarkError::Plan("no answer".into()))?;
         let text_bytes = hidden.text.as_deref().map(cairn_nn::text_bytes);
         let recovered = hidden.signal(self.side_px(), self.config.audio.sample_rate_hz)?;
-        let class = winner(&probabilities);
         Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, is_closer, recovered, text_bytes })
     }
 
-    /// The largest middle of `picture` in which an owner is told surely enough, as the networks are shown it. From afar, or beside much
-    /// that bears no mark, a mark is too little of a picture to be told from the whole of it.
-    fn closer(&self, picture: &Picture) -> Result<Option<Vec<f32>>, MarkError> {
+    /// What of `picture` is read, as the networks are shown it, with its class probabilities: the whole, or where that says nothing and
+    /// a closer look is asked for, the middle that an owner is told in. From afar, or beside much that bears no mark, a
+    /// mark is too little of a picture to be told from the whole of it.
+    fn seen(&self, picture: &Picture, may_look_closer: bool) -> Result<(Vec<f32>, Vec<f32>, bool), MarkError> {
         let (least, shown) = (self.config.closer_look as f32, self.config.shown_px());
-        if least >= 1.0 || !self.config.has_classifier() {
-            return Ok(None);
+        let odds = |seen: &[Vec<f32>]| self.networks.odds(&to_tensor(seen, shown)?);
+        let whole = shrunk(picture, shown);
+        let of_whole = odds(std::slice::from_ref(&whole))?.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
+        // Where nothing doubts the classifier each further look is a further chance of its being surely wrong.
+        let looks_closer = may_look_closer && least < 1.0 && self.networks.familiar.is_some();
+        if winner(&of_whole) > 0 || !looks_closer || !self.config.has_classifier() {
+            return Ok((whole, of_whole, false));
         }
-        let middle = |kept| Distortion::Crop { kept, across: 0.5, down: 0.5 }.apply(picture, 0);
-        let middles = MIDDLES.map(|kept| shrunk(&middle(kept), shown));
-        let odds = self.networks.odds(&to_tensor(&middles, shown)?)?;
-        let is_told = |odds: &Vec<f32>| winner(odds) > 0 && odds[winner(odds)] >= least;
-        Ok(middles.into_iter().zip(&odds).find_map(|(middle, odds)| is_told(odds).then_some(middle)))
+        let middle = |kept| shrunk(&Distortion::Crop { kept, across: 0.5, down: 0.5 }.apply(picture, 0), shown);
+        let mut middles = MIDDLES.map(middle);
+        let mut of_middles = odds(&middles)?;
+        Ok(match told_in(&of_middles, least) {
+            Some(at) => (std::mem::take(&mut middles[at]), of_middles.swap_remove(at), true),
+            None => (whole, of_whole, false),
+        })
     }
 
     /// As safetensors. Equal detectors give equal bytes.
@@ -193,5 +195,26 @@ impl Detector {
         let mut networks = Networks::with(&header.config, header.classes, header.heads, params)?;
         networks.familiar = Familiar::from_file(&file, header.classes, networks.classifier.feature_count())?;
         Ok(Self { config: header.config, networks })
+    }
+}
+
+/// The first of some parts' class probabilities in which an owner is told, with `least` at least.
+fn told_in(parts: &[Vec<f32>], least: f32) -> Option<usize> {
+    parts.iter().position(|odds| winner(odds) > 0 && odds[winner(odds)] >= least)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_owner_is_named_who_is_told_surely_enough_in_the_larger_middle_first() {
+        let told = |parts: [[f32; 3]; 2]| told_in(&parts.map(|odds| odds.to_vec()), 0.9);
+        let (nobody, one, other) = ([0.95, 0.03, 0.02], [0.05, 0.92, 0.03], [0.01, 0.01, 0.98]);
+        assert_eq!(told([one, other]), Some(0), "the larger one, if less sure");
+        assert_eq!(told([nobody, other]), Some(1));
+        assert_eq!(told([[0.1, 0.9, 0.0], nobody]), Some(0), "as sure as is asked for");
+        assert_eq!(told([[0.12, 0.88, 0.0], [0.2, 0.0, 0.8]]), None, "surer than anything else is not enough");
+        assert_eq!(told([nobody, nobody]), None, "sure that there is none");
     }
 }

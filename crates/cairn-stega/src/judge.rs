@@ -327,7 +327,7 @@ impl MarkTrainer {
     }
 
     fn read(&self, pictures: &[Vec<f32>]) -> Result<Vec<Reading>, MarkError> {
-        self.networks.read(pictures, self.config.shown_px(), None).map_err(|error| self.at_step(error))
+        self.networks.read(pictures, self.config.shown_px()).map_err(|error| self.at_step(error))
     }
 
     /// What is not finite is so at this step.

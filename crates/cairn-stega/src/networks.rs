@@ -75,32 +75,28 @@ impl Networks {
         Ok(probabilities)
     }
 
-    /// Class probabilities and hidden signals for `pictures`
-    /// (each `side x side x 3`). With `forced`, that class is told to the
-    /// detector in place of the classifier's own answer.
+    /// Class probabilities and hidden signals for `pictures` (each `side x side x 3`).
     ///
     /// # Errors
     /// [`MarkError::NotFinite`] when a probability or a hidden value is not finite.
-    pub(crate) fn read(
-        &self,
-        pictures: &[Vec<f32>],
-        side: usize,
-        forced: Option<usize>,
-    ) -> Result<Vec<Reading>, MarkError> {
+    pub(crate) fn read(&self, pictures: &[Vec<f32>], side: usize) -> Result<Vec<Reading>, MarkError> {
         let images = to_tensor(pictures, side)?;
         let probabilities = self.odds(&images)?;
+        let classes: Vec<usize> = probabilities.iter().map(|p| winner(p)).collect();
+        Ok(probabilities.into_iter().zip(self.hidden(&images, &classes)?).collect())
+    }
+
+    /// What `images` (N x 3 x side x side) of `classes` hide.
+    ///
+    /// # Errors
+    /// [`MarkError::NotFinite`] when a hidden value is not finite.
+    pub(crate) fn hidden(&self, images: &Tensor, classes: &[usize]) -> Result<Vec<Numbers>, MarkError> {
+        let count = self.classifier.classes();
         // The detector is told the decision, not its odds: half an owner's signal is nobody's.
-        let told = probabilities.iter().flat_map(|p| {
-            let class = forced.unwrap_or_else(|| winner(p));
-            (0..p.len()).map(move |k| if k == class { 1.0f32 } else { 0.0 })
-        });
-        let told = Tensor::from_vec(told.collect(), (pictures.len(), self.classifier.classes()), &Device::Cpu)?;
-        let said = self.detector.forward(&images, &self.told(told)?)?;
-        let mut out = Vec::with_capacity(pictures.len());
-        for (i, probabilities) in probabilities.into_iter().enumerate() {
-            out.push((probabilities, said.numbers(i)?));
-        }
-        Ok(out)
+        let told = classes.iter().flat_map(|class| (0..count).map(move |k| if k == *class { 1.0f32 } else { 0.0 }));
+        let told = Tensor::from_vec(told.collect(), (classes.len(), count), &Device::Cpu)?;
+        let said = self.detector.forward(images, &self.told(told)?)?;
+        (0..classes.len()).map(|i| said.numbers(i)).collect()
     }
 }
 

@@ -7,7 +7,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 /// The least share of a side that a part keeps.
-const LEAST: f64 = 0.6;
+pub(crate) const LEAST: f64 = 0.6;
 
 /// A rectangle of a render, resized to the networks' square.
 pub(crate) struct Window {

@@ -80,7 +80,8 @@ fn a_run_interrupted_while_a_late_joined_budget_tightens_ends_in_the_same_bytes(
 #[test]
 fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
     // With so many steps all of six seeds pass (29 or 30 right).
-    let (marked, detector) = trained(MarkConfig { budget_db: 36.0, classify_until: 0.3, ..config(1200) });
+    let (marked, detector) =
+        trained(MarkConfig { budget_db: 36.0, classify_until: 0.3, closer_look: 0.9, ..config(1200) });
     let (mut right, mut asked) = (0, 0);
     for camera in cameras() {
         let appearance = field().canonical_appearance().clone();
@@ -129,10 +130,12 @@ fn closer_looks_tell_marks_amid_much_that_bears_none(marked: &MarkedField, detec
         let [with, without] =
             [marked.render(&camera, &appearance), field().render(&camera, &appearance)].map(|p| amid(&p));
         let found = detector.detect(&with).unwrap();
-        assert!(!found.is_closer || found.probabilities[found.identity.unwrap() as usize] >= 0.89, "{found:?}");
+        assert!(!found.is_closer || found.probabilities[found.identity.unwrap() as usize] >= 0.9, "{found:?}");
         closer += usize::from(found.is_closer && found.identity == Some(identity));
         let alone = whole.detect(&with).unwrap();
-        assert!(!alone.is_closer && (alone.identity.is_none() || alone.identity == found.identity));
+        assert!(!alone.is_closer, "the whole alone");
+        assert!(!found.is_closer || alone.identity.is_none(), "what the whole tells is not asked again");
+        assert!(!detector.detect_forced(&with, 0).unwrap().is_closer, "who is told the class looks at the whole");
         by_whole += usize::from(alone.identity == Some(identity));
         silent += usize::from(detector.detect(&without).unwrap().identity.is_none());
         asked += 1;

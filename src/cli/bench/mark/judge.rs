@@ -33,6 +33,8 @@ pub struct Task {
     pub source: Source,
     /// Other captures.
     pub foreign: Vec<Foreign>,
+    /// The stored base field.
+    pub base: PathBuf,
     /// The stored marked field.
     pub marked: PathBuf,
     /// The stored detector.
@@ -48,7 +50,7 @@ pub struct Task {
     /// For which suite: an ablation is about renders as they are, and only marks are laid over their field.
     pub what: What,
     /// The folder for renders without a mark, which all trainings are asked about.
-    pub kept: PathBuf,
+    pub unmarked: PathBuf,
     /// The file for a contact sheet.
     pub sheet: PathBuf,
     /// The file for the reliability table.
@@ -76,7 +78,7 @@ pub struct Asked {
     /// Confidence of each answer, and whether it was right.
     answers: Vec<(f64, bool)>,
     /// Which of them a closer look gave.
-    closer: Vec<usize>,
+    by_closer_look: Vec<usize>,
 }
 
 impl Asked {
@@ -86,7 +88,7 @@ impl Asked {
         let class = found.identity.unwrap_or(0) as usize;
         let sure = found.probabilities.get(class).copied().unwrap_or_default();
         if found.is_closer {
-            self.closer.push(self.answers.len());
+            self.by_closer_look.push(self.answers.len());
         }
         // Sums of probabilities may miss one by a rounding.
         self.answers.push((f64::from(sure).clamp(0.0, 1.0), class == truth));
@@ -94,9 +96,9 @@ impl Asked {
     }
 
     /// How often answers that a closer look gave are right, but for those at `left_out`.
-    fn closer(&self, left_out: &Range<usize>) -> Right {
+    fn right_by_closer_look(&self, left_out: &Range<usize>) -> Right {
         let mut right = Right::default();
-        let of = self.closer.iter().filter(|at| !left_out.contains(at));
+        let of = self.by_closer_look.iter().filter(|at| !left_out.contains(at));
         of.for_each(|at| right.count(self.answers[*at].1));
         right
     }
@@ -118,7 +120,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         detector,
         signals: train::signals(&task.signals, &task.config)?,
         answers: Vec::new(),
-        closer: Vec::new(),
+        by_closer_look: Vec::new(),
     };
     let opened = task.source.open()?;
     let mut progress = Progress::new(&task.label, 5);
@@ -135,7 +137,10 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     progress.at(3, "");
     let (unmarked, unmarked_pictures) = match task.what {
         What::Ablation => (Vec::new(), 0),
-        _ => unmarked::ask(&mut asked, (&task.source, marked.base()), (&task.foreign, &task.kept), &views)?,
+        _ => {
+            let base = (marked.base().as_ref(), task.base.as_path());
+            unmarked::ask(&mut asked, (&task.source, base), (&task.foreign, &task.unmarked), &views)?
+        }
     };
     progress.at(4, "");
     let foreign: Vec<Source> = task.foreign.iter().map(|other| other.source.clone()).collect();
@@ -157,7 +162,8 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let kept = kept.collect::<anyhow::Result<Vec<f64>>>()?;
     let [base_psnr_db, marked_psnr_db, base_ssim, marked_ssim] = sums.map(|sum| sum / views.len() as f64);
     crate::cli::write(&task.reliability, reliability(&asked.answers).as_bytes())?;
-    let (closer, closer_unharmed) = (asked.closer(&(0..0)), asked.closer(&harmed));
+    let by_closer_look = asked.right_by_closer_look(&(0..0));
+    let by_closer_look_unharmed = asked.right_by_closer_look(&harmed);
     let unharmed = without(&asked.answers, harmed);
     Ok(Judged {
         views: views.len(),
@@ -179,8 +185,8 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         bands: bands(&asked.answers),
         bands_unharmed: bands(&unharmed),
         answers: asked.answers.len(),
-        closer,
-        closer_unharmed,
+        by_closer_look,
+        by_closer_look_unharmed,
     })
 }
 

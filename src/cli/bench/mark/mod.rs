@@ -6,7 +6,7 @@
 //!
 //! Every training and judging runs in a process of its own, as in suite `field`.
 //! Base fields stay in the folder and are taken again by a later run with the same
-//! settings and seed: with marks made to last and without they are the same. So do their renders, in its folder `unmarked`.
+//! settings and seed: with marks made to last and without they are the same. So do their renders by the same program, in its folder `unmarked`.
 
 mod ablations;
 mod case;
@@ -81,12 +81,13 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows, what: What) ->
     let captures = args.captures_with(cases.iter().map(|case| case.name))?;
     let pictures = pictures(args.signals.as_deref().unwrap_or(&captures.join("signals")))?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let unmarked = kept::of_this_program(&args.out.join("unmarked"))?;
     let children = Arc::new(Children::default());
     let mut runs = Vec::new();
     for case in cases {
         for training in &trainings {
             let mut run = Run::new(place, args, case, (&captures, &pictures), *training)?;
-            run.what = what;
+            (run.what, run.unmarked) = (what, unmarked.clone());
             // All base fields before any mark: other captures' renders are among what a detector is to be silent on.
             let work = tokio::task::spawn_blocking({
                 let (run, children) = (run.clone(), children.clone());
@@ -180,6 +181,8 @@ struct Run {
     what: What,
     name: String,
     out: PathBuf,
+    /// Where renders without a mark are kept.
+    unmarked: PathBuf,
 }
 
 impl Run {
@@ -232,6 +235,7 @@ impl Run {
                 ablation => format!("{}, {ablation}", args.case_name(case.name.as_str())),
             },
             out: args.out.clone(),
+            unmarked: args.out.join("unmarked"),
         })
     }
 
@@ -317,7 +321,8 @@ impl Run {
             config: self.mark.clone(),
             permuted,
             right_half: self.case.right_half,
-            kept: self.out.join("unmarked"),
+            base: field.to_owned(),
+            unmarked: self.unmarked.clone(),
             sheet: file("png"),
             reliability: file("csv"),
             what: self.what,

@@ -48,8 +48,8 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     rows.add(name, "expected calibration error, renders not harmed", unharmed, "", None);
     bands(rows, name, "answers", judged().map(|j| &j.bands));
     bands(rows, name, "renders not harmed, answers", judged().map(|j| &j.bands_unharmed));
-    closer(rows, name, "answers", judged().map(|j| j.closer));
-    closer(rows, name, "renders not harmed, answers", judged().map(|j| j.closer_unharmed));
+    by_closer_look(rows, name, "answers", judged().map(|j| j.by_closer_look));
+    by_closer_look(rows, name, "renders not harmed, answers", judged().map(|j| j.by_closer_look_unharmed));
     if what == What::Honesty {
         return;
     }
@@ -65,6 +65,7 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     if let Some(served) = &outcome.served {
         rows.add(name, "rendering with marks", served.rays_per_s, "rays/s", None);
         rows.add(name, "reading a picture", served.reading_s, "s", None);
+        rows.add(name, "reading a picture without a mark", served.reading_unmarked_s, "s", None);
         if let Some(peak) = served.peak_mib {
             rows.add(name, "peak memory, serving with marks", peak, "MiB", Some(Target::at_most(SERVING_MIB)));
         }
@@ -84,7 +85,7 @@ fn bands<'a>(rows: &mut Rows, name: &str, what: &str, of: impl Iterator<Item = &
 }
 
 /// How many answers only a closer look gave, and how often they are right: owners, all of them.
-fn closer(rows: &mut Rows, name: &str, what: &str, of: impl Iterator<Item = Right> + Clone) {
+fn by_closer_look(rows: &mut Rows, name: &str, what: &str, of: impl Iterator<Item = Right> + Clone) {
     rows.add(name, &format!("{what} by a closer look"), of.clone().map(|right| right.asked as f64).sum(), "", None);
     share(rows, name, &format!("{what} by a closer look: right"), of, None);
 }
@@ -348,8 +349,8 @@ mod tests {
             bands: bands([[3, 10], [80, 100]]),
             bands_unharmed: bands([[0, 0], [50, 50]]),
             calibration_error: 0.125,
-            closer: Right { right: 3, asked: 4 },
-            closer_unharmed: Right { right: 2, asked: 2 },
+            by_closer_look: Right { right: 3, asked: 4 },
+            by_closer_look_unharmed: Right { right: 2, asked: 2 },
             ..Judged::default()
         };
         let rows = ledger(Name::Lego, vec![judged]);

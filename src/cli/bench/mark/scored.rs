@@ -49,9 +49,9 @@ pub struct Judged {
     /// Answers behind the first.
     pub answers: usize,
     /// Of them, those that only a closer look gave.
-    pub closer: Right,
+    pub by_closer_look: Right,
     /// The same of those behind the second.
-    pub closer_unharmed: Right,
+    pub by_closer_look_unharmed: Right,
 }
 
 /// Answers of about the same confidence.

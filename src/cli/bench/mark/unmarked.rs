@@ -19,6 +19,7 @@ use super::super::field::source::{Opened, Source};
 use super::judge::{Asked, View};
 use super::kept::Kept;
 use super::scored::Silent;
+use crate::engine::evaluate::eight_bits;
 use crate::engine::report::Right;
 
 /// Renders of each field at most: four captures' and their photographs are over a thousand pictures.
@@ -47,14 +48,14 @@ impl Foreign {
     }
 }
 
-/// Asks about all of them, and says how many different ones they are; `base` is theta_0 of the capture at `source`. Renders are
+/// Asks about all of them, and says how many different ones they are; `base` is theta_0 of the capture at `source`, and its file. Renders are
 /// kept in the folder `kept`.
 ///
 /// # Errors
 /// For photographs that do not decode, fields that do not read, and a folder that cannot be written.
 pub fn ask(
     asked: &mut Asked,
-    (source, base): (&Source, &Field),
+    (source, base): (&Source, (&Field, &Path)),
     (foreign, kept): (&[Foreign], &Path),
     views: &[View],
 ) -> anyhow::Result<(Vec<Silent>, usize)> {
@@ -70,7 +71,10 @@ pub fn ask(
         told.push(silent(format!("photographs of {name}"), &mut photographs(&opened, every(&opened)))?);
         if let Some(path) = &other.field {
             let field = Field::from_bytes(&super::read(path)?)?;
-            told.push(silent(format!("renders of {name}"), &mut renders((&opened, &other.source), &field, kept)?)?);
+            told.push(silent(
+                format!("renders of {name}"),
+                &mut renders((&opened, &other.source), (&field, path), kept)?,
+            )?);
         }
     }
     Ok((told, seen.len()))
@@ -88,11 +92,12 @@ fn photographs(opened: &Opened, of: Vec<usize>) -> impl Iterator<Item = anyhow::
 /// Renders as files hold them.
 fn renders<'a>(
     of: (&Opened, &Source),
-    field: &'a Field,
+    (field, file): (&'a Field, &Path),
     kept: &Path,
 ) -> anyhow::Result<impl Iterator<Item = anyhow::Result<Picture>> + use<'a>> {
-    let kept = Kept::new(field, kept)?;
-    Ok(poses(of, field)?.into_iter().map(move |view| kept.render(&view)))
+    let kept = Kept::new(file, kept)?;
+    let render = |view: &PlannedView| Ok(eight_bits(&field.render(&view.camera, &view.appearance))?);
+    Ok(poses(of, field)?.into_iter().map(move |view| kept.picture(&view, || render(&view))))
 }
 
 /// From where they are: photographs' poses, each in its photograph's own light where the field knows that, and
