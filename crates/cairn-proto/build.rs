@@ -11,7 +11,8 @@ const FILES: [&str; 9] =
     ["common", "scene", "training", "render", "query", "detection", "owner", "access", "quarantine"];
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../proto");
+    // Asked for when it runs: two checkouts may share a target folder, and with it this program.
+    let root = Path::new(&std::env::var("CARGO_MANIFEST_DIR")?).join("../../proto");
     let files: Vec<PathBuf> = FILES.iter().map(|name| root.join(format!("cairn/v1/{name}.proto"))).collect();
     for file in &files {
         println!("cargo:rerun-if-changed={}", file.display());
