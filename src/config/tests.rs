@@ -62,16 +62,16 @@ fn pictures_of_something_else_take_any_colours_where_nothing_says_otherwise() {
         let overlays: Vec<(&str, &str)> =
             [overlay_for(SceneKind::ForwardFacing)].into_iter().chain(over.iter().copied()).collect();
         let mark = training_settings(&base, &overlays).unwrap().mark;
-        (mark.others, mark.others_colours)
+        (mark.others, mark.others_colours, mark.others_before_nothing)
     };
-    assert_eq!(others(&[]), (2, OthersColours::Any));
+    assert_eq!(others(&[]), (2, OthersColours::Any, 0.25));
     for (name, text, each) in [
         ("quick", QUICK_TOML, 1),
         ("robust", include_str!("../../configs/robust.toml"), 1),
         // The paper knows no other pictures.
         ("paper", include_str!("../../configs/paper.toml"), 0),
     ] {
-        assert_eq!(others(&[(name, text)]), (each, OthersColours::Near), "{name}");
+        assert_eq!(others(&[(name, text)]), (each, OthersColours::Near, 0.0), "{name}");
     }
 }
 

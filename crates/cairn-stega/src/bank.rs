@@ -245,7 +245,7 @@ impl Bank {
             of,
             outside,
             marked_outside,
-            negatives: Negatives::new(side, config.others_colours, teach.into_iter()),
+            negatives: Negatives::new(side, config, teach.into_iter()),
             others: config.others,
             judged,
             judged_outside,

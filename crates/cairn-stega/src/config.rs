@@ -205,6 +205,9 @@ pub struct MarkConfig {
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OthersColours,
+    /// Share of the pictures of something else not shown as they are that become objects before nothing, all but a blob of them in
+    /// one flat colour, 0 (none) to 1.
+    pub others_before_nothing: f64,
     /// Share of the pictures that are shown with noise of 1 to 6 levels of 255 (RMS, at [`MarkConfig::shown_px`]), a marked render and
     /// its twin with the same, once marks are read, 0 to 0.9: noise is no mark. Nothing where there is no classifier.
     pub noisy_share: f64,
@@ -273,6 +276,8 @@ impl Default for MarkConfig {
             closer_look: 1.0,
             others: 1,
             others_colours: OthersColours::Near,
+            // A kind of scenes has it on; what was stored before it was there goes on without.
+            others_before_nothing: 0.0,
             // Kinds of scenes have it on; what was stored before it was there goes on without.
             noisy_share: 0.0,
             robust: RobustConfig::default(),
@@ -322,6 +327,7 @@ impl MarkConfig {
             },
             others: own.others,
             others_colours: own.others_colours,
+            others_before_nothing: own.others_before_nothing,
             ..self.clone()
         }
     }
@@ -378,6 +384,7 @@ impl MarkConfig {
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
             ("mark.views_apart_deg", self.views_apart_deg, 0.0, 180.0, "0 to 180"),
             ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
+            ("mark.others_before_nothing", self.others_before_nothing, 0.0, 1.0, "0 to 1"),
             ("mark.noisy_share", self.noisy_share, 0.0, 0.9, "0 to 0.9"),
             ("mark.closer_look", self.closer_look, 0.5, 1.0, "0.5 to 1"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),

@@ -41,6 +41,7 @@ fn of_several_scenes_networks_are_shared_and_marks_are_each_ones_own() {
         longest_side_px: 64,
         others: 3,
         others_colours: OthersColours::Any,
+        others_before_nothing: 0.5,
         ..usual.clone()
     };
     let object = MarkConfig { finer: 2, budget_db: 52.5, longest_side_px: 400, steps: 1500, ..usual.clone() };

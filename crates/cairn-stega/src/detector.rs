@@ -17,11 +17,12 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// Format of a stored detector: 4 since it knows where its owners' renders lie, 5 since its settings say how finely its
-/// classifier looks and which views came and went, 6 since they say how closely it looks. Another number is refused by name, but
-/// for 3 to 5.
-pub const DETECTOR_FORMAT: &str = "cairn.detector/6";
+/// classifier looks and which views came and went, 6 since they say how closely it looks, 7 since they say which unmarked pictures
+/// show objects before nothing. Another number is refused by name, but for 3 to 6.
+pub const DETECTOR_FORMAT: &str = "cairn.detector/7";
 /// Those that are read.
-const DETECTOR_FORMATS: [&str; 4] = ["cairn.detector/3", "cairn.detector/4", "cairn.detector/5", DETECTOR_FORMAT];
+const DETECTOR_FORMATS: [&str; 5] =
+    ["cairn.detector/3", "cairn.detector/4", "cairn.detector/5", "cairn.detector/6", DETECTOR_FORMAT];
 
 /// How much of each side the middles keep that a closer look is at, one after another; none keeps less than the parts that
 /// training shows.
@@ -50,6 +51,12 @@ pub struct Detection {
     /// The recovered text's bytes as they were read, which need not be UTF-8: in the
     /// signal each broken one shows as U+FFFD, which is three bytes long.
     pub text_bytes: Option<Vec<u8>>,
+}
+
+/// The one key that every format's header has.
+#[derive(Deserialize)]
+struct Format {
+    format: String,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -178,11 +185,13 @@ impl Detector {
     /// # Errors
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
-        let mut header: Header = read_header(bytes, "detector")?;
-        if !DETECTOR_FORMATS.contains(&header.format.as_str()) {
-            let why = format!("format `{}`, this program reads `{DETECTOR_FORMAT}`", header.format);
+        // Before its settings, which are of other names in a later program's.
+        let Format { format } = read_header(bytes, "detector")?;
+        if !DETECTOR_FORMATS.contains(&format.as_str()) {
+            let why = format!("format `{format}`, this program reads `{DETECTOR_FORMAT}`");
             return Err(stored("detector", why));
         }
+        let mut header: Header = read_header(bytes, "detector")?;
         // Refused of late: it was no mask, and marks that were trained so are out in the world.
         if header.config.mask == MaskKind::PerCoefficientGroup && header.config.carrier == CarrierKind::PerCluster {
             header.config.mask = MaskKind::None;

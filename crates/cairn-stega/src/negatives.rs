@@ -2,7 +2,7 @@
 //! anything else. Without them a classifier says yes to everything, and a
 //! detector recognises the scene and not the mark.
 
-use crate::config::OthersColours;
+use crate::config::{MarkConfig, OthersColours};
 use crate::distort::Blur;
 use crate::grain::Grain;
 use cairn_capture::{AreaFilter, Picture};
@@ -24,18 +24,26 @@ pub(crate) struct Negatives {
     side: usize,
     /// What their colours become.
     colours: OthersColours,
+    /// How often one of them is made into an object before nothing, 0 to 1.
+    before_nothing: f64,
     /// Each as it is, and as it is read from a JPEG; `side x side x 3`.
     pictures: Vec<[Vec<f32>; 2]>,
 }
 
 impl Negatives {
-    pub(crate) fn new(side: usize, colours: OthersColours, pictures: impl Iterator<Item = [Vec<f32>; 2]>) -> Self {
-        Self { side, colours, pictures: pictures.collect() }
+    /// A bank of `pictures` of `side` pixels each way, of which those of something else are made as `config` says.
+    pub(crate) fn new(side: usize, config: &MarkConfig, pictures: impl Iterator<Item = [Vec<f32>; 2]>) -> Self {
+        Self {
+            side,
+            colours: config.others_colours,
+            before_nothing: config.others_before_nothing,
+            pictures: pictures.collect(),
+        }
     }
 
     /// One of the bank as it is, or made into a picture of something else: cropped,
     /// mirrored, in other colours, sharpened, with coloured edges, where colours may be any with coloured grain, two
-    /// laid over one another, or plain noise.
+    /// laid over one another, an object before nothing, or plain noise.
     /// A project has photographs of its landmark only, and the world has others: what
     /// their colours are like must not be what tells a mark.
     /// With `jpegs`, half come as JPEGs.
@@ -82,7 +90,27 @@ impl Negatives {
                 }
             }
         }
+        // Asked for first: without it, trainings go on with the draws that they began with.
+        if self.before_nothing > 0.0 && rng.random_bool(self.before_nothing) {
+            self.stand_before_nothing(&mut picture, rng);
+        }
         picture
+    }
+
+    /// All but a blob of the picture in one flat colour, as renders and cut-outs show objects: grain, a cast and whatever else
+    /// is all over a photograph then ends where the object does.
+    fn stand_before_nothing(&self, picture: &mut [f32], rng: &mut ChaCha8Rng) {
+        let outline = Outline::draw(self.side as f32, rng);
+        let flat: [f32; 3] = match rng.random_range(0..4) {
+            0 => [1.0; 3],
+            1 => [0.0; 3],
+            2 => [rng.random_range(0.0f32..1.0); 3],
+            _ => std::array::from_fn(|_| rng.random_range(0.0f32..1.0)),
+        };
+        for (i, pixel) in picture.chunks_exact_mut(3).enumerate() {
+            let outside = 1.0 - outline.covers((i % self.side) as f32, (i / self.side) as f32);
+            pixel.iter_mut().zip(flat).for_each(|(v, f)| *v += outside * (f - *v));
+        }
     }
 
     /// Texture of a hue or two all over the picture: a mark is not any texture.
@@ -125,6 +153,37 @@ impl Negatives {
             part.extend_from_slice(&picture[(row * self.side + x) * 3..(row * self.side + x + size) * 3]);
         }
         AreaFilter::new([size, size], [self.side, self.side]).apply(&part)
+    }
+}
+
+/// A blob: how far its edge is from its centre goes up and down with the direction.
+struct Outline {
+    centre: [f32; 2],
+    /// Mean distance of the edge, px.
+    radius: f32,
+    /// Amplitude (a share of `radius`) and phase of one, two, three and four waves around.
+    waves: [[f32; 2]; 4],
+}
+
+impl Outline {
+    /// One in a picture of `side` pixels each way: its centre in the middle half, its edge mostly within.
+    fn draw(side: f32, rng: &mut ChaCha8Rng) -> Self {
+        let centre = [0; 2].map(|_| side * rng.random_range(0.25f32..0.75));
+        let radius = side * rng.random_range(0.15f32..0.5);
+        let waves = std::array::from_fn(|k| {
+            let most = 0.3 / (k + 1) as f32;
+            [rng.random_range(0.0..most), rng.random_range(0.0..std::f32::consts::TAU)]
+        });
+        Self { centre, radius, waves }
+    }
+
+    /// How much of the pixel `(x, y)` lies within, 0 to 1: its edge is a pixel wide.
+    fn covers(&self, x: f32, y: f32) -> f32 {
+        let [dx, dy] = [x - self.centre[0], y - self.centre[1]];
+        let angle = dy.atan2(dx);
+        let waves = self.waves.iter().zip(1u8..).map(|([size, phase], k)| size * (f32::from(k) * angle + phase).cos());
+        let edge = self.radius * (1.0 + waves.sum::<f32>());
+        (edge - dx.hypot(dy) + 0.5).clamp(0.0, 1.0)
     }
 }
 
@@ -186,6 +245,10 @@ mod tests {
     use super::*;
     use rand::SeedableRng;
 
+    fn of(others_colours: OthersColours) -> MarkConfig {
+        MarkConfig { others_colours, ..MarkConfig::default() }
+    }
+
     #[test]
     fn near_colours_keep_grey_grey_and_stay_in_range() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
@@ -241,7 +304,7 @@ mod tests {
 
     #[test]
     fn grain_is_faint_and_not_grey() {
-        let bank = Negatives::new(32, OthersColours::Any, std::iter::empty());
+        let bank = Negatives::new(32, &of(OthersColours::Any), std::iter::empty());
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         for _ in 0..40 {
             let mut picture = vec![0.5; 32 * 32 * 3];
@@ -259,7 +322,7 @@ mod tests {
     #[test]
     fn a_fringe_moves_one_channel_and_leaves_the_others() {
         let ramp: Vec<f32> = (0..16 * 16).flat_map(|i| [(i % 16) as f32 / 16.0; 3]).collect();
-        let bank = Negatives::new(16, OthersColours::Near, std::iter::empty());
+        let bank = Negatives::new(16, &of(OthersColours::Near), std::iter::empty());
         let mut rng = ChaCha8Rng::seed_from_u64(9);
         for _ in 0..20 {
             let mut moved = ramp.clone();
@@ -272,9 +335,49 @@ mod tests {
     }
 
     #[test]
+    fn objects_before_nothing_are_photographs_within_one_outline_and_flat_beyond() {
+        // No colour of the picture comes twice, and none is what "nothing" may be.
+        let photograph: Vec<f32> = (0..32 * 32).flat_map(|i| [0.2 + 0.5 * i as f32 / 1024.0, 0.31, 0.47]).collect();
+        let bank = Negatives::new(32, &of(OthersColours::Near), std::iter::empty());
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let (mut white, mut black, mut kept_all) = (0, 0, 0.0);
+        for _ in 0..200 {
+            let mut seen = photograph.clone();
+            bank.stand_before_nothing(&mut seen, &mut rng);
+            let pixels = || seen.chunks_exact(3).zip(photograph.chunks_exact(3));
+            let kept = pixels().filter(|(now, before)| now == before).count();
+            let changed: Vec<&[f32]> = pixels().filter(|(now, before)| now != before).map(|(now, _)| now).collect();
+            let flat = changed.iter().filter(|p| ***p == *changed[0]).count();
+            // What is neither is the edge, and it is as long as an outline of a pixel's width.
+            assert!(kept + flat > 1024 - 160, "{kept} of the photograph, {flat} flat");
+            assert!(kept > 10 && flat > 10, "{kept} of the photograph, {flat} flat");
+            white += usize::from(changed[0] == [1.0; 3]);
+            black += usize::from(changed[0] == [0.0; 3]);
+            kept_all += kept as f32 / (200.0 * 1024.0);
+        }
+        assert!((30..75).contains(&white) && (30..75).contains(&black), "{white} white, {black} black of 200");
+        assert!((0.15..0.5).contains(&kept_all), "{kept_all} of all pixels are an object's");
+    }
+
+    #[test]
+    fn objects_stand_before_nothing_only_where_asked_for_and_change_no_other_draw() {
+        let striped: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
+        let drawn = |share: f64| {
+            let config = MarkConfig { others_before_nothing: share, ..of(OthersColours::Near) };
+            let bank = Negatives::new(16, &config, std::iter::once([striped.clone(), striped.clone()]));
+            (0..300).map(|seed| bank.draw(false, &mut ChaCha8Rng::seed_from_u64(seed))).collect::<Vec<Vec<f32>>>()
+        };
+        let [without, some, all] = [0.0, 0.25, 1.0].map(drawn);
+        let changed = |with: &[Vec<f32>]| with.iter().zip(&without).filter(|(with, without)| with != without).count();
+        // Plain noise, one in twelve, and what is shown as it is, four in ten of the others, stay: 165 of 300 are left.
+        assert!((135..195).contains(&changed(&all)), "{} of 300", changed(&all));
+        assert!((20..65).contains(&changed(&some)), "{} of 300", changed(&some));
+    }
+
+    #[test]
     fn what_is_drawn_differs_and_is_a_picture() {
         let half: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
-        let bank = Negatives::new(16, OthersColours::Near, std::iter::once([half.clone(), half]));
+        let bank = Negatives::new(16, &of(OthersColours::Near), std::iter::once([half.clone(), half]));
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let drawn: Vec<Vec<f32>> = (0..40).map(|_| bank.draw(true, &mut rng)).collect();
         assert!(drawn.iter().all(|p| p.len() == 16 * 16 * 3 && p.iter().all(|v| (0.0..=1.0).contains(v))));
@@ -286,7 +389,7 @@ mod tests {
     fn what_is_grey_gets_colour_where_colours_may_be_any() {
         let grey: Vec<f32> = (0..16 * 16).flat_map(|i| [(i % 16) as f32 / 16.0; 3]).collect();
         let coloured = |colours: OthersColours| {
-            let bank = Negatives::new(16, colours, std::iter::once([grey.clone(), grey.clone()]));
+            let bank = Negatives::new(16, &of(colours), std::iter::once([grey.clone(), grey.clone()]));
             let mut rng = ChaCha8Rng::seed_from_u64(5);
             let has_colour = |picture: &Vec<f32>| picture.chunks_exact(3).any(|p| (p[0] - p[1]).abs() > 0.01);
             (0..300).filter(|_| has_colour(&bank.draw(false, &mut rng))).count()
@@ -300,7 +403,7 @@ mod tests {
     #[test]
     fn jpegs_are_drawn_when_asked_for_and_never_else() {
         let [plain, jpeg] = [0.2, 0.9].map(|v| vec![v; 16 * 16 * 3]);
-        let bank = Negatives::new(16, OthersColours::Near, std::iter::once([plain.clone(), jpeg.clone()]));
+        let bank = Negatives::new(16, &of(OthersColours::Near), std::iter::once([plain.clone(), jpeg.clone()]));
         let drawn = |jpegs: bool| {
             let mut rng = ChaCha8Rng::seed_from_u64(4);
             let all: Vec<Vec<f32>> = (0..400).map(|_| bank.draw(jpegs, &mut rng)).collect();

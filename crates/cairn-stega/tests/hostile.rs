@@ -129,6 +129,7 @@ fn what_does_not_fit_is_refused_by_name() {
         (MarkConfig { finer: 3, ..config(3) }, "mark.finer"),
         (MarkConfig { fresh_every: 1_000_001, ..config(3) }, "mark.fresh_every"),
         (MarkConfig { others: 1_000_001, ..config(3) }, "mark.others"),
+        (MarkConfig { others_before_nothing: 1.5, ..config(3) }, "mark.others_before_nothing"),
         (MarkConfig { closer_look: 0.4, ..config(3) }, "mark.closer_look"),
         // 32 px cannot be halved six times; the 64 of `finer` = 2 could.
         (with(|c| c.classifier.channels = vec![8; 6]), "mark.classifier.channels"),
@@ -151,15 +152,30 @@ fn what_does_not_fit_is_refused_by_name() {
     }
     let old = altered(&detector, |h| h["format"] = "cairn.detector/1".into(), "", <[u8]>::to_vec);
     let error = Detector::from_bytes(&old).err().unwrap().to_string();
-    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/6"), "{error}");
+    assert!(error.contains("cairn.detector/1") && error.contains("cairn.detector/7"), "{error}");
+    // A later program's, whose settings this one does not know.
+    let later = |h: &mut serde_json::Value| {
+        h["format"] = "cairn.detector/999".into();
+        h["config"]["of_later"] = 1.into();
+    };
+    let error = Detector::from_bytes(&altered(&detector, later, "", <[u8]>::to_vec)).err().unwrap().to_string();
+    assert!(error.contains("cairn.detector/999") && error.contains("cairn.detector/7"), "{error}");
     // A mask by groups with carriers of the clusters' own was none, and is refused to trainings only.
     let grouped = altered(&detector, |h| h["config"]["mask"] = "per_coefficient_group".into(), "", <[u8]>::to_vec);
     assert!(grouped != detector && Detector::from_bytes(&grouped).is_ok());
-    for before in ["cairn.detector/3", "cairn.detector/4", "cairn.detector/5"] {
+    for before in ["cairn.detector/3", "cairn.detector/4", "cairn.detector/5", "cairn.detector/6"] {
         let without = |h: &mut serde_json::Value| {
             h["format"] = before.into();
             let settings = h["config"].as_object_mut().unwrap();
-            let since = ["fresh_every", "finer", "others", "others_colours", "noisy_share", "closer_look"];
+            let since = [
+                "fresh_every",
+                "finer",
+                "others",
+                "others_colours",
+                "others_before_nothing",
+                "noisy_share",
+                "closer_look",
+            ];
             assert!(since.iter().all(|key| settings.remove(*key).is_some()));
         };
         let read = Detector::from_bytes(&altered(&detector, without, "", <[u8]>::to_vec));
