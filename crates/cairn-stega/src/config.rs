@@ -196,6 +196,9 @@ pub struct MarkConfig {
     /// An owner is no longer believed of pictures that lie this many times as far from the
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
+    /// An owner is named of a picture as a whole with this probability at least, 0 (whoever is likelier than each other and than nobody) to 1; else it is
+    /// unmarked. Nothing without a classifier.
+    pub least_sure: f64,
     /// A picture that is told to be unmarked is looked at more closely: an owner is named whom its middle (three quarters
     /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never. Nothing without a classifier, or where
     /// nothing is doubted ([`MarkConfig::unfamiliar_beyond`] 0).
@@ -272,6 +275,8 @@ impl Default for MarkConfig {
             enough_snr_db: 25.0,
             enough_characters: 1.0,
             unfamiliar_beyond: 1.25,
+            // A kind of scenes has it on; what was stored before it was there goes on without.
+            least_sure: 0.0,
             // Kinds of scenes have it on; what was stored before it was there goes on without.
             closer_look: 1.0,
             others: 1,
@@ -386,6 +391,7 @@ impl MarkConfig {
             ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
             ("mark.others_before_nothing", self.others_before_nothing, 0.0, 1.0, "0 to 1"),
             ("mark.noisy_share", self.noisy_share, 0.0, 0.9, "0 to 0.9"),
+            ("mark.least_sure", self.least_sure, 0.0, 1.0, "0 to 1"),
             ("mark.closer_look", self.closer_look, 0.5, 1.0, "0.5 to 1"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),

@@ -18,7 +18,7 @@ use std::collections::HashMap;
 
 /// Format of a stored detector: 4 since it knows where its owners' renders lie, 5 since its settings say how finely its
 /// classifier looks and which views came and went, 6 since they say how closely it looks, 7 since they say which unmarked pictures
-/// show objects before nothing. Another number is refused by name, but for 3 to 6.
+/// show objects before nothing and how sure of an owner it has to be. Another number is refused by name, but for 3 to 6.
 pub const DETECTOR_FORMAT: &str = "cairn.detector/7";
 /// Those that are read.
 const DETECTOR_FORMATS: [&str; 5] =
@@ -38,7 +38,7 @@ pub struct Detector {
 /// What a picture says.
 #[derive(Clone, Debug)]
 pub struct Detection {
-    /// The identity with the largest probability; `None` for unmarked.
+    /// The identity with the largest probability; `None` for unmarked, and where it is not as sure as has to be ([`MarkConfig::least_sure`]).
     pub identity: Option<u32>,
     /// Probability of each class; class 0 is `unmarked`.
     pub probabilities: Vec<f32>,
@@ -126,13 +126,19 @@ impl Detector {
             return Err(MarkError::Plan(format!("pixel ({x}, {y}) is not finite; send another picture")));
         }
         let (seen, probabilities, is_closer) = self.seen(picture, forced.is_none())?;
-        let class = winner(&probabilities);
+        let class = if is_closer { winner(&probabilities) } else { self.named(&probabilities) };
         let images = to_tensor(&[seen], self.config.shown_px())?;
         let hidden = self.networks.hidden(&images, &[forced.unwrap_or(class)])?.pop();
         let hidden = hidden.ok_or_else(|| MarkError::Plan("no answer".into()))?;
         let text_bytes = hidden.text.as_deref().map(cairn_nn::text_bytes);
         let recovered = hidden.signal(self.side_px(), self.config.audio.sample_rate_hz)?;
         Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, is_closer, recovered, text_bytes })
+    }
+
+    /// The class that a whole picture of these class probabilities is told to be of.
+    fn named(&self, probabilities: &[f32]) -> usize {
+        let least = if self.config.has_classifier() { self.config.least_sure as f32 } else { 0.0 };
+        Some(winner(probabilities)).filter(|class| probabilities[*class] >= least).unwrap_or(0)
     }
 
     /// What of `picture` is read, as the networks are shown it, with its class probabilities: the whole, or where that says nothing and
@@ -145,7 +151,7 @@ impl Detector {
         let of_whole = odds(std::slice::from_ref(&whole))?.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
         // Where nothing doubts the classifier each further look is a further chance of its being surely wrong.
         let looks_closer = may_look_closer && least < 1.0 && self.networks.familiar.is_some();
-        if winner(&of_whole) > 0 || !looks_closer || !self.config.has_classifier() {
+        if self.named(&of_whole) > 0 || !looks_closer || !self.config.has_classifier() {
             return Ok((whole, of_whole, false));
         }
         let middle = |kept| shrunk(&Distortion::Crop { kept, across: 0.5, down: 0.5 }.apply(picture, 0), shown);

@@ -130,6 +130,7 @@ fn what_does_not_fit_is_refused_by_name() {
         (MarkConfig { fresh_every: 1_000_001, ..config(3) }, "mark.fresh_every"),
         (MarkConfig { others: 1_000_001, ..config(3) }, "mark.others"),
         (MarkConfig { others_before_nothing: 1.5, ..config(3) }, "mark.others_before_nothing"),
+        (MarkConfig { least_sure: 1.1, ..config(3) }, "mark.least_sure"),
         (MarkConfig { closer_look: 0.4, ..config(3) }, "mark.closer_look"),
         // 32 px cannot be halved six times; the 64 of `finer` = 2 could.
         (with(|c| c.classifier.channels = vec![8; 6]), "mark.classifier.channels"),
@@ -174,6 +175,7 @@ fn what_does_not_fit_is_refused_by_name() {
                 "others_colours",
                 "others_before_nothing",
                 "noisy_share",
+                "least_sure",
                 "closer_look",
             ];
             assert!(since.iter().all(|key| settings.remove(*key).is_some()));

@@ -43,6 +43,7 @@ fn the_papers_recipe_is_what_the_file_says() {
     );
     assert_eq!((mark.mask, mark.mask_alpha, mark.mask_least), (MaskKind::PerWeight, 3.0, 0.0));
     assert_eq!((mark.guidance, mark.budget, mark.pull, mark.average), (Guidance::Told, false, 0.0, 0.0));
+    assert_eq!((mark.others_before_nothing, mark.least_sure), (0.0, 0.0));
     assert_eq!((mark.settled_share, mark.unfamiliar_beyond, mark.noisy_share, mark.closer_look), (1.0, 0.0, 0.0, 1.0));
     assert_eq!(
         (mark.virtual_views, mark.fresh_every, mark.others, mark.finer, mark.robust.enabled),

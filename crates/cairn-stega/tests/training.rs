@@ -100,6 +100,52 @@ fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
     assert!(asked >= 18, "{asked} questions are too few to mean anything");
     assert!(right as f64 >= 0.9 * f64::from(asked), "{right} of {asked} right");
     closer_looks_tell_marks_amid_much_that_bears_none(&marked, &detector);
+    who_is_named_less_surely_than_has_to_be_is_not_named(&marked, &detector);
+}
+
+/// `detector` as it would be with `key` at `value` for `was`, each of three characters.
+fn with_setting(detector: &Detector, key: &str, (was, value): (&str, &str)) -> Detector {
+    let mut stored = detector.to_bytes().unwrap();
+    let key = format!(r#"\"{key}\":{was}"#).into_bytes();
+    let at = stored.windows(key.len()).position(|found| found == key).expect("it is among the settings");
+    stored[at + key.len() - value.len()..at + key.len()].copy_from_slice(value.as_bytes());
+    Detector::from_bytes(&stored).unwrap()
+}
+
+/// Marks that are faded until the whole tells them less surely than asked for are not named, and nothing else changes.
+fn who_is_named_less_surely_than_has_to_be_is_not_named(marked: &MarkedField, detector: &Detector) {
+    let any = with_setting(detector, "closer_look", ("0.9", "1.0"));
+    let sure = with_setting(&any, "least_sure", ("0.0", "0.9"));
+    let sure_and_closer = with_setting(detector, "least_sure", ("0.0", "0.9"));
+    let appearance = field().canonical_appearance().clone();
+    let (mut unnamed, mut named) = (0, 0);
+    for camera in cameras() {
+        if marked.clusters().identity_of(&camera.pose).identity.is_none() {
+            continue;
+        }
+        let [with, without] = [marked.render(&camera, &appearance), field().render(&camera, &appearance)];
+        for left in (1..=20).map(|k| k as f32 / 20.0) {
+            let mut faded = without.clone();
+            faded.rgb_mut().iter_mut().zip(with.rgb()).for_each(|(v, with)| *v += left * (with - *v));
+            let [any, sure] = [&any, &sure].map(|detector| detector.detect(&faded).unwrap());
+            assert_eq!(any.probabilities, sure.probabilities, "what is told is the same");
+            let told = any.identity.map(|class| any.probabilities[class as usize]);
+            match told {
+                Some(odds) if odds < 0.9 => {
+                    assert_eq!(sure.identity, None, "{odds}");
+                    assert_ne!(sure.recovered, any.recovered, "who is not named hides nothing");
+                    let closer = sure_and_closer.detect(&faded).unwrap();
+                    assert_eq!(closer.identity.is_some(), closer.is_closer, "by the middle or not at all: {closer:?}");
+                    unnamed += 1;
+                }
+                _ => {
+                    assert_eq!(sure.identity, any.identity);
+                    named += usize::from(told.is_some());
+                }
+            }
+        }
+    }
+    assert!(unnamed >= 5 && named >= 20, "{unnamed} told less surely, {named} surely");
 }
 
 /// Amid much that bears no mark one is told by a closer look, and by that alone.
@@ -117,11 +163,7 @@ fn closer_looks_tell_marks_amid_much_that_bears_none(marked: &MarkedField, detec
         picture
     };
     // The same detector as it would be that looks at the whole alone.
-    let mut stored = detector.to_bytes().unwrap();
-    let key = br#"\"closer_look\":0.9"#;
-    let at = stored.windows(key.len()).position(|found| found == key).expect("it is among the settings");
-    stored[at + key.len() - 3..at + key.len()].copy_from_slice(b"1.0");
-    let whole = Detector::from_bytes(&stored).unwrap();
+    let whole = with_setting(detector, "closer_look", ("0.9", "1.0"));
 
     let (mut closer, mut by_whole, mut silent, mut asked) = (0, 0, 0, 0);
     let appearance = field().canonical_appearance().clone();
