@@ -269,7 +269,7 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
 /// Whether the answer is that of the picture's middle.
 fn closer(looked: bool) {
     if looked {
-        println!("read in the middle of the picture: the whole says nothing");
+        println!("read in the middle of the picture: the whole says nothing surely");
     }
 }
 

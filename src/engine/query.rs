@@ -48,7 +48,7 @@ pub struct Who {
     pub records: Vec<u64>,
     /// What laying a picture over the field said, where that was asked for.
     pub laid_over: Option<LaidOver>,
-    /// By picture: whether the whole of it says nothing, and the answer is its middle's (`mark.closer_look`).
+    /// By picture: whether the whole of it says nothing surely, and the answer is its middle's (`mark.closer_look`).
     pub is_closer: bool,
 }
 

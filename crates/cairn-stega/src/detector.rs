@@ -97,7 +97,7 @@ impl Detector {
         self.config.side_px()
     }
 
-    /// Classifies `picture` (any size) and recovers what it hides. What says nothing as a whole is looked at
+    /// Classifies `picture` (any size) and recovers what it hides. What says nothing surely as a whole is looked at
     /// more closely ([`MarkConfig::closer_look`]).
     ///
     /// # Errors
