@@ -266,6 +266,15 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Of an unmarked picture: that an owner is likelier all the same, if one is.
+fn unsure(probabilities: &[f32]) -> String {
+    let all = || probabilities.iter().enumerate();
+    match all().max_by(|(_, a), (_, b)| a.total_cmp(b)) {
+        Some((class, _)) if class > 0 => format!(": class {class} is likelier, and not sure enough to be named"),
+        _ => String::new(),
+    }
+}
+
 /// Whether the answer is that of the picture's middle.
 fn closer(looked: bool) {
     if looked {
@@ -313,7 +322,7 @@ pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
     let answer = line.about(&args.name).detection().detect(request).await.map_err(refused)?.into_inner();
     match (answer.identity, &answer.elsewhere) {
         (0, Some(there)) => println!("{}", elsewhere(there)),
-        (0, None) => println!("unmarked"),
+        (0, None) => println!("unmarked{}", unsure(&answer.probabilities)),
         (number, _) => println!("identity {number}: {}", answer.label),
     }
     closer(answer.closer_look);
@@ -419,6 +428,13 @@ mod tests {
         assert_eq!(of(2), "drone-0 (9), drone-1 (8)");
         assert_eq!(of(5), "drone-0 (9), drone-1 (8), drone-2 (7), drone-3 (6), drone-4 (5)");
         assert_eq!(of(7), "drone-0 (9), drone-1 (8), drone-2 (7), drone-3 (6), drone-4 (5) and 2 more");
+    }
+
+    #[test]
+    fn an_unmarked_picture_that_tells_an_owner_says_so() {
+        assert_eq!(unsure(&[0.6, 0.1, 0.3]), "");
+        assert!(unsure(&[0.3, 0.0, 0.7]).contains("class 2 is likelier"));
+        assert_eq!(unsure(&[]), "");
     }
 
     #[test]

@@ -196,7 +196,7 @@ impl Engine {
 /// The settings of a training, what each of several scenes has its marks made by, and what to say of it.
 ///
 /// Several scenes share classifier and detector. These are as one wants them that goes on from an earlier training, else as
-/// [`MarkConfig::finest`] says.
+/// [`MarkConfig::finest`] says, and sure of owners as [`MarkConfig::least_sure_of`] does.
 fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<MarkConfig>, Option<String>) {
     let of_first = wanted[0].settings.clone();
     if wanted.len() == 1 {
@@ -204,7 +204,8 @@ fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<MarkConfig>, Opt
     }
     let finest = MarkConfig::finest(wanted.iter().map(|w| &w.settings.mark));
     let shared = wanted.iter().find(|w| w.earlier.is_some()).unwrap_or(&wanted[finest]);
-    let mark = &shared.settings.mark;
+    let least_sure = MarkConfig::least_sure_of(wanted.iter().map(|w| &w.settings.mark));
+    let mark = &MarkConfig { least_sure, ..shared.settings.mark.clone() };
     let marks = wanted.iter().map(|w| mark.for_scene(&w.settings.mark)).collect();
     let finer = |w: &&Wanted| w.settings.mark.finer > mark.finer;
     let said = if let Some(w) = wanted.iter().find(finer) {

@@ -93,7 +93,14 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
         let said = job.notes.iter().filter(|note| note.contains("\"mill\"") && note.contains("mark.finer = 2")).count();
         assert_eq!(said, usize::from(scene == "gate"), "{:?}", job.notes);
     }
+    // Whose marks are told less surely must not lose them by another's settings, whoever is named first.
+    put(&dir, "yard", Some(SceneKind::ForwardFacing));
+    for (scene, also) in [("gate", "yard"), ("yard", "gate")] {
+        assert_eq!(accepted(&engine, wanted(scene, also)).spec.settings.mark.least_sure, 0.0, "{scene} and {also}");
+    }
     // One alone is as ever.
+    let job = accepted(&engine, TrainingRequest { also: Vec::new(), ..wanted("yard", "gate") });
+    assert_eq!(job.spec.settings.mark.least_sure, 0.8);
     let job = accepted(&engine, TrainingRequest { also: Vec::new(), ..wanted("gate", "mill") });
     assert_eq!((&job.spec.settings.mark, &job.of_scene(0).spec.settings.mark), (&front.mark, &front.mark));
     assert!(job.spec.marks.is_empty());

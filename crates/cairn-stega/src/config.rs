@@ -196,8 +196,8 @@ pub struct MarkConfig {
     /// An owner is no longer believed of pictures that lie this many times as far from the
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
     pub unfamiliar_beyond: f64,
-    /// An owner is named of a picture as a whole with this probability at least, 0 (whoever is likelier than each other and than nobody) to 1; else it is
-    /// unmarked. Nothing without a classifier.
+    /// An owner is named of a picture as a whole with this probability at least, 0 (whoever is likelier than each other and than nobody)
+    /// to `closer_look`; else where its middle tells the same owner, and otherwise it is unmarked. Nothing where there is no closer look.
     pub least_sure: f64,
     /// A picture that is told to be unmarked is looked at more closely: an owner is named whom its middle (three quarters
     /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never. Nothing without a classifier, or where
@@ -208,7 +208,7 @@ pub struct MarkConfig {
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OthersColours,
-    /// Share of the pictures of something else not shown as they are that become objects before nothing, all but a blob of them in
+    /// Share of the pictures of something else, but for noise and those shown as they are, that become objects before nothing, all but a blob of them in
     /// one flat colour, 0 (none) to 1.
     pub others_before_nothing: f64,
     /// Share of the pictures that are shown with noise of 1 to 6 levels of 255 (RMS, at [`MarkConfig::shown_px`]), a marked render and
@@ -344,6 +344,12 @@ impl MarkConfig {
         finer.iter().position(|of| Some(of) == finer.iter().max()).unwrap_or(0)
     }
 
+    /// How sure of an owner a detector has to be that several scenes share ([`MarkConfig::least_sure`]): as little as any of them wants, whose
+    /// marks would else be lost; 0 of none.
+    pub fn least_sure_of<'a>(of: impl IntoIterator<Item = &'a Self>) -> f64 {
+        of.into_iter().map(|config| config.least_sure).reduce(f64::min).unwrap_or(0.0)
+    }
+
     /// How many fresh views have come to a scene after `steps` steps.
     pub(crate) fn fresh_after(&self, steps: u64) -> u64 {
         steps.checked_div(self.fresh_every).unwrap_or(0)
@@ -391,7 +397,7 @@ impl MarkConfig {
             ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
             ("mark.others_before_nothing", self.others_before_nothing, 0.0, 1.0, "0 to 1"),
             ("mark.noisy_share", self.noisy_share, 0.0, 0.9, "0 to 0.9"),
-            ("mark.least_sure", self.least_sure, 0.0, 1.0, "0 to 1"),
+            ("mark.least_sure", self.least_sure, 0.0, self.closer_look, "0 to mark.closer_look"),
             ("mark.closer_look", self.closer_look, 0.5, 1.0, "0.5 to 1"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),

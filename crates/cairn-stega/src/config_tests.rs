@@ -48,6 +48,12 @@ fn of_several_scenes_networks_are_shared_and_marks_are_each_ones_own() {
     assert_eq!(MarkConfig::finest([&forward, &object, &object]), 1);
     assert_eq!(MarkConfig::finest([&forward, &forward]), 0);
     assert_eq!(MarkConfig::finest([]), 0);
+    let sure = MarkConfig { least_sure: 0.8, ..usual.clone() };
+    assert_eq!(MarkConfig::least_sure_of([&sure, &sure]), 0.8);
+    for both in [[&sure, &usual], [&usual, &sure]] {
+        assert_eq!(MarkConfig::least_sure_of(both), 0.0, "what one cannot have, in any order");
+    }
+    assert_eq!(MarkConfig::least_sure_of([]), 0.0);
     let own = object.for_scene(&forward);
     own.validate().unwrap();
     // Pictures not smaller than the networks are shown, and no budget that starts beyond its end.

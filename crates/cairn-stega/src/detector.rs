@@ -125,8 +125,7 @@ impl Detector {
             let (x, y) = (at / 3 % picture.width(), at / 3 / picture.width());
             return Err(MarkError::Plan(format!("pixel ({x}, {y}) is not finite; send another picture")));
         }
-        let (seen, probabilities, is_closer) = self.seen(picture, forced.is_none())?;
-        let class = if is_closer { winner(&probabilities) } else { self.named(&probabilities) };
+        let Seen { shown: seen, probabilities, class, is_closer } = self.seen(picture, forced.is_none())?;
         let images = to_tensor(&[seen], self.config.shown_px())?;
         let hidden = self.networks.hidden(&images, &[forced.unwrap_or(class)])?.pop();
         let hidden = hidden.ok_or_else(|| MarkError::Plan("no answer".into()))?;
@@ -135,31 +134,40 @@ impl Detector {
         Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, is_closer, recovered, text_bytes })
     }
 
-    /// The class that a whole picture of these class probabilities is told to be of.
-    fn named(&self, probabilities: &[f32]) -> usize {
-        let least = if self.config.has_classifier() { self.config.least_sure as f32 } else { 0.0 };
-        Some(winner(probabilities)).filter(|class| probabilities[*class] >= least).unwrap_or(0)
+    /// Whether a picture that says nothing surely is looked at more closely: where nothing doubts the classifier, each further look is a
+    /// further chance of its being surely wrong.
+    fn looks_closer(&self) -> bool {
+        self.config.closer_look < 1.0 && self.config.has_classifier() && self.networks.familiar.is_some()
     }
 
-    /// What of `picture` is read, as the networks are shown it, with its class probabilities: the whole, or where that says nothing and
+    /// What of `picture` is read, and what class it is told to be of: the whole, or where that says nothing surely and
     /// a closer look is asked for, the middle that an owner is told in. From afar, or beside much that bears no mark, a
     /// mark is too little of a picture to be told from the whole of it.
-    fn seen(&self, picture: &Picture, may_look_closer: bool) -> Result<(Vec<f32>, Vec<f32>, bool), MarkError> {
-        let (least, shown) = (self.config.closer_look as f32, self.config.shown_px());
+    fn seen(&self, picture: &Picture, may_look_closer: bool) -> Result<Seen, MarkError> {
+        let (closer, shown) = (self.config.closer_look as f32, self.config.shown_px());
         let odds = |seen: &[Vec<f32>]| self.networks.odds(&to_tensor(seen, shown)?);
         let whole = shrunk(picture, shown);
         let of_whole = odds(std::slice::from_ref(&whole))?.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
-        // Where nothing doubts the classifier each further look is a further chance of its being surely wrong.
-        let looks_closer = may_look_closer && least < 1.0 && self.networks.familiar.is_some();
-        if self.named(&of_whole) > 0 || !looks_closer || !self.config.has_classifier() {
-            return Ok((whole, of_whole, false));
+        let likeliest = winner(&of_whole);
+        let seen = |class| Seen { shown: whole, probabilities: of_whole.clone(), class, is_closer: false };
+        let is_sure = likeliest > 0 && of_whole[likeliest] >= self.config.least_sure as f32;
+        if is_sure || !self.looks_closer() {
+            return Ok(seen(likeliest));
+        }
+        if !may_look_closer {
+            return Ok(seen(0));
         }
         let middle = |kept| shrunk(&Distortion::Crop { kept, across: 0.5, down: 0.5 }.apply(picture, 0), shown);
         let mut middles = MIDDLES.map(middle);
         let mut of_middles = odds(&middles)?;
-        Ok(match told_in(&of_middles, least) {
-            Some(at) => (std::mem::take(&mut middles[at]), of_middles.swap_remove(at), true),
-            None => (whole, of_whole, false),
+        Ok(match told_in(&of_middles, closer, likeliest) {
+            Some((at, class)) => Seen {
+                shown: std::mem::take(&mut middles[at]),
+                probabilities: of_middles.swap_remove(at),
+                class,
+                is_closer: true,
+            },
+            None => seen(0),
         })
     }
 
@@ -213,9 +221,23 @@ impl Detector {
     }
 }
 
-/// The first of some parts' class probabilities in which an owner is told, with `least` at least.
-fn told_in(parts: &[Vec<f32>], least: f32) -> Option<usize> {
-    parts.iter().position(|odds| winner(odds) > 0 && odds[winner(odds)] >= least)
+/// What was looked at of a picture.
+struct Seen {
+    /// As the networks are shown it.
+    shown: Vec<f32>,
+    probabilities: Vec<f32>,
+    /// The class it is told to be of.
+    class: usize,
+    /// Whether it is a middle.
+    is_closer: bool,
+}
+
+/// The first of some parts' class probabilities in which an owner is told, with `least` at least, and the owner: the one that is
+/// the `likeliest` of the whole, where that is any. Who is told by the one and not by the other is not named.
+fn told_in(parts: &[Vec<f32>], least: f32, likeliest: usize) -> Option<(usize, usize)> {
+    let told = parts.iter().map(|odds| (winner(odds), odds[winner(odds)]));
+    let mut told = told.enumerate().filter(|(_, (class, odds))| *class > 0 && *odds >= least);
+    told.next().map(|(at, (class, _))| (at, class)).filter(|(_, class)| likeliest == 0 || *class == likeliest)
 }
 
 #[cfg(test)]
@@ -224,12 +246,14 @@ mod tests {
 
     #[test]
     fn an_owner_is_named_who_is_told_surely_enough_in_the_larger_middle_first() {
-        let told = |parts: [[f32; 3]; 2]| told_in(&parts.map(|odds| odds.to_vec()), 0.9);
+        let told = |parts: [[f32; 3]; 2], likeliest| told_in(&parts.map(|odds| odds.to_vec()), 0.9, likeliest);
         let (nobody, one, other) = ([0.95, 0.03, 0.02], [0.05, 0.92, 0.03], [0.01, 0.01, 0.98]);
-        assert_eq!(told([one, other]), Some(0), "the larger one, if less sure");
-        assert_eq!(told([nobody, other]), Some(1));
-        assert_eq!(told([[0.1, 0.9, 0.0], nobody]), Some(0), "as sure as is asked for");
-        assert_eq!(told([[0.12, 0.88, 0.0], [0.2, 0.0, 0.8]]), None, "surer than anything else is not enough");
-        assert_eq!(told([nobody, nobody]), None, "sure that there is none");
+        assert_eq!(told([one, other], 0), Some((0, 1)), "the larger one, if less sure");
+        assert_eq!(told([nobody, other], 0), Some((1, 2)));
+        assert_eq!(told([[0.1, 0.9, 0.0], nobody], 0), Some((0, 1)), "as sure as is asked for");
+        assert_eq!(told([[0.12, 0.88, 0.0], [0.2, 0.0, 0.8]], 0), None, "surer than anything else is not enough");
+        assert_eq!(told([nobody, nobody], 0), None, "sure that there is none");
+        assert_eq!((told([one, nobody], 1), told([nobody, other], 2)), (Some((0, 1)), Some((1, 2))));
+        assert_eq!((told([one, nobody], 2), told([one, other], 2)), (None, None), "another than the whole tells");
     }
 }

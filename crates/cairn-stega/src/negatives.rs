@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_stand_before_nothing_only_where_asked_for_and_change_no_other_draw() {
+    fn objects_stand_before_nothing_as_often_as_asked_for() {
         let striped: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
         let drawn = |share: f64| {
             let config = MarkConfig { others_before_nothing: share, ..of(OthersColours::Near) };
@@ -376,6 +376,21 @@ mod tests {
         // Plain noise, one in twelve, and what is shown as it is, four in ten of the others, stay: 165 of 300 are left.
         assert!((135..195).contains(&changed(&all)), "{} of 300", changed(&all));
         assert!((20..65).contains(&changed(&some)), "{} of 300", changed(&some));
+    }
+
+    #[test]
+    fn what_makes_no_objects_draws_no_number_for_them() {
+        // Trainings that began before there were any go on as they would have.
+        let striped: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
+        let drawn = |share: f64| {
+            let config = MarkConfig { others_before_nothing: share, ..of(OthersColours::Near) };
+            let bank = Negatives::new(16, &config, std::iter::once([striped.clone(), striped.clone()]));
+            let mut rng = ChaCha8Rng::seed_from_u64(11);
+            (0..40).for_each(|_| drop(bank.draw(false, &mut rng)));
+            rng.get_word_pos()
+        };
+        // The same pictures, but for a number each that may become an object and, by so small a share, does not.
+        assert_ne!(drawn(0.0), drawn(1e-12));
     }
 
     #[test]

@@ -79,7 +79,8 @@ pub struct Found {
 pub fn run(task: &Task) -> anyhow::Result<Joined> {
     // As the engine does: one scene's networks, each scene's marks.
     let finest = MarkConfig::finest(task.scenes.iter().map(|(.., config)| config));
-    let shared = task.scenes.get(finest).map(|(.., config)| config.clone()).unwrap_or_default();
+    let mut shared = task.scenes.get(finest).map(|(.., config)| config.clone()).unwrap_or_default();
+    shared.least_sure = MarkConfig::least_sure_of(task.scenes.iter().map(|(.., config)| config));
     let (mut scenes, mut planned) = (Vec::new(), Vec::new());
     for (source, base, files, own) in &task.scenes {
         let field = Arc::new(Field::from_bytes(&super::read(base)?)?);
