@@ -30,6 +30,9 @@ fn put(dir: &TestFolder, name: &str, kind: Option<SceneKind>) {
     let table = ReadOptions { contributors: Some(folder.join("contributors.csv")), ..ReadOptions::default() };
     let mut capture = Capture::read(&folder, &table).unwrap();
     capture.kind = kind.unwrap_or(capture.kind);
+    if kind == Some(SceneKind::ForwardFacing) {
+        capture.views.iter_mut().for_each(|view| view.bounds = Some((0.5, 20.0)));
+    }
     SceneFolder::create(&dir.path().join("scenes"), name, &capture).unwrap();
 }
 
