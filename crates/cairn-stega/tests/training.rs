@@ -145,8 +145,8 @@ fn who_is_named_less_surely_than_has_to_be_is_not_named(marked: &MarkedField, de
             }
         }
     }
-    assert!(unnamed >= 5 && named >= 20, "{unnamed} told less surely, {by_middle} of them by a middle, {named} surely");
-    println!("{unnamed} unnamed, {by_middle} by their middle, {named} named");
+    let told = format!("{named} surely, {by_middle} by their middle, {unnamed} not at all");
+    assert!(named >= 20 && by_middle >= 1 && unnamed >= 5, "{told}");
 }
 
 /// Amid much that bears no mark one is told by a closer look, and by that alone.
