@@ -232,6 +232,7 @@ pub struct MarkConfig {
     pub text: TextConfig,
 }
 
+/// What was stored before a setting was there goes on as it began: what kinds of scenes have on since is off here.
 impl Default for MarkConfig {
     fn default() -> Self {
         Self {
@@ -275,15 +276,11 @@ impl Default for MarkConfig {
             enough_snr_db: 25.0,
             enough_characters: 1.0,
             unfamiliar_beyond: 1.25,
-            // A kind of scenes has it on; what was stored before it was there goes on without.
             least_sure: 0.0,
-            // Kinds of scenes have it on; what was stored before it was there goes on without.
             closer_look: 1.0,
             others: 1,
             others_colours: OthersColours::Near,
-            // A kind of scenes has it on; what was stored before it was there goes on without.
             others_before_nothing: 0.0,
-            // Kinds of scenes have it on; what was stored before it was there goes on without.
             noisy_share: 0.0,
             robust: RobustConfig::default(),
             finer: 1,
@@ -344,8 +341,7 @@ impl MarkConfig {
         finer.iter().position(|of| Some(of) == finer.iter().max()).unwrap_or(0)
     }
 
-    /// How sure of an owner a detector has to be that several scenes share ([`MarkConfig::least_sure`]): as little as any of them wants, whose
-    /// marks would else be lost; 0 of none.
+    /// [`MarkConfig::least_sure`] of a detector that several scenes share: the least of theirs, or marks would be lost; 0 of none.
     pub fn least_sure_of<'a>(of: impl IntoIterator<Item = &'a Self>) -> f64 {
         of.into_iter().map(|config| config.least_sure).reduce(f64::min).unwrap_or(0.0)
     }
