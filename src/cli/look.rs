@@ -12,6 +12,8 @@ use super::{VERSION, read, write};
 
 /// Contributors named in one line.
 const MAX_NAMES: usize = 5;
+/// What is said of an unmarked picture whose confidence is less than a half; the answer does not hold the others'.
+const MAYBE_LIKELIER: &str = ": somebody may be likelier, and not sure enough to be named; `cairn detect` says who";
 
 /// From where to look.
 #[derive(Clone, Debug, clap::Args)]
@@ -230,6 +232,7 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
 pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     let lay_over = args.over.asked()?;
     let over_field = lay_over.is_some();
+    let by_picture = args.about.picture.is_some();
     let answer = match args.about.picture {
         Some(path) => {
             let picture = read(&path)?.into();
@@ -257,7 +260,10 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         Some(v1::who_response::Answer::Elsewhere(there)) => {
             println!("{} (confidence {:.2})", elsewhere(&there), answer.confidence);
         }
-        _ => println!("unmarked (confidence {:.2})", answer.confidence),
+        _ => {
+            let likelier = if by_picture && answer.confidence < 0.5 { MAYBE_LIKELIER } else { "" };
+            println!("unmarked (confidence {:.2}){likelier}", answer.confidence);
+        }
     }
     closer(answer.closer_look);
     if over_field {

@@ -6,7 +6,7 @@ use crate::config::MarkConfig;
 use crate::error::MarkError;
 use crate::growth::Restarted;
 use crate::judge::{Judgement, Recovered, State, Weakest};
-use crate::marked::{read_header, stored};
+use crate::marked::{read_format, read_header, stored};
 use crate::site::MarkScene;
 use crate::trainer::{MarkPlan, MarkTrainer};
 use cairn_field::Field;
@@ -172,11 +172,12 @@ impl MarkTrainer {
         mut scenes: Vec<MarkScene>,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
-        let header: Header = read_header(bytes, "checkpoint")?;
-        if header.format != CHECKPOINT_FORMAT {
-            let why = format!("format `{}`, this program reads `{CHECKPOINT_FORMAT}`", header.format);
+        let format = read_format(bytes, "checkpoint")?;
+        if format != CHECKPOINT_FORMAT {
+            let why = format!("format `{format}`, this program reads `{CHECKPOINT_FORMAT}`; start the training anew");
             return Err(stored("checkpoint", why));
         }
+        let header: Header = read_header(bytes, "checkpoint")?;
         let fingerprint = fingerprint(&scenes)?;
         if header.plan != fingerprint {
             let why = "it was made with another base field, or other views, clusters, signals or photographs";

@@ -5,7 +5,7 @@ use crate::distort::Distortion;
 use crate::error::MarkError;
 use crate::familiar::Familiar;
 use crate::judge::winner;
-use crate::marked::{read_header, stored};
+use crate::marked::{read_format, read_header, stored};
 use crate::negatives::shrunk;
 use crate::networks::{Networks, to_tensor};
 use crate::signal::{HeadSizes, Signal};
@@ -51,12 +51,6 @@ pub struct Detection {
     /// The recovered text's bytes as they were read, which need not be UTF-8: in the
     /// signal each broken one shows as U+FFFD, which is three bytes long.
     pub text_bytes: Option<Vec<u8>>,
-}
-
-/// The one key that every format's header has.
-#[derive(Deserialize)]
-struct Format {
-    format: String,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -199,8 +193,7 @@ impl Detector {
     /// # Errors
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
-        // Before its settings, which are of other names in a later program's.
-        let Format { format } = read_header(bytes, "detector")?;
+        let format = read_format(bytes, "detector")?;
         if !DETECTOR_FORMATS.contains(&format.as_str()) {
             let why = format!("format `{format}`, this program reads `{DETECTOR_FORMAT}`");
             return Err(stored("detector", why));

@@ -282,6 +282,17 @@ pub(crate) fn stored(what: &'static str, why: String) -> MarkError {
     MarkError::Stored { what, why }
 }
 
+/// The one key that every format's header has.
+#[derive(Deserialize)]
+struct Format {
+    format: String,
+}
+
+/// What format `bytes` are of: to be asked before the header is read, whose settings have other names in a later program's.
+pub(crate) fn read_format(bytes: &[u8], what: &'static str) -> Result<String, MarkError> {
+    Ok(read_header::<Format>(bytes, what)?.format)
+}
+
 /// Our JSON header in a safetensors file's metadata.
 pub(crate) fn read_header<H: serde::de::DeserializeOwned>(bytes: &[u8], what: &'static str) -> Result<H, MarkError> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| stored(what, e.to_string()))?;

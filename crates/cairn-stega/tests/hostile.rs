@@ -260,6 +260,11 @@ fn damaged_checkpoints_are_refused_by_part() {
     let header = |change: &dyn Fn(&mut serde_json::Value)| altered(&bytes, change, "", <[u8]>::to_vec);
     let old = "cairn.marked.checkpoint/1";
     refused(&header(&|h| h["format"] = old.into()), &[old, "cairn.marked.checkpoint/7"]);
+    let later = |h: &mut serde_json::Value| {
+        h["format"] = "cairn.marked.checkpoint/1000".into();
+        h["config"]["a setting of later"] = 1.into();
+    };
+    refused(&header(&later), &["cairn.marked.checkpoint/1000", "start the training anew"]);
     for steps in [vec![], vec![3u64], vec![3, 3, 3]] {
         refused(&header(&|h| h["carrier_steps"] = steps.clone().into()), &["carrier_steps", "2 carriers"]);
     }
