@@ -1,17 +1,17 @@
-//! The README's commands, run as they stand: documentation that cannot rot.
+//! The README's commands, held against the program: documentation that cannot rot.
 //!
-//! Every line of a `console` block that starts with `$ cairn ` is run, in one
-//! fresh folder, in order, and must succeed. Commands that serve until they are stopped, and
-//! those of a block that needs somebody's capture (`PATH/TO`), are only parsed.
+//! Every line of a `console` block that starts with `$ cairn ` must parse, which a command or an option
+//! that is not there does not. Those of a block that needs nobody's capture (`PATH/TO`) and no daemon are run as well, in
+//! one fresh folder, in order, and must succeed.
 
 use std::path::Path;
 use std::process::Command;
 
 #[test]
-fn every_cairn_command_of_the_readme_works() {
+fn every_cairn_command_of_the_readme_parses_and_runs_where_it_can() {
     let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
     let Ok(text) = std::fs::read_to_string(&readme) else {
-        eprintln!("SKIPPED every_cairn_command_of_the_readme_works: no {}", readme.display());
+        eprintln!("SKIPPED every_cairn_command_of_the_readme_parses_and_runs_where_it_can: no {}", readme.display());
         return;
     };
     let commands = commands(&text);

@@ -249,9 +249,11 @@ impl Model {
         let folder = models.join(&info.scene).join(&info.job);
         let bytes = read_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?;
         let base = Arc::new(Field::from_bytes(&bytes)?);
+        // The marked field's file is as large again.
+        drop(bytes);
         let mark = match &info.mark {
             None => None,
-            Some(mark) => Some(load_mark(&folder, mark, info.classes()?, (&base, &bytes))?),
+            Some(mark) => Some(load_mark(&folder, mark, info.classes()?, (&base, &info.base_field))?),
         };
         Ok(Self { info, base, mark })
     }
@@ -282,12 +284,12 @@ impl Model {
     }
 }
 
-/// `base`: the field of stage 1 and its stored form. The marked field of a large grid shares it.
+/// `base`: the field of stage 1 and its file's digest. A marked field on that same base shares it.
 fn load_mark(
     folder: &Path,
     info: &MarkInfo,
     classes: Classes,
-    base: (&Arc<Field>, &[u8]),
+    base: (&Arc<Field>, &Digest),
 ) -> Result<Mark, EngineError> {
     let field = read_checked(&folder.join("marked.field"), &info.marked_field, MAX_FIELD_BYTES)?;
     let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
@@ -295,8 +297,8 @@ fn load_mark(
     for (i, digest) in info.signals.iter().enumerate() {
         signals.push(hidden::decoded(&hidden::read(folder, i + 1, digest)?)?);
     }
-    let (field, detector) =
-        (MarkedField::from_bytes_sharing(&field, base.0, base.1)?, Detector::from_bytes(&detector)?);
+    let field = MarkedField::from_bytes_sharing(&field, base.0, |stored| Digest::of(stored) == *base.1)?;
+    let detector = Detector::from_bytes(&detector)?;
     if detector.classes() != classes.count() {
         let (got, expected) = (detector.classes(), classes.count());
         let problem = format!("it has {got} classes, model.json speaks of {expected}");

@@ -310,6 +310,8 @@ impl Field {
         }
         let mut grid = Grid::with_vertices(header.dims, vertex);
         grid.set_raw_rows(&raw);
+        // Before the colours, which are most of a field.
+        drop(raw);
         for (row, bytes) in grid.colour[ROW..].chunks_exact_mut(ROW).zip(colour.data().chunks_exact(3 * SH * 2)) {
             for (v, b) in row.iter_mut().zip(bytes.chunks_exact(2)) {
                 *v = f16::from_le_bytes([b[0], b[1]]).to_f32();

@@ -316,6 +316,11 @@ impl Bank {
         self.draws.draw(&self.of[identity], rng)
     }
 
+    /// How views of `identity` (from 0) were told lately, nats.
+    pub(crate) fn told(&self, identity: usize) -> f32 {
+        self.draws.told(&self.of[identity])
+    }
+
     /// The appearance to show a view in.
     pub(crate) fn appearance(&self, view: usize, rng: &mut ChaCha8Rng) -> Appearance {
         self.mixed(&self.view(view).appearance, rng)

@@ -96,10 +96,10 @@ pub struct MarkConfig {
     /// Optimiser steps at most, 1 to 1,000,000; training ends earlier once
     /// recovery on virtual poses has converged.
     pub steps: u64,
-    /// Share of the steps, above 0 to 1, that adding identities to a trained scene takes.
+    /// Share of the steps, 0.01 to 1, that adding identities to a trained scene takes.
     pub grow_share: f64,
-    /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64. Each goes with the base field's
-    /// render of the same view and with an unmarked picture of anything.
+    /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64; where several scenes share a detector, one less than
+    /// this more, of whose marks are told worst. Each goes with the base field's render of the same view and an unmarked picture of anything.
     pub batch: usize,
     /// Whether a step's loss is the mean of equation 5 over its renders of theta, as the paper has it an image at a time.
     /// Otherwise (the default, which the shipped weights were chosen with) equation 3 is the mean over all pictures of the step,
@@ -153,13 +153,13 @@ pub struct MarkConfig {
     pub budget_ramp: f64,
     /// Pull of the carrier to nothing where there is no budget, a share a step, 0 to 1.
     pub pull: f64,
-    /// Mean step of a colour coefficient, > 0, in colour units.
+    /// Mean step of a colour coefficient, 1e-9 to 1, in colour units.
     pub learning_rate_carrier: f64,
-    /// Mean step of a raw density where densities are free, > 0.
+    /// Mean step of a raw density where densities are free, 1e-9 to 1.
     pub learning_rate_density: f64,
-    /// Learning rate of classifier and detector at the start, > 0.
+    /// Learning rate of classifier and detector at the start, 1e-9 to 1.
     pub learning_rate_networks: f64,
-    /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
+    /// Learning rates fall to this share of themselves, exponentially; 1e-6 to 1.
     pub final_rate: f64,
     /// How much a step counts of what the next one does in the networks' mean that is kept, 0
     /// (the last step alone) to 0.9999.

@@ -44,6 +44,11 @@ impl Draws {
         }
     }
 
+    /// How the views `of` were told lately, nats, their mean; 0 of none.
+    pub(crate) fn told(&self, of: &[usize]) -> f32 {
+        of.iter().map(|view| self.losses[*view]).sum::<f32>() / of.len().max(1) as f32
+    }
+
     /// Another view stands in the place of `view`.
     pub(crate) fn forget(&mut self, view: usize) {
         self.losses[view] = UNSEEN;
@@ -79,6 +84,9 @@ mod tests {
         };
         near(counted(&draws), [1.0 / 3.0, 0.0, 1.0 / 3.0, 1.0 / 3.0]);
         (0..20).for_each(|_| draws.hear(2, 0.001));
+        let told = draws.told(&[2, 3]);
+        assert!((told - 0.5 * (UNSEEN + 0.0015)).abs() < 1e-3, "{told}");
+        assert_eq!(draws.told(&[]), 0.0);
         near(counted(&draws), [4.0 / 9.0, 0.0, 1.0 / 9.0, 4.0 / 9.0]);
         draws.hear(2, 2.0);
         near(counted(&draws), [1.0 / 3.0, 0.0, 1.0 / 3.0, 1.0 / 3.0]);

@@ -93,7 +93,7 @@ impl MarkTrainer {
     /// Which of the step's twins the detector sees: the first, whose silence the gate sees to; where none does, each
     /// identity's in turn, since silence on it is learnt from these.
     fn twin_now(&self) -> usize {
-        if self.config.has_gate() { 0 } else { turn(self.step, self.batch(), self.signals.len()) }
+        if self.config.has_gate() { 0 } else { turn(self.step, self.in_turn(), self.signals.len()) }
     }
 }
 

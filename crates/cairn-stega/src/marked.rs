@@ -216,13 +216,17 @@ impl MarkedField {
         Self::read(bytes, |stored| Ok(Arc::new(Field::from_bytes(stored)?)))
     }
 
-    /// As [`MarkedField::from_bytes`], where `base`, stored as `base_bytes`, is in memory already: a field with
-    /// that same base shares it instead of holding a second.
+    /// As [`MarkedField::from_bytes`], where `base` is in memory already: a field whose stored base `is_base` shares it
+    /// instead of holding a second.
     ///
     /// # Errors
     /// As [`MarkedField::from_bytes`].
-    pub fn from_bytes_sharing(bytes: &[u8], base: &Arc<Field>, base_bytes: &[u8]) -> Result<Self, MarkError> {
-        Self::read(bytes, |stored| match stored == base_bytes {
+    pub fn from_bytes_sharing(
+        bytes: &[u8],
+        base: &Arc<Field>,
+        is_base: impl FnOnce(&[u8]) -> bool,
+    ) -> Result<Self, MarkError> {
+        Self::read(bytes, |stored| match is_base(stored) {
             true => Ok(base.clone()),
             false => Ok(Arc::new(Field::from_bytes(stored)?)),
         })

@@ -15,6 +15,8 @@ use rand_chacha::ChaCha8Rng;
 /// class must come from the mark and not from what the view shows. Oftener, and
 /// too few renders would be those that a mark is judged by, its own cluster's.
 const ONE_IN_STRANGERS: i32 = 3;
+/// What everybody counts who may be shown once more in a step, beside how badly their mark is told, nats.
+const LEAST_TOLD: f32 = 0.01;
 /// Standard deviation of the faintest and of the strongest noise of a noisy picture.
 const NOISY: [f32; 2] = [1.0 / 255.0, 6.0 / 255.0];
 /// Share of it that is of one hue.
@@ -61,11 +63,8 @@ impl MarkTrainer {
     /// carrier is seen from everywhere, also a view of nobody's cluster: what theta
     /// shows there is to be silent (equation 2).
     pub(crate) fn marked_renders(&self, rng: &mut ChaCha8Rng) -> Shown {
-        let identities = self.signals.len();
-        let first = (self.step as usize * self.batch()) % identities;
         let mut shown = Shown::default();
-        for k in 0..self.batch() {
-            let identity = (first + k) % identities;
+        for identity in self.owners(rng) {
             let site = self.site_of(identity);
             let of_site = self.sites[site].identities.clone();
             // A mark is made for its own scene's field and cannot be shown in another.
@@ -86,6 +85,18 @@ impl MarkTrainer {
             }
         }
         shown
+    }
+
+    /// Whose marks the step shows, identities from 0.
+    fn owners(&self, rng: &mut ChaCha8Rng) -> Vec<usize> {
+        let (identities, in_turn) = (self.signals.len(), self.in_turn());
+        let first = (self.step as usize * in_turn) % identities;
+        let told = |i: usize| {
+            let site = &self.sites[self.site_of(i)];
+            site.bank.told(i - site.identities.start)
+        };
+        let told: Vec<f32> = (0..identities).map(told).collect();
+        owners((first, in_turn), self.batch() - in_turn, &told, rng)
     }
 
     /// A view with the mark of `identity` (from 0), or of nobody, as the networks see it from a file, after
@@ -223,9 +234,44 @@ impl Tone {
     }
 }
 
+/// `in_turn` identities from `first` on, round all of them, and so many `more`, rather of those that are `told` worst (nats, one an identity):
+/// some scenes' marks are read with ease within a few hundred steps, and others' need all the renders that a training of their own would have.
+fn owners((first, in_turn): (usize, usize), more: usize, told: &[f32], rng: &mut ChaCha8Rng) -> Vec<usize> {
+    let mut owners: Vec<usize> = (0..in_turn).map(|k| (first + k) % told.len()).collect();
+    for _ in 0..more {
+        let mut left = rng.random_range(0.0..told.iter().map(|nats| nats + LEAST_TOLD).sum());
+        let chosen = told.iter().position(|nats| {
+            left -= nats + LEAST_TOLD;
+            left < 0.0
+        });
+        // Rounding may leave a little beyond the last.
+        owners.push(chosen.unwrap_or(told.len() - 1));
+    }
+    owners
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn everybody_is_shown_in_turn_and_who_is_told_worst_more_often() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let told = [0.0, 0.02, 0.3, 0.0];
+        let mut more = [0; 4];
+        for step in 0..1000 {
+            let owners = owners((3 * step % 4, 3), 2, &told, &mut rng);
+            assert_eq!(owners[..3], [3 * step % 4, (3 * step + 1) % 4, (3 * step + 2) % 4]);
+            assert_eq!(owners.len(), 5);
+            owners[3..].iter().for_each(|owner| more[*owner] += 1);
+        }
+        // Of 2000: shares 1, 3, 31 and 1 of 36.
+        assert!((1650..1800).contains(&more[2]) && (110..230).contains(&more[1]), "{more:?}");
+        assert!(more[0] > 20 && more[3] > 20, "nobody is forgotten: {more:?}");
+        let (mut one, mut other) = (ChaCha8Rng::seed_from_u64(3), ChaCha8Rng::seed_from_u64(3));
+        assert_eq!(owners((2, 3), 0, &told, &mut one), [2, 3, 0]);
+        assert_eq!(one.random::<u64>(), other.random::<u64>(), "one scene's trainings draw no number for this");
+    }
 
     #[test]
     fn a_tone_does_the_same_to_a_render_and_to_its_twin_and_some_are_noisy() {

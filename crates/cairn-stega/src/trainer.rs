@@ -381,8 +381,14 @@ impl MarkTrainer {
         if self.joined.is_some() { ease(&self.config, self.unread) } else { 0.0 }
     }
 
-    /// Marked renders a step: one of each identity that still learns, up to [`MOST_FOR_ALL`].
+    /// Marked renders a step: identities in turn and, where several scenes share the networks, as many more as one scene alone
+    /// would have beside the one that is its own here.
     pub(crate) fn batch(&self) -> usize {
+        self.in_turn() + if self.sites.len() > 1 { self.config.batch - 1 } else { 0 }
+    }
+
+    /// Of those, how many go round all identities: one of each that still learns, up to [`MOST_FOR_ALL`].
+    pub(crate) fn in_turn(&self) -> usize {
         // One carrier for all settles nobody.
         let settled = self.settled.iter().filter(|is_settled| **is_settled).count();
         let learning = self.signals.len() - settled.min(self.signals.len());
