@@ -98,8 +98,8 @@ pub struct MarkConfig {
     pub steps: u64,
     /// Share of the steps, 0.01 to 1, that adding identities to a trained scene takes.
     pub grow_share: f64,
-    /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64; where several scenes share a detector, one less than
-    /// this more, of whose marks are told worst. Each goes with the base field's render of the same view and an unmarked picture of anything.
+    /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64; where several scenes share a detector, as many
+    /// more, of whose marks are told worst. Each goes with the base field's render of the same view and an unmarked picture of anything.
     pub batch: usize,
     /// Whether a step's loss is the mean of equation 5 over its renders of theta, as the paper has it an image at a time.
     /// Otherwise (the default, which the shipped weights were chosen with) equation 3 is the mean over all pictures of the step,

@@ -382,9 +382,9 @@ impl MarkTrainer {
     }
 
     /// Marked renders a step: identities in turn and, where several scenes share the networks, as many more as one scene alone
-    /// would have beside the one that is its own here.
+    /// would have.
     pub(crate) fn batch(&self) -> usize {
-        self.in_turn() + if self.sites.len() > 1 { self.config.batch - 1 } else { 0 }
+        self.in_turn() + if self.sites.len() > 1 { self.config.batch } else { 0 }
     }
 
     /// Of those, how many go round all identities: one of each that still learns, up to [`MOST_FOR_ALL`].
