@@ -1,16 +1,12 @@
 //! `cairn audit` through the real binary: a data folder made by hand from the formats
 //! alone, a log served over plain HTTP that forks, and the evidence of it.
 
-mod common;
-#[path = "../crates/cairn-audit/tests/handmade/mod.rs"]
-mod handmade;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::{Arc, Mutex};
 
+use crate::handmade::{Log, key, put};
 use cairn_registry::{RecordKind, WitnessVerifier, cosign};
-use handmade::{Log, key, put};
 
 fn cairn(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_cairn")).args(arguments).output().unwrap()
@@ -79,7 +75,7 @@ fn a_lost_working_state_is_made_again_from_a_folder_written_by_other_code() {
     let (dir, data, vkey) = place(&log);
     let registry = dir.path().join("data/registry");
     let config = dir.path().join("cairn.toml");
-    put(&config, format!("[registry]\norigin = \"{}\"\n", handmade::ORIGIN).as_bytes());
+    put(&config, format!("[registry]\norigin = \"{}\"\n", crate::handmade::ORIGIN).as_bytes());
     let config = config.display().to_string();
     log.signer.save(&dir.path().join("data/registry.key")).unwrap();
     let run = |arguments: &[&str]| {
@@ -122,7 +118,7 @@ fn a_log_is_followed_until_it_forks_and_the_evidence_is_kept() {
     let mut log = Log::small();
     let (dir, data, vkey) = place(&log);
     let folder = Arc::new(Mutex::new(PathBuf::from(&data).join("registry/public")));
-    let url = common::files::serve(folder.clone());
+    let url = crate::common::files::serve(folder.clone());
     let state = dir.path().join("state");
     let state_text = state.display().to_string();
     let follow = ["follow", &url, "--vkey", &vkey, "--state", &state_text, "--once"];

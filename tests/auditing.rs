@@ -3,17 +3,15 @@
 //!
 //! With `CAIRN_WRITE_DOCS=1` what it prints is written into the guide instead; read the change before it goes in.
 
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 
+use crate::common::{Daemon, Place, files};
 use cairn_registry::record::{self, Digests, Identity, Seen, SignalFiles, hidden_signal_commitment, photographs_root};
 use cairn_registry::{
     Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, TlogProof, WitnessVerifier, cosign,
 };
-use common::{Daemon, Place, files};
 
 const ORIGIN: &str = "registry.example/owners";
 const WITNESS: &str = "witness.example/w1";
@@ -140,7 +138,7 @@ impl World {
         let (said, code) = cairn("cairn owners vkey --data data --config cairn.toml", folder);
         assert!(said.starts_with(&format!("{vkey}\n")) && code == 0, "{said}");
         for copy in ["damaged", "fork", "running"] {
-            common::copy(&world.path("data"), &world.path(copy));
+            crate::common::copy(&world.path("data"), &world.path(copy));
         }
         let entries = world.path("damaged/registry/public/tile/entries/000.p/10");
         let mut bytes = std::fs::read(&entries).unwrap();

@@ -1,12 +1,10 @@
 //! Base fields alone, through the binary: of captures with too few views or poses for clusters, what is said of
 //! them, what is asked of them that they have not, and how much memory their photographs take.
 
-mod common;
-
 use std::path::Path;
 
+use crate::common::Place;
 use cairn_capture::{Picture, save_png};
-use common::Place;
 
 /// Steps enough for a field that can be rendered, and few.
 const FEW: &str = "[field]\nsteps = 8\nrays_per_step = 256\nvoxels = 4096\nlevels = 1\n";

@@ -3,14 +3,12 @@
 //! silence, and Ctrl-C leaves the ledger as it was. And `cairn bench few` and
 //! `cairn bench own` on one of them.
 
-mod common;
-
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use common::Place;
-use common::captures::captures;
+use crate::common::Place;
+use crate::common::captures::captures;
 use serde_json::Value;
 
 /// The rows of a CSV below its header, and the header.

@@ -1,11 +1,9 @@
 //! `cairn bench mark --quick` on tiny made-up captures: what a detector is asked about,
 //! that other captures' renders are among it, and that what cannot be asked is said.
 
-mod common;
-
+use crate::common::Place;
+use crate::common::captures::captures;
 use cairn_capture::{Limits, Picture, decode_picture};
-use common::Place;
-use common::captures::captures;
 use serde_json::Value;
 
 /// Captures, settings for smaller networks than `--quick` has, and three pictures to hide.
@@ -63,7 +61,7 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
     let place = Place::new();
     prepare(&place);
     // There to be asked about, and not measured, so that there is no field of it.
-    common::copy(&place.path("captures/lego"), &place.path("captures/trex"));
+    crate::common::copy(&place.path("captures/lego"), &place.path("captures/trex"));
     // What other suites leave there is not taken for a base field.
     std::fs::create_dir(place.path("out")).unwrap();
     std::fs::write(place.path("out/lego-0.field"), "no field").unwrap();

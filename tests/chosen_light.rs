@@ -1,10 +1,9 @@
 //! A light that is chosen: a training view's, one on the way to another's, and that of a photograph which somebody
 //! brings, through the real daemon.
 
-mod common;
-
 use std::path::Path;
 
+use crate::common::{Daemon, Place, TINY};
 use cairn_capture::{Limits, Picture, decode_picture, encode_png};
 use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_metrics::psnr_db;
@@ -12,7 +11,6 @@ use cairn_proto::v1::appearance::Choice;
 use cairn_proto::v1::render_path_request::Path as Way;
 use cairn_proto::v1::render_service_client::RenderServiceClient;
 use cairn_proto::v1::{self};
-use common::{Daemon, Place, TINY};
 use tonic::{Code, Request};
 
 const ADA: &str = "images/ada_002.png";

@@ -2,23 +2,19 @@
 //! with values good and bad, and mutations of those. One daemon takes them all: each must be answered with a status, no
 //! thread of it may panic, its memory stays bounded, and afterwards it serves as before.
 
-mod common;
-#[path = "common/wire.rs"]
-mod wire;
-
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::Write as _;
 
+use crate::common::{Daemon, Place, TINY};
+use crate::wire::{Contract, Method, Pool, call, call_compressed};
 use cairn_hostile::samples;
 use cairn_proto::v1;
 use cairn_registry::OwnerKey;
-use common::{Daemon, Place, TINY};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
-use wire::{Contract, Method, Pool, call, call_compressed};
 
 /// Small, so that what gets through costs little and the bounds are met often.
 const SETTINGS: &str = r#"

@@ -1,12 +1,10 @@
 //! Keys over their whole life, through the real binary: made and sealed, signing, rotated, revoked; and what becomes of
 //! the records that they signed.
 
-mod common;
-
 use std::os::unix::fs::PermissionsExt as _;
 
+use crate::common::{Daemon, Place};
 use cairn_registry::{Digest, Envelope, OwnerRecord, RecordKind, TlogProof};
-use common::{Daemon, Place};
 
 /// A made-up landmark with a model, and a key file that everybody's keys here are sealed with.
 struct Town {

@@ -1,17 +1,15 @@
 //! A log at work, through real processes: cosigned by a witness, served over HTTP, followed, asked completely; and an
 //! older backup of it that is refused at the start, whoever notices: a witness, what was published, or the anchor.
 
-mod common;
-
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+use crate::common::{Daemon, Place, copy};
 use cairn_proto::v1;
 use cairn_proto::v1::owner_service_client::OwnerServiceClient;
 use cairn_registry::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
 use cairn_registry::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
-use common::{Daemon, Place, copy};
 use tonic::transport::Channel;
 
 /// A running `cairn witness serve`; ends with the test.

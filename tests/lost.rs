@@ -1,8 +1,6 @@
 //! An answer that is lost on its way, through the real daemon: what was signed is kept and asked about
 //! again, also by a key that the lost answer's own record ended.
 
-mod common;
-
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt as _;
@@ -11,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::common::world::{CLOSED, World, key};
 use cairn_registry::{Envelope, OwnerRecord};
-use common::world::{CLOSED, World, key};
 
 /// A way to the daemon at `url` that breaks once a record went through it: the daemon has it, and its answer never comes.
 fn way_that_breaks(url: &str) -> String {

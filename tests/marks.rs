@@ -2,12 +2,10 @@
 //! is far too short for good answers; that they are well-formed and consistent
 //! is what counts here.
 
-mod common;
-
+use crate::common::{Daemon, Place};
 use cairn_proto::v1;
 use cairn_proto::v1::detection_service_client::DetectionServiceClient;
 use cairn_proto::v1::query_service_client::QueryServiceClient;
-use common::{Daemon, Place};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_mark_is_trained_rendered_read_and_claimed() {

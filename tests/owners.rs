@@ -1,20 +1,18 @@
 //! Owner records from key to verdict, through the real binary: signed at the
 //! owner's side, entered, listed, and verified from files alone.
 
-mod common;
-
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use crate::common::{Daemon, Place};
 use cairn_audit::{Evidence, LogView, Outcome, audit};
 use cairn_proto::v1;
 use cairn_proto::v1::owner_service_client::OwnerServiceClient;
 use cairn_registry::record::{self, Digests, Identity, Seen, random_salt};
 use cairn_registry::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
-use common::{Daemon, Place};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use tonic::transport::Channel;

@@ -1,10 +1,8 @@
 //! `cairn ... | head -1`: a reader that leaves ends no command, and makes none panic.
 
-mod common;
-
 use std::process::{Command, Stdio};
 
-use common::Place;
+use crate::common::Place;
 
 /// What a command says on standard error, and its exit code, where the reader of its standard output is gone before it
 /// writes.

@@ -1,17 +1,13 @@
 //! The same verdicts from another language: `verify_bundle.py`, written from the public formats alone, and Cairn judge
 //! each other's bundles, the same spoilt ones, and the same published cases.
 
-mod common;
-#[path = "../crates/cairn-registry/tests/edges/mod.rs"]
-mod edges;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use crate::common::Place;
 use cairn_audit::{Evidence, Outcome, audit};
 use cairn_registry::{Note, NoteVerifier, PublicKey};
-use common::Place;
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -178,10 +174,10 @@ fn python_agrees_on_the_published_merkle_cases() {
 fn python_agrees_on_signatures_that_verifiers_disagree_on() {
     let Some(python) = python("python_agrees_on_signatures_that_verifiers_disagree_on") else { return };
     let hex = |bytes: &[u8]| bytes.iter().map(|b| format!("{b:02x}")).collect::<String>();
-    let case = |e: &edges::Edge| serde_json::json!({"message": hex(&e.message), "pub_key": hex(&e.key), "signature": hex(&e.signature)});
-    let cases: Vec<_> = edges::edges().iter().map(case).collect();
+    let case = |e: &crate::edges::Edge| serde_json::json!({"message": hex(&e.message), "pub_key": hex(&e.key), "signature": hex(&e.signature)});
+    let cases: Vec<_> = crate::edges::edges().iter().map(case).collect();
     let file = tempfile::NamedTempFile::new().unwrap();
     fs::write(file.path(), serde_json::to_vec(&cases).unwrap()).unwrap();
     let output = script(python, &["--signatures", file.path().to_str().unwrap()]);
-    assert_eq!(said(&output).trim(), edges::STRICT);
+    assert_eq!(said(&output).trim(), crate::edges::STRICT);
 }

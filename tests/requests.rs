@@ -1,14 +1,12 @@
 //! Scenes, renders, queries and refusals through the real daemon.
 
-mod common;
-
+use crate::common::{Daemon, Place, TINY, base_only, training as wanted};
 use cairn_proto::v1::detection_service_client::DetectionServiceClient;
 use cairn_proto::v1::query_service_client::QueryServiceClient;
 use cairn_proto::v1::render_service_client::RenderServiceClient;
 use cairn_proto::v1::scene_service_client::SceneServiceClient;
 use cairn_proto::v1::training_service_client::TrainingServiceClient;
 use cairn_proto::v1::{self, import_scene_request::Part};
-use common::{Daemon, Place, TINY, base_only, training as wanted};
 use tonic::{Code, Request};
 
 fn view(name: &str) -> Option<v1::Viewpoint> {

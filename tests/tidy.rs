@@ -45,6 +45,28 @@ fn every_source_file_says_what_it_is_and_is_not_too_long() {
 }
 
 #[test]
+fn every_file_of_tests_is_run() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut packages = vec![root.to_path_buf()];
+    packages.extend(std::fs::read_dir(root.join("crates")).unwrap().map(|entry| entry.unwrap().path()));
+    let mut faults = Vec::new();
+    for package in packages {
+        let Ok(listed) = std::fs::read_to_string(package.join("tests/all.rs")) else { continue };
+        let manifest = std::fs::read_to_string(package.join("Cargo.toml")).unwrap();
+        for entry in std::fs::read_dir(package.join("tests")).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+            let known = listed.lines().any(|line| line == format!("mod {name};"))
+                || manifest.contains(&format!("[[test]]\nname = \"{name}\"\n"));
+            if path.extension().is_some_and(|extension| extension == "rs") && !known {
+                faults.push(format!("{}: no program runs it; add `mod {name};` to all.rs beside it", path.display()));
+            }
+        }
+    }
+    assert!(faults.is_empty(), "\n{}", faults.join("\n"));
+}
+
+#[test]
 fn only_the_edge_knows_the_wire_and_only_the_registry_knows_sled() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates");
     for entry in std::fs::read_dir(root).unwrap() {

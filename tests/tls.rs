@@ -1,10 +1,8 @@
 //! TLS and mutual TLS through the real daemon, with certificates made here.
 
-mod common;
-
 use std::process::Command;
 
-use common::{Daemon, Place};
+use crate::common::{Daemon, Place};
 use rcgen::{BasicConstraints, CertificateParams, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair};
 
 /// An authority; its certificate is in `NAME.pem`.

@@ -1,15 +1,13 @@
 //! Training through the real daemon: watched, cancelled, resumed, killed in the
 //! middle, and the same bytes at the end whatever happened on the way.
 
-mod common;
-
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Stdio};
 
+use crate::common::{Daemon, Place, TINY, base_only, training as wanted};
 use cairn_proto::v1::scene_service_client::SceneServiceClient;
 use cairn_proto::v1::training_service_client::TrainingServiceClient;
 use cairn_proto::v1::{self, JobState};
-use common::{Daemon, Place, TINY, base_only, training as wanted};
 use tonic::transport::Channel;
 
 /// Writes a checkpoint after every step, so that any moment has one.

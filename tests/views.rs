@@ -1,17 +1,15 @@
 //! Looking at a scene through the real daemon: maps behind a render, camera paths,
 //! and the drawing of its cameras.
 
-mod common;
-
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::common::{Daemon, Place};
 use cairn_capture::{Limits, Picture, decode_picture};
 use cairn_proto::v1::render_path_request::Path as Way;
 use cairn_proto::v1::render_service_client::RenderServiceClient;
 use cairn_proto::v1::{self};
-use common::{Daemon, Place};
 use tonic::Code;
 use tonic::transport::Endpoint;
 

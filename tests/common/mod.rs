@@ -1,6 +1,5 @@
 //! The real binary at work: starts daemons on a free port, runs commands, and
 //! makes tiny captures of a made-up landmark.
-#![allow(dead_code)] // Every test file uses its own part of this.
 
 pub mod captures;
 pub mod files;

@@ -1,6 +1,5 @@
 //! gRPC without its types: every method that the descriptors list, messages made from their descriptions, and bytes
 //! sent as they are.
-#![allow(dead_code)] // Every test file uses its own part of this.
 
 use std::collections::HashMap;
 use std::time::Duration;

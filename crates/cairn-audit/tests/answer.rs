@@ -1,14 +1,12 @@
 //! Complete answers from logs made by hand: honest ones are trusted, and say what each record is worth.
 
-mod common;
-
+use crate::common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
 use cairn_audit::{AnswerReport, Code, Freshness, Outcome, Question, Standing, audit_answer, audit_answer_to};
 use cairn_registry::{
     Checkpoint, RecordKind,
     answer::AsOf,
     merkle::{Tree, leaf_hash},
 };
-use common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
 
 fn standings(report: &AnswerReport) -> Vec<(u64, Standing)> {
     report.records.iter().map(|r| (r.index, r.standing)).collect()

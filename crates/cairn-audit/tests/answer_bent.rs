@@ -1,7 +1,6 @@
 //! Complete answers that somebody bent: every way to leave out, put in or exchange something has its code.
 
-mod common;
-
+use crate::common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
 use cairn_audit::{Code, Outcome, audit_answer};
 use cairn_registry::{
     Answer, Checkpoint, Digest, Entry, Leaf, MapKey, MapLeaf, MapTree, RecordKind,
@@ -9,7 +8,6 @@ use cairn_registry::{
     map::ProofEnd,
     merkle::empty_root,
 };
-use common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
 
 /// Bends the honest answer about view `two`, as of C.
 fn bent(bend: impl Fn(&mut Answer, &Log)) -> Vec<&'static str> {

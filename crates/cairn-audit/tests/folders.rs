@@ -1,12 +1,10 @@
 //! Scenes, models and jobs made by hand: every byte of every file changed in turn.
 
-mod handmade;
-
 use std::path::{Path, PathBuf};
 
+use crate::handmade::{put, seal};
 use cairn_audit::{Code, FileInHand, Finding, Severity, audit_folders};
 use cairn_registry::Digest;
-use handmade::{put, seal};
 
 /// A data folder with a scene, its model and an ended job.
 fn written(dir: &Path) {

@@ -1,13 +1,11 @@
 //! Logs that grow, step back, fork and lie, looked at again and again; and the evidence
 //! against them checked by somebody who was not there.
 
-mod handmade;
-
 use std::collections::BTreeMap;
 
+use crate::handmade::{Log, key};
 use cairn_audit::{CONTRADICTION, Code, Fetch, FollowError, FollowOptions, Followed, Outcome, audit_evidence, follow};
 use cairn_registry::{Digest, Policy, RecordKind, WitnessVerifier, cosign};
-use handmade::{Log, key};
 
 /// A log as served at one size, with files of one's own over it.
 struct Served<'a> {

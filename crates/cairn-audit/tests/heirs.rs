@@ -1,11 +1,9 @@
 //! Who may speak for a record after its owner's key ended: complete answers and bundles with later records agree, link by
 //! link of a chain of rotations.
 
-mod common;
-
+use crate::common::{Log, audited, errors, key, pinned, registry, sealed};
 use cairn_audit::{AnswerReport, Code, Evidence, LogView, Outcome, RecordInHand, Report, Standing, audit};
 use cairn_registry::{Digest, Entry, Envelope, RecordKind, RecordKind::*, TlogProof};
-use common::{Log, audited, errors, key, pinned, registry, sealed};
 
 /// A record of `by` about an earlier one, with signatures of `also`.
 fn about(kind: RecordKind, by: u8, earlier: Digest, also: &[u8]) -> Envelope {

@@ -1,13 +1,11 @@
 //! Audits of data folders made by hand: each class of fault, and every byte of every
 //! file changed in turn.
 
-mod handmade;
-
 use std::path::{Path, PathBuf};
 
+use crate::handmade::{Log, frame, key, put};
 use cairn_audit::{Class, Code, Outcome, Severity, StoreOptions, StoreReport, audit_store};
 use cairn_registry::{Digest, Note, OwnerKey, RecordKind, record::Seen};
-use handmade::{Log, frame, key, put};
 use rayon::prelude::*;
 
 fn audit(dir: &Path, log: &Log) -> StoreReport {
@@ -220,7 +218,8 @@ fn another_key_and_a_rewritten_history_are_seen_through() {
     assert_eq!(report.exit_code(), 11, "{report}");
     assert!(faults(&report).contains("store.root"), "{report}");
     // A size that nothing is there for does not make the audit endless.
-    let huge = cairn_registry::Checkpoint::new(handmade::ORIGIN, 1 << 60, Digest::of("x")).sign(&log.signer).unwrap();
+    let huge =
+        cairn_registry::Checkpoint::new(crate::handmade::ORIGIN, 1 << 60, Digest::of("x")).sign(&log.signer).unwrap();
     put(&dir.path().join("registry/public/checkpoint"), huge.to_string().as_bytes());
     assert_eq!(audit(dir.path(), &log).exit_code(), 11);
 }

@@ -1,10 +1,8 @@
 //! What the audit of a store says of records that stand in the place of another owner's.
 
-mod handmade;
-
+use crate::handmade::Log;
 use cairn_audit::{Code, StoreOptions, StoreReport, audit_store};
 use cairn_registry::{Digest, OwnerRecord, RecordKind};
-use handmade::Log;
 
 /// A log of three records by key 1 (0, 1, 2) and a map leaf, what `more` adds, and the audit's findings: codes and places.
 fn after(more: impl FnOnce(&mut Log, [Digest; 3])) -> (Vec<String>, StoreReport) {

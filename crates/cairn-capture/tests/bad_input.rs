@@ -2,13 +2,11 @@
 //! error that names the file, the entry and the remedy, and nothing panics or
 //! takes memory for what a header merely claims.
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
+use crate::common::{Colmap, npy, photograph, read, refuses};
 use cairn_capture::{Capture, CaptureError, ReadOptions};
-use common::{Colmap, npy, photograph, read, refuses};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Value, json};

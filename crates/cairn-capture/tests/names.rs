@@ -1,14 +1,12 @@
 //! Photographs and folders by the names that camera files of other systems give
 //! them, and what is said of a capture that was read.
 
-mod common;
-
 use std::error::Error;
 use std::fs;
 use std::path::Path;
 
+use crate::common::{Colmap, npy, photograph, read, refuses};
 use cairn_capture::{Capture, CaptureError, ReadOptions, SceneKind};
-use common::{Colmap, npy, photograph, read, refuses};
 use serde_json::{Value, json};
 
 const STRAIGHT: [[f64; 4]; 4] =
@@ -56,7 +54,7 @@ fn endings_separators_and_accents_of_other_systems() {
     model.write_bin(folder.path());
     fs::create_dir(folder.path().join("images/left")).unwrap();
     fs::rename(folder.path().join("images/1.png"), folder.path().join("images/left/1.png")).unwrap();
-    assert_eq!(common::read(folder.path()).unwrap().views.len(), 3);
+    assert_eq!(crate::common::read(folder.path()).unwrap().views.len(), 3);
 }
 
 #[test]

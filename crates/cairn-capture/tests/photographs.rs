@@ -1,11 +1,9 @@
 //! Photographs in and out: orientation, transparency, depth, limits.
 
-mod common;
-
 use std::fs;
 
+use crate::common::{Colmap, read, refuses};
 use cairn_capture::{Capture, Limits, Picture, ReadOptions, SceneFolder, decode_picture, encode_png, save_png};
-use common::{Colmap, read, refuses};
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage, Rgba, RgbaImage};
 use serde_json::json;
 
@@ -173,7 +171,7 @@ fn a_header_that_claims_a_billion_pixels_is_refused_on_the_header() {
     refuses(read(folder.path()), &["2.png", "number of pixels is 256000000"]);
     // One that grew after it was read is refused by its camera's size, on the header too.
     let capture = {
-        fs::write(folder.path().join("images/2.png"), common::photograph()).unwrap();
+        fs::write(folder.path().join("images/2.png"), crate::common::photograph()).unwrap();
         read(folder.path()).unwrap()
     };
     claim(&mut bomb, 9_000, 9_000);

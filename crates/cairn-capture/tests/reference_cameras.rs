@@ -1,13 +1,11 @@
 //! Every format and camera model against projections that independent scripts
 //! computed (reference/cameras.py, lens.py): a wrong axis, sign or order shows here.
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
+use crate::common::{Colmap, Image, npy, photograph, read};
 use cairn_capture::{Capture, ReadOptions};
-use common::{Colmap, Image, npy, photograph, read};
 use glam::DVec3;
 use serde::Deserialize;
 use serde_json::json;

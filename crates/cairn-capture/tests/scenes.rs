@@ -1,12 +1,10 @@
 //! Scenes on disk: whole or not there, and what comes back is what went in.
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
+use crate::common::{Colmap, photograph, read, refuses};
 use cairn_capture::{Capture, CaptureError, ReadOptions, SceneFolder};
-use common::{Colmap, photograph, read, refuses};
 use sha2::{Digest, Sha256};
 
 /// Names in `dir`, hidden ones too, sorted.

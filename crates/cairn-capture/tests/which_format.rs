@@ -1,13 +1,11 @@
 //! Which camera file is read where there are several, what kind of scene is
 //! guessed, and whose split counts.
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
+use crate::common::{Colmap, npy, photograph, read, refuses};
 use cairn_capture::{Capture, ReadOptions, SceneFolder, SceneKind};
-use common::{Colmap, npy, photograph, read, refuses};
 use image::{ImageFormat, Rgba, RgbaImage};
 use serde_json::{Value, json};
 

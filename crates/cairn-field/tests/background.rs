@@ -1,9 +1,7 @@
 //! A known background is known to be empty: nothing of its colour is left before it.
 
-mod common;
-
+use crate::common::{ball_box, ball_in_the_open, photograph, ring, tiny, views};
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame};
-use common::{ball_box, ball_in_the_open, photograph, ring, tiny, views};
 use glam::DVec3;
 
 const BACKGROUND: [f32; 3] = [0.5; 3];

@@ -1,11 +1,9 @@
 //! Training on photographs that leave little or nothing to learn: it stays finite
 //! and shows what there is, or it says what is wrong.
 
-mod common;
-
+use crate::common::{ball_box, ball_in_the_open, camera, capture, facing, photographs, ring, rms, tiny, views};
 use cairn_capture::{Picture, SceneKind};
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
-use common::{ball_box, ball_in_the_open, camera, capture, facing, photographs, ring, rms, tiny, views};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -142,7 +140,7 @@ fn cameras_that_look_away_teach_nothing() {
     let field = train(views.clone(), &ball_box(), Some(sky), config);
     for view in &views {
         let shown = field.render(&view.camera, field.canonical_appearance());
-        assert!(shown.rgb().chunks_exact(3).all(|p| common::apart(p, &sky) < 1e-6), "the background");
+        assert!(shown.rgb().chunks_exact(3).all(|p| crate::common::apart(p, &sky) < 1e-6), "the background");
     }
     // In the open there is something in every direction.
     let field = train(views.clone(), &ball_in_the_open(), Some(sky), tiny(150));

@@ -1,13 +1,11 @@
 //! Ten photographs from all around a landmark, as visitors bring home: views between
 //! them must show it, and not the clouds that explain each photograph by itself.
 
-mod common;
-
 use std::sync::Arc;
 
+use crate::common::landmark::{frame, held_out_db, wild};
 use cairn_field::{BaseTrainer, Field, FieldConfig, Spacing, TrainingView};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
-use common::landmark::{frame, held_out_db, wild};
 
 /// Thirty places around the landmark, in one light: every third is trained on.
 fn ring(seed: u64) -> LandmarkCapture {

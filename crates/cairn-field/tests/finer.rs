@@ -2,13 +2,11 @@
 //! as many pixels wide as asked for, and shows more of what no training saw. And no finer than the
 //! photographs: what lies between their pixels is learnt by heart.
 
-mod common;
-
 use std::sync::Arc;
 
+use crate::common::landmark::{frame, held_out_db, wild};
 use cairn_field::{BaseTrainer, Field, FieldConfig, LightVerdict, TrainingView};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
-use common::landmark::{frame, held_out_db, wild};
 
 /// Vertices of the last grid where nothing asks for more: voxels some five pixels wide.
 const VOXELS: usize = 64_000;
@@ -101,7 +99,7 @@ fn where_light_differs_the_grid_stays_as_it_is() {
 #[test]
 fn light_that_is_found_out_late_changes_no_grid() {
     // Nothing is told on noise: it is decided at half of the steps, when the last level has begun.
-    let mut numbers = common::Numbers(3);
+    let mut numbers = crate::common::Numbers(3);
     let mut noise = views(&capture(0.0, 1));
     for view in &mut noise {
         let (w, h) = (view.picture.width(), view.picture.height());

@@ -2,15 +2,13 @@
 //! coefficient a ray touches, for straight and contracted paths, with both
 //! losses on the weights; and the appearance code.
 
-mod common;
-
+use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, random_appearance, random_grid};
 use cairn_field::appearance::{CODE, FEATURES, features};
 use cairn_field::composite::{Gathered, Regularise, Thresholds, gather, push_back};
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::patch::{Debts, Patch, Roulette};
 use cairn_field::sh::{SH, basis};
 use cairn_field::{Appearance, RayPath, SceneFrame};
-use common::{Numbers, ahead, ball_box, ball_in_the_open, random_appearance, random_grid};
 use glam::DVec3;
 
 const REGULARISE: Regularise<f64> = Regularise { distortion: 0.7, sparsity: 0.3 };

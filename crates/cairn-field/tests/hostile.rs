@@ -1,12 +1,12 @@
 //! What must not go wrong on bad input: one clear error, never a panic, and the
 //! last good state.
 
-mod common;
-
+use crate::common::{
+    ball_box, ball_in_the_open, camera, field_of, random_grid, stored_field, stored_with, tiny, views,
+};
 use cairn_capture::Picture;
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, TrainingView};
-use common::{ball_box, ball_in_the_open, camera, field_of, random_grid, stored_field, stored_with, tiny, views};
 use glam::DVec3;
 use safetensors::tensor::{SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
@@ -86,7 +86,7 @@ fn cameras_inside_and_looking_away_render() {
         assert!(inside.accumulation.iter().all(|a| *a > 0.1));
         if !frame.is_unbounded() {
             assert!(away.accumulation.iter().all(|a| *a == 0.0));
-            assert!(common::apart(&away.picture.rgb()[..3], &[0.1, 0.2, 0.3]) < 1e-6, "the background");
+            assert!(crate::common::apart(&away.picture.rgb()[..3], &[0.1, 0.2, 0.3]) < 1e-6, "the background");
         }
     }
 }
@@ -101,7 +101,7 @@ fn walls_and_nothing_are_exact() {
         let maps = field_of(&ball_box(), &grid, &look).render_maps(&view, &look);
         let middle = 4 * 8 + 4;
         assert_eq!(maps.accumulation[middle], 1.0, "raw density {raw}");
-        assert!(common::apart(&maps.picture.pixel(4, 4), &[0.6; 3]) < 1e-3, "{:?}", maps.picture.pixel(4, 4));
+        assert!(crate::common::apart(&maps.picture.pixel(4, 4), &[0.6; 3]) < 1e-3, "{:?}", maps.picture.pixel(4, 4));
     }
     let nothing = Grid::with_vertices([8, 8, 8], Vec::new());
     let maps = field_of(&ball_box(), &nothing, &look).render_maps(&view, &look);

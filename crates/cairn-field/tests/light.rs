@@ -1,10 +1,8 @@
 //! Whether photographs differ in light is found out, and stays found out.
 
-mod common;
-
+use crate::common::{ball_box, ball_in_the_open, ring, tiny};
 use cairn_capture::{Camera, Picture};
 use cairn_field::{AppearanceMode, BaseTrainer, FieldConfig, LightVerdict, TrainingView};
-use common::{ball_box, ball_in_the_open, ring, tiny};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -16,7 +14,7 @@ fn photographs(tints: bool) -> Vec<TrainingView> {
 
 fn pairs(size: usize, tint: [f32; 3]) -> Vec<TrainingView> {
     let places = ring(4, size, 1.0, DVec3::ZERO);
-    let mut all = common::photographs(&[&places[..], &places[..]].concat(), 1.0, DVec3::ZERO);
+    let mut all = crate::common::photographs(&[&places[..], &places[..]].concat(), 1.0, DVec3::ZERO);
     for view in &mut all[4..] {
         let rgb = view.picture.rgb().iter().enumerate().map(|(i, v)| v * tint[i % 3]).collect();
         view.picture = Arc::new(Picture::new(size, size, rgb).expect("three numbers a pixel"));
@@ -58,7 +56,7 @@ fn visitors_who_stand_elsewhere_differ_in_light_too() {
     let both: Vec<Camera> = (0..9).chain(8..17).map(|i| places[i % 16]).collect();
     for (tint, frame) in [([0.4, 0.7, 1.0], ball_box()), ([0.4, 0.7, 1.0], ball_in_the_open()), ([1.0; 3], ball_box())]
     {
-        let mut all = common::photographs(&both, 1.0, DVec3::ZERO);
+        let mut all = crate::common::photographs(&both, 1.0, DVec3::ZERO);
         for view in &mut all[9..] {
             let rgb = view.picture.rgb().iter().enumerate().map(|(i, v)| v * tint[i % 3]).collect();
             view.picture = Arc::new(Picture::new(32, 32, rgb).expect("three numbers a pixel"));
@@ -91,7 +89,7 @@ fn the_look_spreads_over_larger_photographs_too() {
 
 #[test]
 fn photographs_that_nothing_explains_are_decided_on_too() {
-    let mut numbers = common::Numbers(5);
+    let mut numbers = crate::common::Numbers(5);
     let mut all = photographs(false);
     for view in &mut all {
         let rgb = (0..3 * 32 * 32).map(|_| numbers.share() as f32).collect();
@@ -148,7 +146,7 @@ fn a_resumed_training_knows_what_was_found() {
 fn views_of_a_pixel_leave_it_open_or_say_a_number() {
     // Both pixels may fall to the half that fits, and none be left to judge by.
     for seed in 0..8 {
-        let all = common::photographs(&ring(2, 1, 1.0, DVec3::ZERO), 1.0, DVec3::ZERO);
+        let all = crate::common::photographs(&ring(2, 1, 1.0, DVec3::ZERO), 1.0, DVec3::ZERO);
         let mut trainer = BaseTrainer::new(all.clone(), ball_box(), None, tiny(30), seed).expect("sound settings");
         for _ in 0..30 {
             trainer.step().expect("finite numbers");

@@ -1,8 +1,9 @@
 //! Basis lights: what they owe, that every way of rendering knows them, and what they are worth where the sun
 //! comes from another side in every photograph.
 
-mod common;
-
+use crate::common::{
+    Numbers, apart, ball_box, ball_in_the_open, camera, random_appearance, random_grid, ring, rms, stored_with, tiny,
+};
 use cairn_capture::{Camera, Picture};
 use cairn_field::appearance::{CODE, FEATURES, features};
 use cairn_field::composite::{Regularise, Thresholds, gather, push_back, see};
@@ -14,9 +15,6 @@ use cairn_field::patch::Patch;
 use cairn_field::rays::Lens;
 use cairn_field::sh::{SH, basis};
 use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, SceneFrame, TrainingView};
-use common::{
-    Numbers, apart, ball_box, ball_in_the_open, camera, random_appearance, random_grid, ring, rms, stored_with, tiny,
-};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -174,7 +172,7 @@ fn the_lights_of_half_a_photograph_are_found() {
 #[test]
 fn a_field_without_lights_is_stored_as_it_always_was() {
     let grid: Grid<f32> = random_grid([12; 3], 0.6, (-6.0, 0.0), 7);
-    let plain = common::field_of(&ball_box(), &grid, &Appearance::neutral([0.3, 0.5, 0.7]));
+    let plain = crate::common::field_of(&ball_box(), &grid, &Appearance::neutral([0.3, 0.5, 0.7]));
     let told = |field: &Field| {
         let bytes = field.to_bytes().expect("bytes");
         let (_, metadata) = safetensors::SafeTensors::read_metadata(&bytes).expect("safetensors");
@@ -221,7 +219,7 @@ fn under_suns(cameras: &[Camera], seed: u64) -> Vec<TrainingView> {
     let shaded = |(i, camera): (usize, &Camera)| {
         let (around, up) = (numbers.within(0.0, std::f64::consts::TAU), numbers.within(0.2, 0.9f64));
         let sun = DVec3::new(around.cos() * up.cos(), up.sin(), around.sin() * up.cos());
-        let (w, plain) = (camera.intrinsics.width, common::photograph(camera, 1.0, DVec3::ZERO));
+        let (w, plain) = (camera.intrinsics.width, crate::common::photograph(camera, 1.0, DVec3::ZERO));
         let mut rgb = plain.rgb().to_vec();
         for (at, pixel) in rgb.chunks_exact_mut(3).enumerate() {
             let (o, d) = camera.ray((at % w) as f64 + 0.5, (at / w) as f64 + 0.5);

@@ -1,14 +1,14 @@
 //! A view whose densities move: the same picture as the linear view's where they do not,
 //! and a gradient that finite differences agree with.
 
-mod common;
-
+use crate::common::{
+    Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid,
+};
 use cairn_field::grid::Grid;
 use cairn_field::marched::{CHANGE, MarchedView};
 use cairn_field::operator::{CarrierBasis, MarkableField};
 use cairn_field::sh::SH;
 use cairn_field::{Field, SceneFrame};
-use common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use glam::DVec3;
 
 /// Pixels across and down.

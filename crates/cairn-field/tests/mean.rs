@@ -1,10 +1,8 @@
 //! The mean of a training's last states: what it is worth on views that were not trained on.
 
-mod common;
-
+use crate::common::{Numbers, ball_box, camera, photograph, rms, tiny, views};
 use cairn_capture::{Camera, Picture};
 use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView};
-use common::{Numbers, ball_box, camera, photograph, rms, tiny, views};
 use glam::DVec3;
 use std::sync::Arc;
 

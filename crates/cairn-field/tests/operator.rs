@@ -1,13 +1,13 @@
 //! The linear view of a field is what it says: the difference of true renders,
 //! with its exact transpose.
 
-mod common;
-
+use crate::common::{
+    Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid,
+};
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::operator::{CarrierBasis, LinearView, MarkableField};
 use cairn_field::sh::{SH, SH_DC};
 use cairn_field::{Appearance, Field, SceneFrame};
-use common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use glam::DVec3;
 
 const BASES: [CarrierBasis; 2] = [CarrierBasis::Constant, CarrierBasis::Harmonics];
@@ -148,7 +148,7 @@ fn a_cutoff_leaves_out_little_and_saves_entries() {
     let (mut a, mut b) = (vec![0.0; 24 * 24 * 3], vec![0.0; 24 * 24 * 3]);
     whole.apply(&carrier, CarrierBasis::Constant, &look, &mut a);
     lean.apply(&carrier, CarrierBasis::Constant, &look, &mut b);
-    assert!(common::rms(&a, &b) < 0.01, "{}", common::rms(&a, &b));
+    assert!(crate::common::rms(&a, &b) < 0.01, "{}", crate::common::rms(&a, &b));
 }
 
 /// Several rays a pixel are a larger picture made smaller by area.

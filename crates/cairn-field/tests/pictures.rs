@@ -1,8 +1,7 @@
 //! Whole pictures go tile by tile, and a tile's vertices are looked up once: they show what
 //! each ray by itself shows, whatever the tile.
 
-mod common;
-
+use crate::common::{ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use cairn_capture::Camera;
 use cairn_field::appearance::features;
 use cairn_field::composite::see;
@@ -11,7 +10,6 @@ use cairn_field::marched::MarchedView;
 use cairn_field::operator::MarkableField;
 use cairn_field::rays::Lens;
 use cairn_field::{Field, SceneFrame, Thresholds};
-use common::{ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use glam::DVec3;
 
 /// A camera of `across` x `down` pixels that sees `degrees` across.

@@ -2,12 +2,10 @@
 //! ray, in order, and stand for all of its length; and passing empty space over
 //! never adds, moves or loses one.
 
-mod common;
-
+use crate::common::{Numbers, ahead, ball_box, random_grid};
 use cairn_field::grid::Grid;
 use cairn_field::march::{STEP_VOXELS, Sample, march};
 use cairn_field::{RayPath, Real, SceneFrame};
-use common::{Numbers, ahead, ball_box, random_grid};
 use glam::DVec3;
 
 const CENTRE: DVec3 = DVec3::new(0.3, -0.2, 0.5);

@@ -3,8 +3,7 @@
 //! nothing skipped, no ray ended early. They share the field and no rule of where
 //! to look at it; what steps of half a voxel leave of the integral is bounded.
 
-mod common;
-
+use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use cairn_capture::Camera;
 use cairn_field::appearance::features;
 use cairn_field::composite::gather;
@@ -13,7 +12,6 @@ use cairn_field::march::STEP_VOXELS;
 use cairn_field::patch::Patch;
 use cairn_field::sh::basis;
 use cairn_field::{Appearance, SceneFrame, Thresholds};
-use common::{Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use glam::DVec3;
 use std::f64::consts::PI;
 

@@ -1,12 +1,10 @@
 //! Where a picture was taken is found again, also where it was turned, cut or lit otherwise since; and a picture of
 //! something else is explained from nowhere.
 
-mod common;
-
+use crate::common::{ball_box, ring, rms, views};
 use cairn_capture::{Camera, Picture};
 use cairn_field::registration::{Registered, Registrar};
 use cairn_field::{BaseTrainer, Field, FieldConfig};
-use common::{ball_box, ring, rms, views};
 use glam::{DMat3, DVec3};
 use std::sync::{Arc, OnceLock};
 
@@ -141,7 +139,7 @@ fn odd_cameras_and_pictures_are_laid_nowhere_or_somewhere_and_stop_nothing() {
 #[test]
 fn what_shows_something_else_is_explained_from_nowhere() {
     let (field, registrar) = ball();
-    let mut noise = common::Numbers(9);
+    let mut noise = crate::common::Numbers(9);
     let rgb = (0..96 * 96 * 3).map(|_| noise.share() as f32).collect();
     let found = registrar.register(&Picture::new(96, 96, rgb).unwrap());
     assert!(found.is_none_or(|f| f.explained < 0.5));

@@ -1,10 +1,8 @@
 //! The same seed gives the same bytes: with any number of threads, and with a
 //! training that was stopped and taken up again, also across a level.
 
-mod common;
-
+use crate::common::{ball_box, ball_in_the_open, tiny, views};
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame};
-use common::{ball_box, ball_in_the_open, tiny, views};
 use glam::DVec3;
 
 fn trainer(frame: &SceneFrame, config: &FieldConfig, seed: u64) -> BaseTrainer {

@@ -1,18 +1,16 @@
 //! Screening on the made-up landmark, whose photographs are true: wrong ones are put in and must
 //! be found, honest ones must not be, and the field must be the better for it.
 
-mod common;
-
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use crate::common::landmark::{frame, held_out_db, wild};
+use crate::common::{Numbers, ball_box, tiny, views};
 use cairn_capture::{Picture, Pose};
 use cairn_field::{
     BaseTrainer, Field, FieldConfig, QuarantineConfig, Screened, Screening, ScreeningOutcome, TrainingView,
 };
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
-use common::landmark::{frame, held_out_db, wild};
-use common::{Numbers, ball_box, tiny, views};
 use glam::DVec3;
 
 fn landmark(seed: u64) -> LandmarkCapture {

@@ -1,10 +1,8 @@
 //! Photographs of different sizes and focal lengths in one training: each view's rays are its own camera's.
 
-mod common;
-
+use crate::common::{ball_box, camera, photograph, photographs, ring, rms, tiny};
 use cairn_capture::{Camera, Picture};
 use cairn_field::{BaseTrainer, Field, TrainingView};
-use common::{ball_box, camera, photograph, photographs, ring, rms, tiny};
 use glam::DVec3;
 use std::sync::Arc;
 

@@ -1,15 +1,13 @@
 //! Numbers at their ends: what has an exact answer gets exactly that, or as near as
 //! stated; what has none gets an error; and nothing is ever not a number.
 
-mod common;
-
+use crate::common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
 use cairn_field::appearance::features;
 use cairn_field::composite::{Gathered, Kept, gather};
 use cairn_field::grid::Grid;
 use cairn_field::patch::Patch;
 use cairn_field::sh::basis;
 use cairn_field::{Appearance, FieldConfig, RayPath, Real, SceneFrame, Thresholds, contract};
-use common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
 use glam::DVec3;
 
 const SKY: [f32; 3] = [0.1, 0.2, 0.3];

@@ -1,10 +1,10 @@
 //! Dropping what shows in no picture: pictures stay, cells go, files keep it so.
 
-mod common;
-
+use crate::common::{
+    ahead, ball_box, ball_in_the_open, field_of, random_appearance, random_grid, ring, rms, stored_with,
+};
 use cairn_field::Field;
 use cairn_field::grid::Grid;
-use common::{ahead, ball_box, ball_in_the_open, field_of, random_appearance, random_grid, ring, rms, stored_with};
 use glam::DVec3;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 

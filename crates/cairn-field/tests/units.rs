@@ -2,11 +2,9 @@
 //! place a million units off give the same picture. And it is the right one. Where
 //! numbers cannot say any more where the cameras were, the capture is refused.
 
-mod common;
-
+use crate::common::{camera, capture, facing, photograph, photographs, ring, rms, tiny};
 use cairn_capture::{Camera, Capture, Picture, SceneKind};
 use cairn_field::{BaseTrainer, SceneFrame};
-use common::{camera, capture, facing, photograph, photographs, ring, rms, tiny};
 use glam::DVec3;
 
 const NEW: DVec3 = DVec3::new(1.1, 1.6, 3.4);

@@ -1,14 +1,12 @@
 //! Visible watermarks on the made-up landmark: a contributor's caption must not hang in the field, honest photographs must
 //! not lose pixels, and a training that leaves pixels out resumes as any other.
 
-mod common;
-
 use std::sync::Arc;
 
+use crate::common::landmark::{frame, held_out_db, wild};
 use cairn_capture::{Picture, Picture8};
 use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView, VisibleWatermark, watermarks};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
-use common::landmark::{frame, held_out_db, wild};
 
 const SIZE: (usize, usize) = (60, 80);
 

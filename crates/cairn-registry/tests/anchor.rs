@@ -2,13 +2,11 @@
 //! anchor's file is made to fail in turn, with and without a power cut, and none may cost the log a start.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::*;
 use cairn_registry::{
     Anchor, Registry, RegistryError,
     store::{Fault, FaultyStore},
 };
-use common::*;
 
 const FILE: &str = "log.anchor";
 

@@ -2,8 +2,7 @@
 //! That a verifier believes them is cairn-audit's to test.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::*;
 use cairn_registry::{
     Checkpoint, Digest, Registry, RegistryError,
     answer::{Answer, AnswerGap, asked_key, keys_about},
@@ -14,7 +13,6 @@ use cairn_registry::{
     record::photographs_root,
     store::FaultyStore,
 };
-use common::*;
 
 fn open(store: &FaultyStore) -> Registry {
     Registry::open_store(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN).unwrap()

@@ -1,10 +1,8 @@
 //! Which of its cosigned checkpoints a log proves with: the newest, unless it carries fewer cosignatures.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::{ORIGIN, owner, registry_key, submit};
 use cairn_registry::{Checkpoint, Note, Registry, RegistryError, cosign, store::FaultyStore};
-use common::{ORIGIN, owner, registry_key, submit};
 
 /// A checkpoint with the cosignatures of so many witnesses.
 fn cosigned(checkpoint: &str, witnesses: u8) -> String {

@@ -2,8 +2,6 @@
 //! there afterwards, and no size may ever have two roots.
 #![cfg(all(feature = "store", unix))]
 
-mod common;
-
 use std::{
     collections::HashMap,
     env,
@@ -14,8 +12,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use crate::common::*;
 use cairn_registry::{Anchor, Checkpoint, Digest, Registry, files::RealDisk, merkle, store::DiskStore};
-use common::*;
 use rand::{RngExt as _, SeedableRng as _};
 
 const CHILD: &str = "CAIRN_CRASH_CHILD";
@@ -84,7 +82,7 @@ fn parse(line: &str) -> Option<Acknowledged> {
 
 /// Lets a child run until `wanted` acknowledgements and `further` time; kills it; gives all that it acknowledged.
 fn run_and_kill(folder: &Path, wanted: usize, further: Duration) -> Vec<Acknowledged> {
-    let test = "what_was_acknowledged_survives_a_kill_at_any_moment";
+    let test = "crash::what_was_acknowledged_survives_a_kill_at_any_moment";
     let mut child = Command::new(env::current_exe().unwrap())
         .args(["--exact", test, "--nocapture"])
         .env(CHILD, folder)

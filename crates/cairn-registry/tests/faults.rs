@@ -3,13 +3,11 @@
 //! what was signed must be honoured, and the submitter's retry must end with one record.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::*;
 use cairn_registry::{
     Checkpoint, OwnerKey, Registry, RegistryError,
     store::{Fault, FaultyStore},
 };
-use common::*;
 
 const FAULTS: [Fault; 2] = [Fault::Before, Fault::After];
 

@@ -1,12 +1,10 @@
 //! A key that a rotation put in another's place speaks for all of that one's records; a revoked key has no heir.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::{ORIGIN, owner, record, registry_key, sealed, submit};
 use cairn_registry::{
     Digest, Envelope, Heir, Receipt, RecordError, RecordKind, Registry, RegistryError, store::FaultyStore,
 };
-use common::{ORIGIN, owner, record, registry_key, sealed, submit};
 
 fn opened(store: &FaultyStore) -> Registry {
     Registry::open_store(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN).unwrap()

@@ -1,8 +1,5 @@
 //! Ed25519 keys and signatures: known answers, the edge cases where verifiers disagree, and key files.
 
-mod common;
-mod edges;
-
 use std::fs;
 
 use cairn_registry::{KeyError, OwnerKey, PublicKey};
@@ -164,13 +161,14 @@ fn taken(key: &[u8; 32], message: &[u8], signature: &[u8]) -> char {
 
 #[test]
 fn signatures_that_verifiers_disagree_on_are_refused() {
-    let edges = edges::edges();
+    let edges = crate::edges::edges();
     let verdicts: String = edges.iter().map(|e| taken(&e.key, &e.message, &e.signature)).collect();
     let names: Vec<_> = edges.iter().map(|e| e.name).collect();
-    assert_eq!(verdicts, edges::STRICT, "{names:#?}");
+    assert_eq!(verdicts, crate::edges::STRICT, "{names:#?}");
     // They are what they say: most hold by an equation of RFC 8032, so that it is strictness that refuses them.
-    let spelling =
-        |e: &edges::Edge| edges::is_canonical(e.key) && edges::is_canonical(e.signature[..32].try_into().unwrap());
+    let spelling = |e: &crate::edges::Edge| {
+        crate::edges::is_canonical(e.key) && crate::edges::is_canonical(e.signature[..32].try_into().unwrap())
+    };
     let holds: Vec<_> = edges.iter().map(|e| (e.holds, spelling(e))).collect();
     let (both, with, never) = ((true, true), (false, true), (false, false));
     let expected = [both, both, both, both, with, with, both, both, both, never, both, with];
@@ -182,7 +180,8 @@ fn signatures_that_verifiers_disagree_on_are_refused() {
 #[test]
 fn published_edge_cases_get_the_strict_verdicts() {
     let test = "published_edge_cases_get_the_strict_verdicts";
-    let Some(folder) = common::vectors(test).and_then(|merkle| Some(merkle.parent()?.join("ed25519-speccheck"))) else {
+    let Some(folder) = crate::common::vectors(test).and_then(|merkle| Some(merkle.parent()?.join("ed25519-speccheck")))
+    else {
         return;
     };
     let Ok(text) = fs::read(folder.join("cases.json")) else {
@@ -197,5 +196,5 @@ fn published_edge_cases_get_the_strict_verdicts() {
     };
     let verdicts: String = cases.iter().map(verdict).collect();
     assert!(cases.len() >= 10, "{}", cases.len());
-    assert_eq!(verdicts, edges::STRICT[..cases.len()]);
+    assert_eq!(verdicts, crate::edges::STRICT[..cases.len()]);
 }

@@ -1,13 +1,11 @@
 //! A record's life in the registry, over the real store: submission, restart, proofs, and what is refused.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::*;
 use cairn_registry::{
     Checkpoint, Digest, Envelope, LogEntry, OwnerRecord, RecordError, RecordKind, Registry, RegistryError, merkle,
     store::FaultyStore,
 };
-use common::*;
 
 fn in_memory() -> (FaultyStore, Registry) {
     let store = FaultyStore::new();

@@ -4,8 +4,6 @@
 //! and proof is empty" has the 12 bytes "don't care 2" for both its roots and is accepted by its authors. Ours refuses every hash
 //! that is not 32 bytes, so the case is checked twice: refused as it stands, accepted with 32-byte roots in the same places.
 
-mod common;
-
 use std::{fs, path::Path};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
@@ -53,7 +51,7 @@ fn consistency(case: &Value) -> Result<(), ProofError> {
 
 #[test]
 fn all_inclusion_cases() {
-    let Some(folder) = common::vectors("all_inclusion_cases") else { return };
+    let Some(folder) = crate::common::vectors("all_inclusion_cases") else { return };
     let mut found = Vec::new();
     cases(&folder.join("inclusion"), &mut found);
     assert_eq!(found.len(), 98);
@@ -65,7 +63,7 @@ fn all_inclusion_cases() {
 
 #[test]
 fn all_consistency_cases() {
-    let Some(folder) = common::vectors("all_consistency_cases") else { return };
+    let Some(folder) = crate::common::vectors("all_consistency_cases") else { return };
     let mut found = Vec::new();
     cases(&folder.join("consistency"), &mut found);
     assert_eq!(found.len(), 98);

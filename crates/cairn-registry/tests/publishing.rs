@@ -2,8 +2,7 @@
 //! never runs ahead of them.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::*;
 use cairn_registry::{
     Checkpoint, LogEntry, Registry, RegistryError,
     files::Disk as _,
@@ -14,7 +13,6 @@ use cairn_registry::{
     store::{Fault, FaultyStore},
     tile::{TilePath, decode_entries},
 };
-use common::*;
 
 fn open(store: &FaultyStore) -> Result<Registry, RegistryError> {
     Registry::open_store(Box::new(store.clone()), Box::new(store.clone()), registry_key(), ORIGIN)

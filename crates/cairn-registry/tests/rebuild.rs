@@ -1,15 +1,13 @@
 //! The working state made again from leaves and envelopes is the one that was lost, or it is said what stands against it.
 #![cfg(feature = "store")]
 
-mod common;
-
+use crate::common::*;
 use cairn_registry::{
     Digest, Receipt, RecordKind, Registry, RegistryError,
     files::{Disk as _, Files},
     registry::Rebuilt,
     store::FaultyStore,
 };
-use common::*;
 
 const SCENES: [&str; 3] = ["fern", "trex", "liberty"];
 

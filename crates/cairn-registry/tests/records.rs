@@ -1,7 +1,6 @@
 //! Owner records and leaves: one spelling, strict reading, fixed layout.
 
-mod common;
-
+use crate::common::owner;
 use cairn_registry::{
     Digest, Envelope, Leaf, OwnerRecord, RecordError, RecordKind, merkle,
     record::{
@@ -9,7 +8,6 @@ use cairn_registry::{
         scene_commitment,
     },
 };
-use common::owner;
 
 fn record() -> OwnerRecord {
     OwnerRecord {

@@ -5,8 +5,6 @@
 //! The store trait's failing double (faults.rs) tries every operation; this tries what lies below the trait.
 #![cfg(all(feature = "store", target_os = "linux"))]
 
-mod common;
-
 use std::{
     collections::HashMap,
     env, fs,
@@ -16,10 +14,10 @@ use std::{
     time::{Duration, Instant},
 };
 
+use crate::common::*;
 use cairn_registry::{Checkpoint, Digest, Envelope, Registry, RegistryError, merkle};
-use common::*;
 
-const TEST: &str = "a_system_call_that_fails_loses_nothing_that_was_acknowledged";
+const TEST: &str = "strace::a_system_call_that_fails_loses_nothing_that_was_acknowledged";
 const CHILD: &str = "CAIRN_STRACE_CHILD";
 
 /// Records that the child submits, one after the other.

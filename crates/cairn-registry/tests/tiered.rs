@@ -2,8 +2,6 @@
 //! a plain map would, and a file that rots is named.
 #![cfg(feature = "store")]
 
-mod common;
-
 use std::{
     collections::BTreeMap,
     sync::{
@@ -12,12 +10,12 @@ use std::{
     },
 };
 
+use crate::common::*;
 use cairn_registry::{
     Digest, MapKey, Registry,
     files::{Disk as _, Files, RealDisk},
     store::{Change, Cold, Fault, FaultyStore, Store, StoreError, TieredStore},
 };
-use common::*;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 

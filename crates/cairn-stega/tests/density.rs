@@ -1,12 +1,10 @@
 //! Free density: theta's densities move with the mark, theta_0 stays what it was, and
 //! what is trained is stored and seen alike.
 
-mod common;
-
+use crate::common::{bytes, cameras, config, field, plan, run, start, trained};
 use cairn_field::Field;
 use cairn_field::grid::Grid;
 use cairn_stega::{CarrierKind, DensityKind, MarkConfig, MarkError, MarkTrainer, MarkedField, MaskKind};
-use common::{bytes, cameras, config, field, plan, run, start, trained};
 
 fn free(steps: u64) -> MarkConfig {
     MarkConfig { carrier: CarrierKind::Harmonics, density: DensityKind::Free, ..config(steps) }

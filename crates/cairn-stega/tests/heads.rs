@@ -1,12 +1,10 @@
 //! Pictures, sounds and texts hidden together: each identity's own come back, what
 //! it does not hide stays silent, and the same seed gives the same bytes.
 
-mod common;
-
+use crate::common::{bytes, cameras, config, field, plan, run, signal};
 use cairn_capture::Sound;
 use cairn_nn::Memory;
 use cairn_stega::{Detector, LossKind, MarkConfig, MarkPlan, MarkTrainer, Signal};
-use common::{bytes, cameras, config, field, plan, run, signal};
 
 const RATE: u32 = 8000;
 

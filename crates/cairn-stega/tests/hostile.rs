@@ -1,11 +1,9 @@
 //! What must not go wrong on bad input: one clear error, never a panic, and the
 //! last good state.
 
-mod common;
-
+use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, train_field_lit, trained};
 use cairn_field::{AppearanceMode, Field};
 use cairn_stega::{Detector, MarkConfig, MarkError, MarkTrainer, MarkedField};
-use common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, train_field_lit, trained};
 use safetensors::tensor::{SafeTensors, TensorView};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -245,7 +243,7 @@ fn a_checkpoint_meets_its_own_plan_only() {
     let mut other = plan();
     other.clusters.clusters[0].members.pop();
     refused(field(), other);
-    refused(common::train_field(59), plan());
+    refused(crate::common::train_field(59), plan());
     assert!(resume(&bytes).is_ok());
 }
 

@@ -1,13 +1,11 @@
 //! configs/paper.toml, the paper's recipe as far as it is a setting, on a tiny scene: it trains with every part of it in
 //! place, and ends as it says.
 
-mod common;
-
+use crate::common::{SIDE, cameras, field, photograph, plan_of, start};
 use cairn_nn::Memory;
 use cairn_stega::{
     CarrierKind, DensityKind, Detector, Guidance, LossKind, MarkConfig, MarkStats, MarkTrainer, MarkedField, MaskKind,
 };
-use common::{SIDE, cameras, field, photograph, plan_of, start};
 use serde::Deserialize;
 
 /// A settings file of stage 2 alone.

@@ -1,10 +1,8 @@
 //! Marks that are trained to last: the same bytes from the same seed, and really
 //! read after what happens to pictures; and fields with changed weights.
 
-mod common;
-
+use crate::common::{bytes, cameras, config, field, plan, run, start, trained};
 use cairn_stega::{Detector, Distortion, MarkConfig, MarkTrainer, MarkedField, RobustConfig};
-use common::{bytes, cameras, config, field, plan, run, start, trained};
 
 fn robust(steps: u64) -> MarkConfig {
     let robust = RobustConfig { enabled: true, native_px: 64, ..RobustConfig::default() };

@@ -2,14 +2,12 @@
 //! later: whose mark is whose across scenes, what stays as it is, and the same bytes
 //! from the same seed.
 
-mod common;
-
+use crate::common::{cameras, config, field, photograph, plan, plan_of, run, trained};
 use cairn_capture::{Camera, Picture};
 use cairn_field::Field;
 use cairn_stega::{
     Detector, Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, MarkedField, Restarted, Signal,
 };
-use common::{cameras, config, field, photograph, plan, plan_of, run, trained};
 use std::sync::{Arc, OnceLock};
 
 /// The ball in other colours: another scene.
@@ -21,7 +19,7 @@ fn negative(camera: &Camera) -> Picture {
 
 fn other_field() -> Arc<Field> {
     static FIELD: OnceLock<Arc<Field>> = OnceLock::new();
-    FIELD.get_or_init(|| common::train_field_of(60, negative)).clone()
+    FIELD.get_or_init(|| crate::common::train_field_of(60, negative)).clone()
 }
 
 fn scenes() -> Vec<MarkScene> {
@@ -179,7 +177,7 @@ fn growing_is_resumed_to_the_same_bytes() {
     for trainer in [&mut whole, &mut again] {
         run(trainer);
     }
-    assert!(common::bytes(whole.finish().unwrap()) == common::bytes(again.finish().unwrap()));
+    assert!(crate::common::bytes(whole.finish().unwrap()) == crate::common::bytes(again.finish().unwrap()));
 }
 
 #[test]

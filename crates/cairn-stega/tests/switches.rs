@@ -1,14 +1,12 @@
 //! Settings that no default uses: each does what it says, and what it says only.
 
-mod common;
-
+use crate::common::{SIDE, bytes, cameras, config, field, photograph, plan, plan_of, start};
 use cairn_capture::Picture;
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_nn::Memory;
 use cairn_stega::{
     CarrierKind, Detector, Guidance, LossKind, MarkConfig, MarkPlan, MarkTrainer, MarkedField, MaskKind,
 };
-use common::{SIDE, bytes, cameras, config, field, photograph, plan, plan_of, start};
 use safetensors::tensor::SafeTensors;
 
 /// Bytes of one part of a file.

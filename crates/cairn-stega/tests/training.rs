@@ -2,13 +2,11 @@
 //! and interruptions; files that come back as they were written; and marks that
 //! are really learnt, or an error.
 
-mod common;
-
 use std::sync::Arc;
 
+use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, trained};
 use cairn_capture::Picture;
 use cairn_stega::{CarrierKind, Detector, MarkConfig, MarkError, MarkTrainer, MarkedField, MaskKind};
-use common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, trained};
 use safetensors::SafeTensors;
 
 #[test]

@@ -1,17 +1,15 @@
 //! Every write, sync and rename fails in turn, with and without a power cut behind it: afterwards no size was
 //! cosigned with two roots, and no cosignature went back.
 
-mod common;
-
 use std::{
     collections::BTreeMap,
     io,
     sync::{Arc, Mutex},
 };
 
+use crate::common::{Hands, Log, ORIGIN, ask, log_verifier, over};
 use cairn_registry::{Checkpoint, Digest, Note};
 use cairn_witness::{AddCheckpoint, Response, Storage, Witness};
-use common::{Hands, Log, ORIGIN, ask, log_verifier, over};
 
 /// What a failing step did all the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -155,7 +153,7 @@ impl Record {
         let request: AddCheckpoint = self.histories[history].request(old, size);
         let answer = ask(witness, &request);
         if answer.status == 200 {
-            common::cosignature(witness, &request, &answer);
+            crate::common::cosignature(witness, &request, &answer);
             let root = Checkpoint::parse_text(&Note::parse(&request.note).unwrap().text).unwrap().root;
             self.cosigned.push((size, root));
         }

@@ -1,8 +1,6 @@
 //! The witness over HTTP and the client against it, and the client against servers that are up to no good.
 #![cfg(all(feature = "client", feature = "server"))]
 
-mod common;
-
 use std::{
     io::{BufRead, BufReader, Read, Write},
     net::{SocketAddr, TcpListener, TcpStream},
@@ -10,11 +8,11 @@ use std::{
     thread::{self, JoinHandle},
 };
 
+use crate::common::{Hands, Log, NAME, NOW, ORIGIN, key, log_verifier, names, open};
 use cairn_registry::{Cosignature, Digest, Note, WitnessVerifier, cosign};
 use cairn_witness::{
     Witness, WitnessClient, WitnessError, collect, plain_http::Limits, request::MAX_BODY_BYTES, server,
 };
-use common::{Hands, Log, NAME, NOW, ORIGIN, key, log_verifier, names, open};
 use tokio::sync::oneshot;
 
 /// A witness on a free port, in a thread of its own.

@@ -1,10 +1,8 @@
 //! `add-checkpoint`, status by status (C2SP tlog-witness), what is remembered, and what is kept as evidence.
 
-mod common;
-
+use crate::common::{Hands, Log, NAME, NOW, ORIGIN, ask, cosignature, key, log_verifier, names, open};
 use cairn_registry::{Checkpoint, Digest, Note, NoteVerifier};
 use cairn_witness::{AddCheckpoint, FolderStorage, OpenError, Witness, request::MAX_BODY_BYTES};
-use common::{Hands, Log, NAME, NOW, ORIGIN, ask, cosignature, key, log_verifier, names, open};
 
 fn conflict(size: u64) -> cairn_witness::Response {
     cairn_witness::Response { status: 409, content_type: "text/x.tlog.size", body: format!("{size}\n") }
@@ -141,7 +139,7 @@ fn a_restart_remembers_and_a_spoilt_memory_stops_it() {
     let good = std::fs::read_to_string(&file).unwrap();
     let reopened = |text: &str| {
         std::fs::write(&file, text).unwrap();
-        common::over(Box::new(FolderStorage::open(dir.path()).unwrap()), &hands).map(drop)
+        crate::common::over(Box::new(FolderStorage::open(dir.path()).unwrap()), &hands).map(drop)
     };
     for (spoilt, says) in [
         (String::new(), "EOF"),

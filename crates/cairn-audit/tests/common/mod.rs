@@ -1,5 +1,4 @@
 //! A log and its map made by hand, with the answers that an honest registry would give.
-#![allow(dead_code)] // Every test file uses its own part of this.
 
 use std::{cell::RefCell, collections::BTreeMap};
 

@@ -1,6 +1,6 @@
 //! A log made by hand, from the formats alone: written as a data folder, or served from
 //! memory. Its map is computed word for word by the definition, which the audit's is not.
-#![allow(dead_code)] // Every test file uses its own part of this.
+#![allow(dead_code)] // The daemon's tests use a part of this.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -1,5 +1,4 @@
 //! A tiny scene: a ball, twelve cameras around it, two owners.
-#![allow(dead_code)] // Every test file uses its own part of this.
 
 use cairn_capture::{Camera, Distortion, Intrinsics, Picture, Pose};
 use cairn_cluster::{ClusterConfig, Clusters, Grouping};

@@ -1,5 +1,4 @@
 //! A small log to be witnessed, and a witness whose clock stands where it is put.
-#![allow(dead_code)] // Every test file uses its own part of this.
 
 use std::{
     path::Path,

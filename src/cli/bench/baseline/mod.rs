@@ -81,14 +81,15 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
                 let (children, stego) = (children.clone(), stego.clone());
                 move || {
                     let trained = networks.map(|task| children.run(&task)).transpose()?;
-                    children.run(&train)?;
-                    Ok::<_, anyhow::Error>((trained, outcome(&train, &stego)?))
+                    let field = children.run(&train)?;
+                    Ok::<_, anyhow::Error>((trained, field, outcome(&train, &stego)?))
                 }
             });
-            let (networks, found) = unless_stopped(work, &children).await?;
+            let (networks, field, found) = unless_stopped(work, &children).await?;
             report(rows, &name, stego.name(), &found);
-            if let Some(Networks { seconds, steps }) = networks {
-                rows.add(&name, "DeepStega: networks, training", seconds, "s", None);
+            cost(rows, &name, &format!("{}: base field", stego.name()), (field.seconds, field.peak_mib));
+            if let Some(Networks { seconds, steps, peak_mib }) = networks {
+                cost(rows, &name, "DeepStega: networks", (seconds, peak_mib));
                 rows.add(&name, "DeepStega: networks, steps", steps as f64, "", None);
             }
             rows.save(args)?;
@@ -155,4 +156,12 @@ fn report(rows: &mut Rows, name: &str, stego: &str, found: &Outcome) {
     }
     rows.add(name, &format!("{stego}: base field PSNR"), found.psnr_db, "dB", None);
     rows.add(name, &format!("{stego}: photographs against their originals"), found.photographs_db, "dB", None);
+}
+
+/// Adds how long the training of `what` took, in seconds, and the most memory that it held, in MiB.
+fn cost(rows: &mut Rows, name: &str, what: &str, (seconds, peak_mib): (f64, Option<f64>)) {
+    rows.add(name, &format!("{what}, training"), seconds, "s", None);
+    if let Some(peak) = peak_mib {
+        rows.add(name, &format!("{what}, peak memory"), peak, "MiB", None);
+    }
 }

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::super::decoded;
 use super::super::field::progress::Progress;
 use super::super::field::source::Source;
+use super::super::memory::peak_mib;
 
 /// What to train on, and where the networks go.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -35,6 +36,8 @@ pub struct Networks {
     pub seconds: f64,
     /// Steps taken.
     pub steps: u64,
+    /// The most memory held, photographs and storing included, MiB; `None` where the system does not tell.
+    pub peak_mib: Option<f64>,
 }
 
 /// Trains and stores.
@@ -58,5 +61,5 @@ pub fn run(task: &Task) -> anyhow::Result<Networks> {
     let networks = trainer.finish();
     let seconds = begun.elapsed().as_secs_f64();
     crate::cli::write(&task.networks, &networks.to_bytes()?)?;
-    Ok(Networks { seconds, steps })
+    Ok(Networks { seconds, steps, peak_mib: peak_mib() })
 }

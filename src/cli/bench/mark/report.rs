@@ -51,6 +51,7 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     by_closer_look(rows, name, "answers", judged().map(|j| j.by_closer_look));
     by_closer_look(rows, name, "renders not harmed, answers", judged().map(|j| j.by_closer_look_unharmed));
     if what == What::Honesty {
+        cost(rows, name, None, trained());
         return;
     }
     laid(rows, name, &outcome.runs.iter().filter_map(|run| run.1.laid.as_ref()).collect::<Vec<_>>());

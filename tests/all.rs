@@ -1,0 +1,33 @@
+//! All of these tests as one program: linked once, and short ones run beside long ones.
+
+mod common;
+#[path = "../crates/cairn-registry/tests/edges/mod.rs"]
+mod edges;
+#[path = "../crates/cairn-audit/tests/handmade/mod.rs"]
+mod handmade;
+#[path = "common/wire.rs"]
+mod wire;
+
+mod access;
+mod audit;
+mod auditing;
+mod base_only;
+mod bench_field;
+mod bench_mark;
+mod chosen_light;
+mod fuzz_requests;
+mod keys;
+mod log;
+mod lost;
+mod marks;
+mod owners;
+mod pipe;
+mod python;
+mod readme;
+mod requests;
+mod threats;
+mod tidy;
+mod tls;
+mod training;
+mod views;
+mod witness;
