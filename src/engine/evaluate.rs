@@ -135,17 +135,17 @@ fn by_pose(scored: &[Scored]) -> Option<Right> {
 
 fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) -> Result<MarkReport, EngineError> {
     let (mut classes, mut who, mut photographs) = (Right::default(), Right::default(), Right::default());
-    let (mut against_base, mut pairs) = (0.0, Vec::new());
+    let mut pairs = Vec::new();
     for view in scored {
         let Some(read) = &view.marked else { continue };
         pairs.push((&view.photograph, &read.picture));
-        against_base += psnr_db(&view.base, &read.picture)?.min(PERFECT_DB);
         who.count(read.class() == Some(view.truth));
         classes.count(read.class() == Some(view.truth));
         classes.count(mark.detect(&view.base)?.is_unmarked());
         photographs.count(mark.detect(&view.photograph)?.is_unmarked());
     }
-    let against_base_psnr_db = against_base / pairs.len().max(1) as f64;
+    let marked = scored.iter().filter_map(|v| Some((v.truth, &v.base, &v.marked.as_ref()?.picture)));
+    let (marked_views, against_base_psnr_db) = against_base(marked)?;
     let size = scored.first().map_or((64, 64), |s| (s.base.width(), s.base.height()));
     let of = |number: u32| {
         let views = scored.iter().filter(move |v| v.truth == number);
@@ -154,6 +154,7 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
     let identities = model.info.identities.iter().zip(&mark.signals);
     Ok(MarkReport {
         pictures: score(pairs.into_iter(), right_half)?,
+        marked_views,
         against_base_psnr_db,
         classes,
         who_by_picture: who,
@@ -166,6 +167,18 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
             })
             .collect::<Result<_, _>>()?,
     })
+}
+
+/// How many of the views are somebody's (an identity above 0, base and marked render), and their mean PSNR, dB.
+fn against_base<'a>(
+    views: impl Iterator<Item = (u32, &'a Picture, &'a Picture)>,
+) -> Result<(usize, Option<f64>), EngineError> {
+    let (mut count, mut sum) = (0, 0.0);
+    for (_, base, marked) in views.filter(|(identity, ..)| *identity > 0) {
+        sum += psnr_db(base, marked)?.min(PERFECT_DB);
+        count += 1;
+    }
+    Ok((count, (count > 0).then(|| sum / count as f64)))
 }
 
 /// A picture as its users have it: rounded to 8 bits a channel.
@@ -277,6 +290,18 @@ mod tests {
     fn a_half_is_what_it_says() {
         let wide = Picture::new(3, 1, (0..9).map(|v| v as f32).collect()).unwrap();
         assert_eq!(half(&wide).unwrap().rgb(), [3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+    }
+
+    #[test]
+    fn views_of_nobody_do_not_make_marks_look_fainter() {
+        let base = Picture::new(2, 1, vec![0.5; 6]).unwrap();
+        // A tenth off everywhere is 20 dB.
+        let marked = Picture::new(2, 1, vec![0.6; 6]).unwrap();
+        let (views, db) =
+            against_base([(0, &base, &base), (2, &base, &marked), (0, &base, &base)].into_iter()).unwrap();
+        assert_eq!(views, 1);
+        assert!((db.unwrap() - 20.0).abs() < 1e-3, "{db:?}");
+        assert_eq!(against_base(std::iter::once((0, &base, &base))).unwrap(), (0, None));
     }
 
     #[test]

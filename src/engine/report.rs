@@ -53,8 +53,10 @@ pub struct Right {
 pub struct MarkReport {
     /// The marked field's renders against the photographs.
     pub pictures: PictureScore,
-    /// PSNR of marked against base renders, dB, at most 100.
-    pub against_base_psnr_db: f64,
+    /// Held-out views of some identity's cluster: the marked field's other renders are the base field's.
+    pub marked_views: usize,
+    /// PSNR of these views' marked against base renders, dB, at most 100; `None` where there are none.
+    pub against_base_psnr_db: Option<f64>,
     /// Classes over marked renders (truth: the pose's cluster) and base renders
     /// (truth: unmarked) together.
     pub classes: Right,
@@ -178,7 +180,10 @@ impl fmt::Display for Report {
         writeln!(f, "  pictures, base field       {}", self.base)?;
         if let Some(mark) = &self.mark {
             writeln!(f, "  pictures, marked field     {}", mark.pictures)?;
-            writeln!(f, "  marked against base        {:6.2} dB", mark.against_base_psnr_db)?;
+            if let Some(db) = mark.against_base_psnr_db {
+                let (marked, all) = (mark.marked_views, self.held_out_views);
+                writeln!(f, "  marked against base        {db:6.2} dB  ({marked} of {all} views carry a mark)")?;
+            }
             writeln!(f, "  classes, marked and base   {}", mark.classes)?;
         }
         if let Some(who) = &self.who_by_pose {

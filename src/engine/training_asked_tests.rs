@@ -78,6 +78,9 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
     let of_kind = |kind| training_settings(&TrainingSettings::default(), &[overlay_for(kind)]).unwrap();
     let [object, front] = [SceneKind::Bounded, SceneKind::Unbounded].map(of_kind);
     assert!(object.mark.finer > front.mark.finer && object.mark.budget_db != front.mark.budget_db);
+    // Whose marks are told less surely must not lose them by another's settings.
+    assert!(object.mark.least_sure > front.mark.least_sure);
+    let shared = cairn_stega::MarkConfig { least_sure: front.mark.least_sure, ..object.mark.clone() };
     let wanted = |scene: &str, also: &str| TrainingRequest {
         scene: scene.into(),
         also: vec![also.into()],
@@ -86,20 +89,20 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
     };
     for (scene, also, first, second) in [("gate", "mill", &front, &object), ("mill", "gate", &object, &front)] {
         let job = accepted(&engine, wanted(scene, also));
-        assert_eq!(job.spec.settings.mark, object.mark, "{scene} and {also}");
+        assert_eq!(job.spec.settings.mark, shared, "{scene} and {also}");
         assert_eq!(job.spec.settings.field, first.field);
         for (at, own) in [first, second].into_iter().enumerate() {
             let settings = job.of_scene(at).spec.settings;
             assert_eq!(settings.field, own.field);
-            assert_eq!(settings.mark, object.mark.for_scene(&own.mark), "{scene} and {also}, {at}");
+            assert_eq!(settings.mark, shared.for_scene(&own.mark), "{scene} and {also}, {at}");
         }
         let said = job.notes.iter().filter(|note| note.contains("\"mill\"") && note.contains("mark.finer = 2")).count();
         assert_eq!(said, usize::from(scene == "gate"), "{:?}", job.notes);
     }
-    // Whose marks are told less surely must not lose them by another's settings, whoever is named first.
+    // What all of them want stays.
     put(&dir, "yard", Some(SceneKind::ForwardFacing));
-    for (scene, also) in [("gate", "yard"), ("yard", "gate")] {
-        assert_eq!(accepted(&engine, wanted(scene, also)).spec.settings.mark.least_sure, 0.0, "{scene} and {also}");
+    for (scene, also, least) in [("gate", "yard", 0.0), ("yard", "gate", 0.0), ("yard", "mill", 0.8)] {
+        assert_eq!(accepted(&engine, wanted(scene, also)).spec.settings.mark.least_sure, least, "{scene} and {also}");
     }
     // One alone is as ever.
     let job = accepted(&engine, TrainingRequest { also: Vec::new(), ..wanted("yard", "gate") });

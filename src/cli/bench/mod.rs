@@ -88,6 +88,9 @@ pub struct Args {
     /// `registry`: a quarter of an hour to grow it)
     #[arg(long)]
     long: bool,
+    /// Leave times and rates out of the ledger: the machine has other work
+    #[arg(long)]
+    no_times: bool,
     /// Only what the configured steps give: neither the curve of budgets nor that of a render's limits (suite `field`)
     #[arg(long, conflicts_with = "long")]
     no_curves: bool,

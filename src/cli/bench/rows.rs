@@ -35,10 +35,15 @@ fn quoted(argument: String) -> String {
     format!("'{}'", argument.replace('\'', r"'\''"))
 }
 
+/// Units of what other work on the machine changes.
+const OF_TIME: [&str; 7] = ["s", "ms", "us", "/s", "rays/s", "%/s", "GFLOP/s"];
+
 /// Rows with what they have in common.
 pub struct Rows {
     rows: Vec<Row>,
     blank: Row,
+    /// Whether times and rates are kept.
+    times: bool,
 }
 
 impl Rows {
@@ -58,7 +63,7 @@ impl Rows {
             machine: machine(),
             date: today(),
         };
-        Self { rows: Vec::new(), blank }
+        Self { rows: Vec::new(), blank, times: !args.no_times }
     }
 
     /// Shows the rows that are there and puts them into the ledger as it is by
@@ -84,8 +89,11 @@ impl Rows {
         Ok(())
     }
 
-    /// Adds a figure.
+    /// Adds a figure; not a time or rate where they are left out.
     pub fn add(&mut self, case: &str, metric: &str, value: f64, unit: &str, target: Option<Target>) {
+        if !self.times && OF_TIME.contains(&unit) {
+            return;
+        }
         let (case, metric, unit) = (case.to_owned(), metric.to_owned(), unit.to_owned());
         self.rows.push(Row { case, metric, value, unit, target, ..self.blank.clone() });
     }
@@ -108,7 +116,9 @@ impl Rows {
         let Some(mark) = &report.mark else { return };
         self.add(case, "marked field PSNR", mark.pictures.psnr_db, "dB", None);
         self.add(case, "marked field SSIM", mark.pictures.ssim, "", None);
-        self.add(case, "marked against base PSNR", mark.against_base_psnr_db, "dB", None);
+        if let Some(db) = mark.against_base_psnr_db {
+            self.add(case, "marked against base PSNR", db, "dB", None);
+        }
         let change = mark.pictures.psnr_db - report.base.psnr_db;
         self.add(case, "PSNR change by the mark", change, "dB", Some(Target::at_least(-0.2)));
         self.share(case, "classes right", mark.classes, Some(0.95));
@@ -193,6 +203,25 @@ mod tests {
         assert!(missed.contains("200.5000 s") && missed.ends_with("MISSED: at most 180.0000 s"), "{missed}");
         assert!(shown(&row(100.0)).contains(" met: at most"));
         assert!(shown(&Row { target: None, ..row(1.0) }).ends_with("1.0000 s"));
+    }
+
+    #[test]
+    fn times_and_rates_are_left_out_where_the_machine_has_other_work() {
+        #[derive(clap::Parser)]
+        struct Given {
+            #[command(flatten)]
+            args: Args,
+        }
+        let kept = |more: &[&str]| {
+            let args = <Given as clap::Parser>::parse_from([&["bench", "mark"], more].concat()).args;
+            let mut rows = Rows::new(&args);
+            for (metric, unit) in [("seconds", "s"), ("rate", "rays/s"), ("memory", "MiB"), ("share", "")] {
+                rows.add("case", metric, 1.0, unit, None);
+            }
+            rows.rows.into_iter().map(|row| row.metric).collect::<Vec<_>>()
+        };
+        assert_eq!(kept(&[]), ["seconds", "rate", "memory", "share"]);
+        assert_eq!(kept(&["--no-times"]), ["memory", "share"]);
     }
 
     #[test]

@@ -28,12 +28,16 @@ pub enum Owners {
     OneAndAnother,
 }
 
-/// The rows of the paper's table of ablations, three values of alpha, the other losses, the paper's carrier with its
+/// The paper's recipe, its weights those for scenes in the wild.
+const PAPER_TOML: &str = include_str!("../../../../configs/paper.toml");
+
+/// The whole recipe of the paper, the rows of its table of ablations, three values of alpha, the other losses, the paper's carrier with its
 /// densities as they are and free (ray weights worked out once, and at every look) and with the mask of the authors' code,
 /// what the paper does without, and what else training skips, not skipped. Without a classifier nothing but recovery can move marks, so that
 /// *recovery moves marks* is what that row is to be compared with.
-const ABLATIONS: [Training; 24] = [
+const ABLATIONS: [Training; 25] = [
     row("full", ""),
+    row("the paper's recipe", PAPER_TOML),
     row("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
     row("recovery moves marks", "[mark]\nrecover_moves_marks = true\n"),
     row("classifier not guiding", "[mark]\nguidance = \"untold\"\n"),

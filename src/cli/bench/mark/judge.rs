@@ -126,7 +126,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let mut progress = Progress::new(&task.label, 5);
     let views = views(&opened, &marked, task.right_half)?;
     anyhow::ensure!(!views.is_empty(), "{} holds no view out to judge on", task.source.folder.display());
-    let (classes, identities) = clean(&mut asked, &views)?;
+    let (classes, marks, identities) = clean(&mut asked, &views)?;
     crate::cli::write(&task.sheet, &encode_png(&sheet::draw(&asked.detector, &asked.signals, &views)?))?;
     progress.at(1, "");
     let before = asked.answers.len();
@@ -150,11 +150,15 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     };
     drop(progress);
     let part = |picture: &Picture| if task.right_half { half(picture) } else { Ok(picture.clone()) };
-    let mut sums = [0.0; 4];
+    let (mut sums, mut changes) = ([0.0; 4], Vec::new());
     for view in &views {
         let (photograph, base, marked) = (part(&view.photograph)?, part(&view.base)?, part(&view.marked)?);
-        sums[0] += psnr_db(&photograph, &base)?.min(PERFECT_DB);
-        sums[1] += psnr_db(&photograph, &marked)?.min(PERFECT_DB);
+        let of = [psnr_db(&photograph, &base)?, psnr_db(&photograph, &marked)?].map(|db| db.min(PERFECT_DB));
+        sums[0] += of[0];
+        sums[1] += of[1];
+        if view.truth > 0 {
+            changes.push(of[1] - of[0]);
+        }
         sums[2] += ssim(&photograph, &base)?;
         sums[3] += ssim(&photograph, &marked)?;
     }
@@ -173,7 +177,9 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
         base_ssim,
         marked_ssim,
         kept_db: mean(&kept).unwrap_or(PERFECT_DB),
+        marked_change_db: mean(&changes),
         classes,
+        marks,
         identities,
         harms,
         followed,
@@ -216,12 +222,15 @@ pub(super) fn views(opened: &Opened, marked: &MarkedField, right_half: bool) -> 
 }
 
 /// Classes of renders as they are, and each identity's signal.
-fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Vec<Recovery>)> {
-    let mut classes = Right::default();
+fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Right, Vec<Recovery>)> {
+    let (mut classes, mut marks) = (Right::default(), Right::default());
     let mut read = Vec::new();
     for view in views {
         let (right, found) = asked.ask(&view.marked, view.truth)?;
         classes.count(right);
+        if view.truth > 0 {
+            marks.count(right);
+        }
         classes.count(asked.ask(&view.base, 0)?.0);
         read.push(found);
     }
@@ -233,7 +242,7 @@ fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Vec<Recove
         let forced = |picture: &Picture| Ok(asked.detector.detect_forced(picture, at + 1)?);
         identities.push(recovery(&forced, (at as u32 + 1, ""), truth, &seen, size)?);
     }
-    Ok((classes, identities))
+    Ok((classes, marks, identities))
 }
 
 fn harms(asked: &mut Asked, marked: &MarkedField, views: &[View]) -> anyhow::Result<Vec<Harmed>> {
@@ -279,7 +288,8 @@ fn harmed(
     (name, set): (&str, Set),
     pairs: Vec<(usize, Picture, Picture)>,
 ) -> anyhow::Result<Harmed> {
-    let (mut classes, mut twins, mut hidden) = (Right::default(), Right::default(), Vec::new());
+    let (mut classes, mut marks, mut twins, mut hidden) =
+        (Right::default(), Right::default(), Right::default(), Vec::new());
     for (truth, marked, base) in pairs {
         let (right, read) = asked.ask(&marked, truth)?;
         let (silent, _) = asked.ask(&base, 0)?;
@@ -287,10 +297,11 @@ fn harmed(
         classes.count(silent);
         twins.count(silent);
         if truth > 0 {
+            marks.count(right);
             hidden.extend(asked.likeness(truth, &read)?);
         }
     }
-    Ok(Harmed { name: name.to_owned(), set, classes, twins, ssim: mean(&hidden) })
+    Ok(Harmed { name: name.to_owned(), set, classes, marks, twins, ssim: mean(&hidden) })
 }
 
 /// All but those at `left_out`.

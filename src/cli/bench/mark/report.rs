@@ -27,9 +27,16 @@ pub fn rows(rows: &mut Rows, name: &str, (case, what): (&Case, What), outcome: &
     rows.add(name, "base field PSNR", of(&|j| j.base_psnr_db), "dB", None);
     let change = of(&|j| j.marked_psnr_db - j.base_psnr_db);
     rows.add(name, "PSNR change by the mark", change, "dB", asked(Target::at_least(case.change_db)));
+    // Views of nobody's cluster carry no mark, and would hide what one costs.
+    let changes: Vec<f64> = judged().filter_map(|j| j.marked_change_db).collect();
+    if !changes.is_empty() {
+        let change = mean(changes.into_iter());
+        rows.add(name, "PSNR change by the mark, marked views", change, "dB", asked(Target::at_least(case.change_db)));
+    }
     rows.add(name, "SSIM change by the mark", of(&|j| j.marked_ssim - j.base_ssim), "", None);
     rows.add(name, "marked against base PSNR", of(&|j| j.kept_db), "dB", None);
     share(rows, name, "accuracy", judged().map(|j| j.classes), asked(Target::at_least(case.accuracy)));
+    share(rows, name, "marks read", judged().map(|j| j.marks), None);
     hidden(rows, name, asked(Target::at_least(case.hidden_ssim)), (what, outcome));
     let trained = || outcome.runs.iter().map(|run| &run.0).collect();
     if what == What::Ablation {
@@ -153,11 +160,12 @@ fn hidden(rows: &mut Rows, name: &str, target: Option<Target>, (suite, outcome):
     // Of several identities it is asked of each.
     let identities = outcome.runs.iter().map(|run| run.1.identities.len()).max().unwrap_or(0);
     let of_all = target.filter(|_| identities <= 1);
-    let measures: [(&str, &str, Measure, Option<Target>); 4] = [
+    let measures: [(&str, &str, Measure, Option<Target>); 5] = [
         ("hidden SSIM", "", |r| r.picture_ssim, of_all),
         ("hidden sound, SNR", "dB", |r| r.audio_snr_db, asked(Target::at_least(AUDIO_SNR_DB))),
         ("hidden sound, log-spectral distance", "dB", |r| r.audio_lsd_db, None),
         ("hidden text, characters", "", |r| r.text_characters, asked(Target::at_least(TEXT_CHARACTERS))),
+        ("hidden text, bits", "", |r| r.text_bits, None),
     ];
     for (what, unit, measure, least) in measures {
         let all: Vec<Measured> = outcome.runs.iter().flat_map(|run| &run.1.identities).filter_map(measure).collect();
@@ -224,6 +232,8 @@ fn harm(rows: &mut Rows, name: &str, robust: bool, all: &[&Harmed]) {
     };
     let asked = |least| robust.then(|| Target::at_least(least));
     share(rows, name, &format!("{}: accuracy", first.name), all.iter().map(|h| h.classes), asked(accuracy));
+    // Accuracy counts renders without a mark as well: where few views have one, it says little of what is lost.
+    share(rows, name, &format!("{}: marks read", first.name), all.iter().map(|h| h.marks), None);
     let found: Vec<f64> = all.iter().filter_map(|h| h.ssim).collect();
     if !found.is_empty() {
         let target = ssim.and_then(asked);
@@ -303,7 +313,8 @@ mod tests {
     fn an_owner_of_a_harmed_view_without_a_mark_is_counted_apart_from_accuracy() {
         let harmed = |name: &str, [classes, twins]: [[usize; 2]; 2]| {
             let [classes, twins] = [classes, twins].map(|[right, asked]| Right { right, asked });
-            Harmed { name: name.into(), set: Set::Mild, classes, twins, ssim: None }
+            let marks = Right { right: classes.right - twins.right, asked: classes.asked - twins.asked };
+            Harmed { name: name.into(), set: Set::Mild, classes, marks, twins, ssim: None }
         };
         // All marks are read, and three of ten views without one are somebody's as well; then five of six.
         let judged = |noise, jpeg| Judged {
@@ -316,6 +327,7 @@ mod tests {
         );
         let unmarked = |harm: &str| figure(&rows, &format!("{harm}: the same views without a mark are unmarked"));
         assert_eq!(figure(&rows, "noise 0.02: accuracy").0, 24.0 / 32.0);
+        assert_eq!(figure(&rows, "noise 0.02: marks read").0, 1.0);
         assert_eq!([unmarked("noise 0.02"), unmarked("JPEG 50")], [(0.5, Some(1.0)), (1.0, Some(1.0))]);
         assert_eq!(figure(&rows, "answers on harmed views without a mark").0, 32.0);
         assert_eq!(figure(&rows, "false owners, harmed views without a mark"), (8.0, Some(0.0)));

@@ -24,8 +24,12 @@ pub struct Judged {
     pub marked_ssim: f64,
     /// Mean PSNR of marked against base renders where there is a mark, dB.
     pub kept_db: f64,
+    /// Mean change of the PSNR against photographs where there is a mark, dB; `None` where no view has one.
+    pub marked_change_db: Option<f64>,
     /// Right classes over theta's and theta_0's renders.
     pub classes: Right,
+    /// Of theta's renders where there is a mark, those whose identity is told.
+    pub marks: Right,
     /// Each identity's signal.
     pub identities: Vec<Recovery>,
     /// Under each distortion.
@@ -72,6 +76,8 @@ pub struct Harmed {
     pub set: Set,
     /// Right classes over theta's and theta_0's renders.
     pub classes: Right,
+    /// Of theta's renders where there is a mark, those whose identity is told.
+    pub marks: Right,
     /// Of theta_0's renders alone, after the same was done to them, those that are called `unmarked`.
     pub twins: Right,
     /// Mean hidden SSIM of theta's renders.
