@@ -276,10 +276,15 @@ pub fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, EngineError> {
     let mut bytes = Vec::new();
     file.take(limit + 1).read_to_end(&mut bytes).map_err(EngineError::io("read", path))?;
     if bytes.len() as u64 > limit {
-        let problem = format!("more than {limit} bytes, the most that such a file may have");
-        return Err(EngineError::Stored { path: path.to_path_buf(), problem });
+        return Err(too_large(path, limit));
     }
     Ok(bytes)
+}
+
+/// A file of more than `limit` bytes.
+pub fn too_large(path: &Path, limit: u64) -> EngineError {
+    let problem = format!("more than {limit} bytes, the most that such a file may have");
+    EngineError::Stored { path: path.to_path_buf(), problem }
 }
 
 /// Removes a file or a folder with all in it; that it is not there is no error.

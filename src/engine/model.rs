@@ -3,6 +3,8 @@
 //! folder is filled under another name, flushed, renamed, and only then named in
 //! `current.json`.
 
+use std::fs::File;
+use std::io::{Read, Seek};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
@@ -14,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::classes::Classes;
 use super::error::EngineError;
-use super::folder::{read_json, read_json_of, read_limited, remove, sync_folder, write_atomic, write_json};
+use super::folder::{read_json, read_json_of, read_limited, remove, sync_folder, too_large, write_atomic, write_json};
 use super::hidden::{self, Parts};
 use super::marks::{Detector, MarkedField};
 use super::stages::Field;
@@ -247,10 +249,8 @@ impl Model {
     /// Loads the model that `info` describes; every file is held to its digest.
     pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
         let folder = models.join(&info.scene).join(&info.job);
-        let bytes = read_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?;
-        let base = Arc::new(Field::from_bytes(&bytes)?);
-        // The marked field's file is as large again.
-        drop(bytes);
+        let mut file = open_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?;
+        let base = Arc::new(Field::read_from(&mut file)?);
         let mark = match &info.mark {
             None => None,
             Some(mark) => Some(load_mark(&folder, mark, info.classes()?, (&base, &info.base_field))?),
@@ -291,13 +291,13 @@ fn load_mark(
     classes: Classes,
     base: (&Arc<Field>, &Digest),
 ) -> Result<Mark, EngineError> {
-    let field = read_checked(&folder.join("marked.field"), &info.marked_field, MAX_FIELD_BYTES)?;
+    let mut field = open_checked(&folder.join("marked.field"), &info.marked_field, MAX_FIELD_BYTES)?;
     let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
     let mut signals = Vec::with_capacity(info.signals.len());
     for (i, digest) in info.signals.iter().enumerate() {
         signals.push(hidden::decoded(&hidden::read(folder, i + 1, digest)?)?);
     }
-    let field = MarkedField::from_bytes_sharing(&field, base.0, |stored| Digest::of(stored) == *base.1)?;
+    let field = MarkedField::read_sharing(&mut field, base.0, |stored| Ok(Digest::of_all(stored)?.0 == *base.1))?;
     let detector = Detector::from_bytes(&detector)?;
     if detector.classes() != classes.count() {
         let (got, expected) = (detector.classes(), classes.count());
@@ -374,12 +374,31 @@ impl ModelInfo {
 /// [`EngineError::Stored`] for another.
 pub fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, EngineError> {
     let bytes = read_limited(path, limit)?;
-    let got = Digest::of(&bytes);
-    if got != *expected {
-        let problem = format!("its SHA-256 is {got}, model.json says {expected}: it was altered");
-        return Err(EngineError::Stored { path: path.to_path_buf(), problem });
-    }
+    held_to(path, &Digest::of(&bytes), expected)?;
     Ok(bytes)
+}
+
+fn held_to(path: &Path, got: &Digest, expected: &Digest) -> Result<(), EngineError> {
+    if got == expected {
+        return Ok(());
+    }
+    let problem = format!("its SHA-256 is {got}, model.json says {expected}: it was altered");
+    Err(EngineError::Stored { path: path.to_path_buf(), problem })
+}
+
+/// As [`read_checked`], of a file that is read piece by piece and left open at its start: fields take gigabytes.
+///
+/// # Errors
+/// [`EngineError::Stored`] for another.
+fn open_checked(path: &Path, expected: &Digest, limit: u64) -> Result<File, EngineError> {
+    let mut file = File::open(path).map_err(EngineError::io("open", path))?;
+    let (got, size) = Digest::of_all(&mut file.by_ref().take(limit + 1)).map_err(EngineError::io("read", path))?;
+    if size > limit {
+        return Err(too_large(path, limit));
+    }
+    held_to(path, &got, expected)?;
+    file.rewind().map_err(EngineError::io("read", path))?;
+    Ok(file)
 }
 
 #[cfg(test)]

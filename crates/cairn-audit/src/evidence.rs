@@ -10,7 +10,6 @@ use cairn_registry::{
     Digest, NoteVerifier, Policy,
     record::{SignalFiles, hidden_signal_commitment, photographs_root},
 };
-use sha2::{Digest as _, Sha256};
 
 /// A file that cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -158,16 +157,8 @@ impl FileInHand {
     pub fn read(path: &Path) -> Result<Self, EvidenceError> {
         let place = path.display().to_string();
         let failed = |source| EvidenceError { path: place.clone(), source };
-        let mut file = File::open(path).map_err(failed)?;
-        let mut hasher = Sha256::new();
-        let mut piece = vec![0; 1 << 16];
-        loop {
-            let count = file.read(&mut piece).map_err(failed)?;
-            if count == 0 {
-                return Ok(Self { digest: Digest::from_bytes(hasher.finalize().into()), place });
-            }
-            hasher.update(&piece[..count]);
-        }
+        let (digest, _) = File::open(path).and_then(|mut file| Digest::of_all(&mut file)).map_err(failed)?;
+        Ok(Self { digest, place })
     }
 }
 

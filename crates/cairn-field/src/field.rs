@@ -10,16 +10,20 @@ use crate::lit::Unlit;
 use crate::picture::Seen;
 use crate::prior::Prior;
 use crate::sh::SH;
+use crate::tensors::TensorFile;
 use cairn_capture::{Camera, Picture};
 use half::f16;
 use rayon::prelude::*;
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
+use std::io::{Cursor, Read, Seek};
 
 /// Format of a stored field; another number is refused by name.
 pub const FIELD_FORMAT: &str = "cairn.field/3";
 /// Format of one with basis lights, which says what its coefficients stand for.
 pub const LIT_FIELD_FORMAT: &str = "cairn.field/4";
+/// Bytes of a stored row of colours: 9 coefficients x 3 channels in half precision.
+const STORED_ROW: usize = 3 * SH * 2;
 /// Density (per unit-cube length) below which a cell counts as empty: a step
 /// through it stops less than a ten-thousandth of the light.
 pub(crate) fn empty_density(dims: [usize; 3]) -> f64 {
@@ -284,7 +288,23 @@ impl Field {
     /// # Errors
     /// [`FieldError::Stored`] for an unknown format, a damaged file or numbers that are not finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, FieldError> {
-        let header: Header = read_header(bytes, "field")?;
+        Self::read_from(&mut Cursor::new(bytes))
+    }
+
+    /// As [`Field::from_bytes`], of a file that is not held in memory beside the field.
+    ///
+    /// # Errors
+    /// As [`Field::from_bytes`], and where it cannot be read.
+    pub fn read_from(file: &mut (impl Read + Seek)) -> Result<Self, FieldError> {
+        Self::of_tensors(TensorFile::open(file, "field")?)
+    }
+
+    /// As [`Field::read_from`], of a file that was opened, or lies within another.
+    ///
+    /// # Errors
+    /// As [`Field::read_from`].
+    pub fn of_tensors<R: Read + Seek>(mut file: TensorFile<'_, R>) -> Result<Self, FieldError> {
+        let header: Header = file.header()?;
         let colours = match (header.format.as_str(), header.colours) {
             (FIELD_FORMAT, None) => Colours::Harmonics,
             (LIT_FIELD_FORMAT, Some(colours)) => colours,
@@ -297,34 +317,44 @@ impl Field {
                 return Err(stored("field", why));
             }
         };
-        let file = SafeTensors::deserialize(bytes).map_err(|e| stored("field", e.to_string()))?;
-        let vertex = read_u32(&file, "vertex")?;
-        let raw = read_f32(&file, "density")?;
-        let colour = file.tensor("colour").map_err(|e| stored("field", e.to_string()))?;
-        if !crate::grid::fits(header.dims, &vertex) {
-            return Err(stored("field", "its grid and its vertices do not fit together".into()));
-        }
-        if raw.len() != vertex.len() || colour.data().len() != vertex.len() * 3 * SH * 2 || colour.dtype() != Dtype::F16
-        {
-            return Err(stored("field", "its tensors are of different lengths".into()));
-        }
-        let mut grid = Grid::with_vertices(header.dims, vertex);
-        grid.set_raw_rows(&raw);
-        // Before the colours, which are most of a field.
-        drop(raw);
-        for (row, bytes) in grid.colour[ROW..].chunks_exact_mut(ROW).zip(colour.data().chunks_exact(3 * SH * 2)) {
+        let grid = read_grid(&mut file, header.dims)?;
+        Ok(Self::new(header.frame, (grid, colours), header.canonical, header.appearances))
+    }
+}
+
+/// The grid of a stored field.
+fn read_grid<R: Read + Seek>(file: &mut TensorFile<'_, R>, dims: [usize; 3]) -> Result<Grid<f32>, FieldError> {
+    let vertex = file.numbers("vertex", Dtype::U32, u32::from_le_bytes)?;
+    if !crate::grid::fits(dims, &vertex) {
+        return Err(stored("field", "its grid and its vertices do not fit together".into()));
+    }
+    let (of_densities, of_colours) = (file.size("density", Dtype::F32)?, file.size("colour", Dtype::F16)?);
+    let rows = vertex.len() as u64;
+    if of_densities != rows * 4 || of_colours != rows * STORED_ROW as u64 {
+        return Err(stored("field", "its tensors are of different lengths".into()));
+    }
+    let mut grid = Grid::with_vertices(dims, vertex);
+    // Gone again before the colours, which are most of a field.
+    grid.set_raw_rows(&file.numbers("density", Dtype::F32, f32::from_le_bytes)?);
+    let mut rows = grid.colour[ROW..].chunks_exact_mut(ROW);
+    file.each_piece("colour", Dtype::F16, STORED_ROW, |piece| {
+        // Pieces first: a zip that ends takes one more of what comes first.
+        for (bytes, row) in piece.chunks_exact(STORED_ROW).zip(rows.by_ref()) {
             for (v, b) in row.iter_mut().zip(bytes.chunks_exact(2)) {
                 *v = f16::from_le_bytes([b[0], b[1]]).to_f32();
             }
         }
-        if file.tensor("cells").is_ok() && !grid.occupancy.allow_only(&read_u64(&file, "cells")?) {
+    })?;
+    if file.has("cells") {
+        let cells = file.numbers("cells", Dtype::U64, u64::from_le_bytes)?;
+        if !grid.occupancy.allow_only(&cells) {
             return Err(stored("field", "its cells do not fit its grid".into()));
         }
-        if !(grid.raw.iter().all(|v| v.is_finite()) && grid.colour.iter().all(|v| v.is_finite())) {
-            return Err(stored("field", "it holds numbers that are not finite".into()));
-        }
-        Ok(Self::new(header.frame, (grid, colours), header.canonical, header.appearances))
     }
+    if !(grid.raw.iter().all(|v| v.is_finite()) && grid.colour.iter().all(|v| v.is_finite())) {
+        return Err(stored("field", "it holds numbers that are not finite".into()));
+    }
+    Ok(grid)
 }
 
 /// The first `columns` of rows of `width`.
@@ -348,6 +378,14 @@ pub(crate) fn stored(what: &'static str, why: String) -> FieldError {
 /// Our JSON header in a safetensors file's metadata.
 pub(crate) fn read_header<H: serde::de::DeserializeOwned>(bytes: &[u8], what: &'static str) -> Result<H, FieldError> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| stored(what, e.to_string()))?;
+    header_of(&metadata, what)
+}
+
+/// Our JSON header in a safetensors file's metadata, read already.
+pub(crate) fn header_of<H: serde::de::DeserializeOwned>(
+    metadata: &Metadata,
+    what: &'static str,
+) -> Result<H, FieldError> {
     let json = metadata
         .metadata()
         .as_ref()

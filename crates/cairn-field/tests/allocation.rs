@@ -1,11 +1,14 @@
-//! Rays ask for no memory of their own: what a picture and a step need they take for tiles and threads.
+//! Rays ask for no memory of their own: what a picture and a step need they take for tiles and threads. And a field is read
+//! without its file beside it.
 
 mod common;
 
 use cairn_field::{BaseTrainer, Field, FieldConfig};
-use cairn_hostile::{Counting, allocations_of};
+use cairn_hostile::{Counting, allocations_of, peak_of};
 use common::{ball_box, camera, random_appearance, random_grid, stored_field, tiny, views};
 use glam::DVec3;
+use half::f16;
+use std::io::Cursor;
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
@@ -45,4 +48,18 @@ fn a_step_of_many_rays_asks_for_memory_hardly_more_often_than_one_of_few() {
     };
     let [few, many] = [256, 4096].map(of);
     assert!(many < few + 256, "{few} times for 256 rays, {many} for 4,096");
+}
+
+#[test]
+fn a_field_is_read_in_little_more_memory_than_it_takes() {
+    // Several pieces of every tensor.
+    let grid = random_grid([56; 3], 0.6, (-2.0, 6.0), 5);
+    let stored = stored_field(&ball_box(), &grid, &random_appearance(4));
+    let (field, peak) = peak_of(|| Field::read_from(&mut Cursor::new(&stored)).unwrap());
+    let rounded: Vec<f32> = grid.colour.iter().map(|v| f16::from_f32(*v).to_f32()).collect();
+    assert!(field.grid().colour == rounded && field.grid().raw == grid.raw && field.grid().vertex == grid.vertex);
+    let takes = 4 * (rounded.len() + 2 * grid.raw.len() + grid.rows());
+    assert!(peak < takes + stored.len() / 4, "{peak} bytes for {takes} of a file of {}", stored.len());
+    let whole = peak_of(|| Field::from_bytes(&stored.clone()).unwrap()).1;
+    assert!(whole > takes + stored.len(), "the counter does not count: {whole} bytes");
 }

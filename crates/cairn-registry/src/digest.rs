@@ -4,6 +4,7 @@
 //! Written as lowercase hex in records and reports, as standard base64 in
 //! checkpoints and proofs (what RFC 6962 logs and C2SP notes use).
 
+use std::io::{self, Read};
 use std::{fmt, str::FromStr};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
@@ -53,6 +54,24 @@ impl Digest {
             hasher.update(part);
         }
         Self(hasher.finalize().into())
+    }
+
+    /// SHA-256 of all that `reader` has left, read in pieces, and how many bytes that were.
+    ///
+    /// # Errors
+    /// What the reader fails with.
+    pub fn of_all(reader: &mut (impl Read + ?Sized)) -> io::Result<(Self, u64)> {
+        let (mut hasher, mut size, mut piece) = (Sha256::new(), 0, vec![0; 1 << 16]);
+        loop {
+            let count = match reader.read(&mut piece) {
+                Ok(0) => return Ok((Self(hasher.finalize().into()), size)),
+                Ok(count) => count,
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => continue,
+                Err(e) => return Err(e),
+            };
+            hasher.update(&piece[..count]);
+            size += count as u64;
+        }
     }
 
     /// Takes 32 bytes as a digest.
@@ -140,6 +159,16 @@ impl<'de> Deserialize<'de> for Digest {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_read_piece_by_piece_has_the_digest_of_the_whole() {
+        // More than a piece, and bytes that come before it.
+        let bytes: Vec<u8> = (0..200_000u32).map(|i| i as u8).collect();
+        let mut reader = bytes.as_slice();
+        reader.read_exact(&mut [0; 3]).unwrap();
+        assert_eq!(Digest::of_all(&mut reader).unwrap(), (Digest::of(&bytes[3..]), 199_997));
+        assert_eq!(Digest::of_all(&mut io::empty()).unwrap(), (Digest::of([]), 0));
+    }
 
     #[test]
     fn known_answer_and_both_spellings() {

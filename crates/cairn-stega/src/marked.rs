@@ -7,11 +7,12 @@ use crate::shape::CarrierShape;
 use cairn_capture::{Camera, Picture};
 use cairn_cluster::Clusters;
 use cairn_field::operator::MarkableField;
-use cairn_field::{Appearance, Field};
+use cairn_field::{Appearance, Field, TensorFile};
 use half::f16;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
+use std::io::{Cursor, Read, Seek};
 use std::sync::Arc;
 
 /// Format of a stored marked field with a carrier a cluster, which no light tints; another number is refused by name.
@@ -32,6 +33,9 @@ pub struct MarkedField {
     /// theta itself, where densities moved as well.
     free: Option<Arc<Field>>,
 }
+
+/// What errors call it.
+const WHAT: &str = "marked field";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -55,12 +59,12 @@ impl MarkedField {
             CarrierKind::Harmonics => 1,
         };
         if carriers.len() != expected || carriers.iter().any(|c| c.len() != base.rows() * width) {
-            return Err(stored("marked field", "its carriers do not fit its base field".into()));
+            return Err(stored(WHAT, "its carriers do not fit its base field".into()));
         }
         for value in carriers.iter_mut().flatten() {
             *value = f16::from_f32(*value).to_f32();
             if !value.is_finite() {
-                return Err(stored("marked field", "a carrier is not finite".into()));
+                return Err(stored(WHAT, "a carrier is not finite".into()));
             }
         }
         let free = (kind.1 == DensityKind::Free).then(|| Arc::new(base.changed_by(&carriers[0])));
@@ -196,7 +200,7 @@ impl MarkedField {
             clusters: self.clusters.clone(),
             carriers: self.carriers.len(),
         };
-        let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
+        let bad = |e: safetensors::SafeTensorError| stored(WHAT, e.to_string());
         let base = self.base.to_bytes()?;
         let carriers: Vec<u8> = self.carriers.iter().flatten().flat_map(|v| f16::from_f32(*v).to_le_bytes()).collect();
         let shape = vec![self.carriers.len(), self.base.rows(), self.shape().width()];
@@ -204,73 +208,90 @@ impl MarkedField {
             ("base", TensorView::new(Dtype::U8, vec![base.len()], &base).map_err(bad)?),
             ("carriers", TensorView::new(Dtype::F16, shape, &carriers).map_err(bad)?),
         ];
-        let json = serde_json::to_string(&header).map_err(|e| stored("marked field", e.to_string()))?;
+        let json = serde_json::to_string(&header).map_err(|e| stored(WHAT, e.to_string()))?;
         safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
     }
 
     /// Reads what [`MarkedField::to_bytes`] wrote.
     ///
     /// # Errors
-    /// [`MarkError::Stored`] for an unknown format or a damaged file.
+    /// [`MarkError::Stored`] and [`MarkError::Field`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
-        Self::read(bytes, |stored| Ok(Arc::new(Field::from_bytes(stored)?)))
+        Self::read_from(&mut Cursor::new(bytes))
     }
 
-    /// As [`MarkedField::from_bytes`], where `base` is in memory already: a field whose stored base `is_base` shares it
+    /// As [`MarkedField::from_bytes`], of a file that is not held in memory beside the field.
+    ///
+    /// # Errors
+    /// As [`MarkedField::from_bytes`], and where it cannot be read.
+    pub fn read_from(file: &mut (impl Read + Seek)) -> Result<Self, MarkError> {
+        Self::read(TensorFile::open(file, WHAT)?, read_base)
+    }
+
+    /// As [`MarkedField::read_from`], where `base` is in memory already: a field whose stored base `is_base` shares it
     /// instead of holding a second.
     ///
     /// # Errors
-    /// As [`MarkedField::from_bytes`].
-    pub fn from_bytes_sharing(
-        bytes: &[u8],
+    /// As [`MarkedField::read_from`].
+    pub fn read_sharing(
+        file: &mut (impl Read + Seek),
         base: &Arc<Field>,
-        is_base: impl FnOnce(&[u8]) -> bool,
+        is_base: impl FnOnce(&mut dyn Read) -> std::io::Result<bool>,
     ) -> Result<Self, MarkError> {
-        Self::read(bytes, |stored| match is_base(stored) {
-            true => Ok(base.clone()),
-            false => Ok(Arc::new(Field::from_bytes(stored)?)),
+        Self::read(TensorFile::open(file, WHAT)?, |file| {
+            let same = is_base(&mut file.bytes("base", Dtype::U8)?).map_err(|e| stored(WHAT, e.to_string()))?;
+            if same { Ok(base.clone()) } else { read_base(file) }
         })
     }
 
     /// `base_of` makes theta_0 of its stored form.
-    fn read(bytes: &[u8], base_of: impl FnOnce(&[u8]) -> Result<Arc<Field>, MarkError>) -> Result<Self, MarkError> {
-        let header: Header = read_header(bytes, "marked field")?;
-        let density = match (header.format.as_str(), header.carrier) {
-            (MARKED_FORMAT, CarrierKind::PerCluster) | (LIT_FORMAT, _) => DensityKind::Frozen,
-            (FREE_FORMAT, CarrierKind::Harmonics) => DensityKind::Free,
-            (MARKED_FORMAT, _) => {
-                return Err(stored("marked field", "its marks are tinted and not, by its header".into()));
-            }
-            (FREE_FORMAT, _) => {
-                return Err(stored("marked field", "its densities moved for one identity alone".into()));
-            }
-            (other, _) => {
-                let known = [MARKED_FORMAT, LIT_FORMAT, FREE_FORMAT].map(|format| format!("`{format}`")).join(", ");
-                return Err(stored("marked field", format!("format `{other}`, this program reads {known}")));
-            }
-        };
-        let bad = |e: safetensors::SafeTensorError| stored("marked field", e.to_string());
-        let file = SafeTensors::deserialize(bytes).map_err(bad)?;
-        let base = base_of(file.tensor("base").map_err(bad)?.data())?;
+    fn read<R: Read + Seek>(
+        mut file: TensorFile<'_, R>,
+        base_of: impl FnOnce(&mut TensorFile<'_, R>) -> Result<Arc<Field>, MarkError>,
+    ) -> Result<Self, MarkError> {
+        let header: Header = file.header()?;
+        let density = density_of(&header)?;
+        let base = base_of(&mut file)?;
         if header.format != format_of((header.carrier, density)) && !base.appearances().is_empty() {
             let why = format!(
                 "it is of format `{}`, whose marks changed with the light, which this program's do not; train the scene again",
                 header.format
             );
-            return Err(stored("marked field", why));
+            return Err(stored(WHAT, why));
         }
-        let tensor = file.tensor("carriers").map_err(bad)?;
         let each = base.rows() * CarrierShape::of(header.carrier, density).width();
-        if tensor.dtype() != Dtype::F16 || tensor.data().len() != header.carriers.saturating_mul(each * 2) {
-            return Err(stored("marked field", "its carriers do not fit its base field".into()));
+        if file.size("carriers", Dtype::F16)? != header.carriers.saturating_mul(each * 2) as u64 {
+            return Err(stored(WHAT, "its carriers do not fit its base field".into()));
         }
-        let carriers = tensor
-            .data()
-            .chunks_exact(each * 2)
-            .map(|c| c.chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]]).to_f32()).collect())
-            .collect();
+        let mut carriers = vec![vec![0.0; each]; header.carriers];
+        let mut values = carriers.iter_mut().flatten();
+        file.each_piece("carriers", Dtype::F16, 2, |piece| {
+            // Pieces first: a zip that ends takes one more of what comes first.
+            for (b, value) in piece.chunks_exact(2).zip(values.by_ref()) {
+                *value = f16::from_le_bytes([b[0], b[1]]).to_f32();
+            }
+        })?;
         Self::new(base, header.clusters, (header.carrier, density), carriers)
     }
+}
+
+fn read_base<R: Read + Seek>(file: &mut TensorFile<'_, R>) -> Result<Arc<Field>, MarkError> {
+    Ok(Arc::new(Field::of_tensors(file.within("base", "field")?)?))
+}
+
+/// Whether densities moved as well, by a header's format.
+fn density_of(header: &Header) -> Result<DensityKind, MarkError> {
+    let why = match (header.format.as_str(), header.carrier) {
+        (MARKED_FORMAT, CarrierKind::PerCluster) | (LIT_FORMAT, _) => return Ok(DensityKind::Frozen),
+        (FREE_FORMAT, CarrierKind::Harmonics) => return Ok(DensityKind::Free),
+        (MARKED_FORMAT, _) => "its marks are tinted and not, by its header".into(),
+        (FREE_FORMAT, _) => "its densities moved for one identity alone".into(),
+        (other, _) => {
+            let known = [MARKED_FORMAT, LIT_FORMAT, FREE_FORMAT].map(|format| format!("`{format}`")).join(", ");
+            format!("format `{other}`, this program reads {known}")
+        }
+    };
+    Err(stored(WHAT, why))
 }
 
 fn format_of(kind: (CarrierKind, DensityKind)) -> &'static str {

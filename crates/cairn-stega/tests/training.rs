@@ -2,6 +2,7 @@
 //! and interruptions; files that come back as they were written; and marks that
 //! are really learnt, or an error.
 
+use std::io::{Cursor, Read};
 use std::sync::Arc;
 
 use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, trained};
@@ -275,7 +276,14 @@ fn files_come_back_as_they_were_written() {
         assert!(again.to_bytes().unwrap() == marked.to_bytes().unwrap());
         // Where its base is in memory already it is shared; another one is not taken for it.
         let (stored, base) = (marked.to_bytes().unwrap(), field());
-        let sharing = |bytes: &[u8]| MarkedField::from_bytes_sharing(&stored, &base, |own| own == bytes).unwrap();
+        let sharing = |bytes: &[u8]| {
+            let is_base = |own: &mut dyn Read| {
+                let mut read = Vec::new();
+                own.read_to_end(&mut read)?;
+                Ok(read == bytes)
+            };
+            MarkedField::read_sharing(&mut Cursor::new(&stored), &base, is_base).unwrap()
+        };
         let (same, other) = (sharing(&base.to_bytes().unwrap()), sharing(b"another field"));
         assert!(Arc::ptr_eq(same.base(), &base) && !Arc::ptr_eq(other.base(), &base));
         assert!(same.to_bytes().unwrap() == stored && other.to_bytes().unwrap() == stored);

@@ -7,14 +7,13 @@
 
 use std::{
     fs::{self, File},
-    io::{self, Read as _},
+    io,
     path::{Path, PathBuf},
     time::Duration,
 };
 
 use fs4::{FileExt, TryLockError};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
 
 use super::layout;
 use crate::{
@@ -110,18 +109,6 @@ pub(super) fn await_closed(db: &Path) -> io::Result<()> {
     Err(io::Error::new(io::ErrorKind::TimedOut, "the store does not close"))
 }
 
-fn digest(file: &mut File) -> io::Result<(u64, Digest)> {
-    let (mut hasher, mut size, mut piece) = (Sha256::new(), 0, vec![0; 1 << 16]);
-    loop {
-        let count = file.read(&mut piece)?;
-        if count == 0 {
-            return Ok((size, Digest::from_bytes(hasher.finalize().into())));
-        }
-        hasher.update(&piece[..count]);
-        size += count as u64;
-    }
-}
-
 fn list(root: &Path, folder: &str, known: &[KnownFile], files: &mut Vec<SealedFile>) -> io::Result<()> {
     for entry in fs::read_dir(root.join(folder))? {
         let entry = entry?;
@@ -131,9 +118,9 @@ fn list(root: &Path, folder: &str, known: &[KnownFile], files: &mut Vec<SealedFi
             continue;
         }
         // As it was written, not as it is now: it may have changed since, and there may be gigabytes of it.
-        let (size, sha256) = match known.iter().find(|known| known.path == path) {
-            Some(known) => (known.size, known.sha256),
-            None => digest(&mut File::open(root.join(&path))?)?,
+        let (sha256, size) = match known.iter().find(|known| known.path == path) {
+            Some(known) => (known.sha256, known.size),
+            None => Digest::of_all(&mut File::open(root.join(&path))?)?,
         };
         files.push(SealedFile { path, size, sha256 });
     }

@@ -1,8 +1,10 @@
 //! Serving as a part: a fresh process that loads a stored field and renders, and
 //! nothing else, timed and its memory read.
 
+use std::fs::File;
 use std::path::PathBuf;
 
+use anyhow::Context;
 use cairn_bench::{Stopwatch, median};
 use cairn_capture::Camera;
 use cairn_field::Field;
@@ -39,7 +41,8 @@ pub struct Served {
 /// # Errors
 /// For a field that does not read.
 pub fn run(task: &Task) -> anyhow::Result<Served> {
-    let field = Field::from_bytes(&super::read(&task.field)?)?;
+    let file = File::open(&task.field).with_context(|| format!("cannot open {}", task.field.display()));
+    let field = Field::read_from(&mut file?)?;
     let mut progress = Progress::new(&task.label, task.cameras.len() as u64);
     let mut rates = Vec::new();
     for camera in &task.cameras {
