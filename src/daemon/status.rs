@@ -134,7 +134,7 @@ fn field(error: &FieldError) -> Code {
     match error {
         FieldError::Setting { .. } => Code::InvalidArgument,
         FieldError::Frame(_) | FieldError::Views(_) => Code::FailedPrecondition,
-        FieldError::NotFinite { .. } => Code::Internal,
+        FieldError::NotFinite { .. } | FieldError::Read { .. } => Code::Internal,
         FieldError::Stored { .. } => Code::DataLoss,
     }
 }

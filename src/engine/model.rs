@@ -9,9 +9,10 @@ use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 use cairn_cluster::Clusters;
+use cairn_field::FieldError;
 use cairn_registry::Digest;
 use cairn_registry::record::photographs_root;
-use cairn_stega::{RegisteredReader, Signal};
+use cairn_stega::{MarkError, RegisteredReader, Signal};
 use serde::{Deserialize, Serialize};
 
 use super::classes::Classes;
@@ -246,11 +247,13 @@ pub fn all(models: &Path, scene: &str) -> Result<Vec<ModelInfo>, EngineError> {
 }
 
 impl Model {
-    /// Loads the model that `info` describes; every file is held to its digest.
+    /// Loads the model that `info` describes; every file is held to its digest. Nobody may write into a model's files: fields
+    /// are read once for their digest and once more for what they hold.
     pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
         let folder = models.join(&info.scene).join(&info.job);
-        let mut file = open_checked(&folder.join("base.field"), &info.base_field, MAX_FIELD_BYTES)?;
-        let base = Arc::new(Field::read_from(&mut file)?);
+        let path = folder.join("base.field");
+        let mut file = open_checked(&path, &info.base_field, MAX_FIELD_BYTES)?;
+        let base = Arc::new(Field::read_from(&mut file).map_err(|e| of_file(&path, e))?);
         let mark = match &info.mark {
             None => None,
             Some(mark) => Some(load_mark(&folder, mark, info.classes()?, (&base, &info.base_field))?),
@@ -291,13 +294,18 @@ fn load_mark(
     classes: Classes,
     base: (&Arc<Field>, &Digest),
 ) -> Result<Mark, EngineError> {
-    let mut field = open_checked(&folder.join("marked.field"), &info.marked_field, MAX_FIELD_BYTES)?;
+    let path = folder.join("marked.field");
+    let mut file = open_checked(&path, &info.marked_field, MAX_FIELD_BYTES)?;
+    let is_base = |stored: &mut dyn Read| Ok(Digest::of_all(stored)?.0 == *base.1);
+    let field = MarkedField::read_sharing(&mut file, base.0, is_base).map_err(|error| match error {
+        MarkError::Field(error) => of_file(&path, error),
+        error => error.into(),
+    })?;
     let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
     let mut signals = Vec::with_capacity(info.signals.len());
     for (i, digest) in info.signals.iter().enumerate() {
         signals.push(hidden::decoded(&hidden::read(folder, i + 1, digest)?)?);
     }
-    let field = MarkedField::read_sharing(&mut field, base.0, |stored| Ok(Digest::of_all(stored)?.0 == *base.1))?;
     let detector = Detector::from_bytes(&detector)?;
     if detector.classes() != classes.count() {
         let (got, expected) = (detector.classes(), classes.count());
@@ -386,6 +394,14 @@ fn held_to(path: &Path, got: &Digest, expected: &Digest) -> Result<(), EngineErr
     Err(EngineError::Stored { path: path.to_path_buf(), problem })
 }
 
+/// What went wrong with the field in the file at `path`.
+fn of_file(path: &Path, error: FieldError) -> EngineError {
+    match error {
+        FieldError::Read { source, .. } => EngineError::io("read", path)(source),
+        error => error.into(),
+    }
+}
+
 /// As [`read_checked`], of a file that is read piece by piece and left open at its start: fields take gigabytes.
 ///
 /// # Errors
@@ -413,5 +429,25 @@ mod tests {
         let new = IdentityInfo { contributors: vec![("ada".into(), 3)], ..old };
         let again: IdentityInfo = serde_json::from_str(&serde_json::to_string(&new).unwrap()).unwrap();
         assert_eq!(again, new);
+    }
+
+    #[test]
+    fn a_file_that_was_altered_or_is_too_large_is_not_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("base.field");
+        let mut bytes = vec![7; 100_000];
+        std::fs::write(&path, &bytes).unwrap();
+        let digest = Digest::of(&bytes);
+        let open = |limit| open_checked(&path, &digest, limit).map_err(|e| e.to_string());
+        let mut read = Vec::new();
+        open(100_000).unwrap().read_to_end(&mut read).unwrap();
+        assert!(read == bytes, "from its start");
+        assert!(open(99_999).unwrap_err().contains("more than 99999 bytes"));
+        bytes[99_999] ^= 1;
+        std::fs::write(&path, &bytes).unwrap();
+        let text = open(100_000).unwrap_err();
+        assert!(text.contains("altered") && text.contains("base.field"), "{text}");
+        std::fs::remove_file(&path).unwrap();
+        assert!(open(100_000).unwrap_err().contains("base.field"));
     }
 }

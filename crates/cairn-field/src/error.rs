@@ -39,4 +39,12 @@ pub enum FieldError {
         /// What is wrong with it.
         why: String,
     },
+    /// A stored field could not be read: whether it is damaged is not known.
+    #[error("{what}: cannot be read: {source}; try again, and check the disk where that does not help")]
+    Read {
+        /// What was being read.
+        what: &'static str,
+        /// What the file system said.
+        source: std::io::Error,
+    },
 }

@@ -29,9 +29,9 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
     /// The file that `reader` holds from its first byte to its last; errors call it `what`. Tensors stay unread.
     ///
     /// # Errors
-    /// [`FieldError::Stored`] for a damaged file, or one that cannot be read.
+    /// [`FieldError::Stored`] for a damaged file, [`FieldError::Read`] for one that cannot be read.
     pub fn open(reader: &'r mut R, what: &'static str) -> Result<Self, FieldError> {
-        let end = reader.seek(SeekFrom::End(0)).map_err(|e| stored(what, e.to_string()))?;
+        let end = reader.seek(SeekFrom::End(0)).map_err(|e| unread(what, e))?;
         Self::open_at(reader, 0..end, what)
     }
 
@@ -45,7 +45,7 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
     }
 
     fn open_at(reader: &'r mut R, place: Range<u64>, what: &'static str) -> Result<Self, FieldError> {
-        let failed = |e: io::Error| stored(what, e.to_string());
+        let failed = |e| unread(what, e);
         let Some(room) = (place.end - place.start).checked_sub(LENGTH) else {
             return Err(stored(what, "it ends before its header begins".into()));
         };
@@ -53,8 +53,9 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
         let mut length = [0; LENGTH as usize];
         reader.read_exact(&mut length).map_err(failed)?;
         let length = u64::from_le_bytes(length);
-        if length > room.min(LARGEST_HEADER) {
-            return Err(stored(what, format!("its header would be of {length} bytes, and {room} are there")));
+        let most = room.min(LARGEST_HEADER);
+        if length > most {
+            return Err(stored(what, format!("its header would be of {length} bytes, and can be of {most} at most")));
         }
         let mut json = vec![0; length as usize];
         reader.read_exact(&mut json).map_err(failed)?;
@@ -105,7 +106,7 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
     /// As [`TensorFile::size`], and where the reader fails.
     pub fn bytes(&mut self, name: &str, dtype: Dtype) -> Result<impl Read + use<'_, R>, FieldError> {
         let place = self.place(name, dtype)?;
-        self.reader.seek(SeekFrom::Start(place.start)).map_err(|e| stored(self.what, e.to_string()))?;
+        self.reader.seek(SeekFrom::Start(place.start)).map_err(|e| unread(self.what, e))?;
         Ok(self.reader.by_ref().take(place.end - place.start))
     }
 
@@ -113,6 +114,9 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
     ///
     /// # Errors
     /// As [`TensorFile::bytes`].
+    ///
+    /// # Panics
+    /// When a unit is of no bytes.
     pub fn each_piece(
         &mut self,
         name: &str,
@@ -125,7 +129,7 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
         let mut piece = vec![0; (PIECE / unit).max(1) * unit];
         while left > 0 {
             let count = left.min(piece.len() as u64) as usize;
-            bytes.read_exact(&mut piece[..count]).map_err(|e| stored(what, format!("`{name}`: {e}")))?;
+            bytes.read_exact(&mut piece[..count]).map_err(|e| unread(what, e))?;
             visit(&piece[..count]);
             left -= count as u64;
         }
@@ -136,17 +140,29 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
     ///
     /// # Errors
     /// As [`TensorFile::bytes`].
+    ///
+    /// # Panics
+    /// When numbers of `dtype` are not of `N` bytes.
     pub fn numbers<T, const N: usize>(
         &mut self,
         name: &str,
         dtype: Dtype,
         of: impl Fn([u8; N]) -> T,
     ) -> Result<Vec<T>, FieldError> {
+        assert_eq!(dtype.bitsize(), 8 * N, "bits of a number");
         let mut numbers = Vec::with_capacity(self.size(name, dtype)? as usize / N);
         self.each_piece(name, dtype, N, |piece| {
             numbers.extend(piece.chunks_exact(N).map(|bytes| of(bytes.try_into().expect("N bytes"))));
         })?;
         Ok(numbers)
+    }
+}
+
+/// What a reader's failure says of the file: that it ends too early, or nothing.
+fn unread(what: &'static str, source: io::Error) -> FieldError {
+    match source.kind() {
+        io::ErrorKind::UnexpectedEof => stored(what, "it was cut short while it was read".into()),
+        _ => FieldError::Read { what, source },
     }
 }
 
@@ -212,6 +228,8 @@ mod tests {
         assert!(open(&[&bytes[..], &[0]].concat()).is_some_and(|text| text.contains("18 bytes, 17 by its header")));
         let long = [&u64::MAX.to_le_bytes()[..], &bytes[8..]].concat();
         assert!(open(&long).is_some_and(|text| text.contains(&u64::MAX.to_string())));
+        let long = [&(LARGEST_HEADER + 1).to_le_bytes()[..], &vec![b' '; LARGEST_HEADER as usize + 9]].concat();
+        assert!(open(&long).is_some_and(|text| text.contains("100000001") && text.contains("100000000 at most")));
         let mut reader = Cursor::new(&bytes);
         let mut file = TensorFile::open(&mut reader, "thing").unwrap();
         assert!(file.has("numbers") && !file.has("letters"));
@@ -220,5 +238,45 @@ mod tests {
         }
         assert!(file.header::<String>().unwrap_err().to_string().contains("its header"));
         assert!(file.within("within", "inner").err().unwrap().to_string().starts_with("inner: "));
+    }
+
+    /// Gives a byte at a time, and fails or ends at one.
+    struct Faulty<'b> {
+        file: Cursor<&'b [u8]>,
+        at: u64,
+        fault: Option<io::ErrorKind>,
+    }
+
+    impl Read for Faulty<'_> {
+        fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+            match (self.file.position() < self.at, self.fault) {
+                (true, _) => self.file.by_ref().take(1).read(into),
+                (false, None) => Ok(0),
+                (false, Some(kind)) => Err(kind.into()),
+            }
+        }
+    }
+
+    impl Seek for Faulty<'_> {
+        fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+            self.file.seek(to)
+        }
+    }
+
+    #[test]
+    fn a_disk_that_fails_is_no_damaged_file() {
+        let bytes = file(&[1, 2, 3], &[9; 5]);
+        let end = bytes.len() as u64;
+        let read = |at, fault| {
+            let mut reader = Faulty { file: Cursor::new(&bytes), at, fault };
+            let mut file = TensorFile::open(&mut reader, "thing")?;
+            file.numbers("numbers", Dtype::U32, u32::from_le_bytes)
+        };
+        assert_eq!(read(end, None).unwrap(), [1, 2, 3]);
+        for at in [0, 3, 20, end - 8] {
+            let failed = read(at, Some(io::ErrorKind::StaleNetworkFileHandle)).unwrap_err();
+            assert!(matches!(failed, FieldError::Read { what: "thing", .. }), "{failed}");
+            assert!(matches!(read(at, None), Err(FieldError::Stored { what: "thing", .. })), "cut at {at}");
+        }
     }
 }

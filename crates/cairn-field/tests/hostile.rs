@@ -8,7 +8,7 @@ use cairn_capture::Picture;
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, TrainingView};
 use glam::DVec3;
-use safetensors::tensor::{SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -169,6 +169,36 @@ fn damaged_files_are_errors() {
         if let Ok(field) = Field::from_bytes(&flipped) {
             field.render(&camera(DVec3::new(0.3, 0.1, 3.0), DVec3::ZERO, 3), &look);
         }
+    }
+}
+
+#[test]
+fn tensors_of_a_field_that_do_not_go_together_are_refused() {
+    let look = Appearance::neutral([0.0; 3]);
+    let stored = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1), &look);
+    let (_, metadata) = SafeTensors::read_metadata(&stored).expect("a field");
+    let file = SafeTensors::deserialize(&stored).expect("a field");
+    let parts = file.tensors();
+    // One tensor with some of its numbers missing, or of another kind.
+    let with = |name: &str, dtype: Dtype, missing: usize| {
+        let tensors = parts.iter().map(|(n, t)| {
+            let kept = if n == name { &t.data()[missing..] } else { t.data() };
+            let dtype = if n == name { dtype } else { t.dtype() };
+            (n.as_str(), TensorView::new(dtype, vec![kept.len() * 8 / dtype.bitsize()], kept).expect("fits"))
+        });
+        let bytes = safetensors::serialize(tensors, metadata.metadata().clone()).expect("plain tensors");
+        Field::from_bytes(&bytes).err().map(|e| e.to_string())
+    };
+    assert_eq!(with("colour", Dtype::F16, 0), None);
+    for (name, dtype, missing) in
+        [("colour", Dtype::F16, 54), ("colour", Dtype::F16, 2), ("density", Dtype::F32, 4), ("vertex", Dtype::U32, 4)]
+    {
+        let text = with(name, dtype, missing).expect("an error");
+        assert!(text.contains("of different lengths"), "{name} without {missing} bytes: {text}");
+    }
+    for (name, dtype) in [("colour", Dtype::BF16), ("density", Dtype::I32), ("vertex", Dtype::F32)] {
+        let text = with(name, dtype, 0).expect("an error");
+        assert!(text.contains(name) && text.contains(&format!("{dtype:?}")), "{text}");
     }
 }
 

@@ -7,7 +7,7 @@ use crate::shape::CarrierShape;
 use cairn_capture::{Camera, Picture};
 use cairn_cluster::Clusters;
 use cairn_field::operator::MarkableField;
-use cairn_field::{Appearance, Field, TensorFile};
+use cairn_field::{Appearance, Field, FieldError, TensorFile};
 use half::f16;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
@@ -239,7 +239,8 @@ impl MarkedField {
         is_base: impl FnOnce(&mut dyn Read) -> std::io::Result<bool>,
     ) -> Result<Self, MarkError> {
         Self::read(TensorFile::open(file, WHAT)?, |file| {
-            let same = is_base(&mut file.bytes("base", Dtype::U8)?).map_err(|e| stored(WHAT, e.to_string()))?;
+            let unread = |source| FieldError::Read { what: WHAT, source };
+            let same = is_base(&mut file.bytes("base", Dtype::U8)?).map_err(unread)?;
             if same { Ok(base.clone()) } else { read_base(file) }
         })
     }

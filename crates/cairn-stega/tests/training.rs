@@ -2,11 +2,12 @@
 //! and interruptions; files that come back as they were written; and marks that
 //! are really learnt, or an error.
 
-use std::io::{Cursor, Read};
+use std::io::{Cursor, ErrorKind, Read};
 use std::sync::Arc;
 
 use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, trained};
 use cairn_capture::Picture;
+use cairn_field::FieldError;
 use cairn_stega::{CarrierKind, Detector, MarkConfig, MarkError, MarkTrainer, MarkedField, MaskKind};
 use safetensors::SafeTensors;
 
@@ -287,6 +288,11 @@ fn files_come_back_as_they_were_written() {
         let (same, other) = (sharing(&base.to_bytes().unwrap()), sharing(b"another field"));
         assert!(Arc::ptr_eq(same.base(), &base) && !Arc::ptr_eq(other.base(), &base));
         assert!(same.to_bytes().unwrap() == stored && other.to_bytes().unwrap() == stored);
+        let part = |own: &mut dyn Read| own.read_exact(&mut [0; 9]).map(|()| false);
+        let other = MarkedField::read_sharing(&mut Cursor::new(&stored), &base, part).unwrap();
+        assert!(other.to_bytes().unwrap() == stored);
+        let failed = MarkedField::read_sharing(&mut Cursor::new(&stored), &base, |_| Err(ErrorKind::TimedOut.into()));
+        assert!(matches!(failed, Err(MarkError::Field(FieldError::Read { .. }))), "{:?}", failed.err());
         let camera = cameras()[0];
         let appearance = field().canonical_appearance().clone();
         let picture = marked.render(&camera, &appearance);

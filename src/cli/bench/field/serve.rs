@@ -1,7 +1,6 @@
 //! Serving as a part: a fresh process that loads a stored field and renders, and
 //! nothing else, timed and its memory read.
 
-use std::fs::File;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -41,8 +40,7 @@ pub struct Served {
 /// # Errors
 /// For a field that does not read.
 pub fn run(task: &Task) -> anyhow::Result<Served> {
-    let file = File::open(&task.field).with_context(|| format!("cannot open {}", task.field.display()));
-    let field = Field::read_from(&mut file?)?;
+    let field = Field::read_from(&mut super::open(&task.field)?).with_context(|| task.field.display().to_string())?;
     let mut progress = Progress::new(&task.label, task.cameras.len() as u64);
     let mut rates = Vec::new();
     for camera in &task.cameras {

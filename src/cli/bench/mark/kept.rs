@@ -2,16 +2,12 @@
 //! judgement: theta_0 never changes. A render belongs to the program, the field and the camera and light it was made with.
 
 use std::fs::{File, create_dir_all, read_dir, remove_dir_all};
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_capture::{Limits, Picture, decode_picture, save_png};
+use cairn_registry::Digest;
 use cairn_stega::PlannedView;
-use sha2::{Digest as _, Sha256};
-
-/// Bytes that are read at a time.
-const PIECE: usize = 1 << 20;
 
 /// The folder within `all` for renders that this program makes. Those of others are deleted, so that `all` does not grow with
 /// every build.
@@ -57,7 +53,7 @@ impl Kept {
         view: &PlannedView,
         render: impl FnOnce() -> anyhow::Result<Picture>,
     ) -> anyhow::Result<Picture> {
-        let file = self.folder.join(format!("{}.png", short(&Sha256::digest(format!("{view:?}")))));
+        let file = self.folder.join(format!("{}.png", short(&Digest::of(format!("{view:?}")))));
         let there = std::fs::read(&file).ok().and_then(|png| decode_picture(&png, &Limits::default(), None).ok());
         if let Some(kept) = there {
             return Ok(kept);
@@ -70,20 +66,13 @@ impl Kept {
 
 /// SHA-256 of a file, read piece by piece: a large capture's field takes gigabytes.
 fn digest_of(path: &Path) -> anyhow::Result<String> {
-    let (mut hasher, mut piece) = (Sha256::new(), vec![0; PIECE]);
-    let cannot = || format!("cannot read {}", path.display());
-    let mut file = File::open(path).with_context(cannot)?;
-    loop {
-        match file.read(&mut piece).with_context(cannot)? {
-            0 => return Ok(short(&hasher.finalize())),
-            count => hasher.update(&piece[..count]),
-        }
-    }
+    let digest = File::open(path).and_then(|mut file| Digest::of_all(&mut file));
+    Ok(short(&digest.with_context(|| format!("cannot read {}", path.display()))?.0))
 }
 
 /// Half of a digest, as a name.
-fn short(digest: &[u8]) -> String {
-    digest.iter().take(16).map(|byte| format!("{byte:02x}")).collect()
+fn short(digest: &Digest) -> String {
+    digest.as_bytes().iter().take(16).map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

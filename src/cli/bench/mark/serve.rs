@@ -1,7 +1,6 @@
 //! Serving marks as a part: a fresh process that loads a stored marked field and its
 //! detector, renders views with their marks and reads them, as a daemon does when it is asked.
 
-use std::fs::File;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -48,8 +47,8 @@ pub struct Served {
 /// # Errors
 /// For a field or detector that does not read, and no camera at all.
 pub fn run(task: &Task) -> anyhow::Result<Served> {
-    let file = File::open(&task.marked).with_context(|| format!("cannot open {}", task.marked.display()));
-    let marked = MarkedField::read_from(&mut file?)?;
+    let marked =
+        MarkedField::read_from(&mut super::open(&task.marked)?).with_context(|| task.marked.display().to_string())?;
     let detector = Detector::from_bytes(&super::read(&task.detector)?)?;
     let appearance = marked.base().canonical_appearance().clone();
     let mut progress = Progress::new(&task.label, task.cameras.len() as u64);
