@@ -5,10 +5,6 @@
 mod out;
 
 mod cli;
-mod config;
-mod daemon;
-mod engine;
-mod secrets;
 
 use std::process::ExitCode;
 
@@ -30,7 +26,7 @@ fn main() -> ExitCode {
 }
 
 /// Gives candle's element-wise operations half of the threads, if nobody has said how many: the others are for what is begun ahead of a
-/// training's steps (`cairn_stega`). candle's threads wait for one another in a loop that does nothing else, and with more of them
+/// training's steps (`cairn_mark`). candle's threads wait for one another in a loop that does nothing else, and with more of them
 /// than idle cores stage 2 on two cores spent a quarter of its processor time there.
 fn leave_cores() {
     if std::env::var_os(CANDLE_THREADS).is_some() {

@@ -5,12 +5,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::common::world::{ACCOUNTS, CLOSED, World, key};
 use crate::common::{Daemon, TINY, base_only};
-use cairn_access::roles::{Need, need};
-use cairn_access::{Daemon as Identity, sign};
-use cairn_proto::v1;
-use cairn_proto::v1::scene_service_client::SceneServiceClient;
-use cairn_proto::v1::training_service_client::TrainingServiceClient;
-use cairn_registry::OwnerKey;
+use cairn_api::v1;
+use cairn_api::v1::scene_service_client::SceneServiceClient;
+use cairn_api::v1::training_service_client::TrainingServiceClient;
+use cairn_log::OwnerKey;
+use cairn_service::auth::roles::{Need, need};
+use cairn_service::auth::{Daemon as Identity, sign};
 use tonic::client::Grpc;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status};

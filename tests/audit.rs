@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use std::sync::{Arc, Mutex};
 
 use crate::handmade::{Log, key, put};
-use cairn_registry::{RecordKind, WitnessVerifier, cosign};
+use cairn_log::{RecordKind, WitnessVerifier, cosign};
 
 fn cairn(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_cairn")).args(arguments).output().unwrap()
@@ -106,7 +106,7 @@ fn a_policy_names_the_log_and_asks_for_its_witnesses() {
     let policy = policy.display().to_string();
     let (code, said) = audit(&["store", &data, "--policy", &policy]);
     assert!(code == Some(10) && said.contains("policy.quorum.missing"), "{said}");
-    let mut note = cairn_registry::Note::parse(&log.checkpoint(8)).unwrap();
+    let mut note = cairn_log::Note::parse(&log.checkpoint(8)).unwrap();
     note.signatures.push(cosign(&note.text, 1_700_000_000, "w.example", &key(90)).unwrap());
     put(&dir.path().join("data/registry/public/checkpoint"), note.to_string().as_bytes());
     let (code, said) = audit(&["store", &data, "--policy", &policy]);

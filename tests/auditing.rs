@@ -8,8 +8,8 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 
 use crate::common::{Daemon, Place, files};
-use cairn_registry::record::{self, Digests, Identity, Seen, SignalFiles, hidden_signal_commitment, photographs_root};
-use cairn_registry::{
+use cairn_log::record::{self, Digests, Identity, Seen, SignalFiles, hidden_signal_commitment, photographs_root};
+use cairn_log::{
     Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, TlogProof, WitnessVerifier, cosign,
 };
 

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use crate::common::Place;
-use cairn_capture::{Picture, save_png};
+use cairn_scene::{Picture, save_png};
 
 /// Steps enough for a field that can be rendered, and few.
 const FEW: &str = "[field]\nsteps = 8\nrays_per_step = 256\nvoxels = 4096\nlevels = 1\n";

@@ -140,7 +140,7 @@ fn check_tables(out: &Path) {
     }
     for sheet in ["lego-field-1-1.png", "lego-field-1-1-8.png", "liberty-field-1-1.png"] {
         let png = std::fs::read(out.join(sheet)).unwrap();
-        let sheet = cairn_capture::decode_picture(&png, &cairn_capture::Limits::default(), None).unwrap();
+        let sheet = cairn_scene::decode_picture(&png, &cairn_scene::Limits::default(), None).unwrap();
         assert!(sheet.width() > 3 * 256 && sheet.rgb().iter().any(|v| *v != sheet.rgb()[0]));
     }
     for chart in ["budgets", "tradeoffs-lego-quick-max", "tradeoffs-lego-quick-rms", "tradeoffs-liberty-quick-max"] {

@@ -3,7 +3,7 @@
 
 use crate::common::Place;
 use crate::common::captures::captures;
-use cairn_capture::{Limits, Picture, decode_picture};
+use cairn_scene::{Limits, Picture, decode_picture};
 use serde_json::Value;
 
 /// Captures, settings for smaller networks than `--quick` has, and three pictures to hide.
@@ -15,7 +15,7 @@ fn prepare(place: &Place) {
     for (at, rgb) in [[0.9, 0.2, 0.1], [0.1, 0.8, 0.2], [0.2, 0.3, 0.9]].into_iter().enumerate() {
         let mut picture = Picture::constant(32, 32, rgb);
         picture.rgb_mut()[..16 * 32 * 3].fill(0.1 * at as f32);
-        cairn_capture::save_png(&place.path(&format!("captures/signals/{at}.png")), &picture).unwrap();
+        cairn_scene::save_png(&place.path(&format!("captures/signals/{at}.png")), &picture).unwrap();
     }
 }
 
@@ -144,7 +144,7 @@ fn a_detector_is_asked_about_everything_that_has_no_mark() {
     }
     // Held-out poses have no say in whose a pose is: a cluster has training views alone.
     let marked = std::fs::read(place.path("out/lego--quick--small-1.marked")).unwrap();
-    let clusters = cairn_stega::MarkedField::from_bytes(&marked).unwrap().clusters().clusters.clone();
+    let clusters = cairn_mark::MarkedField::from_bytes(&marked).unwrap().clusters().clusters.clone();
     let training = value("lego, quick, small", "distinct pictures: its own photographs, trained on");
     assert_eq!(clusters.iter().map(|cluster| cluster.members.len()).collect::<Vec<_>>(), [training as usize]);
     for sheet in ["lego--quick--small-1", "liberty--quick--small-1"] {
@@ -211,7 +211,7 @@ fn heads_that_nobody_uses_and_an_owner_of_later_are_compared_as_well() {
     let mark = |name: &str| {
         let bytes =
             std::fs::read(place.path(&format!("out/lego--quick--small--two-owners--one-of-them-later-1.{name}")));
-        cairn_stega::MarkedField::from_bytes(&bytes.unwrap()).unwrap()
+        cairn_mark::MarkedField::from_bytes(&bytes.unwrap()).unwrap()
     };
     let (first, both) = (mark("first.marked"), mark("marked"));
     assert_eq!((first.carrier(2), both.carrier(1)), (None, first.carrier(1)));

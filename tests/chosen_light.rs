@@ -4,13 +4,13 @@
 use std::path::Path;
 
 use crate::common::{Daemon, Place, TINY};
-use cairn_capture::{Limits, Picture, decode_picture, encode_png};
+use cairn_api::v1::appearance::Choice;
+use cairn_api::v1::render_path_request::Path as Way;
+use cairn_api::v1::render_service_client::RenderServiceClient;
+use cairn_api::v1::{self};
 use cairn_landmark::{Landmark, LandmarkConfig};
-use cairn_metrics::psnr_db;
-use cairn_proto::v1::appearance::Choice;
-use cairn_proto::v1::render_path_request::Path as Way;
-use cairn_proto::v1::render_service_client::RenderServiceClient;
-use cairn_proto::v1::{self};
+use cairn_scene::metrics::psnr_db;
+use cairn_scene::{Limits, Picture, decode_picture, encode_png};
 use tonic::{Code, Request};
 
 const ADA: &str = "images/ada_002.png";

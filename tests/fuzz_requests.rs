@@ -8,9 +8,9 @@ use std::io::Write as _;
 
 use crate::common::{Daemon, Place, TINY};
 use crate::wire::{Contract, Method, Pool, call, call_compressed};
-use cairn_hostile::samples;
-use cairn_proto::v1;
-use cairn_registry::OwnerKey;
+use cairn_api::v1;
+use cairn_log::OwnerKey;
+use cairn_testkit::samples;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use tonic::transport::{Channel, Endpoint};
@@ -34,7 +34,7 @@ const MAX_RESIDENT_KIB: u64 = 768 << 10;
 
 /// Requests a method: a part of `CAIRN_FUZZ_CASES`, as each goes through a daemon.
 fn requests() -> usize {
-    (cairn_hostile::cases() / 75) as usize
+    (cairn_testkit::cases() / 75) as usize
 }
 
 fn pool(place: &Place) -> Pool {
@@ -53,7 +53,7 @@ fn pool(place: &Place) -> Pool {
     for name in ["view_name", "view_names", "from_view", "to_view"] {
         texts.insert(name, views.clone());
     }
-    let picture = cairn_capture::encode_png(&cairn_capture::Picture::constant(32, 32, [0.5; 3]));
+    let picture = cairn_scene::encode_png(&cairn_scene::Picture::constant(32, 32, [0.5; 3]));
     let key = OwnerKey::from_seed(&[1; 32]).public().to_bytes().to_vec();
     let envelope =
         br#"{"payload":"e30=","payloadType":"application/vnd.cairn.owner-record.v1+json","signatures":[{"sig":""}]}"#;

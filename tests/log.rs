@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use crate::common::{Daemon, Place, copy};
-use cairn_proto::v1;
-use cairn_proto::v1::owner_service_client::OwnerServiceClient;
-use cairn_registry::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
-use cairn_registry::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
+use cairn_api::v1;
+use cairn_api::v1::owner_service_client::OwnerServiceClient;
+use cairn_log::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
+use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
 use tonic::transport::Channel;
 
 /// A running `cairn witness serve`; ends with the test.
@@ -116,8 +116,8 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
     };
     for (number, wanted) in [(0, vec![one]), (3, vec![one, two]), (5, vec![two]), (9, vec![])] {
         let answer = client.answer(asked(number)).await.unwrap().into_inner().answer;
-        let report = cairn_audit::audit_answer(&answer, Some(&log.trim().parse().unwrap()));
-        assert_eq!(report.outcome, cairn_audit::Outcome::Trusted, "{report}");
+        let report = cairn_verify::audit_answer(&answer, Some(&log.trim().parse().unwrap()));
+        assert_eq!(report.outcome, cairn_verify::Outcome::Trusted, "{report}");
         assert_eq!(report.credited().map(|r| r.index).collect::<Vec<_>>(), wanted, "{report}");
     }
 

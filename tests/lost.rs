@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::common::world::{CLOSED, World, key};
-use cairn_registry::{Envelope, OwnerRecord};
+use cairn_log::{Envelope, OwnerRecord};
 
 /// A way to the daemon at `url` that breaks once a record went through it: the daemon has it, and its answer never comes.
 fn way_that_breaks(url: &str) -> String {

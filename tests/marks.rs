@@ -3,9 +3,9 @@
 //! is what counts here.
 
 use crate::common::{Daemon, Place};
-use cairn_proto::v1;
-use cairn_proto::v1::detection_service_client::DetectionServiceClient;
-use cairn_proto::v1::query_service_client::QueryServiceClient;
+use cairn_api::v1;
+use cairn_api::v1::detection_service_client::DetectionServiceClient;
+use cairn_api::v1::query_service_client::QueryServiceClient;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_mark_is_trained_rendered_read_and_claimed() {
@@ -41,7 +41,7 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     let found = detection.detect(request).await.unwrap().into_inner();
     assert_eq!(found.probabilities.len(), 3);
     assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{:?}", found.probabilities);
-    let signal = cairn_capture::decode_picture(&found.recovered_png, &cairn_capture::Limits::default(), None).unwrap();
+    let signal = cairn_scene::decode_picture(&found.recovered_png, &cairn_scene::Limits::default(), None).unwrap();
     assert_eq!((signal.width(), signal.height()), (32, 32));
     assert!(found.recovered_wav.is_empty() && found.recovered_text.is_none(), "nobody hides a sound or a text");
     let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
@@ -81,8 +81,8 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     let refused = place.cairn(&[&nowhere[..], &to].concat());
     assert!(String::from_utf8_lossy(&refused.stderr).contains("there is no view"), "{refused:?}");
     // Too little to see, and what that camera cannot have taken whole.
-    let wide = cairn_capture::Picture::constant(192, 96, [0.5; 3]);
-    std::fs::write(place.path("wide.png"), cairn_capture::encode_png(&wide)).unwrap();
+    let wide = cairn_scene::Picture::constant(192, 96, [0.5; 3]);
+    std::fs::write(place.path("wide.png"), cairn_scene::encode_png(&wide)).unwrap();
     for (picture, how, why) in [
         ("capture/images/ada_002.png", "--over-field", "64 x 64 px or more"),
         ("wide.png", "--rendered-view=images/ada_002.png", "the proportions of what it was rendered at, 32 x 32 px"),
@@ -156,9 +156,9 @@ fn a_record_outlives_the_next_training_and_speaks_for_its_own_alone() {
 
 /// A PNG of a colour above white.
 fn emblem(colour: [f32; 3]) -> Vec<u8> {
-    let mut picture = cairn_capture::Picture::constant(40, 40, colour);
+    let mut picture = cairn_scene::Picture::constant(40, 40, colour);
     picture.rgb_mut()[40 * 20 * 3..].fill(1.0);
-    cairn_capture::encode_png(&picture)
+    cairn_scene::encode_png(&picture)
 }
 
 #[test]
@@ -185,7 +185,7 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
     }
     for (number, colour) in [(1, [255, 0, 102]), (2, [0, 255, 51])] {
         let kept = std::fs::read(place.path(&format!("owners/{number}/signal.png"))).unwrap();
-        let kept = cairn_capture::decode_picture(&kept, &cairn_capture::Limits::default(), None).unwrap();
+        let kept = cairn_scene::decode_picture(&kept, &cairn_scene::Limits::default(), None).unwrap();
         assert_eq!(kept.to_rgb8()[..3], colour, "identity {number}");
     }
     // The label names the anchor's view; whose photographs stand behind it is said beside it.
@@ -222,7 +222,7 @@ fn the_demo_goes_the_whole_way() {
     assert_eq!(results["seconds"].as_array().unwrap().last().unwrap()[0], "whole demo");
     // Six tiles a row, each at least 96 px wide.
     let sheet = std::fs::read(place.path("demo/contact-sheet.png")).unwrap();
-    let sheet = cairn_capture::decode_picture(&sheet, &cairn_capture::Limits::default(), None).unwrap();
+    let sheet = cairn_scene::decode_picture(&sheet, &cairn_scene::Limits::default(), None).unwrap();
     assert!(sheet.width() >= 6 * 96, "{} px wide", sheet.width());
 }
 
@@ -236,7 +236,7 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
     std::fs::write(signals.join("a.png"), emblem([1.0, 0.0, 0.4])).unwrap();
     std::fs::write(signals.join("a.txt"), "© Éva\n").unwrap();
     let spoken = cairn_landmark::sounds::credit(0, 0.4, 22_050, 3);
-    std::fs::write(signals.join("b.wav"), cairn_capture::encode_wav(&spoken)).unwrap();
+    std::fs::write(signals.join("b.wav"), cairn_scene::encode_wav(&spoken)).unwrap();
     let (tiny, dir) = (place.text("tiny.toml"), signals.display().to_string());
     let train = ["train", "town", "--by-contributor", "--signals", &dir, "--settings", &tiny, "--data", &data];
     place.cairn_ok(&[&train[..], &["--keys", &place.text("owners")]].concat());
@@ -245,8 +245,8 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
     let kept = |file: &str| std::fs::read(place.path(&format!("owners/{file}")));
     assert_eq!(kept("1/signal.txt").unwrap(), "© Éva".as_bytes());
     assert!(kept("1/signal.png").is_ok() && kept("1/signal.wav").is_err() && kept("2/signal.png").is_err());
-    let limits = cairn_capture::SoundLimits { max_file_bytes: 1 << 20, longest_s: 1.0 };
-    let hidden = cairn_capture::decode_wav("kept", &kept("2/signal.wav").unwrap(), &limits).unwrap();
+    let limits = cairn_scene::SoundLimits { max_file_bytes: 1 << 20, longest_s: 1.0 };
+    let hidden = cairn_scene::decode_wav("kept", &kept("2/signal.wav").unwrap(), &limits).unwrap();
     assert_eq!((hidden.sample_rate_hz(), hidden.samples().len()), (16_000, 6_400));
     let verify = |number: u32| {
         let (bundle, vkey) =
@@ -266,7 +266,7 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
         ["recovered text: \"", "recovered sound in", "recovered picture in"].iter().all(|s| said.contains(s)),
         "{said}"
     );
-    let sound = cairn_capture::decode_wav("said", &std::fs::read(wav).unwrap(), &limits).unwrap();
+    let sound = cairn_scene::decode_wav("said", &std::fs::read(wav).unwrap(), &limits).unwrap();
     assert_eq!((sound.sample_rate_hz(), sound.samples().len()), (16_000, 6_400));
     assert!(std::fs::read(txt).is_ok());
 

@@ -8,11 +8,11 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use crate::common::{Daemon, Place};
-use cairn_audit::{Evidence, LogView, Outcome, audit};
-use cairn_proto::v1;
-use cairn_proto::v1::owner_service_client::OwnerServiceClient;
-use cairn_registry::record::{self, Digests, Identity, Seen, random_salt};
-use cairn_registry::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
+use cairn_api::v1;
+use cairn_api::v1::owner_service_client::OwnerServiceClient;
+use cairn_log::record::{self, Digests, Identity, Seen, random_salt};
+use cairn_log::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
+use cairn_verify::{Evidence, LogView, Outcome, audit};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use tonic::transport::Channel;

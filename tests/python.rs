@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use crate::common::Place;
-use cairn_audit::{Evidence, Outcome, audit};
-use cairn_registry::{Note, NoteVerifier, PublicKey};
+use cairn_log::{Note, NoteVerifier, PublicKey};
+use cairn_verify::{Evidence, Outcome, audit};
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -106,7 +106,7 @@ fn a_bundle_made_here_verifies_in_python_and_a_changed_one_does_not() {
     };
     // Nobody cosigned it; another log's key; the proof of the other record.
     refuses(&[&folder, "--vkey", &vkey, "--quorum", "1"], "quorum");
-    let other = NoteVerifier::new("another/log", cairn_registry::OwnerKey::from_seed(&[9; 32]).public()).unwrap();
+    let other = NoteVerifier::new("another/log", cairn_log::OwnerKey::from_seed(&[9; 32]).public()).unwrap();
     fs::write(place.path("other.vkey"), other.to_string()).unwrap();
     refuses(&[&folder, "--vkey", &place.text("other.vkey")], "checkpoint-signature");
     fs::copy(bundle.join(FILES[1]), place.path("before").join(FILES[1])).unwrap();
@@ -147,7 +147,7 @@ fn cosignature_holds(proof: &Path, vkey: &Path) {
     let proof = fs::read_to_string(proof).unwrap();
     let note = Note::parse(proof.split_once("\n\n").unwrap().1).unwrap();
     let line = note.signatures.iter().find(|s| s.name == name).unwrap();
-    assert_eq!(line.key_id, cairn_registry::note::key_id(name, &typed));
+    assert_eq!(line.key_id, cairn_log::note::key_id(name, &typed));
     let (time, signature) = line.signature.split_first_chunk::<8>().unwrap();
     let message = |time| format!("cosignature/v1\ntime {time}\n{}", note.text);
     let time = u64::from_be_bytes(*time);

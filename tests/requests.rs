@@ -1,12 +1,12 @@
 //! Scenes, renders, queries and refusals through the real daemon.
 
 use crate::common::{Daemon, Place, TINY, base_only, training as wanted};
-use cairn_proto::v1::detection_service_client::DetectionServiceClient;
-use cairn_proto::v1::query_service_client::QueryServiceClient;
-use cairn_proto::v1::render_service_client::RenderServiceClient;
-use cairn_proto::v1::scene_service_client::SceneServiceClient;
-use cairn_proto::v1::training_service_client::TrainingServiceClient;
-use cairn_proto::v1::{self, import_scene_request::Part};
+use cairn_api::v1::detection_service_client::DetectionServiceClient;
+use cairn_api::v1::query_service_client::QueryServiceClient;
+use cairn_api::v1::render_service_client::RenderServiceClient;
+use cairn_api::v1::scene_service_client::SceneServiceClient;
+use cairn_api::v1::training_service_client::TrainingServiceClient;
+use cairn_api::v1::{self, import_scene_request::Part};
 use tonic::{Code, Request};
 
 fn view(name: &str) -> Option<v1::Viewpoint> {
@@ -49,7 +49,7 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let png = place.text("view.png");
     place.cairn_ok(&["render", "town", "--view", &name, "--out", &png, "--base", connect[0], connect[1]]);
     let bytes = std::fs::read(&png).unwrap();
-    let picture = cairn_capture::decode_picture(&bytes, &cairn_capture::Limits::default(), None).unwrap();
+    let picture = cairn_scene::decode_picture(&bytes, &cairn_scene::Limits::default(), None).unwrap();
     assert_eq!((picture.width(), picture.height()), (32, 32));
     let other = place.text("other.png");
     place.cairn_ok(&[

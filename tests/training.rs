@@ -5,9 +5,9 @@ use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Stdio};
 
 use crate::common::{Daemon, Place, TINY, base_only, training as wanted};
-use cairn_proto::v1::scene_service_client::SceneServiceClient;
-use cairn_proto::v1::training_service_client::TrainingServiceClient;
-use cairn_proto::v1::{self, JobState};
+use cairn_api::v1::scene_service_client::SceneServiceClient;
+use cairn_api::v1::training_service_client::TrainingServiceClient;
+use cairn_api::v1::{self, JobState};
 use tonic::transport::Channel;
 
 /// Writes a checkpoint after every step, so that any moment has one.

@@ -6,10 +6,10 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::{Daemon, Place};
-use cairn_capture::{Limits, Picture, decode_picture};
-use cairn_proto::v1::render_path_request::Path as Way;
-use cairn_proto::v1::render_service_client::RenderServiceClient;
-use cairn_proto::v1::{self};
+use cairn_api::v1::render_path_request::Path as Way;
+use cairn_api::v1::render_service_client::RenderServiceClient;
+use cairn_api::v1::{self};
+use cairn_scene::{Limits, Picture, decode_picture};
 use tonic::Code;
 use tonic::transport::Endpoint;
 

@@ -6,9 +6,9 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use cairn_registry::merkle::{Tree, leaf_hash};
-use cairn_registry::{Checkpoint, Digest, NoteVerifier, OwnerKey, Policy, Quorum};
-use cairn_witness::{WitnessClient, WitnessError, collect};
+use cairn_log::merkle::{Tree, leaf_hash};
+use cairn_log::witness::{WitnessClient, WitnessError, collect};
+use cairn_log::{Checkpoint, Digest, NoteVerifier, OwnerKey, Policy, Quorum};
 
 const ORIGIN: &str = "log.example/owners";
 const NAME: &str = "witness.example/w1";

@@ -1,10 +1,10 @@
 //! The readers of contributors' files: the first byte chooses which, the rest is its input.
 #![no_main]
 
-#[path = "../../crates/cairn-capture/tests/common/mod.rs"]
+#[path = "../../crates/cairn-scene/tests/common/mod.rs"]
 mod common;
 mod seeds;
-#[path = "../../crates/cairn-capture/tests/targets/mod.rs"]
+#[path = "../../crates/cairn-scene/tests/targets/mod.rs"]
 mod targets;
 
 libfuzzer_sys::fuzz_target!(init: seeds::write(targets::TARGETS.iter().map(|t| (t.name, (t.good)()))), |data: &[u8]| {

@@ -2,7 +2,7 @@
 #![no_main]
 
 mod seeds;
-#[path = "../../crates/cairn-registry/tests/targets/mod.rs"]
+#[path = "../../crates/cairn-log/tests/targets/mod.rs"]
 mod targets;
 
 libfuzzer_sys::fuzz_target!(init: seeds::write(targets::TARGETS.iter().map(|t| (t.name, (t.good)()))), |data: &[u8]| {

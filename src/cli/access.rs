@@ -4,9 +4,9 @@
 //! its operator: whoever can write there needs no account.
 
 use anyhow::Context as _;
-use cairn_access::{Registration, Role};
-use cairn_proto::v1;
-use cairn_registry::{Digest, PublicKey};
+use cairn_api::v1;
+use cairn_log::{Digest, PublicKey};
+use cairn_service::auth::{Registration, Role};
 
 use super::VERSION;
 use super::connect::{Connection, Where, refused};
@@ -104,7 +104,7 @@ pub fn add(place: &Where, args: &AddArgs) -> anyhow::Result<()> {
         "accounts are added on the daemon's machine, without --connect; over the network they register"
     );
     let name = args.name.as_deref().unwrap_or(args.role.name());
-    let account = crate::engine::access::add_account(&place.data, args.key, name, args.role)?;
+    let account = cairn_service::engine::access::add_account(&place.data, args.key, name, args.role)?;
     println!("added {}, {}", account.name, account.role);
     Ok(())
 }
@@ -116,7 +116,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     let changed = match command {
         Command::Register { name, role } => return register(line, name, role).await,
         Command::Approve { key, role } => {
-            let role = role.map_or(v1::Role::Unspecified, crate::daemon::to_proto::role).into();
+            let role = role.map_or(v1::Role::Unspecified, cairn_service::grpc::to_proto::role).into();
             let request = v1::ApproveAccountRequest { format_version: VERSION, public_key: bytes(&key), role };
             client.approve(request).await.map_err(refused)?.into_inner().account
         }
@@ -127,7 +127,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             return Ok(());
         }
         Command::Role { key, role } => {
-            let role = crate::daemon::to_proto::role(role).into();
+            let role = cairn_service::grpc::to_proto::role(role).into();
             let request = v1::SetRoleRequest { format_version: VERSION, public_key: bytes(&key), role };
             client.set_role(request).await.map_err(refused)?.into_inner().account
         }
@@ -196,7 +196,7 @@ async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result
         public_key: public_key.into(),
         signature: registration.sign(key).to_vec().into(),
         name: registration.name,
-        role: crate::daemon::to_proto::role(role).into(),
+        role: cairn_service::grpc::to_proto::role(role).into(),
         nonce: given.nonce,
     };
     let account = client.register(request).await.map_err(refused)?.into_inner().account;

@@ -7,7 +7,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_capture::Picture;
+use cairn_scene::Picture;
 use tempfile::NamedTempFile;
 
 /// How thoroughly a GIF frame's colours are chosen, 1 (best) to 30.

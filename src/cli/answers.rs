@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use cairn_proto::v1;
-use cairn_registry::Answer;
+use cairn_api::v1;
+use cairn_log::Answer;
 
 use super::connect::{Connection, refused};
 use super::{VERSION, read, write};

@@ -5,24 +5,24 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use cairn_proto::v1::access_service_client::AccessServiceClient;
-use cairn_proto::v1::detection_service_client::DetectionServiceClient;
-use cairn_proto::v1::owner_service_client::OwnerServiceClient;
-use cairn_proto::v1::quarantine_service_client::QuarantineServiceClient;
-use cairn_proto::v1::query_service_client::QueryServiceClient;
-use cairn_proto::v1::render_service_client::RenderServiceClient;
-use cairn_proto::v1::scene_service_client::SceneServiceClient;
-use cairn_proto::v1::training_service_client::TrainingServiceClient;
-use cairn_registry::{NoteVerifier, OwnerKey};
+use cairn_api::v1::access_service_client::AccessServiceClient;
+use cairn_api::v1::detection_service_client::DetectionServiceClient;
+use cairn_api::v1::owner_service_client::OwnerServiceClient;
+use cairn_api::v1::quarantine_service_client::QuarantineServiceClient;
+use cairn_api::v1::query_service_client::QueryServiceClient;
+use cairn_api::v1::render_service_client::RenderServiceClient;
+use cairn_api::v1::scene_service_client::SceneServiceClient;
+use cairn_api::v1::training_service_client::TrainingServiceClient;
+use cairn_log::{NoteVerifier, OwnerKey};
 use hyper_util::rt::TokioIo;
 use tonic::Status;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
 
 use super::credential::{Credential, Speaking};
 use super::unlock::UnlockArgs;
-use crate::config::{Config, Token};
-use crate::daemon::serve::InProcess;
-use crate::daemon::tls::pem;
+use cairn_service::config::{Config, Token};
+use cairn_service::grpc::serve::InProcess;
+use cairn_service::grpc::tls::pem;
 
 /// Bytes of pipe between client and services in this process.
 const PIPE_BYTES: usize = 1 << 20;

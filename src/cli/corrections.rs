@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use cairn_proto::v1;
-use cairn_registry::{ErasureRequest, RecordKind, erasure};
+use cairn_api::v1;
+use cairn_log::{ErasureRequest, RecordKind, erasure};
 
 use super::VERSION;
 use super::connect::{Connection, refused};

@@ -10,10 +10,10 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 
 use anyhow::Context as _;
-use cairn_access::{Daemon, sign};
-use cairn_proto::v1;
-use cairn_proto::v1::access_service_client::AccessServiceClient;
-use cairn_registry::{Digest, NoteVerifier, OwnerKey, PublicKey};
+use cairn_api::v1;
+use cairn_api::v1::access_service_client::AccessServiceClient;
+use cairn_log::{Digest, NoteVerifier, OwnerKey, PublicKey};
+use cairn_service::auth::{Daemon, sign};
 use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::http::{HeaderValue, Request, Response};
@@ -21,7 +21,7 @@ use tonic::transport::Channel;
 
 use super::VERSION;
 use super::connect::refused;
-use crate::engine::access::unix_s;
+use cairn_service::engine::access::unix_s;
 
 /// Life of a signed token, seconds, where the daemon allows as much: it is used at once.
 const LIFETIME_S: u64 = 120;

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use cairn_audit::Outcome;
+use cairn_api::v1;
 use cairn_landmark::{Landmark, LandmarkConfig};
-use cairn_proto::v1;
+use cairn_verify::Outcome;
 use serde::Serialize;
 
 use super::connect::{Connection, Where, refused};
 use super::{VERSION, audit, look, scene, sign, train, write};
-use crate::engine::report::{Report, Right};
+use cairn_service::engine::report::{Report, Right};
 
 /// The demo's scene.
 const SCENE: &str = "demo";

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_proto::v1;
-use cairn_registry::keys::{Seal, SealingKey, StoredKey, reseal_key, save_key};
-use cairn_registry::{OwnerKey, OwnerRecord, RecordKind};
+use cairn_api::v1;
+use cairn_log::keys::{Seal, SealingKey, StoredKey, reseal_key, save_key};
+use cairn_log::{OwnerKey, OwnerRecord, RecordKind};
 
 use super::connect::Connection;
 use super::records::{self, Bundle, Ground, Stored};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use cairn_proto::v1::{self, appearance::Choice};
+use cairn_api::v1::{self, appearance::Choice};
 
 use super::{look, read};
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_proto::v1;
+use cairn_api::v1;
 use serde::Deserialize;
 
 use super::connect::{Connection, refused};
@@ -376,7 +376,7 @@ pub async fn report(
     scene: &str,
     json: Option<&PathBuf>,
     sheet: Option<&PathBuf>,
-) -> anyhow::Result<crate::engine::report::Report> {
+) -> anyhow::Result<cairn_service::engine::report::Report> {
     let contact_sheet = sheet.is_some();
     let request = v1::EvaluateRequest { format_version: VERSION, scene: scene.to_owned(), contact_sheet };
     let answer = line.about(scene).query().evaluate(request).await.map_err(refused)?.into_inner();
@@ -389,9 +389,9 @@ pub async fn report(
     serde_json::from_str(&answer.report_json).context("the daemon's report is of another version")
 }
 
-/// Looking from a camera of one's own: the pose file of a [`cairn_capture::Camera`].
+/// Looking from a camera of one's own: the pose file of a [`cairn_scene::Camera`].
 #[cfg(test)]
-fn pose_file(camera: &cairn_capture::Camera) -> serde_json::Value {
+fn pose_file(camera: &cairn_scene::Camera) -> serde_json::Value {
     let (i, p) = (&camera.intrinsics, &camera.pose);
     let row = |r: usize| {
         let rotation = p.rotation.row(r);
@@ -406,7 +406,7 @@ fn pose_file(camera: &cairn_capture::Camera) -> serde_json::Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_capture::{Camera, Distortion, Intrinsics, Pose};
+    use cairn_scene::{Camera, Distortion, Intrinsics, Pose};
     use glam::{DMat3, DVec3};
 
     #[test]
@@ -418,7 +418,7 @@ mod tests {
         let intrinsics = Intrinsics { width: 8, height: 6, fx: 7.0, fy: 7.0, cx: 4.0, cy: 3.0, distortion };
         let wanted = Camera { intrinsics, pose };
         std::fs::write(&path, pose_file(&wanted).to_string()).unwrap();
-        let read = crate::daemon::from_proto::camera("c", Some(&camera(&path).unwrap())).unwrap();
+        let read = cairn_service::grpc::from_proto::camera("c", Some(&camera(&path).unwrap())).unwrap();
         assert!((read.pose.position - wanted.pose.position).length() < 1e-12);
         let difference: DMat3 = read.pose.rotation - wanted.pose.rotation;
         assert!(difference.to_cols_array().iter().all(|v| v.abs() < 1e-9), "{difference}");

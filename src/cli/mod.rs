@@ -33,11 +33,11 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 
-use crate::config::{Config, LogFormat};
+use cairn_service::config::{Config, LogFormat};
 use connect::{Connection, Where};
 
 /// The version that every request carries.
-const VERSION: u32 = cairn_proto::v1::FORMAT_VERSION;
+const VERSION: u32 = cairn_api::v1::FORMAT_VERSION;
 
 /// Credits the photographers of a landmark: radiance fields with hidden, recoverable owner marks.
 #[derive(Debug, Parser)]
@@ -108,7 +108,8 @@ impl Cli {
     pub fn run(self) -> anyhow::Result<ExitCode> {
         if !matches!(self.command, Command::Bench(_) | Command::BenchPart) {
             // Whatever opens a data folder reads the registry's key; measurements want their cores and counters.
-            crate::secrets::keep_out_of_dumps().context("cannot forbid core dumps, which would hold secret keys")?;
+            cairn_service::secrets::keep_out_of_dumps()
+                .context("cannot forbid core dumps, which would hold secret keys")?;
         }
         let config = Config::load(self.place.config.as_deref())?;
         start_log(&config, matches!(self.command, Command::Serve | Command::Witness(_)));
@@ -119,7 +120,7 @@ impl Cli {
     async fn answer(self, config: Config) -> anyhow::Result<ExitCode> {
         let place = self.place;
         match self.command {
-            Command::Serve => crate::daemon::serve::serve(config, &place.data).await?,
+            Command::Serve => cairn_service::grpc::serve::serve(config, &place.data).await?,
             Command::Keys(command) if command.is_local() => keys::local(&command)?,
             Command::Witness(command) => witness::run(&command).await?,
             Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,

@@ -7,8 +7,8 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use cairn_proto::v1;
-use cairn_registry::{Checkpoint, Digest, Note};
+use cairn_api::v1;
+use cairn_log::{Checkpoint, Digest, Note};
 use serde::{Deserialize, Serialize};
 
 use super::answers::{self, AnswerArgs};

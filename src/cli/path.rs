@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use cairn_capture::{Limits, Picture, decode_picture};
-use cairn_proto::v1::{self, render_path_request as to};
-use cairn_registry::Digest;
+use cairn_api::v1::{self, render_path_request as to};
+use cairn_log::Digest;
+use cairn_scene::{Limits, Picture, decode_picture};
 use serde_json::json;
 
 use super::animation::{self, Animation, write_whole};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use cairn_proto::v1::{self, draw_poses_request::Clusters};
+use cairn_api::v1::{self, draw_poses_request::Clusters};
 
 use super::VERSION;
 use super::animation::write_whole;

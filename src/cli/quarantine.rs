@@ -1,6 +1,6 @@
 //! `cairn quarantine`: views that the others do not explain; list, release and remove them.
 
-use cairn_proto::v1;
+use cairn_api::v1;
 
 use super::VERSION;
 use super::connect::{Connection, refused};

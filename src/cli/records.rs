@@ -10,14 +10,14 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_proto::v1;
-use cairn_registry::record::{Digests, Seen, random_salt};
-use cairn_registry::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
+use cairn_api::v1;
+use cairn_log::record::{Digests, Seen, random_salt};
+use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
 use tonic::{Code, Status};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
-use crate::engine::folder::{write_atomic, write_atomic_secret};
+use cairn_service::engine::folder::{write_atomic, write_atomic_secret};
 
 /// What the registry gives a signer to sign.
 pub struct Ground {

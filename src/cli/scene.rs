@@ -6,13 +6,13 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
-use cairn_capture::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
-use cairn_proto::v1::{self, import_scene_request::Part};
+use cairn_api::v1::{self, import_scene_request::Part};
+use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
 use sha2::{Digest, Sha256};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
-use crate::daemon::to_proto;
+use cairn_service::grpc::to_proto;
 
 /// Bytes of photograph a message.
 const CHUNK_BYTES: usize = 256 << 10;
@@ -267,7 +267,7 @@ fn point_chunk(points: &[glam::DVec3]) -> v1::ImportSceneRequest {
     v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Points(chunk)) }
 }
 
-fn new_size(args: &ImportArgs, camera: &cairn_capture::Camera) -> anyhow::Result<Option<(usize, usize)>> {
+fn new_size(args: &ImportArgs, camera: &cairn_scene::Camera) -> anyhow::Result<Option<(usize, usize)>> {
     if let (Some(width), Some(height)) = (args.width, args.height) {
         anyhow::ensure!(width > 0 && height > 0, "--width {width} --height {height}: both must be 1 or more");
         return Ok(Some((width, height)));

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_proto::v1;
-use cairn_registry::record::{
+use cairn_api::v1;
+use cairn_log::record::{
     Digests, Identity, MAX_VIEWS, SignalFiles, hidden_signal_commitment, photographs_root, random_salt,
 };
-use cairn_registry::{Digest, OwnerKey, OwnerRecord, RecordKind};
+use cairn_log::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
@@ -96,7 +96,7 @@ fn record(
     let photographs = photographs(material)?;
     let of_photographs = matches!(args.kind, Kind::Claim | Kind::Contribution);
     Ok(OwnerRecord {
-        version: cairn_registry::record::VERSION,
+        version: cairn_log::record::VERSION,
         kind,
         origin: ground.origin,
         scene: args.name.clone(),

@@ -4,8 +4,8 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_capture::{Ground, Limits, decode_emblem, encode_png};
-use cairn_proto::v1;
+use cairn_api::v1;
+use cairn_scene::{Ground, Limits, decode_emblem, encode_png};
 
 use super::read;
 
@@ -162,7 +162,7 @@ fn run<'a>(rest: &mut &'a str) -> Option<&'a str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_capture::{Picture, decode_picture};
+    use cairn_scene::{Picture, decode_picture};
 
     /// A folder with these files.
     fn folder(files: &[(&str, &[u8])]) -> tempfile::TempDir {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use cairn_proto::v1::{self, JobState, start_training_request::Clusters};
+use cairn_api::v1::{self, JobState, start_training_request::Clusters};
 use clap::builder::ArgPredicate;
 
 use super::connect::{Connection, refused};

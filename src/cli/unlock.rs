@@ -3,8 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use cairn_registry::OwnerKey;
-use cairn_registry::keys::{KeyError, Passphrase, Seal, SealingKey, Unlock, load_key};
+use cairn_log::OwnerKey;
+use cairn_log::keys::{KeyError, Passphrase, Seal, SealingKey, Unlock, load_key};
 use zeroize::Zeroizing;
 
 /// What opens the owner's key where it is sealed.

@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use cairn_registry::{NoteVerifier, WitnessVerifier};
-use cairn_witness::Witness;
-use cairn_witness::plain_http::Limits;
+use cairn_log::witness::Witness;
+use cairn_log::witness::plain_http::Limits;
+use cairn_log::{NoteVerifier, WitnessVerifier};
 
 use super::unlock::UnlockArgs;
-use crate::daemon::serve::signal;
+use cairn_service::grpc::serve::signal;
 
 /// What a witness does.
 #[derive(Debug, clap::Subcommand)]
@@ -82,7 +82,7 @@ async fn serve(args: &ServeArgs) -> anyhow::Result<()> {
             Err(e) => tracing::error!(error = %e, "cannot hear signals; shutting down"),
         }
     };
-    cairn_witness::server::serve(listener, witness, Limits::default(), stop).await?;
+    cairn_log::witness::server::serve(listener, witness, Limits::default(), stop).await?;
     tracing::info!("stopped");
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! Tiny captures by the names that the bench suites know.
 
-use cairn_capture::Picture;
+use cairn_scene::Picture;
 use serde_json::Value;
 
 use super::Place;
@@ -20,7 +20,7 @@ pub fn captures(place: &Place) {
         std::fs::copy(&path, lego.join("images").join(name)).unwrap();
         let mut mask = Picture::constant(32, 32, [0.0; 3]);
         mask.rgb_mut()[16 * 32 * 3..].fill(1.0);
-        cairn_capture::save_png(&liberty.join("masks").join(name), &mask).unwrap();
+        cairn_scene::save_png(&liberty.join("masks").join(name), &mask).unwrap();
     }
     std::fs::copy(capture.join("transforms.json"), liberty.join("transforms.json")).unwrap();
     let all: Value = serde_json::from_slice(&std::fs::read(capture.join("transforms.json")).unwrap()).unwrap();

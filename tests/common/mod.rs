@@ -9,8 +9,8 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
+use cairn_api::v1;
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
-use cairn_proto::v1;
 use tempfile::TempDir;
 
 /// Training settings so small that a whole training takes a moment.

@@ -1,9 +1,9 @@
 //! A daemon with accounts, and people who call it with their keys.
 
-use cairn_access::Daemon as Identity;
-use cairn_proto::v1;
-use cairn_proto::v1::access_service_client::AccessServiceClient;
-use cairn_registry::{OwnerKey, PublicKey};
+use cairn_api::v1;
+use cairn_api::v1::access_service_client::AccessServiceClient;
+use cairn_log::{OwnerKey, PublicKey};
+use cairn_service::auth::Daemon as Identity;
 use tonic::transport::{Channel, Endpoint};
 
 use super::{Daemon, Place};

@@ -5,8 +5,8 @@
 //! whose photographs are scored against]]`. The last must have the same views and cameras; held-out light is fitted
 //! to its photographs, too.
 
-use cairn_capture::{Capture, Picture, ReadOptions, encode_png};
 use cairn_field::{BaseTrainer, Field, FieldConfig, FieldError, SceneFrame, TrainingView};
+use cairn_scene::{Capture, Picture, ReadOptions, encode_png};
 use std::sync::Arc;
 use std::time::Instant;
 

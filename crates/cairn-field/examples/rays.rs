@@ -4,13 +4,13 @@
 //! `cargo run --release -p cairn-field --example rays -- FIELD FOLDER [VIEWS [pictures]]`; the last word
 //! leaves all but the pictures out, for a profile.
 
-use cairn_capture::{Camera, Capture, ReadOptions};
 use cairn_field::composite::{runs, see};
 use cairn_field::march::{STEP_VOXELS, march};
 use cairn_field::operator::MarkableField;
 use cairn_field::rays::Lens;
 use cairn_field::sh::SH;
 use cairn_field::{Field, RayPath, Thresholds};
+use cairn_scene::{Camera, Capture, ReadOptions};
 use std::hint::black_box;
 use std::time::Instant;
 

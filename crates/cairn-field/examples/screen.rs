@@ -4,8 +4,8 @@
 //! `cargo run --release -p cairn-field --example screen -- FOLDER SCALE SETTINGS WRONG SEEDS [FOLDER of other photographs]`:
 //! stage 1's settings as JSON, how many photographs to spoil, and seeds 1 to SEEDS.
 
-use cairn_capture::{Capture, Picture, ReadOptions};
 use cairn_field::{FieldConfig, QuarantineConfig, SceneFrame, Screening, TrainingView};
+use cairn_scene::{Capture, Picture, ReadOptions};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Instant;

@@ -2,8 +2,8 @@
 //!
 //! `cargo run --release -p cairn-field --example show -- FIELD FOLDER SCALE LEAST`
 
-use cairn_capture::{Capture, ReadOptions};
 use cairn_field::{Field, Thresholds};
+use cairn_scene::{Capture, ReadOptions};
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -4,8 +4,8 @@
 //!
 //! `cargo run --release -p cairn-field --example watermarks -- FOLDER [FOLDER for pictures [N]]`
 
-use cairn_capture::{Capture, Picture, Picture8, ReadOptions, encode_png};
 use cairn_field::watermarks;
+use cairn_scene::{Capture, Picture, Picture8, ReadOptions, encode_png};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().collect();

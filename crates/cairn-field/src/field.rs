@@ -11,7 +11,7 @@ use crate::picture::Seen;
 use crate::prior::Prior;
 use crate::sh::SH;
 use crate::tensors::TensorFile;
-use cairn_capture::{Camera, Picture};
+use cairn_scene::{Camera, Picture};
 use half::f16;
 use rayon::prelude::*;
 use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};

@@ -10,7 +10,7 @@
 //! tell its places apart is refused.
 
 use crate::error::FieldError;
-use cairn_capture::{Camera, Capture, SceneKind, View};
+use cairn_scene::{Camera, Capture, SceneKind, View};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -348,7 +348,7 @@ fn focus_and_footprint(cameras: &[&Camera]) -> (DVec3, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_capture::{Distortion, Intrinsics, Pose, View};
+    use cairn_scene::{Distortion, Intrinsics, Pose, View};
 
     fn camera(position: DVec3, target: DVec3) -> Camera {
         let distortion = Distortion::default();

@@ -10,7 +10,7 @@ use crate::patch::{Debts, Patch, Roulette};
 use crate::picture::{Seen, Tiling};
 use crate::rays::Lens;
 use crate::sh::SH;
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 use rayon::prelude::*;
 
 /// Numbers a row of a field's change takes: 27 colour coefficients, channel-major as

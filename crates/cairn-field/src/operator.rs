@@ -16,7 +16,7 @@ use crate::rays::Lens;
 use crate::real::Real;
 use crate::sh::{SH, SH_DC};
 use crate::weights::ViewWeights;
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 use rayon::prelude::*;
 
 /// Marks entries in contracted space, which another appearance matrix tints.

@@ -6,7 +6,7 @@ use crate::composite::Thresholds;
 use crate::field::{Field, picture};
 use crate::operator::CarrierBasis;
 use crate::sh::SH;
-use cairn_capture::{Camera, Picture};
+use cairn_scene::{Camera, Picture};
 
 impl Field {
     /// The picture of `camera` with `carrier` (`rows x basis.width()`) added to

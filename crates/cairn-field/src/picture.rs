@@ -11,7 +11,7 @@ use crate::lights::{FIRST, LIGHTS};
 use crate::rays::Lens;
 use crate::sh::SH;
 use crate::tints::{Share, Tints};
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 

@@ -5,7 +5,7 @@ use crate::error::FieldError;
 use crate::rays::Lens;
 use crate::sampling::Tile;
 use crate::watermark::{Seen, VisibleWatermark, find};
-use cairn_capture::{Camera, Picture};
+use cairn_scene::{Camera, Picture};
 use rayon::prelude::*;
 use std::sync::Arc;
 

@@ -8,7 +8,7 @@ use crate::frame::{RayPath, SceneFrame};
 use crate::lights::LIGHTS;
 use crate::picture::{Seen, Tiling};
 use crate::sh::{SH, basis};
-use cairn_capture::{Camera, Intrinsics};
+use cairn_scene::{Camera, Intrinsics};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::Arc;

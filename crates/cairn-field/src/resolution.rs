@@ -6,7 +6,7 @@
 use crate::config::FieldConfig;
 use crate::frame::SceneFrame;
 use crate::screening::median;
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 
 /// Vertices along each side at `level`, in the frame's proportions, on the way to a last
 /// grid of `finest` vertices. The first level's grid does not depend on that: it is
@@ -75,7 +75,7 @@ fn pixels_across(frame: &SceneFrame, cameras: &[Camera]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_capture::{Distortion, Intrinsics, Pose};
+    use cairn_scene::{Distortion, Intrinsics, Pose};
     use glam::{DMat3, DVec3};
 
     /// A camera of so many pixels' focal length at `position`, looking at `at`.

@@ -10,7 +10,7 @@
 
 use crate::config::FieldConfig;
 use crate::screening::median;
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 use rayon::prelude::*;
 
 /// Smoothness is made so many times as strong at most: beyond, it wore shapes away.
@@ -57,7 +57,7 @@ fn apart_deg(cameras: &[Camera]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_capture::{Distortion, Intrinsics, Pose};
+    use cairn_scene::{Distortion, Intrinsics, Pose};
     use glam::DVec3;
 
     /// Cameras that look at the origin from so many degrees.

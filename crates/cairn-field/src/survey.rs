@@ -5,7 +5,7 @@ use crate::composite::{Kept, Thresholds, runs, weigh};
 use crate::field::Field;
 use crate::rays::Lens;
 use crate::sampling::mixed;
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

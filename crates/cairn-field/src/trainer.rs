@@ -20,7 +20,7 @@ use crate::resolution::{dims_of_level, finest, level_end, tile_side};
 use crate::sampling::{Tile, Tiles};
 use crate::spacing::Spacing;
 use crate::watermark::VisibleWatermark;
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 use glam::DVec3;
 use std::sync::Arc;
 

@@ -4,7 +4,7 @@
 mod common;
 
 use cairn_field::{BaseTrainer, Field, FieldConfig};
-use cairn_hostile::{Counting, allocations_of, peak_of};
+use cairn_testkit::{Counting, allocations_of, peak_of};
 use common::{ball_box, camera, random_appearance, random_grid, stored_field, tiny, views};
 use glam::DVec3;
 use half::f16;

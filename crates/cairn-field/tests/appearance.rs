@@ -1,9 +1,9 @@
 //! The light of a photograph that the field was not trained with, and what no light changes.
 
 use crate::common::{Numbers, ball_box, ball_in_the_open, random_grid, ring, rms, stored_with, tiny, views};
-use cairn_capture::Picture;
 use cairn_field::appearance::CODE;
 use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Colours, Field, FieldConfig, FieldError, SceneFrame};
+use cairn_scene::Picture;
 use glam::DVec3;
 use std::sync::Arc;
 

@@ -2,8 +2,8 @@
 //! and shows what there is, or it says what is wrong.
 
 use crate::common::{ball_box, ball_in_the_open, camera, capture, facing, photographs, ring, rms, tiny, views};
-use cairn_capture::{Picture, SceneKind};
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
+use cairn_scene::{Picture, SceneKind};
 use glam::DVec3;
 use std::sync::Arc;
 

@@ -104,7 +104,7 @@ fn light_that_is_found_out_late_changes_no_grid() {
     for view in &mut noise {
         let (w, h) = (view.picture.width(), view.picture.height());
         let rgb = (0..3 * w * h).map(|_| numbers.share() as f32).collect();
-        view.picture = Arc::new(cairn_capture::Picture::new(w, h, rgb).expect("three numbers a pixel"));
+        view.picture = Arc::new(cairn_scene::Picture::new(w, h, rgb).expect("three numbers a pixel"));
     }
     let config = FieldConfig { voxels: VOXELS, levels: 3, voxel_px: 2.0, ..wild(60) };
     let trainer = run(BaseTrainer::new(noise, frame(&capture(0.0, 1)), None, config, 1).expect("sound settings"));

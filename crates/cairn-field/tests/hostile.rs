@@ -4,9 +4,9 @@
 use crate::common::{
     ball_box, ball_in_the_open, camera, field_of, random_grid, stored_field, stored_with, tiny, views,
 };
-use cairn_capture::Picture;
 use cairn_field::grid::{Grid, ROW};
 use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, TrainingView};
+use cairn_scene::Picture;
 use glam::DVec3;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};

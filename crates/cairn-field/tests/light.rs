@@ -1,8 +1,8 @@
 //! Whether photographs differ in light is found out, and stays found out.
 
 use crate::common::{ball_box, ball_in_the_open, ring, tiny};
-use cairn_capture::{Camera, Picture};
 use cairn_field::{AppearanceMode, BaseTrainer, FieldConfig, LightVerdict, TrainingView};
+use cairn_scene::{Camera, Picture};
 use glam::DVec3;
 use std::sync::Arc;
 

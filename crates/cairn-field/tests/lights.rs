@@ -4,7 +4,6 @@
 use crate::common::{
     Numbers, apart, ball_box, ball_in_the_open, camera, random_appearance, random_grid, ring, rms, stored_with, tiny,
 };
-use cairn_capture::{Camera, Picture};
 use cairn_field::appearance::{CODE, FEATURES, features};
 use cairn_field::composite::{Regularise, Thresholds, gather, push_back, see};
 use cairn_field::grid::{Grid, ROW};
@@ -15,6 +14,7 @@ use cairn_field::patch::Patch;
 use cairn_field::rays::Lens;
 use cairn_field::sh::{SH, basis};
 use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, SceneFrame, TrainingView};
+use cairn_scene::{Camera, Picture};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -102,7 +102,7 @@ fn every_way_of_rendering_knows_the_lights() {
             apart(&linear.base(&look), shown.rgb())
         );
         let fine = camera.resized(72, 72);
-        let mean = cairn_capture::AreaFilter::new([72, 72], [24, 24]).apply(field.render(&fine, &look).rgb());
+        let mean = cairn_scene::AreaFilter::new([72, 72], [24, 24]).apply(field.render(&fine, &look).rgb());
         let several = field.view(&camera, 0.0, 3).base(&look);
         assert!(apart(&several, &mean) < 1e-4, "several rays a pixel: {}", apart(&several, &mean));
         let marched = MarchedView::new(&camera, 1).render(&field, &look);

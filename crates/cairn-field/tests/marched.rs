@@ -27,7 +27,7 @@ fn field(frame: &SceneFrame) -> Field {
     field_of(frame, &grid, &random_appearance(6))
 }
 
-fn seen_from(from: DVec3) -> cairn_capture::Camera {
+fn seen_from(from: DVec3) -> cairn_scene::Camera {
     camera(from, if from.z < 1.0 { DVec3::new(0.0, 0.0, 4.0) } else { DVec3::ZERO }, SIDE)
 }
 

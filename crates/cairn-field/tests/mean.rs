@@ -1,8 +1,8 @@
 //! The mean of a training's last states: what it is worth on views that were not trained on.
 
 use crate::common::{Numbers, ball_box, camera, photograph, rms, tiny, views};
-use cairn_capture::{Camera, Picture};
 use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView};
+use cairn_scene::{Camera, Picture};
 use glam::DVec3;
 use std::sync::Arc;
 

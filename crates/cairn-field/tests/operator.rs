@@ -52,7 +52,7 @@ fn cases() -> [(SceneFrame, DVec3); 3] {
     ]
 }
 
-fn view(field: &Field, from: DVec3, cutoff: f32) -> (LinearView, cairn_capture::Camera) {
+fn view(field: &Field, from: DVec3, cutoff: f32) -> (LinearView, cairn_scene::Camera) {
     let target = if from.z < 1.0 { DVec3::new(0.0, 0.0, 4.0) } else { DVec3::ZERO };
     let camera = camera(from, target, 24);
     (field.view(&camera, cutoff, 1), camera)
@@ -166,7 +166,7 @@ fn several_rays_a_pixel_are_the_mean_of_a_larger_picture() {
             linear.apply(&carrier, CarrierBasis::Constant, &look, &mut rgb);
             rgb
         };
-        let smaller = cairn_capture::AreaFilter::new([72, 72], [24, 24]).apply(&picture(&large));
+        let smaller = cairn_scene::AreaFilter::new([72, 72], [24, 24]).apply(&picture(&large));
         // Tiles are cut in other places, which is worth a fiftieth of an 8-bit step.
         assert!(apart(&picture(&many), &smaller) < 1e-4, "{frame:?}: {}", apart(&picture(&many), &smaller));
         assert!(apart(&picture(&one), &smaller) > 1e-3, "one ray a pixel sees the same");
@@ -194,7 +194,7 @@ fn pictures_of_any_size_are_put_together_in_order() {
         let linear = field.view(&camera, 0.0, rays);
         let smaller = |field: &Field| {
             let large = field.render(&camera.resized(width * rays, height * rays), &plain);
-            cairn_capture::AreaFilter::new([width * rays, height * rays], [width, height]).apply(large.rgb())
+            cairn_scene::AreaFilter::new([width * rays, height * rays], [width, height]).apply(large.rgb())
         };
         let mut picture = linear.base(&plain);
         assert!(apart(&picture, &smaller(&field)) < 1e-4, "{width} x {height} px, {rays} rays across one");

@@ -2,7 +2,6 @@
 //! each ray by itself shows, whatever the tile.
 
 use crate::common::{ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
-use cairn_capture::Camera;
 use cairn_field::appearance::features;
 use cairn_field::composite::see;
 use cairn_field::grid::Grid;
@@ -10,6 +9,7 @@ use cairn_field::marched::MarchedView;
 use cairn_field::operator::MarkableField;
 use cairn_field::rays::Lens;
 use cairn_field::{Field, SceneFrame, Thresholds};
+use cairn_scene::Camera;
 use glam::DVec3;
 
 /// A camera of `across` x `down` pixels that sees `degrees` across.
@@ -80,7 +80,7 @@ fn pixels_of_several_rays_are_means_whatever_the_tile() {
         for (rays, degrees) in [(2, 3.0), (3, 3.0), (3, 25.0), (7, 3.0)] {
             let camera = sees(DVec3::new(-3.0, 0.7, 2.0), DVec3::ZERO, (33, 18), degrees);
             let large = camera.resized(33 * rays, 18 * rays);
-            let mean = cairn_capture::AreaFilter::new([33 * rays, 18 * rays], [33, 18]).apply(&ray_by_ray(
+            let mean = cairn_scene::AreaFilter::new([33 * rays, 18 * rays], [33, 18]).apply(&ray_by_ray(
                 &field,
                 &large,
                 Thresholds::SHOWN,

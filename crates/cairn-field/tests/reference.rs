@@ -4,7 +4,6 @@
 //! to look at it; what steps of half a voxel leave of the integral is bounded.
 
 use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
-use cairn_capture::Camera;
 use cairn_field::appearance::features;
 use cairn_field::composite::gather;
 use cairn_field::grid::{DENSITY_SCALE, EMPTY_RAW, Grid, ROW};
@@ -12,6 +11,7 @@ use cairn_field::march::STEP_VOXELS;
 use cairn_field::patch::Patch;
 use cairn_field::sh::basis;
 use cairn_field::{Appearance, SceneFrame, Thresholds};
+use cairn_scene::Camera;
 use glam::DVec3;
 use std::f64::consts::PI;
 

@@ -2,9 +2,9 @@
 //! something else is explained from nowhere.
 
 use crate::common::{ball_box, ring, rms, views};
-use cairn_capture::{Camera, Picture};
 use cairn_field::registration::{Registered, Registrar};
 use cairn_field::{BaseTrainer, Field, FieldConfig};
+use cairn_scene::{Camera, Picture};
 use glam::{DMat3, DVec3};
 use std::sync::{Arc, OnceLock};
 

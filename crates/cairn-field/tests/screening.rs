@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use crate::common::landmark::{frame, held_out_db, wild};
 use crate::common::{Numbers, ball_box, tiny, views};
-use cairn_capture::{Picture, Pose};
 use cairn_field::{
     BaseTrainer, Field, FieldConfig, QuarantineConfig, Screened, Screening, ScreeningOutcome, TrainingView,
 };
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
+use cairn_scene::{Picture, Pose};
 use glam::DVec3;
 
 fn landmark(seed: u64) -> LandmarkCapture {

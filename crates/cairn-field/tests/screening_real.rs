@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use cairn_capture::{Capture, Picture, ReadOptions};
 use cairn_field::{FieldConfig, QuarantineConfig, SceneFrame, Screened, Screening, ScreeningOutcome, TrainingView};
+use cairn_scene::{Capture, Picture, ReadOptions};
 
 /// A capture's training views, `scale` as large; `None` where it is not there.
 fn read(name: &str, scale: f64) -> Option<(Capture, Vec<TrainingView>)> {

@@ -1,8 +1,8 @@
 //! Photographs of different sizes and focal lengths in one training: each view's rays are its own camera's.
 
 use crate::common::{ball_box, camera, photograph, photographs, ring, rms, tiny};
-use cairn_capture::{Camera, Picture};
 use cairn_field::{BaseTrainer, Field, TrainingView};
+use cairn_scene::{Camera, Picture};
 use glam::DVec3;
 use std::sync::Arc;
 

@@ -3,8 +3,8 @@
 //! numbers cannot say any more where the cameras were, the capture is refused.
 
 use crate::common::{camera, capture, facing, photograph, photographs, ring, rms, tiny};
-use cairn_capture::{Camera, Capture, Picture, SceneKind};
 use cairn_field::{BaseTrainer, SceneFrame};
+use cairn_scene::{Camera, Capture, Picture, SceneKind};
 use glam::DVec3;
 
 const NEW: DVec3 = DVec3::new(1.1, 1.6, 3.4);

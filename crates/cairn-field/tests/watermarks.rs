@@ -4,9 +4,9 @@
 use std::sync::Arc;
 
 use crate::common::landmark::{frame, held_out_db, wild};
-use cairn_capture::{Picture, Picture8};
 use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView, VisibleWatermark, watermarks};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
+use cairn_scene::{Picture, Picture8};
 
 const SIZE: (usize, usize) = (60, 80);
 

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cairn_capture::{Camera, CaptureError, Distortion, Intrinsics, Picture, Pose, PoseError};
+use cairn_scene::{Camera, CaptureError, Distortion, Intrinsics, Picture, Pose, PoseError};
 use glam::{DVec3, Vec2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -198,7 +198,7 @@ impl LandmarkCapture {
         let images = folder.join("images");
         std::fs::create_dir_all(&images).map_err(|source| LandmarkError::Write { path: images.clone(), source })?;
         for view in &self.views {
-            cairn_capture::save_png(&folder.join(&view.name), &view.picture)
+            cairn_scene::save_png(&folder.join(&view.name), &view.picture)
                 .map_err(|e| LandmarkError::Save { name: view.name.clone(), source: Box::new(e) })?;
         }
         let frames: Vec<_> = self.views.iter().map(frame).collect();

@@ -2,7 +2,7 @@
 //! sheets of pictures. Seven small numbers a letter are easier to keep than a
 //! font file and its rasteriser.
 
-use cairn_capture::Picture;
+use cairn_scene::Picture;
 
 /// Dots from one letter's left edge to the next one's.
 pub const ADVANCE: usize = 6;

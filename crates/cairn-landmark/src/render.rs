@@ -5,7 +5,7 @@
 //! Each sample is lit twice, with and without the passers-by, because the hit
 //! on the scene behind them is the expensive part and the same for both.
 
-use cairn_capture::{Camera, Picture};
+use cairn_scene::{Camera, Picture};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
@@ -221,7 +221,7 @@ fn haze(light: &Light, distance: f32, colour: Vec3) -> Vec3 {
 
 #[cfg(test)]
 mod tests {
-    use cairn_capture::{Distortion, Intrinsics, Pose};
+    use cairn_scene::{Distortion, Intrinsics, Pose};
     use glam::DVec3;
     use rand::SeedableRng as _;
 

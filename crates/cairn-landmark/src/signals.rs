@@ -6,7 +6,7 @@
 
 use std::f32::consts::TAU;
 
-use cairn_capture::Picture;
+use cairn_scene::Picture;
 use glam::{Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

@@ -4,7 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use cairn_capture::Sound;
+use cairn_scene::Sound;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,8 +1,8 @@
 //! The made-up capture as others see it: repeatable, importable, and with
 //! cameras that are true.
 
-use cairn_capture::{Capture, Picture, ReadOptions, SceneKind};
 use cairn_landmark::{Landmark, LandmarkConfig, LandmarkError};
+use cairn_scene::{Capture, Picture, ReadOptions, SceneKind};
 use glam::DVec3;
 
 fn small() -> LandmarkConfig {

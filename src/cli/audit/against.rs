@@ -5,11 +5,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_audit::{Code, Evidence, FileInHand, PhotographsInHand, Report};
-use cairn_capture::SceneFolder;
-use cairn_registry::OwnerRecord;
+use cairn_log::OwnerRecord;
+use cairn_scene::SceneFolder;
+use cairn_verify::{Code, Evidence, FileInHand, PhotographsInHand, Report};
 
-use crate::engine::model::{self, ModelInfo};
+use cairn_service::engine::model::{self, ModelInfo};
 
 /// What is left out for want of the file, one code a digest that a data folder can be asked for.
 const UNCHECKED: [Code; 4] =
@@ -71,7 +71,7 @@ fn all_files(folder: &Path) -> anyhow::Result<PhotographsInHand> {
 /// # Errors
 /// Where no model in `data` is of the training that the record names, or a file of it cannot be read.
 pub fn gather(evidence: &mut Evidence<'_>, data: &Path, record: &OwnerRecord) -> anyhow::Result<()> {
-    crate::engine::scenes::check_scene_name(&record.scene)?;
+    cairn_service::engine::scenes::check_scene_name(&record.scene)?;
     let models = data.join("models");
     let info = training_of(&models, record)?;
     let folder = models.join(&info.scene).join(&info.job);
@@ -177,9 +177,9 @@ pub fn all_compared(report: &Report, data: &Path) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_audit::Outcome;
-    use cairn_registry::record::{self, Digests, Identity, Seen};
-    use cairn_registry::{Digest, OwnerKey, RecordKind, merkle};
+    use cairn_log::record::{self, Digests, Identity, Seen};
+    use cairn_log::{Digest, OwnerKey, RecordKind, merkle};
+    use cairn_verify::Outcome;
 
     fn contribution(digests: Digests) -> (OwnerRecord, Vec<u8>) {
         let key = OwnerKey::from_seed(&[1; 32]);
@@ -214,15 +214,15 @@ mod tests {
         ] {
             let (_, envelope) = contribution(digests);
             let photographs = Some(photographs.clone());
-            let report = cairn_audit::audit(&Evidence { envelope: &envelope, photographs, ..Evidence::default() });
+            let report = cairn_verify::audit(&Evidence { envelope: &envelope, photographs, ..Evidence::default() });
             assert_eq!(report.outcome, Outcome::Valid, "{report}");
             let error = all_compared(&report, Path::new("folder")).unwrap_err().to_string();
             assert!(error.contains(field) && error.starts_with("folder: "), "{field}: {error}");
         }
         let (_, envelope) = contribution(Digests::default());
         let evidence = |photographs| Evidence { envelope: &envelope, photographs, ..Evidence::default() };
-        assert!(all_compared(&cairn_audit::audit(&evidence(None)), Path::new("folder")).is_err());
-        all_compared(&cairn_audit::audit(&evidence(Some(photographs))), Path::new("folder")).unwrap();
+        assert!(all_compared(&cairn_verify::audit(&evidence(None)), Path::new("folder")).is_err());
+        all_compared(&cairn_verify::audit(&evidence(Some(photographs))), Path::new("folder")).unwrap();
     }
 
     #[test]

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use cairn_audit::{FileInHand, Question};
-use cairn_registry::Digest;
+use cairn_log::Digest;
+use cairn_verify::{FileInHand, Question};
 
-use crate::engine::folder::read_limited;
+use cairn_service::engine::folder::read_limited;
 
-/// Largest answer that is opened, bytes; cairn-audit has a limit of its own.
+/// Largest answer that is opened, bytes; cairn-verify has a limit of its own.
 const MAX_ANSWER_BYTES: u64 = 256 << 20;
 
 /// `cairn audit answer`.
@@ -51,7 +51,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Some(scene) => Some(Question { scene: scene.clone(), view: args.view.as_deref().map(photograph).transpose()? }),
         None => None,
     };
-    let report = cairn_audit::audit_answer_to(&answer, pinned.as_ref(), question.as_ref());
+    let report = cairn_verify::audit_answer_to(&answer, pinned.as_ref(), question.as_ref());
     if args.json {
         println!("{}", report.to_json());
     } else {

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use cairn_audit::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
-use cairn_registry::record::SignalFiles;
-use cairn_registry::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
+use cairn_log::record::SignalFiles;
+use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
+use cairn_verify::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
 
 use super::{Trust, against};
 use crate::cli::owners::LogFile;
 use crate::cli::read;
-use crate::engine::folder::read_limited;
+use cairn_service::engine::folder::read_limited;
 
 /// Largest envelope or proof that is read, bytes; both are a few kilobytes.
 const MAX_FILE: u64 = 1 << 20;
@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
 /// # Errors
 /// For a file that cannot be read, and for a data folder that has not what the record binds; an invalid
 /// record's report comes all the same.
-pub fn report(args: &Args) -> anyhow::Result<cairn_audit::Report> {
+pub fn report(args: &Args) -> anyhow::Result<cairn_verify::Report> {
     let (envelope, proof) = files(&args.bundle)?;
     let policy = args.trust.policy()?;
     let pinned = args.trust.pinned(policy.as_ref(), proof.as_deref().and_then(origin).as_deref())?;
@@ -77,7 +77,7 @@ pub fn report(args: &Args) -> anyhow::Result<cairn_audit::Report> {
             gathered = against::gather(&mut evidence, data, &record);
         }
     }
-    let report = cairn_audit::audit(&evidence);
+    let report = cairn_verify::audit(&evidence);
     if let Some(data) = args.against.as_ref().filter(|_| report.outcome != Outcome::Invalid) {
         gathered?;
         against::all_compared(&report, data)?;

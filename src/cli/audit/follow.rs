@@ -15,11 +15,11 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use cairn_audit::{Contradiction, FollowOptions};
+use cairn_verify::{Contradiction, FollowOptions};
 
 use super::Trust;
 use super::http::HttpLog;
-use crate::engine::folder::{read_limited, remove, sync_folder, write_atomic};
+use cairn_service::engine::folder::{read_limited, remove, sync_folder, write_atomic};
 
 /// `cairn audit follow`.
 #[derive(Clone, Debug, clap::Args)]
@@ -78,7 +78,7 @@ fn look(args: &Args, log: &HttpLog, options: &FollowOptions<'_>) -> anyhow::Resu
         true => Some(String::from_utf8(read_limited(&kept, 1 << 20)?).context("the state's checkpoint is no text")?),
         false => None,
     };
-    let followed = cairn_audit::follow(log, last.as_deref(), options)?;
+    let followed = cairn_verify::follow(log, last.as_deref(), options)?;
     if let Some(note) = followed.keep.filter(|note| Some(note) != last.as_ref()) {
         write_atomic(&kept, note.as_bytes())?;
     }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cairn_audit::{Fetch, FollowError};
+use cairn_verify::{Fetch, FollowError};
 use ureq::Agent;
 
 /// Longest that one file takes, connecting included.

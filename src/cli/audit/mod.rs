@@ -17,11 +17,11 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use cairn_audit::Outcome;
-use cairn_registry::policy::MAX_POLICY_BYTES;
-use cairn_registry::{NoteVerifier, Policy};
+use cairn_log::policy::MAX_POLICY_BYTES;
+use cairn_log::{NoteVerifier, Policy};
+use cairn_verify::Outcome;
 
-use crate::engine::folder::read_limited;
+use cairn_service::engine::folder::read_limited;
 
 /// A verifier key is a line.
 const MAX_VKEY_BYTES: u64 = 64 << 10;

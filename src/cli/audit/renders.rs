@@ -4,13 +4,13 @@
 
 use std::path::Path;
 
-use cairn_audit::{Code, Finding};
-use cairn_capture::SceneFolder;
+use cairn_scene::SceneFolder;
+use cairn_verify::{Code, Finding};
 
-use crate::engine::error::EngineError;
-use crate::engine::evaluate::eight_bits;
-use crate::engine::model::{self, Model, ModelInfo};
-use crate::engine::scenes;
+use cairn_service::engine::error::EngineError;
+use cairn_service::engine::evaluate::eight_bits;
+use cairn_service::engine::model::{self, Model, ModelInfo};
+use cairn_service::engine::scenes;
 
 /// Renders `sample` views of every scene whose newest model has marks, and looks for the marks. Nothing here is an
 /// error: what cannot be rendered is a finding.

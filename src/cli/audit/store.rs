@@ -4,12 +4,12 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use cairn_audit::{Finding, StoreOptions, audit_folders, audit_store};
-use cairn_registry::keys::StoredKey;
-use cairn_registry::{Checkpoint, Note, NoteVerifier};
+use cairn_log::keys::StoredKey;
+use cairn_log::{Checkpoint, Note, NoteVerifier};
+use cairn_verify::{Finding, StoreOptions, audit_folders, audit_store};
 
 use super::{Trust, renders};
-use crate::engine::folder::read_limited;
+use cairn_service::engine::folder::read_limited;
 
 /// `cairn audit store`.
 #[derive(Clone, Debug, clap::Args)]
@@ -64,7 +64,7 @@ fn own_key(dir: &Path, origin: Option<&str>) -> Option<NoteVerifier> {
 }
 
 fn compare_keys(pinned: &NoteVerifier, found: &NoteVerifier) -> Option<Finding> {
-    use cairn_audit::Code;
+    use cairn_verify::Code;
     let same = pinned.key() == found.key();
     (!same).then(|| Finding::of(Code::FileMismatch, "registry.key", &pinned.to_string(), &found.to_string()))
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::Command;
 
 use anyhow::Context as _;
-use cairn_bench::Target;
+use cairn_eval::Target;
 use cairn_nn::{ConvShape, Pass};
 use serde::Serialize;
 

@@ -15,8 +15,8 @@ mod rows;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_bench::{Ledger, Target};
-use cairn_capture::{Limits, Picture, decode_picture};
+use cairn_eval::{Ledger, Target};
+use cairn_scene::{Limits, Picture, decode_picture};
 
 use super::connect::Where;
 use super::demo;

@@ -20,7 +20,7 @@ use crate::field::Field;
 use crate::frame::SceneFrame;
 use crate::lights::Colours;
 use crate::prior::Prior;
-use cairn_capture::{Camera, Picture};
+use cairn_scene::{Camera, Picture};
 use matrix::NUMBERS;
 use refine::Refined;
 use search::Thumbnail;

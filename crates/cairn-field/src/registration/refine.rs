@@ -9,7 +9,7 @@ use crate::appearance::{Appearance, FEATURES};
 use crate::field::Field;
 use crate::prior::Prior;
 use crate::rays::{Lens, features_of};
-use cairn_capture::Camera;
+use cairn_scene::Camera;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 

@@ -5,7 +5,7 @@ use super::windows::Level;
 use crate::appearance::Appearance;
 use crate::field::Field;
 use crate::rays::{Lens, features_of};
-use cairn_capture::{Camera, Picture};
+use cairn_scene::{Camera, Picture};
 use glam::{DMat2, DMat3, DVec2};
 use rayon::prelude::*;
 
@@ -150,7 +150,7 @@ impl Variant {
         let (half_w, half_h) = ((w / 2) as f64 + f64::from(at.0), (h / 2) as f64 + f64::from(at.1));
         let middle = turn * (DVec2::new(small.cx - half_w, small.cy - half_h) * larger);
         let mut camera = *view;
-        camera.intrinsics = cairn_capture::Intrinsics {
+        camera.intrinsics = cairn_scene::Intrinsics {
             width: size.0,
             height: size.1,
             fx: small.fx * larger,

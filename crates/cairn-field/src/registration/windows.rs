@@ -1,7 +1,7 @@
 //! The pixels of a picture that are compared at one size: all of a small copy, or small parts
 //! with much to see, spread over a larger one.
 
-use cairn_capture::{Camera, Picture};
+use cairn_scene::{Camera, Picture};
 
 /// A part of a copy, pixels of the copy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,16 +157,16 @@ mod tests {
 
     #[test]
     fn a_windows_camera_sees_what_the_whole_sees_there() {
-        let intrinsics = cairn_capture::Intrinsics {
+        let intrinsics = cairn_scene::Intrinsics {
             width: 120,
             height: 90,
             fx: 100.0,
             fy: 100.0,
             cx: 58.0,
             cy: 46.0,
-            distortion: cairn_capture::Distortion { k1: 0.05, ..Default::default() },
+            distortion: cairn_scene::Distortion { k1: 0.05, ..Default::default() },
         };
-        let pose = cairn_capture::Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).unwrap();
+        let pose = cairn_scene::Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).unwrap();
         let camera = Camera { intrinsics, pose };
         let level = Level::of_parts(&ramp(120, 90), 60);
         let w = level.windows[3];

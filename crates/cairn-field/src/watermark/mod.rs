@@ -14,7 +14,7 @@
 mod frame;
 mod mask;
 
-use cairn_capture::Picture8;
+use cairn_scene::Picture8;
 use frame::{EDGE, Frame, LOOSE, TIGHT, follows, of_several_poses, squared};
 use mask::Mask;
 use rayon::prelude::*;

@@ -1,9 +1,9 @@
 //! The made-up landmark for tests of stage 1: its box, settings as landmarks have them, and
 //! how well held-out photographs are shown.
 
-use cairn_capture::SceneKind;
 use cairn_field::{Field, FieldConfig, SceneFrame};
 use cairn_landmark::{LandmarkCapture, LandmarkView};
+use cairn_scene::SceneKind;
 use glam::DVec3;
 
 /// What the settings for landmarks are, on fewer rays.

@@ -5,10 +5,10 @@
 
 pub mod landmark;
 
-use cairn_capture::{Camera, Capture, Distortion, Intrinsics, Picture, Pose, SceneKind, View};
 use cairn_field::grid::{DENSITY_SCALE, Grid, ROW};
 use cairn_field::sh::SH;
 use cairn_field::{Appearance, Field, FieldConfig, Real, SceneFrame, TrainingView};
+use cairn_scene::{Camera, Capture, Distortion, Intrinsics, Picture, Pose, SceneKind, View};
 use glam::{DMat3, DVec3};
 use half::f16;
 use safetensors::tensor::{Dtype, TensorView};

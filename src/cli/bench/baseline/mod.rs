@@ -9,10 +9,10 @@ mod stego;
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use cairn_capture::Picture;
 use cairn_field::Field;
-use cairn_metrics::{psnr_db, ssim};
-use cairn_stega::DeepConfig;
+use cairn_mark::DeepConfig;
+use cairn_scene::Picture;
+use cairn_scene::metrics::{psnr_db, ssim};
 
 use super::super::connect::Where;
 use super::super::read;
@@ -21,8 +21,8 @@ use super::children::Children;
 use super::field::source::Source;
 use super::field::{Name, train, unless_stopped};
 use super::rows::Rows;
-use crate::config::{Config, overlay_for, training_settings};
-use crate::engine::evaluate::{PERFECT_DB, eight_bits};
+use cairn_service::config::{Config, overlay_for, training_settings};
+use cairn_service::engine::evaluate::{PERFECT_DB, eight_bits};
 pub use networks::{Networks, Task as TrainNetworks, run as train_networks};
 pub use stego::Stego;
 
@@ -101,7 +101,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
 /// Stage 1 on photographs with something hidden in them.
 fn task(place: &Where, args: &Args, (case, source): (Name, &Source), stego: &Stego) -> anyhow::Result<train::Task> {
     let overlay = overlay_for(source.open()?.kind());
-    let quick = ("the quick settings", if args.quick { crate::config::QUICK_TOML } else { "" });
+    let quick = ("the quick settings", if args.quick { cairn_service::config::QUICK_TOML } else { "" });
     let base = Config::load(place.config.as_deref())?.training;
     Ok(train::Task {
         source: source.clone(),

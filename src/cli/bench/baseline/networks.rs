@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use cairn_stega::{DeepConfig, DeepTrainer};
+use cairn_mark::{DeepConfig, DeepTrainer};
 use serde::{Deserialize, Serialize};
 
 use super::super::decoded;

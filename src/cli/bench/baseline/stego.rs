@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use cairn_capture::Picture;
-use cairn_stega::{DeepStega, MarkError, hide_in_lowest_bits, read_lowest_bits};
+use cairn_mark::{DeepStega, MarkError, hide_in_lowest_bits, read_lowest_bits};
+use cairn_scene::Picture;
 use serde::{Deserialize, Serialize};
 
 use super::super::super::read;

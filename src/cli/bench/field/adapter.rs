@@ -1,11 +1,11 @@
 //! All that this suite asks of a field beyond rendering it as shipped: other
 //! limits, an exact picture in f64, other precisions of storage.
 
-use cairn_capture::Camera;
 use cairn_field::appearance::features;
 use cairn_field::composite::gather;
 use cairn_field::patch::Patch;
 use cairn_field::{Appearance, Field, Thresholds, sh};
+use cairn_scene::Camera;
 
 /// What a pixel leaves out as shipped.
 pub const SHIPPED: Thresholds = Thresholds::SHOWN;

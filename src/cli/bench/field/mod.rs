@@ -31,7 +31,7 @@ use super::super::{open, read};
 use super::Args;
 use super::children::Children;
 use super::rows::Rows;
-use crate::config::{Config, overlay_for, training_settings};
+use cairn_service::config::{Config, overlay_for, training_settings};
 use case::{CASES, Case};
 pub use case::{Name, SERVING_MIB};
 use outcome::{Budget, Outcome, Share};

@@ -1,6 +1,6 @@
 //! A capture's rows for the ledger.
 
-use cairn_bench::Target;
+use cairn_eval::Target;
 
 use super::case::{Case, SERVING_MIB, TRAINING_MIB};
 use super::outcome::{Budget, Outcome, Share};

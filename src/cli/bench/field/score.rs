@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
-use cairn_bench::sheet::{Tile, contact_sheet};
-use cairn_capture::{Picture, encode_png};
+use cairn_eval::sheet::{Tile, contact_sheet};
 use cairn_field::Field;
-use cairn_metrics::{psnr_db, psnr_db_masked, ssim};
+use cairn_scene::metrics::{psnr_db, psnr_db_masked, ssim};
+use cairn_scene::{Picture, encode_png};
 use serde::{Deserialize, Serialize};
 
 use super::progress::Progress;
 use super::source::Source;
-use crate::engine::evaluate::{OFF, PERFECT_DB, difference, eight_bits, half};
+use cairn_service::engine::evaluate::{OFF, PERFECT_DB, difference, eight_bits, half};
 
 /// Most views on a sheet.
 const SHEET_ROWS: usize = 6;

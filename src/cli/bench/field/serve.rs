@@ -4,9 +4,9 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use cairn_bench::{Stopwatch, median};
-use cairn_capture::Camera;
+use cairn_eval::{Stopwatch, median};
 use cairn_field::Field;
+use cairn_scene::Camera;
 use serde::{Deserialize, Serialize};
 
 use super::super::memory::peak_mib;

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use cairn_capture::{Camera, Capture, Limits, Picture, ReadOptions, SceneKind, decode_picture};
 use cairn_field::{SceneFrame, TrainingView};
+use cairn_scene::{Camera, Capture, Limits, Picture, ReadOptions, SceneKind, decode_picture};
 use serde::{Deserialize, Serialize};
 
 /// Where a capture lies and how much of it is taken.

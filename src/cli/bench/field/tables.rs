@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-use cairn_bench::chart::{Axis, Chart, Level, Look, Point, Series};
-use cairn_bench::table::Table;
+use cairn_eval::chart::{Axis, Chart, Level, Look, Point, Series};
+use cairn_eval::table::Table;
 
 use super::case::Case;
 use super::outcome::Outcome;

@@ -7,9 +7,9 @@
 use std::borrow::Cow;
 use std::path::PathBuf;
 
-use cairn_bench::{Stopwatch, median};
-use cairn_capture::{Camera, Picture};
+use cairn_eval::{Stopwatch, median};
 use cairn_field::{Field, Thresholds};
+use cairn_scene::{Camera, Picture};
 use serde::{Deserialize, Serialize};
 
 use super::adapter::{self, SHIPPED, STORED, Storage};

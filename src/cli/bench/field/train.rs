@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use cairn_capture::Camera;
 use cairn_field::{BaseTrainer, FieldConfig};
+use cairn_scene::Camera;
 use serde::{Deserialize, Serialize};
 
 use super::super::baseline::Stego;

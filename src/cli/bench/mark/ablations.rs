@@ -89,9 +89,9 @@ pub fn wanted(what: What, rows: &[String]) -> anyhow::Result<Vec<Training>> {
 mod tests {
     use super::super::QUICK_TOML;
     use super::*;
-    use crate::config::{Config, overlay_for, training_settings};
-    use cairn_capture::SceneKind;
-    use cairn_stega::{Guidance, MarkConfig};
+    use cairn_mark::{Guidance, MarkConfig};
+    use cairn_scene::SceneKind;
+    use cairn_service::config::{Config, overlay_for, training_settings};
 
     #[test]
     fn rows_are_chosen_by_name_in_their_order_and_a_wrong_name_says_which_there_are() {

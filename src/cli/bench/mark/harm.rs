@@ -1,7 +1,7 @@
 //! What is done to renders before the detector reads them: the two sets that are
 //! reported, changes of the field's weights, and another view's appearance.
 
-use cairn_stega::{Distortion, MarkedField};
+use cairn_mark::{Distortion, MarkedField};
 
 /// How much is asked after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -4,10 +4,10 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
-use cairn_capture::{Camera, Picture, encode_png};
 use cairn_field::Appearance;
-use cairn_metrics::{expected_calibration_error, psnr_db, ssim};
-use cairn_stega::{Detection, Detector, MarkConfig, MarkedField, Signal};
+use cairn_mark::{Detection, Detector, MarkConfig, MarkedField, Signal};
+use cairn_scene::metrics::{expected_calibration_error, psnr_db, ssim};
+use cairn_scene::{Camera, Picture, encode_png};
 use serde::{Deserialize, Serialize};
 
 use super::super::field::progress::Progress;
@@ -17,9 +17,9 @@ pub use super::scored::Judged;
 use super::scored::{Band, Harmed};
 use super::unmarked::Foreign;
 use super::{What, laid, permuted, sheet, train, unmarked};
-use crate::engine::evaluate::{PERFECT_DB, eight_bits, half};
-use crate::engine::recovery::{SeenView, picture_ssim, recovery};
-use crate::engine::report::{Recovery, Right};
+use cairn_service::engine::evaluate::{PERFECT_DB, eight_bits, half};
+use cairn_service::engine::recovery::{SeenView, picture_ssim, recovery};
+use cairn_service::engine::report::{Recovery, Right};
 
 /// Confidence bins of the calibration.
 const BINS: usize = 15;

@@ -5,9 +5,9 @@ use std::fs::{File, create_dir_all, read_dir, remove_dir_all};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_capture::{Limits, Picture, decode_picture, save_png};
-use cairn_registry::Digest;
-use cairn_stega::PlannedView;
+use cairn_log::Digest;
+use cairn_mark::PlannedView;
+use cairn_scene::{Limits, Picture, decode_picture, save_png};
 
 /// The folder within `all` for renders that this program makes. Those of others are deleted, so that `all` does not grow with
 /// every build.
@@ -78,9 +78,9 @@ fn short(digest: &Digest) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::evaluate::eight_bits;
-    use cairn_capture::{Camera, Distortion, Intrinsics, Pose};
     use cairn_field::Appearance;
+    use cairn_scene::{Camera, Distortion, Intrinsics, Pose};
+    use cairn_service::engine::evaluate::eight_bits;
     use glam::DVec3;
 
     #[test]

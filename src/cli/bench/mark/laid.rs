@@ -4,14 +4,14 @@
 
 use std::time::Instant;
 
-use cairn_capture::{Camera, Picture};
-use cairn_stega::{Detector, MarkedField, RegisteredReader};
+use cairn_mark::{Detector, MarkedField, RegisteredReader};
+use cairn_scene::{Camera, Picture};
 use serde::{Deserialize, Serialize};
 
 use super::super::field::source::{Opened, Source};
 use super::harm;
 use super::judge::View;
-use crate::engine::report::Right;
+use cairn_service::engine::report::Right;
 
 /// Views whose cameras are searched for, and that are harmed, at most: searches take many seconds each.
 const SOME: usize = 6;

@@ -29,7 +29,7 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use cairn_field::FieldConfig;
-use cairn_stega::MarkConfig;
+use cairn_mark::MarkConfig;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -40,8 +40,8 @@ use super::children::Children;
 use super::field::source::Source;
 use super::field::{Name, train as base, unless_stopped};
 use super::rows::Rows;
-use crate::config::{Config, overlay_for, training_settings};
 use ablations::{Owners, Training};
+use cairn_service::config::{Config, overlay_for, training_settings};
 use case::Case;
 
 pub use judge::{Judged, Task as Judge, run as judge};

@@ -2,13 +2,13 @@
 //! clusters get permuted identities, and each view of a cluster is asked about again.
 //! With the trained marks exchanged among the clusters, and trained anew.
 
-use cairn_stega::{Detection, Detector, MarkedField, Signal};
+use cairn_mark::{Detection, Detector, MarkedField, Signal};
 use serde::{Deserialize, Serialize};
 
 use super::judge::View;
-use crate::engine::evaluate::eight_bits;
-use crate::engine::recovery::picture_ssim;
-use crate::engine::report::Right;
+use cairn_service::engine::evaluate::eight_bits;
+use cairn_service::engine::recovery::picture_ssim;
+use cairn_service::engine::report::Right;
 
 /// SSIM from which a picture counts as recovered; black is a little like anything.
 const LEAST: f64 = 0.5;
@@ -77,7 +77,7 @@ pub fn follow(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_capture::Picture;
+    use cairn_scene::Picture;
 
     #[test]
     fn what_is_neither_the_marks_nor_the_views_counts_for_neither() {

@@ -1,7 +1,7 @@
 //! A capture's rows for the ledger: means over its trainings, and the worst where a
 //! mean could hide it.
 
-use cairn_bench::Target;
+use cairn_eval::Target;
 
 use super::super::field::SERVING_MIB;
 use super::case::{AUDIO_SNR_DB, COMBINED, Case, HARD, MILD, TEXT_CHARACTERS, UNMARKED};
@@ -11,7 +11,7 @@ use super::permuted::Followed;
 use super::scored::{Band, Harmed, Judged, Silent};
 use super::{Marked, Outcome, What};
 use crate::cli::bench::rows::Rows;
-use crate::engine::report::{Measured, Recovery, Right};
+use cairn_service::engine::report::{Measured, Recovery, Right};
 
 /// Adds the rows of `outcome` as case `name`. What is asked depends on whether marks
 /// were trained to last.

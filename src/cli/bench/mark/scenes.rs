@@ -7,10 +7,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use cairn_bench::Target;
+use cairn_eval::Target;
 use cairn_field::Field;
-use cairn_metrics::psnr_db;
-use cairn_stega::{Detector, MarkConfig, MarkScene, MarkTrainer, MarkedField, Signal};
+use cairn_mark::{Detector, MarkConfig, MarkScene, MarkTrainer, MarkedField, Signal};
+use cairn_scene::metrics::psnr_db;
 use serde::{Deserialize, Serialize};
 
 use super::super::super::connect::Where;
@@ -25,10 +25,10 @@ use super::ablations::AS_IT_IS;
 use super::judge::{View, views};
 use super::train::{Files, plan, signals};
 use super::{Run, case, pictures};
-use crate::engine::evaluate::PERFECT_DB;
-use crate::engine::marks::JUDGE_EVERY;
-use crate::engine::recovery::picture_ssim;
-use crate::engine::report::Right;
+use cairn_service::engine::evaluate::PERFECT_DB;
+use cairn_service::engine::marks::JUDGE_EVERY;
+use cairn_service::engine::recovery::picture_ssim;
+use cairn_service::engine::report::Right;
 
 /// The captures that share a detector.
 const CAPTURES: [Name; 3] = [Name::Fern, Name::Trex, Name::Lego];

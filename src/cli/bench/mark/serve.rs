@@ -4,14 +4,14 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use cairn_bench::{Stopwatch, median};
-use cairn_capture::Camera;
-use cairn_stega::{Detector, MarkedField};
+use cairn_eval::{Stopwatch, median};
+use cairn_mark::{Detector, MarkedField};
+use cairn_scene::Camera;
 use serde::{Deserialize, Serialize};
 
 use super::super::field::progress::Progress;
 use super::super::memory::peak_mib;
-use crate::engine::evaluate::eight_bits;
+use cairn_service::engine::evaluate::eight_bits;
 
 /// Renders and readings of a view that are timed at most, and seconds after which no more are.
 const LAPS: (usize, f64) = (3, 2.0);

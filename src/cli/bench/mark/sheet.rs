@@ -1,11 +1,11 @@
 //! A contact sheet of a judgement: what the figures are about, to be looked at.
 
-use cairn_bench::sheet::{Tile, contact_sheet};
-use cairn_capture::Picture;
-use cairn_stega::{Detector, Distortion, Signal};
+use cairn_eval::sheet::{Tile, contact_sheet};
+use cairn_mark::{Detector, Distortion, Signal};
+use cairn_scene::Picture;
 
 use super::judge::View;
-use crate::engine::evaluate::{difference, signal_tiles};
+use cairn_service::engine::evaluate::{difference, signal_tiles};
 
 /// Most views on a sheet.
 const ROWS: usize = 6;

@@ -4,17 +4,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use cairn_capture::Picture8;
-use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_field::Field;
-use cairn_stega::{Detector, Known, MarkConfig, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Signal};
+use cairn_mark::{Detector, Known, MarkConfig, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Signal};
+use cairn_scene::Picture8;
+use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use serde::{Deserialize, Serialize};
 
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::super::memory::{peak_mib, processor_s};
-use crate::engine::hidden::{Parts, decoded};
-use crate::engine::marks::{JUDGE_EVERY, Taken, explained};
+use cairn_service::engine::hidden::{Parts, decoded};
+use cairn_service::engine::marks::{JUDGE_EVERY, Taken, explained};
 
 /// Files of what one identity hides.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -161,7 +161,7 @@ fn going_on(
         let same = marked.clusters().anchor_pose(number) == plan.clusters.anchor_pose(number);
         anyhow::ensure!(same, "identity {number} of {} has another anchor now", earlier.marked.display());
     }
-    let earlier = cairn_stega::Earlier { detector: &detector, identities };
+    let earlier = cairn_mark::Earlier { detector: &detector, identities };
     Ok(MarkTrainer::growing(vec![MarkScene::new(field, plan)], &earlier, config, seed, hear)?)
 }
 

@@ -6,10 +6,10 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use cairn_capture::Picture;
-use cairn_cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_field::Field;
-use cairn_stega::{Distortion, PlannedView, Signal, virtual_views};
+use cairn_mark::{Distortion, PlannedView, Signal, virtual_views};
+use cairn_scene::Picture;
+use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -19,8 +19,8 @@ use super::super::field::source::{Opened, Source};
 use super::judge::{Asked, View};
 use super::kept::Kept;
 use super::scored::Silent;
-use crate::engine::evaluate::eight_bits;
-use crate::engine::report::Right;
+use cairn_service::engine::evaluate::eight_bits;
+use cairn_service::engine::report::Right;
 
 /// Renders of each field at most: four captures' and their photographs are over a thousand pictures.
 const RENDERS: usize = 170;
@@ -164,7 +164,7 @@ fn each_form(picture: &Picture, mut ask: impl FnMut(&Picture) -> anyhow::Result<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_capture::Sound;
+    use cairn_scene::Sound;
 
     #[test]
     fn one_grey_pixel_one_click_or_one_letter_is_no_silence() {

@@ -4,8 +4,8 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use cairn_audit::{Evidence, Outcome};
-use cairn_registry::{Registry, TlogProof};
+use cairn_log::{Registry, TlogProof};
+use cairn_verify::{Evidence, Outcome};
 use serde::{Deserialize, Serialize};
 
 use super::super::memory;
@@ -150,16 +150,16 @@ pub fn serve(task: &Serve) -> anyhow::Result<Served> {
 /// # Errors
 /// Where the folder cannot be read; for an audit that does not pass.
 pub fn audit(task: &Audit) -> anyhow::Result<Audited> {
-    let pinned = cairn_registry::NoteVerifier::new(ORIGIN, made::registry_key().public())?;
-    let options = cairn_audit::StoreOptions { pinned: Some(&pinned), ..Default::default() };
+    let pinned = cairn_log::NoteVerifier::new(ORIGIN, made::registry_key().public())?;
+    let options = cairn_verify::StoreOptions { pinned: Some(&pinned), ..Default::default() };
     let begun = Instant::now();
-    let report = cairn_audit::audit_store(&task.folder, &options)?;
+    let report = cairn_verify::audit_store(&task.folder, &options)?;
     anyhow::ensure!(report.outcome == Outcome::Trusted, "the log's audit says {}: {report}", report.outcome);
     Ok(Audited { seconds: begun.elapsed().as_secs_f64(), peak_mib: memory::peak_mib() })
 }
 
 /// Microseconds of verifying a bundle, and the bytes of it beside the envelope.
-fn verify(registry: &Registry, receipt: &cairn_registry::Receipt) -> anyhow::Result<(f64, f64)> {
+fn verify(registry: &Registry, receipt: &cairn_log::Receipt) -> anyhow::Result<(f64, f64)> {
     let proof: TlogProof = registry.tlog_proof(receipt.index)?;
     let (envelope, proof, pinned) = (receipt.envelope.to_json(), proof.to_text(), registry.verifier()?);
     let mut times = Vec::new();
@@ -171,7 +171,7 @@ fn verify(registry: &Registry, receipt: &cairn_registry::Receipt) -> anyhow::Res
             pinned: Some(&pinned),
             ..Evidence::default()
         };
-        let report = cairn_audit::audit(&evidence);
+        let report = cairn_verify::audit(&evidence);
         times.push(begun.elapsed().as_secs_f64() * 1e6);
         anyhow::ensure!(report.outcome == Outcome::Trusted, "the log's own bundle is {}: {report}", report.outcome);
     }

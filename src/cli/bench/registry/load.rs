@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use cairn_registry::{Envelope, Registry};
+use cairn_log::{Envelope, Registry};
 use serde::{Deserialize, Serialize};
 
 use super::super::memory;
 use super::made::{self, ORIGIN};
-use crate::engine::published::LastPublished;
-use crate::engine::publisher::Publisher;
+use cairn_service::engine::published::LastPublished;
+use cairn_service::engine::publisher::Publisher;
 
 /// A log under load, in a process of its own.
 #[derive(Clone, Serialize, Deserialize)]

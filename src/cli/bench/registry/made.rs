@@ -1,8 +1,8 @@
 //! Records to submit and entries to fill with, all of them drawn from one seed.
 
-use cairn_registry::map::MapKey;
-use cairn_registry::record::{self, Digests, Identity, Seen, photographs_root};
-use cairn_registry::{Digest, Envelope, Leaf, OwnerKey, OwnerRecord, RecordKind, Registry};
+use cairn_log::map::MapKey;
+use cairn_log::record::{self, Digests, Identity, Seen, photographs_root};
+use cairn_log::{Digest, Envelope, Leaf, OwnerKey, OwnerRecord, RecordKind, Registry};
 
 /// The benchmark's log.
 pub const ORIGIN: &str = "cairn.bench/owners";

@@ -13,9 +13,9 @@ mod victim;
 
 use std::path::Path;
 
-use cairn_bench::Target;
-use cairn_bench::chart::{Axis, Chart, Look, Point, Series};
-use cairn_bench::table::Table;
+use cairn_eval::Target;
+use cairn_eval::chart::{Axis, Chart, Look, Point, Series};
+use cairn_eval::table::Table;
 
 pub use grown::{Audit, Audited, Growth, Log, Serve, Served, audit, grow, serve};
 pub use load::{Loaded, Task as Load, run as load};

@@ -9,13 +9,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use cairn_registry::{Checkpoint, Digest, Registry, merkle};
+use cairn_log::{Checkpoint, Digest, Registry, merkle};
 use serde::{Deserialize, Serialize};
 
 use super::super::parts::Part;
 use super::made::{self, ORIGIN};
-use crate::engine::published::LastPublished;
-use crate::engine::publisher::Publisher;
+use cairn_service::engine::published::LastPublished;
+use cairn_service::engine::publisher::Publisher;
 
 /// Submitters in the process that is killed.
 const CLIENTS: u64 = 4;

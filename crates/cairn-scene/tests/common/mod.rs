@@ -1,0 +1,177 @@
+//! Small captures written to a temporary folder, as their own formats want them.
+#![allow(dead_code, reason = "every test binary uses its own share of these")]
+
+use std::fs;
+use std::path::Path;
+
+use cairn_scene::{Capture, CaptureError, Picture, ReadOptions, encode_png};
+use tempfile::TempDir;
+
+/// Width and height of the photographs, px.
+pub const SIZE: (usize, usize) = (64, 48);
+
+/// One image of a COLMAP model.
+#[derive(Clone)]
+pub struct Image {
+    pub id: u32,
+    pub quaternion: [f64; 4],
+    pub translation: [f64; 3],
+    pub camera: u32,
+    pub name: String,
+}
+
+/// A camera: number, model number, model name, size, parameters.
+pub type ColmapCamera = (u32, i32, &'static str, [u64; 2], Vec<f64>);
+
+/// A COLMAP model, to be written as binary or text.
+#[derive(Clone)]
+pub struct Colmap {
+    pub cameras: Vec<ColmapCamera>,
+    pub images: Vec<Image>,
+    pub points: Vec<[f64; 3]>,
+    /// Observations for each image and track elements for each point.
+    pub tracks: usize,
+}
+
+impl Colmap {
+    /// Three views of a few points by one pinhole.
+    pub fn small() -> Self {
+        let image = |id: u32| Image {
+            id,
+            quaternion: [1.0, 0.0, 0.0, 0.0],
+            translation: [f64::from(id), 0.5, 2.0],
+            camera: 1,
+            name: format!("{id}.png"),
+        };
+        Self {
+            cameras: vec![(1, 1, "PINHOLE", [64, 48], vec![55.0, 57.5, 31.0, 25.0])],
+            images: (1..4).map(image).collect(),
+            points: vec![[0.0, 0.1, 1.0], [0.2, -0.1, 3.0]],
+            tracks: 2,
+        }
+    }
+
+    pub fn cameras_bin(&self) -> Vec<u8> {
+        let mut out = (self.cameras.len() as u64).to_le_bytes().to_vec();
+        for (id, model, _, size, parameters) in &self.cameras {
+            out.extend(id.to_le_bytes());
+            out.extend(model.to_le_bytes());
+            out.extend(size.iter().flat_map(|v| v.to_le_bytes()));
+            out.extend(parameters.iter().flat_map(|v| v.to_le_bytes()));
+        }
+        out
+    }
+
+    pub fn images_bin(&self) -> Vec<u8> {
+        let mut out = (self.images.len() as u64).to_le_bytes().to_vec();
+        for image in &self.images {
+            out.extend(image.id.to_le_bytes());
+            out.extend(image.quaternion.iter().chain(&image.translation).flat_map(|v| v.to_le_bytes()));
+            out.extend(image.camera.to_le_bytes());
+            out.extend(image.name.as_bytes());
+            out.push(0);
+            out.extend((self.tracks as u64).to_le_bytes());
+            out.extend(vec![7; 24 * self.tracks]);
+        }
+        out
+    }
+
+    pub fn points_bin(&self) -> Vec<u8> {
+        let mut out = (self.points.len() as u64).to_le_bytes().to_vec();
+        for (id, point) in self.points.iter().enumerate() {
+            out.extend((id as u64).to_le_bytes());
+            out.extend(point.iter().flat_map(|v| v.to_le_bytes()));
+            out.extend([1, 2, 3]);
+            out.extend(0.5f64.to_le_bytes());
+            out.extend((self.tracks as u64).to_le_bytes());
+            out.extend(vec![9; 8 * self.tracks]);
+        }
+        out
+    }
+
+    /// Writes the binary model into `folder/sparse/0`.
+    pub fn write_bin(&self, folder: &Path) {
+        let place = folder.join("sparse/0");
+        fs::create_dir_all(&place).unwrap();
+        fs::write(place.join("cameras.bin"), self.cameras_bin()).unwrap();
+        fs::write(place.join("images.bin"), self.images_bin()).unwrap();
+        fs::write(place.join("points3D.bin"), self.points_bin()).unwrap();
+    }
+
+    /// Writes the text model into `folder/sparse`.
+    pub fn write_text(&self, folder: &Path) {
+        let place = folder.join("sparse");
+        fs::create_dir_all(&place).unwrap();
+        let joined = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+        let mut cameras = "# Camera list with one line of data per camera:\n".to_owned();
+        for (id, _, name, [w, h], parameters) in &self.cameras {
+            cameras += &format!("{id} {name} {w} {h} {}\n", joined(parameters));
+        }
+        let mut images = "# Image list with two lines of data per image:\n".to_owned();
+        for (i, image) in self.images.iter().enumerate() {
+            let Image { id, quaternion, translation, camera, name } = image;
+            images += &format!("{id} {} {} {camera} {name}\n", joined(quaternion), joined(translation));
+            // An image without observations has an empty second line.
+            images += if i % 2 == 0 { "\n" } else { "1.5 2.5 -1 3.5 4.5 0\n" };
+        }
+        let mut points = String::new();
+        for (id, point) in self.points.iter().enumerate() {
+            points += &format!("{id} {} 1 2 3 0.5 1 0 2 1\n", joined(point));
+        }
+        fs::write(place.join("cameras.txt"), cameras).unwrap();
+        fs::write(place.join("images.txt"), images).unwrap();
+        fs::write(place.join("points3D.txt"), points).unwrap();
+    }
+
+    /// Writes a photograph for every image into `folder/images`.
+    pub fn write_photographs(&self, folder: &Path) {
+        fs::create_dir_all(folder.join("images")).unwrap();
+        for image in &self.images {
+            fs::write(folder.join("images").join(&image.name), photograph()).unwrap();
+        }
+    }
+
+    /// A temporary folder with the binary model and its photographs.
+    pub fn folder(&self) -> TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        self.write_bin(folder.path());
+        self.write_photographs(folder.path());
+        folder
+    }
+}
+
+/// A PNG of the usual size.
+pub fn photograph() -> Vec<u8> {
+    encode_png(&Picture::constant(SIZE.0, SIZE.1, [0.2, 0.4, 0.6]))
+}
+
+/// A NumPy file of format version 1.
+pub fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+    let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+    while !(10 + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut out = b"\x93NUMPY\x01\x00".to_vec();
+    out.extend((header.len() as u16).to_le_bytes());
+    out.extend(header.as_bytes());
+    out.extend(data);
+    out
+}
+
+/// Reads with default options.
+pub fn read(folder: &Path) -> Result<Capture, CaptureError> {
+    Capture::read(folder, &ReadOptions::default())
+}
+
+/// The error's text, which must name every one of `parts`.
+#[track_caller]
+pub fn refuses<T>(result: Result<T, CaptureError>, parts: &[&str]) {
+    let text = match result {
+        Ok(_) => panic!("accepted what should be refused for {parts:?}"),
+        Err(error) => error.to_string(),
+    };
+    for part in parts {
+        assert!(text.contains(part), "the error does not say {part:?}: {text}");
+    }
+}

@@ -1,0 +1,211 @@
+//! `AccessService`: who is known here, and what they may use.
+
+use crate::auth::{Account, Limits, Need, Registration, accounts::AccountError, registration::NONCE_LIFETIME_S};
+use cairn_api::v1::{self, access_service_server::AccessService};
+use cairn_log::{Digest, Heir, PublicKey};
+use tonic::{Extensions, Request, Response, Status};
+
+use super::gate::About;
+use super::status::status;
+use super::{Shared, from_proto, to_proto};
+use crate::config::Mode;
+use crate::engine::Engine;
+use crate::engine::access::unix_s;
+use crate::engine::error::EngineError;
+
+type Answer<T> = Result<Response<T>, Status>;
+
+/// Longest signature that is looked at, bytes; one of Ed25519 has 64.
+const MAX_SIGNATURE_BYTES: usize = 64;
+
+impl Shared {
+    /// Accounts are changed where they count, or by whoever has the data folder in hand: not by anybody who
+    /// happens to reach a daemon that asks nobody who they are.
+    fn accounts_count(&self) -> Result<(), Status> {
+        if self.in_process || self.access.mode == Mode::Accounts {
+            return Ok(());
+        }
+        let why = "the daemon runs without them; set access.mode = \"accounts\"".to_owned();
+        Err(status(EngineError::WrongState { what: "accounts".into(), operation: "used", why }))
+    }
+
+    /// Validates and authorises what changes one account, and changes it.
+    async fn change(
+        &self,
+        version: u32,
+        extensions: &Extensions,
+        key: &[u8],
+        change: impl FnOnce(&Engine, &PublicKey) -> Result<Account, crate::auth::AccessError> + Send + 'static,
+    ) -> Result<v1::Account, Status> {
+        from_proto::version(version).map_err(status)?;
+        self.accounts_count()?;
+        self.authorise(extensions, About::Nothing)?;
+        let key = from_proto::public_key("public_key", key).map_err(status)?;
+        let account = self.run(move |engine| Ok(change(engine, &key)?)).await?;
+        tracing::info!(
+            account = account.name,
+            key = %account.key,
+            role = account.role.name(),
+            standing = account.standing.name(),
+            "account changed"
+        );
+        Ok(to_proto::account(&account))
+    }
+}
+
+#[tonic::async_trait]
+impl AccessService for Shared {
+    async fn about(&self, request: Request<v1::AboutRequest>) -> Answer<v1::AboutResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        let verifier = &self.at_work()?.verifier;
+        let daemon = verifier.daemon();
+        let mode = match self.access.mode {
+            Mode::Open => v1::AccessMode::Open,
+            Mode::Token => v1::AccessMode::Token,
+            Mode::Accounts => v1::AccessMode::Accounts,
+        };
+        Ok(Response::new(v1::AboutResponse {
+            format_version: to_proto::VERSION,
+            origin: daemon.origin.clone(),
+            registry_key: self.engine()?.registry().public_key().to_bytes().to_vec().into(),
+            run: daemon.run.to_vec().into(),
+            mode: mode.into(),
+            read_closed: self.access.read_closed,
+            token_lifetime_s: verifier.longest_s(),
+            now_unix_s: unix_s(),
+        }))
+    }
+
+    async fn nonce(&self, request: Request<v1::RegistrationNonceRequest>) -> Answer<v1::RegistrationNonceResponse> {
+        let v1::RegistrationNonceRequest { format_version, public_key } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        self.accounts_count()?;
+        let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
+        let loaded = self.at_work()?;
+        let nonce = loaded.nonces.issue(&key, unix_s()).map_err(access)?;
+        Ok(Response::new(v1::RegistrationNonceResponse {
+            format_version: to_proto::VERSION,
+            nonce: nonce.as_bytes().to_vec().into(),
+            origin: loaded.engine.registry().origin().to_owned(),
+            good_for_s: NONCE_LIFETIME_S,
+        }))
+    }
+
+    async fn register(&self, request: Request<v1::RegisterRequest>) -> Answer<v1::RegisterResponse> {
+        let v1::RegisterRequest { format_version, public_key, name, role, nonce, signature } = request.into_inner();
+        from_proto::version(format_version).map_err(status)?;
+        self.accounts_count()?;
+        let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
+        let nonce = Digest::from_bytes(from_proto::bytes32("nonce", &nonce).map_err(status)?);
+        if signature.len() > MAX_SIGNATURE_BYTES {
+            let got = format!("{} bytes", signature.len());
+            return Err(status(EngineError::invalid("signature", got, format!("{MAX_SIGNATURE_BYTES} bytes"))));
+        }
+        let role = from_proto::role(role).map_err(status)?.unwrap_or(crate::auth::Role::Contributor);
+        let loaded = self.at_work()?;
+        let origin = loaded.engine.registry().origin().to_owned();
+        let registration = Registration { nonce, origin, key, name, role };
+        loaded.nonces.verify(&registration, &signature, unix_s()).map_err(access)?;
+        let policy = self.access.registration;
+        let account = self
+            .run(move |engine| {
+                let id = registration.key.id();
+                // A key that was rotated away is in nobody's hands either, as far as anybody can rely on it.
+                if let Heir::Key { since: Some(index), .. } | Heir::Nobody { ended_by: index, .. } =
+                    engine.registry().heir(&id)?
+                {
+                    return Err(crate::auth::AccessError::from(AccountError::Ended { key: id, index }).into());
+                }
+                Ok(engine.access().accounts().register(&registration, policy, unix_s())?)
+            })
+            .await?;
+        tracing::info!(account = account.name, key = %account.key, standing = account.standing.name(), "registered");
+        let account = Some(to_proto::account(&account));
+        Ok(Response::new(v1::RegisterResponse { format_version: to_proto::VERSION, account }))
+    }
+
+    async fn approve(&self, request: Request<v1::ApproveAccountRequest>) -> Answer<v1::ApproveAccountResponse> {
+        let v1::ApproveAccountRequest { format_version, ref public_key, role } = *request.get_ref();
+        let role = from_proto::role(role).map_err(status)?;
+        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().approve(key, role);
+        let account = self.change(format_version, request.extensions(), public_key, change).await?;
+        let account = Some(account);
+        Ok(Response::new(v1::ApproveAccountResponse { format_version: to_proto::VERSION, account }))
+    }
+
+    async fn list(&self, request: Request<v1::ListAccountsRequest>) -> Answer<v1::ListAccountsResponse> {
+        from_proto::version(request.get_ref().format_version).map_err(status)?;
+        self.accounts_count()?;
+        self.authorise(request.extensions(), About::Nothing)?;
+        let accounts = self.engine()?.access().accounts().list().iter().map(to_proto::account).collect();
+        Ok(Response::new(v1::ListAccountsResponse { format_version: to_proto::VERSION, accounts }))
+    }
+
+    async fn set_role(&self, request: Request<v1::SetRoleRequest>) -> Answer<v1::SetRoleResponse> {
+        let v1::SetRoleRequest { format_version, ref public_key, role } = *request.get_ref();
+        let role = from_proto::role(role).map_err(status)?;
+        let Some(role) = role else {
+            return Err(status(EngineError::invalid("role", "not set", "contributor, curator, auditor or operator")));
+        };
+        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_role(key, role);
+        let account = Some(self.change(format_version, request.extensions(), public_key, change).await?);
+        Ok(Response::new(v1::SetRoleResponse { format_version: to_proto::VERSION, account }))
+    }
+
+    async fn disable(&self, request: Request<v1::DisableAccountRequest>) -> Answer<v1::DisableAccountResponse> {
+        let v1::DisableAccountRequest { format_version, ref public_key, enable } = *request.get_ref();
+        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_disabled(key, !enable);
+        let account = Some(self.change(format_version, request.extensions(), public_key, change).await?);
+        Ok(Response::new(v1::DisableAccountResponse { format_version: to_proto::VERSION, account }))
+    }
+
+    async fn set_quota(&self, request: Request<v1::SetQuotaRequest>) -> Answer<v1::SetQuotaResponse> {
+        let v1::SetQuotaRequest { format_version, ref public_key, ref quota } = *request.get_ref();
+        let quota = quota.as_ref().map(|q| {
+            let v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *q;
+            Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day }
+        });
+        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_quota(key, quota);
+        let account = Some(self.change(format_version, request.extensions(), public_key, change).await?);
+        Ok(Response::new(v1::SetQuotaResponse { format_version: to_proto::VERSION, account }))
+    }
+
+    async fn quota(&self, request: Request<v1::QuotaRequest>) -> Answer<v1::QuotaResponse> {
+        let v1::QuotaRequest { format_version, ref public_key } = *request.get_ref();
+        from_proto::version(format_version).map_err(status)?;
+        self.accounts_count()?;
+        let own = self.authorise(request.extensions(), About::Nothing)?;
+        let asked = match public_key.is_empty() {
+            true => None,
+            false => {
+                let key = from_proto::public_key("public_key", public_key).map_err(status)?;
+                Some(self.engine()?.access().payer(&key.id()))
+            }
+        };
+        if asked.is_some() && asked != own {
+            self.authorise_as(request.extensions(), Need::Oversee, About::Nothing)?;
+        }
+        let Some(owner) = asked.or(own) else {
+            return Err(status(EngineError::invalid("public_key", "empty", "an account's, where no account calls")));
+        };
+        let engine = self.engine()?;
+        let (limits, used) = (engine.access().limits(&owner), engine.access().usage(&owner));
+        Ok(Response::new(v1::QuotaResponse {
+            format_version: to_proto::VERSION,
+            limits: Some(to_proto::quota(&limits)),
+            used: Some(v1::QuotaLimits {
+                bytes: used.bytes,
+                views: used.views,
+                training_seconds: used.training_seconds,
+                queued_jobs: engine.jobs().open_of(&owner),
+                records: used.records,
+                records_per_day: used.records_per_day,
+            }),
+            training_frees_unix_s: used.training_frees_at,
+        }))
+    }
+}
+
+fn access(error: impl Into<crate::auth::AccessError>) -> Status {
+    status(error.into().into())
+}

@@ -1,0 +1,457 @@
+//! From messages to the engine's own types: the only place where a message's
+//! fields are believed, and only after they were checked.
+
+use crate::auth::Role;
+use cairn_api::v1;
+use cairn_log::{Digest, PublicKey, RegistryError};
+use cairn_scene::cluster::{ClusterConfig, Grouping};
+use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind};
+use glam::{DMat3, DVec3};
+
+use crate::engine::TrainingRequest;
+use crate::engine::error::EngineError;
+use crate::engine::given::Given;
+use crate::engine::hidden::Parts;
+use crate::engine::light::Light;
+use crate::engine::owners::AskedView;
+use crate::engine::query::{FieldKind, Viewpoint};
+use crate::engine::scenes::{ImportPlan, PlannedView};
+use crate::engine::tour::{PathKind, PathRequest};
+
+/// Longest text field, bytes.
+const MAX_TEXT_BYTES: usize = 256;
+/// Most views named in one request.
+const MAX_VIEW_NAMES: usize = 10_000;
+/// Longest settings overlay, bytes.
+const MAX_SETTINGS_BYTES: usize = 64 << 10;
+/// Most scenes of one training.
+const MAX_SCENES: usize = 16;
+/// Cameras wider than this are a broken message, px.
+const MAX_CAMERA_SIDE_PX: u32 = 1 << 20;
+
+/// Refuses a message of another version, by number.
+pub fn version(got: u32) -> Result<(), EngineError> {
+    if got == v1::FORMAT_VERSION {
+        return Ok(());
+    }
+    Err(EngineError::invalid("format_version", got, v1::FORMAT_VERSION.to_string()))
+}
+
+fn missing(what: &str) -> EngineError {
+    EngineError::invalid(what, "not set", "a value")
+}
+
+fn finite(what: &str, value: f64) -> Result<f64, EngineError> {
+    if value.is_finite() { Ok(value) } else { Err(EngineError::invalid(what, value, "a finite number")) }
+}
+
+fn text(what: &str, value: String) -> Result<String, EngineError> {
+    if value.is_empty() || value.len() > MAX_TEXT_BYTES || value.chars().any(char::is_control) {
+        let shown: String = value.chars().take(80).collect();
+        return Err(EngineError::invalid(what, format!("{shown:?}"), "1 to 256 bytes without control characters"));
+    }
+    Ok(value)
+}
+
+/// Names of views, each once.
+pub fn view_names(mut names: Vec<String>) -> Result<Vec<String>, EngineError> {
+    names.sort();
+    names.dedup();
+    if names.is_empty() || names.len() > MAX_VIEW_NAMES {
+        return Err(EngineError::invalid("the number of view_names", names.len(), format!("1 to {MAX_VIEW_NAMES}")));
+    }
+    names.into_iter().map(|name| text("a view's name", name)).collect()
+}
+
+/// 32 bytes.
+pub fn bytes32(what: &str, bytes: &[u8]) -> Result<[u8; 32], EngineError> {
+    bytes.try_into().map_err(|_| EngineError::invalid(what, format!("{} bytes", bytes.len()), "32 bytes"))
+}
+
+/// An Ed25519 public key, none of small order.
+pub fn public_key(what: &str, bytes: &[u8]) -> Result<PublicKey, EngineError> {
+    Ok(PublicKey::from_bytes(&bytes32(what, bytes)?).map_err(RegistryError::from)?)
+}
+
+/// Which view a complete answer is about; `None` for the whole scene.
+pub fn asked_view(of: Option<v1::answer_request::Of>) -> Result<Option<AskedView>, EngineError> {
+    use v1::answer_request::Of;
+    Ok(match of {
+        None => None,
+        Some(Of::ViewName(name)) => Some(AskedView::Named(name)),
+        Some(Of::PhotographSha256(digest)) => {
+            Some(AskedView::Photograph(Digest::from_bytes(bytes32("photograph_sha256", &digest)?)))
+        }
+    })
+}
+
+/// A role; `None` where none is named.
+pub fn role(number: i32) -> Result<Option<Role>, EngineError> {
+    match v1::Role::try_from(number) {
+        Ok(v1::Role::Unspecified) => Ok(None),
+        Ok(v1::Role::Contributor) => Ok(Some(Role::Contributor)),
+        Ok(v1::Role::Curator) => Ok(Some(Role::Curator)),
+        Ok(v1::Role::Auditor) => Ok(Some(Role::Auditor)),
+        Ok(v1::Role::Operator) => Ok(Some(Role::Operator)),
+        Err(_) => Err(EngineError::invalid("role", number, "a Role that this release knows")),
+    }
+}
+
+fn intrinsics(what: &str, i: &v1::Intrinsics) -> Result<Intrinsics, EngineError> {
+    for (name, side) in [("width", i.width), ("height", i.height)] {
+        if side == 0 || side > MAX_CAMERA_SIDE_PX {
+            return Err(EngineError::invalid(format!("{what}: {name}"), side, format!("1 to {MAX_CAMERA_SIDE_PX} px")));
+        }
+    }
+    for (name, focal) in [("fx", i.fx), ("fy", i.fy)] {
+        if !(focal.is_finite() && focal > 0.0) {
+            return Err(EngineError::invalid(format!("{what}: {name}"), focal, "a finite number of px above 0"));
+        }
+    }
+    for (name, value) in
+        [("cx", i.cx), ("cy", i.cy), ("k1", i.k1), ("k2", i.k2), ("k3", i.k3), ("p1", i.p1), ("p2", i.p2)]
+    {
+        finite(&format!("{what}: {name}"), value)?;
+    }
+    Ok(Intrinsics {
+        width: i.width as usize,
+        height: i.height as usize,
+        fx: i.fx,
+        fy: i.fy,
+        cx: i.cx,
+        cy: i.cy,
+        distortion: Distortion { k1: i.k1, k2: i.k2, k3: i.k3, p1: i.p1, p2: i.p2 },
+    })
+}
+
+fn pose(what: &str, p: &v1::Pose) -> Result<Pose, EngineError> {
+    let rotation: [f64; 9] = (p.rotation.as_slice().try_into())
+        .map_err(|_| EngineError::invalid(format!("{what}: rotation"), format!("{} numbers", p.rotation.len()), "9"))?;
+    let position: [f64; 3] = (p.position.as_slice().try_into())
+        .map_err(|_| EngineError::invalid(format!("{what}: position"), format!("{} numbers", p.position.len()), "3"))?;
+    let rotation = DMat3::from_cols_array(&rotation).transpose();
+    Pose::new(rotation, DVec3::from_array(position))
+        .map_err(|e| EngineError::invalid(format!("{what}: pose"), e, "a finite position and a rotation"))
+}
+
+/// A camera; `what` names it in errors.
+pub fn camera(what: &str, camera: Option<&v1::Camera>) -> Result<Camera, EngineError> {
+    let camera = camera.ok_or_else(|| missing(what))?;
+    let i = camera.intrinsics.as_ref().ok_or_else(|| missing(&format!("{what}: intrinsics")))?;
+    let p = camera.pose.as_ref().ok_or_else(|| missing(&format!("{what}: pose")))?;
+    Ok(Camera { intrinsics: intrinsics(what, i)?, pose: pose(what, p)? })
+}
+
+/// A viewpoint.
+pub fn viewpoint(viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoint, EngineError> {
+    viewpoint_of("the viewpoint", viewpoint)
+}
+
+/// A viewpoint; `what` names it in errors.
+fn viewpoint_of(what: &str, viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoint, EngineError> {
+    match viewpoint.and_then(|v| v.from).ok_or_else(|| missing(what))? {
+        v1::viewpoint::From::ViewName(name) => Ok(Viewpoint::View(name)),
+        v1::viewpoint::From::Camera(c) => Ok(Viewpoint::Camera(camera(&format!("{what}'s camera"), Some(&c))?)),
+    }
+}
+
+/// A scene kind.
+pub fn scene_kind(kind: i32) -> Result<SceneKind, EngineError> {
+    match v1::SceneKind::try_from(kind) {
+        Ok(v1::SceneKind::ForwardFacing) => Ok(SceneKind::ForwardFacing),
+        Ok(v1::SceneKind::Bounded) => Ok(SceneKind::Bounded),
+        Ok(v1::SceneKind::Unbounded) => Ok(SceneKind::Unbounded),
+        Ok(v1::SceneKind::Unspecified) | Err(_) => {
+            Err(EngineError::invalid("the scene's kind", kind, "forward facing (1), bounded (2) or unbounded (3)"))
+        }
+    }
+}
+
+/// An import's header.
+pub fn import_plan(header: v1::ImportHeader) -> Result<ImportPlan, EngineError> {
+    let background = match header.background.as_slice() {
+        [] => None,
+        [r, g, b] if [r, g, b].iter().all(|v| (0.0..=1.0).contains(*v)) => Some([*r, *g, *b]),
+        other => {
+            return Err(EngineError::invalid("the background", format!("{other:?}"), "none, or 3 numbers, 0 to 1"));
+        }
+    };
+    let views = header.views.into_iter().map(planned_view).collect::<Result<_, _>>()?;
+    Ok(ImportPlan { scene: header.scene, kind: scene_kind(header.kind)?, background, views })
+}
+
+/// Points of the surface.
+pub fn points(chunk: &v1::PointChunk) -> Result<Vec<DVec3>, EngineError> {
+    let (points, rest) = chunk.xyz.as_chunks::<3>();
+    if !rest.is_empty() {
+        return Err(EngineError::invalid("the points' numbers", chunk.xyz.len(), "a multiple of 3"));
+    }
+    let points: Vec<DVec3> = points.iter().map(|p| DVec3::from_array(*p)).collect();
+    match points.iter().find(|p| !p.is_finite()) {
+        Some(point) => Err(EngineError::invalid("a point", point, "finite coordinates")),
+        None => Ok(points),
+    }
+}
+
+fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
+    let name = text("a view's name", view.name)?;
+    let (near, far) = (view.near, view.far);
+    let bounds = match (near, far) {
+        (0.0, 0.0) => None,
+        _ if near.is_finite() && far.is_finite() && near > 0.0 && far > near => Some((near, far)),
+        _ => {
+            let got = format!("{near} to {far}");
+            return Err(EngineError::invalid(format!("view {name}: near and far"), got, "0 and 0, or 0 < near < far"));
+        }
+    };
+    Ok(PlannedView {
+        camera: camera(&format!("view {name}: camera"), view.camera.as_ref())?,
+        contributor: text(&format!("view {name}: contributor"), view.contributor)?,
+        held_out: view.held_out,
+        as_stored: view.as_stored,
+        bounds,
+        photograph_bytes: view.photograph_bytes,
+        photograph_sha256: bytes32(&format!("view {name}: photograph_sha256"), &view.photograph_sha256)?,
+        name,
+    })
+}
+
+/// What to train.
+pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, EngineError> {
+    use v1::start_training_request::Clusters;
+    let grouping = match request.clusters.ok_or_else(|| missing("clusters"))? {
+        Clusters::ByAnchors(a) => by_anchors(&a)?,
+        Clusters::ByContributor(c) => by_contributor(&c),
+    };
+    if request.settings_toml.len() > MAX_SETTINGS_BYTES {
+        let got = format!("{} bytes", request.settings_toml.len());
+        return Err(EngineError::invalid("settings_toml", got, format!("at most {MAX_SETTINGS_BYTES} bytes")));
+    }
+    if request.also.len() >= MAX_SCENES {
+        let got = format!("{} scenes beside the first", request.also.len());
+        return Err(EngineError::invalid("also", got, format!("fewer than {MAX_SCENES}")));
+    }
+    Ok(TrainingRequest {
+        scene: request.scene,
+        also: request.also,
+        grow: request.grow,
+        grouping,
+        seed: request.seed,
+        settings_toml: request.settings_toml,
+        signals: request.signals.into_iter().map(signal).collect::<Result<_, _>>()?,
+        quick: request.quick,
+        base_only: request.base_only,
+        owner: None,
+    })
+}
+
+/// What an identity is to hide; a field that is not there is empty on the wire.
+fn signal(signal: v1::Signal) -> Result<Given, EngineError> {
+    let some = |bytes: Vec<u8>| (!bytes.is_empty()).then_some(bytes);
+    let name = match signal.name {
+        none if none.is_empty() => none,
+        name => text("a signal's name", name)?,
+    };
+    let parts = Parts {
+        picture: some(signal.picture.to_vec()),
+        audio: some(signal.audio.to_vec()),
+        text: some(signal.text.into_bytes()),
+    };
+    Ok(Given { name, parts })
+}
+
+/// Clusters around anchors.
+pub fn by_anchors(a: &v1::ByAnchors) -> Result<Grouping, EngineError> {
+    if !(1..=64).contains(&a.anchors) {
+        return Err(EngineError::invalid("anchors", a.anchors, "1 to 64"));
+    }
+    if a.neighbours > 1000 {
+        return Err(EngineError::invalid("neighbours", a.neighbours, "1 to 1000, or 0 for as many as there are"));
+    }
+    let (anchors, neighbours) = (a.anchors as usize, a.neighbours as usize);
+    let direction_weight = ClusterConfig::default().direction_weight;
+    Ok(Grouping::Anchors(ClusterConfig { anchors, neighbours, direction_weight }))
+}
+
+/// One cluster a contributor.
+pub fn by_contributor(c: &v1::ByContributor) -> Grouping {
+    let direction_weight = ClusterConfig::default().direction_weight;
+    Grouping::ByContributor { min_views: c.least_views as usize, direction_weight }
+}
+
+/// Clusters to draw, and the seed they are made with; `None` for the model's.
+pub fn drawn_clusters(request: &v1::DrawPosesRequest) -> Result<Option<(Grouping, u64)>, EngineError> {
+    use v1::draw_poses_request::Clusters;
+    let grouping = match &request.clusters {
+        None => return Ok(None),
+        Some(Clusters::ByAnchors(a)) => by_anchors(a)?,
+        Some(Clusters::ByContributor(c)) => by_contributor(c),
+    };
+    Ok(Some((grouping, request.seed)))
+}
+
+/// Whether a drawing is wanted as SVG, and not as PNG.
+pub fn is_svg(format: i32) -> Result<bool, EngineError> {
+    match v1::DrawingFormat::try_from(format) {
+        Ok(v1::DrawingFormat::Svg) => Ok(true),
+        Ok(v1::DrawingFormat::Png | v1::DrawingFormat::Unspecified) => Ok(false),
+        Err(_) => Err(EngineError::invalid("the drawing's format", format, "PNG (1) or SVG (2)")),
+    }
+}
+
+/// A camera path, and its first frame to render.
+pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), EngineError> {
+    use v1::render_path_request::Path;
+    let kind = match request.path.ok_or_else(|| missing("the path"))? {
+        Path::Orbit(o) => {
+            let arc_deg = if o.arc_deg == 0.0 { 360.0 } else { o.arc_deg };
+            if !(arc_deg > 0.0 && arc_deg <= 360.0) {
+                return Err(EngineError::invalid("the orbit's arc_deg", arc_deg, "above 0, to 360"));
+            }
+            PathKind::Orbit { arc_deg }
+        }
+        Path::Spiral(_) => PathKind::Spiral,
+        Path::Between(b) => PathKind::Between(b.from_view, b.to_view),
+    };
+    let first = request.first_frame as usize;
+    if first > 0 && request.first_frame >= request.frames {
+        let expected = format!("0 to below the number of frames, {}", request.frames);
+        return Err(EngineError::invalid("first_frame", first, expected));
+    }
+    let set = |appearance: Option<v1::Appearance>| match appearance.filter(|a| a.choice.is_some()) {
+        None => Ok(None),
+        some => light(some).map(Some),
+    };
+    let plan = PathRequest {
+        scene: request.scene,
+        kind,
+        frames: request.frames as usize,
+        size: (request.width as usize, request.height as usize),
+        field: field_kind(request.field)?,
+        light: set(request.appearance)?,
+        light_to: set(request.appearance_to)?,
+    };
+    Ok((plan, first))
+}
+
+/// Which field.
+pub fn field_kind(kind: i32) -> Result<FieldKind, EngineError> {
+    match v1::FieldKind::try_from(kind) {
+        Ok(v1::FieldKind::Base) => Ok(FieldKind::Base),
+        Ok(v1::FieldKind::Marked | v1::FieldKind::Unspecified) => Ok(FieldKind::Marked),
+        Err(_) => Err(EngineError::invalid("field", kind, "marked (1) or base (2)")),
+    }
+}
+
+/// In whose light.
+pub fn light(appearance: Option<v1::Appearance>) -> Result<Light, EngineError> {
+    use v1::appearance::Choice;
+    Ok(match appearance.and_then(|a| a.choice) {
+        None | Some(Choice::Neutral(_)) => Light::Neutral,
+        Some(Choice::ViewName(name)) => Light::View(name),
+        Some(Choice::Blend(b)) => {
+            if !(0.0..=1.0).contains(&b.share) {
+                return Err(EngineError::invalid("the appearance's share", b.share, "0 to 1"));
+            }
+            Light::Blend(b.from_view, b.to_view, b.share)
+        }
+        Some(Choice::Photograph(p)) => {
+            if p.photograph.is_empty() {
+                return Err(missing("the appearance's photograph"));
+            }
+            let taken = viewpoint_of("the viewpoint of the appearance's photograph", p.viewpoint)?;
+            Light::Photograph(p.photograph.into(), taken)
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grpc::to_proto;
+
+    fn good() -> v1::Camera {
+        let pose = Pose::look_at(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Y).unwrap();
+        let distortion = Distortion { k1: 0.1, k2: 0.2, k3: 0.3, p1: 0.4, p2: 0.5 };
+        let intrinsics = Intrinsics { width: 8, height: 6, fx: 7.0, fy: 5.0, cx: 4.0, cy: 3.0, distortion };
+        to_proto::camera(&Camera { intrinsics, pose })
+    }
+
+    #[test]
+    fn a_camera_comes_back_as_it_went() {
+        let read = camera("c", Some(&good())).unwrap();
+        let again = camera("c", Some(&to_proto::camera(&read))).unwrap();
+        assert!((read.pose.position - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
+        assert_eq!(read.intrinsics, again.intrinsics);
+        let difference = read.pose.rotation - again.pose.rotation;
+        assert!(difference.to_cols_array().iter().all(|v| v.abs() < 1e-12));
+        assert_eq!(read.intrinsics.distortion.p2, 0.5);
+    }
+
+    #[test]
+    fn bad_cameras_are_refused_by_name() {
+        let change = |f: fn(&mut v1::Camera)| {
+            let mut c = good();
+            f(&mut c);
+            camera("view a: camera", Some(&c)).unwrap_err().to_string()
+        };
+        assert!(change(|c| c.intrinsics.as_mut().unwrap().width = 0).contains("width is 0"));
+        assert!(change(|c| c.intrinsics.as_mut().unwrap().fx = f64::NAN).contains("fx is NaN"));
+        assert!(change(|c| c.pose.as_mut().unwrap().rotation[0] = 5.0).contains("pose"));
+        assert!(change(|c| c.pose.as_mut().unwrap().rotation.truncate(8)).contains("8 numbers"));
+        assert!(change(|c| c.pose = None).contains("not set"));
+    }
+
+    #[test]
+    fn lights_are_refused_by_what_is_wrong_with_them() {
+        use v1::appearance::Choice;
+        let of = |choice| light(Some(v1::Appearance { choice: Some(choice) })).map_err(|e| e.to_string());
+        let blend = |share| {
+            let (from_view, to_view) = ("a".into(), "b".into());
+            of(Choice::Blend(v1::AppearanceBlend { from_view, to_view, share }))
+        };
+        for share in [0.0, 0.25, 1.0] {
+            assert!(matches!(blend(share), Ok(Light::Blend(_, _, s)) if s == share), "{share}");
+        }
+        for share in [-1e-9, 1.0 + 1e-12, f64::NAN, f64::INFINITY] {
+            assert_eq!(blend(share).unwrap_err(), format!("the appearance's share is {share}; allowed is 0 to 1"));
+        }
+        let camera = |camera| Some(v1::Viewpoint { from: Some(v1::viewpoint::From::Camera(camera)) });
+        let photograph = |bytes: Vec<u8>, viewpoint| {
+            of(Choice::Photograph(v1::PhotographAppearance { photograph: bytes.into(), viewpoint }))
+        };
+        assert!(
+            matches!(photograph(vec![7], camera(good())), Ok(Light::Photograph(b, Viewpoint::Camera(_))) if b == [7])
+        );
+        let poseless = v1::Camera { pose: None, ..good() };
+        for (bytes, viewpoint, says) in [
+            (vec![], camera(good()), "the appearance's photograph is not set"),
+            (vec![7], None, "the viewpoint of the appearance's photograph is not set"),
+            (vec![7], camera(poseless), "the viewpoint of the appearance's photograph's camera: pose is not set"),
+        ] {
+            let refused = photograph(bytes, viewpoint).unwrap_err();
+            assert!(refused.starts_with(says), "{refused}");
+        }
+    }
+
+    #[test]
+    fn signals_keep_their_names_and_order() {
+        let by = v1::start_training_request::Clusters::ByContributor(v1::ByContributor { least_views: 2 });
+        let of = |name: &str| v1::Signal { name: name.into(), text: "t".into(), ..v1::Signal::default() };
+        let asked = |names: &[&str]| {
+            let signals = names.iter().map(|name| of(name)).collect();
+            training(v1::StartTrainingRequest { clusters: Some(by), signals, ..Default::default() })
+        };
+        let wanted = asked(&["drone-2", ""]).unwrap();
+        assert_eq!(wanted.signals.iter().map(|g| g.name.as_str()).collect::<Vec<_>>(), ["drone-2", ""]);
+        assert_eq!(wanted.signals[0].parts.text.as_deref(), Some(&b"t"[..]));
+        let refused = asked(&["a\nb"]).unwrap_err().to_string();
+        assert!(refused.contains("a signal's name"), "{refused}");
+    }
+
+    #[test]
+    fn another_version_is_refused_by_number() {
+        assert!(version(1).is_ok());
+        assert_eq!(version(7).unwrap_err().to_string(), "format_version is 7; allowed is 1");
+    }
+}

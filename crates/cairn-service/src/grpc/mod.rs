@@ -1,0 +1,128 @@
+//! The daemon: gRPC services over one engine. Only this folder and `cairn-api`
+//! know the wire.
+//!
+//! Before every handler stands the gate, which knows each method's row in
+//! cairn-service's table and lets nobody in whom it does not allow; a handler's own
+//! `authorise` then holds the caller to what the call is about.
+//!
+//! Every handler has one rhythm: validate (version and fields), authorise,
+//! convert, do, answer. What it does blocks, so it is done on a thread made for
+//! that; renders and the like queue for a limited number of places.
+
+mod access;
+pub mod from_proto;
+mod gate;
+pub mod http;
+mod owners;
+mod quarantine;
+mod queries;
+mod renders;
+mod scenes;
+pub mod serve;
+mod status;
+pub mod tls;
+pub mod to_proto;
+mod training;
+
+use std::sync::{Arc, OnceLock};
+
+use crate::auth::{AccessError, Daemon, Nonces, Verifier};
+use tokio::sync::Semaphore;
+use tonic::Status;
+
+use crate::config::{Access, Config, Mode, Token};
+use crate::engine::Engine;
+use crate::engine::error::EngineError;
+use status::status;
+
+/// What all services share. Cheap to clone.
+#[derive(Clone)]
+pub struct Shared {
+    /// Empty until everything is loaded.
+    loaded: Arc<OnceLock<Loaded>>,
+    token: Option<Arc<Token>>,
+    access: Arc<Access>,
+    /// Whether nobody but this very process can call.
+    in_process: bool,
+    renders: Arc<Semaphore>,
+    /// Held while a picture's camera is searched for.
+    searches: Arc<Semaphore>,
+    /// Largest message that goes out.
+    most_bytes: usize,
+}
+
+/// What is there once the data folder was read.
+struct Loaded {
+    engine: Arc<Engine>,
+    verifier: Verifier,
+    nonces: Nonces,
+}
+
+impl Shared {
+    /// Services without an engine yet; they answer UNAVAILABLE until [`Shared::loaded`].
+    pub fn new(config: &Config) -> Self {
+        Self {
+            loaded: Arc::default(),
+            token: config.token.clone().map(Arc::new),
+            access: Arc::new(config.access.clone()),
+            in_process: false,
+            most_bytes: config.limits.max_message_bytes,
+            renders: Arc::new(Semaphore::new(config.limits.concurrent_renders)),
+            searches: Arc::new(Semaphore::new(1)),
+        }
+    }
+
+    /// As [`Shared::new`], for this process alone: whoever has the data folder in hand is its operator.
+    pub fn in_process(config: &Config) -> Self {
+        let access = Access { mode: Mode::Open, read_closed: false, ..config.access.clone() };
+        Self { token: None, access: Arc::new(access), in_process: true, ..Self::new(config) }
+    }
+
+    /// Puts the services to work.
+    ///
+    /// # Errors
+    /// Where the system has no random bytes to tell this run from others.
+    pub fn loaded(&self, engine: Arc<Engine>) -> Result<(), AccessError> {
+        let registry = engine.registry();
+        let daemon = Daemon::starting(registry.origin(), &registry.public_key())?;
+        let verifier = Verifier::new(daemon, self.access.token_lifetime_s);
+        let nonces = Nonces::new(registry.origin())?;
+        // A second engine has no place; there is one caller, and it has one.
+        let _ = self.loaded.set(Loaded { engine, verifier, nonces });
+        Ok(())
+    }
+
+    fn at_work(&self) -> Result<&Loaded, Status> {
+        self.loaded.get().ok_or_else(|| Status::unavailable("the daemon is still loading; try again soon"))
+    }
+
+    fn engine(&self) -> Result<Arc<Engine>, Status> {
+        Ok(self.at_work()?.engine.clone())
+    }
+
+    /// Does something that blocks, off the async runtime.
+    async fn run<T: Send + 'static>(
+        &self,
+        what: impl FnOnce(&Engine) -> Result<T, EngineError> + Send + 'static,
+    ) -> Result<T, Status> {
+        let engine = self.engine()?;
+        let done = tokio::task::spawn_blocking(move || what(&engine)).await;
+        done.unwrap_or_else(|e| Err(EngineError::Internal(format!("a request's thread ended early: {e}"))))
+            .map_err(status)
+    }
+
+    /// As [`Shared::run`], for what keeps all processors busy: waits for a place.
+    async fn compute<T: Send + 'static>(
+        &self,
+        what: impl FnOnce(&Engine) -> Result<T, EngineError> + Send + 'static,
+    ) -> Result<T, Status> {
+        // Never closed; were it, going on without a place would be the lesser harm.
+        let place = self.renders.clone().acquire_owned().await.ok();
+        // The place goes with the work: a caller that hangs up does not free it early.
+        self.run(move |engine| {
+            let _place = place;
+            what(engine)
+        })
+        .await
+    }
+}

@@ -1,0 +1,301 @@
+//! From the engine's own types to messages. Nothing here can fail.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use cairn_api::v1;
+use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
+use cairn_scene::{Camera, SceneFolder, SceneKind};
+use tonic::codegen::Bytes;
+
+use crate::engine::classes::{Elsewhere, LaidOver};
+use crate::engine::corrections::Standing;
+use crate::engine::job::{Job, JobState};
+use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
+use crate::engine::quarantine::{Entry, Standing as Held};
+use crate::engine::query::Who;
+
+/// The number that every answer carries.
+pub const VERSION: u32 = v1::FORMAT_VERSION;
+
+/// A camera.
+pub fn camera(camera: &Camera) -> v1::Camera {
+    let (i, d) = (&camera.intrinsics, &camera.intrinsics.distortion);
+    v1::Camera {
+        intrinsics: Some(v1::Intrinsics {
+            width: i.width as u32,
+            height: i.height as u32,
+            fx: i.fx,
+            fy: i.fy,
+            cx: i.cx,
+            cy: i.cy,
+            k1: d.k1,
+            k2: d.k2,
+            k3: d.k3,
+            p1: d.p1,
+            p2: d.p2,
+        }),
+        pose: Some(v1::Pose {
+            rotation: camera.pose.rotation.transpose().to_cols_array().to_vec(),
+            position: camera.pose.position.to_array().to_vec(),
+        }),
+    }
+}
+
+/// What later records say of one.
+pub fn standing(standing: Standing) -> v1::Standing {
+    let Standing { replaced_by, taken_back_by, disputed_by, key_ended_by } = standing;
+    v1::Standing { replaced_by, taken_back_by, disputed_by, key_ended_by }
+}
+
+/// A scene kind.
+pub fn scene_kind(kind: SceneKind) -> v1::SceneKind {
+    match kind {
+        SceneKind::ForwardFacing => v1::SceneKind::ForwardFacing,
+        SceneKind::Bounded => v1::SceneKind::Bounded,
+        SceneKind::Unbounded => v1::SceneKind::Unbounded,
+    }
+}
+
+/// A scene in one line.
+pub fn scene_summary(name: &str, scene: &SceneFolder, trained: bool) -> v1::SceneSummary {
+    let capture = scene.capture();
+    let mut contributors: Vec<&str> = capture.views.iter().map(|v| v.contributor.as_str()).collect();
+    contributors.sort_unstable();
+    contributors.dedup();
+    let size = |v: &cairn_scene::View| capture.root.join(&v.photograph).metadata().map_or(0, |m| m.len());
+    v1::SceneSummary {
+        name: name.to_owned(),
+        views: capture.views.len() as u32,
+        held_out_views: capture.held_out().count() as u32,
+        contributors: contributors.len() as u32,
+        photograph_bytes: capture.views.iter().map(size).sum(),
+        trained,
+        kind: scene_kind(capture.kind).into(),
+        background: capture.background.map(Vec::from).unwrap_or_default(),
+    }
+}
+
+/// A scene's views, of which those named in `out` are in quarantine.
+pub fn scene_views(scene: &SceneFolder, out: &BTreeSet<String>) -> Vec<v1::SceneView> {
+    let of = |(index, view): (usize, &cairn_scene::View)| v1::SceneView {
+        name: view.name.clone(),
+        camera: Some(camera(&view.camera)),
+        contributor: view.contributor.clone(),
+        photograph_sha256: scene.photograph_digest(index).to_vec().into(),
+        held_out: view.held_out,
+        quarantined: out.contains(&view.name),
+    };
+    scene.capture().views.iter().enumerate().map(of).collect()
+}
+
+/// A view that is, or was, in quarantine.
+pub fn quarantined_view(entry: &Entry) -> v1::QuarantinedView {
+    let figures = entry.found.as_ref().map(|found| v1::QuarantineFigures {
+        fit_db: found.fit_db,
+        deviations: found.deviations,
+        median_db: found.median_db,
+        limit_db: found.limit_db,
+        job_id: found.job.clone(),
+        found_unix_s: found.unix_s,
+    });
+    let decided = entry.decided.as_ref();
+    v1::QuarantinedView {
+        view_name: entry.view.clone(),
+        photograph_sha256: entry.photograph.as_bytes().to_vec().into(),
+        standing: match entry.standing {
+            Held::Quarantined => v1::QuarantineStanding::Quarantined,
+            Held::Released => v1::QuarantineStanding::Released,
+            // What the next start finishes is gone for whoever asks.
+            Held::Removing | Held::Removed => v1::QuarantineStanding::Removed,
+        }
+        .into(),
+        figures,
+        decided_by: decided.and_then(|d| d.by).map(|id| id.as_bytes().to_vec()).unwrap_or_default().into(),
+        decided_unix_s: decided.map_or(0, |d| d.unix_s),
+    }
+}
+
+/// A scene's quarantine by contributor: most views in quarantine first, then by name.
+pub fn quarantine_groups(scene: &SceneFolder, entries: &[Entry]) -> Vec<v1::QuarantineGroup> {
+    let mut by: BTreeMap<&str, Vec<&Entry>> = BTreeMap::new();
+    for entry in entries {
+        by.entry(&entry.contributor).or_default().push(entry);
+    }
+    let mut groups: Vec<(&str, Vec<&Entry>)> = by.into_iter().collect();
+    let held = |of: &[&Entry]| of.iter().filter(|e| e.standing == Held::Quarantined).count();
+    // Stable: equal counts stay in the order of names.
+    groups.sort_by_key(|(_, of)| std::cmp::Reverse(held(of)));
+    let group = |(contributor, of): (&str, Vec<&Entry>)| v1::QuarantineGroup {
+        contributor: contributor.to_owned(),
+        views_in_scene: scene.capture().views.iter().filter(|v| v.contributor == contributor).count() as u32,
+        views: of.into_iter().map(quarantined_view).collect(),
+    };
+    groups.into_iter().map(group).collect()
+}
+
+/// A model.
+pub fn model(info: &ModelInfo) -> v1::Model {
+    let digest = |d: &cairn_log::Digest| -> Bytes { d.as_bytes().to_vec().into() };
+    let of_mark = |f: fn(&MarkInfo) -> &cairn_log::Digest| info.mark.as_ref().map(|m| digest(f(m))).unwrap_or_default();
+    let identity = |i: &IdentityInfo| {
+        let signals = info.mark.as_ref().map(|m| m.signals.as_slice()).unwrap_or_default();
+        let hidden = (i.number as usize).checked_sub(1).and_then(|at| signals.get(at)).map(|parts| parts.map(digest));
+        let hidden = hidden.unwrap_or_default();
+        v1::Identity {
+            number: i.number,
+            label: i.label.clone(),
+            view_names: i.views.clone(),
+            signal_sha256: hidden.picture.unwrap_or_default(),
+            audio_sha256: hidden.audio.unwrap_or_default(),
+            text_sha256: hidden.text.unwrap_or_default(),
+            photograph_sha256: i.photographs.iter().map(digest).collect(),
+        }
+    };
+    v1::Model {
+        job_id: info.job.clone(),
+        // Written by this program from a u64; 0 could only be read from a file altered by hand.
+        seed: info.seed.parse().unwrap_or(0),
+        identities: info.identities.iter().map(identity).collect(),
+        base_field_sha256: digest(&info.base_field),
+        marked_field_sha256: of_mark(|m| &m.marked_field),
+        detector_sha256: of_mark(|m| &m.detector),
+        settings_sha256: digest(&info.settings),
+    }
+}
+
+/// A job.
+pub fn job(job: &Job) -> v1::Job {
+    let p = &job.progress;
+    v1::Job {
+        id: job.id.clone(),
+        scene: job.spec.scene.clone(),
+        state: match job.state {
+            JobState::Accepted => v1::JobState::Accepted,
+            JobState::Running => v1::JobState::Running,
+            JobState::Done => v1::JobState::Done,
+            JobState::Failed => v1::JobState::Failed,
+            JobState::Cancelled => v1::JobState::Cancelled,
+        }
+        .into(),
+        progress: Some(v1::Progress {
+            stage: p.stage.clone(),
+            step: p.step,
+            total: p.total,
+            loss: p.loss,
+            psnr_db: p.psnr_db,
+            seconds_left: p.seconds_left,
+        }),
+        error: job.error.clone(),
+        accepted_unix_s: job.accepted_unix_s,
+        ended_unix_s: job.ended_unix_s,
+        seed: job.spec.seed,
+        stages: (job.stages.iter()).map(|s| v1::StageSeconds { stage: s.stage.clone(), seconds: s.seconds }).collect(),
+        also: job.spec.also.iter().map(|beside| beside.scene.clone()).collect(),
+        notes: job.notes.clone(),
+    }
+}
+
+/// Who it is.
+pub fn who(who: Who) -> v1::WhoResponse {
+    use v1::who_response::Answer;
+    let answer = match who.identity {
+        Some((number, label)) => {
+            let of = |(name, photographs)| v1::WhoContributor { name, photographs: photographs as u32 };
+            let contributors = who.contributors.into_iter().map(of).collect();
+            Answer::Identity(v1::WhoIdentity { number, label, record_indices: who.records, contributors })
+        }
+        None => match who.elsewhere {
+            Some(there) => Answer::Elsewhere(elsewhere(there)),
+            None => Answer::Unmarked(v1::WhoUnmarked {}),
+        },
+    };
+    let laid_over = who.laid_over.map(laid_over);
+    let (answer, confidence, closer_look) = (Some(answer), who.confidence, who.is_closer);
+    v1::WhoResponse { format_version: VERSION, answer, confidence, laid_over, closer_look }
+}
+
+/// What laying a picture over a field says.
+pub fn laid_over(LaidOver { explained, scores, believed }: LaidOver) -> v1::LaidOver {
+    v1::LaidOver { explained, scores, believed: believed.unwrap_or(0), believed_from: cairn_mark::BELIEVED }
+}
+
+/// An identity of another scene.
+pub fn elsewhere(Elsewhere { scene, number, label }: Elsewhere) -> v1::WhoElsewhere {
+    v1::WhoElsewhere { scene, number, label }
+}
+
+/// A record of the log.
+pub fn record(index: u64, leaf_hash: &cairn_log::Digest, envelope: &Envelope, record: &OwnerRecord) -> v1::Record {
+    v1::Record {
+        index,
+        envelope: envelope.to_json().into_bytes().into(),
+        leaf_hash: leaf_hash.as_bytes().to_vec().into(),
+        scene: record.scene.clone(),
+        identity: record.identity.number,
+        owner_key_sha256: record.owner_key.id().as_bytes().to_vec().into(),
+        kind: kind(record.kind),
+    }
+}
+
+/// A log entry as a record, `scene` being what it was asked for under; none for a map leaf.
+pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
+    match entry {
+        LogEntry::Record(stored) => Some(stored_record(stored)),
+        LogEntry::Erased { index, leaf, .. } => Some(v1::Record {
+            index: *index,
+            envelope: Default::default(),
+            leaf_hash: leaf.hash().as_bytes().to_vec().into(),
+            scene: scene.to_owned(),
+            identity: 0,
+            owner_key_sha256: leaf.owner.as_bytes().to_vec().into(),
+            kind: kind(leaf.kind),
+        }),
+        LogEntry::Map { .. } => None,
+    }
+}
+
+fn kind(kind: RecordKind) -> String {
+    let name = serde_json::to_value(kind).ok().and_then(|v| v.as_str().map(str::to_owned));
+    name.unwrap_or_default()
+}
+
+/// A record as the log keeps it.
+pub fn stored_record(stored: &StoredRecord) -> v1::Record {
+    record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)
+}
+
+/// A role.
+pub fn role(role: crate::auth::Role) -> v1::Role {
+    match role {
+        crate::auth::Role::Contributor => v1::Role::Contributor,
+        crate::auth::Role::Curator => v1::Role::Curator,
+        crate::auth::Role::Auditor => v1::Role::Auditor,
+        crate::auth::Role::Operator => v1::Role::Operator,
+    }
+}
+
+/// Quotas.
+pub fn quota(limits: &crate::auth::Limits) -> v1::QuotaLimits {
+    let crate::auth::Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *limits;
+    v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day }
+}
+
+/// An account.
+pub fn account(account: &crate::auth::Account) -> v1::Account {
+    let standing = match account.standing {
+        crate::auth::Standing::Waiting => v1::AccountStanding::Waiting,
+        crate::auth::Standing::Active => v1::AccountStanding::Active,
+        crate::auth::Standing::Disabled => v1::AccountStanding::Disabled,
+    };
+    v1::Account {
+        public_key: account.key.to_bytes().to_vec().into(),
+        name: account.name.clone(),
+        role: role(account.role).into(),
+        asked: role(account.asked).into(),
+        standing: standing.into(),
+        since_unix_s: account.since,
+        quota: account.quota.as_ref().map(quota),
+        heir: account.heir.map(|key| key.to_bytes().to_vec()).unwrap_or_default().into(),
+        ended_by: account.ended_by,
+    }
+}

@@ -1,0 +1,8 @@
+//! Cairn as a library: the data folder, trainings, queries, records, and the gRPC handlers over them.
+#![allow(missing_docs)]
+
+pub mod auth;
+pub mod config;
+pub mod engine;
+pub mod grpc;
+pub mod secrets;

@@ -1,0 +1,137 @@
+//! What the records of a proven answer say about each other.
+//!
+//! Time is counted in log indices only. What lies behind the size that the question
+//! is about changes nothing in the answer, and is told besides.
+
+use std::convert::Infallible;
+
+use cairn_log::{Answer, Digest, Ending, Heir, MapKey, PublicKey, RecordKind, heir};
+
+use super::{
+    lists::{Opened, Proven},
+    report::{RecordWorth, Standing},
+};
+use crate::{code::Code, report::Findings};
+
+/// Weighs every record of the asked list, as of a log size.
+pub(super) fn weigh(answer: &Answer, proven: &Proven<'_>, as_of: u64, findings: &mut Findings) -> Vec<RecordWorth> {
+    let asked = answer.asked();
+    (proven.listed(&asked)).map(|(index, opened)| One { index, opened, as_of, proven }.weigh(findings)).collect()
+}
+
+/// One record of the asked list.
+struct One<'a> {
+    index: u64,
+    opened: &'a Opened,
+    as_of: u64,
+    proven: &'a Proven<'a>,
+}
+
+impl One<'_> {
+    fn weigh(&self, findings: &mut Findings) -> RecordWorth {
+        let Opened { leaf, body } = self.opened;
+        let mut disputed_by = Vec::new();
+        let credits = matches!(leaf.kind, RecordKind::Claim | RecordKind::Contribution);
+        let own = match (credits, body) {
+            (false, _) => Standing::NoCredit,
+            (true, None) => Standing::Erased,
+            (true, Some(_)) => Standing::Counts,
+        };
+        let standing = if self.index >= self.as_of {
+            let got = format!("behind size {}", self.as_of);
+            findings.add(Code::AnswerRecordLater, self.place(), "", got);
+            Standing::Later
+        } else {
+            // The worst that befell it; each is told as a finding.
+            own.max(self.about(&mut disputed_by, findings)).max(self.key_ended(findings))
+        };
+        RecordWorth {
+            index: self.index,
+            record: leaf.record,
+            kind: leaf.kind,
+            owner: leaf.owner,
+            contributor: body.as_ref().map(|(_, record)| record.identity.contributor.clone()),
+            number: body.as_ref().map(|(_, record)| record.identity.number),
+            standing,
+            disputed_by,
+        }
+    }
+
+    fn place(&self) -> String {
+        format!("record at index {}", self.index)
+    }
+
+    /// What other records say about this one.
+    fn about(&self, disputed_by: &mut Vec<u64>, findings: &mut Findings) -> Standing {
+        let mut standing = Standing::Counts;
+        for (index, other) in self.proven.listed(&MapKey::about(&self.opened.leaf.record)) {
+            let kind = other.leaf.kind;
+            let got = format!("{kind:?} at index {index}");
+            let (code, then) = match kind {
+                // It ends the key, and leaves what was signed before.
+                RecordKind::Rotation => continue,
+                RecordKind::Dispute => (Code::RecordDisputed, Standing::Counts),
+                RecordKind::Revocation | RecordKind::Claim | RecordKind::Contribution | RecordKind::Training => {
+                    if let Err(expected) = self.may_speak(index, other) {
+                        findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
+                        continue;
+                    }
+                    if kind == RecordKind::Revocation {
+                        (Code::AnswerRecordRevoked, Standing::Revoked)
+                    } else {
+                        (Code::AnswerRecordReplaced, Standing::Replaced)
+                    }
+                }
+            };
+            if index >= self.as_of {
+                findings.add(Code::AnswerChangedLater, self.place(), "", got);
+                continue;
+            }
+            findings.add(code, self.place(), "", got);
+            standing = standing.max(then);
+            if kind == RecordKind::Dispute {
+                disputed_by.push(index);
+            }
+        }
+        standing
+    }
+
+    /// Whether the record at `index` is by who spoke for this one's owner then, or carries that key's signature; else what
+    /// it would have to be. Whoever found a key that its owner had ended speaks for nobody, whatever a registry lets in.
+    fn may_speak(&self, index: u64, other: &Opened) -> Result<(), String> {
+        let Ok(speaks) = heir(&self.opened.leaf.owner, index, |key| Ok::<_, Infallible>(self.ending(key)));
+        match speaks {
+            Heir::Key { id, .. } => {
+                let signed = |key: PublicKey| other.body.as_ref().is_some_and(|(e, _)| e.signature_by(&key).is_some());
+                let may = other.leaf.owner == id || self.proven.keys.get(&id).copied().is_some_and(signed);
+                may.then_some(()).ok_or_else(|| format!("a record by the owner's key (id {id}), or with its signature"))
+            }
+            Heir::Nobody { ended_by, .. } => {
+                Err(format!("a record before index {ended_by}, where the owner's key ended with none in its place"))
+            }
+        }
+    }
+
+    /// What ended a key first; that a rotation has the old key's signature was checked with the lists.
+    fn ending(&self, key: &Digest) -> Option<Ending> {
+        let (index, end) = self.proven.listed(&MapKey::ended(key)).next()?;
+        Some(Ending { index, to: (end.leaf.kind == RecordKind::Rotation).then_some(end.leaf.owner) })
+    }
+
+    /// Whether the owner's key had ended before this record.
+    fn key_ended(&self, findings: &mut Findings) -> Standing {
+        let mut standing = Standing::Counts;
+        for (index, other) in self.proven.listed(&MapKey::ended(&self.opened.leaf.owner)) {
+            let got = format!("{:?} at index {index}", other.leaf.kind);
+            if index < self.index {
+                findings.add(Code::AnswerRecordKeyEnded, self.place(), format!("a record before index {index}"), got);
+                standing = Standing::KeyEnded;
+            } else if index >= self.as_of {
+                findings.add(Code::AnswerChangedLater, self.place(), "", format!("its key ended: {got}"));
+            } else if index > self.index {
+                findings.add(Code::KeyEndedLater, self.place(), "", got);
+            }
+        }
+        standing
+    }
+}
