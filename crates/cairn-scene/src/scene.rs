@@ -18,8 +18,9 @@ use crate::error::CaptureError;
 use crate::facing::check_near;
 use crate::manifest::write_manifest;
 use crate::photograph::{read_limited, write_synced};
-use crate::picture::Picture;
+use crate::picture::{Picture, Picture8};
 use crate::scene_file::{FORMAT, PHOTOGRAPHS, PointsRow, SceneFile, VERSION, ViewRow, digest_from_hex, hex};
+use crate::train_view::TrainView;
 
 pub(crate) const TABLE: &str = "scene.json";
 const POINTS: &str = "points.bin";
@@ -165,6 +166,15 @@ impl SceneFolder {
             return Err(CaptureError::Altered { file: path, expected: hex(&self.digests[view]), got: hex(&got) });
         }
         self.capture.decode(view, &path, &bytes)
+    }
+
+    /// View `view` as trainings use it: its photograph in 8 bits, its camera and its mask, of one size.
+    ///
+    /// # Errors
+    /// As [`SceneFolder::photograph`].
+    pub fn train_view(&self, view: usize) -> Result<TrainView, CaptureError> {
+        let rgb8 = Picture8::from(&self.photograph(view)?);
+        Ok(TrainView { camera: self.capture.views[view].camera, rgb8, mask: None })
     }
 
     /// Every photograph whose bytes are not those that were imported; empty for
