@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use crate::auth::token::MAX_LIFETIME_S;
 use crate::auth::{Limits, Policy};
 
+use super::Token;
+use super::error::{ConfigError, out_of_range, within};
 use super::raw::{self, AccessMode, Reading};
-use super::{ConfigError, Token, out_of_range, within};
 
 /// How callers are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

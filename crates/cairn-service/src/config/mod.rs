@@ -6,24 +6,28 @@
 //! with its name, its value and what is allowed there.
 
 mod access;
+mod error;
 mod overlay;
+pub mod preset;
 mod raw;
 mod registry;
 #[cfg(test)]
 mod tests;
+mod training;
 
 use std::net::SocketAddr;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use cairn_scene::SceneKind;
-use thiserror::Error;
 
 pub use access::{Access, Mode, TlsFiles};
-pub use overlay::{TrainingSettings, overridden, training_settings};
+pub use error::ConfigError;
+use error::{out_of_range, within};
+pub use overlay::{overridden, training_settings};
 use raw::Raw;
 pub use raw::{Limits, LogFormat};
 pub use registry::{PublicHttp, WitnessSetting};
+pub use training::{Chosen, Preset, Quality, TrainingSettings};
 
 /// The commented default file.
 pub const DEFAULT_TOML: &str = include_str!("../../../../configs/default.toml");
@@ -113,49 +117,6 @@ impl std::fmt::Debug for Token {
     }
 }
 
-/// Why settings are refused.
-#[derive(Debug, Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read the settings in {}: {source}; check the path and its permissions", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The file is no TOML, or a value has the wrong type.
-    #[error("{place}: {cause}")]
-    Toml {
-        /// File or message.
-        place: String,
-        /// What the reader said, with line and column.
-        cause: String,
-    },
-    /// A key that does not exist.
-    #[error("{place}: unknown key `{key}` = {value}; allowed there: {allowed}")]
-    UnknownKey {
-        /// File or message.
-        place: String,
-        /// The whole key.
-        key: String,
-        /// Its value.
-        value: String,
-        /// The keys of that table.
-        allowed: String,
-    },
-    /// A value that is not allowed.
-    #[error("key `{key}` = {value}: allowed is {allowed}")]
-    OutOfRange {
-        /// The whole key.
-        key: String,
-        /// Its value.
-        value: String,
-        /// What would do.
-        allowed: String,
-    },
-}
-
 impl Config {
     /// The defaults with the file at `path` over them, checked.
     ///
@@ -189,17 +150,6 @@ fn read(path: &Path) -> Result<String, ConfigError> {
         return Err(ConfigError::Toml { place: path.display().to_string(), cause });
     }
     std::fs::read_to_string(path).map_err(io)
-}
-
-fn out_of_range(key: &str, value: impl ToString, allowed: impl ToString) -> ConfigError {
-    ConfigError::OutOfRange { key: key.into(), value: value.to_string(), allowed: allowed.to_string() }
-}
-
-fn within(key: &str, value: u64, allowed: RangeInclusive<u64>) -> Result<(), ConfigError> {
-    if allowed.contains(&value) {
-        return Ok(());
-    }
-    Err(out_of_range(key, value, format!("{} to {}", allowed.start(), allowed.end())))
 }
 
 /// Second step: every range, and every file that a setting names.

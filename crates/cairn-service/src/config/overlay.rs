@@ -1,52 +1,10 @@
 //! Laying one settings text over another: a key may replace what is there and
 //! nothing else, so a misspelt one is found however deep it lies.
 
-use cairn_field::{FieldConfig, FieldError, QuarantineConfig};
-use cairn_mark::{MarkConfig, MarkError};
-use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{ConfigError, out_of_range};
-
-/// The settings that a training runs with; kept beside its model, and what the
-/// record's `training_configuration` digest covers.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TrainingSettings {
-    /// Stage 1.
-    pub field: FieldConfig,
-    /// Stage 2.
-    pub mark: MarkConfig,
-    /// Which views are left out of both. Absent in settings of before there was a quarantine.
-    #[serde(default)]
-    pub quarantine: QuarantineConfig,
-}
-
-impl TrainingSettings {
-    /// Checks every range.
-    ///
-    /// # Errors
-    /// [`ConfigError::OutOfRange`] for the first value that is not allowed.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        self.field.validate().and_then(|()| self.quarantine.validate()).map_err(|e| match e {
-            FieldError::Setting { key, value, allowed } => out_of_range(key, value, allowed),
-            other => out_of_range("field", other.to_string(), "settings that stage 1 accepts"),
-        })?;
-        self.mark.validate().map_err(|e| match e {
-            MarkError::Setting { key, value, allowed } => out_of_range(key, value, allowed),
-            other => out_of_range("mark", other.to_string(), "settings that stage 2 accepts"),
-        })
-    }
-
-    /// As TOML: equal settings give equal text.
-    ///
-    /// # Errors
-    /// [`ConfigError::Toml`] when a value cannot be written.
-    pub fn to_toml(&self) -> Result<String, ConfigError> {
-        toml::to_string(self)
-            .map_err(|e| ConfigError::Toml { place: "the training settings".into(), cause: e.to_string() })
-    }
-}
+use super::error::{ConfigError, out_of_range};
+use super::training::TrainingSettings;
 
 /// `base` with each of `overlays` (what to call it, TOML text with the tables of
 /// [`TrainingSettings`]) laid over it in turn, checked.

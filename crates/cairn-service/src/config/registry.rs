@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use cairn_log::WitnessVerifier;
 use cairn_log::witness::WitnessClient;
 
-use super::{ConfigError, out_of_range, raw};
+use super::error::{ConfigError, out_of_range};
+use super::raw;
 
 /// Most witnesses.
 const MAX_WITNESSES: usize = 32;
