@@ -31,11 +31,11 @@ pub struct FieldConfig {
     /// centre; 0 (never) or 0.25 to 64. Takes two levels at least.
     pub voxel_px: f64,
     /// So many vertices at most for that, 4,096 to 500,000,000.
-    pub most_voxels: usize,
+    pub max_voxels: usize,
     /// The last grid has fewer vertices than `voxels` where a voxel would be narrower than so many pixels of the middling view,
     /// as seen at the scene's centre: small photographs do not tell what lies between their pixels; 0 (never) to 1. Takes two
     /// levels at least.
-    pub least_voxel_px: f64,
+    pub min_voxel_px: f64,
     /// Coarse-to-fine levels, 1 to 5; each has eight times the voxels of the last (and more where
     /// `voxel_px` asks for more).
     pub levels: usize,
@@ -114,8 +114,8 @@ impl Default for FieldConfig {
             rays_per_step: 4096,
             voxels: 2_000_000,
             voxel_px: 0.0,
-            most_voxels: 48_000_000,
-            least_voxel_px: 0.8,
+            max_voxels: 48_000_000,
+            min_voxel_px: 0.8,
             levels: 3,
             learning_rate_density: 0.3,
             learning_rate_colour: 0.05,
@@ -174,13 +174,13 @@ impl FieldConfig {
         let px = self.voxel_px;
         check(px == 0.0 || (0.25..=64.0).contains(&px), "field.voxel_px", number(px), "0 or 0.25 to 64")?;
         check(
-            (4096..=500_000_000).contains(&self.most_voxels),
-            "field.most_voxels",
-            self.most_voxels.to_string(),
+            (4096..=500_000_000).contains(&self.max_voxels),
+            "field.max_voxels",
+            self.max_voxels.to_string(),
             "4096 to 500000000",
         )?;
-        let least = self.least_voxel_px;
-        check((0.0..=1.0).contains(&least), "field.least_voxel_px", number(least), "0 to 1")?;
+        let least = self.min_voxel_px;
+        check((0.0..=1.0).contains(&least), "field.min_voxel_px", number(least), "0 to 1")?;
         check((1..=5).contains(&self.levels), "field.levels", self.levels.to_string(), "1 to 5")?;
         for (key, value) in [
             ("field.learning_rate_density", self.learning_rate_density),

@@ -22,8 +22,8 @@ pub(crate) fn dims_of_level(config: &FieldConfig, frame: &SceneFrame, level: usi
 }
 
 /// Vertices of the last grid: [`FieldConfig::voxels`]; where it may be `finer` as many more as make a voxel
-/// [`FieldConfig::voxel_px`] pixels of the middling view wide, up to [`FieldConfig::most_voxels`]; and fewer where it would be
-/// narrower than [`FieldConfig::least_voxel_px`].
+/// [`FieldConfig::voxel_px`] pixels of the middling view wide, up to [`FieldConfig::max_voxels`]; and fewer where it would be
+/// narrower than [`FieldConfig::min_voxel_px`].
 pub(crate) fn finest(config: &FieldConfig, frame: &SceneFrame, cameras: &[Camera], finer: bool) -> usize {
     let usual = config.voxels;
     let across = pixels_across(frame, cameras);
@@ -32,10 +32,10 @@ pub(crate) fn finest(config: &FieldConfig, frame: &SceneFrame, cameras: &[Camera
     }
     // Saturates; what divides by 0 is more than there can be.
     let of_width = |px: f64| (frame.proportions().iter().product::<f64>() * (across / px).powi(3)) as usize;
-    let wanted = if finer && config.voxel_px > 0.0 { of_width(config.voxel_px).min(config.most_voxels) } else { 0 };
+    let wanted = if finer && config.voxel_px > 0.0 { of_width(config.voxel_px).min(config.max_voxels) } else { 0 };
     // The first level's grid is there already, and the last is no coarser.
     let first = usual >> (3 * (config.levels - 1));
-    wanted.max(usual.min(of_width(config.least_voxel_px).max(first)))
+    wanted.max(usual.min(of_width(config.min_voxel_px).max(first)))
 }
 
 /// Step at which `level` ends: the last level gets three fifths of all steps.
@@ -95,8 +95,8 @@ mod tests {
     fn config(voxel_px: f64) -> FieldConfig {
         FieldConfig {
             voxels: 8_000,
-            most_voxels: 64_000_000,
-            least_voxel_px: 0.0,
+            max_voxels: 64_000_000,
+            min_voxel_px: 0.0,
             levels: 4,
             voxel_px,
             ..FieldConfig::default()
@@ -140,7 +140,7 @@ mod tests {
     fn small_photographs_have_no_voxels_between_their_pixels() {
         let (centre, half) = (DVec3::ZERO, DVec3::ONE);
         let frame = SceneFrame::Bounded { centre, half };
-        let many = |least_voxel_px| FieldConfig { voxels: 8_000_000, least_voxel_px, ..config(2.0) };
+        let many = |min_voxel_px| FieldConfig { voxels: 8_000_000, min_voxel_px, ..config(2.0) };
         // From 5 away with 100 px of focal length: 40 px for the box.
         let small = [camera(100.0, DVec3::Z * 5.0, centre)];
         for finer in [false, true] {

@@ -173,7 +173,7 @@ impl BaseTrainer {
     }
 
     /// Vertices of the last level's lattice where they are fewer than [`FieldConfig::voxels`], because of
-    /// [`FieldConfig::least_voxel_px`]; `None` before that level, too.
+    /// [`FieldConfig::min_voxel_px`]; `None` before that level, too.
     pub fn coarser(&self) -> Option<usize> {
         let fewer = self.level + 1 == self.config.levels && self.finest() < self.config.voxels;
         fewer.then(|| self.grid.dims.iter().product())

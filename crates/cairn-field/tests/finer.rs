@@ -75,13 +75,13 @@ fn detail_that_photographs_share_is_shown() {
 #[test]
 fn small_photographs_are_not_learnt_by_heart() {
     let capture = photographed((24, 32), 0.0, 1);
-    let trained = |least_voxel_px| {
-        let config = FieldConfig { voxels: 8_000_000, levels: 4, voxel_px: 0.0, least_voxel_px, ..wild(400) };
+    let trained = |min_voxel_px| {
+        let config = FieldConfig { voxels: 8_000_000, levels: 4, voxel_px: 0.0, min_voxel_px, ..wild(400) };
         run(BaseTrainer::new(views(&capture), frame(&capture), None, config, 1).expect("sound settings"))
     };
-    let shown = |least_voxel_px| {
-        let trainer = trained(least_voxel_px);
-        println!("{least_voxel_px} px: {:?}", trainer.size().1);
+    let shown = |min_voxel_px| {
+        let trainer = trained(min_voxel_px);
+        println!("{min_voxel_px} px: {:?}", trainer.size().1);
         held_out_db(&trainer.finish(), capture.views.iter().step_by(4))
     };
     let (any, kept) = (shown(0.0), shown(0.8));

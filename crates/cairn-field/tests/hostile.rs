@@ -44,7 +44,7 @@ fn settings_out_of_range_are_refused_by_key() {
         (FieldConfig { levels: 9, ..sound() }, "field.levels"),
         (FieldConfig { voxel_px: 0.1, ..sound() }, "field.voxel_px"),
         (FieldConfig { voxel_px: f64::NAN, ..sound() }, "field.voxel_px"),
-        (FieldConfig { most_voxels: 600_000_000, ..sound() }, "field.most_voxels"),
+        (FieldConfig { max_voxels: 600_000_000, ..sound() }, "field.max_voxels"),
         (FieldConfig { smooth_in_one_light: 0.0, ..sound() }, "field.smooth_in_one_light"),
         (FieldConfig { smooth_in_one_light: 1.5, ..sound() }, "field.smooth_in_one_light"),
         (FieldConfig { learning_rate_density: f64::NAN, ..sound() }, "field.learning_rate_density"),

@@ -230,8 +230,8 @@ fn bad_settings_and_too_few_views_are_refused_by_name() {
     for (settings, key) in [
         (QuarantineConfig { folds: 1, ..sound() }, "quarantine.folds"),
         (QuarantineConfig { deviations: f64::NAN, ..sound() }, "quarantine.deviations"),
-        (QuarantineConfig { least_db: -1.0, ..sound() }, "quarantine.least_db"),
-        (QuarantineConfig { most_share: 0.6, ..sound() }, "quarantine.most_share"),
+        (QuarantineConfig { min_db: -1.0, ..sound() }, "quarantine.min_db"),
+        (QuarantineConfig { max_share: 0.6, ..sound() }, "quarantine.max_share"),
     ] {
         let text = start(views(9, 8, 1.0, DVec3::ZERO), settings);
         assert!(text.contains(key) && text.contains("allowed"), "{text}");
@@ -241,7 +241,7 @@ fn bad_settings_and_too_few_views_are_refused_by_name() {
 #[test]
 fn whom_a_person_trusts_is_not_judged() {
     let how =
-        (&tiny(60), &QuarantineConfig { folds: 3, least_db: 10.0, deviations: 1.0, ..QuarantineConfig::default() });
+        (&tiny(60), &QuarantineConfig { folds: 3, min_db: 10.0, deviations: 1.0, ..QuarantineConfig::default() });
     let place = (ball_box(), Some([0.5; 3]));
     let names: BTreeSet<String> = balls().into_iter().map(|v| v.name).collect();
     let judged = end(Screening::new(balls(), &BTreeSet::new(), place.clone(), how, 7).expect("sound settings"));

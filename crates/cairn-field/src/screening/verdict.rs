@@ -3,7 +3,7 @@
 //! Fits are compared in their logarithm: what honest views of one capture have spreads over a
 //! factor, and what has no pose lies orders of magnitude below. Median and MAD (median of
 //! absolute deviations, as sigmas) are moved by less than half of the views. An outlier
-//! lies `deviations` sigmas below the median, and below `least_db` whatever the spread, so
+//! lies `deviations` sigmas below the median, and below `min_db` whatever the spread, so
 //! that a good capture with a narrow spread loses nobody; and other poses explain it about
 //! as well as its own, so that a photograph that nobody else's overlaps much, which fits weakly
 //! but fits nowhere better, is kept. What captures gave is in docs/experiments.md.
@@ -25,15 +25,15 @@ pub struct QuarantineConfig {
     /// How many sigmas (of the logarithm, by MAD) an outlier lies below the median, 1 to 20.
     pub deviations: f64,
     /// A view that fits its pose by this much is no outlier, dB, 0 to 10.
-    pub least_db: f64,
+    pub min_db: f64,
     /// Largest share of the views that can be outliers; where more are, it is the
     /// capture or the scouts that are wrong, and nobody is quarantined. 0 to 0.5.
-    pub most_share: f64,
+    pub max_share: f64,
 }
 
 impl Default for QuarantineConfig {
     fn default() -> Self {
-        Self { enabled: true, folds: 4, deviations: 6.5, least_db: 0.5, most_share: 0.2 }
+        Self { enabled: true, folds: 4, deviations: 6.5, min_db: 0.5, max_share: 0.2 }
     }
 }
 
@@ -49,8 +49,8 @@ impl QuarantineConfig {
         let number = |v: f64| v.to_string();
         check((2..=16).contains(&self.folds), "quarantine.folds", self.folds.to_string(), "2 to 16")?;
         check((1.0..=20.0).contains(&self.deviations), "quarantine.deviations", number(self.deviations), "1 to 20")?;
-        check((0.0..=10.0).contains(&self.least_db), "quarantine.least_db", number(self.least_db), "0 to 10")?;
-        check((0.0..=0.5).contains(&self.most_share), "quarantine.most_share", number(self.most_share), "0 to 0.5")
+        check((0.0..=10.0).contains(&self.min_db), "quarantine.min_db", number(self.min_db), "0 to 10")?;
+        check((0.0..=0.5).contains(&self.max_share), "quarantine.max_share", number(self.max_share), "0 to 0.5")
     }
 }
 
@@ -74,7 +74,7 @@ pub struct Screened {
 pub enum ScreeningOutcome {
     /// These, which may be none.
     Outliers(Vec<usize>),
-    /// More than `most_share` of the views would be: that is not believed.
+    /// More than `max_share` of the views would be: that is not believed.
     TooMany(Vec<usize>),
     /// The scouts explain the views so little that nothing can be told.
     Untold,
@@ -104,7 +104,7 @@ pub(super) fn screened(fits: Vec<ViewFit>, trusted: &BTreeSet<usize>, settings: 
     let logarithms: Vec<f64> = fits.iter().map(|f| f.fit_db.max(FLOOR_DB).ln()).collect();
     let middle = median(logarithms.clone());
     let spread = 1.4826 * median(logarithms.iter().map(|v| (v - middle).abs()).collect());
-    let limit_db = (middle - settings.deviations * spread).exp().min(settings.least_db);
+    let limit_db = (middle - settings.deviations * spread).exp().min(settings.min_db);
     let outlies = |v: &usize| {
         let fit = &fits[*v];
         fit.fit_db < limit_db && fit.deviations < OWN_POSE && !trusted.contains(v)
@@ -112,7 +112,7 @@ pub(super) fn screened(fits: Vec<ViewFit>, trusted: &BTreeSet<usize>, settings: 
     let found: Vec<usize> = (0..fits.len()).filter(outlies).collect();
     let outcome = if middle.exp() < TOLD_FROM_DB {
         ScreeningOutcome::Untold
-    } else if found.len() as f64 > settings.most_share * fits.len() as f64 {
+    } else if found.len() as f64 > settings.max_share * fits.len() as f64 {
         ScreeningOutcome::TooMany(found)
     } else {
         ScreeningOutcome::Outliers(found)

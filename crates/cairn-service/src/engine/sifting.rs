@@ -191,10 +191,10 @@ fn unjudged(outcome: &ScreeningOutcome, found: &Screened, job: &Job) -> Option<S
         ScreeningOutcome::Outliers(_) => None,
         ScreeningOutcome::TooMany(outliers) => Some(format!(
             "{} of {count} views are explained by the others from their own poses no better than from any, more than \
-             quarantine.most_share = {} allows for: the poses or photographs of the whole capture may be wrong; nobody \
+             quarantine.max_share = {} allows for: the poses or photographs of the whole capture may be wrong; nobody \
              was quarantined",
             outliers.len(),
-            job.spec.settings.quarantine.most_share
+            job.spec.settings.quarantine.max_share
         )),
         ScreeningOutcome::Untold => Some(format!(
             "the views were not screened: learnt coarsely, the others explain the median view only {:.2} dB better from \

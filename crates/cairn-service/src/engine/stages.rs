@@ -90,7 +90,7 @@ impl Stage for BaseTrainer {
                 "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much (field.smoother_beyond_deg)"
             )
         });
-        let FieldConfig { voxels, voxel_px, least_voxel_px, .. } = self.config();
+        let FieldConfig { voxels, voxel_px, min_voxel_px, .. } = self.config();
         let finer = self.finer().map(|vertices| {
             format!(
                 "the last grid has {:.1} times the configured vertices, so that a voxel is {voxel_px} px wide or as near as may be (field.voxel_px)",
@@ -99,7 +99,7 @@ impl Stage for BaseTrainer {
         });
         let coarser = self.coarser().map(|vertices| {
             format!(
-                "the photographs are small: the last grid has {:.2} of the configured vertices, so that no voxel is narrower than {least_voxel_px} px (field.least_voxel_px)",
+                "the photographs are small: the last grid has {:.2} of the configured vertices, so that no voxel is narrower than {min_voxel_px} px (field.min_voxel_px)",
                 vertices as f64 / *voxels as f64
             )
         });
