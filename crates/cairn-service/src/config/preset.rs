@@ -169,7 +169,7 @@ group! {
 
     field.steps = settings.field.steps * 2;
     field.voxels = settings.field.voxels * 2;
-    field.most_voxels = settings.field.most_voxels * 2;
+    field.max_voxels = settings.field.max_voxels * 2;
     /// Twice the vertices make a voxel narrower by the cube root of two.
     field.voxel_px = 1.75;
     mark.steps = settings.mark.steps * 2;
