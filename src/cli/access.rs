@@ -104,7 +104,7 @@ pub fn add(place: &Where, args: &AddArgs) -> anyhow::Result<()> {
         "accounts are added on the daemon's machine, without --connect; over the network they register"
     );
     let name = args.name.as_deref().unwrap_or(args.role.name());
-    let account = cairn_service::engine::access::add_account(&place.data, args.key, name, args.role)?;
+    let account = cairn_service::store::access::add_account(&place.data, args.key, name, args.role)?;
     println!("added {}, {}", account.name, account.role);
     Ok(())
 }

@@ -21,7 +21,7 @@ use tonic::transport::Channel;
 
 use super::VERSION;
 use super::connect::refused;
-use cairn_service::engine::access::unix_s;
+use cairn_service::store::access::unix_s;
 
 /// Life of a signed token, seconds, where the daemon allows as much: it is used at once.
 const LIFETIME_S: u64 = 120;

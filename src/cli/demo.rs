@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::connect::{Connection, Where, refused};
 use super::{VERSION, audit, look, scene, sign, train, write};
-use cairn_service::engine::report::{Report, Right};
+use cairn_service::query::report::{Report, Right};
 
 /// The demo's scene.
 const SCENE: &str = "demo";

@@ -376,7 +376,7 @@ pub async fn report(
     scene: &str,
     json: Option<&PathBuf>,
     sheet: Option<&PathBuf>,
-) -> anyhow::Result<cairn_service::engine::report::Report> {
+) -> anyhow::Result<cairn_service::query::report::Report> {
     let contact_sheet = sheet.is_some();
     let request = v1::EvaluateRequest { format_version: VERSION, scene: scene.to_owned(), contact_sheet };
     let answer = line.about(scene).query().evaluate(request).await.map_err(refused)?.into_inner();

@@ -17,7 +17,7 @@ use tonic::{Code, Status};
 
 use super::VERSION;
 use super::connect::{Connection, refused};
-use cairn_service::engine::folder::{write_atomic, write_atomic_secret};
+use cairn_service::store::folder::{write_atomic, write_atomic_secret};
 
 /// What the registry gives a signer to sign.
 pub struct Ground {

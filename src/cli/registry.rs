@@ -5,8 +5,8 @@ use std::time::Instant;
 use super::connect::Where;
 use super::progress::Progress;
 use cairn_service::config::Config;
-use cairn_service::engine::anchor;
-use cairn_service::engine::rebuild::rebuild_registry;
+use cairn_service::records::anchor;
+use cairn_service::records::rebuild::rebuild_registry;
 
 /// What to do with the log.
 #[derive(Debug, clap::Subcommand)]

@@ -9,7 +9,7 @@ use cairn_log::OwnerRecord;
 use cairn_scene::SceneFolder;
 use cairn_verify::{Code, Evidence, FileInHand, PhotographsInHand, Report};
 
-use cairn_service::engine::model::{self, ModelInfo};
+use cairn_service::store::model::{self, ModelInfo};
 
 /// What is left out for want of the file, one code a digest that a data folder can be asked for.
 const UNCHECKED: [Code; 4] =
@@ -71,7 +71,7 @@ fn all_files(folder: &Path) -> anyhow::Result<PhotographsInHand> {
 /// # Errors
 /// Where no model in `data` is of the training that the record names, or a file of it cannot be read.
 pub fn gather(evidence: &mut Evidence<'_>, data: &Path, record: &OwnerRecord) -> anyhow::Result<()> {
-    cairn_service::engine::scenes::check_scene_name(&record.scene)?;
+    cairn_service::store::scenes::check_scene_name(&record.scene)?;
     let models = data.join("models");
     let info = training_of(&models, record)?;
     let folder = models.join(&info.scene).join(&info.job);

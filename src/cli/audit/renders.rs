@@ -7,10 +7,10 @@ use std::path::Path;
 use cairn_scene::SceneFolder;
 use cairn_verify::{Code, Finding};
 
-use cairn_service::engine::error::EngineError;
-use cairn_service::engine::evaluate::eight_bits;
-use cairn_service::engine::model::{self, Model, ModelInfo};
-use cairn_service::engine::scenes;
+use cairn_service::error::EngineError;
+use cairn_service::query::evaluate::eight_bits;
+use cairn_service::store::model::{self, Model, ModelInfo};
+use cairn_service::store::scenes;
 
 /// Renders `sample` views of every scene whose newest model has marks, and looks for the marks. Nothing here is an
 /// error: what cannot be rendered is a finding.

@@ -7,7 +7,7 @@ use std::path::Path;
 use cairn_eval::{Ledger, Notes, Row, Target, TargetOp, commit, machine, today};
 
 use super::Args;
-use cairn_service::engine::report::{Report, Right};
+use cairn_service::query::report::{Report, Right};
 
 /// The command as anybody can give it again: without the folders and files of this machine.
 fn command(arguments: impl Iterator<Item = String>) -> String {

@@ -10,8 +10,8 @@ use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::config::Mode;
 use crate::engine::Engine;
-use crate::engine::access::unix_s;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
+use crate::store::access::unix_s;
 
 type Answer<T> = Result<Response<T>, Status>;
 

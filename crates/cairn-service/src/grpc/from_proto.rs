@@ -8,15 +8,15 @@ use cairn_scene::cluster::{ClusterConfig, Grouping};
 use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind};
 use glam::{DMat3, DVec3};
 
-use crate::engine::TrainingRequest;
-use crate::engine::error::EngineError;
-use crate::engine::given::Given;
-use crate::engine::hidden::Parts;
-use crate::engine::light::Light;
-use crate::engine::owners::AskedView;
-use crate::engine::query::{FieldKind, Viewpoint};
-use crate::engine::scenes::{ImportPlan, PlannedView};
-use crate::engine::tour::{PathKind, PathRequest};
+use crate::error::EngineError;
+use crate::export::tour::{PathKind, PathRequest};
+use crate::query::light::Light;
+use crate::query::look::{FieldKind, Viewpoint};
+use crate::records::owners::AskedView;
+use crate::store::given::Given;
+use crate::store::hidden::Parts;
+use crate::store::scenes::{ImportPlan, PlannedView};
+use crate::train::request::TrainingRequest;
 
 /// Longest text field, bytes.
 const MAX_TEXT_BYTES: usize = 256;

@@ -18,7 +18,7 @@ use tonic::{Extensions, Status};
 use super::status::status;
 use super::{Loaded, Shared};
 use crate::config::Mode;
-use crate::engine::access::unix_s;
+use crate::store::access::unix_s;
 
 /// The one call that a key makes which the log ended: to be told again what became of its last record.
 const SUBMIT: &str = "/cairn.v1.OwnerService/Submit";

@@ -32,7 +32,7 @@ use tonic::Status;
 
 use crate::config::{Access, Config, Mode, Token};
 use crate::engine::Engine;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 use status::status;
 
 /// What all services share. Cheap to clone.

@@ -10,7 +10,7 @@ use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// Most records in one answer.
 const MAX_LISTED: u32 = 1000;

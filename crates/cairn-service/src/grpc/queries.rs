@@ -12,8 +12,8 @@ use tonic::{Extensions, Request, Response, Status};
 use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
-use crate::engine::hidden::encoded;
-use crate::engine::query::Over;
+use crate::query::look::Over;
+use crate::store::hidden::encoded;
 
 type Answer<T> = Result<Response<T>, Status>;
 

@@ -13,9 +13,9 @@ use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
-use crate::engine::error::EngineError;
-use crate::engine::query::FieldKind;
-use crate::engine::tour::Tour;
+use crate::error::EngineError;
+use crate::export::tour::Tour;
+use crate::query::look::FieldKind;
 
 type Answer<T> = Result<Response<T>, Status>;
 

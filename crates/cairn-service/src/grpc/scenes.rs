@@ -8,8 +8,8 @@ use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
-use crate::engine::error::EngineError;
-use crate::engine::poses::PoseSheet;
+use crate::error::EngineError;
+use crate::export::poses::PoseSheet;
 
 type Answer<T> = Result<Response<T>, Status>;
 

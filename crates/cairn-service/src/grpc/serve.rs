@@ -32,7 +32,8 @@ use tonic_health::server::HealthReporter;
 use super::gate::GateLayer;
 use super::{Shared, http, tls};
 use crate::config::{Config, Limits};
-use crate::engine::{Engine, folder};
+use crate::engine::Engine;
+use crate::store::folder;
 
 /// The eight services with the configured message limits.
 fn routes(shared: &Shared, limits: &Limits) -> Routes {

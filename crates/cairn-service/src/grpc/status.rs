@@ -12,7 +12,7 @@ use cairn_scene::CaptureError;
 use cairn_scene::cluster::ClusterError;
 use tonic::{Code, Status};
 
-use crate::engine::error::EngineError;
+use crate::error::EngineError;
 
 /// The status that a client sees. What went wrong inside is logged, not sent:
 /// it may hold paths of the daemon's machine.

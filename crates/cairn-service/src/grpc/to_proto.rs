@@ -7,12 +7,12 @@ use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
 use cairn_scene::{Camera, SceneFolder, SceneKind};
 use tonic::codegen::Bytes;
 
-use crate::engine::classes::{Elsewhere, LaidOver};
-use crate::engine::corrections::Standing;
-use crate::engine::job::{Job, JobState};
-use crate::engine::model::{IdentityInfo, MarkInfo, ModelInfo};
-use crate::engine::quarantine::{Entry, Standing as Held};
-use crate::engine::query::Who;
+use crate::query::look::Who;
+use crate::records::corrections::Standing;
+use crate::store::classes::{Elsewhere, LaidOver};
+use crate::store::model::{IdentityInfo, MarkInfo, ModelInfo};
+use crate::store::quarantine::{Entry, Standing as Held};
+use crate::train::job::{Job, JobState};
 
 /// The number that every answer carries.
 pub const VERSION: u32 = v1::FORMAT_VERSION;

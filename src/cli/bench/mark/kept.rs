@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use cairn_field::Appearance;
     use cairn_scene::{Camera, Distortion, Intrinsics, Pose};
-    use cairn_service::engine::evaluate::eight_bits;
+    use cairn_service::query::evaluate::eight_bits;
     use glam::DVec3;
 
     #[test]

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::super::field::source::{Opened, Source};
 use super::harm;
 use super::judge::View;
-use cairn_service::engine::report::Right;
+use cairn_service::query::report::Right;
 
 /// Views whose cameras are searched for, and that are harmed, at most: searches take many seconds each.
 const SOME: usize = 6;

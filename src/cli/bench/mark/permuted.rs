@@ -6,9 +6,9 @@ use cairn_mark::{Detection, Detector, MarkedField, Signal};
 use serde::{Deserialize, Serialize};
 
 use super::judge::View;
-use cairn_service::engine::evaluate::eight_bits;
-use cairn_service::engine::recovery::picture_ssim;
-use cairn_service::engine::report::Right;
+use cairn_service::query::evaluate::eight_bits;
+use cairn_service::query::recovery::picture_ssim;
+use cairn_service::query::report::Right;
 
 /// SSIM from which a picture counts as recovered; black is a little like anything.
 const LEAST: f64 = 0.5;

@@ -11,7 +11,7 @@ use super::permuted::Followed;
 use super::scored::{Band, Harmed, Judged, Silent};
 use super::{Marked, Outcome, What};
 use crate::cli::bench::rows::Rows;
-use cairn_service::engine::report::{Measured, Recovery, Right};
+use cairn_service::query::report::{Measured, Recovery, Right};
 
 /// Adds the rows of `outcome` as case `name`. What is asked depends on whether marks
 /// were trained to last.

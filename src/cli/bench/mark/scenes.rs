@@ -25,10 +25,10 @@ use super::ablations::AS_IT_IS;
 use super::judge::{View, views};
 use super::train::{Files, plan, signals};
 use super::{Run, case, pictures};
-use cairn_service::engine::evaluate::PERFECT_DB;
-use cairn_service::engine::marks::JUDGE_EVERY;
-use cairn_service::engine::recovery::picture_ssim;
-use cairn_service::engine::report::Right;
+use cairn_service::query::evaluate::PERFECT_DB;
+use cairn_service::query::recovery::picture_ssim;
+use cairn_service::query::report::Right;
+use cairn_service::train::marks::JUDGE_EVERY;
 
 /// The captures that share a detector.
 const CAPTURES: [Name; 3] = [Name::Fern, Name::Trex, Name::Lego];

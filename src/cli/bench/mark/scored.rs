@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::harm::Set;
 use super::laid::Laid;
 use super::permuted::Followed;
-use cairn_service::engine::report::{Recovery, Right};
+use cairn_service::query::report::{Recovery, Right};
 
 /// Everything about one marked field and its detector; pictures are rounded to 8 bits.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

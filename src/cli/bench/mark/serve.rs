@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::field::progress::Progress;
 use super::super::memory::peak_mib;
-use cairn_service::engine::evaluate::eight_bits;
+use cairn_service::query::evaluate::eight_bits;
 
 /// Renders and readings of a view that are timed at most, and seconds after which no more are.
 const LAPS: (usize, f64) = (3, 2.0);

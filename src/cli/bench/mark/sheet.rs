@@ -5,7 +5,7 @@ use cairn_mark::{Detector, Distortion, Signal};
 use cairn_scene::Picture;
 
 use super::judge::View;
-use cairn_service::engine::evaluate::{difference, signal_tiles};
+use cairn_service::query::evaluate::{difference, signal_tiles};
 
 /// Most views on a sheet.
 const ROWS: usize = 6;

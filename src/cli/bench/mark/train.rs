@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::super::memory::{peak_mib, processor_s};
-use cairn_service::engine::hidden::{Parts, decoded};
-use cairn_service::engine::marks::{JUDGE_EVERY, Taken, explained};
+use cairn_service::store::hidden::{Parts, decoded};
+use cairn_service::train::marks::{JUDGE_EVERY, Taken, explained};
 
 /// Files of what one identity hides.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

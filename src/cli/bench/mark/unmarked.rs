@@ -19,8 +19,8 @@ use super::super::field::source::{Opened, Source};
 use super::judge::{Asked, View};
 use super::kept::Kept;
 use super::scored::Silent;
-use cairn_service::engine::evaluate::eight_bits;
-use cairn_service::engine::report::Right;
+use cairn_service::query::evaluate::eight_bits;
+use cairn_service::query::report::Right;
 
 /// Renders of each field at most: four captures' and their photographs are over a thousand pictures.
 const RENDERS: usize = 170;

@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::memory;
 use super::made::{self, ORIGIN};
-use cairn_service::engine::published::LastPublished;
-use cairn_service::engine::publisher::Publisher;
+use cairn_service::records::published::LastPublished;
+use cairn_service::records::publisher::Publisher;
 
 /// A log under load, in a process of its own.
 #[derive(Clone, Serialize, Deserialize)]

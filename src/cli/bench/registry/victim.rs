@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::parts::Part;
 use super::made::{self, ORIGIN};
-use cairn_service::engine::published::LastPublished;
-use cairn_service::engine::publisher::Publisher;
+use cairn_service::records::published::LastPublished;
+use cairn_service::records::publisher::Publisher;
 
 /// Submitters in the process that is killed.
 const CLIENTS: u64 = 4;

@@ -1,0 +1,246 @@
+//! Everything that can go wrong in the engine, each with what was asked, what is
+//! expected, and what to do. The edge turns these into gRPC codes.
+
+use std::path::{Path, PathBuf};
+
+use crate::auth::AccessError;
+use cairn_field::FieldError;
+use cairn_log::{Digest, ErasureError, PublicKey, RegistryError};
+use cairn_mark::MarkError;
+use cairn_scene::CaptureError;
+use cairn_scene::cluster::ClusterError;
+use cairn_scene::metrics::MetricError;
+use thiserror::Error;
+
+use crate::config::ConfigError;
+use crate::export::paths::PathError;
+
+/// Why the engine did not do it.
+#[derive(Debug, Error)]
+pub enum EngineError {
+    /// An argument that is not allowed.
+    #[error("{what} is {got}; allowed is {expected}")]
+    Invalid {
+        /// The argument.
+        what: String,
+        /// What was given.
+        got: String,
+        /// What would do.
+        expected: String,
+    },
+    /// Over one of the settings' limits.
+    #[error("{what} is {got}, the limit `{key}` is {limit}; bring less, or have the limit raised")]
+    OverLimit {
+        /// What is too large.
+        what: String,
+        /// The setting.
+        key: &'static str,
+        /// Its value.
+        limit: u64,
+        /// What was brought.
+        got: u64,
+    },
+    /// It does not exist.
+    #[error("there is no {kind} {name:?}; there is: {there}")]
+    NotFound {
+        /// Scene, view, job, identity.
+        kind: &'static str,
+        /// What was asked for.
+        name: String,
+        /// What there is, shortened.
+        there: String,
+    },
+    /// The scene was not trained yet.
+    #[error("scene {scene:?} has no model yet; train it first (cairn train {scene})")]
+    NotTrained {
+        /// The scene.
+        scene: String,
+    },
+    /// The state does not allow it now.
+    #[error("{what} cannot be {operation}: {why}")]
+    WrongState {
+        /// The thing.
+        what: String,
+        /// What was to be done with it.
+        operation: &'static str,
+        /// Why not.
+        why: String,
+    },
+    /// The queue is full.
+    #[error("the queue holds {limit} trainings, its limit `limits.queue_length`; try again when one has begun")]
+    QueueFull {
+        /// The limit.
+        limit: usize,
+    },
+    /// The daemon is going down.
+    #[error("the daemon is shutting down; try again when it is back")]
+    ShuttingDown,
+    /// Another process has the data folder.
+    #[error(
+        "the data folder {} is in use by process {pid}; stop that daemon, talk to it with --connect, or use another folder",
+        path.display()
+    )]
+    Locked {
+        /// The folder.
+        path: PathBuf,
+        /// Who has it; `unknown` where its lock file does not say.
+        pid: String,
+    },
+    /// The log of owner records is there and the key that signs it is not.
+    #[error(
+        "the registry's key {} is missing, and the log in {} can be signed by no other; restore the key's file from the \
+         backup",
+        key.display(), log.display()
+    )]
+    KeyMissing {
+        /// The key's file.
+        key: PathBuf,
+        /// The log's folder.
+        log: PathBuf,
+    },
+    /// The file that seals the registry's key is not there.
+    #[error(
+        "the key file {} (registry.key_file) is missing; restore it from its backup, or for a new log make one with \
+         `cairn keys new-key-file {}`",
+        path.display(), path.display()
+    )]
+    SealingKeyMissing {
+        /// The file.
+        path: PathBuf,
+    },
+    /// An erasure request that is none, or not for this log.
+    #[error(transparent)]
+    Erasure(#[from] ErasureError),
+    /// An erasure request for another record than is there.
+    #[error("record {index} is {expected}, the request is to erase {got}; fetch the record and sign again")]
+    ErasesOther {
+        /// The record's place in the log.
+        index: u64,
+        /// The digest of the record there.
+        expected: Digest,
+        /// The digest that the request names.
+        got: Digest,
+    },
+    /// An erasure request by a key that the record does not belong to.
+    #[error("record {index} is not key {key}'s to erase: {why}")]
+    NotYours {
+        /// The record's place in the log.
+        index: u64,
+        /// The key that asks.
+        key: PublicKey,
+        /// Whose it is.
+        why: String,
+    },
+    /// The file system said no.
+    #[error("cannot {operation} {}: {source}", path.display())]
+    Io {
+        /// What was to be done.
+        operation: &'static str,
+        /// With what.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A stored file is damaged or of an unknown version.
+    #[error("{}: {problem}; restore it from a backup or delete what it belongs to", path.display())]
+    Stored {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// The log does not go on from what it published last, as the file beside the data folder has it.
+    #[error(
+        "the log does not go on from the checkpoint in {}, which it signed and published ({problem}): the data folder was \
+         restored from an older backup: restore the newest one, or, where its envelopes are newer than its working folder, have \
+         that made again (`cairn registry rebuild`), and never let it go on from an older one; if there is none newer, begin a \
+         new log (another data folder, registry.origin and key) and keep the public files of this one where its auditors find them",
+        file.display()
+    )]
+    RestoredOlder {
+        /// The file beside the data folder.
+        file: PathBuf,
+        /// What does not fit.
+        problem: String,
+    },
+    /// The file beside the data folder is damaged.
+    #[error(
+        "{}, where the log's last published checkpoint is kept beside the data folder: {problem}; see that the log is the \
+         newest (a witness, a follower, a receipt), then move that file away",
+        file.display()
+    )]
+    Beside {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A witness saw more of the log than there is, or another log; or it cannot be asked.
+    #[error("{0}; restore the newest backup of the log, and never let it go on from an older one")]
+    Witness(#[from] cairn_log::witness::WitnessError),
+    /// A thread of the engine died; its message.
+    #[error("internal failure: {0}; please report it")]
+    Internal(String),
+    /// Reading captures and photographs.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// Grouping views.
+    #[error(transparent)]
+    Cluster(#[from] ClusterError),
+    /// Stage 1 and rendering.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    /// Stage 2 and detection.
+    #[error(transparent)]
+    Mark(#[from] MarkError),
+    /// Scoring.
+    #[error(transparent)]
+    Metric(#[from] MetricError),
+    /// Camera paths.
+    #[error(transparent)]
+    Path(#[from] PathError),
+    /// Settings.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The log of owner records. Boxed: it is much larger than the others.
+    #[error(transparent)]
+    Registry(Box<RegistryError>),
+    /// Accounts, tokens, roles and quotas. Boxed likewise.
+    #[error(transparent)]
+    Access(Box<AccessError>),
+}
+
+impl From<AccessError> for EngineError {
+    fn from(error: AccessError) -> Self {
+        Self::Access(Box::new(error))
+    }
+}
+
+impl From<RegistryError> for EngineError {
+    fn from(error: RegistryError) -> Self {
+        Self::Registry(Box::new(error))
+    }
+}
+
+impl EngineError {
+    /// Wraps what the file system said.
+    pub fn io(operation: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_path_buf();
+        move |source| Self::Io { operation, path, source }
+    }
+
+    /// An argument that is not allowed.
+    pub fn invalid(what: impl Into<String>, got: impl ToString, expected: impl Into<String>) -> Self {
+        Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into() }
+    }
+
+    /// A thing that is not there, and some of those that are.
+    pub fn not_found<'a>(kind: &'static str, name: &str, there: impl Iterator<Item = &'a str>) -> Self {
+        let mut there: Vec<&str> = there.take(9).collect();
+        if there.len() == 9 {
+            there[8] = "...";
+        }
+        let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+        Self::NotFound { kind, name: name.to_owned(), there }
+    }
+}

@@ -1,0 +1,7 @@
+//! What is written out for people to look at: camera paths, their frames, and drawings of a scene.
+
+pub mod drawing;
+pub mod layout;
+pub mod paths;
+pub mod poses;
+pub mod tour;

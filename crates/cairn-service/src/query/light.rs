@@ -1,0 +1,129 @@
+//! In whose light a scene is rendered: a training view's, one on the way from one view's to another's, or that of a
+//! photograph that somebody brings.
+
+use cairn_scene::{Camera, Picture};
+
+use crate::engine::Engine;
+use crate::error::EngineError;
+use crate::query::look::{Viewpoint, decode_on};
+use crate::store::model::Model;
+use crate::store::scenes::view_index;
+use crate::train::stages::Appearance;
+
+/// A photograph is compared with the field at this length at most, px: a light is some sixty numbers, which more pixels
+/// would not tell better.
+const LONGEST_PX: usize = 800;
+
+/// In whose light.
+#[derive(Clone, Debug)]
+pub enum Light {
+    /// The mean of the training views'.
+    Neutral,
+    /// A training view's.
+    View(String),
+    /// Between two views': share 0 is the first, 1 the second, nothing beyond.
+    Blend(String, String, f64),
+    /// That of a photograph, PNG or JPEG, which a camera took whole. [`EngineError::WrongState`] for a scene of one light,
+    /// [`EngineError::OverLimit`] and cairn-scene's errors for what is no picture or too large, [`EngineError::Invalid`]
+    /// for one of other proportions than the camera's, [`EngineError::NotFound`] for a view that is not there.
+    Photograph(Vec<u8>, Viewpoint),
+}
+
+impl Engine {
+    /// The appearance that `light` asks for.
+    pub(crate) fn appearance(&self, model: &Model, light: &Light) -> Result<Appearance, EngineError> {
+        match light {
+            Light::Neutral => Ok(model.base.canonical_appearance().clone()),
+            Light::View(name) => self.of_view(model, name),
+            Light::Blend(from, to, share) => {
+                Ok(self.of_view(model, from)?.mixed(&self.of_view(model, to)?, *share as f32))
+            }
+            Light::Photograph(bytes, taken) => self.of_photograph(model, bytes, taken),
+        }
+    }
+
+    /// The appearance of a training view; in scenes of one light every view has the same.
+    fn of_view(&self, model: &Model, name: &str) -> Result<Appearance, EngineError> {
+        let known = model.base.appearances();
+        if known.is_empty() {
+            view_index(self.scene(&model.info.scene)?.capture(), name)?;
+            return Ok(model.base.canonical_appearance().clone());
+        }
+        let found = known.iter().find(|(n, _)| n == name);
+        let (_, appearance) = found
+            .ok_or_else(|| EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str())))?;
+        Ok(appearance.clone())
+    }
+
+    /// Fits an appearance to a whole photograph.
+    fn of_photograph(&self, model: &Model, bytes: &[u8], taken: &Viewpoint) -> Result<Appearance, EngineError> {
+        let scene = &model.info.scene;
+        if model.base.appearances().is_empty() {
+            let (what, operation) = (format!("scene {scene:?}"), "rendered in a photograph's light");
+            let why = "its field was trained as of one light, and knows no other; render it without, or train it on \
+                       photographs in several lights (with field.appearance = \"on\" in --settings where it was not found out)";
+            return Err(EngineError::WrongState { what, operation, why: why.to_owned() });
+        }
+        let background = self.scene(scene)?.capture().background;
+        let photograph = decode_on(bytes, &self.limits, background)?;
+        let camera = self.camera_of("the photograph's camera", scene, taken)?;
+        if !same_proportions(&photograph, &camera) {
+            let got = format!("{} x {} px", photograph.width(), photograph.height());
+            let (across, down) = (camera.intrinsics.width, camera.intrinsics.height);
+            let allowed =
+                format!("the proportions of the camera that took it, {across} x {down} px, neither cut nor turned");
+            return Err(EngineError::invalid("the photograph", got, allowed));
+        }
+        let (width, height) = compared_at(&photograph, &camera);
+        Ok(model.base.fit_appearance(&camera.resized(width, height), &photograph.resized(width, height))?)
+    }
+}
+
+/// Whether `camera` can have taken the picture whole, at whatever size.
+pub(crate) fn same_proportions(picture: &Picture, camera: &Camera) -> bool {
+    let (w, h) = (picture.width() as f64, picture.height() as f64);
+    let (across, down) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+    // A side may have been rounded.
+    (w * down / across - h).abs() <= 1.0 || (h * across / down - w).abs() <= 1.0
+}
+
+/// Width and height, px: the photograph's or the camera's, whichever is smaller, and [`LONGEST_PX`] at most.
+fn compared_at(photograph: &Picture, camera: &Camera) -> (usize, usize) {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let longest = width.max(height);
+    let to = longest.min(photograph.width().max(photograph.height())).min(LONGEST_PX);
+    let side = |px: usize| ((px * to) as f64 / longest as f64).round().max(1.0) as usize;
+    (side(width), side(height))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cairn_scene::{Distortion, Intrinsics, Pose};
+    use glam::DVec3;
+
+    fn camera(width: usize, height: usize) -> Camera {
+        let distortion = Distortion::default();
+        let intrinsics = Intrinsics { width, height, fx: 90.0, fy: 90.0, cx: 4.0, cy: 3.0, distortion };
+        Camera { intrinsics, pose: Pose::look_at(DVec3::X, DVec3::ZERO, DVec3::Z).unwrap() }
+    }
+
+    #[test]
+    fn a_photograph_is_compared_at_the_smaller_size_and_not_at_any() {
+        let at = |photograph: (usize, usize), taken: (usize, usize)| {
+            compared_at(&Picture::constant(photograph.0, photograph.1, [0.5; 3]), &camera(taken.0, taken.1))
+        };
+        assert_eq!(at((200, 300), (200, 300)), (200, 300));
+        assert_eq!(at((400, 600), (200, 300)), (200, 300));
+        assert_eq!(at((100, 150), (200, 300)), (100, 150));
+        assert_eq!(at((1600, 1000), (3200, 2000)), (800, 500));
+        assert_eq!(at((2000, 1), (4000, 2)), (800, 1));
+    }
+
+    #[test]
+    fn a_side_that_was_rounded_is_no_other_proportion() {
+        let fits = |w, h| same_proportions(&Picture::constant(w, h, [0.5; 3]), &camera(300, 200));
+        assert!(fits(300, 200) && fits(150, 100) && fits(151, 101) && fits(601, 400));
+        assert!(!fits(200, 300) && !fits(150, 110) && !fits(300, 204));
+    }
+}

@@ -1,0 +1,82 @@
+//! What becomes of a record after it was entered: disputes, replacements and ends of keys as the log has them, and
+//! erasure at its owner's request.
+
+use cairn_log::{Envelope, Erasure, ErasureError, Heir, RecordKind, RegistryError, StoredRecord};
+
+use crate::engine::Engine;
+use crate::error::EngineError;
+
+/// What later records say of one.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Standing {
+    /// The first record that its owner put in its place, a rotation among them.
+    pub replaced_by: Option<u64>,
+    /// The revocation that takes it back.
+    pub taken_back_by: Option<u64>,
+    /// Disputes about it, by log index.
+    pub disputed_by: Vec<u64>,
+    /// The revocation or rotation that ended its owner's key; the record came before, and stays good.
+    pub key_ended_by: Option<u64>,
+}
+
+impl Engine {
+    /// What later records say of record `index`.
+    ///
+    /// # Errors
+    /// The registry's.
+    pub fn standing(&self, stored: &StoredRecord) -> Result<Standing, EngineError> {
+        let registry = self.registry();
+        let mut standing = Standing { key_ended_by: registry.ended(&stored.record.owner_key)?, ..Standing::default() };
+        for (index, kind) in registry.about(&stored.leaf.record)? {
+            match kind {
+                RecordKind::Dispute => standing.disputed_by.push(index),
+                RecordKind::Revocation => standing.taken_back_by = Some(index),
+                RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Rotation => {
+                    standing.replaced_by.get_or_insert(index);
+                }
+            }
+        }
+        Ok(standing)
+    }
+
+    /// The scene of the record that a request to erase names, and the request as it was signed.
+    ///
+    /// # Errors
+    /// [`EngineError::Erasure`], the registry's.
+    pub fn erasure_asked(&self, request: &[u8]) -> Result<(String, Envelope), EngineError> {
+        let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+        let index = Erasure::open(&envelope)?.request().index;
+        Ok((self.registry().record(index)?.record.scene, envelope))
+    }
+
+    /// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
+    ///
+    /// # Errors
+    /// [`EngineError::Erasure`], [`EngineError::ErasesOther`], [`EngineError::NotYours`], the registry's.
+    pub fn erase_record(&self, request: &[u8]) -> Result<u64, EngineError> {
+        let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+        let erasure = Erasure::open(&envelope)?;
+        let request = erasure.request();
+        let registry = self.registry();
+        if request.origin != registry.origin() {
+            let (expected, got) = (registry.origin().to_owned(), request.origin.clone());
+            return Err(RegistryError::WrongOrigin { expected, got }.into());
+        }
+        let (index, key) = (request.index, request.owner_key);
+        let stored = registry.record(index)?;
+        if stored.leaf.record != request.record {
+            let (expected, got) = (stored.leaf.record, request.record);
+            return Err(EngineError::ErasesOther { index, expected, got });
+        }
+        match registry.heir(&stored.leaf.owner)? {
+            Heir::Key { id, .. } if id == key.id() => Ok(registry.erase(&erasure)?),
+            Heir::Key { id, .. } => {
+                Err(EngineError::NotYours { index, key, why: format!("it belongs to the key with id {id}") })
+            }
+            Heir::Nobody { ended_by, .. } => {
+                let why = format!("its owner's key was revoked by record {ended_by}; ask who runs this registry");
+                Err(EngineError::NotYours { index, key, why })
+            }
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! Owner records: submitting, reading, correcting and publishing them, and the key and the anchor of their log.
+
+pub mod anchor;
+pub mod corrections;
+pub mod owners;
+pub mod published;
+pub mod publisher;
+pub mod rebuild;
+pub(crate) mod registry_key;

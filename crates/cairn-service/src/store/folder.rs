@@ -1,0 +1,375 @@
+//! The data folder: where everything lies, one owner at a time, and files that
+//! are there whole or not at all.
+//!
+//! ```text
+//! DIR/lock                      the owning process's id, locked while it lives
+//! DIR/format.json               format version of the folder
+//! DIR/registry.key              the registry's signing key, mode 600
+//! DIR/scenes/NAME/              a capture (cairn-scene's format)
+//! DIR/models/NAME/current.json  which of the models below is the newest
+//! DIR/models/NAME/JOB/          base.field, marked.field, detector, model.json, ...
+//! DIR/jobs/JOB/                 job.json, signals, checkpoints
+//! DIR/registry/                 the log of owner records (cairn-log's format)
+//! DIR/registry.checkpoint       the checkpoint that it published last
+//! DIR/access/                   accounts.json, usage.json (cairn-service's formats)
+//! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
+//! DIR/quarantine/NAME.json      which of the scene's views are left out, and why
+//! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
+//! DIR/state.seal                digests of access/, owners/, quarantine/, registry.key and registry.checkpoint, while nobody has it open
+//! DIR/staging/                  imports under way; emptied at every start
+//! ```
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use fs4::{FileExt, TryLockError};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::error::EngineError;
+use crate::store::seal;
+
+/// Version of the folder's layout.
+const FORMAT_VERSION: u32 = 1;
+/// Largest JSON file that is read, bytes.
+const MAX_JSON_BYTES: u64 = 256 << 20;
+
+/// An opened data folder. Its lock goes when this is dropped, or the process dies.
+#[derive(Debug)]
+pub struct DataFolder {
+    root: PathBuf,
+    /// Whether what it holds is known to be good, so that a seal may say what it is.
+    sound: AtomicBool,
+    _lock: File,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Layout {
+    format_version: u32,
+}
+
+impl DataFolder {
+    /// Opens the folder, made where absent, as its only owner.
+    ///
+    /// # Errors
+    /// [`EngineError::Locked`] naming the owner's process, [`EngineError::Stored`] for a layout of
+    /// another version, and the file system's.
+    pub fn open(root: &Path) -> Result<Self, EngineError> {
+        fs::create_dir_all(root).map_err(EngineError::io("create", root))?;
+        let lock = take_lock(root)?;
+        let format = root.join("format.json");
+        if format.exists() {
+            let _: Layout = read_json(&format)?;
+        } else {
+            write_json(&format, &Layout { format_version: FORMAT_VERSION })?;
+        }
+        seal::break_open(root)?;
+        let folder = Self { root: root.to_path_buf(), sound: AtomicBool::new(false), _lock: lock };
+        let staging = folder.staging();
+        if staging.exists() {
+            fs::remove_dir_all(&staging).map_err(EngineError::io("empty", &staging))?;
+        }
+        for path in [folder.scenes(), folder.models(), folder.jobs(), staging] {
+            fs::create_dir_all(&path).map_err(EngineError::io("create", &path))?;
+        }
+        sync_folder(root)?;
+        Ok(folder)
+    }
+
+    /// Everything in it was read and found good: when it is closed its state is sealed (`state.seal`).
+    pub fn seal_at_end(&self) {
+        self.sound.store(true, Ordering::Relaxed);
+    }
+
+    /// Captures.
+    pub fn scenes(&self) -> PathBuf {
+        self.root.join("scenes")
+    }
+
+    /// Trained models.
+    pub fn models(&self) -> PathBuf {
+        self.root.join("models")
+    }
+
+    /// Trainings, each in its folder.
+    pub fn jobs(&self) -> PathBuf {
+        self.root.join("jobs")
+    }
+
+    /// The log of owner records.
+    pub fn registry(&self) -> PathBuf {
+        self.root.join("registry")
+    }
+
+    /// Whether no log of owner records was ever begun here.
+    ///
+    /// # Errors
+    /// The file system's.
+    pub fn registry_is_empty(&self) -> Result<bool, EngineError> {
+        let path = self.registry();
+        match fs::read_dir(&path) {
+            Ok(mut entries) => Ok(entries.next().is_none()),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(true),
+            Err(e) => Err(EngineError::io("list", &path)(e)),
+        }
+    }
+
+    /// The registry's signing key.
+    pub fn registry_key(&self) -> PathBuf {
+        self.root.join("registry.key")
+    }
+
+    /// What the registry published last, outside its own folder: one that is restored from an old backup is found out.
+    pub fn last_checkpoint(&self) -> PathBuf {
+        self.root.join("registry.checkpoint")
+    }
+
+    /// The accounts.
+    pub fn accounts(&self) -> PathBuf {
+        self.root.join("access/accounts.json")
+    }
+
+    /// What the accounts use.
+    pub fn usage(&self) -> PathBuf {
+        self.root.join("access/usage.json")
+    }
+
+    /// Who imported which scene.
+    pub fn owners(&self) -> PathBuf {
+        self.root.join("owners")
+    }
+
+    /// Views that are left out of trainings and answers.
+    pub fn quarantine(&self) -> PathBuf {
+        self.root.join("quarantine")
+    }
+
+    /// Imports under way.
+    pub fn staging(&self) -> PathBuf {
+        self.root.join("staging")
+    }
+}
+
+impl Drop for DataFolder {
+    fn drop(&mut self) {
+        // The lock is still held: fields go after this.
+        if self.sound.load(Ordering::Relaxed)
+            && let Err(error) = seal::write(&self.root)
+        {
+            tracing::warn!(%error, "the data folder's state is not sealed");
+        }
+    }
+}
+
+/// Says whether somebody has the data folder `root`, which stays as it is.
+///
+/// # Errors
+/// [`EngineError::Locked`] naming the owner's process.
+pub fn must_be_free(root: &Path) -> Result<(), EngineError> {
+    // Where there is no lock, or none that can be read, nobody can be named.
+    let Ok(mut file) = File::open(root.join("lock")) else { return Ok(()) };
+    match FileExt::try_lock_shared(&file) {
+        Err(TryLockError::WouldBlock) => Err(locked_by(&mut file, root)),
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
+    }
+}
+
+fn locked_by(lock: &mut File, root: &Path) -> EngineError {
+    let mut pid = String::new();
+    // Whoever holds it may be writing its number just now: then it is unknown.
+    let _ = lock.read_to_string(&mut pid);
+    let pid = if pid.trim().is_empty() { "unknown".to_owned() } else { pid.trim().to_owned() };
+    EngineError::Locked { path: root.to_path_buf(), pid }
+}
+
+fn take_lock(root: &Path) -> Result<File, EngineError> {
+    let path = root.join("lock");
+    let io = |operation| EngineError::io(operation, &path);
+    let mut file =
+        OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path).map_err(io("open"))?;
+    match FileExt::try_lock(&file) {
+        Ok(()) => {}
+        Err(TryLockError::Error(e)) => return Err(io("lock")(e)),
+        Err(TryLockError::WouldBlock) => return Err(locked_by(&mut file, root)),
+    }
+    file.set_len(0).map_err(io("write"))?;
+    file.write_all(std::process::id().to_string().as_bytes()).map_err(io("write"))?;
+    file.sync_all().map_err(io("flush"))?;
+    Ok(file)
+}
+
+/// Flushes a folder: without that a new name in it may be lost with the power.
+pub fn sync_folder(path: &Path) -> Result<(), EngineError> {
+    if cfg!(unix) {
+        File::open(path).and_then(|f| f.sync_all()).map_err(EngineError::io("flush", path))?;
+    }
+    Ok(())
+}
+
+/// Replaces `path` by `bytes`, durably and at once: after a crash there is the
+/// old file or the new one, whole.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
+    write_atomic_as(path, bytes, OpenOptions::new().create_new(true).write(true))
+}
+
+/// As [`write_atomic`], readable by the file's owner alone.
+pub fn write_atomic_secret(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
+    let mut secret = OpenOptions::new();
+    secret.create_new(true).write(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut secret, 0o600);
+    write_atomic_as(path, bytes, &secret)
+}
+
+fn write_atomic_as(path: &Path, bytes: &[u8], how: &OpenOptions) -> Result<(), EngineError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut temporary = path.as_os_str().to_owned();
+    temporary.push(".new");
+    let temporary = PathBuf::from(temporary);
+    // What a crash left, or somebody laid there: it is not written into.
+    remove(&temporary)?;
+    let written = || {
+        let mut file = how.open(&temporary).map_err(EngineError::io("create", &temporary))?;
+        file.write_all(bytes).and_then(|()| file.sync_all()).map_err(EngineError::io("write", &temporary))?;
+        fs::rename(&temporary, path).map_err(EngineError::io("replace", path))
+    };
+    written().inspect_err(|_| drop(remove(&temporary)))?;
+    sync_folder(folder)
+}
+
+/// Writes a versioned JSON file atomically.
+pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), EngineError> {
+    let json = serde_json::to_vec_pretty(value)
+        .map_err(|e| EngineError::Internal(format!("{} cannot be written as JSON: {e}", path.display())))?;
+    write_atomic(path, &json)
+}
+
+/// Reads a JSON file whose `format_version` is the one that this release writes.
+///
+/// # Errors
+/// [`EngineError::Stored`] for damage and for another version, by number.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, EngineError> {
+    read_json_of(path, &[FORMAT_VERSION])
+}
+
+/// As [`read_json`], for a file of one of `versions`, which `T` can tell apart.
+pub fn read_json_of<T: DeserializeOwned>(path: &Path, versions: &[u32]) -> Result<T, EngineError> {
+    let stored = |problem: String| EngineError::Stored { path: path.to_path_buf(), problem };
+    let bytes = read_limited(path, MAX_JSON_BYTES)?;
+    let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(|e| stored(format!("no JSON ({e})")))?;
+    match value.get("format_version").and_then(serde_json::Value::as_u64) {
+        Some(version) if versions.iter().any(|v| u64::from(*v) == version) => {}
+        Some(version) => {
+            let read: Vec<String> = versions.iter().map(u32::to_string).collect();
+            return Err(stored(format!("format version {version}, this release reads {}", read.join(" and "))));
+        }
+        None => return Err(stored("it has no format version".into())),
+    }
+    serde_json::from_value(value).map_err(|e| stored(e.to_string()))
+}
+
+/// Reads a file of at most `limit` bytes.
+pub fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, EngineError> {
+    let file = File::open(path).map_err(EngineError::io("open", path))?;
+    let mut bytes = Vec::new();
+    file.take(limit + 1).read_to_end(&mut bytes).map_err(EngineError::io("read", path))?;
+    if bytes.len() as u64 > limit {
+        return Err(too_large(path, limit));
+    }
+    Ok(bytes)
+}
+
+/// A file of more than `limit` bytes.
+pub fn too_large(path: &Path, limit: u64) -> EngineError {
+    let problem = format!("more than {limit} bytes, the most that such a file may have");
+    EngineError::Stored { path: path.to_path_buf(), problem }
+}
+
+/// Removes a file or a folder with all in it; that it is not there is no error.
+pub fn remove(path: &Path) -> Result<(), EngineError> {
+    let result = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    match result {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        result => result.map_err(EngineError::io("remove", path)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_second_owner_is_refused_and_told_who_has_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let first = DataFolder::open(dir.path()).unwrap();
+        let error = DataFolder::open(dir.path()).unwrap_err().to_string();
+        assert!(error.contains(&std::process::id().to_string()), "{error}");
+        drop(first);
+        DataFolder::open(dir.path()).unwrap();
+    }
+
+    #[test]
+    fn another_version_is_refused_by_number() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("format.json"), r#"{"format_version": 7}"#).unwrap();
+        let error = DataFolder::open(dir.path()).unwrap_err().to_string();
+        assert!(error.contains("format version 7"), "{error}");
+    }
+
+    #[test]
+    fn staging_is_emptied_at_the_start() {
+        let dir = tempfile::tempdir().unwrap();
+        let left = dir.path().join("staging/half-an-import");
+        std::fs::create_dir_all(&left).unwrap();
+        let folder = DataFolder::open(dir.path()).unwrap();
+        assert!(!left.exists() && folder.staging().is_dir());
+    }
+
+    #[test]
+    fn writing_replaces_whole_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.json");
+        write_atomic(&path, b"first, and longer").unwrap();
+        write_atomic(&path, b"second").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"second");
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file stays");
+        assert!(read_limited(&path, 5).is_err());
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn writing_follows_no_link_and_leaves_nothing_half_done() {
+        use std::os::unix::fs::{PermissionsExt as _, symlink};
+        let dir = tempfile::tempdir().unwrap();
+        let (path, new, victim) = (dir.path().join("a"), dir.path().join("a.new"), dir.path().join("victim"));
+        std::fs::write(&victim, b"theirs").unwrap();
+        symlink(&victim, &new).unwrap();
+        write_atomic_secret(&path, b"mine").unwrap();
+        assert_eq!(
+            (std::fs::read(&victim).unwrap(), std::fs::read(&path).unwrap()),
+            (b"theirs".into(), b"mine".into())
+        );
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        // What an earlier one left readable for all does not stay so.
+        std::fs::write(&new, b"left").unwrap();
+        write_atomic_secret(&path, b"mine").unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        std::fs::remove_file(&path).unwrap();
+        std::fs::create_dir(&path).unwrap();
+        assert!(write_atomic(&path, b"mine").is_err() && !new.exists());
+    }
+
+    #[test]
+    fn a_folder_is_said_to_be_free_without_touching_it() {
+        let dir = tempfile::tempdir().unwrap();
+        must_be_free(dir.path()).unwrap();
+        std::fs::write(dir.path().join("lock"), "999").unwrap();
+        must_be_free(dir.path()).unwrap();
+        assert_eq!(std::fs::read(dir.path().join("lock")).unwrap(), b"999");
+        let _held = DataFolder::open(dir.path()).unwrap();
+        let refused = must_be_free(dir.path()).unwrap_err().to_string();
+        assert!(refused.contains(&std::process::id().to_string()), "{refused}");
+    }
+}

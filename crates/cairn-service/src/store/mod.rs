@@ -1,0 +1,11 @@
+//! What lies on the disk: the data folder, scenes, models, hidden payloads, and whose each scene is.
+
+pub mod access;
+pub mod classes;
+pub mod folder;
+pub mod given;
+pub mod hidden;
+pub mod model;
+pub mod quarantine;
+pub mod scenes;
+pub(crate) mod seal;

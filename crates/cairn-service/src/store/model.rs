@@ -1,0 +1,455 @@
+//! What a training leaves behind: fields, detector, and `model.json`, which says
+//! what belongs together and under which digests, and `manifest.json` over them all. A model appears whole: its
+//! folder is filled under another name, flushed, renamed, and only then named in
+//! `current.json`.
+
+use std::fs::File;
+use std::io::{Read, Seek};
+use std::path::Path;
+use std::sync::{Arc, OnceLock};
+
+use cairn_field::FieldError;
+use cairn_log::Digest;
+use cairn_log::record::photographs_root;
+use cairn_mark::{MarkError, RegisteredReader, Signal};
+use cairn_scene::cluster::Clusters;
+use serde::{Deserialize, Serialize};
+
+use crate::error::EngineError;
+use crate::store::classes::Classes;
+use crate::store::folder::{
+    read_json, read_json_of, read_limited, remove, sync_folder, too_large, write_atomic, write_json,
+};
+use crate::store::hidden::{self, Parts};
+use crate::train::marks::{Detector, MarkedField};
+use crate::train::stages::Field;
+
+/// Largest field or detector file that is read, bytes.
+const MAX_FIELD_BYTES: u64 = 64 << 30;
+/// Largest file of settings that is read, bytes.
+const MAX_SETTINGS_BYTES: u64 = 1 << 20;
+/// Format version of `model.json`: 2 since signals are sounds and texts as well, 3 since
+/// scenes may share a detector.
+pub const VERSION: u32 = 3;
+/// Those that are read.
+const VERSIONS: [u32; 3] = [1, 2, VERSION];
+
+/// `model.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelInfo {
+    /// [`VERSION`].
+    pub format_version: u32,
+    /// The scene.
+    pub scene: String,
+    /// The job that made it.
+    pub job: String,
+    /// The seed, decimal.
+    pub seed: String,
+    /// Identities 1..=M, in order.
+    pub identities: Vec<IdentityInfo>,
+    /// Where each cluster lies; its indices count the scene's training views.
+    pub clusters: Clusters,
+    /// SHA-256 of `base.field`.
+    pub base_field: Digest,
+    /// SHA-256 of `settings.toml`.
+    pub settings: Digest,
+    /// Stage 2's half; none where only the base field was trained.
+    pub mark: Option<MarkInfo>,
+}
+
+/// What stage 2 made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MarkInfo {
+    /// SHA-256 of `marked.field`.
+    pub marked_field: Digest,
+    /// SHA-256 of `detector`.
+    pub detector: Digest,
+    /// SHA-256 of each identity's `signal-<number>.png`, `.wav` and `.txt`, as far as there are any, identity 1 first.
+    pub signals: Vec<Parts<Digest>>,
+    /// The scenes that share the detector, in the order of its classes, this one among them;
+    /// empty where it has one to itself.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shared: Vec<Share>,
+}
+
+/// A scene's part of a detector's classes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Share {
+    /// The scene.
+    pub scene: String,
+    /// What its identities are called, in order: a class each.
+    pub labels: Vec<String>,
+}
+
+/// One identity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IdentityInfo {
+    /// 1 and up.
+    pub number: u32,
+    /// Who it stands for.
+    pub label: String,
+    /// Names of its cluster's views.
+    pub views: Vec<String>,
+    /// SHA-256 of its views' photographs, in their order.
+    pub photographs: Vec<Digest>,
+    /// Who took the photographs and how many each, most first, then by name; empty in models of before this was kept.
+    #[serde(default)]
+    pub contributors: Vec<(String, usize)>,
+}
+
+impl IdentityInfo {
+    /// Merkle root over the photographs' digests, as owner records bind it.
+    pub fn photographs_root(&self) -> Digest {
+        photographs_root(&self.photographs)
+    }
+}
+
+/// A model's files before they are in their place.
+pub struct ModelFiles<'a> {
+    /// The base field's bytes.
+    pub base: &'a [u8],
+    /// The settings.
+    pub settings: &'a str,
+    /// Stage 2's.
+    pub mark: Option<&'a MarkFiles>,
+}
+
+/// Stage 2's files before they are in their place.
+pub struct MarkFiles {
+    /// The marked field's bytes.
+    pub field: Vec<u8>,
+    /// The detector's bytes.
+    pub detector: Vec<u8>,
+    /// The files of each identity's hidden signal, identity 1 first.
+    pub signals: Vec<Parts<Vec<u8>>>,
+}
+
+impl MarkFiles {
+    /// Their digests, and who shares the detector.
+    pub fn info(&self, shared: &[Share]) -> MarkInfo {
+        MarkInfo {
+            shared: shared.to_vec(),
+            marked_field: Digest::of(&self.field),
+            detector: Digest::of(&self.detector),
+            signals: self.signals.iter().map(|parts| parts.map(|bytes| Digest::of(bytes))).collect(),
+        }
+    }
+}
+
+/// A model, loaded.
+pub struct Model {
+    /// What it says of itself.
+    pub info: ModelInfo,
+    /// After stage 1.
+    pub base: Arc<Field>,
+    /// After stage 2, where there was one.
+    pub mark: Option<Mark>,
+}
+
+/// The marked field and what reads its marks.
+pub struct Mark {
+    /// After stage 2.
+    pub field: MarkedField,
+    /// Recovers and classifies.
+    pub detector: Detector,
+    /// Each identity's hidden signal, identity 1 first.
+    pub signals: Vec<Signal>,
+    /// Which of the detector's classes are the scene's.
+    pub classes: Classes,
+    /// What lays pictures over the field: made when first asked for, `None` where that cannot be.
+    pub reader: OnceLock<Option<RegisteredReader>>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Current {
+    format_version: u32,
+    job: String,
+    /// SHA-256 of the model's `manifest.json`; none in folders of before there were manifests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    manifest: Option<Digest>,
+}
+
+/// Puts a model in its place and makes it the scene's newest. Durable on return.
+pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Result<(), EngineError> {
+    let of_scene = models.join(&info.scene);
+    let (filling, folder) = (of_scene.join(format!(".{}", info.job)), of_scene.join(&info.job));
+    remove(&filling)?;
+    // A run that was cut off between the rename and the end of the job left it: the same bytes come again.
+    remove(&folder)?;
+    std::fs::create_dir_all(&filling).map_err(EngineError::io("create", &filling))?;
+    write_atomic(&filling.join("base.field"), files.base)?;
+    write_atomic(&filling.join("settings.toml"), files.settings.as_bytes())?;
+    if let Some(mark) = files.mark {
+        write_atomic(&filling.join("marked.field"), &mark.field)?;
+        write_atomic(&filling.join("detector"), &mark.detector)?;
+        for (i, signal) in mark.signals.iter().enumerate() {
+            hidden::write(&filling, i + 1, signal)?;
+        }
+    }
+    write_json(&filling.join("model.json"), info)?;
+    let manifest = Some(Digest::from_bytes(cairn_scene::write_manifest(&filling)?));
+    std::fs::rename(&filling, &folder).map_err(EngineError::io("create", &folder))?;
+    sync_folder(&of_scene)?;
+    sync_folder(models)?;
+    write_json(&of_scene.join("current.json"), &Current { format_version: 1, job: info.job.clone(), manifest })
+}
+
+/// What the newest model of `scene` says of itself; `None` before the first.
+pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineError> {
+    let current = models.join(scene).join("current.json");
+    if !current.exists() {
+        return Ok(None);
+    }
+    let Current { job, .. } = read_json(&current)?;
+    read_json_of(&models.join(scene).join(job).join("model.json"), &VERSIONS).map(Some)
+}
+
+/// What the model of `scene` that `job` made says of itself.
+///
+/// # Errors
+/// [`EngineError::Stored`] where there is none any more, or it is damaged.
+pub fn of_job(models: &Path, scene: &str, job: &str) -> Result<ModelInfo, EngineError> {
+    read_json_of(&models.join(scene).join(job).join("model.json"), &VERSIONS)
+}
+
+/// What every model of `scene` says of itself, newest first: trainings leave the models before them in their place.
+///
+/// # Errors
+/// [`EngineError::Stored`] for a damaged `model.json`, and the file system's.
+pub fn all(models: &Path, scene: &str) -> Result<Vec<ModelInfo>, EngineError> {
+    let of_scene = models.join(scene);
+    if !of_scene.exists() {
+        return Ok(Vec::new());
+    }
+    let mut jobs = Vec::new();
+    for entry in std::fs::read_dir(&of_scene).map_err(EngineError::io("list", &of_scene))? {
+        let name = entry.map_err(EngineError::io("list", &of_scene))?.file_name().to_string_lossy().into_owned();
+        // A name with a dot in front is a model that is not whole yet.
+        if !name.starts_with('.') && of_scene.join(&name).join("model.json").exists() {
+            jobs.push(name);
+        }
+    }
+    jobs.sort_unstable_by(|a, b| b.cmp(a));
+    let read = |job: &String| {
+        let path = of_scene.join(job).join("model.json");
+        let info: ModelInfo = read_json_of(&path, &VERSIONS)?;
+        // The folder of its other files is found by these names.
+        if (info.scene.as_str(), &info.job) != (scene, job) {
+            let problem = format!("it says that it is of scene {:?} and job {:?}", info.scene, info.job);
+            return Err(EngineError::Stored { path, problem });
+        }
+        Ok(info)
+    };
+    jobs.iter().map(read).collect()
+}
+
+impl Model {
+    /// Loads the model that `info` describes; every file is held to its digest. Nobody may write into a model's files: fields
+    /// are read once for their digest and once more for what they hold.
+    pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
+        let folder = models.join(&info.scene).join(&info.job);
+        let path = folder.join("base.field");
+        let mut file = open_checked(&path, &info.base_field, MAX_FIELD_BYTES)?;
+        let base = Arc::new(Field::read_from(&mut file).map_err(|e| of_file(&path, e))?);
+        let mark = match &info.mark {
+            None => None,
+            Some(mark) => Some(load_mark(&folder, mark, info.classes()?, (&base, &info.base_field))?),
+        };
+        Ok(Self { info, base, mark })
+    }
+
+    /// Stage 2's half.
+    ///
+    /// # Errors
+    /// [`EngineError::WrongState`] where only the base field was trained.
+    pub fn mark(&self) -> Result<&Mark, EngineError> {
+        self.mark.as_ref().ok_or_else(|| EngineError::WrongState {
+            what: format!("scene {:?}", self.info.scene),
+            operation: "asked for marks",
+            why: "its newest model is a base field alone; train it with marks".into(),
+        })
+    }
+
+    /// The marked field, to render it.
+    ///
+    /// # Errors
+    /// [`EngineError::WrongState`] where only the base field was trained: that is there to be rendered.
+    pub fn marked_field(&self) -> Result<&MarkedField, EngineError> {
+        let none = || {
+            let why = "its newest model is a base field alone; ask for that (--base, or FIELD_KIND_BASE), or train it with marks";
+            let what = format!("scene {:?}", self.info.scene);
+            EngineError::WrongState { what, operation: "rendered with marks", why: why.into() }
+        };
+        self.mark.as_ref().map(|mark| &mark.field).ok_or_else(none)
+    }
+}
+
+/// `base`: the field of stage 1 and its file's digest. A marked field on that same base shares it.
+fn load_mark(
+    folder: &Path,
+    info: &MarkInfo,
+    classes: Classes,
+    base: (&Arc<Field>, &Digest),
+) -> Result<Mark, EngineError> {
+    let path = folder.join("marked.field");
+    let mut file = open_checked(&path, &info.marked_field, MAX_FIELD_BYTES)?;
+    let is_base = |stored: &mut dyn Read| Ok(Digest::of_all(stored)?.0 == *base.1);
+    let field = MarkedField::read_sharing(&mut file, base.0, is_base).map_err(|error| match error {
+        MarkError::Field(error) => of_file(&path, error),
+        error => error.into(),
+    })?;
+    let detector = read_checked(&folder.join("detector"), &info.detector, MAX_FIELD_BYTES)?;
+    let mut signals = Vec::with_capacity(info.signals.len());
+    for (i, digest) in info.signals.iter().enumerate() {
+        signals.push(hidden::decoded(&hidden::read(folder, i + 1, digest)?)?);
+    }
+    let detector = Detector::from_bytes(&detector)?;
+    if detector.classes() != classes.count() {
+        let (got, expected) = (detector.classes(), classes.count());
+        let problem = format!("it has {got} classes, model.json speaks of {expected}");
+        return Err(EngineError::Stored { path: folder.join("detector"), problem });
+    }
+    Ok(Mark { field, detector, signals, classes, reader: OnceLock::new() })
+}
+
+impl ModelInfo {
+    /// Which of the detector's classes are the scene's.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] where what it says is shared leaves the scene out.
+    pub fn classes(&self) -> Result<Classes, EngineError> {
+        let own = || Share {
+            scene: self.scene.clone(),
+            labels: self.identities.iter().map(|identity| identity.label.clone()).collect(),
+        };
+        let shared = self.mark.as_ref().map(|mark| mark.shared.clone()).unwrap_or_default();
+        Classes::new(&self.scene, if shared.is_empty() { vec![own()] } else { shared }).ok_or_else(|| {
+            let path = Path::new(&self.scene).join(&self.job).join("model.json");
+            EngineError::Stored { path, problem: format!("`mark.shared` does not name the scene {}", self.scene) }
+        })
+    }
+
+    /// The base field's file.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] for one that was altered.
+    pub fn base_field_bytes(&self, models: &Path) -> Result<Vec<u8>, EngineError> {
+        let path = models.join(&self.scene).join(&self.job).join("base.field");
+        read_checked(&path, &self.base_field, MAX_FIELD_BYTES)
+    }
+
+    /// The settings that it was trained with, TOML.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] for a file that was altered.
+    pub fn settings_toml(&self, models: &Path) -> Result<String, EngineError> {
+        let path = models.join(&self.scene).join(&self.job).join("settings.toml");
+        let bytes = read_checked(&path, &self.settings, MAX_SETTINGS_BYTES)?;
+        String::from_utf8(bytes).map_err(|e| EngineError::Stored { path, problem: format!("it is no UTF-8: {e}") })
+    }
+
+    /// Identity `number`.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`].
+    pub fn identity(&self, number: u32) -> Result<&IdentityInfo, EngineError> {
+        self.identities.iter().find(|i| i.number == number).ok_or_else(|| {
+            let there: Vec<String> = self.identities.iter().map(|i| format!("{} ({})", i.number, i.label)).collect();
+            EngineError::not_found("identity", &number.to_string(), there.iter().map(String::as_str))
+        })
+    }
+
+    /// The files of identity `number`'s hidden signal.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] where there is none, [`EngineError::Stored`].
+    pub fn signal(&self, models: &Path, number: u32) -> Result<Parts<Vec<u8>>, EngineError> {
+        let digests = self.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
+        let Some(digest) = (number as usize).checked_sub(1).and_then(|at| digests.get(at)) else {
+            return Err(EngineError::not_found("hidden signal", &number.to_string(), std::iter::empty()));
+        };
+        let folder = models.join(&self.scene).join(&self.job);
+        hidden::read(&folder, number as usize, digest)
+    }
+}
+
+/// The file at `path`, at most `limit` bytes, whose SHA-256 is `expected`.
+///
+/// # Errors
+/// [`EngineError::Stored`] for another.
+pub fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, EngineError> {
+    let bytes = read_limited(path, limit)?;
+    held_to(path, &Digest::of(&bytes), expected)?;
+    Ok(bytes)
+}
+
+fn held_to(path: &Path, got: &Digest, expected: &Digest) -> Result<(), EngineError> {
+    if got == expected {
+        return Ok(());
+    }
+    let problem = format!("its SHA-256 is {got}, model.json says {expected}: it was altered");
+    Err(EngineError::Stored { path: path.to_path_buf(), problem })
+}
+
+/// What went wrong with the field in the file at `path`.
+fn of_file(path: &Path, error: FieldError) -> EngineError {
+    match error {
+        FieldError::Read { source, .. } => EngineError::io("read", path)(source),
+        error => error.into(),
+    }
+}
+
+/// As [`read_checked`], of a file that is read piece by piece and left open at its start: fields take gigabytes.
+///
+/// # Errors
+/// [`EngineError::Stored`] for another.
+fn open_checked(path: &Path, expected: &Digest, limit: u64) -> Result<File, EngineError> {
+    let mut file = File::open(path).map_err(EngineError::io("open", path))?;
+    let (got, size) = Digest::of_all(&mut file.by_ref().take(limit + 1)).map_err(EngineError::io("read", path))?;
+    if size > limit {
+        return Err(too_large(path, limit));
+    }
+    held_to(path, &got, expected)?;
+    file.rewind().map_err(EngineError::io("read", path))?;
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identity_of_before_contributors_were_kept_is_read() {
+        let json = r#"{"number": 1, "label": "anchor-a", "views": ["a"], "photographs": []}"#;
+        let old: IdentityInfo = serde_json::from_str(json).unwrap();
+        assert_eq!(old.contributors, []);
+        let new = IdentityInfo { contributors: vec![("ada".into(), 3)], ..old };
+        let again: IdentityInfo = serde_json::from_str(&serde_json::to_string(&new).unwrap()).unwrap();
+        assert_eq!(again, new);
+    }
+
+    #[test]
+    fn a_file_that_was_altered_or_is_too_large_is_not_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("base.field");
+        let mut bytes = vec![7; 100_000];
+        std::fs::write(&path, &bytes).unwrap();
+        let digest = Digest::of(&bytes);
+        let open = |limit| open_checked(&path, &digest, limit).map_err(|e| e.to_string());
+        let mut read = Vec::new();
+        open(100_000).unwrap().read_to_end(&mut read).unwrap();
+        assert!(read == bytes, "from its start");
+        assert!(open(99_999).unwrap_err().contains("more than 99999 bytes"));
+        bytes[99_999] ^= 1;
+        std::fs::write(&path, &bytes).unwrap();
+        let text = open(100_000).unwrap_err();
+        assert!(text.contains("altered") && text.contains("base.field"), "{text}");
+        std::fs::remove_file(&path).unwrap();
+        assert!(open(100_000).unwrap_err().contains("base.field"));
+    }
+}

@@ -1,0 +1,10 @@
+//! Training: the queue of jobs, their stages, and what a request turns into.
+
+pub mod job;
+pub mod jobs;
+pub(crate) mod joint;
+pub mod marks;
+pub(crate) mod request;
+pub(crate) mod sifting;
+pub mod stages;
+pub mod training;
