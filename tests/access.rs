@@ -99,7 +99,7 @@ async fn a_token_is_good_for_one_call_of_one_run() {
     let (cara, here) = (world.key("cara"), world.identity().await);
     let signed =
         |here: &Identity, method: &str, scene: &str, at: u64| sign(&cara, here, method, scene, at, 60).unwrap();
-    let delete = || v1::DeleteSceneRequest { format_version: 1, scene: "town".into() };
+    let delete = || v1::DeleteSceneRequest { scene: "town".into() };
     let mut scenes = SceneServiceClient::new(world.channel().await);
 
     let good = signed(&here, DELETE, "town", now());
@@ -138,7 +138,7 @@ async fn call(channel: &Channel, path: &'static str, token: Option<&str>) -> Res
     let mut client = Grpc::new(channel.clone());
     client.ready().await.unwrap();
     let codec = tonic_prost::ProstCodec::<v1::ListScenesRequest, ()>::default();
-    let message = v1::ListScenesRequest { format_version: 1 };
+    let message = v1::ListScenesRequest {};
     let request = token.map_or_else(|| Request::new(message), |token| bearing(message, token));
     let path = tonic::codegen::http::uri::PathAndQuery::from_static(path);
     client.server_streaming(request, path, codec).await?.into_inner().message().await.map(drop)
@@ -288,7 +288,7 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     assert!(full.message().contains("`queued_jobs` is 1: 1 used"), "{full}");
     let path = "/cairn.v1.TrainingService/Cancel";
     let cancel = |who: &OwnerKey| {
-        let request = v1::CancelTrainingRequest { format_version: 1, job_id: job.id.clone() };
+        let request = v1::CancelTrainingRequest { job_id: job.id.clone() };
         bearing(request, &token(who, path))
     };
     let refused = training.cancel(cancel(&world.key("bob"))).await.unwrap_err();
@@ -302,7 +302,7 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     assert!(used >= 1);
     world.ok("root", &["access", "quota", &ada, "--training-seconds", &(used + 1).to_string()]);
     let job = training.start(start()).await.unwrap().into_inner().job.unwrap();
-    let watch = v1::WatchTrainingRequest { format_version: 1, job_id: job.id.clone() };
+    let watch = v1::WatchTrainingRequest { job_id: job.id.clone() };
     let mut line = training.watch(watch).await.unwrap().into_inner();
     let mut last = None;
     while let Some(message) = line.message().await.unwrap() {
@@ -345,7 +345,7 @@ async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_wi
 
     // The old key's tokens stop, those signed before included; role, quota and scenes are the new one's.
     let mut scenes = SceneServiceClient::new(world.channel().await);
-    let delete = v1::DeleteSceneRequest { format_version: 1, scene: "town".into() };
+    let delete = v1::DeleteSceneRequest { scene: "town".into() };
     let refused = scenes.delete(bearing(delete, &token_of_old)).await.unwrap_err();
     assert!(refused.code() == Code::PermissionDenied && refused.message().contains("continues under key"), "{refused}");
     world.refused("ada", &["access", "quota"], "continues under key");

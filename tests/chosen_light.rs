@@ -211,10 +211,9 @@ fn a_photograph_may_be_larger_than_its_view_and_is_refused_where_that_cannot_hav
 /// A render of the marked field, or a flight through it, with its light not said yet.
 fn marked() -> (v1::RenderRequest, v1::RenderPathRequest) {
     let viewpoint = view(ADA);
-    let render = v1::RenderRequest { format_version: 1, scene: "town".into(), viewpoint, ..Default::default() };
+    let render = v1::RenderRequest { scene: "town".into(), viewpoint, ..Default::default() };
     let path = Some(Way::Orbit(v1::OrbitPath::default()));
-    let flight =
-        v1::RenderPathRequest { format_version: 1, scene: "town".into(), path, frames: 2, ..Default::default() };
+    let flight = v1::RenderPathRequest { scene: "town".into(), path, frames: 2, ..Default::default() };
     (render, flight)
 }
 

@@ -51,7 +51,7 @@ fn photographs(numbers: std::ops::Range<u32>) -> Vec<Digest> {
 async fn contribute(client: &mut OwnerServiceClient<Channel>, by: u8, of: std::ops::Range<u32>) -> u64 {
     let key = OwnerKey::from_seed(&[by; 32]);
     let owner_key = key.public().to_bytes().to_vec().into();
-    let request = v1::NonceRequest { format_version: 1, scene: "town".into(), owner_key };
+    let request = v1::NonceRequest { scene: "town".into(), owner_key };
     let nonce = client.nonce(request).await.unwrap().into_inner();
     let seen = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint).unwrap().text).unwrap();
     let views = photographs(of);
@@ -72,7 +72,7 @@ async fn contribute(client: &mut OwnerServiceClient<Channel>, by: u8, of: std::o
         views: Some(views),
     };
     let envelope = record.seal(&key).unwrap().to_json().into_bytes().into();
-    let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await.unwrap();
+    let answer = client.submit(v1::SubmitRecordRequest { envelope }).await.unwrap();
     answer.into_inner().record.unwrap().index
 }
 
@@ -99,7 +99,7 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
     let two = contribute(&mut client, 2, 2..6).await;
 
     // A proof comes with the witness's cosignature, which a policy asks for.
-    let proof = client.proof(v1::ProofRequest { format_version: 1, index: two }).await.unwrap().into_inner().tlog_proof;
+    let proof = client.proof(v1::ProofRequest { index: two }).await.unwrap().into_inner().tlog_proof;
     let log = std::fs::read_to_string(place.path("log.vkey")).unwrap();
     let policy = format!("log {}\nwitness w {}\nquorum w\n", log.trim(), witness.vkey);
     let (_, note) = proof.split_once("\n\n").unwrap();
@@ -109,7 +109,6 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
 
     // Who contributed to a photograph: nobody is left out, and an older checkpoint is gone on from.
     let asked = |number: u32| v1::AnswerRequest {
-        format_version: 1,
         scene: "town".into(),
         of: Some(v1::answer_request::Of::PhotographSha256(Digest::of(number.to_be_bytes()).as_bytes().to_vec().into())),
         as_of: note.to_owned(),
@@ -124,7 +123,7 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
     // A backup, and then the log goes on.
     copy(&place.path("data"), &place.path("backup"));
     let three = contribute(&mut client, 3, 0..4).await;
-    client.proof(v1::ProofRequest { format_version: 1, index: three }).await.unwrap();
+    client.proof(v1::ProofRequest { index: three }).await.unwrap();
     assert!(daemon.terminate().success());
     let (vkey, data) = (place.text("log.vkey"), place.text("data"));
     place.cairn_ok(&["audit", "store", &data, "--vkey", &vkey, "--policy", &place.text("policy")]);

@@ -36,8 +36,7 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
 
     // Query and detection read the same picture the same way.
     let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request =
-        v1::DetectRequest { format_version: 1, scene: "town".into(), picture: marked.clone().into(), lay_over: None };
+    let request = v1::DetectRequest { scene: "town".into(), picture: marked.clone().into(), lay_over: None };
     let found = detection.detect(request).await.unwrap().into_inner();
     assert_eq!(found.probabilities.len(), 3);
     assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{:?}", found.probabilities);
@@ -45,8 +44,7 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     assert_eq!((signal.width(), signal.height()), (32, 32));
     assert!(found.recovered_wav.is_empty() && found.recovered_text.is_none(), "nobody hides a sound or a text");
     let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request =
-        v1::WhoByPictureRequest { format_version: 1, scene: "town".into(), picture: marked.into(), lay_over: None };
+    let request = v1::WhoByPictureRequest { scene: "town".into(), picture: marked.into(), lay_over: None };
     let who = query.who_by_picture(request).await.unwrap().into_inner();
     let number = match who.answer.unwrap() {
         v1::who_response::Answer::Identity(who) => who.number,

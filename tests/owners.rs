@@ -273,8 +273,7 @@ async fn submit_listing(
     views: Option<Vec<Digest>>,
 ) -> Result<(v1::Record, String), tonic::Status> {
     let owner_key = key.public().to_bytes().to_vec().into();
-    let nonce =
-        client.nonce(v1::NonceRequest { format_version: 1, scene: "town".into(), owner_key }).await?.into_inner();
+    let nonce = client.nonce(v1::NonceRequest { scene: "town".into(), owner_key }).await?.into_inner();
     let seen = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint).unwrap().text).unwrap();
     let record = OwnerRecord {
         version: record::VERSION,
@@ -293,13 +292,13 @@ async fn submit_listing(
         views,
     };
     let envelope = record.seal(key).unwrap().to_json().into_bytes().into();
-    let answer = client.submit(v1::SubmitRecordRequest { format_version: 1, envelope }).await?.into_inner();
+    let answer = client.submit(v1::SubmitRecordRequest { envelope }).await?.into_inner();
     Ok((answer.record.unwrap(), answer.checkpoint))
 }
 
 async fn checkpoint(url: &str) -> v1::CheckpointResponse {
     let mut client = OwnerServiceClient::connect(url.to_owned()).await.unwrap();
-    client.checkpoint(v1::CheckpointRequest { format_version: 1 }).await.unwrap().into_inner()
+    client.checkpoint(v1::CheckpointRequest {}).await.unwrap().into_inner()
 }
 
 /// Holds the log to what was acknowledged, and every record that is `asked` for to the key pinned before the first kill.
@@ -312,7 +311,7 @@ async fn verify_log(
     let size = Checkpoint::verify(&checkpoint(url).await.checkpoint, pinned).unwrap().size;
     let log = LogView { size, records: vec![] };
     let mut client = OwnerServiceClient::connect(url.to_owned()).await.unwrap();
-    let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into(), ..Default::default() };
+    let request = v1::ListRecordsRequest { scene: "town".into(), ..Default::default() };
     let records = client.list(request).await.unwrap().into_inner().records;
     let kept: HashMap<u64, &v1::Record> = records.iter().map(|record| (record.index, record)).collect();
     assert_eq!(kept.len(), records.len(), "an index twice");
@@ -321,7 +320,7 @@ async fn verify_log(
     }
     // Those that were on their way when the daemon was killed may be there too, and must hold as well.
     for record in records.iter().filter(|r| asked(r.index) || !acknowledged.contains_key(&r.index)) {
-        let request = v1::ProofRequest { format_version: 1, index: record.index };
+        let request = v1::ProofRequest { index: record.index };
         let proof = client.proof(request).await.unwrap().into_inner().tlog_proof;
         let (envelope, proof, pinned) = (&record.envelope, Some(proof.as_str()), Some(pinned));
         let report = audit(&Evidence { envelope, proof, pinned, log: Some(&log), ..Evidence::default() });
@@ -346,7 +345,7 @@ async fn a_page_of_records_has_a_limit_in_bytes_and_pages_leave_nothing_out() {
     }
     let (mut from, mut pages) = (0, Vec::new());
     loop {
-        let request = v1::ListRecordsRequest { format_version: 1, scene: "town".into(), from, limit: 0 };
+        let request = v1::ListRecordsRequest { scene: "town".into(), from, limit: 0 };
         let page = client.list(request).await.unwrap().into_inner();
         let bytes: usize = page.records.iter().map(|record| record.envelope.len()).sum();
         assert!(bytes < MOST, "{bytes} bytes in page {}", pages.len());

@@ -28,7 +28,7 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let listed = place.cairn_ok(&["scene", "list", connect[0], connect[1]]);
     assert!(listed.contains("town: 12 views") && listed.contains(", trained"), "{listed}");
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::GetSceneRequest { format_version: 1, scene: "town".into() };
+    let request = v1::GetSceneRequest { scene: "town".into() };
     let scene = scenes.get(request).await.unwrap().into_inner();
     let model = scene.model.unwrap();
     assert_eq!(model.identities.len(), 2);
@@ -37,7 +37,7 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
     for identity in &model.identities {
         for name in &identity.view_names {
-            let request = v1::WhoByPoseRequest { format_version: 1, scene: "town".into(), viewpoint: view(name) };
+            let request = v1::WhoByPoseRequest { scene: "town".into(), viewpoint: view(name) };
             let who = query.who_by_pose(request).await.unwrap().into_inner();
             let Some(v1::who_response::Answer::Identity(found)) = who.answer else { panic!("{name}: {who:?}") };
             assert_eq!((found.number, found.record_indices.len()), (identity.number, 0), "{name}");
@@ -81,12 +81,9 @@ async fn bad_requests_get_the_right_codes() {
     let mut render = RenderServiceClient::connect(daemon.url.clone()).await.unwrap();
     let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
 
-    let get = |format_version, scene: &str| v1::GetSceneRequest { format_version, scene: scene.into() };
-    let unknown = scenes.get(get(2, "town")).await.unwrap_err();
-    assert_eq!(unknown.code(), Code::InvalidArgument);
-    assert!(unknown.message().contains("format_version is 2"), "{unknown}");
-    assert_eq!(scenes.get(get(1, "tow")).await.unwrap_err().code(), Code::NotFound);
-    assert_eq!(scenes.get(get(1, "../town")).await.unwrap_err().code(), Code::InvalidArgument);
+    let get = |scene: &str| v1::GetSceneRequest { scene: scene.into() };
+    assert_eq!(scenes.get(get("tow")).await.unwrap_err().code(), Code::NotFound);
+    assert_eq!(scenes.get(get("../town")).await.unwrap_err().code(), Code::InvalidArgument);
 
     let wrong_key = base_only("town", 1, "[field]\nstepz = 3");
     let refused = training.start(wrong_key).await.unwrap_err();
@@ -98,21 +95,16 @@ async fn bad_requests_get_the_right_codes() {
     assert_eq!(training.start(too_many).await.unwrap_err().code(), Code::FailedPrecondition);
     let no_clusters = v1::StartTrainingRequest { clusters: None, ..base_only("town", 1, TINY) };
     assert_eq!(training.start(no_clusters).await.unwrap_err().code(), Code::InvalidArgument);
-    let cancel = v1::CancelTrainingRequest { format_version: 1, job_id: "job-000009".into() };
+    let cancel = v1::CancelTrainingRequest { job_id: "job-000009".into() };
     assert_eq!(training.cancel(cancel).await.unwrap_err().code(), Code::NotFound);
 
-    let request = v1::RenderRequest {
-        format_version: 1,
-        scene: "town".into(),
-        viewpoint: view("images/none.png"),
-        ..v1::RenderRequest::default()
-    };
+    let request =
+        v1::RenderRequest { scene: "town".into(), viewpoint: view("images/none.png"), ..v1::RenderRequest::default() };
     let untrained = render.render(request.clone()).await.unwrap_err();
     assert_eq!(untrained.code(), Code::FailedPrecondition, "{untrained}");
     let nowhere = v1::RenderRequest { viewpoint: None, ..request };
     assert_eq!(render.render(nowhere).await.unwrap_err().code(), Code::InvalidArgument);
-    let noise =
-        v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![7; 99].into(), lay_over: None };
+    let noise = v1::DetectRequest { scene: "town".into(), picture: vec![7; 99].into(), lay_over: None };
     assert_eq!(detection.detect(noise).await.unwrap_err().code(), Code::InvalidArgument);
 }
 
@@ -122,15 +114,14 @@ async fn requests_beyond_the_limits_are_refused_by_name() {
     let settings = "[limits]\nmax_message_bytes = 65536\nmax_pixels = 4096\nmax_side_px = 100";
     let daemon = Daemon::start(&place.path("data"), settings);
     let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request =
-        v1::DetectRequest { format_version: 1, scene: "town".into(), picture: vec![0; 70_000].into(), lay_over: None };
+    let request = v1::DetectRequest { scene: "town".into(), picture: vec![0; 70_000].into(), lay_over: None };
     let heavy = detection.detect(request).await.unwrap_err();
     assert_eq!(heavy.code(), Code::OutOfRange, "{heavy}");
 
     place.import("town", ["--connect", &daemon.url]);
     let mut training = TrainingServiceClient::connect(daemon.url.clone()).await.unwrap();
     let job = training.start(base_only("town", 1, TINY)).await.unwrap().into_inner().job.unwrap();
-    let watch = v1::WatchTrainingRequest { format_version: 1, job_id: job.id };
+    let watch = v1::WatchTrainingRequest { job_id: job.id };
     let mut line = training.watch(watch).await.unwrap().into_inner();
     while line.message().await.unwrap().is_some() {}
 
@@ -140,7 +131,6 @@ async fn requests_beyond_the_limits_are_refused_by_name() {
         let pose = v1::Pose { rotation: vec![1., 0., 0., 0., 1., 0., 0., 0., 1.], position: vec![0.0; 3] };
         let camera = v1::Camera { intrinsics: Some(intrinsics), pose: Some(pose) };
         let request = v1::RenderRequest {
-            format_version: 1,
             scene: "town".into(),
             viewpoint: Some(v1::Viewpoint { from: Some(v1::viewpoint::From::Camera(camera)) }),
             ..v1::RenderRequest::default()
@@ -171,13 +161,13 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
     let header = |views| {
         let kind = v1::SceneKind::Unbounded.into();
         let header = v1::ImportHeader { scene: "town".into(), views, kind, ..v1::ImportHeader::default() };
-        v1::ImportSceneRequest { format_version: 1, part: Some(Part::Header(header)) }
+        v1::ImportSceneRequest { part: Some(Part::Header(header)) }
     };
     let chunk = |view_index, bytes: usize| {
         let part = Part::Chunk(v1::PhotographChunk { view_index, data: vec![1; bytes].into() });
-        v1::ImportSceneRequest { format_version: 1, part: Some(part) }
+        v1::ImportSceneRequest { part: Some(part) }
     };
-    let points = |xyz| v1::ImportSceneRequest { format_version: 1, part: Some(Part::Points(v1::PointChunk { xyz })) };
+    let points = |xyz| v1::ImportSceneRequest { part: Some(Part::Points(v1::PointChunk { xyz })) };
     let both = || vec![view("a", 8), view("b", 8)];
     let wide = {
         let mut views = both();
@@ -208,7 +198,7 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         assert_eq!(refused.code(), code, "{refused}");
         assert!(refused.message().contains(says), "{refused} does not say {says:?}");
     }
-    let list = scenes.list(v1::ListScenesRequest { format_version: 1 }).await.unwrap();
+    let list = scenes.list(v1::ListScenesRequest {}).await.unwrap();
     assert!(list.into_inner().scenes.is_empty());
     assert_eq!(std::fs::read_dir(place.path("data/staging")).unwrap().count(), 0);
 }
@@ -220,7 +210,7 @@ async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
     let settings = format!("[access]\ntoken_file = {:?}", place.text("token"));
     let daemon = Daemon::start(&place.path("data"), &settings);
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let delete = || v1::DeleteSceneRequest { format_version: 1, scene: "town".into() };
+    let delete = || v1::DeleteSceneRequest { scene: "town".into() };
     assert_eq!(scenes.delete(delete()).await.unwrap_err().code(), Code::Unauthenticated);
     for (token, code) in [
         ("Bearer wrong", Code::Unauthenticated),
@@ -235,7 +225,7 @@ async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
     let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
     let detect = |lay_over| {
         let picture = vec![7; 99].into();
-        v1::DetectRequest { format_version: 1, scene: "town".into(), picture, lay_over }
+        v1::DetectRequest { scene: "town".into(), picture, lay_over }
     };
     let over = Some(v1::LayOver { viewpoint: None });
     assert_eq!(detection.detect(detect(over.clone())).await.unwrap_err().code(), Code::Unauthenticated);
@@ -246,7 +236,7 @@ async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
     let nowhere = Some(v1::LayOver { viewpoint: Some(v1::Viewpoint { from: None }) });
     assert_eq!(detection.detect(detect(nowhere)).await.unwrap_err().code(), Code::InvalidArgument);
     // Reading is free.
-    assert!(scenes.list(v1::ListScenesRequest { format_version: 1 }).await.is_ok());
+    assert!(scenes.list(v1::ListScenesRequest {}).await.is_ok());
     let token = place.text("token");
     let refused = place.cairn(&["scene", "delete", "town", "--connect", &daemon.url, "--token-file", &token]);
     assert!(String::from_utf8_lossy(&refused.stderr).contains("no scene"), "{refused:?}");

@@ -23,7 +23,7 @@ async fn watch_until(
     id: &str,
     wanted: impl Fn(&v1::Job) -> bool,
 ) -> v1::Job {
-    let request = v1::WatchTrainingRequest { format_version: 1, job_id: id.into() };
+    let request = v1::WatchTrainingRequest { job_id: id.into() };
     let mut stream = client.watch(request).await.unwrap().into_inner();
     while let Some(message) = stream.message().await.unwrap() {
         let job = message.job.unwrap();
@@ -40,7 +40,7 @@ fn ended(job: &v1::Job) -> bool {
 
 async fn model(daemon: &Daemon, scene: &str) -> v1::Model {
     let mut client = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::GetSceneRequest { format_version: 1, scene: scene.into() };
+    let request = v1::GetSceneRequest { scene: scene.into() };
     client.get(request).await.unwrap().into_inner().model.unwrap()
 }
 
@@ -128,16 +128,16 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
     let refused = client.start(base_only("one", 9, &long)).await.unwrap_err();
     assert_eq!(refused.code(), tonic::Code::ResourceExhausted, "{refused}");
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::DeleteSceneRequest { format_version: 1, scene: "one".into() };
+    let request = v1::DeleteSceneRequest { scene: "one".into() };
     assert_eq!(scenes.delete(request).await.unwrap_err().code(), tonic::Code::FailedPrecondition);
 
     for id in [&waiting.id, &job.id] {
-        let request = v1::CancelTrainingRequest { format_version: 1, job_id: id.clone() };
+        let request = v1::CancelTrainingRequest { job_id: id.clone() };
         let cancelled = client.cancel(request).await.unwrap().into_inner().job.unwrap();
         assert_eq!(cancelled.state(), JobState::Cancelled);
     }
     let step = client
-        .get(v1::GetTrainingRequest { format_version: 1, job_id: job.id.clone() })
+        .get(v1::GetTrainingRequest { job_id: job.id.clone() })
         .await
         .unwrap()
         .into_inner()
@@ -146,7 +146,7 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
         .progress
         .unwrap()
         .step;
-    let request = v1::ResumeTrainingRequest { format_version: 1, job_id: job.id.clone() };
+    let request = v1::ResumeTrainingRequest { job_id: job.id.clone() };
     client.resume(request).await.unwrap();
     let resumed = watch_until(&mut client, &job.id, |j| {
         j.state() == JobState::Running && {
@@ -162,9 +162,9 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
     let daemon = Daemon::start(&place.path("data"), "");
     let mut client = training(&daemon).await;
     watch_until(&mut client, &job.id, |j| j.progress.as_ref().unwrap().step > step).await;
-    let request = v1::CancelTrainingRequest { format_version: 1, job_id: job.id.clone() };
+    let request = v1::CancelTrainingRequest { job_id: job.id.clone() };
     client.cancel(request).await.unwrap();
-    let list = client.list(v1::ListTrainingRequest { format_version: 1, scene: String::new() }).await.unwrap();
+    let list = client.list(v1::ListTrainingRequest { scene: String::new() }).await.unwrap();
     let states: Vec<JobState> = list.into_inner().jobs.iter().map(v1::Job::state).collect();
     assert_eq!(states, [JobState::Cancelled, JobState::Cancelled]);
 }
@@ -188,7 +188,7 @@ async fn what_is_missing_is_left_out_and_clusters_are_as_large_as_may_be() {
     assert!(done.status.success() && said.contains("left out 1 view without") && said.contains(gone), "{said}");
 
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let get = || v1::GetSceneRequest { format_version: 1, scene: "town".into() };
+    let get = || v1::GetSceneRequest { scene: "town".into() };
     let scene = scenes.get(get()).await.unwrap().into_inner();
     assert_eq!(scene.views.len(), names.len() - 1);
     let most = scene.views.iter().filter(|v| !v.held_out).count() as u32 / 2;

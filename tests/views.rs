@@ -54,7 +54,6 @@ fn picture(path: &Path) -> Picture {
 
 fn orbit(frames: u32) -> v1::RenderPathRequest {
     v1::RenderPathRequest {
-        format_version: 1,
         scene: "town".into(),
         path: Some(Way::Orbit(v1::OrbitPath::default())),
         frames,
@@ -152,7 +151,6 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
         (v1::RenderPathRequest { path: between(FIRST, "none"), ..orbit(9) }, Code::NotFound, "no view"),
         (v1::RenderPathRequest { field: v1::FieldKind::Marked.into(), ..orbit(9) }, Code::FailedPrecondition, "marks"),
         (v1::RenderPathRequest { scene: "tow".into(), ..orbit(9) }, Code::NotFound, "tow"),
-        (v1::RenderPathRequest { format_version: 2, ..orbit(9) }, Code::InvalidArgument, "format_version"),
     ] {
         let refused = render.render_path(request).await.unwrap_err();
         assert_eq!(refused.code(), code, "{refused}");
@@ -180,7 +178,7 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
     drop(stream);
     let viewpoint = Some(v1::Viewpoint { from: Some(v1::viewpoint::From::Camera(first.camera.unwrap())) });
     let field = v1::FieldKind::Base.into();
-    let same = v1::RenderRequest { format_version: 1, scene: "town".into(), viewpoint, field, ..Default::default() };
+    let same = v1::RenderRequest { scene: "town".into(), viewpoint, field, ..Default::default() };
     let answer = tokio::time::timeout(Duration::from_secs(20), render.render(same)).await.unwrap().unwrap();
     assert_eq!(answer.into_inner().png, first.png, "a frame is what its camera sees");
 

@@ -8,7 +8,6 @@ use cairn_api::v1;
 use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
 
-use super::VERSION;
 use super::connect::{Connection, Where, refused};
 
 /// What to do with accounts.
@@ -117,22 +116,22 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Register { name, role } => return register(line, name, role).await,
         Command::Approve { key, role } => {
             let role = role.map_or(v1::Role::Unspecified, cairn_service::grpc::to_proto::role).into();
-            let request = v1::ApproveAccountRequest { format_version: VERSION, public_key: bytes(&key), role };
+            let request = v1::ApproveAccountRequest { public_key: bytes(&key), role };
             client.approve(request).await.map_err(refused)?.into_inner().account
         }
         Command::List => {
-            let request = v1::ListAccountsRequest { format_version: VERSION };
+            let request = v1::ListAccountsRequest {};
             let accounts = client.list(request).await.map_err(refused)?.into_inner().accounts;
             accounts.iter().for_each(|account| println!("{}", one_line(account)));
             return Ok(());
         }
         Command::Role { key, role } => {
             let role = cairn_service::grpc::to_proto::role(role).into();
-            let request = v1::SetRoleRequest { format_version: VERSION, public_key: bytes(&key), role };
+            let request = v1::SetRoleRequest { public_key: bytes(&key), role };
             client.set_role(request).await.map_err(refused)?.into_inner().account
         }
         Command::Disable { key, enable } => {
-            let request = v1::DisableAccountRequest { format_version: VERSION, public_key: bytes(&key), enable };
+            let request = v1::DisableAccountRequest { public_key: bytes(&key), enable };
             client.disable(request).await.map_err(refused)?.into_inner().account
         }
         Command::Quota(args) => return quota(line, &args).await,
@@ -186,13 +185,12 @@ async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result
     let key = line.account_key().context("say whose account it is to be: --account FILE (see `cairn keys new`)")?;
     let mut client = line.access();
     let public_key = key.public().to_bytes().to_vec();
-    let request = v1::RegistrationNonceRequest { format_version: VERSION, public_key: public_key.clone().into() };
+    let request = v1::RegistrationNonceRequest { public_key: public_key.clone().into() };
     let given = client.nonce(request).await.map_err(refused)?.into_inner();
     let nonce: [u8; 32] = given.nonce.as_ref().try_into().context("the daemon's nonce is not 32 bytes")?;
     let nonce = Digest::from_bytes(nonce);
     let registration = Registration { nonce, origin: given.origin, key: key.public(), name, role };
     let request = v1::RegisterRequest {
-        format_version: VERSION,
         public_key: public_key.into(),
         signature: registration.sign(key).to_vec().into(),
         name: registration.name,
@@ -207,7 +205,7 @@ async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result
 async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
     let mut client = line.access();
     let public_key = || args.key.map(|key| key.to_bytes().to_vec()).unwrap_or_default().into();
-    let ask = || v1::QuotaRequest { format_version: VERSION, public_key: public_key() };
+    let ask = || v1::QuotaRequest { public_key: public_key() };
     let mut now = client.quota(ask()).await.map_err(refused)?.into_inner();
     let given = [args.bytes, args.views, args.training_seconds, args.queued_jobs, args.records, args.records_per_day];
     if args.default || given.iter().any(Option::is_some) {
@@ -221,7 +219,7 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
             records_per_day: args.records_per_day.unwrap_or(old.records_per_day),
         };
         let quota = (!args.default).then_some(quota);
-        let request = v1::SetQuotaRequest { format_version: VERSION, public_key: public_key(), quota };
+        let request = v1::SetQuotaRequest { public_key: public_key(), quota };
         client.set_quota(request).await.map_err(refused)?;
         now = client.quota(ask()).await.map_err(refused)?.into_inner();
     }

@@ -7,7 +7,7 @@ use cairn_api::v1;
 use cairn_log::Answer;
 
 use super::connect::{Connection, refused};
-use super::{VERSION, read, write};
+use super::{read, write};
 
 /// `cairn owners answer`.
 #[derive(Clone, Debug, clap::Args)]
@@ -32,7 +32,6 @@ pub async fn run(line: &Connection, args: &AnswerArgs) -> anyhow::Result<()> {
         Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no checkpoint", path.display()))?,
     };
     let request = v1::AnswerRequest {
-        format_version: VERSION,
         scene: args.name.clone(),
         of: args.view.clone().map(v1::answer_request::Of::ViewName),
         as_of,

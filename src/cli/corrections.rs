@@ -6,7 +6,6 @@ use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_log::{ErasureRequest, RecordKind, erasure};
 
-use super::VERSION;
 use super::connect::{Connection, refused};
 use super::records::{Bundle, Ground, Stored};
 use super::unlock::UnlockArgs;
@@ -71,7 +70,7 @@ pub async fn erase(line: &Connection, args: &EraseArgs) -> anyhow::Result<()> {
         nonce: ground.nonce,
     };
     let request = request.seal(&key)?.to_json().into_bytes().into();
-    let request = v1::EraseRecordRequest { format_version: VERSION, request };
+    let request = v1::EraseRecordRequest { request };
     let index = line.about(&args.name).owners().erase(request).await.map_err(refused)?.into_inner().index;
     anyhow::ensure!(index == stored.index, "the daemon says that it erased record {index}, not {}", stored.index);
     println!("record {index} is erased: its envelope is gone, its leaf stays, and every proof goes on verifying");

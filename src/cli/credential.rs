@@ -19,7 +19,6 @@ use tonic::body::Body;
 use tonic::codegen::http::{HeaderValue, Request, Response};
 use tonic::transport::Channel;
 
-use super::VERSION;
 use super::connect::refused;
 use cairn_service::store::access::unix_s;
 
@@ -61,7 +60,7 @@ impl Credential {
     /// # Errors
     /// For a daemon that is another than the pinned one, or asks for another credential.
     pub async fn account(key: OwnerKey, channel: &Channel, pinned: Option<&NoteVerifier>) -> anyhow::Result<Self> {
-        let request = v1::AboutRequest { format_version: VERSION };
+        let request = v1::AboutRequest {};
         let about = AccessServiceClient::new(channel.clone()).about(request).await.map_err(refused)?.into_inner();
         match about.mode() {
             v1::AccessMode::Accounts => {}

@@ -12,7 +12,7 @@ use cairn_verify::Outcome;
 use serde::Serialize;
 
 use super::connect::{Connection, Where, refused};
-use super::{VERSION, audit, look, scene, sign, train, write};
+use super::{audit, look, scene, sign, train, write};
 use cairn_service::query::report::{Report, Right};
 
 /// The demo's scene.
@@ -209,7 +209,7 @@ async fn found(line: &Connection, signed: &[sign::Signed]) -> anyhow::Result<Rig
         for name in &identity.view_names {
             let from = Some(v1::viewpoint::From::ViewName(name.clone()));
             let viewpoint = Some(v1::Viewpoint { from });
-            let request = v1::WhoByPoseRequest { format_version: VERSION, scene: SCENE.into(), viewpoint };
+            let request = v1::WhoByPoseRequest { scene: SCENE.into(), viewpoint };
             let answer = line.query().who_by_pose(request).await.map_err(refused)?.into_inner().answer;
             let right = matches!(answer, Some(v1::who_response::Answer::Identity(who))
                 if who.number == identity.number && !records.is_empty() && who.record_indices == records);

@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::connect::{Connection, refused};
 use super::light::{InLight, OnTheWay};
-use super::{VERSION, read, write};
+use super::{read, write};
 
 /// Contributors named in one line.
 const MAX_NAMES: usize = 5;
@@ -200,7 +200,6 @@ pub fn viewpoint(view: Option<String>, pose: Option<&Path>) -> anyhow::Result<v1
 pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
     let field = if args.base { v1::FieldKind::Base } else { v1::FieldKind::Marked };
     let request = v1::RenderRequest {
-        format_version: VERSION,
         scene: args.name.clone(),
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),
         field: field.into(),
@@ -237,12 +236,12 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         Some(path) => {
             let picture = read(&path)?.into();
             let scene = args.name.clone();
-            let request = v1::WhoByPictureRequest { format_version: VERSION, scene, picture, lay_over };
+            let request = v1::WhoByPictureRequest { scene, picture, lay_over };
             line.about(&args.name).query().who_by_picture(request).await
         }
         None => {
             let viewpoint = Some(viewpoint(args.about.view, args.about.pose.as_deref())?);
-            let request = v1::WhoByPoseRequest { format_version: VERSION, scene: args.name, viewpoint };
+            let request = v1::WhoByPoseRequest { scene: args.name, viewpoint };
             line.query().who_by_pose(request).await
         }
     };
@@ -324,7 +323,7 @@ pub async fn detect(line: &Connection, args: DetectArgs) -> anyhow::Result<()> {
     let picture = read(&args.picture)?.into();
     let lay_over = args.over.asked()?;
     let over_field = lay_over.is_some();
-    let request = v1::DetectRequest { format_version: VERSION, scene: args.name.clone(), picture, lay_over };
+    let request = v1::DetectRequest { scene: args.name.clone(), picture, lay_over };
     let answer = line.about(&args.name).detection().detect(request).await.map_err(refused)?.into_inner();
     match (answer.identity, &answer.elsewhere) {
         (0, Some(there)) => println!("{}", elsewhere(there)),
@@ -378,7 +377,7 @@ pub async fn report(
     sheet: Option<&PathBuf>,
 ) -> anyhow::Result<cairn_service::query::report::Report> {
     let contact_sheet = sheet.is_some();
-    let request = v1::EvaluateRequest { format_version: VERSION, scene: scene.to_owned(), contact_sheet };
+    let request = v1::EvaluateRequest { scene: scene.to_owned(), contact_sheet };
     let answer = line.about(scene).query().evaluate(request).await.map_err(refused)?.into_inner();
     if let Some(path) = json {
         write(path, answer.report_json.as_bytes())?;

@@ -36,9 +36,6 @@ use clap::{Parser, Subcommand};
 use cairn_service::config::{Config, LogFormat};
 use connect::{Connection, Where};
 
-/// The version that every request carries.
-const VERSION: u32 = cairn_api::v1::FORMAT_VERSION;
-
 /// Credits the photographers of a landmark: radiance fields with hidden, recoverable owner marks.
 #[derive(Debug, Parser)]
 #[command(name = "cairn", version, max_term_width = 100)]

@@ -16,7 +16,7 @@ use super::connect::{Connection, refused};
 use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::records::vkey;
 use super::sign::{SignArgs, sign};
-use super::{VERSION, records, write};
+use super::{records, write};
 
 /// What to do with owner records.
 #[derive(Debug, clap::Subcommand)]
@@ -108,7 +108,7 @@ pub(super) struct LogEntry {
 }
 
 async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) -> anyhow::Result<()> {
-    let checkpoint = line.owners().checkpoint(v1::CheckpointRequest { format_version: VERSION }).await;
+    let checkpoint = line.owners().checkpoint(v1::CheckpointRequest {}).await;
     let note = Note::parse(&checkpoint.map_err(refused)?.into_inner().checkpoint)?;
     let size = Checkpoint::parse_text(&note.text)?.size;
     let records = records::list(line, &name.unwrap_or_default()).await?;

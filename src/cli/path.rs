@@ -15,7 +15,7 @@ use super::animation::{self, Animation, write_whole};
 use super::connect::{Connection, refused};
 use super::light::InLight;
 use super::progress::Progress;
-use super::{VERSION, read, scene};
+use super::{read, scene};
 
 /// What a folder of frames is of.
 const LABEL: &str = "path.json";
@@ -97,7 +97,6 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         animation::Kind::of(path)?;
     }
     let mut request = v1::RenderPathRequest {
-        format_version: VERSION,
         scene: args.name.clone(),
         path: Some(args.way.path()?),
         frames: args.frames,

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use cairn_api::v1::{self, draw_poses_request::Clusters};
 
-use super::VERSION;
 use super::animation::write_whole;
 use super::connect::{Connection, refused};
 
@@ -47,13 +46,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         }
         None => None,
     };
-    let request = v1::DrawPosesRequest {
-        format_version: VERSION,
-        scene: args.name,
-        clusters,
-        seed: args.seed,
-        format: format.into(),
-    };
+    let request = v1::DrawPosesRequest { scene: args.name, clusters, seed: args.seed, format: format.into() };
     let answer = line.scenes().draw_poses(request).await.map_err(refused)?.into_inner();
     write_whole(&args.out, &answer.picture)?;
     let (views, path) = (answer.views, args.out.display());

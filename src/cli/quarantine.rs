@@ -2,7 +2,6 @@
 
 use cairn_api::v1;
 
-use super::VERSION;
 use super::connect::{Connection, refused};
 
 /// What to do with views in quarantine.
@@ -36,16 +35,14 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::List { scene } => list(line, scene).await,
         Command::Release { scene, views } => {
-            let (format_version, view_names) = (VERSION, views);
-            let request = v1::ReleaseViewsRequest { format_version, scene: scene.clone(), view_names };
+            let request = v1::ReleaseViewsRequest { scene: scene.clone(), view_names: views };
             let answer = line.about(&scene).quarantine().release(request).await.map_err(refused)?.into_inner();
             answer.views.iter().for_each(|view| println!("{}", one_line(view)));
             println!("train {scene} again to have them in");
             Ok(())
         }
         Command::Remove { scene, views } => {
-            let (format_version, view_names) = (VERSION, views);
-            let request = v1::RemoveViewsRequest { format_version, scene: scene.clone(), view_names };
+            let request = v1::RemoveViewsRequest { scene: scene.clone(), view_names: views };
             let answer = line.about(&scene).quarantine().remove(request).await.map_err(refused)?.into_inner();
             answer.views.iter().for_each(|view| println!("{}", one_line(view)));
             Ok(())
@@ -54,7 +51,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
 }
 
 async fn list(line: &Connection, scene: String) -> anyhow::Result<()> {
-    let request = v1::ListQuarantineRequest { format_version: VERSION, scene: scene.clone() };
+    let request = v1::ListQuarantineRequest { scene: scene.clone() };
     let groups = line.about(&scene).quarantine().list(request).await.map_err(refused)?.into_inner().groups;
     if groups.is_empty() {
         println!("no view of {scene} is, or was, in quarantine");

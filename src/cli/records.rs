@@ -15,7 +15,6 @@ use cairn_log::record::{Digests, Seen, random_salt};
 use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
 use tonic::{Code, Status};
 
-use super::VERSION;
 use super::connect::{Connection, refused};
 use cairn_service::store::folder::{write_atomic, write_atomic_secret};
 
@@ -33,7 +32,7 @@ pub struct Ground {
 pub async fn list(line: &Connection, scene: &str) -> anyhow::Result<Vec<v1::Record>> {
     let (mut records, mut from) = (Vec::new(), 0);
     loop {
-        let request = v1::ListRecordsRequest { format_version: VERSION, scene: scene.to_owned(), from, limit: 0 };
+        let request = v1::ListRecordsRequest { scene: scene.to_owned(), from, limit: 0 };
         let page = line.owners().list(request).await.map_err(refused)?.into_inner();
         records.extend(page.records);
         match page.next {
@@ -48,7 +47,7 @@ impl Ground {
     /// Asks for it.
     pub async fn ask(line: &Connection, scene: &str, key: &PublicKey) -> anyhow::Result<Self> {
         let owner_key = key.to_bytes().to_vec().into();
-        let request = v1::NonceRequest { format_version: VERSION, scene: scene.to_owned(), owner_key };
+        let request = v1::NonceRequest { scene: scene.to_owned(), owner_key };
         let nonce = line.about(scene).owners().nonce(request).await.map_err(refused)?.into_inner();
         let checkpoint = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint)?.text)?;
         Ok(Self {
@@ -105,7 +104,7 @@ pub struct Stored {
 impl Stored {
     /// Fetches one; `None` where it was erased.
     pub async fn find(line: &Connection, index: u64) -> anyhow::Result<Option<Self>> {
-        let request = v1::GetRecordRequest { format_version: VERSION, index };
+        let request = v1::GetRecordRequest { index };
         let answer = line.owners().get(request).await.map_err(refused)?.into_inner();
         let found = answer.record.context("the daemon's answer names no record")?;
         if found.envelope.is_empty() {
@@ -256,7 +255,7 @@ impl Bundle {
     async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<Place> {
         // First: with the record in hand its proof can be fetched by anybody, also where its key was just ended.
         self.add("record.json", &entered.envelope)?;
-        let request = v1::ProofRequest { format_version: VERSION, index: entered.index };
+        let request = v1::ProofRequest { index: entered.index };
         let (proof, published) = match line.owners().proof(request).await {
             Ok(newest) => (newest.into_inner().tlog_proof, true),
             // Where reading is closed, a key that this very record ended reads no more: what came with the
@@ -300,7 +299,7 @@ impl Drop for Bundle {
 }
 
 async fn send(line: &Connection, record: &OwnerRecord, signed: Vec<u8>) -> Result<v1::SubmitRecordResponse, Status> {
-    let request = v1::SubmitRecordRequest { format_version: VERSION, envelope: signed.into() };
+    let request = v1::SubmitRecordRequest { envelope: signed.into() };
     Ok(line.about(&record.scene).owners().submit(request).await?.into_inner())
 }
 
@@ -318,6 +317,6 @@ fn is_nobodys(status: &Status) -> bool {
 
 /// The log's verifier key, one line without its end.
 pub async fn vkey(line: &Connection) -> anyhow::Result<String> {
-    let request = v1::CheckpointRequest { format_version: VERSION };
+    let request = v1::CheckpointRequest {};
     Ok(line.owners().checkpoint(request).await.map_err(refused)?.into_inner().vkey)
 }

@@ -10,7 +10,6 @@ use cairn_api::v1::{self, import_scene_request::Part};
 use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
 use sha2::{Digest, Sha256};
 
-use super::VERSION;
 use super::connect::{Connection, refused};
 use cairn_service::grpc::to_proto;
 
@@ -94,7 +93,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             Ok(())
         }
         Command::List => {
-            let request = v1::ListScenesRequest { format_version: VERSION };
+            let request = v1::ListScenesRequest {};
             let scenes = line.scenes().list(request).await.map_err(refused)?.into_inner().scenes;
             scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
             Ok(())
@@ -102,7 +101,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Show { name } => show(line, name).await,
         Command::Poses(args) => super::poses::run(line, args).await,
         Command::Delete { name } => {
-            let request = v1::DeleteSceneRequest { format_version: VERSION, scene: name.clone() };
+            let request = v1::DeleteSceneRequest { scene: name.clone() };
             line.about(&name).scenes().delete(request).await.map_err(refused)?;
             println!("deleted {name}");
             Ok(())
@@ -163,7 +162,7 @@ async fn show(line: &Connection, name: String) -> anyhow::Result<()> {
 
 /// One scene.
 pub async fn get(line: &Connection, name: &str) -> anyhow::Result<v1::GetSceneResponse> {
-    let request = v1::GetSceneRequest { format_version: VERSION, scene: name.to_owned() };
+    let request = v1::GetSceneRequest { scene: name.to_owned() };
     Ok(line.scenes().get(request).await.map_err(refused)?.into_inner())
 }
 
@@ -201,7 +200,7 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         kind: to_proto::scene_kind(capture.kind).into(),
         background: capture.background.map(Vec::from).unwrap_or_default(),
     };
-    let first = v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Header(header)) };
+    let first = v1::ImportSceneRequest { part: Some(Part::Header(header)) };
     let points: Vec<_> = capture.points.chunks(POINTS_A_CHUNK).map(point_chunk).collect();
     let trouble = Arc::new(Mutex::new(None));
     let chunks = chunks(photographs, trouble.clone());
@@ -264,7 +263,7 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
 
 fn point_chunk(points: &[glam::DVec3]) -> v1::ImportSceneRequest {
     let chunk = v1::PointChunk { xyz: points.iter().flat_map(|p| p.to_array()).collect() };
-    v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Points(chunk)) }
+    v1::ImportSceneRequest { part: Some(Part::Points(chunk)) }
 }
 
 fn new_size(args: &ImportArgs, camera: &cairn_scene::Camera) -> anyhow::Result<Option<(usize, usize)>> {
@@ -322,7 +321,7 @@ fn chunks(
                 Ok(0) => open = None,
                 Ok(_) => {
                     let chunk = v1::PhotographChunk { view_index: *view_index, data: data.into() };
-                    return Some(v1::ImportSceneRequest { format_version: VERSION, part: Some(Part::Chunk(chunk)) });
+                    return Some(v1::ImportSceneRequest { part: Some(Part::Chunk(chunk)) });
                 }
                 Err(e) => {
                     *trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(e.into());

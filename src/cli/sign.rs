@@ -9,7 +9,6 @@ use cairn_log::record::{
 };
 use cairn_log::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
-use super::VERSION;
 use super::connect::{Connection, refused};
 use super::records::{Bundle, Ground, Place, Stored};
 use super::unlock::UnlockArgs;
@@ -66,7 +65,7 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<Place> {
             Some(older.digest)
         }
     };
-    let request = v1::MaterialRequest { format_version: VERSION, scene: args.name.clone(), identity: args.identity };
+    let request = v1::MaterialRequest { scene: args.name.clone(), identity: args.identity };
     let material = line.about(&args.name).owners().material(request).await.map_err(refused)?.into_inner();
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let salt = random_salt()?;

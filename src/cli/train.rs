@@ -9,7 +9,7 @@ use clap::builder::ArgPredicate;
 use super::connect::{Connection, refused};
 use super::progress::Progress;
 use super::signals::{fit_one_message, signals};
-use super::{VERSION, read, scene};
+use super::{read, scene};
 
 /// `cairn train`.
 #[derive(Clone, Debug, clap::Args)]
@@ -73,7 +73,7 @@ pub struct Args {
 pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     let job = match &args.resume {
         Some(id) => {
-            let request = v1::ResumeTrainingRequest { format_version: VERSION, job_id: id.clone() };
+            let request = v1::ResumeTrainingRequest { job_id: id.clone() };
             let job = line.about(&args.name).training().resume(request).await.map_err(refused)?.into_inner().job;
             job.context("the daemon's answer names no job")?
         }
@@ -128,7 +128,6 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
         None => Vec::new(),
     };
     Ok(v1::StartTrainingRequest {
-        format_version: VERSION,
         scene: args.name.clone(),
         clusters: Some(clusters),
         seed: args.seed,
@@ -144,7 +143,7 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
 /// Names the jobs that were there before `job` was: one is worked on at a time, and those that an
 /// earlier run left unfinished go on first. Where they cannot be asked for there is nothing to say.
 async fn say_what_is_ahead(line: &Connection, job: &v1::Job) {
-    let request = v1::ListTrainingRequest { format_version: VERSION, scene: String::new() };
+    let request = v1::ListTrainingRequest { scene: String::new() };
     let Ok(answer) = line.training().list(request).await else { return };
     let is_ahead =
         |other: &v1::Job| other.id != job.id && matches!(other.state(), JobState::Accepted | JobState::Running);
@@ -172,7 +171,7 @@ async fn scenes_as_they_lie(line: &Connection, job: &v1::Job) -> String {
 
 /// Watches a job to its end, with a bar. The first Ctrl-C cancels it.
 pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1::Job> {
-    let request = v1::WatchTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
+    let request = v1::WatchTrainingRequest { job_id: id.to_owned() };
     let mut stream = line.training().watch(request).await.map_err(refused)?.into_inner();
     let mut shown = Progress::new(bar);
     let mut last: Option<v1::Job> = None;
@@ -190,7 +189,7 @@ pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1:
             interrupt = tokio::signal::ctrl_c() => {
                 interrupt?;
                 shown.say("cancelling after this step");
-                let request = v1::CancelTrainingRequest { format_version: VERSION, job_id: id.to_owned() };
+                let request = v1::CancelTrainingRequest { job_id: id.to_owned() };
                 let scene = last.as_ref().map_or("", |job| job.scene.as_str());
                 line.about(scene).training().cancel(request).await.map_err(refused)?;
             }
@@ -248,7 +247,7 @@ pub fn state_name(state: JobState) -> &'static str {
 
 /// Answers `cairn jobs`.
 pub async fn jobs(line: &Connection) -> anyhow::Result<()> {
-    let request = v1::ListTrainingRequest { format_version: VERSION, scene: String::new() };
+    let request = v1::ListTrainingRequest { scene: String::new() };
     for job in line.training().list(request).await.map_err(refused)?.into_inner().jobs {
         let p = job.progress.clone().unwrap_or_default();
         let place = if p.total > 0 { format!(", {} {}/{}", p.stage, p.step, p.total) } else { String::new() };

@@ -194,7 +194,6 @@ pub fn training(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainin
 pub fn base_only(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainingRequest {
     let by_contributor = v1::ByContributor { least_views: 2 };
     v1::StartTrainingRequest {
-        format_version: 1,
         scene: scene.into(),
         clusters: Some(v1::start_training_request::Clusters::ByContributor(by_contributor)),
         seed,

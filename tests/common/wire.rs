@@ -59,7 +59,7 @@ impl Contract {
             // Of a oneof mostly one, sometimes none or several; of the rest mostly all.
             let alternatives = description.field.iter().filter(|f| f.oneof_index == field.oneof_index).count();
             let chance = if field.oneof_index.is_some() { 1.0 / alternatives as f64 } else { 0.95 };
-            if field.name() != "format_version" && !random.random_bool(chance) {
+            if !random.random_bool(chance) {
                 continue;
             }
             let times = match field.label() {
@@ -94,7 +94,7 @@ impl Contract {
             }
             Type::Uint32 | Type::Uint64 | Type::Int32 | Type::Int64 | Type::Bool | Type::Enum => {
                 varint(number << 3, out);
-                varint(if name == "format_version" { 1 } else { pool.whole(random) }, out);
+                varint(pool.whole(random), out);
             }
             other => panic!("field {name} is a {other:?}: teach this function to make one"),
         }

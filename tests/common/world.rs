@@ -69,7 +69,7 @@ impl World {
     /// What tokens for this run of the daemon name.
     pub async fn identity(&self) -> Identity {
         let mut client = AccessServiceClient::new(self.channel().await);
-        let about = client.about(v1::AboutRequest { format_version: 1 }).await.unwrap().into_inner();
+        let about = client.about(v1::AboutRequest {}).await.unwrap().into_inner();
         let registry: [u8; 32] = about.registry_key.as_ref().try_into().unwrap();
         let registry = PublicKey::from_bytes(&registry).unwrap().id();
         Identity { origin: about.origin, registry, run: about.run.as_ref().try_into().unwrap() }

@@ -14,7 +14,4 @@ pub mod v1 {
 
     /// The full gRPC path of every method in [`FILE_DESCRIPTOR_SET`].
     pub const METHODS: &[&str] = include!(concat!(env!("OUT_DIR"), "/cairn_methods.rs"));
-
-    /// The `format_version` that every message of this package carries.
-    pub const FORMAT_VERSION: u32 = 1;
 }

@@ -32,12 +32,10 @@ impl Shared {
     /// Validates and authorises what changes one account, and changes it.
     async fn change(
         &self,
-        version: u32,
         extensions: &Extensions,
         key: &[u8],
         change: impl FnOnce(&Engine, &PublicKey) -> Result<Account, crate::auth::AccessError> + Send + 'static,
     ) -> Result<v1::Account, Status> {
-        from_proto::version(version).map_err(status)?;
         self.accounts_count()?;
         self.authorise(extensions, About::Nothing)?;
         let key = from_proto::public_key("public_key", key).map_err(status)?;
@@ -55,8 +53,7 @@ impl Shared {
 
 #[tonic::async_trait]
 impl AccessService for Shared {
-    async fn about(&self, request: Request<v1::AboutRequest>) -> Answer<v1::AboutResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
+    async fn about(&self, _: Request<v1::AboutRequest>) -> Answer<v1::AboutResponse> {
         let verifier = &self.at_work()?.verifier;
         let daemon = verifier.daemon();
         let mode = match self.access.mode {
@@ -65,7 +62,6 @@ impl AccessService for Shared {
             Mode::Accounts => v1::AccessMode::Accounts,
         };
         Ok(Response::new(v1::AboutResponse {
-            format_version: to_proto::VERSION,
             origin: daemon.origin.clone(),
             registry_key: self.engine()?.registry().public_key().to_bytes().to_vec().into(),
             run: daemon.run.to_vec().into(),
@@ -77,14 +73,12 @@ impl AccessService for Shared {
     }
 
     async fn nonce(&self, request: Request<v1::RegistrationNonceRequest>) -> Answer<v1::RegistrationNonceResponse> {
-        let v1::RegistrationNonceRequest { format_version, public_key } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::RegistrationNonceRequest { public_key } = request.into_inner();
         self.accounts_count()?;
         let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
         let loaded = self.at_work()?;
         let nonce = loaded.nonces.issue(&key, unix_s()).map_err(access)?;
         Ok(Response::new(v1::RegistrationNonceResponse {
-            format_version: to_proto::VERSION,
             nonce: nonce.as_bytes().to_vec().into(),
             origin: loaded.engine.registry().origin().to_owned(),
             good_for_s: NONCE_LIFETIME_S,
@@ -92,8 +86,7 @@ impl AccessService for Shared {
     }
 
     async fn register(&self, request: Request<v1::RegisterRequest>) -> Answer<v1::RegisterResponse> {
-        let v1::RegisterRequest { format_version, public_key, name, role, nonce, signature } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::RegisterRequest { public_key, name, role, nonce, signature } = request.into_inner();
         self.accounts_count()?;
         let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
         let nonce = Digest::from_bytes(from_proto::bytes32("nonce", &nonce).map_err(status)?);
@@ -121,58 +114,56 @@ impl AccessService for Shared {
             .await?;
         tracing::info!(account = account.name, key = %account.key, standing = account.standing.name(), "registered");
         let account = Some(to_proto::account(&account));
-        Ok(Response::new(v1::RegisterResponse { format_version: to_proto::VERSION, account }))
+        Ok(Response::new(v1::RegisterResponse { account }))
     }
 
     async fn approve(&self, request: Request<v1::ApproveAccountRequest>) -> Answer<v1::ApproveAccountResponse> {
-        let v1::ApproveAccountRequest { format_version, ref public_key, role } = *request.get_ref();
+        let v1::ApproveAccountRequest { ref public_key, role } = *request.get_ref();
         let role = from_proto::role(role).map_err(status)?;
         let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().approve(key, role);
-        let account = self.change(format_version, request.extensions(), public_key, change).await?;
+        let account = self.change(request.extensions(), public_key, change).await?;
         let account = Some(account);
-        Ok(Response::new(v1::ApproveAccountResponse { format_version: to_proto::VERSION, account }))
+        Ok(Response::new(v1::ApproveAccountResponse { account }))
     }
 
     async fn list(&self, request: Request<v1::ListAccountsRequest>) -> Answer<v1::ListAccountsResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         self.accounts_count()?;
         self.authorise(request.extensions(), About::Nothing)?;
         let accounts = self.engine()?.access().accounts().list().iter().map(to_proto::account).collect();
-        Ok(Response::new(v1::ListAccountsResponse { format_version: to_proto::VERSION, accounts }))
+        Ok(Response::new(v1::ListAccountsResponse { accounts }))
     }
 
     async fn set_role(&self, request: Request<v1::SetRoleRequest>) -> Answer<v1::SetRoleResponse> {
-        let v1::SetRoleRequest { format_version, ref public_key, role } = *request.get_ref();
+        let v1::SetRoleRequest { ref public_key, role } = *request.get_ref();
         let role = from_proto::role(role).map_err(status)?;
         let Some(role) = role else {
             return Err(status(EngineError::invalid("role", "not set", "contributor, curator, auditor or operator")));
         };
         let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_role(key, role);
-        let account = Some(self.change(format_version, request.extensions(), public_key, change).await?);
-        Ok(Response::new(v1::SetRoleResponse { format_version: to_proto::VERSION, account }))
+        let account = Some(self.change(request.extensions(), public_key, change).await?);
+        Ok(Response::new(v1::SetRoleResponse { account }))
     }
 
     async fn disable(&self, request: Request<v1::DisableAccountRequest>) -> Answer<v1::DisableAccountResponse> {
-        let v1::DisableAccountRequest { format_version, ref public_key, enable } = *request.get_ref();
+        let v1::DisableAccountRequest { ref public_key, enable } = *request.get_ref();
         let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_disabled(key, !enable);
-        let account = Some(self.change(format_version, request.extensions(), public_key, change).await?);
-        Ok(Response::new(v1::DisableAccountResponse { format_version: to_proto::VERSION, account }))
+        let account = Some(self.change(request.extensions(), public_key, change).await?);
+        Ok(Response::new(v1::DisableAccountResponse { account }))
     }
 
     async fn set_quota(&self, request: Request<v1::SetQuotaRequest>) -> Answer<v1::SetQuotaResponse> {
-        let v1::SetQuotaRequest { format_version, ref public_key, ref quota } = *request.get_ref();
+        let v1::SetQuotaRequest { ref public_key, ref quota } = *request.get_ref();
         let quota = quota.as_ref().map(|q| {
             let v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *q;
             Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day }
         });
         let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_quota(key, quota);
-        let account = Some(self.change(format_version, request.extensions(), public_key, change).await?);
-        Ok(Response::new(v1::SetQuotaResponse { format_version: to_proto::VERSION, account }))
+        let account = Some(self.change(request.extensions(), public_key, change).await?);
+        Ok(Response::new(v1::SetQuotaResponse { account }))
     }
 
     async fn quota(&self, request: Request<v1::QuotaRequest>) -> Answer<v1::QuotaResponse> {
-        let v1::QuotaRequest { format_version, ref public_key } = *request.get_ref();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::QuotaRequest { ref public_key } = *request.get_ref();
         self.accounts_count()?;
         let own = self.authorise(request.extensions(), About::Nothing)?;
         let asked = match public_key.is_empty() {
@@ -191,7 +182,6 @@ impl AccessService for Shared {
         let engine = self.engine()?;
         let (limits, used) = (engine.access().limits(&owner), engine.access().usage(&owner));
         Ok(Response::new(v1::QuotaResponse {
-            format_version: to_proto::VERSION,
             limits: Some(to_proto::quota(&limits)),
             used: Some(v1::QuotaLimits {
                 bytes: used.bytes,

@@ -29,14 +29,6 @@ const MAX_SCENES: usize = 16;
 /// Cameras wider than this are a broken message, px.
 const MAX_CAMERA_SIDE_PX: u32 = 1 << 20;
 
-/// Refuses a message of another version, by number.
-pub fn version(got: u32) -> Result<(), EngineError> {
-    if got == v1::FORMAT_VERSION {
-        return Ok(());
-    }
-    Err(EngineError::invalid("format_version", got, v1::FORMAT_VERSION.to_string()))
-}
-
 fn missing(what: &str) -> EngineError {
     EngineError::invalid(what, "not set", "a value")
 }
@@ -447,11 +439,5 @@ mod tests {
         assert_eq!(wanted.signals[0].parts.text.as_deref(), Some(&b"t"[..]));
         let refused = asked(&["a\nb"]).unwrap_err().to_string();
         assert!(refused.contains("a signal's name"), "{refused}");
-    }
-
-    #[test]
-    fn another_version_is_refused_by_number() {
-        assert!(version(1).is_ok());
-        assert_eq!(version(7).unwrap_err().to_string(), "format_version is 7; allowed is 1");
     }
 }

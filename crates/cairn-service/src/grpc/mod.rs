@@ -5,7 +5,7 @@
 //! cairn-service's table and lets nobody in whom it does not allow; a handler's own
 //! `authorise` then holds the caller to what the call is about.
 //!
-//! Every handler has one rhythm: validate (version and fields), authorise,
+//! Every handler has one rhythm: validate, authorise,
 //! convert, do, answer. What it does blocks, so it is done on a thread made for
 //! that; renders and the like queue for a limited number of places.
 

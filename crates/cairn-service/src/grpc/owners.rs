@@ -31,14 +31,12 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl OwnerService for Shared {
     async fn nonce(&self, request: Request<v1::NonceRequest>) -> Answer<v1::NonceResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key).map_err(status)?;
         self.authorise(request.extensions(), About::Place(&request.get_ref().scene))?;
         let (scene, owner) = (request.into_inner().scene, owner.to_bytes());
         let answer = self
             .run(move |engine| {
                 Ok(v1::NonceResponse {
-                    format_version: to_proto::VERSION,
                     nonce: engine.nonce(&scene, &owner)?,
                     origin: engine.registry().origin().to_owned(),
                     checkpoint: engine.registry().checkpoint(),
@@ -50,7 +48,6 @@ impl OwnerService for Shared {
     }
 
     async fn material(&self, request: Request<v1::MaterialRequest>) -> Answer<v1::MaterialResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::MaterialRequest { scene, identity, .. } = request.into_inner();
         let found = self.run(move |engine| engine.material(&scene, identity)).await?;
@@ -58,7 +55,6 @@ impl OwnerService for Shared {
         let text = String::from_utf8(found.signal.text.unwrap_or_default())
             .map_err(|e| Status::data_loss(format!("the hidden text is no UTF-8: {e}")))?;
         Ok(Response::new(v1::MaterialResponse {
-            format_version: to_proto::VERSION,
             label: found.identity.label,
             marked_field_sha256: model.marked_field_sha256,
             detector_sha256: model.detector_sha256,
@@ -72,7 +68,6 @@ impl OwnerService for Shared {
     }
 
     async fn submit(&self, request: Request<v1::SubmitRecordRequest>) -> Answer<v1::SubmitRecordResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         // Read before it is verified, to know what it is about; what it says is believed by the registry alone.
         let refuse = |e: RecordError| status(RegistryError::from(e).into());
         let claimed = Envelope::parse(&request.get_ref().envelope).map_err(|e| refuse(e.into()))?;
@@ -85,7 +80,6 @@ impl OwnerService for Shared {
                 let (record, _) = OwnerRecord::open(&receipt.envelope).map_err(RegistryError::from)?;
                 let tlog_proof = receipt.tlog_proof().to_text();
                 Ok(v1::SubmitRecordResponse {
-                    format_version: to_proto::VERSION,
                     record: Some(to_proto::record(receipt.index, &receipt.leaf_hash, &receipt.envelope, &record)),
                     checkpoint: receipt.checkpoint,
                     tlog_proof,
@@ -97,8 +91,7 @@ impl OwnerService for Shared {
     }
 
     async fn list(&self, request: Request<v1::ListRecordsRequest>) -> Answer<v1::ListRecordsResponse> {
-        let v1::ListRecordsRequest { format_version, scene, from, limit } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::ListRecordsRequest { scene, from, limit } = request.into_inner();
         let limit = if limit == 0 { MAX_LISTED } else { limit.min(MAX_LISTED) } as usize;
         let most = self.most_bytes / 2;
         let (records, next) = self
@@ -107,12 +100,11 @@ impl OwnerService for Shared {
                 engine.page_of_records(of, from, limit, most, |entry| to_proto::entry(entry, &scene))
             })
             .await?;
-        Ok(Response::new(v1::ListRecordsResponse { format_version: to_proto::VERSION, records, next }))
+        Ok(Response::new(v1::ListRecordsResponse { records, next }))
     }
 
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
-        let v1::GetRecordRequest { format_version, index } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::GetRecordRequest { index } = request.into_inner();
         let answer = self
             .run(move |engine| {
                 let entry = engine.registry().entry(index)?;
@@ -122,14 +114,13 @@ impl OwnerService for Shared {
                     LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
                 };
                 let record = to_proto::entry(&entry, "");
-                Ok(v1::GetRecordResponse { format_version: to_proto::VERSION, record, standing })
+                Ok(v1::GetRecordResponse { record, standing })
             })
             .await?;
         Ok(Response::new(answer))
     }
 
     async fn answer(&self, request: Request<v1::AnswerRequest>) -> Answer<v1::AnswerResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let v1::AnswerRequest { scene, of, as_of, .. } = request.into_inner();
         let view = from_proto::asked_view(of).map_err(status)?;
         let most = self.most_bytes;
@@ -138,31 +129,28 @@ impl OwnerService for Shared {
                 engine.complete_answer(&scene, view, (!as_of.is_empty()).then_some(as_of.as_str()), most)
             })
             .await?;
-        Ok(Response::new(v1::AnswerResponse { format_version: to_proto::VERSION, answer: answer.into() }))
+        Ok(Response::new(v1::AnswerResponse { answer: answer.into() }))
     }
 
-    async fn checkpoint(&self, request: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
+    async fn checkpoint(&self, _: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {
         let (vkey, checkpoint) =
             self.run(|engine| Ok((engine.registry().verifier()?.to_string(), engine.registry().checkpoint()))).await?;
-        Ok(Response::new(v1::CheckpointResponse { format_version: to_proto::VERSION, checkpoint, vkey }))
+        Ok(Response::new(v1::CheckpointResponse { checkpoint, vkey }))
     }
 
     async fn proof(&self, request: Request<v1::ProofRequest>) -> Answer<v1::ProofResponse> {
-        let v1::ProofRequest { format_version, index } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::ProofRequest { index } = request.into_inner();
         let tlog_proof = self.run(move |engine| engine.tlog_proof(index)).await?;
-        Ok(Response::new(v1::ProofResponse { format_version: to_proto::VERSION, tlog_proof }))
+        Ok(Response::new(v1::ProofResponse { tlog_proof }))
     }
 
     async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let asked = request.get_ref().request.clone();
         let (scene, asked) = self.run(move |engine| engine.erasure_asked(&asked)).await?;
         self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
         let request = request.into_inner().request;
         let index = self.while_the_disk_answers(move |engine| engine.erase_record(&request)).await?;
-        Ok(Response::new(v1::EraseRecordResponse { format_version: to_proto::VERSION, index }))
+        Ok(Response::new(v1::EraseRecordResponse { index }))
     }
 }
 

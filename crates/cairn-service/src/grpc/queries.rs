@@ -20,15 +20,13 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl QueryService for Shared {
     async fn who_by_pose(&self, request: Request<v1::WhoByPoseRequest>) -> Answer<v1::WhoResponse> {
-        let v1::WhoByPoseRequest { format_version, scene, viewpoint } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::WhoByPoseRequest { scene, viewpoint } = request.into_inner();
         let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
         let who = self.run(move |engine| engine.who_by_pose(&scene, &viewpoint)).await?;
         Ok(Response::new(to_proto::who(who)))
     }
 
     async fn who_by_picture(&self, request: Request<v1::WhoByPictureRequest>) -> Answer<v1::WhoResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
         let _waiting = over.as_ref().map(Waiting::of);
         let searching = self.searching(over.as_ref()).await;
@@ -42,14 +40,12 @@ impl QueryService for Shared {
     }
 
     async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::EvaluateRequest { scene, contact_sheet, .. } = request.into_inner();
         let answer = self
             .compute(move |engine| {
                 let (report, sheet) = engine.evaluate(&scene, contact_sheet)?;
                 Ok(v1::EvaluateResponse {
-                    format_version: to_proto::VERSION,
                     report_json: report.to_json()?,
                     contact_sheet_png: sheet.map(|s| encode_png(&s)).unwrap_or_default().into(),
                 })
@@ -62,7 +58,6 @@ impl QueryService for Shared {
 #[tonic::async_trait]
 impl DetectionService for Shared {
     async fn detect(&self, request: Request<v1::DetectRequest>) -> Answer<v1::DetectResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let over = self.over(request.extensions(), &request.get_ref().scene, request.get_ref().lay_over.as_ref())?;
         let _waiting = over.as_ref().map(Waiting::of);
         let searching = self.searching(over.as_ref()).await;
@@ -75,7 +70,6 @@ impl DetectionService for Shared {
         let detection = found.detection;
         let recovered = encoded(&detection.recovered);
         Ok(Response::new(v1::DetectResponse {
-            format_version: to_proto::VERSION,
             recovered_png: recovered.picture.unwrap_or_default().into(),
             recovered_wav: recovered.audio.unwrap_or_default().into(),
             recovered_text: detection.recovered.text,

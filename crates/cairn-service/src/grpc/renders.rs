@@ -22,7 +22,6 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl RenderService for Shared {
     async fn render(&self, request: Request<v1::RenderRequest>) -> Answer<v1::RenderResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
         self.may_see(request.extensions(), &request.get_ref().scene, field, &[request.get_ref().appearance.as_ref()])?;
         let v1::RenderRequest { scene, viewpoint, appearance, accumulation, depth, depth_colours, .. } =
@@ -34,7 +33,6 @@ impl RenderService for Shared {
                 let wants_maps = accumulation || depth || depth_colours;
                 let (picture, maps) = engine.render(&scene, &viewpoint, field, &light, wants_maps)?;
                 let mut answer = v1::RenderResponse {
-                    format_version: to_proto::VERSION,
                     width: picture.width() as u32,
                     height: picture.height() as u32,
                     png: encode_png(&picture).into(),
@@ -60,7 +58,6 @@ impl RenderService for Shared {
     type RenderPathStream = ReceiverStream<Result<v1::RenderPathResponse, Status>>;
 
     async fn render_path(&self, request: Request<v1::RenderPathRequest>) -> Answer<Self::RenderPathStream> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
         let lights = [request.get_ref().appearance.as_ref(), request.get_ref().appearance_to.as_ref()];
         self.may_see(request.extensions(), &request.get_ref().scene, field, &lights)?;
@@ -115,7 +112,6 @@ fn is_fitted(light: Option<&v1::Appearance>) -> bool {
 fn frame(engine: &Engine, tour: &Tour, at: usize) -> Result<v1::RenderPathResponse, EngineError> {
     let picture = engine.frame(tour, at)?;
     Ok(v1::RenderPathResponse {
-        format_version: to_proto::VERSION,
         frame: at as u32,
         frames: tour.cameras().len() as u32,
         png: encode_png(&picture).into(),

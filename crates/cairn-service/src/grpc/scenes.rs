@@ -18,7 +18,6 @@ impl SceneService for Shared {
     async fn import(&self, request: Request<Streaming<v1::ImportSceneRequest>>) -> Answer<v1::ImportSceneResponse> {
         let (_, extensions, mut stream) = request.into_parts();
         let first = stream.message().await?.unwrap_or_default();
-        from_proto::version(first.format_version).map_err(status)?;
         let Some(Part::Header(header)) = first.part else {
             return Err(status(EngineError::invalid("the stream's first message", "no header", "the header")));
         };
@@ -28,7 +27,6 @@ impl SceneService for Shared {
         let mut import = self.run(move |engine| engine.begin_import(plan, owner)).await?;
         // A stream that breaks off drops the import, and with it what it had written.
         while let Some(message) = stream.message().await? {
-            from_proto::version(message.format_version).map_err(status)?;
             let chunk = match message.part {
                 Some(Part::Chunk(chunk)) => chunk,
                 Some(Part::Points(chunk)) => {
@@ -49,26 +47,23 @@ impl SceneService for Shared {
         let scene = self.run(move |engine| engine.finish_import(import)).await?;
         let summary = to_proto::scene_summary(&name, &scene, false);
         tracing::info!(scene = name, views = summary.views, "scene imported");
-        Ok(Response::new(v1::ImportSceneResponse { format_version: to_proto::VERSION, scene: Some(summary) }))
+        Ok(Response::new(v1::ImportSceneResponse { scene: Some(summary) }))
     }
 
-    async fn list(&self, request: Request<v1::ListScenesRequest>) -> Answer<v1::ListScenesResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
+    async fn list(&self, _: Request<v1::ListScenesRequest>) -> Answer<v1::ListScenesResponse> {
         let scenes = self
             .run(|engine| engine.scene_names()?.iter().map(|name| summary(engine, name)).collect::<Result<_, _>>())
             .await?;
-        Ok(Response::new(v1::ListScenesResponse { format_version: to_proto::VERSION, scenes }))
+        Ok(Response::new(v1::ListScenesResponse { scenes }))
     }
 
     async fn get(&self, request: Request<v1::GetSceneRequest>) -> Answer<v1::GetSceneResponse> {
-        let v1::GetSceneRequest { format_version, scene } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::GetSceneRequest { scene } = request.into_inner();
         let answer = self
             .run(move |engine| {
                 let folder = engine.scene(&scene)?;
                 let model = engine.newest_model(&scene)?;
                 Ok(v1::GetSceneResponse {
-                    format_version: to_proto::VERSION,
                     summary: Some(to_proto::scene_summary(&scene, &folder, model.is_some())),
                     views: to_proto::scene_views(&folder, &engine.out_of_scene(&scene, &folder)?),
                     model: model.as_ref().map(to_proto::model),
@@ -80,7 +75,6 @@ impl SceneService for Shared {
 
     async fn draw_poses(&self, request: Request<v1::DrawPosesRequest>) -> Answer<v1::DrawPosesResponse> {
         let request = request.into_inner();
-        from_proto::version(request.format_version).map_err(status)?;
         let svg = from_proto::is_svg(request.format).map_err(status)?;
         let clusters = from_proto::drawn_clusters(&request).map_err(status)?;
         let answer = self
@@ -88,7 +82,6 @@ impl SceneService for Shared {
                 let PoseSheet { drawing, views, clusters } = engine.draw_poses(&request.scene, clusters)?;
                 let picture = if svg { drawing.svg().into_bytes() } else { encode_png(&drawing.picture()) };
                 Ok(v1::DrawPosesResponse {
-                    format_version: to_proto::VERSION,
                     picture: picture.into(),
                     width: drawing.width as u32,
                     height: drawing.height as u32,
@@ -101,11 +94,10 @@ impl SceneService for Shared {
     }
 
     async fn delete(&self, request: Request<v1::DeleteSceneRequest>) -> Answer<v1::DeleteSceneResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let scene = request.into_inner().scene;
         self.run(move |engine| engine.delete_scene(&scene)).await?;
-        Ok(Response::new(v1::DeleteSceneResponse { format_version: to_proto::VERSION }))
+        Ok(Response::new(v1::DeleteSceneResponse {}))
     }
 }
 

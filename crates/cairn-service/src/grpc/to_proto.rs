@@ -14,9 +14,6 @@ use crate::store::model::{IdentityInfo, MarkInfo, ModelInfo};
 use crate::store::quarantine::{Entry, Standing as Held};
 use crate::train::job::{Job, JobState};
 
-/// The number that every answer carries.
-pub const VERSION: u32 = v1::FORMAT_VERSION;
-
 /// A camera.
 pub fn camera(camera: &Camera) -> v1::Camera {
     let (i, d) = (&camera.intrinsics, &camera.intrinsics.distortion);
@@ -211,7 +208,7 @@ pub fn who(who: Who) -> v1::WhoResponse {
     };
     let laid_over = who.laid_over.map(laid_over);
     let (answer, confidence, closer_look) = (Some(answer), who.confidence, who.is_closer);
-    v1::WhoResponse { format_version: VERSION, answer, confidence, laid_over, closer_look }
+    v1::WhoResponse { answer, confidence, laid_over, closer_look }
 }
 
 /// What laying a picture over a field says.

@@ -14,7 +14,6 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl TrainingService for Shared {
     async fn start(&self, request: Request<v1::StartTrainingRequest>) -> Answer<v1::StartTrainingResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         let owner = self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         for scene in &request.get_ref().also {
             self.authorise(request.extensions(), About::Beside(scene))?;
@@ -23,25 +22,20 @@ impl TrainingService for Shared {
         wanted.owner = owner;
         let job = self.run(move |engine| engine.train(wanted)).await?;
         tracing::info!(job = job.id, scene = job.spec.scene, "training accepted");
-        Ok(Response::new(v1::StartTrainingResponse {
-            format_version: to_proto::VERSION,
-            job: Some(to_proto::job(&job)),
-        }))
+        Ok(Response::new(v1::StartTrainingResponse { job: Some(to_proto::job(&job)) }))
     }
 
     type WatchStream = ReceiverStream<Result<v1::WatchTrainingResponse, Status>>;
 
     async fn watch(&self, request: Request<v1::WatchTrainingRequest>) -> Answer<Self::WatchStream> {
-        let v1::WatchTrainingRequest { format_version, job_id } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::WatchTrainingRequest { job_id } = request.into_inner();
         let mut jobs = self.engine()?.jobs().watch(&job_id).map_err(status)?;
         // One place: who reads slowly misses messages, but never the last one.
         let (sender, receiver) = mpsc::channel(1);
         tokio::spawn(async move {
             loop {
                 let job = jobs.borrow_and_update().clone();
-                let message =
-                    v1::WatchTrainingResponse { format_version: to_proto::VERSION, job: Some(to_proto::job(&job)) };
+                let message = v1::WatchTrainingResponse { job: Some(to_proto::job(&job)) };
                 // Nobody listens any more, the job has ended, or the daemon goes down.
                 if sender.send(Ok(message)).await.is_err() || job.state.has_ended() || jobs.changed().await.is_err() {
                     return;
@@ -52,7 +46,6 @@ impl TrainingService for Shared {
     }
 
     async fn cancel(&self, request: Request<v1::CancelTrainingRequest>) -> Answer<v1::CancelTrainingResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         self.authorise(request.extensions(), About::Job(&request.get_ref().job_id))?;
         let id = request.into_inner().job_id;
         let mut watch = self.engine()?.jobs().watch(&id).map_err(status)?;
@@ -60,11 +53,10 @@ impl TrainingService for Shared {
         // The worker lets go at its next step, after its checkpoint.
         let job = watch.wait_for(|job| job.state.has_ended()).await.map(|job| to_proto::job(&job));
         let job = job.map_err(|_| Status::unavailable("the daemon went down before the job let go"))?;
-        Ok(Response::new(v1::CancelTrainingResponse { format_version: to_proto::VERSION, job: Some(job) }))
+        Ok(Response::new(v1::CancelTrainingResponse { job: Some(job) }))
     }
 
     async fn resume(&self, request: Request<v1::ResumeTrainingRequest>) -> Answer<v1::ResumeTrainingResponse> {
-        from_proto::version(request.get_ref().format_version).map_err(status)?;
         self.authorise(request.extensions(), About::Job(&request.get_ref().job_id))?;
         let id = request.into_inner().job_id;
         let job = self
@@ -75,24 +67,19 @@ impl TrainingService for Shared {
                 engine.jobs().resume(&id)
             })
             .await?;
-        Ok(Response::new(v1::ResumeTrainingResponse {
-            format_version: to_proto::VERSION,
-            job: Some(to_proto::job(&job)),
-        }))
+        Ok(Response::new(v1::ResumeTrainingResponse { job: Some(to_proto::job(&job)) }))
     }
 
     async fn get(&self, request: Request<v1::GetTrainingRequest>) -> Answer<v1::GetTrainingResponse> {
-        let v1::GetTrainingRequest { format_version, job_id } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::GetTrainingRequest { job_id } = request.into_inner();
         let job = self.engine()?.jobs().get(&job_id).map_err(status)?;
-        Ok(Response::new(v1::GetTrainingResponse { format_version: to_proto::VERSION, job: Some(to_proto::job(&job)) }))
+        Ok(Response::new(v1::GetTrainingResponse { job: Some(to_proto::job(&job)) }))
     }
 
     async fn list(&self, request: Request<v1::ListTrainingRequest>) -> Answer<v1::ListTrainingResponse> {
-        let v1::ListTrainingRequest { format_version, scene } = request.into_inner();
-        from_proto::version(format_version).map_err(status)?;
+        let v1::ListTrainingRequest { scene } = request.into_inner();
         let jobs = self.engine()?.jobs().list();
         let jobs = jobs.iter().filter(|j| scene.is_empty() || j.spec.is_of(&scene)).map(to_proto::job).collect();
-        Ok(Response::new(v1::ListTrainingResponse { format_version: to_proto::VERSION, jobs }))
+        Ok(Response::new(v1::ListTrainingResponse { jobs }))
     }
 }
