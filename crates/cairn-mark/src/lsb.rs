@@ -58,7 +58,7 @@ fn picture(width: usize, height: usize, levels: &[u8]) -> Result<Picture, MarkEr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::distort::Distortion;
+    use crate::attack::Distortion;
 
     fn ramp(width: usize, height: usize, step: usize) -> Picture {
         let levels: Vec<u8> = (0..width * height * 3).map(|i| (i * step % 256) as u8).collect();

@@ -1,9 +1,9 @@
 //! The marked field: the base field and the carriers, in one file.
 
-use crate::config::{CarrierKind, DensityKind};
-use crate::distort::Gaussian;
+use crate::attack::Gaussian;
 use crate::error::MarkError;
-use crate::shape::CarrierShape;
+use crate::stega::recipe::{CarrierKind, DensityKind};
+use crate::stega::shape::CarrierShape;
 use cairn_field::operator::MarkableField;
 use cairn_field::{Appearance, Field, FieldError, TensorFile};
 use cairn_scene::cluster::Clusters;

@@ -2,13 +2,13 @@
 //! detector and one classifier for all (the paper's case II): what they share is in
 //! [`crate::MarkTrainer`], what each has to itself is here.
 
-use crate::bank::{Bank, Chosen, Prepare};
-use crate::carrier::Carrier;
-use crate::config::{CarrierKind, MarkConfig};
 use crate::error::MarkError;
 use crate::progress::Progress;
-use crate::shape::{CarrierShape, carrier_mask};
-use crate::trainer::MarkPlan;
+use crate::stega::bank::{Bank, Chosen, Prepare};
+use crate::stega::carrier::Carrier;
+use crate::stega::recipe::{CarrierKind, MarkConfig};
+use crate::stega::shape::{CarrierShape, carrier_mask};
+use crate::stega::trainer::MarkPlan;
 use cairn_field::Field;
 use std::ops::Range;
 use std::sync::Arc;

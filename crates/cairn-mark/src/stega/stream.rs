@@ -6,7 +6,7 @@
 //! that dozens take. Which comes when follows from the seed alone, so that a training that is resumed goes on with
 //! the same.
 
-use crate::poses::{PlannedView, virtual_views};
+use crate::stega::poses::{PlannedView, virtual_views};
 use cairn_scene::cluster::Clusters;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

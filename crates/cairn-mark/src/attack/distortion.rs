@@ -7,20 +7,12 @@
 //! through, so that marks learn to live where such things leave something
 //! (HiDDeN, Zhu et al. 2018, trains through them; for rounding see `jpeg`).
 
-mod attack;
-mod blur;
-mod jpeg;
-mod stretch;
-mod turn;
-
+use super::blur::Blur;
+use super::{jpeg, turn};
 use cairn_scene::{AreaFilter, Picture};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-
-pub use attack::RobustConfig;
-pub(crate) use attack::{Attack, Attacked};
-pub(crate) use blur::Blur;
 
 /// One thing that is done to a picture. Pictures go in and come out in [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -164,7 +156,7 @@ impl Trace {
 }
 
 /// A picture of numbers that are there by construction.
-fn made(width: usize, height: usize, rgb: Vec<f32>) -> Picture {
+pub(super) fn made(width: usize, height: usize, rgb: Vec<f32>) -> Picture {
     Picture::new(width, height, rgb).expect("three numbers a pixel")
 }
 
@@ -221,4 +213,5 @@ impl Gaussian {
 }
 
 #[cfg(test)]
+#[path = "distortion_tests.rs"]
 mod tests;

@@ -17,13 +17,13 @@
 //! hides nothing of a head's kind counts for that head as an unmarked picture does:
 //! it is to be silent there. Silence is black, no sound, no text.
 
-use crate::config::LossKind;
+use crate::detect::blind::heads::Said;
+use crate::detect::blind::networks::planar;
 use crate::error::MarkError;
-use crate::heads::Said;
-use crate::networks::planar;
-use crate::renders::Render;
-use crate::signal::Numbers;
-use crate::trainer::MarkTrainer;
+use crate::payload::Numbers;
+use crate::stega::recipe::LossKind;
+use crate::stega::renders::Render;
+use crate::stega::trainer::MarkTrainer;
 use cairn_nn::{binary_cross_entropy, cross_entropy, softmax};
 use candle_core::{Device, Tensor, Var};
 

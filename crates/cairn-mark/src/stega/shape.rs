@@ -1,8 +1,8 @@
 //! What a carrier's numbers are: colours alone, or colours and density. And what weighs
 //! the updates of each.
 
-use crate::config::{CarrierKind, DensityKind, MarkConfig, MaskKind};
-use crate::mask::{all_or_nothing, from_magnitudes, gradient_mask};
+use crate::stega::mask::{all_or_nothing, from_magnitudes, gradient_mask};
+use crate::stega::recipe::{CarrierKind, DensityKind, MarkConfig, MaskKind};
 use cairn_field::marched::CHANGE;
 use cairn_field::operator::{CarrierBasis, MarkableField};
 

@@ -8,7 +8,7 @@
 //! cannot hold all of it. It is applied to updates, not to gradients: Adam would
 //! divide it out again.
 
-use crate::config::MaskKind;
+use crate::stega::recipe::MaskKind;
 use cairn_field::operator::{CarrierBasis, MarkableField};
 use cairn_field::sh::SH;
 

@@ -1,6 +1,6 @@
 //! Noise as sensors, coding and brushes leave it, about as strong as marks are, and no mark.
 
-use crate::distort::Blur;
+use crate::attack::Blur;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -1,7 +1,8 @@
 //! Distortions against an outside reference, by hand and by their transposes.
 
-use super::stretch::Stretch;
 use super::*;
+use crate::attack::stretch::Stretch;
+use crate::attack::{Attack, RobustConfig};
 use serde_json::Value;
 
 fn numbers(n: usize, seed: u64) -> Vec<f32> {

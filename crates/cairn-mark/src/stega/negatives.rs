@@ -2,9 +2,9 @@
 //! anything else. Without them a classifier says yes to everything, and a
 //! detector recognises the scene and not the mark.
 
-use crate::config::{MarkConfig, OthersColours};
-use crate::distort::Blur;
-use crate::grain::Grain;
+use crate::attack::Blur;
+use crate::stega::grain::Grain;
+use crate::stega::recipe::{MarkConfig, OthersColours};
 use cairn_scene::{AreaFilter, Picture};
 use rand::RngExt;
 use rand::seq::SliceRandom;

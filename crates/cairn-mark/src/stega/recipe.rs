@@ -1,6 +1,6 @@
 //! Settings of stage 2, with the paper's symbols (StegaNeRF, equations 1 to 5).
 
-use crate::distort::RobustConfig;
+use crate::attack::RobustConfig;
 use crate::error::MarkError;
 use cairn_nn::{AudioConfig, ClassifierConfig, TextConfig, UNetConfig};
 use serde::{Deserialize, Serialize};
@@ -496,5 +496,5 @@ impl MarkConfig {
 }
 
 #[cfg(test)]
-#[path = "config_tests.rs"]
+#[path = "recipe_tests.rs"]
 mod tests;

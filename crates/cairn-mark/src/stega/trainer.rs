@@ -7,22 +7,22 @@
 //! anew where `mark.density` is free. Like stage 1, a step reads no clock and no file and draws only from its
 //! seed.
 
-use crate::ahead::Ahead;
-use crate::bank::BankView;
-use crate::carrier::{Carrier, hues};
-use crate::checkpoint::fingerprint;
-use crate::config::MarkConfig;
-use crate::detector::Detector;
+use crate::detect::blind::detector::Detector;
+use crate::detect::blind::networks::{Networks, planar};
 use crate::error::MarkError;
-use crate::growth::Restarted;
-use crate::judge::{Judgement, State};
-use crate::losses::Losses;
 use crate::marked::MarkedField;
-use crate::networks::{Networks, planar};
-use crate::poses::PlannedView;
-use crate::renders::Render;
-use crate::signal::{HeadSizes, Numbers, Signal};
-use crate::site::{MarkScene, Site};
+use crate::payload::{HeadSizes, Numbers, Signal};
+use crate::stega::ahead::Ahead;
+use crate::stega::bank::BankView;
+use crate::stega::carrier::{Carrier, hues};
+use crate::stega::checkpoint::fingerprint;
+use crate::stega::growth::Restarted;
+use crate::stega::judge::{Judgement, State};
+use crate::stega::losses::Losses;
+use crate::stega::poses::PlannedView;
+use crate::stega::recipe::MarkConfig;
+use crate::stega::renders::Render;
+use crate::stega::site::{MarkScene, Site};
 use cairn_field::Field;
 use cairn_nn::{Adam, AdamConfig, Average, NnError, Rate};
 use cairn_scene::Picture8;
@@ -437,7 +437,7 @@ fn tightened(config: &MarkConfig, step: u64, joined: Option<u64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Guidance;
+    use crate::stega::recipe::Guidance;
 
     #[test]
     fn ease_goes_by_the_classifier_and_without_one_by_recovery() {

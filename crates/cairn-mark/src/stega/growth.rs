@@ -5,14 +5,14 @@
 //! out in the world. What is new gets a carrier with a hue of its own between theirs,
 //! and the networks go on from what they know, a class wider.
 
-use crate::carrier::{Carrier, hue_of, hues};
-use crate::config::{CarrierKind, MarkConfig};
-use crate::detector::Detector;
+use crate::detect::blind::detector::Detector;
+use crate::detect::blind::heads::{AUDIO, TEXT};
 use crate::error::MarkError;
-use crate::heads::{AUDIO, TEXT};
-use crate::signal::HeadSizes;
-use crate::site::MarkScene;
-use crate::trainer::MarkTrainer;
+use crate::payload::HeadSizes;
+use crate::stega::carrier::{Carrier, hue_of, hues};
+use crate::stega::recipe::{CarrierKind, MarkConfig};
+use crate::stega::site::MarkScene;
+use crate::stega::trainer::MarkTrainer;
 use cairn_field::operator::MarkableField;
 use cairn_nn::Average;
 use serde::{Deserialize, Serialize};

@@ -179,7 +179,7 @@ fn apart(a: &[f32], b: &[f32]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::distort::Gaussian;
+    use crate::attack::Gaussian;
 
     fn plain(features: &[&[f32]]) -> Vec<Shown> {
         let shown = |(view, f): (usize, &&[f32])| Shown { view, harmed: false, fresh: false, features: f.to_vec() };

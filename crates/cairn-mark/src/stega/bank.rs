@@ -1,17 +1,17 @@
 //! The views stage 2 trains on: each cluster's photographs' poses and virtual
 //! ones between them, with ray weights worked out once a view, and unmarked pictures.
 
-use crate::config::{CarrierKind, DensityKind, MarkConfig};
-use crate::distort::{Attack, Distortion};
-use crate::draws::Draws;
+use crate::attack::{Attack, Distortion};
 use crate::error::MarkError;
-use crate::negatives::{Negatives, shrunk};
-use crate::poses::{PlannedView, at_most, covering, evenly, virtual_views};
 use crate::progress::Progress;
-use crate::site::MarkScene;
-use crate::stream::{Fresh, Stream};
-use crate::trainer::MarkPlan;
-use crate::window::Window;
+use crate::stega::draws::Draws;
+use crate::stega::negatives::{Negatives, shrunk};
+use crate::stega::poses::{PlannedView, at_most, covering, evenly, virtual_views};
+use crate::stega::recipe::{CarrierKind, DensityKind, MarkConfig};
+use crate::stega::site::MarkScene;
+use crate::stega::stream::{Fresh, Stream};
+use crate::stega::trainer::MarkPlan;
+use crate::stega::window::Window;
 use cairn_field::marched::MarchedView;
 use cairn_field::operator::{LinearView, MarkableField};
 use cairn_field::{Appearance, Field};

@@ -5,8 +5,8 @@
 //! training picture stands for one `native_px` long: blur and noise shrink with
 //! it, and JPEG works on an enlarged copy.
 
+use super::distortion::{Distortion, Trace, made};
 use super::stretch::Stretch;
-use super::{Distortion, Trace, made};
 use crate::error::MarkError;
 use cairn_scene::{AreaFilter, Picture};
 use rand::RngExt;

@@ -2,18 +2,18 @@
 //! after what happens to pictures: how far from these a picture may lie and still be
 //! believed is learnt from it (`familiar`).
 
-use crate::config::Guidance;
-use crate::distort::{Attack, Distortion};
+use crate::attack::{Attack, Distortion};
+use crate::detect::blind::networks::to_tensor;
+use crate::detect::blind::out_of_distribution::{Familiar, Shown};
 use crate::error::MarkError;
-use crate::familiar::{Familiar, Shown};
-use crate::judge::winner;
 use crate::marked::MarkedField;
-use crate::negatives::shrunk;
-use crate::networks::to_tensor;
-use crate::poses::{PlannedView, at_most, evenly, virtual_views};
 use crate::progress::Progress;
-use crate::site::Site;
-use crate::trainer::MarkTrainer;
+use crate::stega::judge::winner;
+use crate::stega::negatives::shrunk;
+use crate::stega::poses::{PlannedView, at_most, evenly, virtual_views};
+use crate::stega::recipe::Guidance;
+use crate::stega::site::Site;
+use crate::stega::trainer::MarkTrainer;
 use cairn_scene::Picture;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

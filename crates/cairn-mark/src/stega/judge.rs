@@ -2,16 +2,16 @@
 //! best: training can have learnt its own views by heart. Judging uses virtual
 //! poses and base renders only; held-out photographs stay out of it.
 
-use crate::bank::BankView;
-use crate::carrier::Carrier;
-use crate::config::MarkConfig;
-use crate::distort::{Attack, Attacked, RobustConfig};
+use crate::attack::{Attack, Attacked, RobustConfig};
+use crate::detect::blind::networks::Reading;
 use crate::error::MarkError;
-use crate::networks::Reading;
-use crate::signal::Numbers;
-use crate::site::Site;
-use crate::trainer::MarkTrainer;
-use crate::window::Window;
+use crate::payload::Numbers;
+use crate::stega::bank::BankView;
+use crate::stega::carrier::Carrier;
+use crate::stega::recipe::MarkConfig;
+use crate::stega::site::Site;
+use crate::stega::trainer::MarkTrainer;
+use crate::stega::window::Window;
 use cairn_field::Field;
 use cairn_nn::text_bytes;
 use cairn_scene::Picture;

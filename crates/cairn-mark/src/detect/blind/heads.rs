@@ -1,10 +1,10 @@
 //! The detector's heads: a picture's, a sound's and a text's, over one encoder.
 //! Only those are built that some identity uses.
 
-use crate::config::MarkConfig;
+use crate::detect::blind::networks::{finite, interleaved};
 use crate::error::MarkError;
-use crate::networks::{finite, interleaved};
-use crate::signal::{HeadSizes, Numbers};
+use crate::payload::{HeadSizes, Numbers};
+use crate::stega::recipe::MarkConfig;
 use cairn_nn::{AudioHead, Params, TextHead, UNet, avg_pool};
 use candle_core::Tensor;
 

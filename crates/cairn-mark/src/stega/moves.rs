@@ -3,13 +3,13 @@
 //! A step is taken whole or not at all: what every carrier is owed is worked out
 //! and checked before the first of them, or a network, moves.
 
-use crate::carrier::Move;
-use crate::config::LossKind;
+use crate::detect::blind::networks::interleaved;
 use crate::error::MarkError;
-use crate::networks::interleaved;
-use crate::renders::Render;
-use crate::site::Site;
-use crate::trainer::MarkTrainer;
+use crate::stega::carrier::Move;
+use crate::stega::recipe::LossKind;
+use crate::stega::renders::Render;
+use crate::stega::site::Site;
+use crate::stega::trainer::MarkTrainer;
 use candle_core::Tensor;
 
 /// As much as a step makes a mark stronger, at most: a view that hardly shows it says little of the others.

@@ -1,11 +1,11 @@
 //! Detector and classifier together: built alike for training and for use.
 
-use crate::config::{Guidance, MarkConfig};
+use crate::detect::blind::heads::Heads;
+use crate::detect::blind::out_of_distribution::Familiar;
 use crate::error::MarkError;
-use crate::familiar::Familiar;
-use crate::heads::Heads;
-use crate::judge::winner;
-use crate::signal::{HeadSizes, Numbers};
+use crate::payload::{HeadSizes, Numbers};
+use crate::stega::judge::winner;
+use crate::stega::recipe::{Guidance, MarkConfig};
 use cairn_nn::{Classifier, Params, softmax};
 use candle_core::{Device, Tensor};
 

@@ -1,15 +1,15 @@
 //! The trained detector and classifier: what a picture says of its owner.
 
-use crate::config::{CarrierKind, MarkConfig, MaskKind};
-use crate::distort::Distortion;
+use crate::attack::Distortion;
+use crate::detect::blind::networks::{Networks, to_tensor};
+use crate::detect::blind::out_of_distribution::Familiar;
 use crate::error::MarkError;
-use crate::familiar::Familiar;
-use crate::judge::winner;
 use crate::marked::{read_format, read_header, stored};
-use crate::negatives::shrunk;
-use crate::networks::{Networks, to_tensor};
-use crate::signal::{HeadSizes, Signal};
-use crate::window::LEAST;
+use crate::payload::{HeadSizes, Signal};
+use crate::stega::judge::winner;
+use crate::stega::negatives::shrunk;
+use crate::stega::recipe::{CarrierKind, MarkConfig, MaskKind};
+use crate::stega::window::LEAST;
 use cairn_nn::Params;
 use cairn_scene::Picture;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};

@@ -1,14 +1,14 @@
 //! Stage 2 interrupted and taken up again, to the same bytes. Ray weights are
 //! worked out anew: they follow from the field, the plan, and how many steps were taken.
 
-use crate::carrier::Carrier;
-use crate::config::MarkConfig;
 use crate::error::MarkError;
-use crate::growth::Restarted;
-use crate::judge::{Judgement, Recovered, State, Weakest};
 use crate::marked::{read_format, read_header, stored};
-use crate::site::MarkScene;
-use crate::trainer::{MarkPlan, MarkTrainer};
+use crate::stega::carrier::Carrier;
+use crate::stega::growth::Restarted;
+use crate::stega::judge::{Judgement, Recovered, State, Weakest};
+use crate::stega::recipe::MarkConfig;
+use crate::stega::site::MarkScene;
+use crate::stega::trainer::{MarkPlan, MarkTrainer};
 use cairn_field::Field;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,9 @@
 //! A carrier: the coefficients that hold a mark, how they show, and how they move.
 
-use crate::bank::BankView;
-use crate::distort::Attack;
+use crate::attack::Attack;
 use crate::error::MarkError;
-use crate::shape::CarrierShape;
+use crate::stega::bank::BankView;
+use crate::stega::shape::CarrierShape;
 use cairn_field::operator::MarkableField;
 use cairn_field::{Appearance, Field};
 use half::f16;

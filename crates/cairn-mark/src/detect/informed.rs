@@ -12,9 +12,9 @@
 //! approximation (de la Pena, Lai and Shao 2009). So one limit holds for every scene and picture, and
 //! nothing is learnt.
 
-use crate::config::{CarrierKind, DensityKind};
-use crate::distort::Blur;
+use crate::attack::Blur;
 use crate::marked::MarkedField;
+use crate::stega::recipe::{CarrierKind, DensityKind};
 use cairn_field::Appearance;
 use cairn_field::registration::{Registered, Registrar};
 use cairn_scene::{Camera, Picture};
@@ -217,7 +217,7 @@ fn fine(of: &[f32], size: [usize; 2]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::distort::Gaussian;
+    use crate::attack::Gaussian;
 
     const SIDE: usize = 96;
 

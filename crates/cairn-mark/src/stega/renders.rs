@@ -1,12 +1,12 @@
 //! What the networks are shown in a step: marked renders, the same renders
 //! without the mark, and what cameras and files do to either.
 
-use crate::distort::{Attack, Attacked};
-use crate::grain::Grain;
-use crate::judge::file;
-use crate::site::Site;
-use crate::trainer::MarkTrainer;
-use crate::window::Window;
+use crate::attack::{Attack, Attacked};
+use crate::stega::grain::Grain;
+use crate::stega::judge::file;
+use crate::stega::site::Site;
+use crate::stega::trainer::MarkTrainer;
+use crate::stega::window::Window;
 use cairn_field::Appearance;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

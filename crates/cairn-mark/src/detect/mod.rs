@@ -1,0 +1,4 @@
+//! Which identity's mark a picture carries, and what the mark hides.
+
+pub(crate) mod blind;
+pub(crate) mod informed;
