@@ -240,8 +240,7 @@ fn bad_settings_and_too_few_views_are_refused_by_name() {
 
 #[test]
 fn whom_a_person_trusts_is_not_judged() {
-    let how =
-        (&tiny(60), &QuarantineConfig { folds: 3, min_db: 10.0, deviations: 1.0, ..QuarantineConfig::default() });
+    let how = (&tiny(60), &QuarantineConfig { folds: 3, min_db: 10.0, deviations: 1.0, ..QuarantineConfig::default() });
     let place = (ball_box(), Some([0.5; 3]));
     let names: BTreeSet<String> = balls().into_iter().map(|v| v.name).collect();
     let judged = end(Screening::new(balls(), &BTreeSet::new(), place.clone(), how, 7).expect("sound settings"));

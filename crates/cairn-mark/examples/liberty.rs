@@ -7,7 +7,7 @@
 //! MARK and FIELD SETTINGS are JSON; pictures of SIGNALS are hidden by turns where there are more anchors.
 
 use cairn_field::{BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
-use cairn_mark::{MarkConfig, MarkPlan, MarkTrainer, PlannedView};
+use cairn_mark::{MarkPlan, MarkTrainer, PlannedView, Recipe};
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_scene::metrics::{psnr_db, ssim};
 use cairn_scene::{Capture, Picture, ReadOptions, View, decode_picture};
@@ -23,7 +23,7 @@ fn main() -> Fallible<()> {
     };
     let scale: f64 = scale.parse()?;
     let setting = |i: usize| rest.get(i).map_or("{}", String::as_str);
-    let config: MarkConfig = serde_json::from_str(setting(0))?;
+    let config: Recipe = serde_json::from_str(setting(0))?;
     let capture = Capture::read(folder.as_ref(), &ReadOptions::default())?;
     let camera = |v: &View| {
         let size = |side: usize| (side as f64 * scale).round() as usize;

@@ -32,7 +32,7 @@ pub use stega::growth::{Earlier, Known, Restarted};
 pub use stega::judge::{Judgement, Recovered, Weakest};
 pub use stega::mask::gradient_mask;
 pub use stega::poses::{PlannedView, at_most, between, virtual_views};
-pub use stega::recipe::{CarrierKind, DensityKind, Guidance, LossKind, MarkConfig, MaskKind, OthersColours};
+pub use stega::recipe::{CarrierKind, DensityKind, Guidance, LossKind, MaskKind, OtherColours, Recipe};
 pub use stega::shape::CarrierShape;
 pub use stega::site::MarkScene;
 pub use stega::trainer::{MarkPlan, MarkStats, MarkTrainer};

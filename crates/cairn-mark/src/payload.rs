@@ -2,14 +2,14 @@
 
 use crate::error::MarkError;
 use crate::stega::negatives::shrunk;
-use crate::stega::recipe::MarkConfig;
+use crate::stega::recipe::Recipe;
 use cairn_nn::{text_bits, text_bytes};
 use cairn_scene::{Picture, Sound};
 use serde::{Deserialize, Serialize};
 
 /// Pictures whose pixels are closer to one colour than this (root mean square, of the range) are nothing to see: a black one is
 /// what a detector shows where nothing is hidden, and any other says no more than its colour.
-const LEAST_SPREAD: f64 = 0.01;
+const MIN_SPREAD: f64 = 0.01;
 
 /// A hidden signal: a picture, a sound, a text, or some of them together. Also what
 /// a detector recovers; it then has what the detector has heads for.
@@ -34,13 +34,13 @@ impl Signal {
     ///
     /// # Errors
     /// [`MarkError::Signal`] naming identity, modality and what is allowed.
-    pub fn check(&self, number: usize, config: &MarkConfig) -> Result<(), MarkError> {
+    pub fn check(&self, number: usize, config: &Recipe) -> Result<(), MarkError> {
         let refuse = |problem: String| Err(MarkError::Signal { identity: number, problem });
         if *self == Self::default() {
             return refuse("nothing to hide; bring a picture, a sound or a text".into());
         }
         if let Some(picture) = &self.picture
-            && picture.spread() < LEAST_SPREAD
+            && picture.spread() < MIN_SPREAD
         {
             let [r, g, b] = picture.pixel(picture.width() / 2, picture.height() / 2).map(|v| (255.0 * v).round());
             return refuse(format!(
@@ -56,7 +56,7 @@ impl Signal {
                 return refuse("a sound of silence; bring one that is heard, or leave it out".into());
             }
             // The one sample more is what resampling may add.
-            let most = config.most_samples();
+            let most = config.max_samples();
             if audio.samples().len() > most + 1 {
                 let (got, longest) = (audio.seconds(), config.audio.longest_s);
                 return refuse(format!(
@@ -98,13 +98,13 @@ pub struct HeadSizes {
 impl HeadSizes {
     /// What `signals` need, the longest sound's and the longest text's room; and what else there is where `mark.unused_heads`
     /// says so.
-    pub(crate) fn of(signals: &[Signal], config: &MarkConfig) -> Self {
+    pub(crate) fn of(signals: &[Signal], config: &Recipe) -> Self {
         let audio = signals.iter().filter_map(|s| s.audio.as_ref()).map(|a| a.samples().len()).max();
         let text = signals.iter().filter_map(|s| s.text.as_ref()).map(String::len).max();
         let all = config.unused_heads;
         Self {
             picture: all || signals.iter().any(|s| s.picture.is_some()),
-            audio: audio.or(all.then(|| config.most_samples())).map(|longest| config.audio.samples(longest)),
+            audio: audio.or(all.then(|| config.max_samples())).map(|longest| config.audio.samples(longest)),
             text: text.or(all.then_some(config.text.longest_bytes)),
         }
     }
@@ -115,8 +115,8 @@ impl HeadSizes {
     }
 
     /// Refuses sizes that no training makes, before anything is allocated for them.
-    pub(crate) fn check(&self, config: &MarkConfig) -> Result<(), MarkError> {
-        let most = config.audio.samples(config.most_samples() + 1);
+    pub(crate) fn check(&self, config: &Recipe) -> Result<(), MarkError> {
+        let most = config.audio.samples(config.max_samples() + 1);
         let ok = self.count() > 0
             && self.audio.is_none_or(|samples| (1..=most).contains(&samples))
             && self.text.is_none_or(|bytes| (1..=config.text.longest_bytes).contains(&bytes));
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn heads_are_as_long_as_the_longest_signal_and_no_more_than_are_used() {
-        let config = MarkConfig::default();
+        let config = Recipe::default();
         let picture = Signal::from(Picture::constant(4, 4, [0.5; 3]));
         assert_eq!(HeadSizes::of(&[picture], &config), HeadSizes { picture: true, ..HeadSizes::default() });
         let spoken = |n| Signal { audio: Some(sound(n)), ..Signal::default() };
@@ -186,7 +186,7 @@ mod tests {
         assert_eq!(sizes, HeadSizes { picture: false, audio: Some(512), text: Some(4) });
         assert_eq!(sizes.count(), 2);
         // Ready for anything: what nobody hides has room for the longest.
-        let ready = MarkConfig { unused_heads: true, ..config.clone() };
+        let ready = Recipe { unused_heads: true, ..config.clone() };
         let sizes_of_all = HeadSizes::of(&[spoken(300)], &ready);
         let text = Some(config.text.longest_bytes);
         assert_eq!(sizes_of_all, HeadSizes { picture: true, audio: Some(512), text });
@@ -208,7 +208,7 @@ mod tests {
 
     #[test]
     fn pictures_on_which_nothing_is_seen_are_refused() {
-        let config = MarkConfig::default();
+        let config = Recipe::default();
         let check = |picture: Picture| Signal::from(picture).check(3, &config).map_err(|e| e.to_string());
         for (colour, named) in [([0.0; 3], "0, 0, 0"), ([1.0; 3], "255, 255, 255"), ([1.0, 0.0, 0.4], "255, 0, 102")] {
             let error = check(Picture::constant(40, 40, colour)).unwrap_err();
@@ -222,7 +222,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_hidden_is_refused_by_name() {
-        let config = MarkConfig::default();
+        let config = Recipe::default();
         let says = |signal: Signal, expected: &[&str]| {
             let error = signal.check(2, &config).unwrap_err().to_string();
             assert!(error.contains("identity 2") && expected.iter().all(|part| error.contains(part)), "{error}");

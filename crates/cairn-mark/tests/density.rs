@@ -4,10 +4,10 @@
 use crate::common::{bytes, cameras, config, field, plan, run, start, trained};
 use cairn_field::Field;
 use cairn_field::grid::Grid;
-use cairn_mark::{CarrierKind, DensityKind, MarkConfig, MarkError, MarkTrainer, MarkedField, MaskKind};
+use cairn_mark::{CarrierKind, DensityKind, MarkError, MarkTrainer, MarkedField, MaskKind, Recipe};
 
-fn free(steps: u64) -> MarkConfig {
-    MarkConfig { carrier: CarrierKind::Harmonics, density: DensityKind::Free, ..config(steps) }
+fn free(steps: u64) -> Recipe {
+    Recipe { carrier: CarrierKind::Harmonics, density: DensityKind::Free, ..config(steps) }
 }
 
 /// How far `theta`'s densities are from theta_0's: the mean over rows of the raw ones.
@@ -19,15 +19,15 @@ fn moved(theta: &Field) -> f64 {
 
 #[test]
 fn densities_move_where_they_are_free_and_only_there() {
-    let frozen = trained(MarkConfig { carrier: CarrierKind::Harmonics, ..config(6) }).0;
+    let frozen = trained(Recipe { carrier: CarrierKind::Harmonics, ..config(6) }).0;
     assert_eq!(moved(frozen.theta()), 0.0);
     let marked = trained(free(6)).0;
     assert!(moved(marked.theta()) > 1e-6, "{}", moved(marked.theta()));
     assert!(marked.base().to_bytes().unwrap() == field().to_bytes().unwrap(), "theta_0 moved");
     // A binary mask that locks everything but what has no density holds them.
-    let locked = MarkConfig { mask: MaskKind::Binary, mask_share: 1.0, ..free(6) };
+    let locked = Recipe { mask: MaskKind::Binary, mask_share: 1.0, ..free(6) };
     assert_eq!(moved(trained(locked).0.theta()), 0.0);
-    let slow = MarkConfig { learning_rate_density: 1e-9, ..free(6) };
+    let slow = Recipe { learning_rate_density: 1e-9, ..free(6) };
     assert!(moved(trained(slow).0.theta()) < 0.01 * moved(marked.theta()), "the rate of densities is not theirs");
 }
 
@@ -66,9 +66,9 @@ fn threads_and_interruptions_do_not_change_the_bytes() {
 
 #[test]
 fn harmonics_with_densities_as_they_are_resume_to_the_same_bytes() {
-    let frozen = MarkConfig { carrier: CarrierKind::Harmonics, ..config(12) };
-    let weights = MarkConfig { mask: MaskKind::PerCoefficientGroup, recover_moves_marks: true, ..frozen.clone() };
-    for (config, stop) in [(MarkConfig { fresh_every: 2, ..frozen }, 7), (MarkConfig { budget: false, ..weights }, 6)] {
+    let frozen = Recipe { carrier: CarrierKind::Harmonics, ..config(12) };
+    let weights = Recipe { mask: MaskKind::PerCoefficientGroup, recover_moves_marks: true, ..frozen.clone() };
+    for (config, stop) in [(Recipe { view_refresh_steps: 2, ..frozen }, 7), (Recipe { budget: false, ..weights }, 6)] {
         // The last state as well as what is kept, which may be the state judged before the stop; on one thread.
         let ended = |mut trainer: MarkTrainer| {
             run(&mut trainer);
@@ -101,7 +101,7 @@ fn a_mark_is_learnt_with_free_density() {
     let all = cairn_scene::cluster::ClusterConfig { anchors: 1, neighbours: 12, ..Default::default() };
     only.clusters =
         cairn_scene::cluster::Clusters::build(&poses, &cairn_scene::cluster::Grouping::Anchors(all), &[], 5).unwrap();
-    let config = MarkConfig { budget_db: 36.0, classify_until: 0.3, ..free(250) };
+    let config = Recipe { budget_db: 36.0, classify_until: 0.3, ..free(250) };
     let mut trainer = MarkTrainer::new(field(), only, config, 7, &mut |_, _| true).unwrap();
     run(&mut trainer);
     let (marked, detector) = trainer.finish().unwrap();
@@ -118,7 +118,7 @@ fn a_mark_is_learnt_with_free_density() {
 
 #[test]
 fn carriers_of_the_clusters_own_are_refused_with_a_remedy() {
-    let config = MarkConfig { carrier: CarrierKind::PerCluster, ..free(3) };
+    let config = Recipe { carrier: CarrierKind::PerCluster, ..free(3) };
     let error = MarkTrainer::new(field(), plan(), config, 7, &mut |_, _| true).err().unwrap();
     assert!(matches!(error, MarkError::Setting { key: "mark.density", .. }), "{error}");
     let text = error.to_string();
@@ -128,7 +128,7 @@ fn carriers_of_the_clusters_own_are_refused_with_a_remedy() {
 #[test]
 fn a_file_that_says_its_densities_moved_and_has_none_is_refused() {
     let relabelled = |carrier| {
-        let mut bytes = trained(MarkConfig { carrier, ..config(2) }).0.to_bytes().unwrap();
+        let mut bytes = trained(Recipe { carrier, ..config(2) }).0.to_bytes().unwrap();
         let at = bytes.windows(13).position(|w| w == b"cairn.marked/").unwrap();
         bytes[at + 13] = b'2';
         MarkedField::from_bytes(&bytes).err().unwrap().to_string()

@@ -2,7 +2,7 @@
 //! it does not hide stays silent, and the same seed gives the same bytes.
 
 use crate::common::{bytes, cameras, config, field, plan, run, signal};
-use cairn_mark::{Detector, LossKind, MarkConfig, MarkPlan, MarkTrainer, Signal};
+use cairn_mark::{Detector, LossKind, MarkPlan, MarkTrainer, Recipe, Signal};
 use cairn_nn::Memory;
 use cairn_scene::Sound;
 
@@ -25,7 +25,7 @@ fn mixed() -> MarkPlan {
     MarkPlan { signals, ..plan() }
 }
 
-fn hiding(steps: u64) -> MarkConfig {
+fn hiding(steps: u64) -> Recipe {
     let mut config = config(steps);
     config.audio.sample_rate_hz = RATE;
     config.audio.channels = vec![8, 8];
@@ -33,11 +33,11 @@ fn hiding(steps: u64) -> MarkConfig {
     config
 }
 
-fn start(plan: MarkPlan, config: MarkConfig) -> MarkTrainer {
+fn start(plan: MarkPlan, config: Recipe) -> MarkTrainer {
     MarkTrainer::new(field(), plan, config, 7, &mut |_, _| true).unwrap()
 }
 
-fn trained(plan: MarkPlan, config: MarkConfig) -> (cairn_mark::MarkedField, Detector) {
+fn trained(plan: MarkPlan, config: Recipe) -> (cairn_mark::MarkedField, Detector) {
     let mut trainer = start(plan, config);
     run(&mut trainer);
     trainer.finish().unwrap()
@@ -45,7 +45,7 @@ fn trained(plan: MarkPlan, config: MarkConfig) -> (cairn_mark::MarkedField, Dete
 
 #[test]
 fn each_identity_gets_its_own_back_and_is_silent_otherwise() {
-    let config = MarkConfig { budget_db: 36.0, classify_until: 0.3, ..hiding(600) };
+    let config = Recipe { budget_db: 36.0, classify_until: 0.3, ..hiding(600) };
     let (marked, detector) = trained(mixed(), config);
     let (mut read, mut silent) = ([0, 0], 0);
     for camera in cameras() {
@@ -149,7 +149,7 @@ fn heads_come_back_from_a_file_as_they_were_written() {
 }
 
 /// The detector's parameters after some steps.
-fn parameters(config: MarkConfig) -> Vec<u8> {
+fn parameters(config: Recipe) -> Vec<u8> {
     let file = trained(mixed(), config).1.to_bytes().unwrap();
     safetensors::SafeTensors::deserialize(&file).unwrap().tensor("parameters").unwrap().data().to_vec()
 }
@@ -157,7 +157,7 @@ fn parameters(config: MarkConfig) -> Vec<u8> {
 #[test]
 fn every_switch_of_the_heads_trains() {
     let usual = parameters(hiding(6));
-    let switched = |change: fn(&mut MarkConfig)| {
+    let switched = |change: fn(&mut Recipe)| {
         let mut config = hiding(6);
         change(&mut config);
         config
@@ -202,7 +202,7 @@ fn a_judgement_tells_of_every_head() {
 fn heads_that_nobody_uses_are_built_where_that_is_wanted_and_stay_silent() {
     let without = trained(plan(), hiding(60)).1;
     assert!(without.heads().audio.is_none() && without.heads().text.is_none());
-    let mut config = MarkConfig { unused_heads: true, ..hiding(60) };
+    let mut config = Recipe { unused_heads: true, ..hiding(60) };
     config.audio.longest_s = 0.1;
     config.text.longest_bytes = 4;
     let (marked, detector) = trained(plan(), config);

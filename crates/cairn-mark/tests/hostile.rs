@@ -3,7 +3,7 @@
 
 use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, train_field_lit, trained};
 use cairn_field::{AppearanceMode, Field};
-use cairn_mark::{Detector, MarkConfig, MarkError, MarkTrainer, MarkedField};
+use cairn_mark::{Detector, MarkError, MarkTrainer, MarkedField, Recipe};
 use safetensors::tensor::{SafeTensors, TensorView};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -54,7 +54,7 @@ fn resume(bytes: &[u8]) -> Result<MarkTrainer, MarkError> {
 }
 
 /// A checkpoint after three steps and a judgement, the detector having joined.
-fn checkpoint(config: MarkConfig) -> Vec<u8> {
+fn checkpoint(config: Recipe) -> Vec<u8> {
     let mut trainer = start(config);
     for _ in 0..3 {
         trainer.step().unwrap();
@@ -66,7 +66,7 @@ fn checkpoint(config: MarkConfig) -> Vec<u8> {
 #[test]
 fn a_poisoned_step_is_not_taken() {
     // The picture loss at its heaviest, so that a carrier's gradient overflows before its renders do.
-    let bytes = checkpoint(MarkConfig { weight_picture: 1e6, budget_ramp: 0.0, fresh_every: 3, ..config(20) });
+    let bytes = checkpoint(Recipe { weight_picture: 1e6, budget_ramp: 0.0, view_refresh_steps: 3, ..config(20) });
     for (name, poisoned, place) in [
         ("a gradient", filled(&bytes, "carrier1.values", 1e37), "a carrier's gradient"),
         ("a gradient's square", filled(&bytes, "carrier1.values", 1e20), "a carrier's gradient"),
@@ -89,7 +89,7 @@ fn a_poisoned_step_is_not_taken() {
 
 #[test]
 fn answers_that_are_not_finite_are_no_answers() {
-    let bytes = checkpoint(MarkConfig { budget_ramp: 0.0, ..config(20) });
+    let bytes = checkpoint(Recipe { budget_ramp: 0.0, ..config(20) });
     for (name, place) in [("classifier.head.weight", "probability"), ("detector.out.weight", "recovered picture")] {
         let mut trainer = resume(&filled_within(&bytes, "average", name, 3e38)).unwrap();
         let before = *trainer.best().unwrap();
@@ -113,23 +113,23 @@ fn what_does_not_fit_is_refused_by_name() {
     short.signals.pop();
     let error = new(short, config(3)).to_string();
     assert!(error.contains("1 signals for 2 identities"), "{error}");
-    let with = |change: fn(&mut MarkConfig)| {
+    let with = |change: fn(&mut Recipe)| {
         let mut config = config(3);
         change(&mut config);
         config
     };
     for (wrong, key) in [
-        (MarkConfig { budget_db: 5.0, ..config(3) }, "mark.budget_db"),
-        (MarkConfig { classify_until: 0.0, ..config(3) }, "mark.classify_until"),
-        (MarkConfig { weight_picture: -1.0, ..config(3) }, "mark.weight_picture"),
-        (MarkConfig { enough_snr_db: f64::NAN, ..config(3) }, "mark.enough_snr_db"),
-        (MarkConfig { enough_characters: -0.1, ..config(3) }, "mark.enough_characters"),
-        (MarkConfig { finer: 3, ..config(3) }, "mark.finer"),
-        (MarkConfig { fresh_every: 1_000_001, ..config(3) }, "mark.fresh_every"),
-        (MarkConfig { others: 1_000_001, ..config(3) }, "mark.others"),
-        (MarkConfig { others_before_nothing: 1.5, ..config(3) }, "mark.others_before_nothing"),
-        (MarkConfig { least_sure: 1.1, ..config(3) }, "mark.least_sure"),
-        (MarkConfig { closer_look: 0.4, ..config(3) }, "mark.closer_look"),
+        (Recipe { budget_db: 5.0, ..config(3) }, "mark.budget_db"),
+        (Recipe { classify_until: 0.0, ..config(3) }, "mark.classify_until"),
+        (Recipe { weight_picture: -1.0, ..config(3) }, "mark.weight_picture"),
+        (Recipe { enough_snr_db: f64::NAN, ..config(3) }, "mark.enough_snr_db"),
+        (Recipe { enough_characters: -0.1, ..config(3) }, "mark.enough_characters"),
+        (Recipe { finer: 3, ..config(3) }, "mark.finer"),
+        (Recipe { view_refresh_steps: 1_000_001, ..config(3) }, "mark.view_refresh_steps"),
+        (Recipe { others: 1_000_001, ..config(3) }, "mark.others"),
+        (Recipe { others_cutout_share: 1.5, ..config(3) }, "mark.others_cutout_share"),
+        (Recipe { min_confidence: 1.1, ..config(3) }, "mark.min_confidence"),
+        (Recipe { center_crop_confidence: 0.4, ..config(3) }, "mark.center_crop_confidence"),
         // 32 px cannot be halved six times; the 64 of `finer` = 2 could.
         (with(|c| c.classifier.channels = vec![8; 6]), "mark.classifier.channels"),
         (with(|c| c.audio.sample_rate_hz = 100), "mark.audio.sample_rate_hz"),
@@ -167,14 +167,14 @@ fn what_does_not_fit_is_refused_by_name() {
             h["format"] = before.into();
             let settings = h["config"].as_object_mut().unwrap();
             let since = [
-                "fresh_every",
+                "view_refresh_steps",
                 "finer",
                 "others",
                 "others_colours",
-                "others_before_nothing",
+                "others_cutout_share",
                 "noisy_share",
-                "least_sure",
-                "closer_look",
+                "min_confidence",
+                "center_crop_confidence",
             ];
             assert!(since.iter().all(|key| settings.remove(*key).is_some()));
         };
@@ -249,7 +249,7 @@ fn a_checkpoint_meets_its_own_plan_only() {
 
 #[test]
 fn damaged_checkpoints_are_refused_by_part() {
-    let bytes = checkpoint(MarkConfig { budget_ramp: 0.0, ..config(20) });
+    let bytes = checkpoint(Recipe { budget_ramp: 0.0, ..config(20) });
     assert!(resume(&altered(&bytes, |_| (), "", <[u8]>::to_vec)).is_ok());
     let refused = |bytes: &[u8], parts: &[&str]| {
         let error = resume(bytes).err().unwrap_or_else(|| panic!("{parts:?} taken")).to_string();
@@ -270,7 +270,7 @@ fn damaged_checkpoints_are_refused_by_part() {
     // Refused before as many views are drawn as such a training would have seen.
     let endless = |h: &mut serde_json::Value| {
         h["step"] = u64::MAX.into();
-        h["config"]["fresh_every"] = 1.into();
+        h["config"]["view_refresh_steps"] = 1.into();
     };
     refused(&header(&endless), &["of 20"]);
     refused(&header(&|h| h["joined_at"] = 1_000.into()), &["joined_at", "1000"]);
@@ -280,7 +280,7 @@ fn damaged_checkpoints_are_refused_by_part() {
     assert!(resume(&before).is_ok(), "a checkpoint of before");
     let own = serde_json::to_value(vec![config(20); 2]).unwrap();
     refused(&header(&|h| h["of_scenes"] = own.clone()), &["of_scenes", "2 entries for 1 scenes"]);
-    let wrong = serde_json::to_value([MarkConfig { others: 99, ..config(20) }]).unwrap();
+    let wrong = serde_json::to_value([Recipe { others: 99, ..config(20) }]).unwrap();
     refused(&header(&|h| h["of_scenes"] = wrong.clone()), &["mark.others"]);
     refused(&header(&|h| h["weakest"][0] = 0.into()), &["weakest", "2 identities"]);
     refused(&header(&|h| h["weakest"][0] = 3.into()), &["weakest", "2 identities"]);

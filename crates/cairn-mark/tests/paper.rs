@@ -1,23 +1,14 @@
-//! configs/paper.toml, the paper's recipe as far as it is a setting, on a tiny scene: it trains with every part of it in
-//! place, and ends as it says.
+//! The paper's recipe on a tiny scene: it trains with every part of it in place, and ends as it says.
 
 use crate::common::{SIDE, cameras, field, photograph, plan_of, start};
 use cairn_mark::{
-    CarrierKind, DensityKind, Detector, Guidance, LossKind, MarkConfig, MarkStats, MarkTrainer, MarkedField, MaskKind,
+    CarrierKind, DensityKind, Detector, Guidance, LossKind, MarkStats, MarkTrainer, MarkedField, MaskKind, Recipe,
 };
 use cairn_nn::Memory;
-use serde::Deserialize;
 
-/// A settings file of stage 2 alone.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Settings {
-    mark: MarkConfig,
-}
-
-/// The shipped file over the defaults, with networks and pictures of tiny sizes, and nothing else, laid over it.
-fn paper(steps: u64) -> MarkConfig {
-    let Settings { mut mark } = toml::from_str(include_str!("../../../configs/paper.toml")).unwrap();
+/// The paper's recipe with networks and pictures of tiny sizes.
+fn paper(steps: u64) -> Recipe {
+    let mut mark = Recipe::paper();
     mark.steps = steps;
     mark.classifier.channels = vec![8, 16];
     mark.detector.size = [SIDE, SIDE];
@@ -27,7 +18,7 @@ fn paper(steps: u64) -> MarkConfig {
 }
 
 #[test]
-fn the_papers_recipe_is_what_the_file_says() {
+fn the_papers_recipe_is_what_the_paper_says() {
     let mark = paper(20);
     assert_eq!(
         [mark.weight_classify, mark.weight_recover, mark.weight_empty, mark.weight_picture],
@@ -39,20 +30,23 @@ fn the_papers_recipe_is_what_the_file_says() {
         (mark.carrier, mark.density, mark.recover_moves_marks),
         (CarrierKind::Harmonics, DensityKind::Frozen, true)
     );
-    assert_eq!((mark.mask, mark.mask_alpha, mark.mask_least), (MaskKind::PerWeight, 3.0, 0.0));
-    assert_eq!((mark.guidance, mark.budget, mark.pull, mark.average), (Guidance::Told, false, 0.0, 0.0));
-    assert_eq!((mark.others_before_nothing, mark.least_sure), (0.0, 0.0));
-    assert_eq!((mark.settled_share, mark.unfamiliar_beyond, mark.noisy_share, mark.closer_look), (1.0, 0.0, 0.0, 1.0));
+    assert_eq!((mark.mask, mark.mask_alpha, mark.min_mask), (MaskKind::PerWeight, 3.0, 0.0));
+    assert_eq!((mark.guidance, mark.budget, mark.pull, mark.average), (Guidance::Guided, false, 0.0, 0.0));
+    assert_eq!((mark.others_cutout_share, mark.min_confidence), (0.0, 0.0));
     assert_eq!(
-        (mark.virtual_views, mark.fresh_every, mark.others, mark.finer, mark.robust.enabled),
+        (mark.easy_view_share, mark.max_feature_distance, mark.noisy_share, mark.center_crop_confidence),
+        (1.0, 0.0, 0.0, 1.0)
+    );
+    assert_eq!(
+        (mark.virtual_views, mark.view_refresh_steps, mark.others, mark.finer, mark.robust.enabled),
         (0, 0, 0, 1, false)
     );
     assert_eq!([mark.detector.memory, mark.audio.memory, mark.text.memory], [Memory::None; 3]);
     assert_eq!((mark.detector.high_pass_gain, mark.classifier.high_pass_gain, mark.detector.gated), (0.0, 0.0, false));
 }
 
-/// The first step of three identities with the file's settings, and how many renders of theta it shows.
-fn first_of_three(change: impl FnOnce(&mut MarkConfig)) -> (MarkStats, f64) {
+/// The first step of three identities with these settings, and how many renders of theta it shows.
+fn first_of_three(change: impl FnOnce(&mut Recipe)) -> (MarkStats, f64) {
     let mut config = paper(20);
     change(&mut config);
     let plan = plan_of(&field(), 3, photograph);

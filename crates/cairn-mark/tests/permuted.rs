@@ -5,7 +5,7 @@
 use cairn_field::{BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
 use cairn_landmark::signals::emblem;
 use cairn_landmark::{Landmark, LandmarkConfig};
-use cairn_mark::{Detector, MarkConfig, MarkPlan, MarkTrainer, MarkedField, PlannedView};
+use cairn_mark::{Detector, MarkPlan, MarkTrainer, MarkedField, PlannedView, Recipe};
 use cairn_nn::{ClassifierConfig, UNetConfig};
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_scene::{Camera, Pose};
@@ -53,7 +53,7 @@ fn scene() -> (Arc<Field>, MarkPlan) {
 }
 
 fn trained(field: &Arc<Field>, plan: MarkPlan) -> (MarkedField, Detector) {
-    let config = MarkConfig {
+    let config = Recipe {
         // With so many steps all of six seeds pass, with 600 five.
         steps: 1200,
         budget_db: 32.0,
@@ -61,7 +61,7 @@ fn trained(field: &Arc<Field>, plan: MarkPlan) -> (MarkedField, Detector) {
         enough_ssim: 2.0,
         classifier: ClassifierConfig { channels: vec![8, 16], ..ClassifierConfig::default() },
         detector: UNetConfig { size: [SIDE, SIDE], channels: vec![8, 12, 16], ..UNetConfig::default() },
-        ..MarkConfig::default()
+        ..Recipe::default()
     };
     let mut trainer = MarkTrainer::new(field.clone(), plan, config, 7, &mut |_, _| true).unwrap();
     while trainer.steps_done() < trainer.steps_total() {

@@ -2,11 +2,11 @@
 //! read after what happens to pictures; and fields with changed weights.
 
 use crate::common::{bytes, cameras, config, field, plan, run, start, trained};
-use cairn_mark::{Detector, Distortion, MarkConfig, MarkTrainer, MarkedField, RobustConfig};
+use cairn_mark::{Detector, Distortion, MarkTrainer, MarkedField, Recipe, RobustConfig};
 
-fn robust(steps: u64) -> MarkConfig {
+fn robust(steps: u64) -> Recipe {
     let robust = RobustConfig { enabled: true, native_px: 64, ..RobustConfig::default() };
-    MarkConfig { robust, ..config(steps) }
+    Recipe { robust, ..config(steps) }
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn marks_in_half_precision_are_trained_on_where_they_are_to_last() {
     };
     let networks = |half_weights: bool, enabled: bool| {
         let robust = RobustConfig { half_weights, enabled, ..harmless.clone() };
-        let (_, detector) = bytes(trained(MarkConfig { robust, ..config(6) }));
+        let (_, detector) = bytes(trained(Recipe { robust, ..config(6) }));
         safetensors::SafeTensors::deserialize(&detector).unwrap().tensor("parameters").unwrap().data().to_vec()
     };
     assert!(networks(true, true) != networks(false, true), "no mark was rounded");
@@ -78,8 +78,8 @@ fn what_is_trained_to_last_lasts_longer() {
         Distortion::Blur { sigma_px: 0.7 },
         Distortion::Light { brightness: 1.15, contrast: 0.85 },
     ];
-    let plain = MarkConfig { budget_db: 32.0, budget_start_db: 26.0, classify_until: 0.3, ..config(600) };
-    let lasting = MarkConfig { robust: RobustConfig { jpeg_quality: 100, ..robust(1).robust }, ..plain.clone() };
+    let plain = Recipe { budget_db: 32.0, budget_start_db: 26.0, classify_until: 0.3, ..config(600) };
+    let lasting = Recipe { robust: RobustConfig { jpeg_quality: 100, ..robust(1).robust }, ..plain.clone() };
     let score = |config| {
         let (marked, detector) = trained(config);
         accuracy(&marked, &detector, &harm)

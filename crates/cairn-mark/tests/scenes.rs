@@ -5,7 +5,7 @@
 use crate::common::{cameras, config, field, photograph, plan, plan_of, run, trained};
 use cairn_field::Field;
 use cairn_mark::{
-    Detector, Earlier, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, MarkedField, Restarted, Signal,
+    Detector, Earlier, Known, MarkError, MarkPlan, MarkScene, MarkTrainer, MarkedField, Recipe, Restarted, Signal,
 };
 use cairn_scene::{Camera, Picture};
 use std::sync::{Arc, OnceLock};
@@ -28,8 +28,8 @@ fn scenes() -> Vec<MarkScene> {
 }
 
 /// Marks that are learnt in few steps.
-fn strong(steps: u64) -> MarkConfig {
-    MarkConfig { budget_db: 36.0, classify_until: 0.3, ..config(steps) }
+fn strong(steps: u64) -> Recipe {
+    Recipe { budget_db: 36.0, classify_until: 0.3, ..config(steps) }
 }
 
 /// Right answers and questions over a field's views: its marks are classes `first + 1` and up, its base is silent.
@@ -65,19 +65,19 @@ fn a_joint_training_is_resumed_to_the_same_bytes_and_on_the_same_scenes_only() {
         (fields.iter().map(|f| f.to_bytes().unwrap()).collect::<Vec<_>>(), detector.to_bytes().unwrap())
     };
     // The second has its own settings: what it is taken up with does not count.
-    let own = |fresh_every| {
+    let own = |view_refresh_steps| {
         let mut scenes = scenes();
-        scenes[1].settings = Some(MarkConfig { fresh_every, budget_db: 40.0, ..config(10) });
+        scenes[1].settings = Some(Recipe { view_refresh_steps, budget_db: 40.0, ..config(10) });
         scenes
     };
     let mut whole =
-        MarkTrainer::joint(own(3), MarkConfig { fresh_every: 2, ..config(10) }, 7, &mut |_, _| true).unwrap();
+        MarkTrainer::joint(own(3), Recipe { view_refresh_steps: 2, ..config(10) }, 7, &mut |_, _| true).unwrap();
     for _ in 0..5 {
         whole.step().unwrap();
     }
     let stopped = whole.checkpoint().unwrap();
     let mut again = MarkTrainer::resume_joint(&stopped, own(0), &mut |_, _| true).unwrap();
-    assert_eq!([0, 1].map(|at| again.config_of(at).fresh_every), [2, 3]);
+    assert_eq!([0, 1].map(|at| again.config_of(at).view_refresh_steps), [2, 3]);
     assert_eq!([0, 1].map(|at| again.config_of(at).budget_db), [config(10).budget_db, 40.0]);
     for trainer in [&mut whole, &mut again] {
         run(trainer);
@@ -110,7 +110,7 @@ fn each_scene_is_marked_as_strongly_as_its_own_settings_say() {
     let kept = |budgets: [Option<f64>; 2]| {
         let mut scenes = scenes();
         for (scene, budget_db) in scenes.iter_mut().zip(budgets) {
-            scene.settings = budget_db.map(|budget_db| MarkConfig { budget_db, ..strong(300) });
+            scene.settings = budget_db.map(|budget_db| Recipe { budget_db, ..strong(300) });
         }
         let mut trainer = MarkTrainer::joint(scenes, strong(300), 7, &mut |_, _| true).unwrap();
         run(&mut trainer);
@@ -123,7 +123,7 @@ fn each_scene_is_marked_as_strongly_as_its_own_settings_say() {
     assert!((one - 42.0).abs() < 2.0 && (two - 36.0).abs() < 2.0, "{one} dB for 42 and {two} for 36");
 
     let mut wrong = scenes();
-    wrong[1].settings = Some(MarkConfig { others: 99, ..strong(3) });
+    wrong[1].settings = Some(Recipe { others: 99, ..strong(3) });
     let error = MarkTrainer::joint(wrong, strong(3), 7, &mut |_, _| true).err().unwrap();
     assert!(matches!(error, MarkError::Setting { key: "mark.others", .. }), "{error}");
 }
@@ -142,7 +142,7 @@ fn earlier<'a>((marked, detector): &'a (MarkedField, Detector), same: usize) -> 
     Earlier { detector, identities }
 }
 
-fn grow(earlier: &Earlier<'_>, config: MarkConfig) -> Result<MarkTrainer, MarkError> {
+fn grow(earlier: &Earlier<'_>, config: Recipe) -> Result<MarkTrainer, MarkError> {
     MarkTrainer::growing(vec![MarkScene::new(field(), plan())], earlier, config, 8, &mut |_, _| true)
 }
 
@@ -168,7 +168,7 @@ fn growing_is_resumed_to_the_same_bytes() {
     let mut first = MarkTrainer::new(field(), one, config(5), 7, &mut |_, _| true).unwrap();
     run(&mut first);
     let before = first.finish().unwrap();
-    let mut whole = grow(&earlier(&before, same), MarkConfig { fresh_every: 4, ..config(30) }).unwrap();
+    let mut whole = grow(&earlier(&before, same), Recipe { view_refresh_steps: 4, ..config(30) }).unwrap();
     for _ in 0..4 {
         whole.step().unwrap();
     }
@@ -213,7 +213,7 @@ fn what_cannot_be_grown_is_refused() {
     let before = trained(config(3));
     let known = |class, carrier| Some(Known { class, carrier });
     let (a, b) = (before.0.carrier(1).unwrap(), before.0.carrier(2).unwrap());
-    let says = |identities: Vec<Option<Known<'_>>>, config: MarkConfig, expected: &str| {
+    let says = |identities: Vec<Option<Known<'_>>>, config: Recipe, expected: &str| {
         let error = grow(&Earlier { detector: &before.1, identities }, config).err().unwrap().to_string();
         assert!(error.contains(expected), "{error}");
     };
@@ -225,6 +225,6 @@ fn what_cannot_be_grown_is_refused() {
     let mut wider = config(3);
     wider.classifier.channels = vec![8, 24];
     says(vec![known(1, a), None], wider, "`mark.classifier`");
-    let harmonics = MarkConfig { carrier: cairn_mark::CarrierKind::Harmonics, ..config(3) };
+    let harmonics = Recipe { carrier: cairn_mark::CarrierKind::Harmonics, ..config(3) };
     says(vec![known(1, a), None], harmonics, "`mark.carrier`");
 }

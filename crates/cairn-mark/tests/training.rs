@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, trained};
 use cairn_field::FieldError;
-use cairn_mark::{CarrierKind, Detector, MarkConfig, MarkError, MarkTrainer, MarkedField, MaskKind};
+use cairn_mark::{CarrierKind, Detector, MarkError, MarkTrainer, MarkedField, MaskKind, Recipe};
 use cairn_scene::Picture;
 use safetensors::SafeTensors;
 
@@ -15,7 +15,7 @@ use safetensors::SafeTensors;
 fn any_number_of_threads_gives_the_same_bytes() {
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| bytes(trained(MarkConfig { fresh_every: 2, ..config(8) })))
+        pool.install(|| bytes(trained(Recipe { view_refresh_steps: 2, ..config(8) })))
     };
     // One works a fresh view out when it comes, the others beside the steps, on one thread and on three.
     let one = with(1);
@@ -28,8 +28,8 @@ fn any_number_of_threads_gives_the_same_bytes() {
 fn an_interrupted_run_ends_in_the_same_bytes() {
     let mut ends: Vec<[Vec<u8>; 2]> = Vec::new();
     // Stopped where no views come and go, between two exchanges, right after one, and with one in every step.
-    for (fresh_every, stop) in [(0, 7), (3, 8), (2, 8), (1, 7)] {
-        let config = || MarkConfig { fresh_every, ..config(24) };
+    for (view_refresh_steps, stop) in [(0, 7), (3, 8), (2, 8), (1, 7)] {
+        let config = || Recipe { view_refresh_steps, ..config(24) };
         let whole = bytes(trained(config()));
         let mut first = start(config());
         for _ in 0..stop {
@@ -44,11 +44,14 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
         assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
         run(&mut second);
         let end = second.checkpoint().unwrap();
-        assert!(bytes(second.finish().unwrap()) == whole, "the resumed run ended elsewhere ({fresh_every}, {stop})");
+        assert!(
+            bytes(second.finish().unwrap()) == whole,
+            "the resumed run ended elsewhere ({view_refresh_steps}, {stop})"
+        );
         // The marks of the last step: files hold the settings as well, and the state that is kept may be an early one.
         let file = SafeTensors::deserialize(&end).unwrap();
         let marks = ["carrier0.values", "carrier1.values"].map(|name| file.tensor(name).unwrap().data().to_vec());
-        assert!(!ends.contains(&marks), "fresh views every {fresh_every} steps change no mark");
+        assert!(!ends.contains(&marks), "fresh views every {view_refresh_steps} steps change no mark");
         ends.push(marks);
     }
 }
@@ -56,7 +59,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
 #[test]
 fn a_run_interrupted_while_a_late_joined_budget_tightens_ends_in_the_same_bytes() {
     // The budget is half-way after four steps and waits there; from where the detector joins it takes four more.
-    let config = || MarkConfig { classify_until: 0.9, budget_ramp: 0.1, ..config(80) };
+    let config = || Recipe { classify_until: 0.9, budget_ramp: 0.1, ..config(80) };
     let whole = bytes(trained(config()));
     let mut first = start(config());
     let mut then = None;
@@ -81,7 +84,7 @@ fn a_run_interrupted_while_a_late_joined_budget_tightens_ends_in_the_same_bytes(
 fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
     // With so many steps all of six seeds pass (29 or 30 right).
     let (marked, detector) =
-        trained(MarkConfig { budget_db: 36.0, classify_until: 0.3, closer_look: 0.9, ..config(1200) });
+        trained(Recipe { budget_db: 36.0, classify_until: 0.3, center_crop_confidence: 0.9, ..config(1200) });
     let (mut right, mut asked) = (0, 0);
     for camera in cameras() {
         let appearance = field().canonical_appearance().clone();
@@ -114,9 +117,13 @@ fn with_setting(detector: &Detector, key: &str, (was, value): (&str, &str)) -> D
 
 /// Marks that are faded until the whole tells them less surely than asked for are named by their middle or not at all.
 fn who_is_named_less_surely_than_has_to_be_is_not_named(marked: &MarkedField, detector: &Detector) {
-    let sure = with_setting(detector, "least_sure", ("0.0", "0.9"));
+    let sure = with_setting(detector, "min_confidence", ("0.0", "0.9"));
     // Where there is no closer look, whoever is likeliest is named.
-    let alone = with_setting(&with_setting(detector, "closer_look", ("0.9", "1.0")), "least_sure", ("0.0", "0.9"));
+    let alone = with_setting(
+        &with_setting(detector, "center_crop_confidence", ("0.9", "1.0")),
+        "min_confidence",
+        ("0.0", "0.9"),
+    );
     let appearance = field().canonical_appearance().clone();
     let (mut unnamed, mut by_middle, mut named) = (0, 0, 0);
     for camera in cameras() {
@@ -128,13 +135,13 @@ fn who_is_named_less_surely_than_has_to_be_is_not_named(marked: &MarkedField, de
             let mut faded = without.clone();
             faded.rgb_mut().iter_mut().zip(with.rgb()).for_each(|(v, with)| *v += left * (with - *v));
             let [any, alone, sure] = [detector, &alone, &sure].map(|detector| detector.detect(&faded).unwrap());
-            assert!(alone.identity == any.identity || any.is_closer, "{alone:?}");
+            assert!(alone.identity == any.identity || any.is_center_crop, "{alone:?}");
             let Some(class) = alone.identity else { continue };
             let odds = alone.probabilities[class as usize];
             if odds >= 0.9 {
-                assert_eq!((sure.identity, sure.is_closer), (Some(class), false));
+                assert_eq!((sure.identity, sure.is_center_crop), (Some(class), false));
                 named += 1;
-            } else if sure.is_closer {
+            } else if sure.is_center_crop {
                 assert_eq!(sure.identity, Some(class), "{odds} as a whole: {sure:?}");
                 assert!(sure.probabilities[class as usize] >= 0.9, "{sure:?}");
                 by_middle += 1;
@@ -164,7 +171,7 @@ fn closer_looks_tell_marks_amid_much_that_bears_none(marked: &MarkedField, detec
         picture
     };
     // The same detector as it would be that looks at the whole alone.
-    let whole = with_setting(detector, "closer_look", ("0.9", "1.0"));
+    let whole = with_setting(detector, "center_crop_confidence", ("0.9", "1.0"));
 
     let (mut closer, mut by_whole, mut silent, mut asked) = (0, 0, 0, 0);
     let appearance = field().canonical_appearance().clone();
@@ -173,12 +180,12 @@ fn closer_looks_tell_marks_amid_much_that_bears_none(marked: &MarkedField, detec
         let [with, without] =
             [marked.render(&camera, &appearance), field().render(&camera, &appearance)].map(|p| amid(&p));
         let found = detector.detect(&with).unwrap();
-        assert!(!found.is_closer || found.probabilities[found.identity.unwrap() as usize] >= 0.9, "{found:?}");
-        closer += usize::from(found.is_closer && found.identity == Some(identity));
+        assert!(!found.is_center_crop || found.probabilities[found.identity.unwrap() as usize] >= 0.9, "{found:?}");
+        closer += usize::from(found.is_center_crop && found.identity == Some(identity));
         let alone = whole.detect(&with).unwrap();
-        assert!(!alone.is_closer, "the whole alone");
-        assert!(!found.is_closer || alone.identity.is_none(), "what the whole tells is not asked again");
-        assert!(!detector.detect_forced(&with, 0).unwrap().is_closer, "who is told the class looks at the whole");
+        assert!(!alone.is_center_crop, "the whole alone");
+        assert!(!found.is_center_crop || alone.identity.is_none(), "what the whole tells is not asked again");
+        assert!(!detector.detect_forced(&with, 0).unwrap().is_center_crop, "who is told the class looks at the whole");
         by_whole += usize::from(alone.identity == Some(identity));
         silent += usize::from(detector.detect(&without).unwrap().identity.is_none());
         asked += 1;
@@ -191,7 +198,7 @@ fn closer_looks_tell_marks_amid_much_that_bears_none(marked: &MarkedField, detec
 fn six_owners_are_told_apart_since_each_is_seen_in_every_step() {
     // Three a step learn nothing in so few steps; this way all of five seeds pass (23 or 24 right).
     let plan = plan_of(&field(), 6, photograph);
-    let config = MarkConfig { budget_db: 32.0, budget_start_db: 26.0, classify_until: 0.3, ..config(350) };
+    let config = Recipe { budget_db: 32.0, budget_start_db: 26.0, classify_until: 0.3, ..config(350) };
     let mut trainer = MarkTrainer::new(field(), plan, config, 7, &mut |_, _| true).unwrap();
     run(&mut trainer);
     let (marked, detector) = trainer.finish().unwrap();
@@ -211,7 +218,7 @@ fn six_owners_are_told_apart_since_each_is_seen_in_every_step() {
 #[test]
 fn training_ends_after_two_good_judgements_in_a_row_across_a_stop() {
     const EACH: u64 = 25;
-    let easy = || MarkConfig {
+    let easy = || Recipe {
         budget_db: 30.0,
         budget_start_db: 26.0,
         budget_ramp: 0.1,
@@ -247,9 +254,9 @@ fn training_ends_after_two_good_judgements_in_a_row_across_a_stop() {
 
 #[test]
 fn what_looks_unlike_any_marked_render_is_doubted_and_marked_renders_are_not() {
-    let config = MarkConfig { budget_db: 36.0, classify_until: 0.3, ..config(400) };
+    let config = Recipe { budget_db: 36.0, classify_until: 0.3, ..config(400) };
     let (marked, doubting) = trained(config.clone());
-    let (_, believing) = trained(MarkConfig { unfamiliar_beyond: 0.0, ..config });
+    let (_, believing) = trained(Recipe { max_feature_distance: 0.0, ..config });
     let owned = |detector: &Detector, picture: &Picture| 1.0 - detector.detect(picture).unwrap().probabilities[0];
     let appearance = field().canonical_appearance().clone();
     let (mut renders, mut strange) = ([0.0; 2], [0.0; 2]);
@@ -272,7 +279,7 @@ fn files_come_back_as_they_were_written() {
     for (carrier, mask) in
         [(CarrierKind::PerCluster, MaskKind::Binary), (CarrierKind::Harmonics, MaskKind::PerCoefficientGroup)]
     {
-        let (marked, detector) = trained(MarkConfig { carrier, mask, ..config(3) });
+        let (marked, detector) = trained(Recipe { carrier, mask, ..config(3) });
         let again = MarkedField::from_bytes(&marked.to_bytes().unwrap()).unwrap();
         assert!(again.to_bytes().unwrap() == marked.to_bytes().unwrap());
         // Where its base is in memory already it is shared; another one is not taken for it.
@@ -306,7 +313,7 @@ fn files_come_back_as_they_were_written() {
 
 #[test]
 fn a_training_that_learnt_nothing_says_so() {
-    let mut trainer = start(MarkConfig { classify_until: 0.001, ..config(3) });
+    let mut trainer = start(Recipe { classify_until: 0.001, ..config(3) });
     run(&mut trainer);
     let error = trainer.finish().err().unwrap();
     assert!(matches!(error, MarkError::NotLearnt { steps: 3, classify, until: 0.001 } if classify > 0.1), "{error}");

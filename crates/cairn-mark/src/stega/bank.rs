@@ -7,7 +7,7 @@ use crate::progress::Progress;
 use crate::stega::draws::Draws;
 use crate::stega::negatives::{Negatives, shrunk};
 use crate::stega::poses::{PlannedView, at_most, covering, evenly, virtual_views};
-use crate::stega::recipe::{CarrierKind, DensityKind, MarkConfig};
+use crate::stega::recipe::{CarrierKind, DensityKind, Recipe};
 use crate::stega::site::MarkScene;
 use crate::stega::stream::{Fresh, Stream};
 use crate::stega::trainer::MarkPlan;
@@ -28,13 +28,13 @@ pub(crate) const JUDGED: usize = 3;
 const TEACH_PER_JUDGED: usize = 8;
 /// Times as many poses are trained on where those of the only cluster look far apart; of several, each has
 /// its part, so that ray weights of many clusters still fit.
-const MOST_TIMES: usize = 3;
+const MAX_TIMES: usize = 3;
 /// Each photograph is an unmarked picture as it is, and as a JPEG of one of these.
 const QUALITIES: [u8; 4] = [50, 75, 30, 90];
 /// A view is settled when its cross-entropy is below this share of `classify_until`.
 const SETTLED: f64 = 0.2;
 /// Most rays across a pixel.
-const MOST_RAYS: usize = 3;
+const MAX_RAYS: usize = 3;
 
 /// A view to train on.
 pub(crate) struct BankView {
@@ -87,7 +87,7 @@ pub(crate) struct Chosen {
 
 impl Chosen {
     /// Everything drawn follows from `seed`.
-    pub(crate) fn draw(plan: &MarkPlan, config: &MarkConfig, seed: u64) -> Result<Self, MarkError> {
+    pub(crate) fn draw(plan: &MarkPlan, config: &Recipe, seed: u64) -> Result<Self, MarkError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let shrink = |v: &PlannedView| PlannedView {
             camera: at_most(&v.camera, config.longest_side_px),
@@ -95,7 +95,7 @@ impl Chosen {
         };
         let small: Vec<PlannedView> = plan.views.iter().map(shrink).collect();
         let identity_of = |v: &PlannedView| plan.clusters.identity_of(&v.camera.pose).identity;
-        let most = config.views.max(MOST_TIMES * config.views / plan.clusters.clusters.len().max(1));
+        let most = config.views.max(MAX_TIMES * config.views / plan.clusters.clusters.len().max(1));
         let (mut of, mut stream) = (Vec::new(), Stream::new(seed));
         for cluster in &plan.clusters.clusters {
             let members = small.iter().filter(|v| identity_of(v) == Some(cluster.identity)).cloned().collect();
@@ -142,10 +142,10 @@ impl Chosen {
 /// Rays across a pixel of the small views that training looks at. What people have are
 /// pictures of the views' own size, made smaller for the networks: detail that one ray a
 /// small pixel would see at random is averaged away there, and a mark trained on it is lost.
-fn rays_across(plan: &MarkPlan, config: &MarkConfig) -> usize {
+fn rays_across(plan: &MarkPlan, config: &Recipe) -> usize {
     let longest = |v: &PlannedView| v.camera.intrinsics.width.max(v.camera.intrinsics.height);
     let own = plan.views.iter().map(longest).max().unwrap_or(1);
-    (own as f64 / config.longest_side_px as f64).ceil().clamp(1.0, MOST_RAYS as f64) as usize
+    (own as f64 / config.longest_side_px as f64).ceil().clamp(1.0, MAX_RAYS as f64) as usize
 }
 
 /// Every fifth unmarked picture judges and does not teach, up to `most` that judge.
@@ -163,7 +163,7 @@ struct Rays {
 }
 
 impl Rays {
-    fn new(scene: &MarkScene, config: &MarkConfig) -> Self {
+    fn new(scene: &MarkScene, config: &Recipe) -> Self {
         let (across, free) = (rays_across(&scene.plan, config), config.density == DensityKind::Free);
         Self { field: scene.field.clone(), across, free }
     }
@@ -184,7 +184,7 @@ pub(crate) struct Prepare<'a> {
 
 impl<'a> Prepare<'a> {
     /// For `scene`; `progress` goes through the views of all scenes.
-    pub(crate) fn new(scene: &MarkScene, config: &MarkConfig, progress: Progress<'a>) -> Self {
+    pub(crate) fn new(scene: &MarkScene, config: &Recipe, progress: Progress<'a>) -> Self {
         Self { rays: Rays::new(scene, config), progress }
     }
 
@@ -203,7 +203,7 @@ impl Bank {
     pub(crate) fn new(
         plan: &MarkPlan,
         chosen: Chosen,
-        config: &MarkConfig,
+        config: &Recipe,
         prepare: &mut Prepare<'_>,
     ) -> Result<Self, MarkError> {
         let side = config.shown_px();
@@ -240,7 +240,7 @@ impl Bank {
         }
         let settled = (config.classify_until * SETTLED) as f32;
         Ok(Self {
-            draws: Draws::new(views.len(), settled, config.settled_share),
+            draws: Draws::new(views.len(), settled, config.easy_view_share),
             views,
             of,
             outside,
@@ -255,7 +255,7 @@ impl Bank {
     }
 
     /// Puts the `k`-th fresh view of a training in its place: `ready`, where it was worked out before.
-    pub(crate) fn renew(&mut self, scene: &MarkScene, config: &MarkConfig, (k, ready): (u64, Option<BankView>)) {
+    pub(crate) fn renew(&mut self, scene: &MarkScene, config: &Recipe, (k, ready): (u64, Option<BankView>)) {
         if let Some(Fresh { identity, place, view }) = self.stream.fresh(&scene.plan.clusters, k) {
             let at = self.of[identity][place];
             self.views[at] = ready.unwrap_or_else(|| Rays::new(scene, config).view(view, CUTOFF));
@@ -267,7 +267,7 @@ impl Bank {
     pub(crate) fn fresh(
         &self,
         scene: &MarkScene,
-        config: &MarkConfig,
+        config: &Recipe,
         k: u64,
     ) -> Option<impl FnOnce() -> BankView + Send + 'static + use<>> {
         let Fresh { view, .. } = self.stream.fresh(&scene.plan.clusters, k)?;

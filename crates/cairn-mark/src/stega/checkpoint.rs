@@ -6,7 +6,7 @@ use crate::marked::{read_format, read_header, stored};
 use crate::stega::carrier::Carrier;
 use crate::stega::growth::Restarted;
 use crate::stega::judge::{Judgement, Recovered, State, Weakest};
-use crate::stega::recipe::MarkConfig;
+use crate::stega::recipe::Recipe;
 use crate::stega::site::MarkScene;
 use crate::stega::trainer::{MarkPlan, MarkTrainer};
 use cairn_field::Field;
@@ -22,7 +22,7 @@ const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/7";
 #[derive(Serialize, Deserialize)]
 struct Header {
     format: String,
-    config: MarkConfig,
+    config: Recipe,
     seed: u64,
     step: u64,
     /// Bits of how far from read marks are, the running mean: infinity has no place in JSON.
@@ -36,7 +36,7 @@ struct Header {
     carrier_steps: Vec<u64>,
     /// What each scene has to itself; none where they have the same, and in checkpoints of before they could have.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    of_scenes: Vec<MarkConfig>,
+    of_scenes: Vec<Recipe>,
     /// Carriers that stay as they are; none in checkpoints of before there were any.
     #[serde(default)]
     settled: Vec<bool>,

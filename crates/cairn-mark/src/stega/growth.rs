@@ -10,7 +10,7 @@ use crate::detect::blind::heads::{AUDIO, TEXT};
 use crate::error::MarkError;
 use crate::payload::HeadSizes;
 use crate::stega::carrier::{Carrier, hue_of, hues};
-use crate::stega::recipe::{CarrierKind, MarkConfig};
+use crate::stega::recipe::{CarrierKind, Recipe};
 use crate::stega::site::MarkScene;
 use crate::stega::trainer::MarkTrainer;
 use cairn_field::operator::MarkableField;
@@ -96,7 +96,7 @@ impl MarkTrainer {
     pub fn growing(
         scenes: Vec<MarkScene>,
         earlier: &Earlier<'_>,
-        mut config: MarkConfig,
+        mut config: Recipe,
         seed: u64,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
@@ -124,7 +124,7 @@ impl MarkTrainer {
 }
 
 impl Earlier<'_> {
-    fn check(&self, scenes: &[MarkScene], config: &MarkConfig) -> Result<(), MarkError> {
+    fn check(&self, scenes: &[MarkScene], config: &Recipe) -> Result<(), MarkError> {
         let refuse = |why: String| Err(MarkError::Plan(format!("{why}; train from the start instead")));
         if config.carrier != CarrierKind::PerCluster {
             return refuse("`mark.carrier` is not per_cluster, so that marks have no carrier each to keep".into());

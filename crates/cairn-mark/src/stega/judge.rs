@@ -8,7 +8,7 @@ use crate::error::MarkError;
 use crate::payload::Numbers;
 use crate::stega::bank::BankView;
 use crate::stega::carrier::Carrier;
-use crate::stega::recipe::MarkConfig;
+use crate::stega::recipe::Recipe;
 use crate::stega::site::Site;
 use crate::stega::trainer::MarkTrainer;
 use crate::stega::window::Window;
@@ -101,7 +101,7 @@ impl Recovered {
     }
 
     /// Whether each is good enough to end training.
-    fn is_enough(&self, config: &MarkConfig) -> bool {
+    fn is_enough(&self, config: &Recipe) -> bool {
         self.picture_ssim.is_none_or(|ssim| ssim >= config.enough_ssim)
             && self.audio_snr_db.is_none_or(|db| db >= config.enough_snr_db)
             && self.text_characters.is_none_or(|share| share >= config.enough_characters)

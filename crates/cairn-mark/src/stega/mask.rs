@@ -30,7 +30,7 @@ pub fn gradient_mask(
             all_or_nothing(&field.row_magnitudes(), share).into_iter().flat_map(|m| [m; 3]).collect()
         }
         (MaskKind::Binary, CarrierBasis::Harmonics) => all_or_nothing(&field.coefficient_magnitudes(), share),
-        // One coefficient a channel is one group, and nothing to be told apart by: `MarkConfig::validate` refuses it.
+        // One coefficient a channel is one group, and nothing to be told apart by: `Recipe::validate` refuses it.
         (MaskKind::None, _) | (MaskKind::PerCoefficientGroup, CarrierBasis::Constant) => {
             vec![1.0; field.rows() * width]
         }

@@ -13,7 +13,7 @@ use crate::stega::trainer::MarkTrainer;
 use candle_core::Tensor;
 
 /// As much as a step makes a mark stronger, at most: a view that hardly shows it says little of the others.
-const MOST_STRONGER: f64 = 1.1;
+const MAX_STRONGER: f64 = 1.1;
 
 /// A checked step that may be taken.
 pub(crate) struct Owed {
@@ -106,7 +106,7 @@ impl MarkTrainer {
         if !self.config.budget || worst == 0.0 {
             return Ok(1.0);
         }
-        let factor = (allowed / worst).sqrt().min(MOST_STRONGER) as f32;
+        let factor = (allowed / worst).sqrt().min(MAX_STRONGER) as f32;
         self.finite(f64::from(factor), "a carrier's scale")?;
         Ok(factor)
     }

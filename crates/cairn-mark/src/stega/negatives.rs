@@ -4,7 +4,7 @@
 
 use crate::attack::Blur;
 use crate::stega::grain::Grain;
-use crate::stega::recipe::{MarkConfig, OthersColours};
+use crate::stega::recipe::{OtherColours, Recipe};
 use cairn_scene::{AreaFilter, Picture};
 use rand::RngExt;
 use rand::seq::SliceRandom;
@@ -23,7 +23,7 @@ const AS_IT_IS: f64 = 0.4;
 pub(crate) struct Negatives {
     side: usize,
     /// What their colours become.
-    colours: OthersColours,
+    colours: OtherColours,
     /// How often one of them is made into an object before nothing, 0 to 1.
     before_nothing: f64,
     /// Each as it is, and as it is read from a JPEG; `side x side x 3`.
@@ -32,11 +32,11 @@ pub(crate) struct Negatives {
 
 impl Negatives {
     /// A bank of `pictures` of `side` pixels each way, of which those of something else are made as `config` says.
-    pub(crate) fn new(side: usize, config: &MarkConfig, pictures: impl Iterator<Item = [Vec<f32>; 2]>) -> Self {
+    pub(crate) fn new(side: usize, config: &Recipe, pictures: impl Iterator<Item = [Vec<f32>; 2]>) -> Self {
         Self {
             side,
             colours: config.others_colours,
-            before_nothing: config.others_before_nothing,
+            before_nothing: config.others_cutout_share,
             pictures: pictures.collect(),
         }
     }
@@ -82,8 +82,8 @@ impl Negatives {
             self.fringe(&mut picture, rng);
         }
         match self.colours {
-            OthersColours::Near => recoloured(&mut picture, rng),
-            OthersColours::Any => {
+            OtherColours::Near => recoloured(&mut picture, rng),
+            OtherColours::Any => {
                 recast(&mut picture, rng);
                 if rng.random_range(0..2) == 0 {
                     self.grain(&mut picture, rng);
@@ -246,8 +246,8 @@ mod tests {
     use rand::SeedableRng;
     use std::collections::BTreeMap;
 
-    fn of(others_colours: OthersColours) -> MarkConfig {
-        MarkConfig { others_colours, ..MarkConfig::default() }
+    fn of(others_colours: OtherColours) -> Recipe {
+        Recipe { others_colours, ..Recipe::default() }
     }
 
     #[test]
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn grain_is_faint_and_not_grey() {
-        let bank = Negatives::new(32, &of(OthersColours::Any), std::iter::empty());
+        let bank = Negatives::new(32, &of(OtherColours::Any), std::iter::empty());
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         for _ in 0..40 {
             let mut picture = vec![0.5; 32 * 32 * 3];
@@ -323,7 +323,7 @@ mod tests {
     #[test]
     fn a_fringe_moves_one_channel_and_leaves_the_others() {
         let ramp: Vec<f32> = (0..16 * 16).flat_map(|i| [(i % 16) as f32 / 16.0; 3]).collect();
-        let bank = Negatives::new(16, &of(OthersColours::Near), std::iter::empty());
+        let bank = Negatives::new(16, &of(OtherColours::Near), std::iter::empty());
         let mut rng = ChaCha8Rng::seed_from_u64(9);
         for _ in 0..20 {
             let mut moved = ramp.clone();
@@ -339,7 +339,7 @@ mod tests {
     fn objects_before_nothing_are_photographs_within_one_outline_and_flat_beyond() {
         // No colour of the picture comes twice, and none is what "nothing" may be.
         let photograph: Vec<f32> = (0..32 * 32).flat_map(|i| [0.2 + 0.5 * i as f32 / 1024.0, 0.31, 0.47]).collect();
-        let bank = Negatives::new(32, &of(OthersColours::Near), std::iter::empty());
+        let bank = Negatives::new(32, &of(OtherColours::Near), std::iter::empty());
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let (mut white, mut black, mut kept_all) = (0, 0, 0.0);
         for _ in 0..200 {
@@ -367,7 +367,7 @@ mod tests {
     fn objects_stand_before_nothing_as_often_as_asked_for() {
         let striped: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
         let drawn = |share: f64| {
-            let config = MarkConfig { others_before_nothing: share, ..of(OthersColours::Near) };
+            let config = Recipe { others_cutout_share: share, ..of(OtherColours::Near) };
             let bank = Negatives::new(16, &config, std::iter::once([striped.clone(), striped.clone()]));
             (0..300).map(|seed| bank.draw(false, &mut ChaCha8Rng::seed_from_u64(seed))).collect::<Vec<Vec<f32>>>()
         };
@@ -383,7 +383,7 @@ mod tests {
         // Trainings that began before there were any go on as they would have.
         let striped: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
         let drawn = |share: f64| {
-            let config = MarkConfig { others_before_nothing: share, ..of(OthersColours::Near) };
+            let config = Recipe { others_cutout_share: share, ..of(OtherColours::Near) };
             let bank = Negatives::new(16, &config, std::iter::once([striped.clone(), striped.clone()]));
             let mut rng = ChaCha8Rng::seed_from_u64(11);
             (0..40).for_each(|_| drop(bank.draw(false, &mut rng)));
@@ -396,7 +396,7 @@ mod tests {
     #[test]
     fn what_is_drawn_differs_and_is_a_picture() {
         let half: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
-        let bank = Negatives::new(16, &of(OthersColours::Near), std::iter::once([half.clone(), half]));
+        let bank = Negatives::new(16, &of(OtherColours::Near), std::iter::once([half.clone(), half]));
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let drawn: Vec<Vec<f32>> = (0..40).map(|_| bank.draw(true, &mut rng)).collect();
         assert!(drawn.iter().all(|p| p.len() == 16 * 16 * 3 && p.iter().all(|v| (0.0..=1.0).contains(v))));
@@ -407,14 +407,14 @@ mod tests {
     #[test]
     fn what_is_grey_gets_colour_where_colours_may_be_any() {
         let grey: Vec<f32> = (0..16 * 16).flat_map(|i| [(i % 16) as f32 / 16.0; 3]).collect();
-        let coloured = |colours: OthersColours| {
+        let coloured = |colours: OtherColours| {
             let bank = Negatives::new(16, &of(colours), std::iter::once([grey.clone(), grey.clone()]));
             let mut rng = ChaCha8Rng::seed_from_u64(5);
             let has_colour = |picture: &Vec<f32>| picture.chunks_exact(3).any(|p| (p[0] - p[1]).abs() > 0.01);
             (0..300).filter(|_| has_colour(&bank.draw(false, &mut rng))).count()
         };
         // Plain noise, one in twelve, and moved channels, one in three of those that are not shown as they are.
-        let [near, any] = [OthersColours::Near, OthersColours::Any].map(coloured);
+        let [near, any] = [OtherColours::Near, OtherColours::Any].map(coloured);
         assert!((50..110).contains(&near), "{near} of 300");
         assert!((130..200).contains(&any), "{any} of 300");
     }
@@ -422,7 +422,7 @@ mod tests {
     #[test]
     fn jpegs_are_drawn_when_asked_for_and_never_else() {
         let [plain, jpeg] = [0.2, 0.9].map(|v| vec![v; 16 * 16 * 3]);
-        let bank = Negatives::new(16, &of(OthersColours::Near), std::iter::once([plain.clone(), jpeg.clone()]));
+        let bank = Negatives::new(16, &of(OtherColours::Near), std::iter::once([plain.clone(), jpeg.clone()]));
         let drawn = |jpegs: bool| {
             let mut rng = ChaCha8Rng::seed_from_u64(4);
             let all: Vec<Vec<f32>> = (0..400).map(|_| bank.draw(jpegs, &mut rng)).collect();

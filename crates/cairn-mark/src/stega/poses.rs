@@ -29,7 +29,7 @@ pub fn between(a: &Pose, b: &Pose, share: f64) -> Option<Pose> {
 const NEAREST: usize = 12;
 /// And with none that looks further away than this, radians: half-way to one from the other side lies inside what was
 /// photographed.
-const MOST_APART: f64 = std::f64::consts::FRAC_PI_3;
+const MAX_APART: f64 = std::f64::consts::FRAC_PI_3;
 /// How far beyond either view a mixture may lie, as a share of the way between them.
 const BEYOND: f64 = 0.25;
 /// Of so many mixtures the one is taken that looks furthest away from all photographs: marks are missed from where nobody
@@ -66,7 +66,7 @@ fn mixture(clusters: &Clusters, identity: u32, members: &[PlannedView], rng: &mu
         let a = &members[rng.random_range(0..members.len())];
         let b = near(clusters, a, members, rng.random_range(0..NEAREST.min(members.len())));
         let (share, tint) = (rng.random_range(-BEYOND..1.0 + BEYOND), rng.random_range(0.0f32..1.0));
-        let pose = between(&a.camera.pose, &b.camera.pose, share).filter(|_| apart(a, b) <= MOST_APART)?;
+        let pose = between(&a.camera.pose, &b.camera.pose, share).filter(|_| apart(a, b) <= MAX_APART)?;
         let camera = Camera { intrinsics: a.camera.intrinsics, pose };
         let own = clusters.identity_of(&pose).identity == Some(identity);
         own.then(|| PlannedView { camera, appearance: a.appearance.mixed(&b.appearance, tint) })

@@ -2,7 +2,7 @@
 
 use crate::attack::RobustConfig;
 use crate::error::MarkError;
-use cairn_nn::{AudioConfig, ClassifierConfig, TextConfig, UNetConfig};
+use cairn_nn::{AudioConfig, ClassifierConfig, Memory, TextConfig, UNetConfig};
 use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
 
@@ -52,7 +52,7 @@ pub enum MaskKind {
 /// What the colours of pictures of something else are like, among a training's unmarked pictures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum OthersColours {
+pub enum OtherColours {
     /// Mixed and exchanged by turns, near those of the scene's photographs; grey stays grey.
     #[default]
     Near,
@@ -67,9 +67,9 @@ pub enum OthersColours {
 pub enum Guidance {
     /// Its answer is told to the detector (classifier-guided recovery, the paper's).
     #[default]
-    Told,
+    Guided,
     /// It is trained, and the detector is told nothing.
-    Untold,
+    Unguided,
     /// It is not trained either, and its answers mean nothing: the paper's ablation
     /// without a classifier.
     NoClassifier,
@@ -87,12 +87,12 @@ pub enum LossKind {
 }
 
 /// Faintest marks: 8 bits round them away long before.
-const MOST_BUDGET_DB: f64 = 80.0;
+const MAX_BUDGET_DB: f64 = 80.0;
 
 /// Settings of stage 2.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct MarkConfig {
+pub struct Recipe {
     /// Optimiser steps at most, 1 to 1,000,000; training ends earlier once
     /// recovery on virtual poses has converged.
     pub steps: u64,
@@ -131,7 +131,7 @@ pub struct MarkConfig {
     /// alpha, the mask's exponent, 0 to 10.
     pub mask_alpha: f64,
     /// The mask's smallest value, 0 to 1: nothing is locked altogether.
-    pub mask_least: f64,
+    pub min_mask: f64,
     /// Share of the weights that a binary mask locks, 0 to 1.
     pub mask_share: f64,
     /// What the classifier is to the detector.
@@ -143,8 +143,8 @@ pub struct MarkConfig {
     /// How close theta's renders are to theta_0's, PSNR in dB, 20 to 80: that of a step's which strays furthest.
     pub budget_db: f64,
     /// What marks may cost photographs, dB of PSNR, 0 to 10: the budget is raised until they cost no more where the base field
-    /// explains its photographs well ([`MarkConfig::affording`]). 0 leaves it as it is.
-    pub most_cost_db: f64,
+    /// explains its photographs well ([`Recipe::affording`]). 0 leaves it as it is.
+    pub max_cost_db: f64,
     /// Where the budget starts, PSNR in dB, 20 to `budget_db`: strong marks are
     /// found at once and can then be made fainter. With or without a budget, the
     /// first pattern's amplitude.
@@ -176,13 +176,13 @@ pub struct MarkConfig {
     pub views_apart_deg: f64,
     /// How often a view comes up whose mark is read with ease, as a share of how often others
     /// do, 0.01 to 1; 1: all alike.
-    pub settled_share: f64,
+    pub easy_view_share: f64,
     /// Poses between each cluster's photographs and a little beyond, rather where these look far apart, to train on as
     /// well, 0 to 256; where more than `views` photographs' poses are, as many as those.
     pub virtual_views: usize,
     /// Every so many steps a virtual view of each scene gives its place to a fresh one, identities in turn, 0 (never)
     /// to 1,000,000.
-    pub fresh_every: u64,
+    pub view_refresh_steps: u64,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
     /// Training ends when twice in a row all held-out virtual poses are answered right (where marks are to last, nearly all
@@ -195,23 +195,23 @@ pub struct MarkConfig {
     pub enough_characters: f64,
     /// An owner is no longer believed of pictures that lie this many times as far from the
     /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
-    pub unfamiliar_beyond: f64,
+    pub max_feature_distance: f64,
     /// An owner is named of a picture as a whole with this probability at least, 0 (whoever is likelier than each other and than nobody)
-    /// to `closer_look`; else where its middle tells the same owner, and otherwise it is unmarked. Nothing where there is no closer look.
-    pub least_sure: f64,
+    /// to `center_crop_confidence`; else where its middle tells the same owner, and otherwise it is unmarked. Nothing where there is no closer look.
+    pub min_confidence: f64,
     /// A picture that is told to be unmarked is looked at more closely: an owner is named whom its middle (three quarters
     /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never. Nothing without a classifier, or where
-    /// nothing is doubted ([`MarkConfig::unfamiliar_beyond`] 0).
-    pub closer_look: f64,
+    /// nothing is doubted ([`Recipe::max_feature_distance`] 0).
+    pub center_crop_confidence: f64,
     /// Among a step's unmarked pictures of anything (not the marked renders' twins) how many are of something else for each
     /// render of the base field, 0 (none) to 16.
     pub others: u32,
     /// What their colours are like.
-    pub others_colours: OthersColours,
+    pub others_colours: OtherColours,
     /// Share of the pictures of something else, but for noise and those shown as they are, that become objects before nothing, all but a blob of them in
     /// one flat colour, 0 (none) to 1.
-    pub others_before_nothing: f64,
-    /// Share of the pictures that are shown with noise of 1 to 6 levels of 255 (RMS, at [`MarkConfig::shown_px`]), a marked render and
+    pub others_cutout_share: f64,
+    /// Share of the pictures that are shown with noise of 1 to 6 levels of 255 (RMS, at [`Recipe::shown_px`]), a marked render and
     /// its twin with the same, once marks are read, 0 to 0.9: noise is no mark. Nothing where there is no classifier.
     pub noisy_share: f64,
     /// What marks are trained to outlast.
@@ -233,7 +233,7 @@ pub struct MarkConfig {
 }
 
 /// What was stored before a setting was there goes on as it began: what kinds of scenes have on since is off here.
-impl Default for MarkConfig {
+impl Default for Recipe {
     fn default() -> Self {
         Self {
             steps: 1400,
@@ -251,12 +251,12 @@ impl Default for MarkConfig {
             density: DensityKind::Frozen,
             mask: MaskKind::PerWeight,
             mask_alpha: 3.0,
-            mask_least: 0.2,
+            min_mask: 0.2,
             mask_share: 0.5,
-            guidance: Guidance::Told,
+            guidance: Guidance::Guided,
             budget: true,
             budget_db: 52.0,
-            most_cost_db: 0.1,
+            max_cost_db: 0.1,
             budget_start_db: 32.0,
             budget_ramp: 0.4,
             pull: 1e-3,
@@ -268,19 +268,19 @@ impl Default for MarkConfig {
             classify_until: 0.3,
             views: 24,
             views_apart_deg: 10.0,
-            settled_share: 0.25,
+            easy_view_share: 0.25,
             virtual_views: 6,
-            fresh_every: 0,
+            view_refresh_steps: 0,
             longest_side_px: 192,
             enough_ssim: 0.985,
             enough_snr_db: 25.0,
             enough_characters: 1.0,
-            unfamiliar_beyond: 1.25,
-            least_sure: 0.0,
-            closer_look: 1.0,
+            max_feature_distance: 1.25,
+            min_confidence: 0.0,
+            center_crop_confidence: 1.0,
             others: 1,
-            others_colours: OthersColours::Near,
-            others_before_nothing: 0.0,
+            others_colours: OtherColours::Near,
+            others_cutout_share: 0.0,
             noisy_share: 0.0,
             robust: RobustConfig::default(),
             finer: 1,
@@ -293,8 +293,98 @@ impl Default for MarkConfig {
     }
 }
 
-impl MarkConfig {
-    /// These settings for marks that cost photographs at most `most_cost_db`, where the base field explains them to
+impl Recipe {
+    /// Stage 2 as the paper (StegaNeRF) has it, as far as it is a switch, with its weights for
+    /// scenes in the wild. Its other weights for l0 to l3: LLFF 0.01, 0.5, 0.5 and 1,
+    /// NeRF-Synthetic 0.1, 1, 1 and 1.
+    ///
+    /// What is no switch stays as Cairn has it:
+    /// - The mask's largest value is 1; the paper's values sum to 1, and over millions of weights
+    ///   no step is left. The quarter of the weights that matters least moves alike: theta_0 is 0
+    ///   for many, and 0^-3 is infinite. The mask weighs updates, since an adaptive optimiser
+    ///   divides it out of gradients.
+    /// - The first pattern is not zero: theta = theta_0 gives the classifier nothing to learn from.
+    /// - Networks of a few layers see views of some two hundred pixels, of 8 bits, whole or cut, in
+    ///   slightly changed light; the paper's are VGG16s on whole pictures.
+    /// - A step shows each identity, and beside each marked render its unmarked pair and another
+    ///   render of theta_0, one in five a JPEG.
+    /// - The state that is kept is the best one on poses between photographs, not the last one.
+    #[must_use]
+    pub fn paper() -> Self {
+        let usual = Self::default();
+        Self {
+            // 55 epochs of a cluster's 20 views, each identity once a step.
+            steps: 1100,
+            batch: 1,
+            // Equation 5 is of one render: a step that shows several takes its mean.
+            loss_per_render: true,
+            weight_classify: 0.05,
+            weight_recover: 1.0,
+            weight_empty: 1.0,
+            weight_picture: 1.0,
+            // Equations 1, 2 and 4 as they stand; the last alone keeps the picture, from the first step.
+            loss: LossKind::Absolute,
+            picture_loss: LossKind::Absolute,
+            budget: false,
+            pull: 0.0,
+            // As near to theta_0 as a first pattern may be; the budget itself counts for nothing.
+            budget_db: 80.0,
+            budget_start_db: 80.0,
+            max_cost_db: 0.0,
+            // All losses from the start: to guess costs ln(M + 1) nats, never 10.
+            classify_until: 10.0,
+            guidance: Guidance::Guided,
+            // One set of harmonics for all identities, moved by every loss.
+            carrier: CarrierKind::Harmonics,
+            // As the authors' code has it; the equations move densities as well, at many times the time.
+            density: DensityKind::Frozen,
+            recover_moves_marks: true,
+            // Each weight by its own magnitude.
+            mask: MaskKind::PerWeight,
+            mask_alpha: 3.0,
+            min_mask: 0.0,
+            // The authors' code: the detector's 1e-3 to 1e-4.
+            learning_rate_networks: 1e-3,
+            final_rate: 0.1,
+            // The last step's networks, not their mean.
+            average: 0.0,
+            // The training photographs' poses, each as often as another, and none between them.
+            views: 100,
+            views_apart_deg: 180.0,
+            easy_view_share: 1.0,
+            virtual_views: 0,
+            view_refresh_steps: 0,
+            // To the last step, however good it is.
+            enough_ssim: 10.0,
+            enough_snr_db: 1000.0,
+            enough_characters: 10.0,
+            // Unmarked pictures are theta_0's renders alone, and the classifier's answer stands.
+            others: 0,
+            others_colours: OtherColours::Near,
+            others_cutout_share: 0.0,
+            noisy_share: 0.0,
+            max_feature_distance: 0.0,
+            min_confidence: 0.0,
+            center_crop_confidence: 1.0,
+            // Classifier and detector see pictures of one size.
+            finer: 1,
+            longest_side_px: 192,
+            robust: RobustConfig { enabled: false, ..usual.robust },
+            // Networks see pictures as they are, and memorise nothing.
+            classifier: ClassifierConfig {
+                channels: vec![16, 32, 64, 64],
+                high_pass_gain: 0.0,
+                textured_only: false,
+                ..usual.classifier
+            },
+            detector: UNetConfig { high_pass_gain: 0.0, memory: Memory::None, gated: false, ..usual.detector },
+            audio: AudioConfig { memory: Memory::None, ..usual.audio },
+            text: TextConfig { memory: Memory::None, ..usual.text },
+            ..usual
+        }
+    }
+
+    /// These settings for marks that cost photographs at most `max_cost_db`, where the base field explains them to
     /// `explained_db` (PSNR, dB).
     ///
     /// What the field leaves of a photograph and a mark know nothing of each other, so that their squares add up: with e the
@@ -302,9 +392,9 @@ impl MarkConfig {
     /// -10 log10(10^(c/10) - 1) dB below the error, 16.3 for 0.1.
     #[must_use]
     pub fn affording(&self, explained_db: f64) -> Self {
-        let below = -10.0 * (10f64.powf(self.most_cost_db / 10.0) - 1.0).log10();
-        let affordable_db = (explained_db + below).min(MOST_BUDGET_DB);
-        let is_raised = self.budget && self.most_cost_db > 0.0 && affordable_db > self.budget_db;
+        let below = -10.0 * (10f64.powf(self.max_cost_db / 10.0) - 1.0).log10();
+        let affordable_db = (explained_db + below).min(MAX_BUDGET_DB);
+        let is_raised = self.budget && self.max_cost_db > 0.0 && affordable_db > self.budget_db;
         Self { budget_db: if is_raised { affordable_db } else { self.budget_db }, ..self.clone() }
     }
 
@@ -315,12 +405,12 @@ impl MarkConfig {
         Self {
             budget_db: own.budget_db,
             budget_start_db: self.budget_start_db.min(own.budget_db),
-            most_cost_db: own.most_cost_db,
+            max_cost_db: own.max_cost_db,
             views: own.views,
             views_apart_deg: own.views_apart_deg,
-            settled_share: own.settled_share,
+            easy_view_share: own.easy_view_share,
             virtual_views: own.virtual_views,
-            fresh_every: own.fresh_every,
+            view_refresh_steps: own.view_refresh_steps,
             // What the networks see is not to be made of less, nor of much more than they do.
             longest_side_px: match own.finer.cmp(&self.finer) {
                 Ordering::Less => own.longest_side_px.max(self.longest_side_px.min(self.shown_px())),
@@ -329,26 +419,26 @@ impl MarkConfig {
             },
             others: own.others,
             others_colours: own.others_colours,
-            others_before_nothing: own.others_before_nothing,
+            others_cutout_share: own.others_cutout_share,
             ..self.clone()
         }
     }
 
     /// Which of several scenes' settings says how their classifier and detector are made: the first of those whose marks are looked
-    /// at most finely ([`MarkConfig::finer`]), since what reads a faint mark reads a stronger one; 0 of none.
+    /// at most finely ([`Recipe::finer`]), since what reads a faint mark reads a stronger one; 0 of none.
     pub fn finest<'a>(of: impl IntoIterator<Item = &'a Self>) -> usize {
         let finer: Vec<usize> = of.into_iter().map(|config| config.finer).collect();
         finer.iter().position(|of| Some(of) == finer.iter().max()).unwrap_or(0)
     }
 
-    /// [`MarkConfig::least_sure`] of a detector that several scenes share: the least of theirs, or marks would be lost; 0 of none.
-    pub fn least_sure_of<'a>(of: impl IntoIterator<Item = &'a Self>) -> f64 {
-        of.into_iter().map(|config| config.least_sure).reduce(f64::min).unwrap_or(0.0)
+    /// [`Recipe::min_confidence`] of a detector that several scenes share: the least of theirs, or marks would be lost; 0 of none.
+    pub fn min_confidence_of<'a>(of: impl IntoIterator<Item = &'a Self>) -> f64 {
+        of.into_iter().map(|config| config.min_confidence).reduce(f64::min).unwrap_or(0.0)
     }
 
     /// How many fresh views have come to a scene after `steps` steps.
     pub(crate) fn fresh_after(&self, steps: u64) -> u64 {
-        steps.checked_div(self.fresh_every).unwrap_or(0)
+        steps.checked_div(self.view_refresh_steps).unwrap_or(0)
     }
 
     /// Checks every range.
@@ -364,7 +454,12 @@ impl MarkConfig {
         check((1..=10_000).contains(&self.views), "mark.views", self.views.to_string(), "1 to 10000")?;
         check(self.virtual_views <= 256, "mark.virtual_views", self.virtual_views.to_string(), "0 to 256")?;
         check(self.others <= 16, "mark.others", self.others.to_string(), "0 (none) to 16")?;
-        check(self.fresh_every <= 1_000_000, "mark.fresh_every", self.fresh_every.to_string(), "0 (never) to 1000000")?;
+        check(
+            self.view_refresh_steps <= 1_000_000,
+            "mark.view_refresh_steps",
+            self.view_refresh_steps.to_string(),
+            "0 (never) to 1000000",
+        )?;
         check(
             (64..=4096).contains(&self.longest_side_px),
             "mark.longest_side_px",
@@ -378,10 +473,10 @@ impl MarkConfig {
             ("mark.weight_empty", self.weight_empty, 0.0, 1e6, "0 to 1000000"),
             ("mark.weight_picture", self.weight_picture, 0.0, 1e6, "0 to 1000000"),
             ("mark.mask_alpha", self.mask_alpha, 0.0, 10.0, "0 to 10"),
-            ("mark.mask_least", self.mask_least, 0.0, 1.0, "0 to 1"),
+            ("mark.min_mask", self.min_mask, 0.0, 1.0, "0 to 1"),
             ("mark.mask_share", self.mask_share, 0.0, 1.0, "0 to 1"),
-            ("mark.budget_db", self.budget_db, 20.0, MOST_BUDGET_DB, "20 to 80"),
-            ("mark.most_cost_db", self.most_cost_db, 0.0, 10.0, "0 to 10"),
+            ("mark.budget_db", self.budget_db, 20.0, MAX_BUDGET_DB, "20 to 80"),
+            ("mark.max_cost_db", self.max_cost_db, 0.0, 10.0, "0 to 10"),
             ("mark.budget_start_db", self.budget_start_db, 20.0, self.budget_db, "20 to mark.budget_db"),
             ("mark.budget_ramp", self.budget_ramp, 0.0, 1.0, "0 to 1"),
             ("mark.pull", self.pull, 0.0, 1.0, "0 to 1"),
@@ -390,11 +485,17 @@ impl MarkConfig {
             ("mark.learning_rate_networks", self.learning_rate_networks, 1e-9, 1.0, "1e-9 to 1"),
             ("mark.final_rate", self.final_rate, 1e-6, 1.0, "1e-6 to 1"),
             ("mark.views_apart_deg", self.views_apart_deg, 0.0, 180.0, "0 to 180"),
-            ("mark.settled_share", self.settled_share, 0.01, 1.0, "0.01 to 1"),
-            ("mark.others_before_nothing", self.others_before_nothing, 0.0, 1.0, "0 to 1"),
+            ("mark.easy_view_share", self.easy_view_share, 0.01, 1.0, "0.01 to 1"),
+            ("mark.others_cutout_share", self.others_cutout_share, 0.0, 1.0, "0 to 1"),
             ("mark.noisy_share", self.noisy_share, 0.0, 0.9, "0 to 0.9"),
-            ("mark.least_sure", self.least_sure, 0.0, self.closer_look, "0 to mark.closer_look"),
-            ("mark.closer_look", self.closer_look, 0.5, 1.0, "0.5 to 1"),
+            (
+                "mark.min_confidence",
+                self.min_confidence,
+                0.0,
+                self.center_crop_confidence,
+                "0 to mark.center_crop_confidence",
+            ),
+            ("mark.center_crop_confidence", self.center_crop_confidence, 0.5, 1.0, "0.5 to 1"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
@@ -404,10 +505,10 @@ impl MarkConfig {
         ] {
             check((low..=high).contains(&value), key, value.to_string(), allowed)?;
         }
-        let beyond = self.unfamiliar_beyond;
+        let beyond = self.max_feature_distance;
         check(
             beyond == 0.0 || (1.0..=100.0).contains(&beyond),
-            "mark.unfamiliar_beyond",
+            "mark.max_feature_distance",
             beyond.to_string(),
             "0 (off) or 1 to 100",
         )?;
@@ -476,11 +577,11 @@ impl MarkConfig {
 
     /// Whether unmarked is silent by the detector's gate: it is as shut as the detector is told that a picture is unmarked.
     pub(crate) fn has_gate(&self) -> bool {
-        self.detector.gated && self.guidance == Guidance::Told
+        self.detector.gated && self.guidance == Guidance::Guided
     }
 
     /// Samples of the longest sound that may be hidden.
-    pub fn most_samples(&self) -> usize {
+    pub fn max_samples(&self) -> usize {
         (self.audio.longest_s * f64::from(self.audio.sample_rate_hz)).ceil() as usize
     }
 

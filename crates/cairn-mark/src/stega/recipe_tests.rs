@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn marks_cost_photographs_no_more_than_they_may() {
-    let config = MarkConfig { budget_db: 42.0, most_cost_db: 0.1, ..MarkConfig::default() };
+    let config = Recipe { budget_db: 42.0, max_cost_db: 0.1, ..Recipe::default() };
     let cost = |explained_db: f64, budget_db: f64| {
         let [error, mark] = [explained_db, budget_db].map(|db| 10f64.powf(-db / 10.0));
         10.0 * ((error + mark) / error).log10()
@@ -18,48 +18,48 @@ fn marks_cost_photographs_no_more_than_they_may() {
     // What costs less already stays as strong as it is.
     assert_eq!(config.affording(22.0), config);
     assert_eq!(config.affording(f64::NEG_INFINITY), config);
-    assert_eq!(config.affording(f64::INFINITY).budget_db, MOST_BUDGET_DB);
-    let free = MarkConfig { most_cost_db: 0.0, ..config.clone() };
+    assert_eq!(config.affording(f64::INFINITY).budget_db, MAX_BUDGET_DB);
+    let free = Recipe { max_cost_db: 0.0, ..config.clone() };
     assert_eq!(free.affording(33.0), free);
-    let unbound = MarkConfig { budget: false, ..config };
+    let unbound = Recipe { budget: false, ..config };
     assert_eq!(unbound.affording(33.0), unbound);
 }
 
 #[test]
 fn of_several_scenes_networks_are_shared_and_marks_are_each_ones_own() {
-    let usual = MarkConfig::default();
-    let forward = MarkConfig {
+    let usual = Recipe::default();
+    let forward = Recipe {
         steps: 99,
         weight_recover: 9.0,
         budget_db: 31.0,
-        most_cost_db: 0.3,
+        max_cost_db: 0.3,
         views: 7,
         views_apart_deg: 8.0,
-        settled_share: 0.9,
+        easy_view_share: 0.9,
         virtual_views: 5,
-        fresh_every: 11,
+        view_refresh_steps: 11,
         longest_side_px: 64,
         others: 3,
-        others_colours: OthersColours::Any,
-        others_before_nothing: 0.5,
+        others_colours: OtherColours::Any,
+        others_cutout_share: 0.5,
         ..usual.clone()
     };
-    let object = MarkConfig { finer: 2, budget_db: 52.5, longest_side_px: 400, steps: 1500, ..usual.clone() };
-    assert_eq!(MarkConfig::finest([&forward, &object, &object]), 1);
-    assert_eq!(MarkConfig::finest([&forward, &forward]), 0);
-    assert_eq!(MarkConfig::finest([]), 0);
-    let sure = MarkConfig { least_sure: 0.8, ..usual.clone() };
-    assert_eq!(MarkConfig::least_sure_of([&sure, &sure]), 0.8);
+    let object = Recipe { finer: 2, budget_db: 52.5, longest_side_px: 400, steps: 1500, ..usual.clone() };
+    assert_eq!(Recipe::finest([&forward, &object, &object]), 1);
+    assert_eq!(Recipe::finest([&forward, &forward]), 0);
+    assert_eq!(Recipe::finest([]), 0);
+    let sure = Recipe { min_confidence: 0.8, ..usual.clone() };
+    assert_eq!(Recipe::min_confidence_of([&sure, &sure]), 0.8);
     for both in [[&sure, &usual], [&usual, &sure]] {
-        assert_eq!(MarkConfig::least_sure_of(both), 0.0, "what one cannot have, in any order");
+        assert_eq!(Recipe::min_confidence_of(both), 0.0, "what one cannot have, in any order");
     }
-    assert_eq!(MarkConfig::least_sure_of([]), 0.0);
+    assert_eq!(Recipe::min_confidence_of([]), 0.0);
     let own = object.for_scene(&forward);
     own.validate().unwrap();
     // Pictures not smaller than the networks are shown, and no budget that starts beyond its end.
     let (finer, steps, weight_recover) = (2, 1500, usual.weight_recover);
     let of_forward =
-        MarkConfig { finer, steps, weight_recover, longest_side_px: 256, budget_start_db: 31.0, ..forward.clone() };
+        Recipe { finer, steps, weight_recover, longest_side_px: 256, budget_start_db: 31.0, ..forward.clone() };
     assert_eq!(own, of_forward);
     for (shared, own) in [(&object, &own), (&object, &object), (&usual, &usual)] {
         assert_eq!(shared.for_scene(own), *own);
@@ -70,12 +70,12 @@ fn of_several_scenes_networks_are_shared_and_marks_are_each_ones_own() {
 
 #[test]
 fn a_mask_by_groups_is_refused_where_there_is_one_group() {
-    let grouped = MarkConfig { mask: MaskKind::PerCoefficientGroup, ..MarkConfig::default() };
+    let grouped = Recipe { mask: MaskKind::PerCoefficientGroup, ..Recipe::default() };
     let error = grouped.validate().unwrap_err();
     assert!(matches!(error, MarkError::Setting { key: "mark.mask", .. }), "{error}");
     let text = error.to_string();
     assert!(text.contains("per_coefficient_group") && text.contains("mark.carrier = \"harmonics\""), "{text}");
     for density in [DensityKind::Frozen, DensityKind::Free] {
-        MarkConfig { carrier: CarrierKind::Harmonics, density, ..grouped.clone() }.validate().unwrap();
+        Recipe { carrier: CarrierKind::Harmonics, density, ..grouped.clone() }.validate().unwrap();
     }
 }

@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 /// too few renders would be those that a mark is judged by, its own cluster's.
 const ONE_IN_STRANGERS: i32 = 3;
 /// What everybody counts who may be shown once more in a step, beside how badly their mark is told, nats.
-const LEAST_TOLD: f32 = 0.01;
+const MIN_TOLD: f32 = 0.01;
 /// Standard deviation of the faintest and of the strongest noise of a noisy picture.
 const NOISY: [f32; 2] = [1.0 / 255.0, 6.0 / 255.0];
 /// Share of it that is of one hue.
@@ -239,9 +239,9 @@ impl Tone {
 fn owners((first, in_turn): (usize, usize), more: usize, told: &[f32], rng: &mut ChaCha8Rng) -> Vec<usize> {
     let mut owners: Vec<usize> = (0..in_turn).map(|k| (first + k) % told.len()).collect();
     for _ in 0..more {
-        let mut left = rng.random_range(0.0..told.iter().map(|nats| nats + LEAST_TOLD).sum());
+        let mut left = rng.random_range(0.0..told.iter().map(|nats| nats + MIN_TOLD).sum());
         let chosen = told.iter().position(|nats| {
-            left -= nats + LEAST_TOLD;
+            left -= nats + MIN_TOLD;
             left < 0.0
         });
         // Rounding may leave a little beyond the last.

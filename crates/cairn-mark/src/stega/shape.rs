@@ -2,7 +2,7 @@
 //! the updates of each.
 
 use crate::stega::mask::{all_or_nothing, from_magnitudes, gradient_mask};
-use crate::stega::recipe::{CarrierKind, DensityKind, MarkConfig, MaskKind};
+use crate::stega::recipe::{CarrierKind, DensityKind, MaskKind, Recipe};
 use cairn_field::marched::CHANGE;
 use cairn_field::operator::{CarrierBasis, MarkableField};
 
@@ -17,7 +17,7 @@ pub enum CarrierShape {
 
 impl CarrierShape {
     /// That of the settings; a free density with carriers of the clusters' own is refused
-    /// by [`MarkConfig::validate`].
+    /// by [`Recipe::validate`].
     pub(crate) fn of(carrier: CarrierKind, density: DensityKind) -> Self {
         match (carrier, density) {
             (_, DensityKind::Free) => Self::Free,
@@ -45,9 +45,9 @@ impl CarrierShape {
 
 /// What weighs the updates of a carrier of `shape`, `rows x width`. Densities have a mask
 /// of their own, by the density where colours have it by the colour's magnitude, in
-/// `[mask_least, 1]` times the ratio of the two learning rates.
-pub(crate) fn carrier_mask(config: &MarkConfig, field: &dyn MarkableField, shape: CarrierShape) -> Vec<f32> {
-    let numbers = (config.mask_alpha, config.mask_least, config.mask_share);
+/// `[min_mask, 1]` times the ratio of the two learning rates.
+pub(crate) fn carrier_mask(config: &Recipe, field: &dyn MarkableField, shape: CarrierShape) -> Vec<f32> {
+    let numbers = (config.mask_alpha, config.min_mask, config.mask_share);
     let basis = match shape {
         CarrierShape::Colours(basis) => basis,
         CarrierShape::Free => CarrierBasis::Harmonics,
@@ -59,7 +59,7 @@ pub(crate) fn carrier_mask(config: &MarkConfig, field: &dyn MarkableField, shape
     let densities = match config.mask {
         // The densities are one group: nothing to be told apart by.
         MaskKind::None | MaskKind::PerCoefficientGroup => vec![1.0; field.rows()],
-        MaskKind::PerWeight => from_magnitudes(&field.densities(), config.mask_alpha, config.mask_least),
+        MaskKind::PerWeight => from_magnitudes(&field.densities(), config.mask_alpha, config.min_mask),
         MaskKind::Binary => all_or_nothing(&field.densities(), config.mask_share),
     };
     let ratio = (config.learning_rate_density / config.learning_rate_carrier) as f32;
@@ -112,9 +112,8 @@ mod tests {
             (MaskKind::PerCoefficientGroup, [2.0; 3]),
             (MaskKind::None, [2.0; 3]),
         ] {
-            let rates =
-                MarkConfig { learning_rate_density: 1e-3, learning_rate_carrier: 5e-4, ..MarkConfig::default() };
-            let config = MarkConfig { mask, mask_least: 0.0, ..rates };
+            let rates = Recipe { learning_rate_density: 1e-3, learning_rate_carrier: 5e-4, ..Recipe::default() };
+            let config = Recipe { mask, min_mask: 0.0, ..rates };
             let all = carrier_mask(&config, &Two, shape);
             assert_eq!(all.len(), 3 * 28, "{mask:?}");
             for (row, density) in all.chunks_exact(28).zip(densities) {

@@ -28,7 +28,7 @@ const FILES: usize = 24;
 /// Views of an owner that no step saw, which are rendered as files as well.
 const FRESH: usize = 24;
 /// The least share of a side that a cut leaves.
-const LEAST_CUT: f32 = 0.6;
+const MIN_CUT: f32 = 0.6;
 
 impl MarkTrainer {
     /// Where each owner's renders lie, as they are and after what happens to pictures; `None` where nobody asks, or
@@ -38,7 +38,7 @@ impl MarkTrainer {
     /// [`MarkError::NotFinite`] for a feature that is not; [`MarkError`] for marks that do not fit their field;
     /// [`MarkError::Stopped`].
     pub(crate) fn familiar(&self, hears: &mut dyn FnMut(usize, usize) -> bool) -> Result<Option<Familiar>, MarkError> {
-        let (beyond, owners) = (self.config.unfamiliar_beyond, self.signals.len());
+        let (beyond, owners) = (self.config.max_feature_distance, self.signals.len());
         if beyond == 0.0 || self.config.guidance == Guidance::NoClassifier {
             return Ok(None);
         }
@@ -85,7 +85,7 @@ impl MarkTrainer {
             let picture = self.as_a_file(site, Some(identity), view, (&attack, harmed), rng);
             let twin = || self.as_a_file(site, None, view, (&attack, harmed), &mut same);
             // A view that came late may not be read yet, and then says nothing of where marks are.
-            let late = site.config.fresh_every > 0 && at % views.len() >= staying;
+            let late = site.config.view_refresh_steps > 0 && at % views.len() >= staying;
             let shown = self.shown((picture, twin), identity, (view, harmed || late))?;
             renders.extend(shown.map(|shown| Shown { harmed, ..shown }));
         }
@@ -151,7 +151,7 @@ impl MarkTrainer {
                     _ => Attack::always(&self.config.robust, rng),
                 };
                 let cut = rng.random_bool(0.5).then(|| Distortion::Crop {
-                    kept: rng.random_range(LEAST_CUT..1.0),
+                    kept: rng.random_range(MIN_CUT..1.0),
                     across: rng.random_range(0.0..1.0),
                     down: rng.random_range(0.0..1.0),
                 });

@@ -6,7 +6,7 @@ use crate::error::MarkError;
 use crate::progress::Progress;
 use crate::stega::bank::{Bank, Chosen, Prepare};
 use crate::stega::carrier::Carrier;
-use crate::stega::recipe::{CarrierKind, MarkConfig};
+use crate::stega::recipe::{CarrierKind, Recipe};
 use crate::stega::shape::{CarrierShape, carrier_mask};
 use crate::stega::trainer::MarkPlan;
 use cairn_field::Field;
@@ -20,9 +20,9 @@ pub struct MarkScene {
     pub field: Arc<Field>,
     /// Whose poses are whose, and what they hide.
     pub plan: MarkPlan,
-    /// Where several scenes share a detector, the scene's own settings, of which [`MarkConfig::for_scene`] takes what it may have to
+    /// Where several scenes share a detector, the scene's own settings, of which [`Recipe::for_scene`] takes what it may have to
     /// itself; none: the training's.
-    pub settings: Option<MarkConfig>,
+    pub settings: Option<Recipe>,
 }
 
 impl MarkScene {
@@ -36,7 +36,7 @@ impl MarkScene {
 pub(crate) struct Site {
     pub(crate) scene: MarkScene,
     /// The training's settings, with those that the scene has to itself.
-    pub(crate) config: MarkConfig,
+    pub(crate) config: Recipe,
     pub(crate) bank: Bank,
     /// How much each coefficient of a carrier may move.
     pub(crate) mask: Vec<f32>,
@@ -55,7 +55,7 @@ impl Site {
     /// than clusters; [`MarkError::Signal`]; [`MarkError::Stopped`].
     pub(crate) fn all(
         scenes: Vec<MarkScene>,
-        config: &MarkConfig,
+        config: &Recipe,
         (seed, step): (u64, u64),
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Vec<Self>, MarkError> {
@@ -88,7 +88,7 @@ impl Site {
     }
 
     /// Its carrier `which` of all scenes' before the first step, with that hue.
-    pub(crate) fn pattern(&self, config: &MarkConfig, seed: u64, (which, hue): (usize, f32)) -> Carrier {
+    pub(crate) fn pattern(&self, config: &Recipe, seed: u64, (which, hue): (usize, f32)) -> Carrier {
         let shape = CarrierShape::of(config.carrier, config.density);
         let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
         Carrier::pattern(self.scene.field.as_ref(), shape, seed, (which, hue), amplitude)
@@ -96,7 +96,7 @@ impl Site {
 
     /// How close to its base field's renders the scene's must be kept where the budget has tightened so far (0 to 1), dB.
     pub(crate) fn budget_db(&self, tightened: f64) -> f64 {
-        let MarkConfig { budget_start_db, budget_db, .. } = self.config;
+        let Recipe { budget_start_db, budget_db, .. } = self.config;
         budget_start_db + (budget_db - budget_start_db) * tightened
     }
 
@@ -107,7 +107,7 @@ impl Site {
 }
 
 /// Refuses signals that are too few, too many, or cannot be hidden.
-fn check_signals(plan: &MarkPlan, config: &MarkConfig) -> Result<(), MarkError> {
+fn check_signals(plan: &MarkPlan, config: &Recipe) -> Result<(), MarkError> {
     let (got, identities) = (plan.signals.len(), plan.clusters.clusters.len());
     if got != identities {
         return Err(MarkError::Plan(format!("{got} signals for {identities} identities; bring one for each")));

@@ -20,7 +20,7 @@ use crate::stega::growth::Restarted;
 use crate::stega::judge::{Judgement, State};
 use crate::stega::losses::Losses;
 use crate::stega::poses::PlannedView;
-use crate::stega::recipe::MarkConfig;
+use crate::stega::recipe::Recipe;
 use crate::stega::renders::Render;
 use crate::stega::site::{MarkScene, Site};
 use cairn_field::Field;
@@ -73,14 +73,14 @@ pub struct MarkStats {
 /// How far the budget tightens at most while the detector waits for marks to be read.
 const UNREAD: f64 = 0.5;
 /// Share of the steps that have to be left where the detector joins.
-const LEAST_LEFT: f64 = 0.02;
+const MIN_LEFT: f64 = 0.02;
 /// Marked renders a step that there are at most for the sake of many identities, as many as `mark.batch` may be: more
 /// of them take turns.
-const MOST_FOR_ALL: usize = 64;
+const MAX_FOR_ALL: usize = 64;
 
 /// Trains a marked field, a detector and a classifier; see the module's text.
 pub struct MarkTrainer {
-    pub(crate) config: MarkConfig,
+    pub(crate) config: Recipe,
     pub(crate) seed: u64,
     pub(crate) step: u64,
     /// Running mean of how far from read marks are (`Losses::unread`), and after which step the detector joined, if it has.
@@ -122,7 +122,7 @@ impl MarkTrainer {
     pub fn new(
         field: Arc<Field>,
         plan: MarkPlan,
-        config: MarkConfig,
+        config: Recipe,
         seed: u64,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
@@ -137,7 +137,7 @@ impl MarkTrainer {
     /// As [`MarkTrainer::new`]; [`MarkError::Plan`] for no scene at all.
     pub fn joint(
         scenes: Vec<MarkScene>,
-        config: MarkConfig,
+        config: Recipe,
         seed: u64,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
@@ -148,7 +148,7 @@ impl MarkTrainer {
     /// As [`MarkTrainer::joint`], with the plans' fingerprint known, and the views that are there after `step` steps.
     pub(crate) fn prepared(
         (scenes, fingerprint): (Vec<MarkScene>, String),
-        config: MarkConfig,
+        config: Recipe,
         (seed, step): (u64, u64),
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Self, MarkError> {
@@ -195,12 +195,12 @@ impl MarkTrainer {
     }
 
     /// The settings it trains by: after a resume those that it was begun with.
-    pub fn config(&self) -> &MarkConfig {
+    pub fn config(&self) -> &Recipe {
         &self.config
     }
 
     /// The settings of scene number `at` (from 0), which there is: the training's, with those that it has to itself.
-    pub fn config_of(&self, at: usize) -> &MarkConfig {
+    pub fn config_of(&self, at: usize) -> &Recipe {
         &self.sites[at].config
     }
 
@@ -263,7 +263,7 @@ impl MarkTrainer {
         self.step += 1;
         // Later, neither the budget nor the detector would have steps enough.
         let left = self.config.steps - self.step;
-        let in_time = left as f64 >= LEAST_LEFT * self.config.steps as f64 || self.step == 1;
+        let in_time = left as f64 >= MIN_LEFT * self.config.steps as f64 || self.step == 1;
         if self.joined.is_none() && in_time && self.unread < self.config.classify_until {
             self.joined = Some(self.step);
         }
@@ -387,12 +387,12 @@ impl MarkTrainer {
         self.in_turn() + if self.sites.len() > 1 { self.config.batch } else { 0 }
     }
 
-    /// Of those, how many go round all identities: one of each that still learns, up to [`MOST_FOR_ALL`].
+    /// Of those, how many go round all identities: one of each that still learns, up to [`MAX_FOR_ALL`].
     pub(crate) fn in_turn(&self) -> usize {
         // One carrier for all settles nobody.
         let settled = self.settled.iter().filter(|is_settled| **is_settled).count();
         let learning = self.signals.len() - settled.min(self.signals.len());
-        self.config.batch.max(learning.min(MOST_FOR_ALL))
+        self.config.batch.max(learning.min(MAX_FOR_ALL))
     }
 
     /// The scene of identity `i` (from 0).
@@ -410,7 +410,7 @@ impl MarkTrainer {
 
 /// How surely marks are read that are `unread` so far, 0 to 1: the cross-entropy's distance below `classify_until`. Without a
 /// classifier there is none to go by, and it is recovery's distance from what a detector that says nothing gets wrong.
-fn ease(config: &MarkConfig, unread: f64) -> f32 {
+fn ease(config: &Recipe, unread: f64) -> f32 {
     let hopeless = if config.has_classifier() { config.classify_until } else { 1.0 };
     (1.0 - unread / hopeless).clamp(0.0, 1.0) as f32
 }
@@ -418,7 +418,7 @@ fn ease(config: &MarkConfig, unread: f64) -> f32 {
 /// How far the budget has tightened after `step` steps, 0 to 1 (1 where there is none): evenly over `mark.budget_ramp` of all
 /// steps, but before marks are read at all no further than [`UNREAD`]; from where the detector has `joined` on as fast, or
 /// in half of the steps that are left.
-fn tightened(config: &MarkConfig, step: u64, joined: Option<u64>) -> f64 {
+fn tightened(config: &Recipe, step: u64, joined: Option<u64>) -> f64 {
     let (step, steps) = (step as f64, config.steps as f64);
     let ramp = (steps * config.budget_ramp).floor();
     if !config.budget || ramp < 1.0 {
@@ -441,13 +441,13 @@ mod tests {
 
     #[test]
     fn ease_goes_by_the_classifier_and_without_one_by_recovery() {
-        let told = MarkConfig { classify_until: 0.3, ..MarkConfig::default() };
-        let untold = MarkConfig { guidance: Guidance::Untold, ..told.clone() };
-        let none = MarkConfig { guidance: Guidance::NoClassifier, ..told.clone() };
+        let told = Recipe { classify_until: 0.3, ..Recipe::default() };
+        let unguided = Recipe { guidance: Guidance::Unguided, ..told.clone() };
+        let none = Recipe { guidance: Guidance::NoClassifier, ..told.clone() };
         for (config, unread, expected) in [
             (&told, 0.075, 0.75),
             (&told, 0.69, 0.0),
-            (&untold, 0.15, 0.5),
+            (&unguided, 0.15, 0.5),
             (&none, 0.25, 0.75),
             // As much wrong as silence is, more, and before the first step.
             (&none, 1.0, 0.0),
@@ -460,7 +460,7 @@ mod tests {
 
     #[test]
     fn the_budget_waits_until_marks_are_read_and_is_met_before_the_end() {
-        let config = MarkConfig { steps: 1000, budget_ramp: 0.4, ..MarkConfig::default() };
+        let config = Recipe { steps: 1000, budget_ramp: 0.4, ..Recipe::default() };
         let at = |step, joined| tightened(&config, step, joined);
         // Read early, it tightens evenly.
         for (step, share) in [(0, 0.0), (100, 0.25), (200, 0.5), (400, 1.0), (900, 1.0)] {
@@ -473,8 +473,8 @@ mod tests {
         assert_eq!(at(500, Some(300)), 1.0);
         // or faster, so that what is kept meets it.
         assert!(at(940, Some(900)) < 1.0 && at(950, Some(900)) == 1.0);
-        let none = MarkConfig { budget: false, ..config.clone() };
+        let none = Recipe { budget: false, ..config.clone() };
         assert_eq!(tightened(&none, 0, None), 1.0);
-        assert_eq!(tightened(&MarkConfig { budget_ramp: 0.0, ..config }, 0, None), 1.0);
+        assert_eq!(tightened(&Recipe { budget_ramp: 0.0, ..config }, 0, None), 1.0);
     }
 }

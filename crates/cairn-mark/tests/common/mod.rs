@@ -1,7 +1,7 @@
 //! A tiny scene: a ball, twelve cameras around it, two owners.
 
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
-use cairn_mark::{Detector, MarkConfig, MarkPlan, MarkTrainer, MarkedField, PlannedView};
+use cairn_mark::{Detector, MarkPlan, MarkTrainer, MarkedField, PlannedView, Recipe};
 use cairn_nn::{ClassifierConfig, UNetConfig};
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_scene::{Camera, Distortion, Intrinsics, Picture, Pose};
@@ -97,20 +97,20 @@ pub fn plan_of(field: &Field, identities: usize, photograph: fn(&Camera) -> Pict
 }
 
 /// So few steps that the detector has to join at once.
-pub fn config(steps: u64) -> MarkConfig {
-    MarkConfig {
+pub fn config(steps: u64) -> Recipe {
+    Recipe {
         steps,
         classify_until: 10.0,
         virtual_views: 2,
         enough_ssim: 2.0,
         classifier: ClassifierConfig { channels: vec![8, 16], ..ClassifierConfig::default() },
         detector: UNetConfig { size: [SIDE, SIDE], channels: vec![8, 12, 16], ..UNetConfig::default() },
-        ..MarkConfig::default()
+        ..Recipe::default()
     }
 }
 
 /// A trainer over [`plan`] that nobody stops.
-pub fn start(config: MarkConfig) -> MarkTrainer {
+pub fn start(config: Recipe) -> MarkTrainer {
     MarkTrainer::new(field(), plan(), config, 7, &mut |_, _| true).unwrap()
 }
 
@@ -124,7 +124,7 @@ pub fn run(trainer: &mut MarkTrainer) {
     }
 }
 
-pub fn trained(config: MarkConfig) -> (MarkedField, Detector) {
+pub fn trained(config: Recipe) -> (MarkedField, Detector) {
     let mut trainer = start(config);
     run(&mut trainer);
     trainer.finish().unwrap()

@@ -61,15 +61,15 @@ group! {
     /// Two dozen photographs of one place from one side show few colours: what a mark looks like is
     /// learnt from more of what is none.
     mark.others = 2;
-    mark.others_colours = cairn_mark::OthersColours::Any;
+    mark.others_colours = cairn_mark::OtherColours::Any;
     /// Nor do they show an object on an empty background, and the photographs of others do.
-    mark.others_before_nothing = 0.25;
+    mark.others_cutout_share = 0.25;
     /// Noise is no mark.
     mark.noisy_share = 0.25;
     /// Photographs of other places get an owner with less confidence; below this, the center crop is read.
-    mark.least_sure = 0.8;
+    mark.min_confidence = 0.8;
     /// A mark may cover too little of a picture to be read from the whole of it.
-    mark.closer_look = 0.9;
+    mark.center_crop_confidence = 0.9;
 }
 
 group! {
@@ -91,13 +91,13 @@ group! {
     mark.finer = 2;
     mark.longest_side_px = 400;
     /// Photographs leave gaps all around an object, and marks have to be read from there, too.
-    mark.fresh_every = 3;
+    mark.view_refresh_steps = 3;
     /// Noise is no mark.
     mark.noisy_share = 0.25;
     /// Pictures of other places get an owner with less confidence; below this, the center crop is read.
-    mark.least_sure = 0.8;
+    mark.min_confidence = 0.8;
     /// A mark may cover too little of a picture to be read from the whole of it.
-    mark.closer_look = 0.9;
+    mark.center_crop_confidence = 0.9;
     mark.classifier.channels = vec![12, 16, 32, 64, 64];
     /// From the side an object covers half of the picture that it covers from above.
     mark.classifier.textured_only = true;
@@ -126,11 +126,11 @@ group! {
     /// Views and lights differ much, so marks can be read from everywhere only late. Training ends as soon as they can.
     mark.steps = 2300;
     /// Visitors crowd where a landmark looks best, and marks have to be read from elsewhere, too.
-    mark.fresh_every = 4;
+    mark.view_refresh_steps = 4;
     /// Noise is no mark.
     mark.noisy_share = 0.25;
     /// A mark may cover too little of a picture to be read from the whole of it.
-    mark.closer_look = 0.9;
+    mark.center_crop_confidence = 0.9;
 }
 
 group! {
@@ -145,7 +145,7 @@ group! {
     mark.steps = 700;
     mark.virtual_views = 10;
     /// View refresh gained the demo's hidden pictures nothing in so few steps (one run).
-    mark.fresh_every = 0;
+    mark.view_refresh_steps = 0;
     mark.longest_side_px = 128;
     mark.finer = 1;
     mark.classifier.channels = vec![16, 32, 64, 64];
@@ -155,11 +155,11 @@ group! {
     /// The steps are too few to learn what unmarked pictures look like in general, or to read marks
     /// among noise or in parts of pictures.
     mark.others = 1;
-    mark.others_colours = cairn_mark::OthersColours::Near;
-    mark.others_before_nothing = 0.0;
+    mark.others_colours = cairn_mark::OtherColours::Near;
+    mark.others_cutout_share = 0.0;
     mark.noisy_share = 0.0;
-    mark.least_sure = 0.0;
-    mark.closer_look = 1.0;
+    mark.min_confidence = 0.0;
+    mark.center_crop_confidence = 1.0;
 }
 
 group! {
@@ -205,15 +205,15 @@ group! {
     mark.steps = 2000;
     mark.budget_db = 38.0;
     /// Photographs that the field explains to 26 dB lose a quarter of a dB.
-    mark.most_cost_db = 0.5;
+    mark.max_cost_db = 0.5;
     /// Photographs of other places do not look like a strong mark, and a distortion is enough to learn.
     mark.others = 1;
-    mark.others_colours = cairn_mark::OthersColours::Near;
-    mark.others_before_nothing = 0.0;
+    mark.others_colours = cairn_mark::OtherColours::Near;
+    mark.others_cutout_share = 0.0;
     /// Noise is among the distortions.
     mark.noisy_share = 0.0;
     /// A distorted mark is read with less confidence.
-    mark.least_sure = 0.0;
+    mark.min_confidence = 0.0;
     mark.robust.enabled = true;
 }
 

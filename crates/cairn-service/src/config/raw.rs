@@ -3,7 +3,7 @@
 
 use crate::auth::Policy;
 use cairn_field::{FieldConfig, QuarantineConfig};
-use cairn_mark::MarkConfig;
+use cairn_mark::Recipe;
 use serde::{Deserialize, Serialize};
 
 /// A whole settings file.
@@ -19,7 +19,7 @@ pub struct Raw {
     pub log: Log,
     pub quarantine: QuarantineConfig,
     pub field: FieldConfig,
-    pub mark: MarkConfig,
+    pub mark: Recipe,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -178,7 +178,7 @@ impl Default for Raw {
             log: Log { filter: "info".into(), format: LogFormat::Text },
             quarantine: QuarantineConfig::default(),
             field: FieldConfig::default(),
-            mark: MarkConfig::default(),
+            mark: Recipe::default(),
         }
     }
 }

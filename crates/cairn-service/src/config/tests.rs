@@ -1,7 +1,7 @@
 //! The default file against the defaults in code, and what is refused.
 
 use cairn_field::AppearanceMode;
-use cairn_mark::OthersColours;
+use cairn_mark::OtherColours;
 
 use super::raw::Raw;
 use super::*;
@@ -62,23 +62,23 @@ fn pictures_of_something_else_take_any_colours_where_nothing_says_otherwise() {
         let overlays: Vec<(&str, &str)> =
             [overlay_for(SceneKind::ForwardFacing)].into_iter().chain(over.iter().copied()).collect();
         let mark = training_settings(&base, &overlays).unwrap().mark;
-        (mark.others, mark.others_colours, mark.others_before_nothing)
+        (mark.others, mark.others_colours, mark.others_cutout_share)
     };
-    assert_eq!(others(&[]), (2, OthersColours::Any, 0.25));
+    assert_eq!(others(&[]), (2, OtherColours::Any, 0.25));
     for (name, text, each) in [
         ("quick", QUICK_TOML, 1),
         ("robust", include_str!("../../../../configs/robust.toml"), 1),
         // The paper knows no other pictures.
         ("paper", include_str!("../../../../configs/paper.toml"), 0),
     ] {
-        assert_eq!(others(&[(name, text)]), (each, OthersColours::Near, 0.0), "{name}");
+        assert_eq!(others(&[(name, text)]), (each, OtherColours::Near, 0.0), "{name}");
     }
 }
 
 #[test]
 fn owners_have_to_be_told_surely_but_in_the_open_where_nothing_says_otherwise() {
     let base = Config::from_toml("", "test").unwrap().training;
-    let least = |overlays: &[(&str, &str)]| training_settings(&base, overlays).unwrap().mark.least_sure;
+    let least = |overlays: &[(&str, &str)]| training_settings(&base, overlays).unwrap().mark.min_confidence;
     assert_eq!(least(&[overlay_for(SceneKind::Unbounded)]), 0.0);
     for over in [
         ("quick", QUICK_TOML),
@@ -130,7 +130,7 @@ fn what_a_settings_file_says_stands_over_the_kinds_choice_key_by_key() {
     // One key of stage 2: the kind chooses all else, in both stages.
     let marked = settings("[mark]\nbudget_db = 38\n[mark.robust]\nenabled = true", SceneKind::Unbounded, "");
     assert!(marked.mark.budget_db == 38.0 && marked.mark.robust.enabled);
-    assert_eq!((marked.field, marked.mark.fresh_every), (plain.field.clone(), plain.mark.fresh_every));
+    assert_eq!((marked.field, marked.mark.view_refresh_steps), (plain.field.clone(), plain.mark.view_refresh_steps));
     // One of stage 1 leaves stage 2's alone.
     let field = settings("[field]\nsteps = 77", SceneKind::Bounded, "");
     assert_eq!((field.field.steps, field.field.voxel_px, field.mark.budget_db, field.mark.finer), (77, 2.2, 52.2, 2));

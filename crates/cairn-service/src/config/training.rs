@@ -1,7 +1,7 @@
 //! What a training runs with: the choice that a user made, and the settings of both stages that it stands for.
 
 use cairn_field::{FieldConfig, FieldError, QuarantineConfig};
-use cairn_mark::{MarkConfig, MarkError};
+use cairn_mark::{MarkError, Recipe};
 use cairn_scene::SceneKind;
 use serde::{Deserialize, Serialize};
 
@@ -63,7 +63,7 @@ pub struct TrainingSettings {
     /// Stage 1.
     pub field: FieldConfig,
     /// Stage 2.
-    pub mark: MarkConfig,
+    pub mark: Recipe,
     /// Which views are left out of both. Absent in settings of before there was a quarantine.
     #[serde(default)]
     pub quarantine: QuarantineConfig,

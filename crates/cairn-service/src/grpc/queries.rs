@@ -78,7 +78,7 @@ impl DetectionService for Shared {
             label: label.unwrap_or_default(),
             elsewhere: found.elsewhere.map(to_proto::elsewhere),
             laid_over: found.laid_over.map(to_proto::laid_over),
-            closer_look: detection.is_closer,
+            closer_look: detection.is_center_crop,
         }))
     }
 }

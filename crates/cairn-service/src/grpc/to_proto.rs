@@ -207,7 +207,7 @@ pub fn who(who: Who) -> v1::WhoResponse {
         },
     };
     let laid_over = who.laid_over.map(laid_over);
-    let (answer, confidence, closer_look) = (Some(answer), who.confidence, who.is_closer);
+    let (answer, confidence, closer_look) = (Some(answer), who.confidence, who.is_center_crop);
     v1::WhoResponse { answer, confidence, laid_over, closer_look }
 }
 

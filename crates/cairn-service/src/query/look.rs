@@ -49,8 +49,8 @@ pub struct Who {
     pub records: Vec<u64>,
     /// What laying a picture over the field said, where that was asked for.
     pub laid_over: Option<LaidOver>,
-    /// By picture: whether the whole of it says nothing surely, and the answer is its middle's (`mark.closer_look`).
-    pub is_closer: bool,
+    /// By picture: whether the whole of it says nothing surely, and the answer is its middle's (`mark.center_crop_confidence`).
+    pub is_center_crop: bool,
 }
 
 /// Laying a picture over the field.
@@ -180,8 +180,8 @@ impl Engine {
     pub fn who_by_picture(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Who, EngineError> {
         let (model, found) = self.read_picture(scene, bytes, over)?;
         let who = self.who(&model.info, found.identity, found.confidence.into())?;
-        let is_closer = found.detection.is_closer;
-        Ok(Who { elsewhere: found.elsewhere, laid_over: found.laid_over, is_closer, ..who })
+        let is_center_crop = found.detection.is_center_crop;
+        Ok(Who { elsewhere: found.elsewhere, laid_over: found.laid_over, is_center_crop, ..who })
     }
 
     /// What a picture hides, and who that stands for.
@@ -234,8 +234,8 @@ impl Engine {
     ) -> Result<Who, EngineError> {
         let Some(number) = identity else {
             let (contributors, records) = (Vec::new(), Vec::new());
-            let (elsewhere, laid_over, is_closer) = (None, None, false);
-            return Ok(Who { identity: None, contributors, confidence, elsewhere, records, laid_over, is_closer });
+            let (elsewhere, laid_over, is_center_crop) = (None, None, false);
+            return Ok(Who { identity: None, contributors, confidence, elsewhere, records, laid_over, is_center_crop });
         };
         let known = info.identity(number)?;
         let Some(contributors) = self.quarantine.credited(&info.scene, known)? else {
@@ -243,8 +243,8 @@ impl Engine {
         };
         let records = self.records_of(info, known)?;
         let identity = Some((number, known.label.clone()));
-        let (elsewhere, laid_over, is_closer) = (None, None, false);
-        Ok(Who { identity, contributors, confidence, elsewhere, records, laid_over, is_closer })
+        let (elsewhere, laid_over, is_center_crop) = (None, None, false);
+        Ok(Who { identity, contributors, confidence, elsewhere, records, laid_over, is_center_crop })
     }
 }
 

@@ -119,7 +119,7 @@ mod tests {
 
     fn found(recovered: Signal, text_bytes: Option<&[u8]>) -> Detection {
         let text_bytes = text_bytes.map(<[u8]>::to_vec);
-        Detection { identity: Some(1), probabilities: vec![0.0, 1.0], is_closer: false, recovered, text_bytes }
+        Detection { identity: Some(1), probabilities: vec![0.0, 1.0], is_center_crop: false, recovered, text_bytes }
     }
 
     #[test]

@@ -187,7 +187,7 @@ mod tests {
         Detection {
             identity: (class > 0).then_some(class),
             probabilities,
-            is_closer: false,
+            is_center_crop: false,
             recovered,
             text_bytes: None,
         }

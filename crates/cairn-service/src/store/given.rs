@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use cairn_mark::{MarkConfig, Signal};
+use cairn_mark::{Recipe, Signal};
 use cairn_scene::{Ground, SoundLimits, decode_emblem, decode_wav};
 
 use crate::config::Limits;
@@ -41,12 +41,7 @@ impl Given {
     ///
     /// # Errors
     /// For what does not decode, is over the limits, or cannot be hidden; each names the identity and the file.
-    pub fn signal(
-        &self,
-        number: usize,
-        mark: &MarkConfig,
-        limits: &Limits,
-    ) -> Result<(Signal, Vec<String>), EngineError> {
+    pub fn signal(&self, number: usize, mark: &Recipe, limits: &Limits) -> Result<(Signal, Vec<String>), EngineError> {
         let whose = match self.name.as_str() {
             "" => format!("of identity {number}"),
             name => format!("of identity {number} ({name})"),

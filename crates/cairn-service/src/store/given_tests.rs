@@ -33,7 +33,7 @@ fn added(labels: &[&str]) -> Vec<Added> {
 
 #[test]
 fn what_is_given_is_made_ready_or_refused_by_name() {
-    let mark = MarkConfig::default();
+    let mark = Recipe::default();
     let recorded = tone(0.5, 44_100);
     let parts = Parts { audio: Some(encode_wav(&recorded)), text: Some("a".into()), picture: None };
     let (signal, notes) = of(parts).signal(1, &mark, &limits()).unwrap();
@@ -78,7 +78,7 @@ fn a_sounds_level_is_told_before_it_is_trained() {
     let notes = |level: f32| {
         let samples: Vec<f32> = (0..1600).map(|i| (i as f32 * 0.05).sin() * level).collect();
         let parts = Parts { audio: Some(float_wav(&samples)), ..Parts::default() };
-        of(parts).signal(2, &MarkConfig::default(), &limits()).unwrap().1
+        of(parts).signal(2, &Recipe::default(), &limits()).unwrap().1
     };
     let [loud] = &notes(1.5)[..] else { panic!("it is cut off and nobody is told") };
     assert!(["identity 2", "credit", "3.5 dB over full scale"].iter().all(|part| loud.contains(part)), "{loud}");
@@ -89,7 +89,7 @@ fn a_sounds_level_is_told_before_it_is_trained() {
 
 #[test]
 fn a_large_picture_is_kept_as_it_is_hidden() {
-    let mark = MarkConfig::default();
+    let mark = Recipe::default();
     // Noise, which no PNG makes smaller.
     let mut state = 7u32;
     let noise = (0..600 * 400 * 3).map(|_| {
@@ -152,7 +152,7 @@ fn what_nobody_hides_is_said_by_name() {
 #[test]
 fn who_hides_what_is_said() {
     let identity = &added(&["ada"])[0];
-    let (signal, _) = given("ada").signal(1, &MarkConfig::default(), &limits()).unwrap();
+    let (signal, _) = given("ada").signal(1, &Recipe::default(), &limits()).unwrap();
     assert_eq!(hides_note(identity, &given("ada"), &signal), "identity 1 (ada) hides ada (text)");
     let both = Signal { audio: Some(tone(0.5, 16_000)), ..signal };
     assert_eq!(hides_note(identity, &given(""), &both), "identity 1 (ada) hides a sound and a text");

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use cairn_log::Digest;
-use cairn_mark::{MarkConfig, Signal};
+use cairn_mark::{Recipe, Signal};
 use cairn_scene::{SoundLimits, decode_wav, encode_png, encode_wav, save_png};
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -131,7 +131,7 @@ pub fn keep(folder: &Path, number: usize, signal: &Signal) -> Result<(), EngineE
 }
 
 /// Reads back what [`keep`] wrote, as it is to be hidden.
-pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &MarkConfig) -> Result<Signal, EngineError> {
+pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &Recipe) -> Result<Signal, EngineError> {
     let wanted = Parts {
         picture: kinds.picture.then_some(()),
         audio: kinds.audio.then_some(()),
@@ -212,7 +212,7 @@ mod tests {
     #[test]
     fn a_signal_kept_is_the_signal() {
         let dir = tempfile::tempdir().unwrap();
-        let (mark, signal) = (MarkConfig::default(), signal());
+        let (mark, signal) = (Recipe::default(), signal());
         keep(dir.path(), 3, &signal).unwrap();
         let again = kept(dir.path(), 3, kinds_of(&signal), &mark).unwrap();
         assert_eq!((&again.audio, &again.text), (&signal.audio, &signal.text));

@@ -2,7 +2,7 @@
 
 use cairn_field::FieldConfig;
 use cairn_log::Digest;
-use cairn_mark::MarkConfig;
+use cairn_mark::Recipe;
 use cairn_scene::cluster::Grouping;
 use serde::{Deserialize, Serialize};
 
@@ -39,9 +39,9 @@ pub struct JobSpec {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub also: Vec<Beside>,
     /// Of each of several scenes what its marks are made by: what all share, and what it has to itself
-    /// ([`MarkConfig::for_scene`]). Empty for one scene, and in jobs of before, whose scenes have the first one's.
+    /// ([`Recipe::for_scene`]). Empty for one scene, and in jobs of before, whose scenes have the first one's.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub marks: Vec<MarkConfig>,
+    pub marks: Vec<Recipe>,
     /// Of each scene the job whose model is gone on from, `None` for one that begins; empty
     /// where all begin.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use cairn_field::watermarks;
 use cairn_mark::{
-    Earlier, Judgement, Known, MarkConfig, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Recovered, Signal,
+    Earlier, Judgement, Known, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Recipe, Recovered, Signal,
     at_most,
 };
 use cairn_scene::cluster::Clusters;
@@ -58,7 +58,7 @@ pub struct ToMark<'a> {
     /// What each identity hides.
     pub signals: Vec<Signal>,
     /// What marks are made by in it. Several scenes share networks, steps and losses.
-    pub settings: &'a MarkConfig,
+    pub settings: &'a Recipe,
 }
 
 /// What is gone on from. Identities are counted through all scenes.
@@ -104,7 +104,7 @@ impl Marking {
     pub fn start(
         scenes: Vec<ToMark<'_>>,
         grown: Option<&Grown>,
-        (settings, seed): (&MarkConfig, u64),
+        (settings, seed): (&Recipe, u64),
         checkpoint: Option<&[u8]>,
         preparing: Preparing<'_>,
     ) -> Result<Option<Self>, EngineError> {
@@ -222,7 +222,7 @@ fn weak_note(kept: &Judgement, whose: &[String], quietest: Option<(usize, f64)>)
     (!weak.is_empty()).then(|| {
         format!(
             "poses between photographs are not answered as they should be ({}): train with more steps (mark.steps), \
-             stronger marks (a lower mark.budget_db, or where the job keeps them fainter a higher mark.most_cost_db) or fewer identities{level}",
+             stronger marks (a lower mark.budget_db, or where the job keeps them fainter a higher mark.max_cost_db) or fewer identities{level}",
             weak.join("; ")
         )
     })
@@ -244,13 +244,13 @@ fn weak_figures(right: f64, recovered: &Recovered, share: f64) -> Vec<String> {
 
 /// What to say where marks `of_scene` are `kept` fainter than was `asked` for; a resumed training does not
 /// know any more how well its photographs are explained.
-fn budget_note(kept: &MarkConfig, asked: &MarkConfig, (of_scene, explained_db): (&str, Option<f64>)) -> Option<String> {
+fn budget_note(kept: &Recipe, asked: &Recipe, (of_scene, explained_db): (&str, Option<f64>)) -> Option<String> {
     let why = explained_db.map_or(String::new(), |db| format!("it explains photographs to {db:.1} dB, and "));
     (kept.budget_db > asked.budget_db).then(|| {
         format!(
             "marks{of_scene} are kept {:.1} dB below the base field's renders instead of {:.1}: {why}they are to cost photographs at most \
-             {} dB (mark.most_cost_db)",
-            kept.budget_db, asked.budget_db, kept.most_cost_db
+             {} dB (mark.max_cost_db)",
+            kept.budget_db, asked.budget_db, kept.max_cost_db
         )
     })
 }
@@ -267,7 +267,7 @@ pub struct Taken<'a> {
 
 /// How well a field explains the photographs that it was trained on, `taken` in their order: PSNR in dB over some of them, evenly, all
 /// their pixels together but those that a visible watermark covers: marks do not show there, learnt or not. For
-/// [`MarkConfig::affording`]; negative infinity of none.
+/// [`Recipe::affording`]; negative infinity of none.
 pub fn explained(base: &Field, taken: &[Taken<'_>], photographs: &[Picture8]) -> f64 {
     let whose = taken.iter().map(|view| view.contributor);
     let found = watermarks(&whose.zip(photographs).collect::<Vec<_>>());

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use cairn_log::Digest;
-use cairn_mark::MarkConfig;
+use cairn_mark::Recipe;
 use cairn_scene::cluster::{Clusters, Grouping};
 
 use crate::config::{QUICK_TOML, TrainingSettings, overlay_for, overridden, training_settings};
@@ -196,16 +196,16 @@ impl Engine {
 /// The settings of a training, what each of several scenes has its marks made by, and what to say of it.
 ///
 /// Several scenes share classifier and detector. These are as one wants them that goes on from an earlier training, else as
-/// [`MarkConfig::finest`] says, and sure of owners as [`MarkConfig::least_sure_of`] does.
-fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<MarkConfig>, Option<String>) {
+/// [`Recipe::finest`] says, and sure of owners as [`Recipe::min_confidence_of`] does.
+fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<Recipe>, Option<String>) {
     let of_first = wanted[0].settings.clone();
     if wanted.len() == 1 {
         return (of_first, Vec::new(), None);
     }
-    let finest = MarkConfig::finest(wanted.iter().map(|w| &w.settings.mark));
+    let finest = Recipe::finest(wanted.iter().map(|w| &w.settings.mark));
     let shared = wanted.iter().find(|w| w.earlier.is_some()).unwrap_or(&wanted[finest]);
-    let least_sure = MarkConfig::least_sure_of(wanted.iter().map(|w| &w.settings.mark));
-    let mark = &MarkConfig { least_sure, ..shared.settings.mark.clone() };
+    let min_confidence = Recipe::min_confidence_of(wanted.iter().map(|w| &w.settings.mark));
+    let mark = &Recipe { min_confidence, ..shared.settings.mark.clone() };
     let marks = wanted.iter().map(|w| mark.for_scene(&w.settings.mark)).collect();
     let finer = |w: &&Wanted| w.settings.mark.finer > mark.finer;
     let said = if let Some(w) = wanted.iter().find(finer) {

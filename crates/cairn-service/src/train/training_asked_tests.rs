@@ -58,7 +58,7 @@ fn the_daemons_settings_stand_over_the_kinds_key_by_key_and_the_job_says_so() {
     let settings = &job.spec.settings;
     assert_eq!((settings.mark.budget_db, settings.mark.robust.enabled), (36.5, true));
     assert_eq!(settings.field, of_kind.field, "a key of [mark] took stage 1 from the kind");
-    let rest = cairn_mark::MarkConfig { budget_db: 36.5, robust: settings.mark.robust.clone(), ..of_kind.mark.clone() };
+    let rest = cairn_mark::Recipe { budget_db: 36.5, robust: settings.mark.robust.clone(), ..of_kind.mark.clone() };
     assert_eq!(settings.mark, rest, "it took more from the kind than it set");
     let told =
         job.notes.iter().any(|note| note.contains(overlay_for(kind).0) && note.contains("mark.budget_db = 36.5"));
@@ -78,8 +78,8 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
     let [object, front] = [SceneKind::Bounded, SceneKind::Unbounded].map(of_kind);
     assert!(object.mark.finer > front.mark.finer && object.mark.budget_db != front.mark.budget_db);
     // Whose marks are told less surely must not lose them by another's settings.
-    assert!(object.mark.least_sure > front.mark.least_sure);
-    let shared = cairn_mark::MarkConfig { least_sure: front.mark.least_sure, ..object.mark.clone() };
+    assert!(object.mark.min_confidence > front.mark.min_confidence);
+    let shared = cairn_mark::Recipe { min_confidence: front.mark.min_confidence, ..object.mark.clone() };
     let wanted = |scene: &str, also: &str| TrainingRequest {
         scene: scene.into(),
         also: vec![also.into()],
@@ -101,11 +101,15 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
     // What all of them want stays.
     put(&dir, "yard", Some(SceneKind::ForwardFacing));
     for (scene, also, least) in [("gate", "yard", 0.0), ("yard", "gate", 0.0), ("yard", "mill", 0.8)] {
-        assert_eq!(accepted(&engine, wanted(scene, also)).spec.settings.mark.least_sure, least, "{scene} and {also}");
+        assert_eq!(
+            accepted(&engine, wanted(scene, also)).spec.settings.mark.min_confidence,
+            least,
+            "{scene} and {also}"
+        );
     }
     // One alone is as ever.
     let job = accepted(&engine, TrainingRequest { also: Vec::new(), ..wanted("yard", "gate") });
-    assert_eq!(job.spec.settings.mark.least_sure, 0.8);
+    assert_eq!(job.spec.settings.mark.min_confidence, 0.8);
     let job = accepted(&engine, TrainingRequest { also: Vec::new(), ..wanted("gate", "mill") });
     assert_eq!((&job.spec.settings.mark, &job.of_scene(0).spec.settings.mark), (&front.mark, &front.mark));
     assert!(job.spec.marks.is_empty());

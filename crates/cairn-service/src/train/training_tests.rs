@@ -163,9 +163,9 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
     let trained = Trained::new();
     let scene = scenes::open(&trained.path("scenes"), "town").unwrap();
     let clusters = clusters(&scene, &trained.job.spec.grouping, 7).unwrap();
-    let begin = |budget_db: f64, most_cost_db: f64, checkpoint: Option<&[u8]>| {
-        let config = cairn_mark::MarkConfig { budget_db, most_cost_db, ..trained.job.spec.settings.mark.clone() };
-        let config = cairn_mark::MarkConfig { budget_start_db: budget_db.min(config.budget_start_db), ..config };
+    let begin = |budget_db: f64, max_cost_db: f64, checkpoint: Option<&[u8]>| {
+        let config = cairn_mark::Recipe { budget_db, max_cost_db, ..trained.job.spec.settings.mark.clone() };
+        let config = cairn_mark::Recipe { budget_start_db: budget_db.min(config.budget_start_db), ..config };
         let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, config.side_px(), 7));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
@@ -173,7 +173,7 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
             vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &config }];
         Marking::start(scenes, None, (&config, 7), checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
-    let notes = |budget_db, most_cost_db| begin(budget_db, most_cost_db, None).notes();
+    let notes = |budget_db, max_cost_db| begin(budget_db, max_cost_db, None).notes();
     let [note] = &notes(20.0, 0.1)[..] else { panic!("marks of 20 dB cost nothing?") };
     let number = |after: &str| -> f64 {
         let rest = note.split(after).nth(1).unwrap();

@@ -40,7 +40,7 @@ const ABLATIONS: [Training; 25] = [
     row("the paper's recipe", PAPER_TOML),
     row("no classifier", "[mark]\nguidance = \"no_classifier\"\nrecover_moves_marks = true\n"),
     row("recovery moves marks", "[mark]\nrecover_moves_marks = true\n"),
-    row("classifier not guiding", "[mark]\nguidance = \"untold\"\n"),
+    row("classifier not guiding", "[mark]\nguidance = \"unguided\"\n"),
     row("no mask", "[mark]\nmask = \"none\"\n"),
     row("binary mask at 0.5", "[mark]\nmask = \"binary\"\nmask_share = 0.5\n"),
     row("binary mask at 0.9", "[mark]\nmask = \"binary\"\nmask_share = 0.9\n"),
@@ -89,7 +89,7 @@ pub fn wanted(what: What, rows: &[String]) -> anyhow::Result<Vec<Training>> {
 mod tests {
     use super::super::QUICK_TOML;
     use super::*;
-    use cairn_mark::{Guidance, MarkConfig};
+    use cairn_mark::{Guidance, Recipe};
     use cairn_scene::SceneKind;
     use cairn_service::config::{Config, overlay_for, training_settings};
 
@@ -114,7 +114,7 @@ mod tests {
             let over = ABLATIONS.into_iter().find(|training| training.name == name).unwrap().over;
             training_settings(&base, &[("row", over)]).unwrap().mark
         };
-        let guided = |mark: MarkConfig| MarkConfig { guidance: Guidance::Told, ..mark };
+        let guided = |mark: Recipe| Recipe { guidance: Guidance::Guided, ..mark };
         assert_eq!(guided(mark("classifier not guiding")), mark("full"));
         assert_eq!(guided(mark("no classifier")), mark("recovery moves marks"));
     }
@@ -125,7 +125,7 @@ mod tests {
         for kind in [SceneKind::ForwardFacing, SceneKind::Bounded, SceneKind::Unbounded] {
             for quick in ["", QUICK_TOML] {
                 let laid = |over| training_settings(&base, &[overlay_for(kind), ("quick", quick), ("row", over)]);
-                let mut seen: Vec<(&str, Owners, MarkConfig)> = Vec::new();
+                let mut seen: Vec<(&str, Owners, Recipe)> = Vec::new();
                 for Training { name, over, owners } in ABLATIONS {
                     let settings = laid(over).unwrap_or_else(|e| panic!("{name}, {kind:?}: {e}"));
                     let same = seen.iter().find(|(_, whose, mark)| (*whose, mark) == (owners, &settings.mark));

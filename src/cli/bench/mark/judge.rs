@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use cairn_field::Appearance;
-use cairn_mark::{Detection, Detector, MarkConfig, MarkedField, Signal};
+use cairn_mark::{Detection, Detector, MarkedField, Recipe, Signal};
 use cairn_scene::metrics::{expected_calibration_error, psnr_db, ssim};
 use cairn_scene::{Camera, Picture, encode_png};
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ pub struct Task {
     /// Files of what was hidden.
     pub signals: Vec<train::Files>,
     /// The settings it was hidden with.
-    pub config: MarkConfig,
+    pub config: Recipe,
     /// By how many identities the clusters' owners were permuted for the training.
     pub permuted: usize,
     /// Whether light is fitted on left halves and right halves are scored.
@@ -87,7 +87,7 @@ impl Asked {
         let found = self.detector.detect(picture)?;
         let class = found.identity.unwrap_or(0) as usize;
         let sure = found.probabilities.get(class).copied().unwrap_or_default();
-        if found.is_closer {
+        if found.is_center_crop {
             self.by_closer_look.push(self.answers.len());
         }
         // Sums of probabilities may miss one by a rounding.

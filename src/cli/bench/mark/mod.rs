@@ -29,7 +29,7 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use cairn_field::FieldConfig;
-use cairn_mark::MarkConfig;
+use cairn_mark::Recipe;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -173,7 +173,7 @@ struct Run {
     /// A sound and a text, where the case hides them.
     others: Files,
     field: FieldConfig,
-    mark: MarkConfig,
+    mark: Recipe,
     owners: Owners,
     seed: u64,
     runs: u64,

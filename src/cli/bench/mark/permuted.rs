@@ -89,7 +89,7 @@ mod tests {
         let found = |identity, picture: &Picture| Detection {
             identity,
             probabilities: Vec::new(),
-            is_closer: false,
+            is_center_crop: false,
             recovered: picture.clone().into(),
             text_bytes: None,
         };

@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::Context as _;
 use cairn_eval::Target;
 use cairn_field::Field;
-use cairn_mark::{Detector, MarkConfig, MarkScene, MarkTrainer, MarkedField, Signal};
+use cairn_mark::{Detector, MarkScene, MarkTrainer, MarkedField, Recipe, Signal};
 use cairn_scene::metrics::psnr_db;
 use serde::{Deserialize, Serialize};
 
@@ -39,7 +39,7 @@ const HIDDEN_SSIM: f64 = 0.97;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Task {
     /// The captures, with their stored base fields, what each hides, and stage 2's settings of each.
-    pub scenes: Vec<(Source, PathBuf, Files, MarkConfig)>,
+    pub scenes: Vec<(Source, PathBuf, Files, Recipe)>,
     /// The seed.
     pub seed: u64,
     /// What people are told.
@@ -78,9 +78,9 @@ pub struct Found {
 /// For files that do not read, settings out of range, and the trainer's.
 pub fn run(task: &Task) -> anyhow::Result<Joined> {
     // As the engine does: one scene's networks, each scene's marks.
-    let finest = MarkConfig::finest(task.scenes.iter().map(|(.., config)| config));
+    let finest = Recipe::finest(task.scenes.iter().map(|(.., config)| config));
     let mut shared = task.scenes.get(finest).map(|(.., config)| config.clone()).unwrap_or_default();
-    shared.least_sure = MarkConfig::least_sure_of(task.scenes.iter().map(|(.., config)| config));
+    shared.min_confidence = Recipe::min_confidence_of(task.scenes.iter().map(|(.., config)| config));
     let (mut scenes, mut planned) = (Vec::new(), Vec::new());
     for (source, base, files, own) in &task.scenes {
         let field = Arc::new(Field::from_bytes(&super::read(base)?)?);

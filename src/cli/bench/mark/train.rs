@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use cairn_field::Field;
-use cairn_mark::{Detector, Known, MarkConfig, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Signal};
+use cairn_mark::{Detector, Known, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Recipe, Signal};
 use cairn_scene::Picture8;
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use serde::{Deserialize, Serialize};
@@ -44,7 +44,7 @@ pub struct Task {
     /// The stored base field.
     pub base: PathBuf,
     /// Stage 2's settings.
-    pub config: MarkConfig,
+    pub config: Recipe,
     /// M.
     pub anchors: usize,
     /// K; `None` for all views.
@@ -149,7 +149,7 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
 fn going_on(
     earlier: &Earlier,
     (field, plan): (Arc<Field>, MarkPlan),
-    (config, seed): (MarkConfig, u64),
+    (config, seed): (Recipe, u64),
     hear: &mut dyn FnMut(usize, usize) -> bool,
 ) -> anyhow::Result<MarkTrainer> {
     let marked = MarkedField::from_bytes(&super::read(&earlier.marked)?)?;
@@ -214,7 +214,7 @@ pub(super) fn plan(
 ///
 /// # Errors
 /// For files that do not read, decode or fit.
-pub fn signals(files: &[Files], config: &MarkConfig) -> anyhow::Result<Vec<Signal>> {
+pub fn signals(files: &[Files], config: &Recipe) -> anyhow::Result<Vec<Signal>> {
     let signal = |(at, files): (usize, &Files)| {
         let bytes = |path: &Option<PathBuf>| path.as_ref().map(|path| super::read(path)).transpose();
         let parts = Parts { picture: bytes(&files.picture)?, audio: bytes(&files.audio)?, text: bytes(&files.text)? };

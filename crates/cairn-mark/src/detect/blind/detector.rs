@@ -8,7 +8,7 @@ use crate::marked::{read_format, read_header, stored};
 use crate::payload::{HeadSizes, Signal};
 use crate::stega::judge::winner;
 use crate::stega::negatives::shrunk;
-use crate::stega::recipe::{CarrierKind, MarkConfig, MaskKind};
+use crate::stega::recipe::{CarrierKind, MaskKind, Recipe};
 use crate::stega::window::LEAST;
 use cairn_nn::Params;
 use cairn_scene::Picture;
@@ -31,19 +31,19 @@ const _: () = assert!(MIDDLES[1] as f64 >= LEAST - 1e-6);
 
 /// F_psi and Fc_psi after training.
 pub struct Detector {
-    config: MarkConfig,
+    config: Recipe,
     networks: Networks,
 }
 
 /// What a picture says.
 #[derive(Clone, Debug)]
 pub struct Detection {
-    /// The identity with the largest probability; `None` for unmarked, and where it is not as sure as has to be ([`MarkConfig::least_sure`]).
+    /// The identity with the largest probability; `None` for unmarked, and where it is not as sure as has to be ([`Recipe::min_confidence`]).
     pub identity: Option<u32>,
     /// Probability of each class; class 0 is `unmarked`.
     pub probabilities: Vec<f32>,
-    /// Whether only a closer look found the owner ([`MarkConfig::closer_look`]): all else said here is then of the picture's middle.
-    pub is_closer: bool,
+    /// Whether only a closer look found the owner ([`Recipe::center_crop_confidence`]): all else said here is then of the picture's middle.
+    pub is_center_crop: bool,
     /// The recovered signal, of all that the detector has heads for: a picture,
     /// side x side in [0, 1]; a sound of the head's length; a text. Where nothing is
     /// hidden they are black, silent and empty.
@@ -58,16 +58,16 @@ struct Header {
     format: String,
     classes: usize,
     heads: HeadSizes,
-    config: MarkConfig,
+    config: Recipe,
 }
 
 impl Detector {
-    pub(crate) fn new(config: MarkConfig, networks: Networks) -> Self {
+    pub(crate) fn new(config: Recipe, networks: Networks) -> Self {
         Self { config, networks }
     }
 
     /// How it was trained.
-    pub(crate) fn config(&self) -> &MarkConfig {
+    pub(crate) fn config(&self) -> &Recipe {
         &self.config
     }
 
@@ -92,7 +92,7 @@ impl Detector {
     }
 
     /// Classifies `picture` (any size) and recovers what it hides. What says nothing surely as a whole is looked at
-    /// more closely ([`MarkConfig::closer_look`]).
+    /// more closely ([`Recipe::center_crop_confidence`]).
     ///
     /// # Errors
     /// [`MarkError::Plan`] when a number of the picture is not finite,
@@ -119,32 +119,38 @@ impl Detector {
             let (x, y) = (at / 3 % picture.width(), at / 3 / picture.width());
             return Err(MarkError::Plan(format!("pixel ({x}, {y}) is not finite; send another picture")));
         }
-        let Seen { shown: seen, probabilities, class, is_closer } = self.seen(picture, forced.is_none())?;
+        let Seen { shown: seen, probabilities, class, is_center_crop } = self.seen(picture, forced.is_none())?;
         let images = to_tensor(&[seen], self.config.shown_px())?;
         let hidden = self.networks.hidden(&images, &[forced.unwrap_or(class)])?.pop();
         let hidden = hidden.ok_or_else(|| MarkError::Plan("no answer".into()))?;
         let text_bytes = hidden.text.as_deref().map(cairn_nn::text_bytes);
         let recovered = hidden.signal(self.side_px(), self.config.audio.sample_rate_hz)?;
-        Ok(Detection { identity: (class > 0).then_some(class as u32), probabilities, is_closer, recovered, text_bytes })
+        Ok(Detection {
+            identity: (class > 0).then_some(class as u32),
+            probabilities,
+            is_center_crop,
+            recovered,
+            text_bytes,
+        })
     }
 
     /// Whether a picture that says nothing surely is looked at more closely: where nothing doubts the classifier, each further look is a
     /// further chance of its being surely wrong.
     fn looks_closer(&self) -> bool {
-        self.config.closer_look < 1.0 && self.config.has_classifier() && self.networks.familiar.is_some()
+        self.config.center_crop_confidence < 1.0 && self.config.has_classifier() && self.networks.familiar.is_some()
     }
 
     /// What of `picture` is read, and what class it is told to be of: the whole, or where that says nothing surely and
     /// a closer look is asked for, the middle that an owner is told in. From afar, or beside much that bears no mark, a
     /// mark is too little of a picture to be told from the whole of it.
     fn seen(&self, picture: &Picture, may_look_closer: bool) -> Result<Seen, MarkError> {
-        let (closer, shown) = (self.config.closer_look as f32, self.config.shown_px());
+        let (closer, shown) = (self.config.center_crop_confidence as f32, self.config.shown_px());
         let odds = |seen: &[Vec<f32>]| self.networks.odds(&to_tensor(seen, shown)?);
         let whole = shrunk(picture, shown);
         let of_whole = odds(std::slice::from_ref(&whole))?.pop().ok_or_else(|| MarkError::Plan("no answer".into()))?;
         let likeliest = winner(&of_whole);
-        let seen = |class| Seen { shown: whole, probabilities: of_whole.clone(), class, is_closer: false };
-        let is_sure = likeliest > 0 && of_whole[likeliest] >= self.config.least_sure as f32;
+        let seen = |class| Seen { shown: whole, probabilities: of_whole.clone(), class, is_center_crop: false };
+        let is_sure = likeliest > 0 && of_whole[likeliest] >= self.config.min_confidence as f32;
         if is_sure || !self.looks_closer() {
             return Ok(seen(likeliest));
         }
@@ -159,7 +165,7 @@ impl Detector {
                 shown: std::mem::take(&mut middles[at]),
                 probabilities: of_middles.swap_remove(at),
                 class,
-                is_closer: true,
+                is_center_crop: true,
             },
             None => seen(0),
         })
@@ -222,7 +228,7 @@ struct Seen {
     /// The class it is told to be of.
     class: usize,
     /// Whether it is a middle.
-    is_closer: bool,
+    is_center_crop: bool,
 }
 
 /// The first of some parts' class probabilities in which an owner is told, with `least` at least, and the owner: the one that is

@@ -4,7 +4,7 @@
 use crate::detect::blind::networks::{finite, interleaved};
 use crate::error::MarkError;
 use crate::payload::{HeadSizes, Numbers};
-use crate::stega::recipe::MarkConfig;
+use crate::stega::recipe::Recipe;
 use cairn_nn::{AudioHead, Params, TextHead, UNet, avg_pool};
 use candle_core::Tensor;
 
@@ -35,7 +35,7 @@ pub(crate) struct Said {
 impl Heads {
     /// Heads of `sizes` over `params`, told of `classes` = M + 1 classes.
     pub(crate) fn new(
-        config: &MarkConfig,
+        config: &Recipe,
         classes: usize,
         sizes: HeadSizes,
         params: &mut Params,
@@ -61,7 +61,7 @@ impl Heads {
         &self.sizes
     }
 
-    /// What `images`, N x 3 x side x side (as shown, see `MarkConfig::finer`), hide, told their classes, N x (M + 1).
+    /// What `images`, N x 3 x side x side (as shown, see `Recipe::finer`), hide, told their classes, N x (M + 1).
     pub(crate) fn forward(&self, images: &Tensor, told: &Tensor) -> Result<Said, MarkError> {
         let features = match self.finer {
             1 => self.unet.features(images, told)?,

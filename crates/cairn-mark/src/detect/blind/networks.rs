@@ -5,7 +5,7 @@ use crate::detect::blind::out_of_distribution::Familiar;
 use crate::error::MarkError;
 use crate::payload::{HeadSizes, Numbers};
 use crate::stega::judge::winner;
-use crate::stega::recipe::{Guidance, MarkConfig};
+use crate::stega::recipe::{Guidance, Recipe};
 use cairn_nn::{Classifier, Params, softmax};
 use candle_core::{Device, Tensor};
 
@@ -24,13 +24,13 @@ pub(crate) struct Networks {
 
 impl Networks {
     /// Fresh networks for `classes` = M + 1 classes, with heads of `sizes`.
-    pub(crate) fn new(config: &MarkConfig, classes: usize, sizes: HeadSizes, seed: u64) -> Result<Self, MarkError> {
+    pub(crate) fn new(config: &Recipe, classes: usize, sizes: HeadSizes, seed: u64) -> Result<Self, MarkError> {
         Self::with(config, classes, sizes, Params::new(seed))
     }
 
     /// Networks over `params`, which may hold stored values already.
     pub(crate) fn with(
-        config: &MarkConfig,
+        config: &Recipe,
         classes: usize,
         sizes: HeadSizes,
         mut params: Params,
@@ -44,8 +44,8 @@ impl Networks {
     /// where it is to do without.
     pub(crate) fn told(&self, probabilities: Tensor) -> Result<Tensor, MarkError> {
         match self.guidance {
-            Guidance::Told => Ok(probabilities),
-            Guidance::Untold | Guidance::NoClassifier => Ok(probabilities.zeros_like()?),
+            Guidance::Guided => Ok(probabilities),
+            Guidance::Unguided | Guidance::NoClassifier => Ok(probabilities.zeros_like()?),
         }
     }
 
