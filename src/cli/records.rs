@@ -16,7 +16,7 @@ use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, Publi
 use tonic::{Code, Status};
 
 use super::connect::{Connection, refused};
-use cairn_service::store::folder::{write_atomic, write_atomic_secret};
+use cairn_durable::{write_atomic, write_secret};
 
 /// What the registry gives a signer to sign.
 pub struct Ground {
@@ -194,7 +194,7 @@ impl Bundle {
         let signed = envelope.to_json().into_bytes();
         let files = || secrets.iter().copied().chain([(SIGNED, &signed[..])]);
         let take_away = || files().for_each(|(name, _)| drop(std::fs::remove_file(self.folder.join(name))));
-        let written = files().try_for_each(|(name, bytes)| write_atomic_secret(&self.folder.join(name), bytes));
+        let written = files().try_for_each(|(name, bytes)| write_secret(&self.folder.join(name), bytes));
         written.inspect_err(|_| take_away())?;
         let sent = send(line, record, signed.clone()).await;
         if matches!(&sent, Err(status) if !is_open(status)) {

@@ -9,8 +9,6 @@
 //! Those build without the feature `store`, which adds the writing half: the
 //! registry proper and its store on sled, the only code here that knows sled.
 
-#[cfg(feature = "store")]
-pub mod files;
 pub mod format;
 #[cfg(feature = "store")]
 pub mod log;

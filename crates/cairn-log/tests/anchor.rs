@@ -3,10 +3,8 @@
 #![cfg(feature = "store")]
 
 use crate::common::*;
-use cairn_log::{
-    Anchor, Registry, RegistryError,
-    store::{Fault, FaultyStore},
-};
+use cairn_durable::Fault;
+use cairn_log::{Anchor, Registry, RegistryError, store::FaultyStore};
 
 const FILE: &str = "log.anchor";
 

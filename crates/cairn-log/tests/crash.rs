@@ -13,7 +13,8 @@ use std::{
 };
 
 use crate::common::*;
-use cairn_log::{Anchor, Checkpoint, Digest, Registry, files::RealDisk, merkle, store::DiskStore};
+use cairn_durable::RealDisk;
+use cairn_log::{Anchor, Checkpoint, Digest, Registry, merkle, store::DiskStore};
 use rand::{RngExt as _, SeedableRng as _};
 
 const CHILD: &str = "CAIRN_CRASH_CHILD";

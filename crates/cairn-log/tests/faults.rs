@@ -4,10 +4,8 @@
 #![cfg(feature = "store")]
 
 use crate::common::*;
-use cairn_log::{
-    Checkpoint, OwnerKey, Registry, RegistryError,
-    store::{Fault, FaultyStore},
-};
+use cairn_durable::Fault;
+use cairn_log::{Checkpoint, OwnerKey, Registry, RegistryError, store::FaultyStore};
 
 const FAULTS: [Fault; 2] = [Fault::Before, Fault::After];
 

@@ -3,14 +3,14 @@
 #![cfg(feature = "store")]
 
 use crate::common::*;
+use cairn_durable::{Disk as _, Fault};
 use cairn_log::{
     Checkpoint, LogEntry, Registry, RegistryError,
-    files::Disk as _,
     map::MapKey,
     map_leaf::Entry,
     merkle,
     packs::{self, Slot},
-    store::{Fault, FaultyStore},
+    store::FaultyStore,
     tile::{TilePath, decode_entries},
 };
 

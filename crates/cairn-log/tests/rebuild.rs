@@ -2,12 +2,8 @@
 #![cfg(feature = "store")]
 
 use crate::common::*;
-use cairn_log::{
-    Digest, Receipt, RecordKind, Registry, RegistryError,
-    files::{Disk as _, Files},
-    log::Rebuilt,
-    store::FaultyStore,
-};
+use cairn_durable::{Disk as _, Files};
+use cairn_log::{Digest, Receipt, RecordKind, Registry, RegistryError, log::Rebuilt, store::FaultyStore};
 
 const SCENES: [&str; 3] = ["fern", "trex", "liberty"];
 

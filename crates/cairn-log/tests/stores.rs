@@ -1,10 +1,8 @@
 //! The contract of a store, over sled and over the failing double alike, so that what the double shows is true of the disk.
 #![cfg(feature = "store")]
 
-use cairn_log::{
-    files::{Disk, Files, RealDisk},
-    store::{Change, DiskStore, Fault, FaultyStore, Store, StoreLock},
-};
+use cairn_durable::{Disk, Fault, Files, RealDisk};
+use cairn_log::store::{Change, DiskStore, FaultyStore, Store};
 
 fn entry(key: &str, value: &str) -> Change {
     (key.into(), Some(value.into()))
@@ -133,18 +131,6 @@ fn a_file_is_the_old_one_or_the_new_one_whatever_fails_and_whenever_power_goes()
             }
         }
     }
-}
-
-#[test]
-fn a_lock_names_its_holder_and_goes_with_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let held = StoreLock::take(folder.path()).unwrap().unwrap();
-    let holder = StoreLock::take(folder.path()).unwrap().unwrap_err();
-    assert_eq!(holder.pid, std::process::id().to_string());
-    assert!(holder.path.ends_with("LOCK"));
-    drop(held);
-    StoreLock::take(folder.path()).unwrap().unwrap();
-    assert_eq!(StoreLock::take(&folder.path().join("absent")).unwrap_err().operation, "lock");
 }
 
 #[test]

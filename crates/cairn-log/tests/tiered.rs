@@ -11,10 +11,10 @@ use std::{
 };
 
 use crate::common::*;
+use cairn_durable::{Disk as _, Fault, Files, RealDisk};
 use cairn_log::{
     Digest, MapKey, Registry,
-    files::{Disk as _, Files, RealDisk},
-    store::{Change, Cold, Fault, FaultyStore, Store, StoreError, TieredStore},
+    store::{Change, Cold, FaultyStore, Store, StoreError, TieredStore},
 };
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

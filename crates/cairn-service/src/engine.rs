@@ -22,7 +22,7 @@ use crate::store::folder::DataFolder;
 use crate::store::hidden::Parts;
 use crate::store::model::{Model, ModelInfo};
 use crate::store::quarantine::Quarantine;
-use crate::store::{folder, model, quarantine, scenes};
+use crate::store::{model, quarantine, scenes};
 use crate::train::jobs::Jobs;
 use crate::train::training;
 
@@ -246,14 +246,14 @@ impl Engine {
         self.refuse_in_training(name, format!("scene {name:?}"), "deleted")?;
         // Out of the way at once, so that no half of it can be read.
         let gone = self.folder.staging().join(format!("deleted-{name}"));
-        folder::remove(&gone)?;
+        cairn_durable::remove(&gone)?;
         std::fs::rename(&path, &gone).map_err(EngineError::io("delete", &path))?;
-        folder::sync_folder(&self.folder.scenes())?;
+        cairn_durable::sync_folder(&self.folder.scenes())?;
         self.access.forget(name)?;
         self.quarantine.forget(name)?;
-        folder::remove(&self.folder.models().join(name))?;
+        cairn_durable::remove(&self.folder.models().join(name))?;
         *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        folder::remove(&gone)
+        Ok(cairn_durable::remove(&gone)?)
     }
 
     /// The scene's newest model, loaded.

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::auth::AccessError;
+use cairn_durable::DurableError;
 use cairn_field::FieldError;
 use cairn_log::{Digest, ErasureError, PublicKey, RegistryError};
 use cairn_mark::MarkError;
@@ -229,6 +230,11 @@ impl EngineError {
         move |source| Self::Io { operation, path, source }
     }
 
+    /// A file of more than `limit` bytes.
+    pub fn too_large(path: PathBuf, limit: u64) -> Self {
+        Self::Stored { path, problem: format!("more than {limit} bytes, the most that such a file may have") }
+    }
+
     /// An argument that is not allowed.
     pub fn invalid(what: impl Into<String>, got: impl ToString, expected: impl Into<String>) -> Self {
         Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into() }
@@ -242,5 +248,18 @@ impl EngineError {
         }
         let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
         Self::NotFound { kind, name: name.to_owned(), there }
+    }
+}
+
+impl From<DurableError> for EngineError {
+    fn from(error: DurableError) -> Self {
+        match error {
+            DurableError::Io { operation, path, cause } => Self::Io { operation, path, source: cause },
+            DurableError::TooLarge { path, limit, .. } => Self::too_large(path, limit),
+            // The lock file lies in the folder that it is about.
+            DurableError::Locked { path, pid } => {
+                Self::Locked { path: path.parent().map_or(path.clone(), Path::to_path_buf), pid }
+            }
+        }
     }
 }

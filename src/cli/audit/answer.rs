@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use cairn_log::Digest;
 use cairn_verify::{FileInHand, Question};
 
-use cairn_service::store::folder::read_limited;
+use cairn_durable::read_limited;
 
 /// Largest answer that is opened, bytes; cairn-verify has a limit of its own.
 const MAX_ANSWER_BYTES: u64 = 256 << 20;

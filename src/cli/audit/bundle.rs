@@ -12,7 +12,7 @@ use cairn_verify::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, Recor
 use super::{Trust, against};
 use crate::cli::owners::LogFile;
 use crate::cli::read;
-use cairn_service::store::folder::read_limited;
+use cairn_durable::read_limited;
 
 /// Largest envelope or proof that is read, bytes; both are a few kilobytes.
 const MAX_FILE: u64 = 1 << 20;

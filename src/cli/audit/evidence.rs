@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use cairn_verify::{Fetch, FollowError, Outcome, audit_evidence};
 
 use super::Trust;
-use cairn_service::store::folder::read_limited;
+use cairn_durable::read_limited;
 
 /// Largest note that is read, bytes.
 const MAX_NOTE: u64 = 1 << 20;
@@ -52,7 +52,7 @@ impl Fetch for Kept {
         if !file.exists() {
             return Ok(None);
         }
-        let failed = |e: cairn_service::error::EngineError| FollowError::Fetch {
+        let failed = |e: cairn_durable::DurableError| FollowError::Fetch {
             path: file.display().to_string(),
             cause: e.to_string(),
         };

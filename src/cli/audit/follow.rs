@@ -19,7 +19,7 @@ use cairn_verify::{Contradiction, FollowOptions};
 
 use super::Trust;
 use super::http::HttpLog;
-use cairn_service::store::folder::{read_limited, remove, sync_folder, write_atomic};
+use cairn_durable::{read_limited, remove, sync_folder, write_atomic};
 
 /// `cairn audit follow`.
 #[derive(Clone, Debug, clap::Args)]

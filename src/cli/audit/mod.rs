@@ -21,7 +21,7 @@ use cairn_log::policy::MAX_POLICY_BYTES;
 use cairn_log::{NoteVerifier, Policy};
 use cairn_verify::Outcome;
 
-use cairn_service::store::folder::read_limited;
+use cairn_durable::read_limited;
 
 /// A verifier key is a line.
 const MAX_VKEY_BYTES: u64 = 64 << 10;

@@ -9,7 +9,7 @@ use cairn_log::{Checkpoint, Note, NoteVerifier};
 use cairn_verify::{Finding, StoreOptions, audit_folders, audit_store};
 
 use super::{Trust, renders};
-use cairn_service::store::folder::read_limited;
+use cairn_durable::read_limited;
 
 /// `cairn audit store`.
 #[derive(Clone, Debug, clap::Args)]

@@ -24,12 +24,12 @@ use crate::{
     checkpoint::Checkpoint,
     digest::Digest,
     dsse::Envelope,
-    files::{Disk, Files, RealDisk},
     merkle,
     packs::{self, Slot},
     store::StoreError,
     tile::TILE_WIDTH,
 };
+use cairn_durable::{Disk, Files, RealDisk};
 
 const FORMAT: &str = "cairn-anchor/1";
 /// Largest anchor that is read, bytes: an origin of 256, and room to spare.
@@ -122,12 +122,12 @@ impl Anchor {
     pub(super) fn prepare(&self, signed: &Checkpoint) -> Result<(), StoreError> {
         let text = format!("{FORMAT}\n{}", signed.to_text());
         let text = format!("{text}sha256 {}\n", Digest::of(&text));
-        self.files.prepare(&self.name, text.as_bytes())
+        Ok(self.files.prepare(&self.name, text.as_bytes())?)
     }
 
     /// The other half.
     pub(super) fn adopt(&self) -> Result<(), StoreError> {
-        self.files.adopt(&self.name)
+        Ok(self.files.adopt(&self.name)?)
     }
 
     fn read(&self, origin: &str) -> Result<Option<Checkpoint>, RegistryError> {

@@ -3,6 +3,8 @@
 
 use std::path::PathBuf;
 
+use cairn_durable::DurableError;
+
 use crate::{
     answer::AnswerGap,
     digest::Digest,
@@ -219,6 +221,15 @@ impl RegistryError {
         match self {
             Self::Store(e) => Self::Store(e.clone()),
             other => Self::Halted { cause: other.to_string() },
+        }
+    }
+}
+
+impl From<DurableError> for RegistryError {
+    fn from(error: DurableError) -> Self {
+        match error {
+            DurableError::Locked { path, pid } => Self::Locked { path, pid },
+            error => Self::Store(error.into()),
         }
     }
 }

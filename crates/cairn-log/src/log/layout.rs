@@ -22,6 +22,8 @@ use crate::{
 /// Value of [`FORMAT`] that this release reads and writes.
 pub(super) const FORMAT_VERSION: &str = "cairn-log-store/3";
 
+/// The lock file of the one writer.
+pub(super) const LOCK: &str = "LOCK";
 /// The store's folder.
 pub(super) const WORKING: &str = "working";
 /// Where rows of the store go that only accumulate.

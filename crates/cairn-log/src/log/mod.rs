@@ -39,14 +39,14 @@ use crate::{
     checkpoint::Checkpoint,
     digest::Digest,
     dsse::Envelope,
-    files::{Disk, Files, RealDisk},
     keys::{OwnerKey, PublicKey},
     map::BucketMap,
     merkle,
     note::NoteVerifier,
     proof::TlogProof,
-    store::{DiskStore, Store, StoreError, StoreLock, TieredStore},
+    store::{DiskStore, Store, StoreError, TieredStore},
 };
+use cairn_durable::{Disk, Files, LockFile, RealDisk};
 
 pub use anchor::Anchor;
 pub use error::RegistryError;
@@ -126,7 +126,7 @@ pub struct Registry {
     store: Box<dyn Store>,
     // After the store, which must be closed to be sealed, and before the lock, under which that has to happen.
     seal: Option<seal::Seal>,
-    _lock: Option<StoreLock>,
+    _lock: Option<LockFile>,
 }
 
 impl Registry {
@@ -160,10 +160,7 @@ impl Registry {
             place: path.display().to_string(),
             cause: e.to_string(),
         })?;
-        let lock = match StoreLock::take(path)? {
-            Ok(lock) => lock,
-            Err(holder) => return Err(RegistryError::Locked { path: holder.path, pid: holder.pid }),
-        };
+        let lock = LockFile::take(&path.join(layout::LOCK))?;
         if path.join(layout::FORMER_STORE).exists() {
             let got = format!("cairn-log-store/1 ({})", path.join(layout::FORMER_STORE).display());
             return Err(RegistryError::WrongStore { what: "format", expected: layout::FORMAT_VERSION.into(), got });

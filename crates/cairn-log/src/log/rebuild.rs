@@ -17,7 +17,6 @@ use super::{Registry, RegistryError, commit::StoredBuckets, layout, nonce::NONCE
 use crate::{
     digest::Digest,
     dsse::Envelope,
-    files::{Disk, Files, RealDisk},
     keys::OwnerKey,
     leaf::Leaf,
     map::{BucketMap, MapEntry, MapKey, keys_of},
@@ -25,9 +24,10 @@ use crate::{
     merkle::{self, Subtrees as _},
     packs::{self, Slot},
     record::RecordKind,
-    store::{Change, DiskStore, Store, StoreError, StoreLock, TieredStore, sync_folder},
+    store::{Change, DiskStore, Store, StoreError, TieredStore},
     tile::{TILE_WIDTH, TileKind, TilePath, decode_entries, encode_entries},
 };
+use cairn_durable::{Disk, Files, LockFile, RealDisk};
 
 const WIDTH: u64 = TILE_WIDTH as u64;
 /// Packs between two reports of progress.
@@ -66,10 +66,7 @@ impl Registry {
         origin: &str,
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<Rebuilt, RegistryError> {
-        let _lock = match StoreLock::take(path)? {
-            Ok(lock) => lock,
-            Err(holder) => return Err(RegistryError::Locked { path: holder.path, pid: holder.pid }),
-        };
+        let _lock = LockFile::take(&path.join(layout::LOCK))?;
         let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
         if working.exists() {
             return Err(refuse(layout::WORKING, "is there; move it away first".into()));
@@ -89,7 +86,7 @@ impl Registry {
         let runs = (layout::REBUILT_RUNS, layout::ENOUGH);
         let rebuilt = Self::rebuild_store(Box::new(store), disk, runs, key, origin, progress)?;
         seal::await_closed(&new.join("db")).map_err(failed("close", &new))?;
-        fs::rename(&new, &working).and_then(|()| sync_folder(path)).map_err(failed("rename", &new))?;
+        cairn_durable::rename(&new, &working)?;
         Ok(rebuilt)
     }
 

@@ -18,7 +18,6 @@ use super::{
 use crate::{
     checkpoint::Checkpoint,
     digest::Digest,
-    files::Files,
     keys::OwnerKey,
     leaf::LEAF_LEN,
     map::{BucketMap, BucketTop},
@@ -29,6 +28,7 @@ use crate::{
     store::Store,
     tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
 };
+use cairn_durable::Files;
 
 /// Entries of the store read at a time.
 const PAGE: usize = 4096;

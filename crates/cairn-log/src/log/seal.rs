@@ -6,21 +6,20 @@
 //! seal before anything is written. Where there is none, the last stop was not a clean one.
 
 use std::{
-    fs::{self, File},
+    fs::{self, File, TryLockError},
     io,
     path::{Path, PathBuf},
     time::Duration,
 };
 
-use fs4::{FileExt, TryLockError};
 use serde::{Deserialize, Serialize};
 
 use super::layout;
 use crate::{
     digest::Digest,
-    files::{Files, RealDisk},
-    store::{KnownFile, StoreError, sync_folder},
+    store::{KnownFile, StoreError},
 };
+use cairn_durable::{Files, RealDisk, sync_folder};
 
 /// The seal's format version.
 pub const VERSION: u32 = 1;
@@ -52,16 +51,10 @@ impl Seal {
     /// Removes the seal, durably: from now on the files may change.
     pub(super) fn break_open(root: &Path) -> Result<Self, StoreError> {
         let path = root.join(layout::SEAL);
-        let removed = match fs::remove_file(&path) {
-            Ok(()) => sync_folder(root),
-            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
-            Err(e) => Err(e),
-        };
-        removed.map_err(|e| StoreError {
-            operation: "remove",
-            place: path.display().to_string(),
-            cause: e.to_string(),
-        })?;
+        if path.exists() {
+            cairn_durable::remove(&path)?;
+            sync_folder(root)?;
+        }
         Ok(Self { root: root.to_path_buf(), known: None })
     }
 
@@ -100,8 +93,8 @@ impl Drop for Seal {
 pub(super) fn await_closed(db: &Path) -> io::Result<()> {
     let file = File::open(db)?;
     for _ in 0..250 {
-        match FileExt::try_lock(&file) {
-            Ok(()) => return FileExt::unlock(&file),
+        match file.try_lock() {
+            Ok(()) => return file.unlock(),
             Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(20)),
             Err(TryLockError::Error(e)) => return Err(e),
         }

@@ -16,10 +16,10 @@ use lru::LruCache;
 use super::{RegistryError, layout, reload::inconsistent};
 use crate::{
     digest::Digest,
-    files::Files,
     merkle::{ProofError, Subtrees, node_hash},
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
+use cairn_durable::Files;
 
 const WIDTH: usize = TILE_WIDTH as usize;
 /// Levels of the tree in a tile.

@@ -19,7 +19,7 @@ use std::{
     time::Duration,
 };
 
-use fs4::FileExt;
+use cairn_durable::sync_folder;
 
 use super::{Change, Entry, Store, StoreError};
 
@@ -66,14 +66,14 @@ impl DiskStore {
         // Sled writes for a moment after the last handle is dropped, and by name: it must be through before the rename.
         let log = File::open(new.join("db")).map_err(failed)?;
         let mut tries = 1;
-        while let Err(e) = FileExt::try_lock(&log) {
+        while let Err(e) = log.try_lock() {
             if tries == OPEN_TRIES {
                 return Err(failed(io::Error::other(format!("sled does not let go of it: {e}"))));
             }
             tries += 1;
             thread::sleep(OPEN_PAUSE);
         }
-        fs::rename(&new, folder).and_then(|()| folder.parent().map_or(Ok(()), sync_folder)).map_err(failed)
+        Ok(cairn_durable::rename(&new, folder)?)
     }
 
     fn open_sled(folder: &Path) -> Result<sled::Db, StoreError> {
@@ -96,7 +96,8 @@ impl DiskStore {
         let store = Self { db, folder: folder.into(), log, synced_blobs: Mutex::default() };
         store.sync_files()?;
         // The names of the folder and of what sled made in it.
-        sync_folder(folder).and_then(|()| folder.parent().map_or(Ok(()), sync_folder))?;
+        sync_folder(folder)?;
+        folder.parent().map_or(Ok(()), sync_folder)?;
         Ok(store)
     }
 
@@ -146,11 +147,6 @@ fn remove_half_snapshots(folder: &Path) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// A new name in a folder survives a power cut only once the folder is synced.
-pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
-    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
 fn error(operation: &'static str, folder: &Path, cause: &dyn std::error::Error) -> StoreError {

@@ -9,21 +9,31 @@
 //! [`DiskStore`] is sled. [`TieredStore`] keeps a store small by moving what only accumulates into sorted files.
 
 mod disk;
-mod lock;
 mod memory;
 mod tiered;
 
 pub use disk::DiskStore;
-pub(crate) use disk::sync_folder;
-pub use lock::{Holder, StoreLock};
-pub use memory::{Fault, FaultyStore};
+pub use memory::FaultyStore;
 pub use tiered::{Cold, KnownFile, TieredStore};
+
+use cairn_durable::DurableError;
 
 /// A key and its value.
 pub type Entry = (Vec<u8>, Vec<u8>);
 
 /// A key and the value that it gets; none takes the key away.
 pub type Change = (Vec<u8>, Option<Vec<u8>>);
+
+impl From<DurableError> for StoreError {
+    fn from(error: DurableError) -> Self {
+        let (operation, path, cause) = match error {
+            DurableError::Io { operation, path, cause } => (operation, path, cause.to_string()),
+            DurableError::TooLarge { ref path, .. } => ("read", path.clone(), error.to_string()),
+            DurableError::Locked { ref path, .. } => ("lock", path.clone(), error.to_string()),
+        };
+        Self { operation, place: path.display().to_string(), cause }
+    }
+}
 
 /// An ordered map of bytes that can be written durably.
 pub trait Store: Send + Sync {

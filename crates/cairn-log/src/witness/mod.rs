@@ -11,7 +11,6 @@
 #[cfg(feature = "witness-client")]
 pub mod client;
 mod evidence;
-mod lock;
 #[cfg(feature = "witness-server")]
 pub mod plain_http;
 pub mod request;

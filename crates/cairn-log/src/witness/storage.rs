@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::witness::lock::FolderLock;
+use cairn_durable::{LockFile, read_limited_if_there, sync_folder};
 
 /// Folder of the files that say what was cosigned last, one a log.
 pub(crate) const LOGS: &str = "logs";
@@ -79,7 +79,7 @@ pub(crate) fn replace(storage: &dyn Storage, folder: &str, file: &str, bytes: &[
 #[derive(Debug)]
 pub struct FolderStorage {
     path: PathBuf,
-    _lock: FolderLock,
+    _lock: LockFile,
 }
 
 impl FolderStorage {
@@ -92,10 +92,10 @@ impl FolderStorage {
         for folder in [LOGS, EVIDENCE] {
             fs::create_dir_all(path.join(folder)).map_err(failed)?;
         }
-        let lock = FolderLock::take(path)?;
-        sync_folder(path).map_err(failed)?;
+        let lock = LockFile::take(&path.join("LOCK"))?;
+        sync_folder(path)?;
         if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-            sync_folder(parent).map_err(failed)?;
+            sync_folder(parent)?;
         }
         Ok(Self { path: path.to_owned(), _lock: lock })
     }
@@ -103,16 +103,7 @@ impl FolderStorage {
 
 impl Storage for FolderStorage {
     fn read(&self, name: &str) -> io::Result<Option<Vec<u8>>> {
-        let path = self.path.join(name);
-        match fs::metadata(&path) {
-            Ok(about) if about.len() > MAX_FILE_BYTES => {
-                let what = format!("{}: {} bytes, at most {MAX_FILE_BYTES} are read", path.display(), about.len());
-                Err(io::Error::new(io::ErrorKind::InvalidData, what))
-            }
-            Ok(_) => fs::read(&path).map(Some),
-            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
-            Err(e) => Err(e),
-        }
+        Ok(read_limited_if_there(&self.path.join(name), MAX_FILE_BYTES)?)
     }
 
     fn list(&self, folder: &str) -> io::Result<Vec<String>> {
@@ -134,12 +125,8 @@ impl Storage for FolderStorage {
     }
 
     fn sync_folder(&self, folder: &str) -> io::Result<()> {
-        sync_folder(&self.path.join(folder))
+        Ok(sync_folder(&self.path.join(folder))?)
     }
-}
-
-fn sync_folder(path: &Path) -> io::Result<()> {
-    if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
 }
 
 #[cfg(test)]

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use cairn_durable::DurableError;
+
 use crate::auth::accounts::AccountError;
 use crate::auth::quota::QuotaError;
 use crate::auth::registration::RegistrationError;
@@ -77,4 +79,18 @@ pub enum FileError {
         /// What is wrong.
         problem: String,
     },
+}
+
+impl From<DurableError> for FileError {
+    fn from(error: DurableError) -> Self {
+        match error {
+            DurableError::Io { operation, path, cause } => Self::Io { operation, path, source: cause },
+            DurableError::TooLarge { path, limit, .. } => {
+                Self::Stored { path, problem: format!("more than {limit} bytes, the most that such a file may have") }
+            }
+            DurableError::Locked { ref path, .. } => {
+                Self::Io { operation: "lock", path: path.clone(), source: error.into() }
+            }
+        }
+    }
 }

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use cairn_log::{Checkpoint, PublicKey, Registry, RegistryError};
 
 use crate::error::EngineError;
-use crate::store::folder::{read_limited, write_atomic};
+use cairn_durable::{read_limited, write_atomic};
 
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT: u64 = 1 << 16;
@@ -78,7 +78,7 @@ impl LastPublished {
                  by an anchor (registry.anchor_file), witnesses and followers only"
             );
         }
-        inside
+        Ok(inside?)
     }
 }
 

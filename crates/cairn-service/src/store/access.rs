@@ -18,8 +18,9 @@ use cairn_scene::SceneFolder;
 use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
-use crate::store::folder::{DataFolder, read_json, remove, sync_folder, write_json};
+use crate::store::folder::{DataFolder, read_json, write_json};
 use crate::store::scenes;
+use cairn_durable::{remove, sync_folder};
 
 /// Accounts, quotas and owners of one data folder.
 #[derive(Debug)]
@@ -230,7 +231,7 @@ impl Access {
             Some(Owned { owner, charge: Charge { bytes, views }, .. }) => {
                 write_json(&path, &SceneOwner { format_version: 1, owner: *owner, bytes: *bytes, views: *views })
             }
-            None => remove(&path),
+            None => Ok(remove(&path)?),
         }
     }
 
@@ -256,7 +257,7 @@ impl Access {
         let found: SceneOwner = read_json(&path)?;
         self.quotas.release(&found.owner, scene).map_err(AccessError::from)?;
         remove(&path)?;
-        sync_folder(&self.owners)
+        Ok(sync_folder(&self.owners)?)
     }
 
     /// Views of a scene are gone: its owner, if any, is charged with what is left. Written down before it counts, for the

@@ -19,18 +19,19 @@
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{Read, Write};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use fs4::{FileExt, TryLockError};
+use cairn_durable::{LockFile, read_limited, sync_folder, write_atomic};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
 use crate::store::seal;
 
+/// The lock file of the folder's one owner.
+const LOCK: &str = "lock";
 /// Version of the folder's layout.
 const FORMAT_VERSION: u32 = 1;
 /// Largest JSON file that is read, bytes.
@@ -42,7 +43,7 @@ pub struct DataFolder {
     root: PathBuf,
     /// Whether what it holds is known to be good, so that a seal may say what it is.
     sound: AtomicBool,
-    _lock: File,
+    _lock: LockFile,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -58,7 +59,7 @@ impl DataFolder {
     /// another version, and the file system's.
     pub fn open(root: &Path) -> Result<Self, EngineError> {
         fs::create_dir_all(root).map_err(EngineError::io("create", root))?;
-        let lock = take_lock(root)?;
+        let lock = LockFile::take(&root.join(LOCK))?;
         let format = root.join("format.json");
         if format.exists() {
             let _: Layout = read_json(&format)?;
@@ -163,87 +164,19 @@ impl Drop for DataFolder {
     }
 }
 
-/// Says whether somebody has the data folder `root`, which stays as it is.
+/// Checks that no process has the data folder `root`, which stays as it is.
 ///
 /// # Errors
-/// [`EngineError::Locked`] naming the owner's process.
+/// [`EngineError::Locked`] names the owner's process.
 pub fn must_be_free(root: &Path) -> Result<(), EngineError> {
-    // Where there is no lock, or none that can be read, nobody can be named.
-    let Ok(mut file) = File::open(root.join("lock")) else { return Ok(()) };
-    match FileExt::try_lock_shared(&file) {
-        Err(TryLockError::WouldBlock) => Err(locked_by(&mut file, root)),
-        Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
-    }
-}
-
-fn locked_by(lock: &mut File, root: &Path) -> EngineError {
-    let mut pid = String::new();
-    // Whoever holds it may be writing its number just now: then it is unknown.
-    let _ = lock.read_to_string(&mut pid);
-    let pid = if pid.trim().is_empty() { "unknown".to_owned() } else { pid.trim().to_owned() };
-    EngineError::Locked { path: root.to_path_buf(), pid }
-}
-
-fn take_lock(root: &Path) -> Result<File, EngineError> {
-    let path = root.join("lock");
-    let io = |operation| EngineError::io(operation, &path);
-    let mut file =
-        OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path).map_err(io("open"))?;
-    match FileExt::try_lock(&file) {
-        Ok(()) => {}
-        Err(TryLockError::Error(e)) => return Err(io("lock")(e)),
-        Err(TryLockError::WouldBlock) => return Err(locked_by(&mut file, root)),
-    }
-    file.set_len(0).map_err(io("write"))?;
-    file.write_all(std::process::id().to_string().as_bytes()).map_err(io("write"))?;
-    file.sync_all().map_err(io("flush"))?;
-    Ok(file)
-}
-
-/// Flushes a folder: without that a new name in it may be lost with the power.
-pub fn sync_folder(path: &Path) -> Result<(), EngineError> {
-    if cfg!(unix) {
-        File::open(path).and_then(|f| f.sync_all()).map_err(EngineError::io("flush", path))?;
-    }
-    Ok(())
-}
-
-/// Replaces `path` by `bytes`, durably and at once: after a crash there is the
-/// old file or the new one, whole.
-pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
-    write_atomic_as(path, bytes, OpenOptions::new().create_new(true).write(true))
-}
-
-/// As [`write_atomic`], readable by the file's owner alone.
-pub fn write_atomic_secret(path: &Path, bytes: &[u8]) -> Result<(), EngineError> {
-    let mut secret = OpenOptions::new();
-    secret.create_new(true).write(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut secret, 0o600);
-    write_atomic_as(path, bytes, &secret)
-}
-
-fn write_atomic_as(path: &Path, bytes: &[u8], how: &OpenOptions) -> Result<(), EngineError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let mut temporary = path.as_os_str().to_owned();
-    temporary.push(".new");
-    let temporary = PathBuf::from(temporary);
-    // What a crash left, or somebody laid there: it is not written into.
-    remove(&temporary)?;
-    let written = || {
-        let mut file = how.open(&temporary).map_err(EngineError::io("create", &temporary))?;
-        file.write_all(bytes).and_then(|()| file.sync_all()).map_err(EngineError::io("write", &temporary))?;
-        fs::rename(&temporary, path).map_err(EngineError::io("replace", path))
-    };
-    written().inspect_err(|_| drop(remove(&temporary)))?;
-    sync_folder(folder)
+    Ok(LockFile::must_be_free(&root.join(LOCK))?)
 }
 
 /// Writes a versioned JSON file atomically.
 pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), EngineError> {
     let json = serde_json::to_vec_pretty(value)
         .map_err(|e| EngineError::Internal(format!("{} cannot be written as JSON: {e}", path.display())))?;
-    write_atomic(path, &json)
+    Ok(write_atomic(path, &json)?)
 }
 
 /// Reads a JSON file whose `format_version` is the one that this release writes.
@@ -268,32 +201,6 @@ pub fn read_json_of<T: DeserializeOwned>(path: &Path, versions: &[u32]) -> Resul
         None => return Err(stored("it has no format version".into())),
     }
     serde_json::from_value(value).map_err(|e| stored(e.to_string()))
-}
-
-/// Reads a file of at most `limit` bytes.
-pub fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, EngineError> {
-    let file = File::open(path).map_err(EngineError::io("open", path))?;
-    let mut bytes = Vec::new();
-    file.take(limit + 1).read_to_end(&mut bytes).map_err(EngineError::io("read", path))?;
-    if bytes.len() as u64 > limit {
-        return Err(too_large(path, limit));
-    }
-    Ok(bytes)
-}
-
-/// A file of more than `limit` bytes.
-pub fn too_large(path: &Path, limit: u64) -> EngineError {
-    let problem = format!("more than {limit} bytes, the most that such a file may have");
-    EngineError::Stored { path: path.to_path_buf(), problem }
-}
-
-/// Removes a file or a folder with all in it; that it is not there is no error.
-pub fn remove(path: &Path) -> Result<(), EngineError> {
-    let result = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
-    match result {
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        result => result.map_err(EngineError::io("remove", path)),
-    }
 }
 
 #[cfg(test)]
@@ -325,40 +232,6 @@ mod tests {
         std::fs::create_dir_all(&left).unwrap();
         let folder = DataFolder::open(dir.path()).unwrap();
         assert!(!left.exists() && folder.staging().is_dir());
-    }
-
-    #[test]
-    fn writing_replaces_whole_files() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("a.json");
-        write_atomic(&path, b"first, and longer").unwrap();
-        write_atomic(&path, b"second").unwrap();
-        assert_eq!(std::fs::read(&path).unwrap(), b"second");
-        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file stays");
-        assert!(read_limited(&path, 5).is_err());
-    }
-
-    #[test]
-    #[cfg(unix)]
-    fn writing_follows_no_link_and_leaves_nothing_half_done() {
-        use std::os::unix::fs::{PermissionsExt as _, symlink};
-        let dir = tempfile::tempdir().unwrap();
-        let (path, new, victim) = (dir.path().join("a"), dir.path().join("a.new"), dir.path().join("victim"));
-        std::fs::write(&victim, b"theirs").unwrap();
-        symlink(&victim, &new).unwrap();
-        write_atomic_secret(&path, b"mine").unwrap();
-        assert_eq!(
-            (std::fs::read(&victim).unwrap(), std::fs::read(&path).unwrap()),
-            (b"theirs".into(), b"mine".into())
-        );
-        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
-        // What an earlier one left readable for all does not stay so.
-        std::fs::write(&new, b"left").unwrap();
-        write_atomic_secret(&path, b"mine").unwrap();
-        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
-        std::fs::remove_file(&path).unwrap();
-        std::fs::create_dir(&path).unwrap();
-        assert!(write_atomic(&path, b"mine").is_err() && !new.exists());
     }
 
     #[test]

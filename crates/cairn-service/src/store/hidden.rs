@@ -10,7 +10,7 @@ use cairn_scene::{SoundLimits, decode_wav, encode_png, encode_wav, save_png};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::error::EngineError;
-use crate::store::folder::{read_limited, write_atomic};
+use cairn_durable::{read_limited, write_atomic};
 
 /// Largest file of a published signal's part, bytes.
 const MAX_PART_BYTES: u64 = 16 << 20;
@@ -137,7 +137,7 @@ pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &Recipe) -> Result
         audio: kinds.audio.then_some(()),
         text: kinds.text.then_some(()),
     };
-    let files = read_parts(&wanted, number, |name, ()| read_limited(&folder.join(name), MAX_GIVEN_BYTES))?;
+    let files = read_parts(&wanted, number, |name, ()| Ok(read_limited(&folder.join(name), MAX_GIVEN_BYTES)?))?;
     let mut signal = decoded_within(&files, MAX_GIVEN_BYTES)?;
     let side = mark.side_px();
     signal.picture = signal.picture.map(|p| p.resized(side, side));
@@ -146,7 +146,7 @@ pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &Recipe) -> Result
 
 /// Writes the files of signal `number` into a model's folder.
 pub fn write(folder: &Path, number: usize, files: &Parts<Vec<u8>>) -> Result<(), EngineError> {
-    files.files(number).try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))
+    Ok(files.files(number).try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))?)
 }
 
 /// The files of signal `number` in a model's folder, each held to its digest.

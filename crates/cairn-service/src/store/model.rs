@@ -17,12 +17,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
 use crate::store::classes::Classes;
-use crate::store::folder::{
-    read_json, read_json_of, read_limited, remove, sync_folder, too_large, write_atomic, write_json,
-};
+use crate::store::folder::{read_json, read_json_of, write_json};
 use crate::store::hidden::{self, Parts};
 use crate::train::marks::{Detector, MarkedField};
 use crate::train::stages::Field;
+use cairn_durable::{read_limited, remove, sync_folder, write_atomic};
 
 /// Largest field or detector file that is read, bytes.
 const MAX_FIELD_BYTES: u64 = 64 << 30;
@@ -412,7 +411,7 @@ fn open_checked(path: &Path, expected: &Digest, limit: u64) -> Result<File, Engi
     let mut file = File::open(path).map_err(EngineError::io("open", path))?;
     let (got, size) = Digest::of_all(&mut file.by_ref().take(limit + 1)).map_err(EngineError::io("read", path))?;
     if size > limit {
-        return Err(too_large(path, limit));
+        return Err(EngineError::too_large(path.to_path_buf(), limit));
     }
     held_to(path, &got, expected)?;
     file.rewind().map_err(EngineError::io("read", path))?;

@@ -15,9 +15,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
 use crate::store::access::unix_s;
-use crate::store::folder::{read_json, remove, sync_folder, write_json};
+use crate::store::folder::{read_json, write_json};
 use crate::store::model::{IdentityInfo, ModelInfo};
 use crate::store::scenes;
+use cairn_durable::{remove, sync_folder};
 
 /// A view that is, or was, in quarantine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -291,7 +292,7 @@ impl Quarantine {
     pub fn forget(&self, scene: &str) -> Result<(), EngineError> {
         let _changing = self.lock();
         remove(&self.file(scene))?;
-        sync_folder(&self.folder)
+        Ok(sync_folder(&self.folder)?)
     }
 
     /// Which views of a model's identities are left out, by their index in its clusters.

@@ -9,7 +9,7 @@ use std::path::Path;
 use cairn_verify::{FileInHand, Manifest, ManifestFile};
 
 use crate::error::EngineError;
-use crate::store::folder::{remove, sync_folder, write_atomic};
+use cairn_durable::{remove, sync_folder, write_atomic};
 
 const SEAL: &str = "state.seal";
 /// What is sealed: folders, of files only, and single files.
@@ -25,7 +25,7 @@ pub fn break_open(root: &Path) -> Result<(), EngineError> {
         return Ok(());
     }
     remove(&path)?;
-    sync_folder(root)
+    Ok(sync_folder(root)?)
 }
 
 /// Writes down what the files are now.
@@ -55,7 +55,7 @@ pub fn write(root: &Path) -> Result<(), EngineError> {
     }
     let manifest = Manifest { format_version: 1, files };
     // Strings and numbers only: there is nothing that could fail to serialise.
-    write_atomic(&root.join(SEAL), &serde_json::to_vec_pretty(&manifest).unwrap_or_default())
+    Ok(write_atomic(&root.join(SEAL), &serde_json::to_vec_pretty(&manifest).unwrap_or_default())?)
 }
 
 #[cfg(test)]

@@ -19,8 +19,9 @@ use tokio::sync::watch;
 
 use crate::error::EngineError;
 use crate::store::access::{Access, unix_s};
-use crate::store::folder::{read_json_of, remove, write_json};
+use crate::store::folder::{read_json_of, write_json};
 use crate::train::job::{self, Job, JobSpec, JobState, Progress, StageSeconds};
+use cairn_durable::remove;
 
 /// What runs a job. Called on the worker thread, one job at a time.
 pub trait Work: Send + 'static {
@@ -234,7 +235,7 @@ impl Jobs {
             std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
             prepare(&folder)?;
             write_json(&folder.join("job.json"), &job)?;
-            crate::store::folder::sync_folder(&self.shared.folder)
+            Ok(cairn_durable::sync_folder(&self.shared.folder)?)
         };
         if let Err(error) = write() {
             // What is left would only be in the way; the first error is the one to tell.

@@ -14,12 +14,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
 use crate::store::access::unix_s;
-use crate::store::folder::{read_json, remove, write_json};
+use crate::store::folder::{read_json, write_json};
 use crate::store::quarantine::{Entry, Found, Standing, leaving_out};
 use crate::train::job::Job;
 use crate::train::jobs::Control;
 use crate::train::stages;
 use crate::train::training::{Training, preparing, read_checkpoint, stopped};
+use cairn_durable::remove;
 
 /// Views named in a note.
 const NAMED: usize = 12;

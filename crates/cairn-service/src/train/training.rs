@@ -16,7 +16,6 @@ use cairn_scene::SceneFolder;
 use cairn_scene::cluster::{ClusterConfig, ClusterError, Clusters, Grouping};
 
 use crate::error::EngineError;
-use crate::store::folder::{read_limited, remove, write_atomic};
 use crate::store::hidden;
 use crate::store::model::{IdentityInfo, MarkFiles, ModelInfo};
 use crate::store::quarantine::Quarantine;
@@ -25,6 +24,7 @@ use crate::train::jobs::{Control, Outcome, Work};
 use crate::train::joint::{Part, shares, signals};
 use crate::train::marks::{Marked, Marking, ToMark};
 use crate::train::stages::{self, Field, Stage};
+use cairn_durable::{read_limited, remove, write_atomic};
 
 /// Largest checkpoint that is read, bytes.
 const MAX_CHECKPOINT_BYTES: u64 = 64 << 30;
@@ -98,7 +98,7 @@ impl Training {
     ) -> Result<Option<Vec<u8>>, EngineError> {
         let done = folder.join("base.field");
         if done.exists() {
-            return read_limited(&done, MAX_CHECKPOINT_BYTES).map(Some);
+            return Ok(Some(read_limited(&done, MAX_CHECKPOINT_BYTES)?));
         }
         let clock = Instant::now();
         let file = folder.join("base.checkpoint");
@@ -267,7 +267,7 @@ pub(crate) fn read_checkpoint(path: &Path) -> Result<Option<Vec<u8>>, EngineErro
     if !path.exists() {
         return Ok(None);
     }
-    read_limited(path, MAX_CHECKPOINT_BYTES).map(Some)
+    Ok(Some(read_limited(path, MAX_CHECKPOINT_BYTES)?))
 }
 
 /// Clusters over the scene's training views, in their order. Around anchors with a K of 0: of as many

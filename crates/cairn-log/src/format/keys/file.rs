@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::{self, Read as _, Write as _},
+    io::{self, Read as _},
     path::Path,
 };
 
@@ -59,31 +59,13 @@ pub(super) enum There {
 
 /// Writes a secret's file, mode 600: written beside its place, flushed, then given its name, and the folder flushed.
 pub(super) fn write(path: &Path, text: &str, there: There) -> Result<(), KeyError> {
-    let failed = |source| KeyError::Io { path: path.into(), what: "write", source };
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    // Opened with O_EXCL and mode 600.
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
-    file.write_all(text.as_bytes()).map_err(failed)?;
-    file.as_file().sync_all().map_err(failed)?;
-    let named = match there {
-        There::Stays => file.persist_noclobber(path),
+    let written = match there {
+        There::Stays => cairn_durable::create_secret(path, text.as_bytes()),
         #[cfg(feature = "sealed-keys")]
-        There::Goes => file.persist(path),
+        There::Goes => cairn_durable::write_secret(path, text.as_bytes()),
     };
-    match named {
-        Ok(_) => {}
-        Err(e) if e.error.kind() == io::ErrorKind::AlreadyExists => {
-            return Err(KeyError::Exists { path: path.into() });
-        }
-        Err(e) => return Err(failed(e.error)),
-    }
-    sync_folder(folder).map_err(failed)
-}
-
-/// A new name in a folder survives a power cut only once the folder is flushed.
-fn sync_folder(folder: &Path) -> io::Result<()> {
-    if cfg!(unix) { fs::File::open(folder)?.sync_all() } else { Ok(()) }
+    written.map_err(|error| match error.into_cause() {
+        e if e.kind() == io::ErrorKind::AlreadyExists => KeyError::Exists { path: path.into() },
+        source => KeyError::Io { path: path.into(), what: "write", source },
+    })
 }

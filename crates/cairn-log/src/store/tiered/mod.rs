@@ -33,7 +33,9 @@ use self::{
     writer::RunWriter,
 };
 use super::{Change, Entry, Store, StoreError, successor};
-use crate::{digest::Digest, files::Files};
+use cairn_durable::Files;
+
+use crate::digest::Digest;
 
 /// The row of the store that holds the [`Manifest`].
 const MANIFEST: &[u8] = b"runs";
@@ -276,7 +278,7 @@ impl TieredStore {
     fn remove(&self, runs: &[u64]) -> Result<(), StoreError> {
         runs.iter().map(|number| path_of(self.folder, *number)).try_for_each(|path| {
             self.files.remove(&path)?;
-            self.files.discard(&path)
+            Ok(self.files.discard(&path)?)
         })
     }
 }

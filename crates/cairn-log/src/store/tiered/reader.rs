@@ -7,10 +7,8 @@ use super::{
     format::{CRC, FOOTER, Footer, MAGIC, opened, row},
     manifest::RunInfo,
 };
-use crate::{
-    files::{Files, OpenFile},
-    store::{Entry, StoreError},
-};
+use crate::store::{Entry, StoreError};
+use cairn_durable::{Files, OpenFile};
 
 /// A run that is open.
 pub(super) struct Run {
@@ -49,7 +47,7 @@ impl Run {
             return Err(damaged("footer"));
         }
         let piece = |from: u64, to: u64| match to.checked_sub(from) {
-            Some(length) if to <= end => file.read_at(from, length as usize),
+            Some(length) if to <= end => Ok(file.read_at(from, length as usize)?),
             _ => Err(damaged("footer")),
         };
         let index = piece(footer.index, footer.filter)?;

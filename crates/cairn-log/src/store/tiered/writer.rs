@@ -7,7 +7,8 @@ use super::{
     format::{BLOCK, Footer, MAGIC, sealed},
     manifest::RunInfo,
 };
-use crate::{digest::Digest, files::Files, store::StoreError};
+use crate::{digest::Digest, store::StoreError};
+use cairn_durable::Files;
 
 /// Bytes gathered before they are handed to the file system.
 const PIECE: usize = 1 << 20;

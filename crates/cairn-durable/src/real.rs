@@ -6,8 +6,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{Disk, OpenFile};
-use crate::store::{StoreError, sync_folder};
+use crate::disk::{Disk, OpenFile};
+use crate::error::DurableError;
+use crate::paths;
 
 /// Files below a folder.
 #[derive(Debug, Clone)]
@@ -25,31 +26,15 @@ impl RealDisk {
         self.root.join(path)
     }
 
-    fn failed(&self, operation: &'static str, path: &str) -> impl Fn(io::Error) -> StoreError {
-        let place = self.at(path).display().to_string();
-        move |e| StoreError { operation, place: place.clone(), cause: e.to_string() }
-    }
-
-    /// A new folder's name is flushed as well: a file in it is found again only through it.
-    fn make_folders(&self, folder: &Path) -> io::Result<()> {
-        if folder.is_dir() {
-            return Ok(());
-        }
-        if let Some(parent) = folder.parent() {
-            self.make_folders(parent)?;
-            match fs::create_dir(folder) {
-                Err(e) if e.kind() != io::ErrorKind::AlreadyExists => return Err(e),
-                _ => sync_folder(parent)?,
-            }
-        }
-        Ok(())
+    fn failed(&self, operation: &'static str, path: &str) -> impl Fn(io::Error) -> DurableError + use<> {
+        DurableError::io(operation, &self.at(path))
     }
 
     fn open_for_writing(&self, path: &Path) -> io::Result<File> {
         let open = || OpenOptions::new().write(true).create(true).truncate(false).open(path);
         match open() {
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
-                path.parent().map_or(Ok(()), |folder| self.make_folders(folder))?;
+                path.parent().map_or(Ok(()), paths::make_folders)?;
                 open()
             }
             opened => opened,
@@ -58,24 +43,11 @@ impl RealDisk {
 }
 
 impl Disk for RealDisk {
-    fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, StoreError> {
-        let failed = self.failed("read", path);
-        let file = match File::open(self.at(path)) {
-            Ok(file) => file,
-            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(failed(e)),
-        };
-        let length = file.metadata().map_err(&failed)?.len();
-        if length > limit {
-            let cause = format!("{length} bytes, at most {limit} are expected there");
-            return Err(failed(io::Error::new(io::ErrorKind::FileTooLarge, cause)));
-        }
-        let mut bytes = Vec::with_capacity(length as usize);
-        file.take(limit).read_to_end(&mut bytes).map_err(&failed)?;
-        Ok(Some(bytes))
+    fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, DurableError> {
+        paths::read_limited_if_there(&self.at(path), limit)
     }
 
-    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, StoreError> {
+    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, DurableError> {
         let failed = self.failed("read", path);
         let mut file = match File::open(self.at(path)) {
             Ok(file) => file,
@@ -88,7 +60,7 @@ impl Disk for RealDisk {
         Ok(Some(bytes))
     }
 
-    fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, StoreError> {
+    fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, DurableError> {
         match File::open(self.at(path)) {
             Ok(file) => Ok(Some(Box::new(RealFile { file, path: self.at(path) }))),
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -96,7 +68,7 @@ impl Disk for RealDisk {
         }
     }
 
-    fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), StoreError> {
+    fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), DurableError> {
         let failed = self.failed("write", path);
         let mut file = self.open_for_writing(&self.at(path)).map_err(&failed)?;
         let length = file.metadata().map_err(&failed)?.len();
@@ -109,35 +81,30 @@ impl Disk for RealDisk {
         file.write_all(bytes).map_err(&failed)
     }
 
-    fn sync(&self, path: &str) -> Result<(), StoreError> {
+    fn sync(&self, path: &str) -> Result<(), DurableError> {
         let opened = OpenOptions::new().write(true).open(self.at(path));
         // `fdatasync`: bytes and whatever it takes to find them again, the length included, but no times.
         opened.and_then(|file| file.sync_data()).map_err(self.failed("flush", path))
     }
 
-    fn sync_files(&self, paths: &[String]) -> Result<(), StoreError> {
+    fn sync_files(&self, paths: &[String]) -> Result<(), DurableError> {
         at_once(paths, |path| self.sync(path))
     }
 
-    fn sync_folders(&self, paths: &[&str]) -> Result<(), StoreError> {
+    fn sync_folders(&self, paths: &[&str]) -> Result<(), DurableError> {
         at_once(paths, |path| self.sync_folder(path))
     }
 
-    fn rename(&self, from: &str, to: &str) -> Result<(), StoreError> {
+    fn rename(&self, from: &str, to: &str) -> Result<(), DurableError> {
         fs::rename(self.at(from), self.at(to)).map_err(self.failed("rename", from))
     }
 
-    fn sync_folder(&self, path: &str) -> Result<(), StoreError> {
-        sync_folder(&self.at(path)).map_err(self.failed("flush the folder", path))
+    fn sync_folder(&self, path: &str) -> Result<(), DurableError> {
+        paths::sync_folder(&self.at(path))
     }
 
-    fn remove(&self, path: &str) -> Result<(), StoreError> {
-        let at = self.at(path);
-        let removed = if at.is_dir() { fs::remove_dir_all(&at) } else { fs::remove_file(&at) };
-        match removed {
-            Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
-            removed => removed.map_err(self.failed("remove", path)),
-        }
+    fn remove(&self, path: &str) -> Result<(), DurableError> {
+        paths::remove(&self.at(path))
     }
 }
 
@@ -148,8 +115,8 @@ struct RealFile {
 }
 
 impl RealFile {
-    fn failed(&self, operation: &'static str, e: &io::Error) -> StoreError {
-        StoreError { operation, place: self.path.display().to_string(), cause: e.to_string() }
+    fn failed(&self, operation: &'static str, e: io::Error) -> DurableError {
+        DurableError::io(operation, &self.path)(e)
     }
 
     /// Reads without the file's own position, which readers at the same time would share.
@@ -165,18 +132,18 @@ impl RealFile {
 }
 
 impl OpenFile for RealFile {
-    fn size(&self) -> Result<u64, StoreError> {
-        Ok(self.file.metadata().map_err(|e| self.failed("size", &e))?.len())
+    fn size(&self) -> Result<u64, DurableError> {
+        Ok(self.file.metadata().map_err(|e| self.failed("size", e))?.len())
     }
 
-    fn read_at(&self, offset: u64, length: usize) -> Result<Vec<u8>, StoreError> {
+    fn read_at(&self, offset: u64, length: usize) -> Result<Vec<u8>, DurableError> {
         let (mut bytes, mut filled) = (vec![0; length], 0);
         while filled < length {
             match self.read_some(offset + filled as u64, &mut bytes[filled..]) {
                 Ok(0) => break,
                 Ok(count) => filled += count,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                Err(e) => return Err(self.failed("read", &e)),
+                Err(e) => return Err(self.failed("read", e)),
             }
         }
         bytes.truncate(filled);
@@ -188,7 +155,7 @@ impl OpenFile for RealFile {
 const AT_ONCE: usize = 8;
 
 /// Does something for each of `all`, several at the same time.
-fn at_once<T: Sync>(all: &[T], act: impl Fn(&T) -> Result<(), StoreError> + Sync) -> Result<(), StoreError> {
+fn at_once<T: Sync>(all: &[T], act: impl Fn(&T) -> Result<(), DurableError> + Sync) -> Result<(), DurableError> {
     if let [one] = all {
         return act(one);
     }
@@ -198,7 +165,7 @@ fn at_once<T: Sync>(all: &[T], act: impl Fn(&T) -> Result<(), StoreError> + Sync
         let threads: Vec<_> =
             all.chunks(share).map(|some| scope.spawn(move || some.iter().try_for_each(act))).collect();
         let mut ended = threads.into_iter().map(|thread| thread.join());
-        let panicked = || StoreError { operation: "flush", place: "files".into(), cause: "a thread panicked".into() };
+        let panicked = || DurableError::io("flush", Path::new("files"))(io::Error::other("a thread panicked"));
         ended.try_for_each(|end| end.unwrap_or_else(|_| Err(panicked())))
     })
 }
