@@ -159,9 +159,8 @@ async fn no_method_of_the_contract_is_forgotten() {
         "TrainingService/List",
         "RenderService/Render",
         "RenderService/RenderPath",
-        "QueryService/WhoByPose",
-        "QueryService/WhoByPicture",
-        "DetectionService/Detect",
+        "QueryService/Identify",
+        "QueryService/Contributors",
         "OwnerService/Answer",
         "OwnerService/List",
         "OwnerService/Get",
@@ -252,8 +251,11 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     world.refused("ada", &base, "there is no view");
     // In the light of a photograph that the caller brings a mark may be nearly all there is to see.
     let photograph = world.place.text("capture/images/ada_001.png");
-    let light = ["--light-of", &photograph, "--taken-view", view, "--out", "x.png"];
-    for marked in [&["render", "town", "--view", view][..], &["path", "town", "--orbit"]] {
+    let light = ["--light-of", &photograph, "--taken-view", view];
+    let (one, path) = (["--view", view, "--out", "x.png"], ["--path", "orbit", "--out", "x.gif"]);
+    for seen in [one, path] {
+        let marked = [&["render", "town"][..], &seen].concat();
+        let marked = &marked[..];
         world.refused("bob", &[marked, &light].concat(), "belongs to another account");
         let said = world.run("ada", &[marked, &light].concat()).unwrap_err();
         assert!(!said.contains("another account") && !said.contains("Unauthenticated"), "{said}");
@@ -262,15 +264,13 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
         assert!(!anybody.status.success() && said.contains("Unauthenticated"), "{said}");
     }
     world.refused("bob", &["evaluate", "town"], "belongs to another account");
-    // Nor is a picture laid over the field for them.
+    // Nor is a picture registered with the field for them.
     let picture = world.place.text("capture/images/ada_002.png");
-    world.refused("bob", &["detect", "town", &picture, "--over-field"], "belongs to another account");
-    world.refused("bob", &["who", "town", "--picture", &picture, "--over-field"], "belongs to another account");
+    world.refused("bob", &["identify", "town", &picture, "--register"], "belongs to another account");
     // Its owner, curators and auditors get as far as that there is no mark yet.
     let _ = (world.with("cara", "curator"), world.with("dan", "auditor"));
     for who in ["ada", "cara", "dan"] {
-        world.refused(who, &["detect", "town", &picture, "--over-field"], "base field alone");
-        world.refused(who, &["who", "town", "--picture", &picture, "--over-field"], "base field alone");
+        world.refused(who, &["identify", "town", &picture, "--register"], "base field alone");
     }
 
     // Nobody takes another's scene along in a training of their own.

@@ -83,11 +83,11 @@ fn a_base_field_alone_says_how_it_is_rendered() {
     let refused = place.cairn(&["render", "few", "--view", "images/000.png", "--out", &out, "--data", &data]);
     assert!(said(&refused).contains("ask for that (--base, or FIELD_KIND_BASE)"), "{refused:?}");
     let frames = place.text("frames");
-    let ends = ["--between", "images/000.png", "images/001.png"];
-    let path = [&["path", "few"][..], &ends, &["--frames", "2", "--out", &out, "--sequence", &frames, "--data", &data]];
+    let ends = ["--path", "between", "--from", "images/000.png", "--to", "images/001.png"];
+    let path = [&["render", "few"][..], &ends, &["--frames", "2", "--out", &frames, "--data", &data]];
     let refused = place.cairn(&path.concat());
     assert!(said(&refused).contains("--base"), "{refused:?}");
-    assert!(!place.path("frames").exists(), "a refused flight left a folder behind");
+    assert!(!place.path("frames").exists(), "a refused path left a folder behind");
     assert!(place.cairn_ok(&[&path.concat()[..], &["--base"]].concat()).starts_with("2 frames"));
 }
 

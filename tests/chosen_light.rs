@@ -74,16 +74,18 @@ fn a_light_on_the_way_between_two_views_ends_in_theirs() {
         assert!(cut || (half - 0.5 * (a + b)).abs() <= rounded, "{half} half-way from {a} to {b}");
     }
 
-    // A flight changes from the one to the other, in the pictures that its ends are seen in.
-    let path = ["path", "town", "--between", ADA, ADA, "--base", "--frames", "3", "--light", ADA, "--light-to", BELA];
+    // A path changes from the one to the other, in the pictures that its ends are seen in.
+    let between =
+        ["--path", "between", "--from", ADA, "--to", ADA, "--frames", "3", "--light", ADA, "--light-to", BELA];
+    let path = [&["render", "town", "--base"][..], &between].concat();
     let flight = place.text("flight");
-    place.cairn_ok(&[&path[..], &["--sequence", &flight, "--connect", &daemon.url]].concat());
+    place.cairn_ok(&[&path[..], &["--out", &flight, "--connect", &daemon.url]].concat());
     for (frame, seen) in [(0, &own[0]), (1, &half), (2, &own[1])] {
         let frame = place.path(&format!("flight/frame-0000{frame}.png"));
         assert_eq!(picture(&frame).rgb(), seen.rgb(), "{}", frame.display());
     }
-    let other = [&path[..11], &[ADA, "--sequence", &flight, "--resume", "--connect", &daemon.url]].concat();
-    assert!(String::from_utf8_lossy(&place.cairn(&other).stderr).contains("another path, size, light or model"));
+    let share = [&path[..], &["--light-share", "0.5", "--out", "x.gif", "--connect", &daemon.url]].concat();
+    assert!(String::from_utf8_lossy(&place.cairn(&share).stderr).contains("--light-share is for one picture"));
 
     for (light, says) in [
         (
@@ -184,8 +186,9 @@ fn a_photograph_may_be_larger_than_its_view_and_is_refused_where_that_cannot_hav
     let pose = place.pose(ADA, 3);
     let seen = render(&place, &daemon, ADA, &["--light-of", &large, "--taken-pose", &pose]);
     assert!(psnr_db(&own, &seen).unwrap() > 30.0, "{}", psnr_db(&own, &seen).unwrap());
-    // A flight has it, too, all the way.
-    let path = ["path", "town", "--between", ADA, BELA, "--base", "--frames", "2", "--sequence", &place.text("flight")];
+    // A path has it, too, all the way.
+    let between = ["--path", "between", "--from", ADA, "--to", BELA, "--frames", "2", "--out", &place.text("flight")];
+    let path = [&["render", "town", "--base"][..], &between].concat();
     let light = ["--light-of", &photograph, "--taken-view", ADA, "--connect", &daemon.url];
     place.cairn_ok(&[&path[..], &light].concat());
     assert_eq!(picture(&place.path("flight/frame-00000.png")).rgb(), own.rgb());

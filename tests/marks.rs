@@ -4,7 +4,6 @@
 
 use crate::common::{Daemon, Place};
 use cairn_api::v1;
-use cairn_api::v1::detection_service_client::DetectionServiceClient;
 use cairn_api::v1::query_service_client::QueryServiceClient;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -25,35 +24,35 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     place.cairn_ok(&[&render[..], &[&marked], &to].concat());
     place.cairn_ok(&[&render[..], &[&base, "--base"], &to].concat());
     let (marked, base) = (std::fs::read(marked).unwrap(), std::fs::read(base).unwrap());
-    // A flight shows the marked field, too, and its maps are there.
+    // A path shows the marked field, too, and its maps are there.
     let (there, flight) = (place.text("there.png"), place.text("flight"));
     let light = ["--light", "images/ada_002.png", "--depth", &place.text("depth.png")];
     place.cairn_ok(&[&render[..], &[&there], &light, &to].concat());
-    let between = ["path", "town", "--between", "images/ada_002.png", "images/ada_004.png", "--frames", "2"];
-    place.cairn_ok(&[&between[..], &["--sequence", &flight], &to].concat());
+    let between = ["--path", "between", "--from", "images/ada_002.png", "--to", "images/ada_004.png", "--frames", "2"];
+    place.cairn_ok(&[&["render", "town"][..], &between, &["--out", &flight], &to].concat());
     assert_eq!(std::fs::read(place.path("flight/frame-00000.png")).unwrap(), std::fs::read(there).unwrap());
     assert_ne!(marked, base, "the mark left no trace");
 
-    // Query and detection read the same picture the same way.
-    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::DetectRequest { scene: "town".into(), picture: marked.clone().into(), lay_over: None };
-    let found = detection.detect(request).await.unwrap().into_inner();
+    // One answer says whose mark it is, how sure that is, and what it hides.
+    let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let picture = marked.into();
+    let mut request = v1::IdentifyRequest { scene: "town".into(), picture, payload: true, ..Default::default() };
+    let found = query.identify(request.clone()).await.unwrap().into_inner();
     assert_eq!(found.probabilities.len(), 3);
     assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{:?}", found.probabilities);
-    let signal = cairn_scene::decode_picture(&found.recovered_png, &cairn_scene::Limits::default(), None).unwrap();
+    let payload = found.payload.unwrap();
+    let signal = cairn_scene::decode_picture(&payload.picture_png, &cairn_scene::Limits::default(), None).unwrap();
     assert_eq!((signal.width(), signal.height()), (32, 32));
-    assert!(found.recovered_wav.is_empty() && found.recovered_text.is_none(), "nobody hides a sound or a text");
-    let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::WhoByPictureRequest { scene: "town".into(), picture: marked.into(), lay_over: None };
-    let who = query.who_by_picture(request).await.unwrap().into_inner();
-    let number = match who.answer.unwrap() {
-        v1::who_response::Answer::Identity(who) => who.number,
-        v1::who_response::Answer::Unmarked(_) | v1::who_response::Answer::Elsewhere(_) => 0,
+    assert!(payload.sound_wav.is_empty() && payload.text.is_none(), "nobody hides a sound or a text");
+    let number = match found.answer.unwrap() {
+        v1::identify_response::Answer::Identity(who) => who.number,
+        v1::identify_response::Answer::Unmarked(_) | v1::identify_response::Answer::Foreign(_) => 0,
     };
-    assert_eq!(number, found.identity);
-    assert!((who.confidence - f64::from(found.probabilities[number as usize])).abs() < 1e-6);
+    assert!((found.confidence - f64::from(found.probabilities[number as usize])).abs() < 1e-6);
+    request.payload = false;
+    assert_eq!(query.identify(request).await.unwrap().into_inner().payload, None);
 
-    // Laid over the field, the mark stands out of a render that has it, and not of one that has none. It takes pictures
+    // Registered with the field, the mark stands out of a render that has it, and not of one that has none. It takes pictures
     // with more to see than the photographs.
     let pose = place.pose("images/ada_002.png", 6);
     let larger = ["render", "town", "--pose", &pose, "--out"];
@@ -61,31 +60,29 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     place.cairn_ok(&[&larger[..], &[&place.text("base.png"), "--base"], &to].concat());
     let owner = place.cairn_ok(&["who", "town", "--view", "images/ada_002.png", to[0], to[1]]);
     let owner = owner.split(" (").next().unwrap();
-    let laid = |command: &[&str], how: &[&str]| place.cairn_ok(&[command, how, &to].concat());
-    for how in [["--rendered-view", "images/ada_002.png"], ["--rendered-pose", &pose]] {
-        let how = &how[..];
-        let said = laid(&["detect", "town", &place.text("marked.png")], how);
-        assert!(said.lines().next() == Some(owner) && stands_out(&said), "{how:?}: {said}");
-        let said = laid(&["who", "town", "--picture", &place.text("marked.png")], how);
+    let identify =
+        |picture: &str, how: &[&str]| place.cairn_ok(&[&["identify", "town", &place.text(picture)], how, &to].concat());
+    for how in [["--view", "images/ada_002.png"], ["--pose", &pose]] {
+        let said = identify("marked.png", &how);
         assert!(said.starts_with(owner) && stands_out(&said), "{how:?}: {said}");
-        let said = laid(&["detect", "town", &place.text("base.png")], how);
-        assert!(said.contains("laid over the field, which explains ") && !stands_out(&said), "{how:?}: {said}");
+        let said = identify("base.png", &how);
+        assert!(said.contains("registered: the field explains ") && !stands_out(&said), "{how:?}: {said}");
     }
     // Its camera is found without being told, too; a field of forty steps shows too little for it to be found exactly.
-    let said = laid(&["detect", "town", &place.text("marked.png")], &["--over-field"]);
-    let share = said.split("which explains ").nth(1).and_then(|s| s.split(' ').next()).unwrap();
+    let said = identify("marked.png", &["--register"]);
+    let share = said.split("the field explains ").nth(1).and_then(|s| s.split(' ').next()).unwrap();
     assert!(share.parse::<u32>().unwrap() > 90 && said.contains("  mark 2: "), "{said}");
-    let nowhere = ["detect", "town", &place.text("marked.png"), "--rendered-view", "images/none.png"];
+    let nowhere = ["identify", "town", &place.text("marked.png"), "--view", "images/none.png"];
     let refused = place.cairn(&[&nowhere[..], &to].concat());
     assert!(String::from_utf8_lossy(&refused.stderr).contains("there is no view"), "{refused:?}");
     // Too little to see, and what that camera cannot have taken whole.
     let wide = cairn_scene::Picture::constant(192, 96, [0.5; 3]);
     std::fs::write(place.path("wide.png"), cairn_scene::encode_png(&wide)).unwrap();
     for (picture, how, why) in [
-        ("capture/images/ada_002.png", "--over-field", "64 x 64 px or more"),
-        ("wide.png", "--rendered-view=images/ada_002.png", "the proportions of what it was rendered at, 32 x 32 px"),
+        ("capture/images/ada_002.png", "--register", "64 x 64 px or more"),
+        ("wide.png", "--view=images/ada_002.png", "the proportions of what it was rendered at, 32 x 32 px"),
     ] {
-        let refused = place.cairn(&["detect", "town", &place.text(picture), how, to[0], to[1]]);
+        let refused = place.cairn(&["identify", "town", &place.text(picture), how, to[0], to[1]]);
         assert!(String::from_utf8_lossy(&refused.stderr).contains(why), "{refused:?}");
     }
 
@@ -106,9 +103,9 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     assert_eq!(place.cairn(&verify).status.code(), Some(1));
 }
 
-/// Whether `cairn detect` or `cairn who` says that a mark stood out when the picture was laid over the field.
+/// Whether `cairn identify` says that a mark of the registered picture stood out.
 fn stands_out(said: &str) -> bool {
-    said.contains("laid over the field, which explains ") && !said.contains("the classifier answers")
+    said.contains("registered: the field explains ") && !said.contains("the classifier answers")
 }
 
 #[test]
@@ -256,17 +253,17 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
         assert!(said.starts_with("trusted") && said.contains("digest.hidden_signal.match"), "{said}");
     }
 
-    let (view, wav, txt) = (place.text("view.png"), place.text("said.wav"), place.text("said.txt"));
+    let (view, said_to) = (place.text("view.png"), place.text("said"));
     place.cairn_ok(&["render", "town", "--view", "images/ada_002.png", "--out", &view, "--data", &data]);
-    let out = ["--out", &place.text("said.png"), "--audio", &wav, "--text", &txt];
-    let said = place.cairn_ok(&[&["detect", "town", &view, "--data", &data], &out[..]].concat());
+    let said = place.cairn_ok(&["identify", "town", &view, "--payload-out", &said_to, "--data", &data]);
     assert!(
         ["recovered text: \"", "recovered sound in", "recovered picture in"].iter().all(|s| said.contains(s)),
         "{said}"
     );
-    let sound = cairn_scene::decode_wav("said", &std::fs::read(wav).unwrap(), &limits).unwrap();
+    let sound =
+        cairn_scene::decode_wav("said", &std::fs::read(place.path("said/sound.wav")).unwrap(), &limits).unwrap();
     assert_eq!((sound.sample_rate_hz(), sound.samples().len()), (16_000, 6_400));
-    assert!(std::fs::read(txt).is_ok());
+    assert!(place.path("said/text.txt").exists() && place.path("said/picture.png").exists());
 
     let (json, sheet) = (place.text("report.json"), place.text("sheet.png"));
     let said = place.cairn_ok(&["evaluate", "town", "--json", &json, "--sheet", &sheet, "--data", &data]);

@@ -1,7 +1,6 @@
 //! Scenes, renders, queries and refusals through the real daemon.
 
 use crate::common::{Daemon, Place, TINY, base_only, training as wanted};
-use cairn_api::v1::detection_service_client::DetectionServiceClient;
 use cairn_api::v1::query_service_client::QueryServiceClient;
 use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::scene_service_client::SceneServiceClient;
@@ -37,9 +36,11 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
     for identity in &model.identities {
         for name in &identity.view_names {
-            let request = v1::WhoByPoseRequest { scene: "town".into(), viewpoint: view(name) };
-            let who = query.who_by_pose(request).await.unwrap().into_inner();
-            let Some(v1::who_response::Answer::Identity(found)) = who.answer else { panic!("{name}: {who:?}") };
+            let request = v1::ContributorsRequest { scene: "town".into(), viewpoint: view(name) };
+            let who = query.contributors(request).await.unwrap().into_inner();
+            let Some(v1::contributors_response::Answer::Identity(found)) = who.answer else {
+                panic!("{name}: {who:?}")
+            };
             assert_eq!((found.number, found.record_indices.len()), (identity.number, 0), "{name}");
             assert!((0.0..=1.0).contains(&who.confidence), "{}", who.confidence);
         }
@@ -79,7 +80,7 @@ async fn bad_requests_get_the_right_codes() {
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
     let mut training = TrainingServiceClient::connect(daemon.url.clone()).await.unwrap();
     let mut render = RenderServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
 
     let get = |scene: &str| v1::GetSceneRequest { scene: scene.into() };
     assert_eq!(scenes.get(get("tow")).await.unwrap_err().code(), Code::NotFound);
@@ -104,8 +105,8 @@ async fn bad_requests_get_the_right_codes() {
     assert_eq!(untrained.code(), Code::FailedPrecondition, "{untrained}");
     let nowhere = v1::RenderRequest { viewpoint: None, ..request };
     assert_eq!(render.render(nowhere).await.unwrap_err().code(), Code::InvalidArgument);
-    let noise = v1::DetectRequest { scene: "town".into(), picture: vec![7; 99].into(), lay_over: None };
-    assert_eq!(detection.detect(noise).await.unwrap_err().code(), Code::InvalidArgument);
+    let noise = v1::IdentifyRequest { scene: "town".into(), picture: vec![7; 99].into(), ..Default::default() };
+    assert_eq!(query.identify(noise).await.unwrap_err().code(), Code::InvalidArgument);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -113,9 +114,9 @@ async fn requests_beyond_the_limits_are_refused_by_name() {
     let place = Place::new();
     let settings = "[limits]\nmax_message_bytes = 65536\nmax_pixels = 4096\nmax_side_px = 100";
     let daemon = Daemon::start(&place.path("data"), settings);
-    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let request = v1::DetectRequest { scene: "town".into(), picture: vec![0; 70_000].into(), lay_over: None };
-    let heavy = detection.detect(request).await.unwrap_err();
+    let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let request = v1::IdentifyRequest { scene: "town".into(), picture: vec![0; 70_000].into(), ..Default::default() };
+    let heavy = query.identify(request).await.unwrap_err();
     assert_eq!(heavy.code(), Code::OutOfRange, "{heavy}");
 
     place.import("town", ["--connect", &daemon.url]);
@@ -221,20 +222,21 @@ async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
         request.metadata_mut().insert("authorization", token.parse().unwrap());
         assert_eq!(scenes.delete(request).await.unwrap_err().code(), code, "{token}");
     }
-    // So does a picture that is to be laid over the field, as base renders do; the classifier's answer is everybody's.
-    let mut detection = DetectionServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let detect = |lay_over| {
+    // So does a picture that is to be registered with the field, as base renders do; the classifier's answer is everybody's.
+    let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let identify = |register| {
         let picture = vec![7; 99].into();
-        v1::DetectRequest { scene: "town".into(), picture, lay_over }
+        v1::IdentifyRequest { scene: "town".into(), picture, register, ..Default::default() }
     };
-    let over = Some(v1::LayOver { viewpoint: None });
-    assert_eq!(detection.detect(detect(over.clone())).await.unwrap_err().code(), Code::Unauthenticated);
-    assert_eq!(detection.detect(detect(None)).await.unwrap_err().code(), Code::InvalidArgument);
-    let mut request = Request::new(detect(over));
+    assert_eq!(query.identify(identify(true)).await.unwrap_err().code(), Code::Unauthenticated);
+    let at = v1::IdentifyRequest { camera: view("images/ada_002.png"), ..identify(false) };
+    assert_eq!(query.identify(at).await.unwrap_err().code(), Code::Unauthenticated);
+    assert_eq!(query.identify(identify(false)).await.unwrap_err().code(), Code::InvalidArgument);
+    let mut request = Request::new(identify(true));
     request.metadata_mut().insert("authorization", "Bearer a-token-of-the-test".parse().unwrap());
-    assert_eq!(detection.detect(request).await.unwrap_err().code(), Code::InvalidArgument);
-    let nowhere = Some(v1::LayOver { viewpoint: Some(v1::Viewpoint { from: None }) });
-    assert_eq!(detection.detect(detect(nowhere)).await.unwrap_err().code(), Code::InvalidArgument);
+    assert_eq!(query.identify(request).await.unwrap_err().code(), Code::InvalidArgument);
+    let nowhere = v1::IdentifyRequest { camera: Some(v1::Viewpoint { from: None }), ..identify(false) };
+    assert_eq!(query.identify(nowhere).await.unwrap_err().code(), Code::InvalidArgument);
     // Reading is free.
     assert!(scenes.list(v1::ListScenesRequest {}).await.is_ok());
     let token = place.text("token");

@@ -8,7 +8,8 @@ use cairn_api::v1;
 use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
 
-use super::connect::{Connection, Where, refused};
+use super::connect::{Connection, Where};
+use super::refused::refused;
 
 /// What to do with accounts.
 #[derive(Debug, clap::Subcommand)]

@@ -6,8 +6,9 @@ use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_log::Answer;
 
-use super::connect::{Connection, refused};
-use super::{read, write};
+use super::connect::Connection;
+use super::files::{read, write};
+use super::refused::refused;
 
 /// `cairn owners answer`.
 #[derive(Clone, Debug, clap::Args)]

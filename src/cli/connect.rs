@@ -6,7 +6,6 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use cairn_api::v1::access_service_client::AccessServiceClient;
-use cairn_api::v1::detection_service_client::DetectionServiceClient;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
 use cairn_api::v1::quarantine_service_client::QuarantineServiceClient;
 use cairn_api::v1::query_service_client::QueryServiceClient;
@@ -15,10 +14,10 @@ use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_log::{NoteVerifier, OwnerKey};
 use hyper_util::rt::TokioIo;
-use tonic::Status;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
 
 use super::credential::{Credential, Speaking};
+use super::files::read;
 use super::unlock::UnlockArgs;
 use cairn_service::config::{Config, Token};
 use cairn_service::grpc::serve::InProcess;
@@ -113,8 +112,6 @@ clients! {
     render: RenderServiceClient,
     /// Queries.
     query: QueryServiceClient,
-    /// Detection.
-    detection: DetectionServiceClient,
     /// Owner records.
     owners: OwnerServiceClient,
     /// Accounts.
@@ -180,7 +177,7 @@ impl Connection {
 /// The vkey that --daemon-vkey pins.
 fn pinned(place: &Where) -> anyhow::Result<Option<NoteVerifier>> {
     let Some(path) = &place.daemon_vkey else { return Ok(None) };
-    let text = String::from_utf8(super::read(path)?).with_context(|| format!("{} is no text", path.display()))?;
+    let text = String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?;
     Ok(Some(text.trim().parse().with_context(|| format!("{} is no vkey", path.display()))?))
 }
 
@@ -210,9 +207,4 @@ async fn in_process(services: &InProcess) -> anyhow::Result<Channel> {
     });
     // The address is never looked up; HTTP wants one.
     Ok(Endpoint::from_static("http://in-process.invalid").connect_with_connector(connector).await?)
-}
-
-/// A refusal as people should read it.
-pub fn refused(status: Status) -> anyhow::Error {
-    anyhow::anyhow!("{} ({:?})", status.message(), status.code())
 }

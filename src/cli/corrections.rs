@@ -6,8 +6,9 @@ use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_log::{ErasureRequest, RecordKind, erasure};
 
-use super::connect::{Connection, refused};
+use super::connect::Connection;
 use super::records::{Bundle, Ground, Stored};
+use super::refused::refused;
 use super::unlock::UnlockArgs;
 
 /// `cairn owners dispute`.

@@ -19,7 +19,7 @@ use tonic::body::Body;
 use tonic::codegen::http::{HeaderValue, Request, Response};
 use tonic::transport::Channel;
 
-use super::connect::refused;
+use super::refused::refused;
 use cairn_service::store::access::unix_s;
 
 /// Life of a signed token, seconds, where the daemon allows as much: it is used at once.

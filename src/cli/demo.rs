@@ -11,8 +11,10 @@ use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_verify::Outcome;
 use serde::Serialize;
 
-use super::connect::{Connection, Where, refused};
-use super::{audit, look, scene, sign, train, write};
+use super::connect::{Connection, Where};
+use super::files::write;
+use super::refused::refused;
+use super::{audit, evaluate, scene, sign, train};
 use cairn_service::query::report::{Report, Right};
 
 /// The demo's scene.
@@ -141,7 +143,7 @@ async fn through(
     let records_trusted = trusted(&signed, data)?;
     clock.lap("signing and verifying");
     let records_found = found(line, &signed).await?;
-    let evaluation = look::report(line, SCENE, None, Some(&args.out.join("contact-sheet.png"))).await?;
+    let evaluation = evaluate::report(line, SCENE, None, Some(&args.out.join("contact-sheet.png"))).await?;
     clock.lap("scoring");
     let seconds = std::mem::take(&mut clock.laps);
     Ok(Results { format_version: 1, seed: args.seed, evaluation, records_trusted, records_found, seconds })
@@ -169,7 +171,7 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
         anchors: 0,
         neighbours: None,
         by_contributor: true,
-        least_views: 2,
+        min_views: 2,
         seed: args.seed,
         signals: None,
         settings: args.settings.clone(),
@@ -188,7 +190,7 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
 fn trusted(signed: &[sign::Signed], data: &Path) -> anyhow::Result<Right> {
     let mut trusted = Right::default();
     for sign::Signed { bundle, .. } in signed {
-        let trust = audit::Trust { vkey: Some(bundle.join("log.vkey")), policy: None };
+        let trust = audit::trust::Trust { vkey: Some(bundle.join("log.vkey")), policy: None };
         let verify = audit::bundle::Args {
             bundle: bundle.clone(),
             trust,
@@ -209,9 +211,9 @@ async fn found(line: &Connection, signed: &[sign::Signed]) -> anyhow::Result<Rig
         for name in &identity.view_names {
             let from = Some(v1::viewpoint::From::ViewName(name.clone()));
             let viewpoint = Some(v1::Viewpoint { from });
-            let request = v1::WhoByPoseRequest { scene: SCENE.into(), viewpoint };
-            let answer = line.query().who_by_pose(request).await.map_err(refused)?.into_inner().answer;
-            let right = matches!(answer, Some(v1::who_response::Answer::Identity(who))
+            let request = v1::ContributorsRequest { scene: SCENE.into(), viewpoint };
+            let answer = line.query().contributors(request).await.map_err(refused)?.into_inner().answer;
+            let right = matches!(answer, Some(v1::contributors_response::Answer::Identity(who))
                 if who.number == identity.number && !records.is_empty() && who.record_indices == records);
             found.count(right);
         }

@@ -1,10 +1,11 @@
-//! In whose light to render, as `cairn render` and `cairn path` are told.
+//! In whose light `cairn render` renders.
 
 use std::path::PathBuf;
 
 use cairn_api::v1::{self, appearance::Choice};
 
-use super::{look, read};
+use super::files::read;
+use super::viewpoint::viewpoint;
 
 /// How far from --light to --light-to where that is not said.
 const HALF_WAY: f64 = 0.5;
@@ -12,7 +13,7 @@ const HALF_WAY: f64 = 0.5;
 /// One light of a training view, or of a photograph.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InLight {
-    /// In the light of this training view (where not given neutral; with `cairn path --between` from the one's to the other's)
+    /// In the light of this training view (where not given neutral; with --path between from the one's to the other's)
     #[arg(long, value_name = "VIEW")]
     light: Option<String>,
     /// In the light of this photograph, PNG or JPEG, as it is fitted to the whole of it; say which camera took it
@@ -28,13 +29,27 @@ pub struct InLight {
 
 /// A second view's light.
 #[derive(Clone, Debug, clap::Args)]
-pub struct OnTheWay {
-    /// On the way from the light of --light to the one of this training view
+pub struct LightTo {
+    /// On the way from the light of --light to the one of this training view, which a path reaches with its last frame
     #[arg(long, value_name = "VIEW", requires = "light")]
     light_to: Option<String>,
     /// How far on that way, from 0 to 1: 0 is --light, 1 is --light-to (half-way where not given)
     #[arg(long, value_name = "SHARE", requires = "light_to", allow_negative_numbers = true)]
     light_share: Option<f64>,
+}
+
+impl LightTo {
+    /// The light of a path's last frame; `None` where nothing is said.
+    ///
+    /// # Errors
+    /// For a share, which a path goes through from 0 to 1.
+    pub fn of_path(self) -> anyhow::Result<Option<v1::Appearance>> {
+        anyhow::ensure!(
+            self.light_share.is_none(),
+            "--light-share is for one picture; a path changes its light evenly"
+        );
+        Ok(self.light_to.map(|view| v1::Appearance { choice: Some(Choice::ViewName(view)) }))
+    }
 }
 
 impl InLight {
@@ -45,7 +60,7 @@ impl InLight {
     pub fn asked(&self) -> anyhow::Result<Option<v1::Appearance>> {
         let choice = match (&self.light_of, &self.light) {
             (Some(path), _) => {
-                let viewpoint = Some(look::viewpoint(self.taken_view.clone(), self.taken_pose.as_deref())?);
+                let viewpoint = Some(viewpoint(self.taken_view.clone(), self.taken_pose.as_deref())?);
                 Some(Choice::Photograph(v1::PhotographAppearance { photograph: read(path)?.into(), viewpoint }))
             }
             (None, Some(view)) => Some(Choice::ViewName(view.clone())),
@@ -58,7 +73,7 @@ impl InLight {
     ///
     /// # Errors
     /// As [`InLight::asked`].
-    pub fn asked_with(&self, way: OnTheWay) -> anyhow::Result<Option<v1::Appearance>> {
+    pub fn asked_with(&self, way: LightTo) -> anyhow::Result<Option<v1::Appearance>> {
         let (Some(from_view), Some(to_view)) = (self.light.clone(), way.light_to) else { return self.asked() };
         let share = way.light_share.unwrap_or(HALF_WAY);
         Ok(Some(v1::Appearance { choice: Some(Choice::Blend(v1::AppearanceBlend { from_view, to_view, share })) }))
@@ -75,7 +90,7 @@ mod tests {
         #[command(flatten)]
         light: InLight,
         #[command(flatten)]
-        way: OnTheWay,
+        way: LightTo,
     }
 
     fn asked(arguments: &[&str]) -> Result<Option<Choice>, String> {

@@ -1,7 +1,6 @@
 //! The command line: what can be asked for, and which file answers it.
 
 mod access;
-mod animation;
 mod answers;
 mod audit;
 mod bench;
@@ -9,25 +8,29 @@ mod connect;
 mod corrections;
 mod credential;
 mod demo;
+mod evaluate;
+mod files;
+mod identify;
 mod keys;
 mod light;
-mod look;
 mod owners;
 mod path;
 mod poses;
 mod progress;
 mod quarantine;
 mod records;
+mod refused;
 mod registry;
+mod render;
 mod scene;
 mod sign;
 mod signals;
 mod train;
 mod unlock;
+mod viewpoint;
 mod witness;
 
 use std::io::IsTerminal as _;
-use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
@@ -60,16 +63,14 @@ enum Command {
     Train(train::Args),
     /// List the training jobs, newest first
     Jobs,
-    /// Render a trained scene to a PNG
-    Render(look::RenderArgs),
-    /// Fly through a trained scene: an orbit, a spiral, or from one view to another
-    Path(path::Args),
-    /// Ask who contributed what is seen: by view, pose or picture
-    Who(look::WhoArgs),
-    /// Recover what a picture hides
-    Detect(look::DetectArgs),
+    /// Render a trained scene to a PNG, or a camera path through it to a GIF or PNG frames
+    Render(Box<render::RenderArgs>),
+    /// Find whose mark a picture carries, and recover what it hides
+    Identify(identify::IdentifyArgs),
+    /// Ask who contributed what a view or a camera sees
+    Who(identify::WhoArgs),
     /// Score a trained scene on the views it never saw
-    Evaluate(look::EvaluateArgs),
+    Evaluate(evaluate::EvaluateArgs),
     /// Make, seal, show, rotate and revoke owners' keys (they stay on this machine)
     #[command(subcommand)]
     Keys(keys::Command),
@@ -144,11 +145,10 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Quarantine(command) => quarantine::run(line, command).await,
         Command::Train(args) => train::run(line, args).await,
         Command::Jobs => train::jobs(line).await,
-        Command::Render(args) => look::render(line, args).await,
-        Command::Path(args) => path::run(line, args).await,
-        Command::Who(args) => look::who(line, args).await,
-        Command::Detect(args) => look::detect(line, args).await,
-        Command::Evaluate(args) => look::evaluate(line, args).await,
+        Command::Render(args) => render::render(line, *args).await,
+        Command::Identify(args) => identify::identify(line, args).await,
+        Command::Who(args) => identify::who(line, args).await,
+        Command::Evaluate(args) => evaluate::evaluate(line, args).await,
         Command::Access(command) => access::run(line, command).await,
         Command::Owners(command) => owners::run(line, command).await,
         Command::Keys(command) => keys::run(line, &command).await,
@@ -174,19 +174,4 @@ fn start_log(config: &Config, daemon: bool) {
         LogFormat::Text => log.init(),
         LogFormat::Json => log.json().init(),
     }
-}
-
-/// Reads a file, naming it when that fails.
-fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
-}
-
-/// Opens a file to be read piece by piece, naming it when that fails.
-fn open(path: &Path) -> anyhow::Result<std::fs::File> {
-    std::fs::File::open(path).with_context(|| format!("cannot open {}", path.display()))
-}
-
-/// Writes a file, naming it when that fails.
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -12,11 +12,13 @@ use cairn_log::{Checkpoint, Digest, Note};
 use serde::{Deserialize, Serialize};
 
 use super::answers::{self, AnswerArgs};
-use super::connect::{Connection, refused};
+use super::connect::Connection;
 use super::corrections::{self, DisputeArgs, EraseArgs};
+use super::files::write;
+use super::records;
 use super::records::vkey;
+use super::refused::refused;
 use super::sign::{SignArgs, sign};
-use super::{records, write};
 
 /// What to do with owner records.
 #[derive(Debug, clap::Subcommand)]

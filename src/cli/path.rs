@@ -1,368 +1,291 @@
-//! `cairn path`: a flight through a trained scene, as an animated file, as single
-//! frames, or both. Frames are kept as they come, so that a flight that was cut
-//! off goes on where it was.
+//! `cairn render --path`: a camera path through a trained scene, as a GIF or as PNG frames in a folder.
 
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
 use cairn_api::v1::{self, render_path_request as to};
-use cairn_log::Digest;
 use cairn_scene::{Limits, Picture, decode_picture};
-use serde_json::json;
+use tempfile::NamedTempFile;
 
-use super::animation::{self, Animation, write_whole};
-use super::connect::{Connection, refused};
-use super::light::InLight;
+use super::connect::Connection;
+use super::files::write;
 use super::progress::Progress;
-use super::{read, scene};
+use super::refused::refused;
 
-/// What a folder of frames is of.
-const LABEL: &str = "path.json";
+/// How thoroughly a GIF frame's colours are chosen, 1 (best) to 30.
+const GIF_SPEED: i32 = 10;
 
-/// `cairn path`.
+/// The shapes of paths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Shape {
+    /// Around the scene's centre, at the views' median distance
+    Orbit,
+    /// In front of the scene, within the spread of the views; for scenes seen from one side
+    Spiral,
+    /// From the view of --from to the view of --to
+    Between,
+}
+
+/// What `--path` takes besides its shape.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Args {
-    /// The scene
-    name: String,
-    #[command(flatten)]
-    way: Way,
+pub struct PathArgs {
+    /// The first frame's view, with --path between
+    #[arg(long, value_name = "VIEW", requires = "path", requires = "to")]
+    from: Option<String>,
+    /// The last frame's view, with --path between
+    #[arg(long, value_name = "VIEW", requires = "path", requires = "from")]
+    to: Option<String>,
+    /// How far around, with --path orbit: above 0, to 360 degrees (360 where not given)
+    #[arg(long, value_name = "DEG", requires = "path")]
+    arc: Option<f64>,
     /// How many frames
     #[arg(long, value_name = "N", default_value_t = 90)]
     frames: u32,
-    /// Frames a second of the animation
+    /// Frames a second of the GIF
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u16).range(1..=50))]
     fps: u16,
     /// Width of the frames (follows --height or the views where not given)
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "PX", requires = "path", value_parser = clap::value_parser!(u32).range(1..))]
     width: Option<u32>,
     /// Height of the frames (follows --width or the views where not given)
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "PX", requires = "path", value_parser = clap::value_parser!(u32).range(1..))]
     height: Option<u32>,
-    /// Where the animation goes: .gif (256 colours a frame) or .png (animated PNG, every pixel as rendered)
-    #[arg(long, value_name = "FILE", required_unless_present = "sequence")]
-    out: Option<PathBuf>,
-    /// Also keep each frame as a PNG in this folder
-    #[arg(long, value_name = "DIR")]
-    sequence: Option<PathBuf>,
-    /// Go on with a sequence that was cut off
-    #[arg(long, requires = "sequence")]
-    resume: bool,
-    /// The field before it was marked
-    #[arg(long)]
-    base: bool,
-    #[command(flatten)]
-    light: InLight,
-    /// With the light changing on the way, from the one of --light to the one of this training view
-    #[arg(long, value_name = "VIEW", requires = "light")]
-    light_to: Option<String>,
 }
 
-/// Which way to fly.
-#[derive(Clone, Debug, clap::Args)]
-#[group(required = true, multiple = false)]
-struct Way {
-    /// Around the scene's centre, at the views' median distance
-    #[arg(long, value_name = "DEG", num_args = 0..=1, default_missing_value = "360")]
-    orbit: Option<f64>,
-    /// In front of the scene, within the spread of the views; for scenes seen from one side
-    #[arg(long)]
-    spiral: bool,
-    /// From one view to another
-    #[arg(long, num_args = 2, value_names = ["VIEW", "VIEW"])]
-    between: Option<Vec<String>>,
-}
-
-impl Way {
-    fn path(&self) -> anyhow::Result<to::Path> {
-        match (self.orbit, self.between.as_deref()) {
-            (Some(arc_deg), _) => {
-                // To the services 0 means all around; who writes 0 means something else.
-                anyhow::ensure!(arc_deg > 0.0 && arc_deg <= 360.0, "--orbit {arc_deg}: allowed is above 0, to 360");
+impl PathArgs {
+    fn path(&self, shape: Shape) -> anyhow::Result<to::Path> {
+        let ends = self.from.clone().zip(self.to.clone());
+        anyhow::ensure!(shape == Shape::Between || ends.is_none(), "--from and --to are for --path between");
+        anyhow::ensure!(shape == Shape::Orbit || self.arc.is_none(), "--arc is for --path orbit");
+        match (shape, ends) {
+            (Shape::Orbit, _) => {
+                let arc_deg = self.arc.unwrap_or(360.0);
+                // To the services 0 means all around; on a command line 0 is a mistake.
+                anyhow::ensure!(arc_deg > 0.0 && arc_deg <= 360.0, "--arc {arc_deg}: allowed is above 0, to 360");
                 Ok(to::Path::Orbit(v1::OrbitPath { arc_deg }))
             }
-            (None, Some([from, to])) => {
-                let (from_view, to_view) = (from.clone(), to.clone());
+            (Shape::Spiral, _) => Ok(to::Path::Spiral(v1::SpiralPath {})),
+            (Shape::Between, Some((from_view, to_view))) => {
                 Ok(to::Path::Between(v1::BetweenPath { from_view, to_view }))
             }
-            _ if self.spiral => Ok(to::Path::Spiral(v1::SpiralPath {})),
-            _ => anyhow::bail!("say which way: --orbit, --spiral or --between VIEW VIEW"),
+            (Shape::Between, None) => anyhow::bail!("--path between needs --from VIEW and --to VIEW"),
         }
     }
 }
 
-/// Answers `cairn path`. The first Ctrl-C ends it after the frame under way.
-pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
-    if let Some(path) = &args.out {
-        animation::Kind::of(path)?;
-    }
-    let mut request = v1::RenderPathRequest {
-        scene: args.name.clone(),
-        path: Some(args.way.path()?),
+/// Which field of a scene a path is through, and in whose light.
+pub struct Seen {
+    /// The scene.
+    pub scene: String,
+    /// Which field.
+    pub field: v1::FieldKind,
+    /// The light of the first frame.
+    pub light: Option<v1::Appearance>,
+    /// The light of the last frame, where it changes on the way.
+    pub light_to: Option<v1::Appearance>,
+}
+
+/// Renders the path frame by frame into `out`. The first Ctrl-C ends it after the frame under way.
+///
+/// # Errors
+/// For an `out` that is neither a `.gif` nor a folder, the services' refusals, and the file system's.
+pub async fn run(line: &Connection, shape: Shape, args: &PathArgs, seen: Seen, out: &Path) -> anyhow::Result<()> {
+    let mut frames = Frames::new(out, args)?;
+    let request = v1::RenderPathRequest {
+        scene: seen.scene.clone(),
+        path: Some(args.path(shape)?),
         frames: args.frames,
-        first_frame: 0,
         width: args.width.unwrap_or(0),
         height: args.height.unwrap_or(0),
-        field: if args.base { v1::FieldKind::Base } else { v1::FieldKind::Marked }.into(),
-        appearance: args.light.asked()?,
-        appearance_to: args
-            .light_to
-            .clone()
-            .map(|view| v1::Appearance { choice: Some(v1::appearance::Choice::ViewName(view)) }),
+        field: seen.field.into(),
+        appearance: seen.light,
+        appearance_to: seen.light_to,
     };
-    let mut flight = Flight::new(&args);
-    if let Some(folder) = &args.sequence {
-        let label = label(line, &request).await?;
-        flight.pictures = sequence(folder, &label, args.resume, args.frames)?;
-        flight.label = (!args.resume).then_some(label);
-        request.first_frame = flight.pictures;
-        for i in 0..flight.pictures {
-            let picture = decode(&read(&frame_path(folder, i))?)?;
-            flight.animate(&picture)?;
-        }
-    }
-    if request.first_frame < args.frames {
-        flight.fly(line, request).await?;
-    }
-    flight.land()
-}
-
-/// What is written of a flight.
-struct Flight<'a> {
-    args: &'a Args,
-    /// What a new folder of frames is of; made when the request is accepted.
-    label: Option<serde_json::Value>,
-    animation: Option<Animation>,
-    /// Frames that are there.
-    pictures: u32,
-    /// Their width and height, px.
-    size: (usize, usize),
-}
-
-impl<'a> Flight<'a> {
-    fn new(args: &'a Args) -> Self {
-        Self { args, label: None, animation: None, pictures: 0, size: (0, 0) }
-    }
-
-    /// Takes frame after frame until all are there.
-    async fn fly(&mut self, line: &Connection, request: v1::RenderPathRequest) -> anyhow::Result<()> {
-        let (first, total) = (request.first_frame, self.args.frames);
-        // Listens from now on, whatever is being done when it comes.
-        let mut interrupt = tokio::spawn(tokio::signal::ctrl_c());
-        let scene = request.scene.clone();
-        let mut stream = line.about(&scene).render().render_path(request).await.map_err(refused)?.into_inner();
-        // Not before: what is refused leaves no folder that looks like a flight cut off.
-        if let (Some(folder), Some(label)) = (&self.args.sequence, self.label.take()) {
-            begin(folder, &label)?;
-        }
-        let (mut shown, begun) = (Progress::new(true), Instant::now());
-        shown.draw("frames", (first.into(), total.into()), "", -1.0);
-        loop {
-            let message = tokio::select! {
-                message = stream.message() => message.map_err(refused)?,
-                interrupt = &mut interrupt => {
-                    interrupt??;
-                    shown.end();
-                    // Dropping the stream tells the services to stop.
-                    return Err(self.cut_off());
-                }
-            };
-            let Some(frame) = message else { break };
-            anyhow::ensure!(
-                frame.frame == self.pictures,
-                "frame {} came in the place of {}",
-                frame.frame,
-                self.pictures
-            );
-            self.keep(&frame.png)?;
-            let new = f64::from(self.pictures - first);
-            let left = begun.elapsed().as_secs_f64() / new * f64::from(total - self.pictures);
-            shown.draw("frames", (self.pictures.into(), total.into()), "", left);
-        }
-        shown.end();
-        anyhow::ensure!(self.pictures == total, "the line ended after {} of {total} frames", self.pictures);
-        Ok(())
-    }
-
-    /// Keeps one frame, in the folder and in the animation.
-    fn keep(&mut self, png: &[u8]) -> anyhow::Result<()> {
-        let picture = decode(png)?;
-        if let Some(folder) = &self.args.sequence {
-            write_whole(&frame_path(folder, self.pictures), png)?;
-        }
-        self.pictures += 1;
-        self.animate(&picture)
-    }
-
-    fn animate(&mut self, picture: &Picture) -> anyhow::Result<()> {
-        self.size = (picture.width(), picture.height());
-        let Some(path) = &self.args.out else { return Ok(()) };
-        let animation = match &mut self.animation {
-            Some(animation) => animation,
-            none => none.insert(Animation::begin(path, self.size, self.args.frames as usize, self.args.fps)?),
+    // Listens from now on, whatever is being done when it comes.
+    let mut interrupt = tokio::spawn(tokio::signal::ctrl_c());
+    let mut stream = line.about(&seen.scene).render().render_path(request).await.map_err(refused)?.into_inner();
+    let (mut shown, begun, total) = (Progress::new(true), Instant::now(), args.frames);
+    shown.draw("frames", 0, total.into(), "", -1.0);
+    let mut done = 0;
+    loop {
+        let message = tokio::select! {
+            message = stream.message() => message.map_err(refused)?,
+            interrupt = &mut interrupt => {
+                interrupt??;
+                shown.end();
+                // Dropping the stream stops the services.
+                anyhow::bail!("cut off after {done} of {total} frames");
+            }
         };
-        animation.add(picture)
+        let Some(frame) = message else { break };
+        anyhow::ensure!(frame.frame == done, "frame {} came in the place of {done}", frame.frame);
+        frames.add(done, &frame.png)?;
+        done += 1;
+        let left = begun.elapsed().as_secs_f64() / f64::from(done) * f64::from(total - done);
+        shown.draw("frames", done.into(), total.into(), "", left);
     }
+    shown.end();
+    anyhow::ensure!(done == total, "the line ended after {done} of {total} frames");
+    let (width, height) = frames.finish()?;
+    println!("{done} frames of {width} x {height} px in {}", out.display());
+    Ok(())
+}
 
-    /// Gives the animation its name, and says what is there.
-    fn land(self) -> anyhow::Result<()> {
-        let (frames, (width, height)) = (self.pictures, self.size);
-        if let Some(animation) = self.animation {
-            animation.finish()?;
+/// Where frames go.
+enum Frames {
+    /// A GIF, begun with its first frame.
+    Gif { path: PathBuf, fps: u16, gif: Option<Gif> },
+    /// A folder of PNG files; the size of the last frame, px.
+    Folder { path: PathBuf, width: usize, height: usize },
+}
+
+impl Frames {
+    fn new(out: &Path, args: &PathArgs) -> anyhow::Result<Self> {
+        let path = out.to_path_buf();
+        match out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
+            Some("gif") => Ok(Self::Gif { path, fps: args.fps, gif: None }),
+            None => {
+                let is_frame = |name: &str| name.starts_with("frame-") && name.ends_with(".png");
+                let mut there = std::fs::read_dir(out).into_iter().flatten().flatten();
+                anyhow::ensure!(
+                    !there.any(|entry| is_frame(&entry.file_name().to_string_lossy())),
+                    "{} holds frames already; give another folder",
+                    out.display()
+                );
+                Ok(Self::Folder { path, width: 0, height: 0 })
+            }
+            Some(_) => anyhow::bail!("{}: a path goes into a .gif file, or into a folder of PNG frames", out.display()),
         }
-        let places = [&self.args.out, &self.args.sequence];
-        let places: Vec<String> = places.into_iter().flatten().map(|p| p.display().to_string()).collect();
-        println!("{frames} frames of {width} x {height} px in {}", places.join(" and in "));
-        Ok(())
     }
 
-    fn cut_off(&self) -> anyhow::Error {
-        let (done, total) = (self.pictures, self.args.frames);
-        match &self.args.sequence {
-            Some(folder) => anyhow::anyhow!(
-                "cut off after {done} of {total} frames; they are kept in {}: repeat the command with --resume to go on",
-                folder.display()
-            ),
-            None => anyhow::anyhow!(
-                "cut off after {done} of {total} frames; nothing is kept (--sequence DIR keeps frames to go on from)"
-            ),
+    fn add(&mut self, index: u32, png: &[u8]) -> anyhow::Result<()> {
+        let picture = decode_picture(png, &Limits::default(), None).context("a frame does not decode")?;
+        match self {
+            Self::Gif { path, fps, gif } => {
+                let gif = match gif {
+                    Some(gif) => gif,
+                    none => none.insert(Gif::begin(path, picture.width(), picture.height(), *fps)?),
+                };
+                gif.add(&picture)
+            }
+            Self::Folder { path, width, height } => {
+                (*width, *height) = (picture.width(), picture.height());
+                std::fs::create_dir_all(&*path)
+                    .with_context(|| format!("cannot make the folder {}", path.display()))?;
+                write(&path.join(format!("frame-{index:05}.png")), png)
+            }
+        }
+    }
+
+    /// Ends the file, and gives the frames' width and height, px.
+    fn finish(self) -> anyhow::Result<(usize, usize)> {
+        match self {
+            Self::Gif { gif, .. } => gif.context("the path has no frame")?.finish(),
+            Self::Folder { width, height, .. } => Ok((width, height)),
         }
     }
 }
 
-fn decode(png: &[u8]) -> anyhow::Result<Picture> {
-    decode_picture(png, &Limits::default(), None).context("a frame does not decode")
+/// A GIF being written beside its name, which it gets when it is whole. Dropped before, it leaves nothing.
+struct Gif {
+    path: PathBuf,
+    file: NamedTempFile,
+    encoder: gif::Encoder<BufWriter<File>>,
+    /// Pixels across and down.
+    width: usize,
+    height: usize,
+    /// Hundredths of a second a frame.
+    delay_cs: u16,
 }
 
-fn frame_path(folder: &Path, i: u32) -> PathBuf {
-    folder.join(format!("frame-{i:05}.png"))
-}
-
-/// Everything that frames depend on: those of another path must not be gone on with.
-async fn label(line: &Connection, request: &v1::RenderPathRequest) -> anyhow::Result<serde_json::Value> {
-    let model = scene::get(line, &request.scene).await?.model;
-    let path = match &request.path {
-        Some(to::Path::Orbit(o)) => json!({ "orbit_deg": o.arc_deg }),
-        Some(to::Path::Between(b)) => json!({ "from_view": b.from_view, "to_view": b.to_view }),
-        Some(to::Path::Spiral(_)) | None => json!("spiral"),
-    };
-    let mut label = json!({
-        "format_version": 1,
-        "scene": request.scene,
-        "job": model.map(|m| m.job_id),
-        "path": path,
-        "frames": request.frames,
-        "width": request.width,
-        "height": request.height,
-        "base": request.field() == v1::FieldKind::Base,
-        "light": light(request.appearance.as_ref()),
-    });
-    // Folders of before know nothing of it.
-    if request.appearance_to.is_some() {
-        label["light_to"] = light(request.appearance_to.as_ref());
-    }
-    Ok(label)
-}
-
-/// A light in a label: a view's name, or a photograph's digest and the camera that took it.
-fn light(appearance: Option<&v1::Appearance>) -> serde_json::Value {
-    use v1::appearance::Choice;
-    match appearance.and_then(|a| a.choice.as_ref()) {
-        Some(Choice::ViewName(view)) => json!(view),
-        Some(Choice::Photograph(p)) => {
-            let digest = Digest::of(&p.photograph).to_string();
-            json!({ "photograph_sha256": digest, "taken": taken(p.viewpoint.as_ref()) })
-        }
-        Some(Choice::Neutral(_) | Choice::Blend(_)) | None => serde_json::Value::Null,
-    }
-}
-
-/// The camera that took a photograph, in a label.
-fn taken(viewpoint: Option<&v1::Viewpoint>) -> serde_json::Value {
-    use v1::viewpoint::From;
-    match viewpoint.and_then(|v| v.from.as_ref()) {
-        Some(From::ViewName(view)) => json!(view),
-        Some(From::Camera(camera)) => {
-            let i = camera.intrinsics.unwrap_or_default();
-            let pose = camera.pose.clone().unwrap_or_default();
-            json!({
-                "px": [i.width, i.height],
-                "lens": [i.fx, i.fy, i.cx, i.cy, i.k1, i.k2, i.k3, i.p1, i.p2],
-                "rotation": pose.rotation,
-                "position": pose.position,
-            })
-        }
-        None => serde_json::Value::Null,
-    }
-}
-
-/// How many frames the folder holds to go on from. Without `resume` there must be none.
-fn sequence(folder: &Path, label: &serde_json::Value, resume: bool, frames: u32) -> anyhow::Result<u32> {
-    let file = folder.join(LABEL);
-    if resume {
-        let there: serde_json::Value =
-            serde_json::from_slice(&read(&file)?).with_context(|| format!("{} is damaged", file.display()))?;
+impl Gif {
+    fn begin(path: &Path, width: usize, height: usize, fps: u16) -> anyhow::Result<Self> {
+        let max = usize::from(u16::MAX);
         anyhow::ensure!(
-            there == *label,
-            "{} holds frames of another path, size, light or model; leave --resume away, with a new folder",
-            folder.display()
+            width.max(height) <= max,
+            "{}: {width} x {height} px; a GIF holds {max} px a side at most",
+            path.display()
         );
-        return Ok((0..frames).take_while(|i| frame_path(folder, *i).exists()).count() as u32);
+        let cannot = || format!("cannot write {}", path.display());
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let file =
+            tempfile::Builder::new().prefix(".cairn-").suffix(".part").tempfile_in(folder).with_context(cannot)?;
+        let out = BufWriter::new(file.reopen().with_context(cannot)?);
+        let mut encoder = gif::Encoder::new(out, width as u16, height as u16, &[]).with_context(cannot)?;
+        encoder.set_repeat(gif::Repeat::Infinite).with_context(cannot)?;
+        let delay_cs = (100.0 / f64::from(fps)).round() as u16;
+        Ok(Self { path: path.to_path_buf(), file, encoder, width, height, delay_cs })
     }
-    // What was cut off before its first frame is begun anew.
-    let is_frame = |name: &str| name.starts_with("frame-") && name.ends_with(".png");
-    let mut there = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    anyhow::ensure!(
-        !there.any(|entry| is_frame(&entry.file_name().to_string_lossy())),
-        "{} holds frames already; go on with --resume, or give another folder",
-        folder.display()
-    );
-    Ok(0)
-}
 
-/// Makes the folder of frames, and says in it what they are of.
-fn begin(folder: &Path, label: &serde_json::Value) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    write_whole(&folder.join(LABEL), &serde_json::to_vec_pretty(label)?)
+    fn add(&mut self, picture: &Picture) -> anyhow::Result<()> {
+        let (width, height) = (picture.width(), picture.height());
+        anyhow::ensure!(
+            (width, height) == (self.width, self.height),
+            "a frame of {width} x {height} px among those of {} x {}",
+            self.width,
+            self.height
+        );
+        let mut frame = gif::Frame::from_rgb_speed(width as u16, height as u16, &picture.to_rgb8(), GIF_SPEED);
+        frame.delay = self.delay_cs;
+        self.encoder.write_frame(&frame).with_context(|| format!("cannot write {}", self.path.display()))
+    }
+
+    fn finish(self) -> anyhow::Result<(usize, usize)> {
+        let cannot = || format!("cannot write {}", self.path.display());
+        let out = self.encoder.into_inner().with_context(cannot)?;
+        out.into_inner().map_err(std::io::IntoInnerError::into_error).with_context(cannot)?;
+        // Temporary files are their owner's alone; what is asked for is as other new files are.
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt as _;
+            let as_usual = std::fs::Permissions::from_mode(0o644);
+            self.file.as_file().set_permissions(as_usual).with_context(cannot)?;
+        }
+        self.file.persist(&self.path).map(drop).with_context(cannot)?;
+        Ok((self.width, self.height))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_label_says_whose_light_it_is_and_not_how_the_program_is_built() {
-        use v1::{appearance::Choice, viewpoint::From};
-        assert_eq!(light(None), serde_json::Value::Null);
-        let view = v1::Appearance { choice: Some(Choice::ViewName("a.png".into())) };
-        assert_eq!(light(Some(&view)), json!("a.png"));
-        let of = |from| {
-            let viewpoint = Some(v1::Viewpoint { from: Some(from) });
-            let photograph = v1::PhotographAppearance { photograph: vec![1, 2].into(), viewpoint };
-            light(Some(&v1::Appearance { choice: Some(Choice::Photograph(photograph)) }))
-        };
-        let digest = Digest::of([1, 2]).to_string();
-        assert_eq!(of(From::ViewName("b.png".into())), json!({ "photograph_sha256": digest, "taken": "b.png" }));
-        let camera = |intrinsics| of(From::Camera(v1::Camera { intrinsics, ..v1::Camera::default() }));
-        assert_eq!(camera(None), camera(Some(v1::Intrinsics::default())));
-        assert_ne!(camera(None), camera(Some(v1::Intrinsics { k3: 0.1, ..v1::Intrinsics::default() })));
+    fn frame(i: usize) -> Picture {
+        Picture::constant(5, 4, [i as f32 / 3.0, 0.5, 1.0])
     }
 
     #[test]
-    fn a_sequence_goes_on_with_its_own_frames_alone() {
+    fn a_gif_comes_back_with_its_frames() {
         let folder = tempfile::tempdir().unwrap();
-        let folder = folder.path().join("frames");
-        let (label, other) = (json!({ "frames": 5 }), json!({ "frames": 6 }));
-        assert_eq!(sequence(&folder, &label, false, 5).unwrap(), 0);
-        assert!(!folder.exists(), "made before the request is accepted");
-        begin(&folder, &other).unwrap();
-        assert_eq!(sequence(&folder, &label, false, 5).unwrap(), 0, "no frame of the other one came");
-        begin(&folder, &label).unwrap();
-        for i in [0, 1, 3] {
-            std::fs::write(frame_path(&folder, i), "png").unwrap();
+        let path = folder.path().join("a.gif");
+        let mut gif = Gif::begin(&path, 5, 4, 20).unwrap();
+        assert!(!path.exists(), "nothing under its name before it is whole");
+        (0..3).for_each(|i| gif.add(&frame(i)).unwrap());
+        assert!(gif.add(&Picture::constant(4, 4, [0.0; 3])).unwrap_err().to_string().contains("4 x 4 px"));
+        assert_eq!(gif.finish().unwrap(), (5, 4));
+        let mut options = gif::DecodeOptions::new();
+        options.set_color_output(gif::ColorOutput::RGBA);
+        let mut read = options.read_info(File::open(&path).unwrap()).unwrap();
+        for i in 0..3 {
+            let got = read.read_next_frame().unwrap().unwrap();
+            assert_eq!((got.delay, got.width, got.height), (5, 5, 4));
+            assert!(got.buffer[0].abs_diff(frame(i).to_rgb8()[0]) < 4, "frame {i}");
         }
-        assert_eq!(sequence(&folder, &label, true, 5).unwrap(), 2, "up to the first that is missing");
-        assert!(sequence(&folder, &other, true, 6).unwrap_err().to_string().contains("another path"));
-        assert!(sequence(&folder, &label, false, 5).unwrap_err().to_string().contains("--resume"));
+        assert!(read.read_next_frame().unwrap().is_none());
+    }
+
+    #[test]
+    fn what_is_cut_off_leaves_nothing_and_what_was_there_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.gif");
+        std::fs::write(&path, "before").unwrap();
+        let mut gif = Gif::begin(&path, 5, 4, 20).unwrap();
+        gif.add(&frame(0)).unwrap();
+        drop(gif);
+        assert_eq!(std::fs::read(&path).unwrap(), b"before");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

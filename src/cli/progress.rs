@@ -34,7 +34,7 @@ impl Progress {
 
     /// Shows that of `what` so many of so many are done, `detail` before the time
     /// left; `seconds_left` below 0 is not known yet.
-    pub fn draw(&mut self, what: &str, (done, of): (u64, u64), detail: &str, seconds_left: f64) {
+    pub fn draw(&mut self, what: &str, done: u64, of: u64, detail: &str, seconds_left: f64) {
         self.bar.set_prefix(what.to_owned());
         self.bar.set_length(of);
         self.bar.set_position(done);

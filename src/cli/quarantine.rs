@@ -2,7 +2,8 @@
 
 use cairn_api::v1;
 
-use super::connect::{Connection, refused};
+use super::connect::Connection;
+use super::refused::refused;
 
 /// What to do with views in quarantine.
 #[derive(Debug, clap::Subcommand)]

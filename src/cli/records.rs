@@ -15,7 +15,8 @@ use cairn_log::record::{Digests, Seen, random_salt};
 use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
 use tonic::{Code, Status};
 
-use super::connect::{Connection, refused};
+use super::connect::Connection;
+use super::refused::refused;
 use cairn_durable::{write_atomic, write_secret};
 
 /// What the registry gives a signer to sign.

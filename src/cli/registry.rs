@@ -51,7 +51,7 @@ fn rebuild(place: &Where, config: &Config) -> anyhow::Result<()> {
     let (begun, mut progress) = (Instant::now(), Progress::new(true));
     let rebuilt = rebuild_registry(&place.data, config, &mut |done, of| {
         let left = begun.elapsed().as_secs_f64() * of.saturating_sub(done) as f64 / done.max(1) as f64;
-        progress.draw("entries", (done, of.max(done)), "", left);
+        progress.draw("entries", done, of.max(done), "", left);
     })?;
     progress.end();
     println!(

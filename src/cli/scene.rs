@@ -1,4 +1,4 @@
-//! `cairn scene`: import, list, show, delete (and `poses`, in its own file).
+//! `cairn scene`: import, list, show, check, exclude, include, delete.
 
 use std::fs::File;
 use std::io::Read;
@@ -10,7 +10,8 @@ use cairn_api::v1::{self, import_scene_request::Part};
 use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
 use sha2::{Digest, Sha256};
 
-use super::connect::{Connection, refused};
+use super::connect::Connection;
+use super::refused::refused;
 use cairn_service::grpc::to_proto;
 
 /// Bytes of photograph a message.
@@ -29,9 +30,9 @@ pub enum Command {
     Show {
         /// The scene
         name: String,
+        #[command(flatten)]
+        poses: super::poses::Args,
     },
-    /// Draw where the cameras stand, coloured by contributor and by cluster
-    Poses(super::poses::Args),
     /// Delete a scene and its models (owner records stay in the log)
     Delete {
         /// The scene
@@ -98,8 +99,10 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
             Ok(())
         }
-        Command::Show { name } => show(line, name).await,
-        Command::Poses(args) => super::poses::run(line, args).await,
+        Command::Show { name, poses } => {
+            show(line, &name).await?;
+            super::poses::draw(line, name, poses).await
+        }
         Command::Delete { name } => {
             let request = v1::DeleteSceneRequest { scene: name.clone() };
             line.about(&name).scenes().delete(request).await.map_err(refused)?;
@@ -141,8 +144,8 @@ pub fn lies(s: &v1::SceneSummary, guessed: bool) -> String {
     format!("{kind}{guessed}{background}")
 }
 
-async fn show(line: &Connection, name: String) -> anyhow::Result<()> {
-    let scene = get(line, &name).await?;
+async fn show(line: &Connection, name: &str) -> anyhow::Result<()> {
+    let scene = get(line, name).await?;
     if let Some(summary) = &scene.summary {
         println!("{}", one_line(summary, false));
     }

@@ -9,8 +9,9 @@ use cairn_log::record::{
 };
 use cairn_log::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
-use super::connect::{Connection, refused};
+use super::connect::Connection;
 use super::records::{Bundle, Ground, Place, Stored};
+use super::refused::refused;
 use super::unlock::UnlockArgs;
 
 /// `cairn owners sign`.

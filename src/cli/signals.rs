@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_scene::{Ground, Limits, decode_emblem, encode_png};
 
-use super::read;
+use super::files::read;
 
 /// Pictures in larger files are made smaller before they are sent, bytes.
 const SENT_AS_IT_IS: usize = 256 << 10;

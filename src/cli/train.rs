@@ -6,10 +6,12 @@ use anyhow::Context as _;
 use cairn_api::v1::{self, JobState, start_training_request::Clusters};
 use clap::builder::ArgPredicate;
 
-use super::connect::{Connection, refused};
+use super::connect::Connection;
+use super::files::read;
 use super::progress::Progress;
+use super::refused::refused;
+use super::scene;
 use super::signals::{fit_one_message, signals};
-use super::{read, scene};
 
 /// `cairn train`.
 #[derive(Clone, Debug, clap::Args)]
@@ -27,7 +29,7 @@ pub struct Args {
     pub by_contributor: bool,
     /// Views that a contributor needs to be an identity, with --by-contributor
     #[arg(long, value_name = "N", default_value_t = 2)]
-    pub least_views: u32,
+    pub min_views: u32,
     /// The same seed gives the same bytes [default: 1, with --grow the earlier training's]
     #[arg(
         long,
@@ -115,7 +117,7 @@ async fn start(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
 /// The request that the arguments stand for.
 pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
     let clusters = if args.by_contributor {
-        Clusters::ByContributor(v1::ByContributor { least_views: args.least_views })
+        Clusters::ByContributor(v1::ByContributor { min_views: args.min_views })
     } else {
         Clusters::ByAnchors(v1::ByAnchors { anchors: args.anchors, neighbours: args.neighbours.unwrap_or(0) })
     };
@@ -207,7 +209,7 @@ fn draw(shown: &mut Progress, job: &v1::Job) {
         (false, true) => format!("loss {:.4}, ", p.loss),
         (false, false) => String::new(),
     };
-    shown.draw(&p.stage, (p.step, p.total), &quality, p.seconds_left);
+    shown.draw(&p.stage, p.step, p.total, &quality, p.seconds_left);
 }
 
 /// How a job ended, with its notes but those that were `told` when it began.

@@ -89,7 +89,7 @@ async fn serve(args: &ServeArgs) -> anyhow::Result<()> {
 
 /// The vkeys in a file, at least one.
 fn vkeys(file: &std::path::Path) -> anyhow::Result<Vec<NoteVerifier>> {
-    let text = String::from_utf8(super::read(file)?).with_context(|| format!("{}: not text", file.display()))?;
+    let text = String::from_utf8(super::files::read(file)?).with_context(|| format!("{}: not text", file.display()))?;
     let mut found = Vec::new();
     for (number, line) in (1..).zip(text.lines().map(str::trim)) {
         if !line.is_empty() && !line.starts_with('#') {

@@ -192,7 +192,7 @@ pub fn training(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainin
 
 /// A training of `scene` by contributor that stops after stage 1.
 pub fn base_only(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainingRequest {
-    let by_contributor = v1::ByContributor { least_views: 2 };
+    let by_contributor = v1::ByContributor { min_views: 2 };
     v1::StartTrainingRequest {
         scene: scene.into(),
         clusters: Some(v1::start_training_request::Clusters::ByContributor(by_contributor)),

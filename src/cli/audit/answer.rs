@@ -46,7 +46,7 @@ fn photograph(text: &str) -> anyhow::Result<Digest> {
 /// Answers `cairn audit answer`.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let answer = read_limited(&args.answer, MAX_ANSWER_BYTES)?;
-    let pinned = args.vkey.as_deref().map(super::vkey).transpose()?;
+    let pinned = args.vkey.as_deref().map(super::trust::vkey).transpose()?;
     let question = match &args.scene {
         Some(scene) => Some(Question { scene: scene.clone(), view: args.view.as_deref().map(photograph).transpose()? }),
         None => None,
@@ -57,5 +57,5 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     } else {
         print!("{report}");
     }
-    Ok(super::exit(report.outcome))
+    Ok(super::trust::exit(report.outcome))
 }

@@ -9,9 +9,10 @@ use cairn_log::record::SignalFiles;
 use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
 use cairn_verify::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
 
-use super::{Trust, against};
+use super::against;
+use super::trust::Trust;
+use crate::cli::files::read;
 use crate::cli::owners::LogFile;
-use crate::cli::read;
 use cairn_durable::read_limited;
 
 /// Largest envelope or proof that is read, bytes; both are a few kilobytes.
@@ -46,7 +47,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     } else {
         print!("{report}");
     }
-    Ok(super::exit(report.outcome))
+    Ok(super::trust::exit(report.outcome))
 }
 
 /// Recomputes everything from the files that are there.

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use cairn_verify::{Fetch, FollowError, Outcome, audit_evidence};
 
-use super::Trust;
+use super::trust::Trust;
 use cairn_durable::read_limited;
 
 /// Largest note that is read, bytes.

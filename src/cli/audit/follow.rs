@@ -17,8 +17,8 @@ use std::time::Duration;
 use anyhow::Context as _;
 use cairn_verify::{Contradiction, FollowOptions};
 
-use super::Trust;
 use super::http::HttpLog;
+use super::trust::Trust;
 use cairn_durable::{read_limited, remove, sync_folder, write_atomic};
 
 /// `cairn audit follow`.

@@ -8,7 +8,8 @@ use cairn_log::keys::StoredKey;
 use cairn_log::{Checkpoint, Note, NoteVerifier};
 use cairn_verify::{Finding, StoreOptions, audit_folders, audit_store};
 
-use super::{Trust, renders};
+use super::renders;
+use super::trust::Trust;
 use cairn_durable::read_limited;
 
 /// `cairn audit store`.

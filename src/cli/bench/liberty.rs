@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context as _;
 
 use super::super::connect::{Connection, Where};
-use super::super::{look, scene, train};
+use super::super::{evaluate, scene, train};
 use super::Args;
 use super::rows::Rows;
 
@@ -39,7 +39,7 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
         anchors: args.anchors.unwrap_or(3),
         neighbours: if args.anchors.is_some() { args.neighbours } else { Some(20) },
         by_contributor: false,
-        least_views: 2,
+        min_views: 2,
         seed: args.seed,
         signals: args.signals.clone(),
         settings: args.settings.clone(),
@@ -58,7 +58,7 @@ async fn train_and_score(line: &Connection, args: &Args, from: &Path, rows: &mut
     for stage in &job.stages {
         rows.add(&case, &stage.stage, stage.seconds, "s", None);
     }
-    let report = look::report(line, "liberty", None, Some(&args.out.join("contact-sheet.png"))).await?;
+    let report = evaluate::report(line, "liberty", None, Some(&args.out.join("contact-sheet.png"))).await?;
     rows.of_report(&case, &report);
     Ok(())
 }

@@ -167,7 +167,7 @@ impl Args {
     /// What stands in the file of settings; nothing where there is none.
     fn settings_text(&self) -> anyhow::Result<String> {
         let Some(path) = &self.settings else { return Ok(String::new()) };
-        String::from_utf8(super::read(path)?).with_context(|| format!("{} is no text", path.display()))
+        String::from_utf8(super::files::read(path)?).with_context(|| format!("{} is no text", path.display()))
     }
 
     /// The folder that holds the captures.
@@ -228,7 +228,7 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
 /// # Errors
 /// For a file that does not read or decode.
 fn decoded(path: &Path) -> anyhow::Result<Picture> {
-    let bytes = super::read(path)?;
+    let bytes = super::files::read(path)?;
     decode_picture(&bytes, &Limits::default(), None).with_context(|| format!("{} does not decode", path.display()))
 }
 

@@ -154,7 +154,7 @@ impl Rows {
 /// For notes that cannot be read and a page that cannot be written.
 pub fn write_page(ledger: &Ledger, page: &Path) -> anyhow::Result<()> {
     let notes = Notes::read(&page.with_file_name("limits"))?;
-    super::super::write(page, ledger.to_markdown(&notes).as_bytes())
+    super::super::files::write(page, ledger.to_markdown(&notes).as_bytes())
 }
 
 /// A figure as the terminal shows it; a missed target is not to be overlooked.

@@ -152,10 +152,10 @@ pub const METHODS: &[(&str, Need)] = &[
     // The base field, which is what a thief would want, needs what `Evaluate` needs.
     ("/cairn.v1.RenderService/Render", Need::Read),
     ("/cairn.v1.RenderService/RenderPath", Need::Read),
-    ("/cairn.v1.QueryService/WhoByPose", Need::Read),
-    ("/cairn.v1.QueryService/WhoByPicture", Need::Read),
+    // To register a picture needs what `Evaluate` needs.
+    ("/cairn.v1.QueryService/Identify", Need::Read),
+    ("/cairn.v1.QueryService/Contributors", Need::Read),
     ("/cairn.v1.QueryService/Evaluate", Need::Inspect),
-    ("/cairn.v1.DetectionService/Detect", Need::Read),
     ("/cairn.v1.OwnerService/Nonce", Need::Contribute),
     ("/cairn.v1.OwnerService/Material", Need::Account),
     ("/cairn.v1.OwnerService/Submit", Need::Contribute),

@@ -268,7 +268,7 @@ pub fn by_anchors(a: &v1::ByAnchors) -> Result<Grouping, EngineError> {
 /// One cluster a contributor.
 pub fn by_contributor(c: &v1::ByContributor) -> Grouping {
     let direction_weight = ClusterConfig::default().direction_weight;
-    Grouping::ByContributor { min_views: c.least_views as usize, direction_weight }
+    Grouping::ByContributor { min_views: c.min_views as usize, direction_weight }
 }
 
 /// Clusters to draw, and the seed they are made with; `None` for the model's.
@@ -291,8 +291,8 @@ pub fn is_svg(format: i32) -> Result<bool, EngineError> {
     }
 }
 
-/// A camera path, and its first frame to render.
-pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), EngineError> {
+/// A camera path.
+pub fn path(request: v1::RenderPathRequest) -> Result<PathRequest, EngineError> {
     use v1::render_path_request::Path;
     let kind = match request.path.ok_or_else(|| missing("the path"))? {
         Path::Orbit(o) => {
@@ -305,16 +305,11 @@ pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), Engi
         Path::Spiral(_) => PathKind::Spiral,
         Path::Between(b) => PathKind::Between(b.from_view, b.to_view),
     };
-    let first = request.first_frame as usize;
-    if first > 0 && request.first_frame >= request.frames {
-        let expected = format!("0 to below the number of frames, {}", request.frames);
-        return Err(EngineError::invalid("first_frame", first, expected));
-    }
     let set = |appearance: Option<v1::Appearance>| match appearance.filter(|a| a.choice.is_some()) {
         None => Ok(None),
         some => light(some).map(Some),
     };
-    let plan = PathRequest {
+    Ok(PathRequest {
         scene: request.scene,
         kind,
         frames: request.frames as usize,
@@ -322,8 +317,7 @@ pub fn path(request: v1::RenderPathRequest) -> Result<(PathRequest, usize), Engi
         field: field_kind(request.field)?,
         light: set(request.appearance)?,
         light_to: set(request.appearance_to)?,
-    };
-    Ok((plan, first))
+    })
 }
 
 /// Which field.
@@ -428,7 +422,7 @@ mod tests {
 
     #[test]
     fn signals_keep_their_names_and_order() {
-        let by = v1::start_training_request::Clusters::ByContributor(v1::ByContributor { least_views: 2 });
+        let by = v1::start_training_request::Clusters::ByContributor(v1::ByContributor { min_views: 2 });
         let of = |name: &str| v1::Signal { name: name.into(), text: "t".into(), ..v1::Signal::default() };
         let asked = |names: &[&str]| {
             let signals = names.iter().map(|name| of(name)).collect();

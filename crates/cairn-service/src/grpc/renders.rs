@@ -62,7 +62,7 @@ impl RenderService for Shared {
         let lights = [request.get_ref().appearance.as_ref(), request.get_ref().appearance_to.as_ref()];
         self.may_see(request.extensions(), &request.get_ref().scene, field, &lights)?;
         let fits = lights.into_iter().any(is_fitted);
-        let (plan, first) = from_proto::path(request.into_inner()).map_err(status)?;
+        let plan = from_proto::path(request.into_inner()).map_err(status)?;
         let plan = move |engine: &Engine| engine.tour(&plan);
         // Planning is geometry alone, but for a light that is fitted to a photograph.
         let tour = Arc::new(if fits { self.compute(plan).await? } else { self.run(plan).await? });
@@ -70,7 +70,7 @@ impl RenderService for Shared {
         let (sender, receiver) = mpsc::channel(1);
         let shared = self.clone();
         tokio::spawn(async move {
-            for at in first..tour.cameras().len() {
+            for at in 0..tour.cameras().len() {
                 let tour = tour.clone();
                 // A place for each frame: renders of other callers come in between. Who hangs up waits for none.
                 let frame = tokio::select! {

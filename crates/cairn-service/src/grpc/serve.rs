@@ -12,7 +12,6 @@ use std::time::Duration;
 use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_api::v1::access_service_server::AccessServiceServer;
-use cairn_api::v1::detection_service_server::DetectionServiceServer;
 use cairn_api::v1::owner_service_server::OwnerServiceServer;
 use cairn_api::v1::quarantine_service_server::QuarantineServiceServer;
 use cairn_api::v1::query_service_server::QueryServiceServer;
@@ -35,7 +34,7 @@ use crate::config::{Config, Limits};
 use crate::engine::Engine;
 use crate::store::folder;
 
-/// The eight services with the configured message limits.
+/// The services with the configured message limits.
 fn routes(shared: &Shared, limits: &Limits) -> Routes {
     let most = limits.max_message_bytes;
     let mut routes = Routes::default();
@@ -51,7 +50,6 @@ fn routes(shared: &Shared, limits: &Limits) -> Routes {
         TrainingServiceServer,
         RenderServiceServer,
         QueryServiceServer,
-        DetectionServiceServer,
         OwnerServiceServer,
         AccessServiceServer,
         QuarantineServiceServer
@@ -67,7 +65,6 @@ async fn tell(health: &HealthReporter, status: ServingStatus) {
         TrainingServiceServer::<Shared>::NAME,
         RenderServiceServer::<Shared>::NAME,
         QueryServiceServer::<Shared>::NAME,
-        DetectionServiceServer::<Shared>::NAME,
         OwnerServiceServer::<Shared>::NAME,
         AccessServiceServer::<Shared>::NAME,
         QuarantineServiceServer::<Shared>::NAME,

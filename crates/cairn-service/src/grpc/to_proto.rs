@@ -7,9 +7,10 @@ use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
 use cairn_scene::{Camera, SceneFolder, SceneKind};
 use tonic::codegen::Bytes;
 
-use crate::query::look::Who;
+use crate::query::look::{Identified, Who};
 use crate::records::corrections::Standing;
 use crate::store::classes::{Elsewhere, LaidOver};
+use crate::store::hidden::encoded;
 use crate::store::model::{IdentityInfo, MarkInfo, ModelInfo};
 use crate::store::quarantine::{Entry, Standing as Held};
 use crate::train::job::{Job, JobState};
@@ -192,33 +193,55 @@ pub fn job(job: &Job) -> v1::Job {
     }
 }
 
-/// Who it is.
-pub fn who(who: Who) -> v1::WhoResponse {
-    use v1::who_response::Answer;
-    let answer = match who.identity {
-        Some((number, label)) => {
-            let of = |(name, photographs)| v1::WhoContributor { name, photographs: photographs as u32 };
-            let contributors = who.contributors.into_iter().map(of).collect();
-            Answer::Identity(v1::WhoIdentity { number, label, record_indices: who.records, contributors })
+/// The identity that was found, if one was.
+fn found_identity(who: Who) -> Option<v1::FoundIdentity> {
+    let (number, label) = who.identity?;
+    let of = |(name, photographs)| v1::ClusterContributor { name, photographs: photographs as u32 };
+    let contributors = who.contributors.into_iter().map(of).collect();
+    Some(v1::FoundIdentity { number, label, record_indices: who.records, contributors })
+}
+
+/// Whose place it is.
+pub fn contributors(who: Who) -> v1::ContributorsResponse {
+    use v1::contributors_response::Answer;
+    let confidence = who.confidence;
+    let answer = found_identity(who).map_or(Answer::Unmarked(v1::Unmarked {}), Answer::Identity);
+    v1::ContributorsResponse { answer: Some(answer), confidence }
+}
+
+/// Whose mark a picture carries; with what it hides where `payload` says so.
+pub fn identified(Identified { who, found }: Identified, payload: bool) -> v1::IdentifyResponse {
+    use v1::identify_response::Answer;
+    let confidence = who.confidence;
+    let answer = match (found_identity(who), found.elsewhere) {
+        (Some(identity), _) => Answer::Identity(identity),
+        (None, Some(Elsewhere { scene, number, label })) => {
+            Answer::Foreign(v1::ForeignIdentity { scene, number, label })
         }
-        None => match who.elsewhere {
-            Some(there) => Answer::Elsewhere(elsewhere(there)),
-            None => Answer::Unmarked(v1::WhoUnmarked {}),
-        },
+        (None, None) => Answer::Unmarked(v1::Unmarked {}),
     };
-    let laid_over = who.laid_over.map(laid_over);
-    let (answer, confidence, closer_look) = (Some(answer), who.confidence, who.is_center_crop);
-    v1::WhoResponse { answer, confidence, laid_over, closer_look }
+    let detection = found.detection;
+    let payload = payload.then(|| {
+        let recovered = encoded(&detection.recovered);
+        v1::Payload {
+            picture_png: recovered.picture.unwrap_or_default().into(),
+            sound_wav: recovered.audio.unwrap_or_default().into(),
+            text: detection.recovered.text,
+        }
+    });
+    v1::IdentifyResponse {
+        answer: Some(answer),
+        confidence,
+        probabilities: detection.probabilities,
+        registered: found.laid_over.map(registered),
+        center_crop: detection.is_center_crop,
+        payload,
+    }
 }
 
-/// What laying a picture over a field says.
-pub fn laid_over(LaidOver { explained, scores, believed }: LaidOver) -> v1::LaidOver {
-    v1::LaidOver { explained, scores, believed: believed.unwrap_or(0), believed_from: cairn_mark::BELIEVED }
-}
-
-/// An identity of another scene.
-pub fn elsewhere(Elsewhere { scene, number, label }: Elsewhere) -> v1::WhoElsewhere {
-    v1::WhoElsewhere { scene, number, label }
+/// What a registered picture says.
+fn registered(LaidOver { explained, scores, believed }: LaidOver) -> v1::RegisteredReading {
+    v1::RegisteredReading { explained, scores, believed: believed.unwrap_or(0), believed_from: cairn_mark::BELIEVED }
 }
 
 /// A record of the log.

@@ -1,4 +1,4 @@
-//! Rendering, asking who contributed, and detecting.
+//! Rendering, asking who contributed, and identifying pictures.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,8 +10,8 @@ use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::query::light::{Light, same_proportions};
 use crate::query::maps::Maps;
-use crate::store::classes::{Elsewhere, Found, LaidOver};
-use crate::store::model::Model;
+use crate::store::classes::Found;
+use crate::store::model::{Model, ModelInfo};
 use crate::store::scenes::check_size;
 use crate::store::scenes::view_index;
 use crate::train::stages::Appearance;
@@ -41,16 +41,19 @@ pub struct Who {
     pub identity: Option<(u32, String)>,
     /// Who took the photographs of the identity's cluster and how many each, most first, then by name.
     pub contributors: Vec<(String, usize)>,
-    /// By picture the class's probability; by pose 1 in a cluster's middle, 0 on its border.
+    /// Of a picture the answer's probability; of a place 1 in a cluster's middle, 0 on its border.
     pub confidence: f64,
-    /// The identity of another scene with the same detector whose mark a picture carries.
-    pub elsewhere: Option<Elsewhere>,
     /// Log indices of the owner records that bear on the identity, rising: see [`Engine::records_of`].
     pub records: Vec<u64>,
-    /// What laying a picture over the field said, where that was asked for.
-    pub laid_over: Option<LaidOver>,
-    /// By picture: whether the whole of it says nothing surely, and the answer is its middle's (`mark.center_crop_confidence`).
-    pub is_center_crop: bool,
+}
+
+/// Whose mark a picture carries, and all that was read from it.
+#[derive(Clone, Debug)]
+pub struct Identified {
+    /// Whose it is.
+    pub who: Who,
+    /// What was read.
+    pub found: Found,
 }
 
 /// Laying a picture over the field.
@@ -153,7 +156,7 @@ impl Engine {
     ///
     /// # Errors
     /// As [`Engine::camera`]; [`EngineError::NotTrained`].
-    pub fn who_by_pose(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Who, EngineError> {
+    pub fn contributors(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Who, EngineError> {
         let camera = self.camera(scene, viewpoint)?;
         let Some(info) = self.newest_model(scene)? else {
             self.scene(scene)?;
@@ -173,33 +176,14 @@ impl Engine {
         self.who(&info, found.identity, confidence)
     }
 
-    /// Whom the classifier reads from a picture; or, with `over`, laying it over the field.
+    /// Whose mark a picture carries, as the classifier reads it; or, with `over`, as the field tells it.
     ///
     /// # Errors
     /// For a picture that does not decode, and [`Model::mark`]'s.
-    pub fn who_by_picture(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Who, EngineError> {
+    pub fn identify(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Identified, EngineError> {
         let (model, found) = self.read_picture(scene, bytes, over)?;
         let who = self.who(&model.info, found.identity, found.confidence.into())?;
-        let is_center_crop = found.detection.is_center_crop;
-        Ok(Who { elsewhere: found.elsewhere, laid_over: found.laid_over, is_center_crop, ..who })
-    }
-
-    /// What a picture hides, and who that stands for.
-    ///
-    /// # Errors
-    /// As [`Engine::who_by_picture`].
-    pub fn detect(
-        &self,
-        scene: &str,
-        bytes: &[u8],
-        over: Option<Over>,
-    ) -> Result<(Found, Option<String>), EngineError> {
-        let (model, found) = self.read_picture(scene, bytes, over)?;
-        let label = match found.identity {
-            Some(number) => Some(model.info.identity(number)?.label.clone()),
-            None => None,
-        };
-        Ok((found, label))
+        Ok(Identified { who, found })
     }
 
     fn read_picture(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<(Arc<Model>, Found), EngineError> {
@@ -226,25 +210,13 @@ impl Engine {
         Ok((model, found))
     }
 
-    fn who(
-        &self,
-        info: &crate::store::model::ModelInfo,
-        identity: Option<u32>,
-        confidence: f64,
-    ) -> Result<Who, EngineError> {
-        let Some(number) = identity else {
-            let (contributors, records) = (Vec::new(), Vec::new());
-            let (elsewhere, laid_over, is_center_crop) = (None, None, false);
-            return Ok(Who { identity: None, contributors, confidence, elsewhere, records, laid_over, is_center_crop });
-        };
+    fn who(&self, info: &ModelInfo, identity: Option<u32>, confidence: f64) -> Result<Who, EngineError> {
+        let nobody = Who { identity: None, contributors: Vec::new(), confidence, records: Vec::new() };
+        let Some(number) = identity else { return Ok(nobody) };
         let known = info.identity(number)?;
-        let Some(contributors) = self.quarantine.credited(&info.scene, known)? else {
-            return self.who(info, None, confidence);
-        };
+        let Some(contributors) = self.quarantine.credited(&info.scene, known)? else { return Ok(nobody) };
         let records = self.records_of(info, known)?;
-        let identity = Some((number, known.label.clone()));
-        let (elsewhere, laid_over, is_center_crop) = (None, None, false);
-        Ok(Who { identity, contributors, confidence, elsewhere, records, laid_over, is_center_crop })
+        Ok(Who { identity: Some((number, known.label.clone())), contributors, confidence, records })
     }
 }
 

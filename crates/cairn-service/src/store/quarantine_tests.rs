@@ -89,7 +89,7 @@ impl World {
     }
 
     fn who(&self, view: &str) -> crate::query::look::Who {
-        self.engine.who_by_pose("town", &Viewpoint::View(view.into())).unwrap()
+        self.engine.contributors("town", &Viewpoint::View(view.into())).unwrap()
     }
 
     fn photographs(&self) -> usize {
@@ -199,7 +199,7 @@ fn nobody_is_credited_with_what_was_found_or_removed_since_a_model() {
     let all = names(&info, "ada").iter().map(|view| entry(view)).collect();
     world.engine.quarantine.put("town", all).unwrap();
     let camera = world.engine.camera("town", &Viewpoint::View("images/ada_004.png".into())).unwrap();
-    let who = world.engine.who_by_pose("town", &Viewpoint::Camera(camera)).unwrap();
+    let who = world.engine.contributors("town", &Viewpoint::Camera(camera)).unwrap();
     assert!(who.identity.is_none_or(|(_, label)| label != "ada"), "{:?}", who.contributors);
 }
 

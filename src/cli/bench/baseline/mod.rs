@@ -15,7 +15,7 @@ use cairn_scene::Picture;
 use cairn_scene::metrics::{psnr_db, ssim};
 
 use super::super::connect::Where;
-use super::super::read;
+use super::super::files::read;
 use super::Args;
 use super::children::Children;
 use super::field::source::Source;

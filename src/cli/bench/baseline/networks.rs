@@ -60,6 +60,6 @@ pub fn run(task: &Task) -> anyhow::Result<Networks> {
     let steps = trainer.steps_done();
     let networks = trainer.finish();
     let seconds = begun.elapsed().as_secs_f64();
-    crate::cli::write(&task.networks, &networks.to_bytes()?)?;
+    crate::cli::files::write(&task.networks, &networks.to_bytes()?)?;
     Ok(Networks { seconds, steps, peak_mib: peak_mib() })
 }

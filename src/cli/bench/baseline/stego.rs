@@ -6,7 +6,7 @@ use cairn_mark::{DeepStega, MarkError, hide_in_lowest_bits, read_lowest_bits};
 use cairn_scene::Picture;
 use serde::{Deserialize, Serialize};
 
-use super::super::super::read;
+use super::super::super::files::read;
 use super::super::decoded;
 
 /// How a picture is hidden in photographs.

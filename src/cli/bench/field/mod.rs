@@ -27,7 +27,7 @@ use anyhow::Context as _;
 use cairn_field::FieldConfig;
 
 use super::super::connect::Where;
-use super::super::{open, read};
+use super::super::files::{open, read};
 use super::Args;
 use super::children::Children;
 use super::rows::Rows;

@@ -94,7 +94,7 @@ pub fn run(task: &Task) -> anyhow::Result<Scored> {
     drop(progress);
     anyhow::ensure!(!psnr.is_empty(), "{} holds no view out to score on", task.source.folder.display());
     anyhow::ensure!(!has_masks || !masked.is_empty(), "no mask has a pixel in the part that is scored; look at masks");
-    crate::cli::write(&task.sheet, &encode_png(&contact_sheet(&sheet, TILE[0], TILE[1])))?;
+    crate::cli::files::write(&task.sheet, &encode_png(&contact_sheet(&sheet, TILE[0], TILE[1])))?;
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     Ok(Scored {
         views: psnr.len(),

@@ -49,7 +49,7 @@ pub fn save(out: &Path, name: &str, seed: u64, case: &Case, outcome: &Outcome) -
     // A comma ends a field of CSV.
     let (name, seed) = (name.replace(", ", " "), seed.to_string());
     let budgets = budgets(&out.join("budgets.csv"), &name, &seed, case, outcome)?;
-    crate::cli::write(&out.join("budgets.svg"), budget_chart(&budgets).to_svg().as_bytes())?;
+    crate::cli::files::write(&out.join("budgets.svg"), budget_chart(&budgets).to_svg().as_bytes())?;
     if outcome.tradeoffs.is_empty() {
         return Ok(());
     }
@@ -57,7 +57,7 @@ pub fn save(out: &Path, name: &str, seed: u64, case: &Case, outcome: &Outcome) -
     let slug: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
     for (what, which) in [("max", true), ("rms", false)] {
         let chart = tradeoff_chart(&name, &outcome.tradeoffs, which);
-        crate::cli::write(&out.join(format!("tradeoffs-{slug}-{what}.svg")), chart.to_svg().as_bytes())?;
+        crate::cli::files::write(&out.join(format!("tradeoffs-{slug}-{what}.svg")), chart.to_svg().as_bytes())?;
     }
     Ok(())
 }

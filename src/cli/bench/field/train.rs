@@ -97,7 +97,7 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
     let field = exact.clone().with_stored_colours();
     let seconds = begun.elapsed().as_secs_f64();
     let bytes = field.to_bytes()?;
-    crate::cli::write(&task.field, &bytes)?;
+    crate::cli::files::write(&task.field, &bytes)?;
     let peak_mib = peak_mib();
     let stored_error = (!looked_at.is_empty()).then(|| tradeoff::storing(&exact, &field, &looked_at));
     Ok(Trained {

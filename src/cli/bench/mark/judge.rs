@@ -127,7 +127,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let views = views(&opened, &marked, task.right_half)?;
     anyhow::ensure!(!views.is_empty(), "{} holds no view out to judge on", task.source.folder.display());
     let (classes, marks, identities) = clean(&mut asked, &views)?;
-    crate::cli::write(&task.sheet, &encode_png(&sheet::draw(&asked.detector, &asked.signals, &views)?))?;
+    crate::cli::files::write(&task.sheet, &encode_png(&sheet::draw(&asked.detector, &asked.signals, &views)?))?;
     progress.at(1, "");
     let before = asked.answers.len();
     let harms = if task.what == What::Ablation { Vec::new() } else { harms(&mut asked, &marked, &views)? };
@@ -165,7 +165,7 @@ pub fn run(task: &Task) -> anyhow::Result<Judged> {
     let kept = views.iter().filter(|v| v.truth > 0).map(|v| Ok(psnr_db(&v.base, &v.marked)?.min(PERFECT_DB)));
     let kept = kept.collect::<anyhow::Result<Vec<f64>>>()?;
     let [base_psnr_db, marked_psnr_db, base_ssim, marked_ssim] = sums.map(|sum| sum / views.len() as f64);
-    crate::cli::write(&task.reliability, reliability(&asked.answers).as_bytes())?;
+    crate::cli::files::write(&task.reliability, reliability(&asked.answers).as_bytes())?;
     let by_closer_look = asked.right_by_closer_look(&(0..0));
     let by_closer_look_unharmed = asked.right_by_closer_look(&harmed);
     let unharmed = without(&asked.answers, harmed);

@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::super::connect::Where;
-use super::super::{open, read};
+use super::super::files::{open, read};
 use super::Args;
 use super::children::Children;
 use super::field::source::Source;

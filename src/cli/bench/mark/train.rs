@@ -128,8 +128,8 @@ pub fn run(task: &Task) -> anyhow::Result<Marked> {
     let (steps, joined_at, most) = (trainer.steps_done(), trainer.joined_at(), trainer.config().steps);
     let (marked, detector) = trainer.finish()?;
     let seconds = begun.elapsed().as_secs_f64();
-    crate::cli::write(&task.marked, &marked.to_bytes()?)?;
-    crate::cli::write(&task.detector, &detector.to_bytes()?)?;
+    crate::cli::files::write(&task.marked, &marked.to_bytes()?)?;
+    crate::cli::files::write(&task.detector, &detector.to_bytes()?)?;
     Ok(Marked {
         seconds,
         processor_s: processor_s(),

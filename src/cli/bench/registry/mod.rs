@@ -149,7 +149,7 @@ fn curves(
         table.push(cells.collect())?;
     }
     table.save(&path)?;
-    super::super::write(&args.out.join("sizes.svg"), chart(&table).to_svg().as_bytes())
+    super::super::files::write(&args.out.join("sizes.svg"), chart(&table).to_svg().as_bytes())
 }
 
 fn of_size(case: &str, served: &Served, records: u64, rows: &mut Rows) {

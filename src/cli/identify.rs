@@ -1,0 +1,191 @@
+//! `cairn identify`: whose mark a picture carries and what it hides; `cairn who`: whose place a view or a camera is.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use cairn_api::v1::{self, contributors_response, identify_response};
+
+use super::connect::Connection;
+use super::files::{read, write};
+use super::refused::refused;
+use super::viewpoint::{FromWhere, viewpoint};
+
+/// Contributors named in one line.
+const MAX_NAMES: usize = 5;
+
+/// `cairn identify`.
+#[derive(Debug, clap::Args)]
+pub struct IdentifyArgs {
+    /// The scene whose marks are looked for
+    name: String,
+    /// The picture, PNG or JPEG
+    picture: PathBuf,
+    /// Also register the picture with the field and look for each mark in what the field does not explain: surer, and takes
+    /// many seconds without --view or --pose
+    #[arg(long)]
+    register: bool,
+    /// Register it at this view of the scene, which it was rendered from and neither cut nor turned since
+    #[arg(long, value_name = "VIEW", conflicts_with = "pose")]
+    view: Option<String>,
+    /// Register it at this camera, written as for `cairn render --pose`
+    #[arg(long, value_name = "FILE")]
+    pose: Option<PathBuf>,
+    /// Write what the mark hides into this folder: picture.png, sound.wav and text.txt, those that the scene hides
+    #[arg(long, value_name = "DIR")]
+    payload_out: Option<PathBuf>,
+}
+
+/// `cairn who`.
+#[derive(Debug, clap::Args)]
+pub struct WhoArgs {
+    /// The scene
+    name: String,
+    #[command(flatten)]
+    from: FromWhere,
+}
+
+/// Answers `cairn identify`.
+pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<()> {
+    let camera = match args.view.is_some() || args.pose.is_some() {
+        true => Some(viewpoint(args.view, args.pose.as_deref())?),
+        false => None,
+    };
+    let registers = args.register || camera.is_some();
+    let request = v1::IdentifyRequest {
+        scene: args.name.clone(),
+        picture: read(&args.picture)?.into(),
+        register: args.register,
+        camera,
+        payload: true,
+    };
+    let answer = line.about(&args.name).query().identify(request).await.map_err(refused)?.into_inner();
+    match &answer.answer {
+        Some(identify_response::Answer::Identity(found)) => show(found, answer.confidence),
+        Some(identify_response::Answer::Foreign(there)) => {
+            let v1::ForeignIdentity { scene, number, label } = there;
+            println!("of scene {scene}, identity {number}: {label} (confidence {:.2})", answer.confidence);
+        }
+        Some(identify_response::Answer::Unmarked(_)) | None => {
+            println!("unmarked (confidence {:.2}){}", answer.confidence, unsure(&answer.probabilities));
+        }
+    }
+    if answer.center_crop {
+        println!("read in the middle of the picture: the whole says nothing surely");
+    }
+    if registers {
+        show_registered(answer.registered.as_ref());
+    }
+    for (class, probability) in answer.probabilities.iter().enumerate() {
+        println!("  class {class}: {probability:.4}");
+    }
+    show_payload(&answer.payload.unwrap_or_default(), args.payload_out.as_deref())
+}
+
+/// Answers `cairn who`.
+pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
+    let viewpoint = Some(viewpoint(args.from.view, args.from.pose.as_deref())?);
+    let request = v1::ContributorsRequest { scene: args.name, viewpoint };
+    let answer = line.query().contributors(request).await.map_err(refused)?.into_inner();
+    match &answer.answer {
+        Some(contributors_response::Answer::Identity(found)) => show(found, answer.confidence),
+        Some(contributors_response::Answer::Unmarked(_)) | None => {
+            println!("unmarked (confidence {:.2})", answer.confidence);
+        }
+    }
+    Ok(())
+}
+
+fn show(found: &v1::FoundIdentity, confidence: f64) {
+    println!("identity {}: {} (confidence {confidence:.2})", found.number, found.label);
+    if !found.contributors.is_empty() {
+        println!("{}: photographs by {}", found.label, named(&found.contributors));
+    }
+    let indices: Vec<String> = found.record_indices.iter().map(u64::to_string).collect();
+    let records = if indices.is_empty() { "none".to_owned() } else { indices.join(", ") };
+    println!("owner records at index: {records}");
+}
+
+/// Of an unmarked picture: that an owner is likelier all the same, if one is.
+fn unsure(probabilities: &[f32]) -> String {
+    let all = || probabilities.iter().enumerate();
+    match all().max_by(|(_, a), (_, b)| a.total_cmp(b)) {
+        Some((class, _)) if class > 0 => format!(": class {class} is likelier, and not sure enough to be named"),
+        _ => String::new(),
+    }
+}
+
+/// What the registered picture says.
+fn show_registered(reading: Option<&v1::RegisteredReading>) {
+    let Some(reading) = reading else {
+        println!("it is like the field from no camera that was tried: the classifier answers");
+        return;
+    };
+    println!("registered: the field explains {:.0} % of it", 100.0 * reading.explained);
+    for (at, score) in reading.scores.iter().enumerate() {
+        println!("  mark {}: {score:.1} deviations (believed from {:.0} on)", at + 1, reading.believed_from);
+    }
+    match reading.believed {
+        0 => println!("no mark stands out: the classifier answers"),
+        number => println!("mark {number} stands out and is believed"),
+    }
+}
+
+/// Prints the recovered text, and writes the parts of the payload where `folder` says so.
+fn show_payload(payload: &v1::Payload, folder: Option<&Path>) -> anyhow::Result<()> {
+    if let Some(text) = &payload.text {
+        // Quoted and escaped: it comes out of a picture, and may say anything to a terminal.
+        println!("recovered text: {text:?}");
+    }
+    if let Some(folder) = folder {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    for (part, name, bytes) in [
+        ("picture", "picture.png", (!payload.picture_png.is_empty()).then_some(&payload.picture_png[..])),
+        ("sound", "sound.wav", (!payload.sound_wav.is_empty()).then_some(&payload.sound_wav[..])),
+        ("text", "text.txt", payload.text.as_deref().map(str::as_bytes)),
+    ] {
+        match (folder, bytes) {
+            (Some(folder), Some(bytes)) => {
+                write(&folder.join(name), bytes)?;
+                println!("recovered {part} in {}", folder.join(name).display());
+            }
+            (Some(_), None) => println!("no {part}: no identity of the scene hides one"),
+            (None, Some(_)) if part != "text" => println!("recovered {part} not kept; --payload-out DIR keeps it"),
+            (None, _) => {}
+        }
+    }
+    Ok(())
+}
+
+/// The first contributors by name, each with a count; how many more there are.
+fn named(contributors: &[v1::ClusterContributor]) -> String {
+    let first = contributors.iter().take(MAX_NAMES).map(|c| format!("{} ({})", c.name, c.photographs));
+    let mut names = first.collect::<Vec<_>>().join(", ");
+    if contributors.len() > MAX_NAMES {
+        names.push_str(&format!(" and {} more", contributors.len() - MAX_NAMES));
+    }
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_names_five_contributors_and_counts_the_rest() {
+        let of = |count: u32| {
+            let of = |n| v1::ClusterContributor { name: format!("drone-{n}"), photographs: 9 - n };
+            named(&(0..count).map(of).collect::<Vec<_>>())
+        };
+        assert_eq!(of(2), "drone-0 (9), drone-1 (8)");
+        assert_eq!(of(5), "drone-0 (9), drone-1 (8), drone-2 (7), drone-3 (6), drone-4 (5)");
+        assert_eq!(of(7), "drone-0 (9), drone-1 (8), drone-2 (7), drone-3 (6), drone-4 (5) and 2 more");
+    }
+
+    #[test]
+    fn an_unmarked_picture_that_tells_an_owner_says_so() {
+        assert_eq!(unsure(&[0.6, 0.1, 0.3]), "");
+        assert!(unsure(&[0.3, 0.0, 0.7]).contains("class 2 is likelier"));
+        assert_eq!(unsure(&[]), "");
+    }
+}
