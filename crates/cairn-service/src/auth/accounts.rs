@@ -8,7 +8,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use cairn_log::{Digest, PublicKey};
 use serde::{Deserialize, Serialize};
 
-use crate::auth::error::{AccessError, FileError};
+use crate::auth::error::{AccessError, AccountError, FileError, MAX_NAME};
 use crate::auth::file;
 use crate::auth::quota::Limits;
 use crate::auth::registration::Registration;
@@ -18,8 +18,6 @@ use crate::auth::roles::Role;
 pub const MAX_ACCOUNTS: usize = 50_000;
 /// Most accounts that wait for approval at the same time.
 pub const MAX_WAITING: usize = 1_000;
-/// Longest name, bytes.
-pub const MAX_NAME: usize = 128;
 
 /// Where an account stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -98,96 +96,6 @@ pub enum Policy {
     Approval,
     /// Nobody who is not there already.
     Closed,
-}
-
-/// Why an account is refused, or something is refused it.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum AccountError {
-    /// Nobody with this key is known.
-    #[error("there is no account with the key id {key}; register its key first (cairn access register)")]
-    Unknown {
-        /// SHA-256 of the public key.
-        key: Digest,
-    },
-    /// There is none to change.
-    #[error("there is no account with the public key {key}; see `cairn access list`")]
-    NoSuch {
-        /// The key.
-        key: PublicKey,
-    },
-    /// Not yet approved.
-    #[error("the account {name:?} waits for an operator's approval (cairn access approve)")]
-    Waiting {
-        /// Its name.
-        name: String,
-    },
-    /// Shut out.
-    #[error("the account {name:?} is disabled; ask the daemon's operator")]
-    Disabled {
-        /// Its name.
-        name: String,
-    },
-    /// Another key took its key's place.
-    #[error("the account {name:?} continues under key {heir}, to which its own was rotated; sign with that one")]
-    Rotated {
-        /// Its name.
-        name: String,
-        /// The key in its place.
-        heir: PublicKey,
-    },
-    /// Its key ended, with none in its place.
-    #[error("the key with id {key} was ended by record {index} of the log; register another one (cairn keys new)")]
-    Ended {
-        /// The key's id.
-        key: Digest,
-        /// The record that ended it.
-        index: u64,
-    },
-    /// Nobody is taken in.
-    #[error(
-        "this daemon takes no registrations (access.registration = \"closed\"); ask its operator to add your public key"
-    )]
-    Closed,
-    /// There are too many.
-    #[error("{got} accounts {what}, the most that this daemon keeps; ask its operator")]
-    TooMany {
-        /// `are there` or `wait for approval`.
-        what: &'static str,
-        /// How many.
-        got: usize,
-    },
-    /// The name cannot be taken.
-    #[error("the account's name has {bytes} bytes{more}; allowed are 1 to {MAX_NAME} without control characters")]
-    Name {
-        /// Its length.
-        bytes: usize,
-        /// What else is wrong.
-        more: &'static str,
-    },
-    /// The key has an account already, made otherwise.
-    #[error("the key {key} has an account already: {name:?}, {role}; change its role instead (cairn access role)")]
-    Exists {
-        /// The key.
-        key: PublicKey,
-        /// The account's name.
-        name: String,
-        /// Its role.
-        role: Role,
-    },
-    /// It is approved already.
-    #[error("the account {name:?} is {standing}, not waiting; change its role or enable it instead")]
-    NotWaiting {
-        /// Its name.
-        name: String,
-        /// Where it stands.
-        standing: &'static str,
-    },
-    /// Nobody could undo it from afar.
-    #[error("{name:?} is the last active operator; make another one first")]
-    LastOperator {
-        /// Its name.
-        name: String,
-    },
 }
 
 #[derive(Serialize, Deserialize)]

@@ -17,8 +17,8 @@ pub mod token;
 mod wire;
 
 pub use accounts::{Account, Accounts, Policy, Standing};
-pub use error::{AccessError, Denied};
-pub use quota::{Charge, ChargeError, Frees, Kind, Limits, QuotaError, Quotas, Reserved, Usage};
+pub use error::{AccessError, AccountError, ChargeError, Denied, FileError, Frees, Kind, QuotaError, TokenError};
+pub use quota::{Charge, Limits, Quotas, Reserved, Usage};
 pub use registration::{Nonces, Registration, RegistrationError};
 pub use roles::{Need, Reach, Role};
-pub use token::{Call, Claims, Daemon, TokenError, Verifier, sign};
+pub use token::{Call, Claims, Daemon, Verifier, sign};

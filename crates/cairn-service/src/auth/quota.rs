@@ -8,50 +8,18 @@
 //! there is nothing to leak; only their limit is held here.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use cairn_log::Digest;
 use serde::{Deserialize, Serialize};
 
-use crate::auth::error::FileError;
+use crate::auth::error::{ChargeError, FileError, Frees, Kind, QuotaError};
 use crate::auth::file;
 
 const HOUR_S: u64 = 3600;
 /// Hours of the rolling day, the present one included.
 const WINDOW_H: u64 = 24;
-
-/// Kinds of quotas.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Bytes of photographs stored.
-    Bytes,
-    /// Views stored.
-    Views,
-    /// Seconds of training within a rolling day.
-    TrainingSeconds,
-    /// Trainings that have not ended.
-    QueuedJobs,
-    /// Owner records submitted, in all.
-    Records,
-    /// Owner records submitted within a rolling day.
-    RecordsPerDay,
-}
-
-impl Kind {
-    /// Its setting's key.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Bytes => "bytes",
-            Self::Views => "views",
-            Self::TrainingSeconds => "training_seconds",
-            Self::QueuedJobs => "queued_jobs",
-            Self::Records => "records",
-            Self::RecordsPerDay => "records_per_day",
-        }
-    }
-}
 
 /// How much of each; 0 means no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -71,46 +39,6 @@ pub struct Limits {
     /// Owner records submitted within a rolling day.
     #[serde(default)]
     pub records_per_day: u64,
-}
-
-/// When a used-up quota has room again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Frees {
-    /// When a scene is deleted, or views of it are removed.
-    OnDelete,
-    /// When a training ends or is cancelled.
-    OnEnd,
-    /// At this time, seconds since 1970.
-    At(u64),
-    /// When an operator allows more.
-    OnRaise,
-}
-
-impl fmt::Display for Frees {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::OnDelete => f.write_str("deleting a scene frees what it takes, removing views what they take"),
-            Self::OnEnd => f.write_str("it frees when a training ends or is cancelled"),
-            Self::At(time) => write!(f, "it frees at {time} (seconds since 1970)"),
-            Self::OnRaise => f.write_str("it does not free by itself; an operator can raise it (cairn access quota)"),
-        }
-    }
-}
-
-/// A quota that does not allow it.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the owner's quota `{}` is {limit}: {used} used, {needed} more asked for; {frees}", kind.key())]
-pub struct QuotaError {
-    /// Which.
-    pub kind: Kind,
-    /// How much is allowed.
-    pub limit: u64,
-    /// How much of it is used.
-    pub used: u64,
-    /// How much more was asked for.
-    pub needed: u64,
-    /// When there is room again.
-    pub frees: Frees,
 }
 
 /// What an owner uses.
@@ -168,26 +96,6 @@ struct Stored {
 pub struct Quotas {
     path: PathBuf,
     used: Mutex<Stored>,
-}
-
-/// What can go wrong when something is charged.
-#[derive(Debug, thiserror::Error)]
-pub enum ChargeError {
-    /// Over the quota.
-    #[error(transparent)]
-    Quota(#[from] QuotaError),
-    /// It cannot be written down.
-    #[error(transparent)]
-    File(#[from] FileError),
-}
-
-impl From<ChargeError> for crate::auth::AccessError {
-    fn from(error: ChargeError) -> Self {
-        match error {
-            ChargeError::Quota(error) => Self::Quota(error),
-            ChargeError::File(error) => Self::File(error),
-        }
-    }
 }
 
 impl Quotas {

@@ -21,31 +21,21 @@ use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use cairn_log::{Digest, OwnerKey, PublicKey};
 
-use crate::auth::accounts::{Account, AccountError, Accounts, Standing};
-use crate::auth::error::{AccessError, Denied};
+use crate::auth::accounts::{Account, Accounts, Standing};
+use crate::auth::error::{AccessError, AccountError, Denied, TokenError};
 use crate::auth::replay::{Full, Replays};
 use crate::auth::roles::{Need, Reach};
-use crate::auth::wire::{Reader, put_text};
+use crate::auth::wire::{MAX_METHOD, MAX_ORIGIN, MAX_SCENE, MAX_TEXT, Reader, SKEW_S, VERSION, put_text};
 
 /// What the signed bytes begin with, so that a token can be mistaken for nothing else that the key signs.
 const DOMAIN: &[u8] = b"cairn access token v1\n";
-const VERSION: u8 = 1;
 /// Longest lifetime that any daemon allows, seconds.
 pub const MAX_LIFETIME_S: u64 = 300;
-/// How far clocks may be apart, seconds.
-pub const SKEW_S: u64 = 30;
 /// Tokens that a daemon remembers at the same time.
 pub const MEMORY: usize = 65_536;
 /// Of these, most of one account.
 pub const MEMORY_OF_ONE: usize = 8_192;
 
-const MAX_METHOD: usize = 128;
-const MAX_SCENE: usize = 64;
-const MAX_ORIGIN: usize = 256;
-/// Everything at its longest, and the signature.
-const MAX_BYTES: usize = 1 + 32 + (2 + MAX_METHOD) + (2 + MAX_SCENE) + (2 + MAX_ORIGIN) + 32 + 16 + 8 + 8 + 16 + 64;
-/// The same in base64.
-const MAX_TEXT: usize = MAX_BYTES.div_ceil(3) * 4;
 const SIGNATURE: usize = cairn_log::keys::SIGNATURE_LEN;
 
 /// Which daemon a token is for.
@@ -86,115 +76,6 @@ pub struct Claims {
     pub expires: u64,
     /// Makes it one of its kind.
     pub random: [u8; 16],
-}
-
-/// Why a token is refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum TokenError {
-    /// A guarded call came without one.
-    #[error(
-        "{method} needs a signed token; name your account's key (--account FILE), or register one (cairn access register)"
-    )]
-    Missing {
-        /// The call's method.
-        method: String,
-    },
-    /// It cannot be read.
-    #[error("the token cannot be read: {field}; expected is `Cairn` and base64url of at most {MAX_TEXT} characters")]
-    Malformed {
-        /// Where it went wrong.
-        field: &'static str,
-    },
-    /// Its version is not known.
-    #[error("the token has version {got}, this release reads {VERSION}")]
-    Version {
-        /// Its version.
-        got: u8,
-    },
-    /// A field is too long to be signed.
-    #[error("no token can be signed: {field} is too long")]
-    TooLong {
-        /// The field.
-        field: &'static str,
-    },
-    /// The operating system gave no random bytes.
-    #[error("no token can be signed: the operating system gave no random bytes ({0})")]
-    Random(String),
-    /// The signature is not the named key's.
-    #[error("the token's signature does not verify under the key that it names, {key}")]
-    BadSignature {
-        /// The key's id.
-        key: Digest,
-    },
-    /// For another method.
-    #[error("the token is for {token}, the call is {call}; sign one for this call")]
-    WrongMethod {
-        /// The token's.
-        token: String,
-        /// The call's.
-        call: String,
-    },
-    /// For another scene.
-    #[error("the token is about scene {token:?}, the call about {call:?}; sign one for this call")]
-    WrongScene {
-        /// The token's.
-        token: String,
-        /// The call's.
-        call: String,
-    },
-    /// For another daemon, or for an earlier run of this one.
-    #[error("the token is for {token}, this is {here}; ask the daemon who it is (AccessService.About) and sign again")]
-    WrongDaemon {
-        /// The token's.
-        token: String,
-        /// This one.
-        here: String,
-    },
-    /// From the future.
-    #[error(
-        "the token was issued at {issued}, it is {now} here (seconds since 1970, {SKEW_S} s of difference are allowed); set the clocks"
-    )]
-    NotYet {
-        /// Its time.
-        issued: u64,
-        /// The daemon's.
-        now: u64,
-    },
-    /// From the past.
-    #[error(
-        "the token expired at {expires}, it is {now} here (seconds since 1970, {SKEW_S} s of difference are allowed); sign a new one or set the clocks"
-    )]
-    Expired {
-        /// Its end.
-        expires: u64,
-        /// The daemon's time.
-        now: u64,
-    },
-    /// It lives longer than the daemon allows, or ends before it begins.
-    #[error("the token lives from {issued} to {expires}; allowed are 0 to {longest_s} s (access.token_lifetime_s)")]
-    Lifetime {
-        /// Its time.
-        issued: u64,
-        /// Its end.
-        expires: u64,
-        /// The longest allowed.
-        longest_s: u64,
-    },
-    /// It was used before.
-    #[error("the token was used already; every call needs its own")]
-    Replayed,
-    /// No room to remember it, and an unremembered token could be used twice.
-    #[error(
-        "{limit} tokens of {whose} are remembered, as many as fit; the next is forgotten at {frees} (seconds since 1970): try again then"
-    )]
-    MemoryFull {
-        /// `this account` or `all accounts`.
-        whose: &'static str,
-        /// How many.
-        limit: usize,
-        /// When there is room again.
-        frees: u64,
-    },
 }
 
 fn random() -> Result<[u8; 16], TokenError> {

@@ -1,6 +1,18 @@
 //! Reading and writing the few binary fields that are signed. A reader never
 //! takes more than there is, and says which field was short.
 
+pub(crate) const VERSION: u8 = 1;
+/// How far clocks may be apart, seconds.
+pub const SKEW_S: u64 = 30;
+pub(crate) const MAX_METHOD: usize = 128;
+pub(crate) const MAX_SCENE: usize = 64;
+pub(crate) const MAX_ORIGIN: usize = 256;
+/// Everything at its longest, and the signature.
+pub(crate) const MAX_BYTES: usize =
+    1 + 32 + (2 + MAX_METHOD) + (2 + MAX_SCENE) + (2 + MAX_ORIGIN) + 32 + 16 + 8 + 8 + 16 + 64;
+/// The same in base64.
+pub(crate) const MAX_TEXT: usize = MAX_BYTES.div_ceil(3) * 4;
+
 /// Reads fields one after the other.
 pub(crate) struct Reader<'a> {
     rest: &'a [u8],

@@ -1,6 +1,6 @@
 //! `AccessService`: who is known here, and what they may use.
 
-use crate::auth::{Account, Limits, Need, Registration, accounts::AccountError, registration::NONCE_LIFETIME_S};
+use crate::auth::{Account, AccountError, Limits, Need, Registration, registration::NONCE_LIFETIME_S};
 use cairn_api::v1::{self, access_service_server::AccessService};
 use cairn_log::{Digest, Heir, PublicKey};
 use tonic::{Extensions, Request, Response, Status};

@@ -8,7 +8,7 @@
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
-use crate::auth::accounts::AccountError;
+use crate::auth::AccountError;
 use crate::auth::{AccessError, Account, Call, Claims, Denied, Need, Reach, Role, TokenError, roles};
 use cairn_log::{Digest, Envelope, RegistryError};
 use sha2::{Digest as _, Sha256};

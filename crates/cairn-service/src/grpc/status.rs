@@ -1,7 +1,7 @@
 //! One place where errors become gRPC codes. The matches are exhaustive without
 //! `_`, so that a new error cannot slip through with a code that nobody chose.
 
-use crate::auth::accounts::AccountError;
+use crate::auth::AccountError;
 use crate::auth::error::FileError;
 use crate::auth::registration::RegistrationError;
 use crate::auth::{AccessError, TokenError};
