@@ -3,42 +3,54 @@
 //!
 //! All calls block, some for long; the edge puts them on threads of their own.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use cairn_log::witness::WitnessClient;
-use cairn_log::{Digest, Registry};
-use cairn_scene::SceneFolder;
+use cairn_log::{Digest, PublicKey, Registry, RegistryError};
+use cairn_scene::cluster::Grouping;
+use cairn_scene::{Camera, Picture, SceneFolder};
 
 use crate::config::{Config, Limits};
 use crate::error::EngineError;
+use crate::export::poses::{self, PoseSheet};
+use crate::export::tour::{self, PathRequest, Tour};
+use crate::query::evaluate;
+use crate::query::light::{Light, appearance};
+use crate::query::look::{self, Identified, Over, Who};
+use crate::query::maps::Maps;
+use crate::query::report::Report;
+use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
+use crate::records::owners::{self, AskedView, Material};
 use crate::records::published::LastPublished;
 use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
 use crate::store::folder::DataFolder;
-use crate::store::hidden::Parts;
-use crate::store::model::{Model, ModelInfo};
-use crate::store::quarantine::Quarantine;
-use crate::store::{model, quarantine, scenes};
+use crate::store::import::{Import, ImportPlan};
+use crate::store::model::{self, Model, ModelInfo};
+use crate::store::quarantine::{self, Quarantine};
+use crate::store::scenes;
+use crate::store::snapshot::SceneSnapshot;
 use crate::train::jobs::Jobs;
-use crate::train::training;
+use crate::train::training::Training;
 
 /// One data folder at work.
 pub struct Engine {
     pub(crate) jobs: Jobs,
     /// Before the registry: it publishes a last time when it is dropped.
-    pub(crate) publisher: Publisher,
-    pub(crate) registry: Arc<Registry>,
-    pub(crate) access: Arc<Access>,
+    publisher: Publisher,
+    registry: Arc<Registry>,
+    access: Arc<Access>,
     pub(crate) quarantine: Arc<Quarantine>,
     pub(crate) limits: Limits,
     /// The training settings that the daemon's own file sets, TOML.
     pub(crate) configured: String,
     /// The model used last: loading one takes seconds, and queries come in rows.
-    pub(crate) cache: Mutex<Option<Arc<Model>>>,
+    cache: Mutex<Option<Arc<Model>>>,
+    /// The snapshot used last.
+    snapshot: Mutex<Option<Arc<SceneSnapshot>>>,
     // Last, so that the folder is let go when all else in it is closed.
     pub(crate) folder: DataFolder,
 }
@@ -63,7 +75,7 @@ impl Engine {
         let last = LastPublished::of(folder.last_checkpoint(), data, &registry.public_key());
         let publisher = Publisher::start(registry.clone(), last, witnesses)?;
         let quarantine = Arc::new(Quarantine::open(folder.quarantine(), &folder.scenes())?);
-        let work = training::Training {
+        let work = Training {
             quarantine: quarantine.clone(),
             scenes: folder.scenes(),
             models: folder.models(),
@@ -90,6 +102,7 @@ impl Engine {
             limits: config.limits.clone(),
             configured: config.training_configured.clone(),
             cache: Mutex::new(None),
+            snapshot: Mutex::new(None),
         })
     }
 
@@ -111,9 +124,9 @@ impl Engine {
     /// Begins an import, which `owner` is charged with from now on.
     ///
     /// # Errors
-    /// As [`scenes::Import::begin`]; the quota's.
-    pub fn begin_import(&self, plan: scenes::ImportPlan, owner: Option<Digest>) -> Result<scenes::Import, EngineError> {
-        let mut import = scenes::Import::begin(plan, &self.limits, &self.folder.scenes(), &self.folder.staging())?;
+    /// As [`Import::begin`]; the quota's.
+    pub fn begin_import(&self, plan: ImportPlan, owner: Option<Digest>) -> Result<Import, EngineError> {
+        let mut import = Import::begin(plan, &self.limits, &self.folder.scenes(), &self.folder.staging())?;
         if let Some(owner) = owner {
             import.owned = Some(self.access.reserve(owner, &import.id(), import.takes())?);
         }
@@ -123,8 +136,8 @@ impl Engine {
     /// Ends an import; the scene is durable on return.
     ///
     /// # Errors
-    /// As [`scenes::Import::finish`].
-    pub fn finish_import(&self, mut import: scenes::Import) -> Result<SceneFolder, EngineError> {
+    /// As [`Import::finish`].
+    pub fn finish_import(&self, mut import: Import) -> Result<SceneFolder, EngineError> {
         let place = self.access.place(import.scene(), self.folder.scenes().join(import.scene()))?;
         let owned = import.owned.take();
         self.access.announce(&place, owned.as_ref())?;
@@ -157,31 +170,6 @@ impl Engine {
         scenes::open(&self.folder.scenes(), name)
     }
 
-    /// One scene without the views that are in quarantine.
-    ///
-    /// # Errors
-    /// As [`Engine::scene`].
-    pub fn sound_scene(&self, name: &str) -> Result<SceneFolder, EngineError> {
-        self.quarantine.without(name, self.scene(name)?)
-    }
-
-    /// The views of a scene that are, or were, in quarantine, by name.
-    ///
-    /// # Errors
-    /// As [`Engine::scene`].
-    pub fn quarantined(&self, scene: &str) -> Result<Vec<quarantine::Entry>, EngineError> {
-        self.scene(scene)?;
-        self.quarantine.of(scene)
-    }
-
-    /// Names of the scene's views that are left out.
-    ///
-    /// # Errors
-    /// [`EngineError::Stored`].
-    pub fn out_of_scene(&self, name: &str, scene: &SceneFolder) -> Result<BTreeSet<String>, EngineError> {
-        Ok(self.quarantine.names(name, scene)?.0)
-    }
-
     /// Lets views out of quarantine; see [`Quarantine::release`].
     ///
     /// # Errors
@@ -208,7 +196,7 @@ impl Engine {
     ) -> Result<Vec<quarantine::Entry>, EngineError> {
         let folder = self.scene(scene)?;
         self.refuse_in_training(scene, format!("views of scene {scene:?}"), "removed")?;
-        let removed = self.quarantine.remove((scene, &folder), views, by)?;
+        let removed = self.quarantine.remove(scene, &folder, views, by)?;
         give_back(&self.access, &self.folder.scenes(), scene);
         Ok(removed)
     }
@@ -253,6 +241,7 @@ impl Engine {
         self.quarantine.forget(name)?;
         cairn_durable::remove(&self.folder.models().join(name))?;
         *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *self.snapshot.lock().unwrap_or_else(PoisonError::into_inner) = None;
         Ok(cairn_durable::remove(&gone)?)
     }
 
@@ -276,12 +265,178 @@ impl Engine {
         Ok(model)
     }
 
-    /// The files of an identity's hidden signal.
+    /// The scene with its newest model's description and what is left out of it, read once for all questions.
     ///
     /// # Errors
-    /// [`EngineError::NotFound`], [`EngineError::Stored`].
-    pub fn signal(&self, info: &ModelInfo, identity: u32) -> Result<Parts<Vec<u8>>, EngineError> {
-        info.signal(&self.folder.models(), identity)
+    /// As [`Engine::scene`]; [`EngineError::Stored`].
+    pub fn snapshot(&self, scene: &str) -> Result<Arc<SceneSnapshot>, EngineError> {
+        let info = self.newest_model(scene)?;
+        let mut last = self.snapshot.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = last.as_ref().filter(|s| s.is_current(&self.quarantine, scene, info.as_ref())) {
+            return Ok(known.clone());
+        }
+        *last = None;
+        let read = Arc::new(SceneSnapshot::read(&self.folder.scenes(), &self.quarantine, scene, info)?);
+        *last = Some(read.clone());
+        Ok(read)
+    }
+
+    /// The views of a scene that are, or were, in quarantine, by name.
+    ///
+    /// # Errors
+    /// As [`Engine::scene`].
+    pub fn quarantined(&self, scene: &str) -> Result<Vec<quarantine::Entry>, EngineError> {
+        self.scene(scene)?;
+        Ok(self.quarantine.of(scene)?.0)
+    }
+
+    /// The camera of a viewpoint.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] for a view that is not there, [`EngineError::OverLimit`].
+    pub fn camera(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Camera, EngineError> {
+        camera_of("the render", &*self.snapshot(scene)?, viewpoint, &self.limits)
+    }
+
+    /// Renders a view, clamped to [0, 1]; with accumulation and depth where `maps` asks for them.
+    ///
+    /// # Errors
+    /// [`EngineError::NotTrained`], [`EngineError::NotFound`], [`EngineError::Invalid`]; in a photograph's light what is
+    /// said of [`Light::Photograph`].
+    pub fn render(
+        &self,
+        scene: &str,
+        viewpoint: &Viewpoint,
+        field: FieldKind,
+        light: &Light,
+        maps: bool,
+    ) -> Result<(Picture, Option<Maps>), EngineError> {
+        let (model, snapshot) = (self.model(scene)?, self.snapshot(scene)?);
+        let camera = camera_of("the render", &snapshot, viewpoint, &self.limits)?;
+        let appearance = appearance(&model, &snapshot, light, &self.limits)?;
+        look::render(&model, &camera, field, &appearance, maps)
+    }
+
+    /// Plans a camera path; renders nothing yet.
+    ///
+    /// # Errors
+    /// As [`tour::plan`]; [`EngineError::NotTrained`].
+    pub fn tour(&self, request: &PathRequest) -> Result<Tour, EngineError> {
+        let (model, snapshot) = (self.model(&request.scene)?, self.snapshot(&request.scene)?);
+        tour::plan(&model, &snapshot, request, &self.limits)
+    }
+
+    /// Renders frame `i` of a path, clamped to [0, 1].
+    ///
+    /// # Errors
+    /// As [`tour::frame`]; [`Engine::model`]'s.
+    pub fn frame(&self, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
+        tour::frame(&*self.model(tour.scene())?, tour, i)
+    }
+
+    /// Draws the scene's cameras, as [`poses::draw_poses`] does.
+    ///
+    /// # Errors
+    /// As there, and [`Engine::scene`]'s.
+    pub fn draw_poses(&self, scene: &str, grouping: Option<(Grouping, u64)>) -> Result<PoseSheet, EngineError> {
+        let folder = self.quarantine.without(scene, self.scene(scene)?)?;
+        poses::draw_poses(scene, &folder, grouping, self.newest_model(scene)?)
+    }
+
+    /// Whose cluster a viewpoint belongs to.
+    ///
+    /// # Errors
+    /// As [`Engine::camera`]; [`EngineError::NotTrained`].
+    pub fn contributors(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Who, EngineError> {
+        let snapshot = self.snapshot(scene)?;
+        self.with_records(&snapshot, look::contributors(&snapshot, viewpoint, &self.limits)?)
+    }
+
+    /// Whose mark a picture carries, as the classifier reads it; or, with `over`, as registration with the field tells it.
+    ///
+    /// # Errors
+    /// For a picture that does not decode, and [`look::read_picture`]'s.
+    pub fn identify(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Identified, EngineError> {
+        let picture = decode(bytes, &self.limits)?;
+        let (model, snapshot) = (self.model(scene)?, self.snapshot(scene)?);
+        let found = look::read_picture(&model, &snapshot, &picture, over, &self.limits)?;
+        let who = Who::of(&snapshot, found.identity, found.confidence.into())?;
+        Ok(Identified { who: self.with_records(&snapshot, who)?, found })
+    }
+
+    /// `who` with the owner records that bear on the identity.
+    fn with_records(&self, snapshot: &SceneSnapshot, who: Who) -> Result<Who, EngineError> {
+        let Some((number, _)) = who.identity else { return Ok(who) };
+        let (info, (identity, _)) = (snapshot.info()?, snapshot.identity(number)?);
+        let marked_field = info.mark.as_ref().map(|mark| mark.marked_field);
+        let records = owners::bearing_on(&self.registry, &info.scene, marked_field, identity)?;
+        Ok(Who { records, ..who })
+    }
+
+    /// Scores the scene's newest model; with a contact sheet where asked. Slow.
+    ///
+    /// # Errors
+    /// [`EngineError::NotTrained`]; as [`evaluate::evaluate`].
+    pub fn evaluate(&self, scene: &str, sheet: bool) -> Result<(Report, Option<Picture>), EngineError> {
+        evaluate::evaluate(&*self.model(scene)?, &*self.snapshot(scene)?, sheet)
+    }
+
+    /// What a record about an identity of the newest model has to state.
+    ///
+    /// # Errors
+    /// As [`owners::material`].
+    pub fn material(&self, scene: &str, identity: u32) -> Result<Material, EngineError> {
+        owners::material(&*self.snapshot(scene)?, &self.folder.models(), identity)
+    }
+
+    /// Takes a record in; see [`owners::submit`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn submit_record(&self, envelope: &[u8], payer: Option<Digest>) -> Result<cairn_log::Receipt, EngineError> {
+        owners::submit(&self.registry, &self.access, &self.publisher, envelope, payer)
+    }
+
+    /// A nonce for a record of `owner` about `scene`, in hexadecimal.
+    ///
+    /// # Errors
+    /// For 32 bytes that are no public key.
+    pub fn nonce(&self, scene: &str, owner: &[u8; 32]) -> Result<String, EngineError> {
+        let owner = PublicKey::from_bytes(owner).map_err(RegistryError::from)?;
+        Ok(self.registry.nonce(scene, &owner)?.to_string())
+    }
+
+    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
+    ///
+    /// # Errors
+    /// As [`owners::photograph_of`] and [`owners::complete_answer`].
+    pub fn complete_answer(
+        &self,
+        scene: &str,
+        view: Option<AskedView>,
+        as_of: Option<&str>,
+        most: usize,
+    ) -> Result<Vec<u8>, EngineError> {
+        let photograph = match view {
+            None => None,
+            Some(AskedView::Photograph(digest)) => Some(digest),
+            Some(AskedView::Named(name)) => Some(owners::photograph_of(&*self.snapshot(scene)?, &name)?),
+        };
+        owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most)
+    }
+
+    /// The offline proof of a record (C2SP tlog-proof): index, inclusion hashes, the newest checkpoint, or the newest one
+    /// that witnesses cosigned.
+    ///
+    /// # Errors
+    /// [`RegistryError::NoSuchRecord`].
+    pub fn tlog_proof(&self, index: u64) -> Result<String, EngineError> {
+        let size = self.registry.size();
+        if index >= size {
+            return Err(RegistryError::NoSuchRecord { index, size }.into());
+        }
+        self.publisher.await_cosigned(&self.registry, index);
+        Ok(self.registry.tlog_proof(index)?.to_text())
     }
 
     /// Checkpoints and stops training, and lets the folder go when dropped. Blocks.

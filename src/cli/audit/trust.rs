@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
+use cairn_durable::read_limited;
 use cairn_log::policy::MAX_POLICY_BYTES;
 use cairn_log::{NoteVerifier, Policy};
-use cairn_durable::read_limited;
 use cairn_verify::Outcome;
 
 /// A verifier key is a line.

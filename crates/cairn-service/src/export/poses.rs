@@ -4,16 +4,15 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use cairn_scene::Capture;
 use cairn_scene::cluster::{Clusters, Grouping};
+use cairn_scene::{Capture, SceneFolder};
 use glam::DVec2;
 
-use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::drawing::{Colour, Drawing, LETTER_PX, Shape, words_width};
 use crate::export::layout::{Layout, PANEL};
-use crate::store::model::IdentityInfo;
-use crate::train::training;
+use crate::store::model::{IdentityInfo, ModelInfo};
+use crate::train::clusters;
 
 /// Groups with a colour of their own; the others share one.
 const MOST_COLOURS: usize = 12;
@@ -62,31 +61,33 @@ pub struct PoseSheet {
     pub clusters: usize,
 }
 
-impl Engine {
-    /// Draws the scene's cameras. Clusters are made as a training with this grouping
-    /// and seed would make them; without a grouping they are the newest model's.
-    ///
-    /// # Errors
-    /// [`EngineError::NotFound`], and [`Clusters::build`]'s.
-    pub fn draw_poses(&self, scene: &str, grouping: Option<(Grouping, u64)>) -> Result<PoseSheet, EngineError> {
-        let folder = self.sound_scene(scene)?;
-        let capture = folder.capture();
-        let clusters = match grouping {
-            Some((grouping, seed)) => {
-                let clusters = training::clusters(&folder, &grouping, seed)?;
-                let identities = training::identities(&folder, &clusters);
-                Some(("clusters as asked for".to_owned(), clusters, identities))
-            }
-            None => self.newest_model(scene)?.map(|m| (format!("clusters of {}", m.job), m.clusters, m.identities)),
-        };
-        let mut rows = vec![Groups::by_contributor(capture)];
-        if let Some((title, clusters, identities)) = &clusters {
-            rows.push(Groups::by_cluster(capture, title, clusters, identities));
+/// Draws the scene's cameras. Clusters are made as a training with this grouping
+/// and seed would make them; without a grouping they are those of the `newest` model.
+///
+/// # Errors
+/// [`Clusters::build`]'s.
+pub fn draw_poses(
+    scene: &str,
+    folder: &SceneFolder,
+    grouping: Option<(Grouping, u64)>,
+    newest: Option<ModelInfo>,
+) -> Result<PoseSheet, EngineError> {
+    let capture = folder.capture();
+    let clusters = match grouping {
+        Some((grouping, seed)) => {
+            let clusters = clusters::clusters(folder, &grouping, seed)?;
+            let identities = clusters::identities(folder, &clusters);
+            Some(("clusters as asked for".to_owned(), clusters, identities))
         }
-        let shown = clusters.map_or(0, |(_, clusters, _)| clusters.clusters.len());
-        let drawing = sheet(scene, capture, &rows);
-        Ok(PoseSheet { drawing, views: capture.views.len(), clusters: shown })
+        None => newest.map(|m| (format!("clusters of {}", m.job), m.clusters, m.identities)),
+    };
+    let mut rows = vec![Groups::by_contributor(capture)];
+    if let Some((title, clusters, identities)) = &clusters {
+        rows.push(Groups::by_cluster(capture, title, clusters, identities));
     }
+    let shown = clusters.map_or(0, |(_, clusters, _)| clusters.clusters.len());
+    let drawing = sheet(scene, capture, &rows);
+    Ok(PoseSheet { drawing, views: capture.views.len(), clusters: shown })
 }
 
 /// Which group each view is in, and what the groups are called.

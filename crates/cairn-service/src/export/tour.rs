@@ -3,20 +3,19 @@
 
 use std::collections::BTreeMap;
 
-use cairn_field::SceneFrame;
-use cairn_scene::{Camera, Capture, Intrinsics, Picture, Pose, SceneFolder, SceneKind, View};
+use cairn_field::{Appearance, SceneFrame};
+use cairn_scene::{Camera, Capture, Intrinsics, Picture, Pose, SceneKind, View};
 use glam::DVec3;
 
-use crate::engine::Engine;
+use crate::config::Limits;
 use crate::error::EngineError;
 use crate::export::paths::{self, PathError};
 use crate::query::crowd;
-use crate::query::light::Light;
-use crate::query::look::FieldKind;
+use crate::query::light::{Light, appearance};
+use crate::query::viewpoint::FieldKind;
 use crate::store::model::Model;
-use crate::store::scenes::check_size;
-use crate::store::scenes::view_index;
-use crate::train::stages::Appearance;
+use crate::store::scenes::{check_size, view_index};
+use crate::store::snapshot::SceneSnapshot;
 
 /// Which way to fly.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,6 +63,11 @@ pub struct Tour {
 }
 
 impl Tour {
+    /// The scene's name.
+    pub fn scene(&self) -> &str {
+        &self.scene
+    }
+
     /// The frames' cameras.
     pub fn cameras(&self) -> &[Camera] {
         &self.cameras
@@ -75,63 +79,60 @@ impl Tour {
     }
 }
 
-impl Engine {
-    /// Plans a camera path; renders nothing yet.
-    ///
-    /// # Errors
-    /// [`EngineError::Path`] for a path that the scene's cameras do not carry,
-    /// [`EngineError::OverLimit`], [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`Light::Photograph`]'s.
-    pub fn tour(&self, request: &PathRequest) -> Result<Tour, EngineError> {
-        let most = self.limits.max_path_frames;
-        if request.frames < 2 {
-            return Err(EngineError::invalid("the number of frames", request.frames, format!("2 to {most}")));
-        }
-        if request.frames > most {
-            let (what, key) = ("the number of frames".to_owned(), "limits.max_path_frames");
-            return Err(EngineError::OverLimit { what, key, limit: most as u64, got: request.frames as u64 });
-        }
-        let folder = self.sound_scene(&request.scene)?;
-        let capture = folder.capture();
-        let route = Route::new(&folder, &request.kind)?;
-        let (width, height) = size(request.size, route.usual_size());
-        check_size("a frame", width, height, &self.limits)?;
-        let model = self.model(&request.scene)?;
-        if request.field == FieldKind::Marked {
-            model.marked_field()?;
-        }
-        let light = match (&request.light, &route) {
-            (Some(light), _) => ends(self.appearance(&model, light)?),
-            (None, Route::Between(from, to)) => (own_light(&model, capture, from), own_light(&model, capture, to)),
-            (None, _) => ends(model.base.canonical_appearance().clone()),
-        };
-        let light = match &request.light_to {
-            Some(end) => (light.0, self.appearance(&model, end)?),
-            None => light,
-        };
-        let cameras = route.cameras(capture, model.base.frame(), request.frames, (width, height))?;
-        Ok(Tour { scene: request.scene.clone(), job: model.info.job.clone(), field: request.field, cameras, light })
+/// Plans a camera path; renders nothing yet.
+///
+/// # Errors
+/// [`EngineError::Path`] for a path that the scene's cameras do not carry,
+/// [`EngineError::OverLimit`], [`EngineError::NotFound`]; [`Light::Photograph`]'s.
+pub fn plan(
+    model: &Model,
+    snapshot: &SceneSnapshot,
+    request: &PathRequest,
+    limits: &Limits,
+) -> Result<Tour, EngineError> {
+    let most = limits.max_path_frames;
+    if request.frames < 2 {
+        return Err(EngineError::invalid("the number of frames", request.frames, format!("2 to {most}")));
     }
+    if request.frames > most {
+        let (what, key) = ("the number of frames".to_owned(), "limits.max_path_frames");
+        return Err(EngineError::OverLimit { what, key, limit: most as u64, got: request.frames as u64 });
+    }
+    let capture = snapshot.scene().capture();
+    let route = Route::new(snapshot, &request.kind)?;
+    let (width, height) = size(request.size, route.usual_size());
+    check_size("a frame", width, height, limits)?;
+    if request.field == FieldKind::Marked {
+        model.marked_field()?;
+    }
+    let light = match (&request.light, &route) {
+        (Some(light), _) => ends(appearance(model, snapshot, light, limits)?),
+        (None, Route::Between(from, to)) => (own_light(model, capture, from), own_light(model, capture, to)),
+        (None, _) => ends(model.base.canonical_appearance().clone()),
+    };
+    let light = match &request.light_to {
+        Some(end) => (light.0, appearance(model, snapshot, end, limits)?),
+        None => light,
+    };
+    let cameras = route.cameras(capture, model.base.frame(), request.frames, (width, height))?;
+    Ok(Tour { scene: request.scene.clone(), job: model.info.job.clone(), field: request.field, cameras, light })
+}
 
-    /// Renders frame `i` of a path, clamped to [0, 1].
-    ///
-    /// # Errors
-    /// [`EngineError::WrongState`] when the scene was trained again since the path was
-    /// planned; [`Engine::model`]'s.
-    pub fn frame(&self, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
-        let model = self.model(&tour.scene)?;
-        if model.info.job != tour.job {
-            return Err(EngineError::WrongState {
-                what: format!("the path through scene {:?}", tour.scene),
-                operation: "gone on with",
-                why: format!(
-                    "it began in the model of {}, and the newest is {}'s; begin again",
-                    tour.job, model.info.job
-                ),
-            });
-        }
-        let share = paths::through(i, tour.cameras.len()) as f32;
-        model.look(tour.field, &tour.cameras[i], &tour.light.0.mixed(&tour.light.1, share))
+/// Renders frame `i` of a path, clamped to [0, 1].
+///
+/// # Errors
+/// [`EngineError::WrongState`] when the scene was trained again since the path was
+/// planned.
+pub fn frame(model: &Model, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
+    if model.info.job != tour.job {
+        return Err(EngineError::WrongState {
+            what: format!("the path through scene {:?}", tour.scene),
+            operation: "gone on with",
+            why: format!("it began in the model of {}, and the newest is {}'s; begin again", tour.job, model.info.job),
+        });
     }
+    let share = paths::through(i, tour.cameras.len()) as f32;
+    model.look(tour.field, &tour.cameras[i], &tour.light.0.mixed(&tour.light.1, share))
 }
 
 fn ends(light: Appearance) -> (Appearance, Appearance) {
@@ -146,9 +147,9 @@ enum Route<'a> {
 }
 
 impl<'a> Route<'a> {
-    fn new(folder: &'a SceneFolder, kind: &PathKind) -> Result<Self, EngineError> {
-        let capture = folder.capture();
-        let training = || folder.training().map(|i| &capture.views[i]).collect();
+    fn new(snapshot: &'a SceneSnapshot, kind: &PathKind) -> Result<Self, EngineError> {
+        let capture = snapshot.scene().capture();
+        let training = || capture.training().map(|i| &capture.views[i]).filter(|v| !snapshot.is_out(&v.name)).collect();
         Ok(match kind {
             PathKind::Orbit { .. } if capture.kind == SceneKind::ForwardFacing => {
                 return Err(PathError::OneSided.into());

@@ -11,11 +11,11 @@ use glam::{DMat3, DVec3};
 use crate::error::EngineError;
 use crate::export::tour::{PathKind, PathRequest};
 use crate::query::light::Light;
-use crate::query::look::{FieldKind, Viewpoint};
+use crate::query::viewpoint::{FieldKind, Viewpoint};
 use crate::records::owners::AskedView;
 use crate::store::given::Given;
 use crate::store::hidden::Parts;
-use crate::store::scenes::{ImportPlan, PlannedView};
+use crate::store::import::{ImportPlan, PlannedView};
 use crate::train::request::TrainingRequest;
 
 /// Longest text field, bytes.

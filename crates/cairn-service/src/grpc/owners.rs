@@ -11,6 +11,7 @@ use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
+use crate::records::{corrections, owners as records};
 
 /// Most records in one answer.
 const MAX_LISTED: u32 = 1000;
@@ -97,7 +98,7 @@ impl OwnerService for Shared {
         let (records, next) = self
             .run(move |engine| {
                 let of = (!scene.is_empty()).then_some(scene.as_str());
-                engine.page_of_records(of, from, limit, most, |entry| to_proto::entry(entry, &scene))
+                records::page(engine.registry(), of, from, limit, most, |entry| to_proto::entry(entry, &scene))
             })
             .await?;
         Ok(Response::new(v1::ListRecordsResponse { records, next }))
@@ -109,7 +110,9 @@ impl OwnerService for Shared {
             .run(move |engine| {
                 let entry = engine.registry().entry(index)?;
                 let standing = match &entry {
-                    LogEntry::Record(stored) => Some(to_proto::standing(engine.standing(stored)?)),
+                    LogEntry::Record(stored) => {
+                        Some(to_proto::standing(corrections::standing(engine.registry(), stored)?))
+                    }
                     LogEntry::Erased { .. } => None,
                     LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
                 };
@@ -146,10 +149,11 @@ impl OwnerService for Shared {
 
     async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
         let asked = request.get_ref().request.clone();
-        let (scene, asked) = self.run(move |engine| engine.erasure_asked(&asked)).await?;
+        let (scene, asked) = self.run(move |engine| corrections::erasure_asked(engine.registry(), &asked)).await?;
         self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
         let request = request.into_inner().request;
-        let index = self.while_the_disk_answers(move |engine| engine.erase_record(&request)).await?;
+        let index =
+            self.while_the_disk_answers(move |engine| corrections::erase_record(engine.registry(), &request)).await?;
         Ok(Response::new(v1::EraseRecordResponse { index }))
     }
 }

@@ -15,7 +15,7 @@ use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::tour::Tour;
-use crate::query::look::FieldKind;
+use crate::query::viewpoint::FieldKind;
 
 type Answer<T> = Result<Response<T>, Status>;
 

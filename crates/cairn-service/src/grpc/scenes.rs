@@ -61,12 +61,12 @@ impl SceneService for Shared {
         let v1::GetSceneRequest { scene } = request.into_inner();
         let answer = self
             .run(move |engine| {
-                let folder = engine.scene(&scene)?;
-                let model = engine.newest_model(&scene)?;
+                let snapshot = engine.snapshot(&scene)?;
+                let (folder, model) = (snapshot.scene(), snapshot.newest());
                 Ok(v1::GetSceneResponse {
-                    summary: Some(to_proto::scene_summary(&scene, &folder, model.is_some())),
-                    views: to_proto::scene_views(&folder, &engine.out_of_scene(&scene, &folder)?),
-                    model: model.as_ref().map(to_proto::model),
+                    summary: Some(to_proto::scene_summary(&scene, folder, model.is_some())),
+                    views: to_proto::scene_views(folder, snapshot.out()),
+                    model: model.map(to_proto::model),
                 })
             })
             .await?;

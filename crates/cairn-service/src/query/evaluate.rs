@@ -13,20 +13,18 @@ use cairn_scene::cluster::Grouping;
 use cairn_scene::metrics::{psnr_db, ssim};
 use cairn_scene::{Camera, Capture, Picture, SceneFolder, Sound};
 
-use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::query::recovery::{SeenView, recovery};
-use crate::query::report::{self, MarkReport, PictureScore, Report, Right};
+use crate::query::report::{self, MarkReport, PERFECT_DB, PictureScore, Report, Right};
 use crate::store::classes::Found;
 use crate::store::model::{Mark, Model};
-use crate::train::stages::Appearance;
+use crate::store::snapshot::SceneSnapshot;
+use cairn_field::Appearance;
 
 /// Most rows of a contact sheet.
 const SHEET_ROWS: usize = 8;
 /// How many times what a field shows otherwise than photographs is amplified on sheets.
 pub const OFF: f32 = 4.0;
-/// What 8 bits cannot tell from perfect, dB.
-pub const PERFECT_DB: f64 = 100.0;
 
 /// A held-out view with everything that is compared.
 struct Scored {
@@ -52,33 +50,34 @@ impl Read {
     }
 }
 
-impl Engine {
-    /// Scores the scene's newest model; with a contact sheet where asked. Slow.
-    ///
-    /// # Errors
-    /// [`EngineError::NotTrained`], [`EngineError::WrongState`] for a scene that
-    /// holds no view out.
-    pub fn evaluate(&self, scene: &str, sheet: bool) -> Result<(Report, Option<Picture>), EngineError> {
-        let model = self.model(scene)?;
-        let folder = self.scene(scene)?;
-        let scored = look(&model, &folder, &self.quarantine.out_of(&model.info)?)?;
-        if scored.is_empty() {
-            let (what, why) = (format!("scene {scene:?}"), "it holds no view out of training".to_owned());
-            return Err(EngineError::WrongState { what, operation: "scored", why });
-        }
-        let right_half = !model.base.appearances().is_empty();
-        let report = Report {
-            format_version: report::VERSION,
-            scene: scene.to_owned(),
-            job: model.info.job.clone(),
-            held_out_views: scored.len(),
-            base: score(scored.iter().map(|s| (&s.photograph, &s.base)), right_half)?,
-            who_by_pose: by_pose(&scored),
-            mark: model.mark.as_ref().map(|mark| mark_report(&model, mark, &scored, right_half)).transpose()?,
-        };
-        let sheet = sheet.then(|| draw(&model, &scored));
-        Ok((report, sheet))
+/// Scores the scene's newest model; with a contact sheet where asked. Slow.
+///
+/// # Errors
+/// [`EngineError::WrongState`] for a scene that
+/// holds no view out.
+pub fn evaluate(
+    model: &Model,
+    snapshot: &SceneSnapshot,
+    sheet: bool,
+) -> Result<(Report, Option<Picture>), EngineError> {
+    let scene = snapshot.name();
+    let scored = look(model, snapshot.scene(), snapshot.out_of_clusters())?;
+    if scored.is_empty() {
+        let (what, why) = (format!("scene {scene:?}"), "it holds no view out of training".to_owned());
+        return Err(EngineError::WrongState { what, operation: "scored", why });
     }
+    let right_half = !model.base.appearances().is_empty();
+    let report = Report {
+        format_version: report::VERSION,
+        scene: scene.to_owned(),
+        job: model.info.job.clone(),
+        held_out_views: scored.len(),
+        base: score(scored.iter().map(|s| (&s.photograph, &s.base)), right_half)?,
+        who_by_pose: by_pose(&scored),
+        mark: model.mark.as_ref().map(|mark| mark_report(model, mark, &scored, right_half)).transpose()?,
+    };
+    let sheet = sheet.then(|| draw(model, &scored));
+    Ok((report, sheet))
 }
 
 /// Every held-out view; `out`: views of the model's clusters that are nobody's since.

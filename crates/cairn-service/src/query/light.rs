@@ -1,14 +1,15 @@
 //! In whose light a scene is rendered: a training view's, one on the way from one view's to another's, or that of a
 //! photograph that somebody brings.
 
+use cairn_field::Appearance;
 use cairn_scene::{Camera, Picture};
 
-use crate::engine::Engine;
+use crate::config::Limits;
 use crate::error::EngineError;
-use crate::query::look::{Viewpoint, decode_on};
+use crate::query::viewpoint::{Viewpoint, camera_of, decode_on, same_proportions};
 use crate::store::model::Model;
 use crate::store::scenes::view_index;
-use crate::train::stages::Appearance;
+use crate::store::snapshot::SceneSnapshot;
 
 /// A photograph is compared with the field at this length at most, px: a light is some sixty numbers, which more pixels
 /// would not tell better.
@@ -29,62 +30,66 @@ pub enum Light {
     Photograph(Vec<u8>, Viewpoint),
 }
 
-impl Engine {
-    /// The appearance that `light` asks for.
-    pub(crate) fn appearance(&self, model: &Model, light: &Light) -> Result<Appearance, EngineError> {
-        match light {
-            Light::Neutral => Ok(model.base.canonical_appearance().clone()),
-            Light::View(name) => self.of_view(model, name),
-            Light::Blend(from, to, share) => {
-                Ok(self.of_view(model, from)?.mixed(&self.of_view(model, to)?, *share as f32))
-            }
-            Light::Photograph(bytes, taken) => self.of_photograph(model, bytes, taken),
+/// The appearance that `light` asks for.
+///
+/// # Errors
+/// [`EngineError::NotFound`] for a view that is not there; [`Light::Photograph`]'s.
+pub fn appearance(
+    model: &Model,
+    snapshot: &SceneSnapshot,
+    light: &Light,
+    limits: &Limits,
+) -> Result<Appearance, EngineError> {
+    match light {
+        Light::Neutral => Ok(model.base.canonical_appearance().clone()),
+        Light::View(name) => of_view(model, snapshot, name),
+        Light::Blend(from, to, share) => {
+            Ok(of_view(model, snapshot, from)?.mixed(&of_view(model, snapshot, to)?, *share as f32))
         }
-    }
-
-    /// The appearance of a training view; in scenes of one light every view has the same.
-    fn of_view(&self, model: &Model, name: &str) -> Result<Appearance, EngineError> {
-        let known = model.base.appearances();
-        if known.is_empty() {
-            view_index(self.scene(&model.info.scene)?.capture(), name)?;
-            return Ok(model.base.canonical_appearance().clone());
-        }
-        let found = known.iter().find(|(n, _)| n == name);
-        let (_, appearance) = found
-            .ok_or_else(|| EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str())))?;
-        Ok(appearance.clone())
-    }
-
-    /// Fits an appearance to a whole photograph.
-    fn of_photograph(&self, model: &Model, bytes: &[u8], taken: &Viewpoint) -> Result<Appearance, EngineError> {
-        let scene = &model.info.scene;
-        if model.base.appearances().is_empty() {
-            let (what, operation) = (format!("scene {scene:?}"), "rendered in a photograph's light");
-            let why = "its field was trained as of one light, and knows no other; render it without, or train it on \
-                       photographs in several lights (with field.appearance = \"on\" in --settings where it was not found out)";
-            return Err(EngineError::WrongState { what, operation, why: why.to_owned() });
-        }
-        let background = self.scene(scene)?.capture().background;
-        let photograph = decode_on(bytes, &self.limits, background)?;
-        let camera = self.camera_of("the photograph's camera", scene, taken)?;
-        if !same_proportions(&photograph, &camera) {
-            let got = format!("{} x {} px", photograph.width(), photograph.height());
-            let (across, down) = (camera.intrinsics.width, camera.intrinsics.height);
-            let allowed =
-                format!("the proportions of the camera that took it, {across} x {down} px, neither cut nor turned");
-            return Err(EngineError::invalid("the photograph", got, allowed));
-        }
-        let (width, height) = compared_at(&photograph, &camera);
-        Ok(model.base.fit_appearance(&camera.resized(width, height), &photograph.resized(width, height))?)
+        Light::Photograph(bytes, taken) => of_photograph(model, snapshot, bytes, taken, limits),
     }
 }
 
-/// Whether `camera` can have taken the picture whole, at whatever size.
-pub(crate) fn same_proportions(picture: &Picture, camera: &Camera) -> bool {
-    let (w, h) = (picture.width() as f64, picture.height() as f64);
-    let (across, down) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
-    // A side may have been rounded.
-    (w * down / across - h).abs() <= 1.0 || (h * across / down - w).abs() <= 1.0
+/// The appearance of a training view; in scenes of one light every view has the same.
+fn of_view(model: &Model, snapshot: &SceneSnapshot, name: &str) -> Result<Appearance, EngineError> {
+    let known = model.base.appearances();
+    if known.is_empty() {
+        view_index(snapshot.scene().capture(), name)?;
+        return Ok(model.base.canonical_appearance().clone());
+    }
+    let found = known.iter().find(|(n, _)| n == name);
+    let (_, appearance) =
+        found.ok_or_else(|| EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str())))?;
+    Ok(appearance.clone())
+}
+
+/// Fits an appearance to a whole photograph.
+fn of_photograph(
+    model: &Model,
+    snapshot: &SceneSnapshot,
+    bytes: &[u8],
+    taken: &Viewpoint,
+    limits: &Limits,
+) -> Result<Appearance, EngineError> {
+    let scene = &model.info.scene;
+    if model.base.appearances().is_empty() {
+        let (what, operation) = (format!("scene {scene:?}"), "rendered in a photograph's light");
+        let why = "its field was trained as of one light, and knows no other; render it without, or train it on \
+                   photographs in several lights (with field.appearance = \"on\" in --settings where it was not found out)";
+        return Err(EngineError::WrongState { what, operation, why: why.to_owned() });
+    }
+    let background = snapshot.scene().capture().background;
+    let photograph = decode_on(bytes, limits, background)?;
+    let camera = camera_of("the photograph's camera", snapshot, taken, limits)?;
+    if !same_proportions(&photograph, &camera) {
+        let got = format!("{} x {} px", photograph.width(), photograph.height());
+        let (across, down) = (camera.intrinsics.width, camera.intrinsics.height);
+        let allowed =
+            format!("the proportions of the camera that took it, {across} x {down} px, neither cut nor turned");
+        return Err(EngineError::invalid("the photograph", got, allowed));
+    }
+    let (width, height) = compared_at(&photograph, &camera);
+    Ok(model.base.fit_appearance(&camera.resized(width, height), &photograph.resized(width, height))?)
 }
 
 /// Width and height, px: the photograph's or the camera's, whichever is smaller, and [`LONGEST_PX`] at most.

@@ -1,9 +1,11 @@
 //! Questions about a trained scene: renders, who contributed, what a picture hides, how well all of that is answered.
 
 pub mod crowd;
+pub mod detection;
 pub mod evaluate;
 pub mod light;
 pub mod look;
 pub mod maps;
 pub mod recovery;
 pub mod report;
+pub mod viewpoint;

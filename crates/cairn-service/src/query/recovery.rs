@@ -7,8 +7,7 @@ use cairn_scene::metrics::{log_spectral_distance_db, snr_db, ssim, text_accuracy
 use cairn_scene::{Picture, Sound};
 
 use crate::error::EngineError;
-use crate::query::evaluate::PERFECT_DB;
-use crate::query::report::{Measured, Recovery};
+use crate::query::report::{Measured, PERFECT_DB, Recovery};
 
 /// A held-out view of the identity's cluster.
 pub struct SeenView<'a> {

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
 
+/// What 8 bits cannot tell from perfect, dB.
+pub const PERFECT_DB: f64 = 100.0;
+
 /// Scores of a scene's newest model, over views that no training saw.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

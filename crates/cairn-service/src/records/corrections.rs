@@ -1,9 +1,8 @@
 //! What becomes of a record after it was entered: disputes, replacements and ends of keys as the log has them, and
 //! erasure at its owner's request.
 
-use cairn_log::{Envelope, Erasure, ErasureError, Heir, RecordKind, RegistryError, StoredRecord};
+use cairn_log::{Envelope, Erasure, ErasureError, Heir, RecordKind, Registry, RegistryError, StoredRecord};
 
-use crate::engine::Engine;
 use crate::error::EngineError;
 
 /// What later records say of one.
@@ -19,64 +18,60 @@ pub struct Standing {
     pub key_ended_by: Option<u64>,
 }
 
-impl Engine {
-    /// What later records say of record `index`.
-    ///
-    /// # Errors
-    /// The registry's.
-    pub fn standing(&self, stored: &StoredRecord) -> Result<Standing, EngineError> {
-        let registry = self.registry();
-        let mut standing = Standing { key_ended_by: registry.ended(&stored.record.owner_key)?, ..Standing::default() };
-        for (index, kind) in registry.about(&stored.leaf.record)? {
-            match kind {
-                RecordKind::Dispute => standing.disputed_by.push(index),
-                RecordKind::Revocation => standing.taken_back_by = Some(index),
-                RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Rotation => {
-                    standing.replaced_by.get_or_insert(index);
-                }
+/// What later records say of record `index`.
+///
+/// # Errors
+/// The registry's.
+pub fn standing(registry: &Registry, stored: &StoredRecord) -> Result<Standing, EngineError> {
+    let mut standing = Standing { key_ended_by: registry.ended(&stored.record.owner_key)?, ..Standing::default() };
+    for (index, kind) in registry.about(&stored.leaf.record)? {
+        match kind {
+            RecordKind::Dispute => standing.disputed_by.push(index),
+            RecordKind::Revocation => standing.taken_back_by = Some(index),
+            RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Rotation => {
+                standing.replaced_by.get_or_insert(index);
             }
         }
-        Ok(standing)
     }
+    Ok(standing)
+}
 
-    /// The scene of the record that a request to erase names, and the request as it was signed.
-    ///
-    /// # Errors
-    /// [`EngineError::Erasure`], the registry's.
-    pub fn erasure_asked(&self, request: &[u8]) -> Result<(String, Envelope), EngineError> {
-        let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
-        let index = Erasure::open(&envelope)?.request().index;
-        Ok((self.registry().record(index)?.record.scene, envelope))
+/// The scene of the record that a request to erase names, and the request as it was signed.
+///
+/// # Errors
+/// [`EngineError::Erasure`], the registry's.
+pub fn erasure_asked(registry: &Registry, request: &[u8]) -> Result<(String, Envelope), EngineError> {
+    let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+    let index = Erasure::open(&envelope)?.request().index;
+    Ok((registry.record(index)?.record.scene, envelope))
+}
+
+/// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
+///
+/// # Errors
+/// [`EngineError::Erasure`], [`EngineError::ErasesOther`], [`EngineError::NotYours`], the registry's.
+pub fn erase_record(registry: &Registry, request: &[u8]) -> Result<u64, EngineError> {
+    let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+    let erasure = Erasure::open(&envelope)?;
+    let request = erasure.request();
+    if request.origin != registry.origin() {
+        let (expected, got) = (registry.origin().to_owned(), request.origin.clone());
+        return Err(RegistryError::WrongOrigin { expected, got }.into());
     }
-
-    /// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
-    ///
-    /// # Errors
-    /// [`EngineError::Erasure`], [`EngineError::ErasesOther`], [`EngineError::NotYours`], the registry's.
-    pub fn erase_record(&self, request: &[u8]) -> Result<u64, EngineError> {
-        let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
-        let erasure = Erasure::open(&envelope)?;
-        let request = erasure.request();
-        let registry = self.registry();
-        if request.origin != registry.origin() {
-            let (expected, got) = (registry.origin().to_owned(), request.origin.clone());
-            return Err(RegistryError::WrongOrigin { expected, got }.into());
+    let (index, key) = (request.index, request.owner_key);
+    let stored = registry.record(index)?;
+    if stored.leaf.record != request.record {
+        let (expected, got) = (stored.leaf.record, request.record);
+        return Err(EngineError::ErasesOther { index, expected, got });
+    }
+    match registry.heir(&stored.leaf.owner)? {
+        Heir::Key { id, .. } if id == key.id() => Ok(registry.erase(&erasure)?),
+        Heir::Key { id, .. } => {
+            Err(EngineError::NotYours { index, key, why: format!("it belongs to the key with id {id}") })
         }
-        let (index, key) = (request.index, request.owner_key);
-        let stored = registry.record(index)?;
-        if stored.leaf.record != request.record {
-            let (expected, got) = (stored.leaf.record, request.record);
-            return Err(EngineError::ErasesOther { index, expected, got });
-        }
-        match registry.heir(&stored.leaf.owner)? {
-            Heir::Key { id, .. } if id == key.id() => Ok(registry.erase(&erasure)?),
-            Heir::Key { id, .. } => {
-                Err(EngineError::NotYours { index, key, why: format!("it belongs to the key with id {id}") })
-            }
-            Heir::Nobody { ended_by, .. } => {
-                let why = format!("its owner's key was revoked by record {ended_by}; ask who runs this registry");
-                Err(EngineError::NotYours { index, key, why })
-            }
+        Heir::Nobody { ended_by, .. } => {
+            let why = format!("its owner's key was revoked by record {ended_by}; ask who runs this registry");
+            Err(EngineError::NotYours { index, key, why })
         }
     }
 }

@@ -2,13 +2,16 @@
 //! in, finding and proving it. Signing happens at the owner's, never here.
 
 use std::collections::HashSet;
+use std::path::Path;
 
-use cairn_log::{Digest, Envelope, LogEntry, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError};
+use cairn_log::{Digest, Envelope, LogEntry, OwnerRecord, RecordKind, Registry, RegistryError};
 
-use crate::engine::Engine;
 use crate::error::EngineError;
+use crate::records::publisher::Publisher;
+use crate::store::access::Access;
 use crate::store::hidden::Parts;
 use crate::store::model::{IdentityInfo, ModelInfo};
+use crate::store::snapshot::SceneSnapshot;
 
 /// What the daemon knows of an identity's mark.
 pub struct Material {
@@ -32,169 +35,137 @@ pub enum AskedView {
     Photograph(Digest),
 }
 
-impl Engine {
-    /// What a record about an identity of the newest model has to state.
-    ///
-    /// # Errors
-    /// [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`EngineError::WrongState`] where a view of it is in
-    /// quarantine since.
-    pub fn material(&self, scene: &str, identity: u32) -> Result<Material, EngineError> {
-        let Some(info) = self.newest_model(scene)? else {
-            self.scene(scene)?;
-            return Err(EngineError::NotTrained { scene: scene.to_owned() });
-        };
-        let known = info.identity(identity)?.clone();
-        let out = self.quarantine.out_of(&info)?;
-        let members = info.clusters.clusters.iter().find(|c| c.identity == identity).map_or(&[][..], |c| &c.members);
-        if let Some(at) = members.iter().position(|m| out.contains(m)) {
-            let view = known.views.get(at).map_or("", String::as_str);
-            return Err(EngineError::WrongState {
-                what: format!("identity {identity} of scene {scene:?}"),
-                operation: "signed for",
-                why: format!(
-                    "its view {view:?} is in quarantine or removed; train the scene again, or release the view"
-                ),
-            });
-        }
-        let signal = if info.mark.is_some() { self.signal(&info, identity)? } else { Parts::default() };
-        Ok(Material { info, identity: known, signal })
+/// What a record about an identity of the newest model has to state; the hidden signal's files lie in `models`.
+///
+/// # Errors
+/// [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`EngineError::WrongState`] where a view of it is in
+/// quarantine since.
+pub fn material(snapshot: &SceneSnapshot, models: &Path, identity: u32) -> Result<Material, EngineError> {
+    let info = snapshot.info()?;
+    let known = info.identity(identity)?.clone();
+    let out = snapshot.out_of_clusters();
+    let members = info.clusters.clusters.iter().find(|c| c.identity == identity).map_or(&[][..], |c| &c.members);
+    if let Some(at) = members.iter().position(|m| out.contains(m)) {
+        let view = known.views.get(at).map_or("", String::as_str);
+        return Err(EngineError::WrongState {
+            what: format!("identity {identity} of scene {:?}", snapshot.name()),
+            operation: "signed for",
+            why: format!("its view {view:?} is in quarantine or removed; train the scene again, or release the view"),
+        });
     }
-
-    /// Takes a record in, at the cost of `payer`, an account's id, if any; durable on return, and published soon after. What
-    /// it says of a key's end holds for that key's account from then on. A revocation costs nothing: there is one a key, and
-    /// whoever's key was stolen must not wait for a quota.
-    ///
-    /// # Errors
-    /// The quota's, the registry's.
-    pub fn submit_record(&self, envelope: &[u8], payer: Option<Digest>) -> Result<cairn_log::Receipt, EngineError> {
-        let refuse = |e| RegistryError::from(cairn_log::RecordError::from(e));
-        let envelope = Envelope::parse(envelope).map_err(refuse)?;
-        let record = OwnerRecord::parse(&envelope.payload).map_err(RegistryError::from)?;
-        // What is there already costs nothing, or whoever used up a quota could not ask again for their last answer.
-        let is_new = self.registry().find(&envelope.digest())?.is_none();
-        let payer = payer.filter(|_| is_new && record.kind != RecordKind::Revocation);
-        if let Some(payer) = &payer {
-            self.access().charge_record(payer)?;
-        }
-        let submitted = self.registry().submit(&envelope);
-        if let Some(payer) = payer.filter(|_| !matches!(&submitted, Ok(receipt) if !receipt.resubmitted)) {
-            self.access().forgive_record(&payer);
-        }
-        let receipt = submitted?;
-        self.publisher.wake();
-        if matches!(record.kind, RecordKind::Revocation | RecordKind::Rotation) {
-            self.access().follow(self.registry(), &record)?;
-        }
-        Ok(receipt)
-    }
-
-    /// A nonce for a record of `owner` about `scene`, in hexadecimal.
-    ///
-    /// # Errors
-    /// For 32 bytes that are no public key.
-    pub fn nonce(&self, scene: &str, owner: &[u8; 32]) -> Result<String, EngineError> {
-        let owner = PublicKey::from_bytes(owner).map_err(RegistryError::from)?;
-        Ok(self.registry().nonce(scene, &owner)?.to_string())
-    }
-
-    /// Log indices of the records that bear on an identity of `info`, rising: claims and training records of
-    /// this very marked field, contributions of the identity's photographs, and rotations of any of these;
-    /// none that was taken back or replaced.
-    ///
-    /// # Errors
-    /// The registry's.
-    pub fn records_of(&self, info: &ModelInfo, identity: &IdentityInfo) -> Result<Vec<u64>, EngineError> {
-        let marked_field = info.mark.as_ref().map(|mark| mark.marked_field);
-        bearing_on(self.registry(), &info.scene, marked_field, identity)
-    }
-
-    /// A page of log entries, each as `convert` makes it: at most `limit` of them, and no more than about `most` bytes of
-    /// envelopes, but one at least; and where to go on, if anywhere.
-    ///
-    /// # Errors
-    /// The registry's.
-    pub fn page_of_records<T>(
-        &self,
-        scene: Option<&str>,
-        from: u64,
-        limit: usize,
-        most: usize,
-        convert: impl Fn(&LogEntry) -> Option<T>,
-    ) -> Result<(Vec<T>, Option<u64>), EngineError> {
-        let (mut taken, mut bytes, mut looked_at, mut next) = (Vec::new(), 0, 0, from);
-        while looked_at < limit {
-            let page = self.registry().page(scene, next, PAGE.min(limit - looked_at))?;
-            let Some(last) = page.last() else { return Ok((taken, None)) };
-            next = last.index() + 1;
-            looked_at += page.len();
-            for entry in &page {
-                if bytes > most {
-                    return Ok((taken, Some(entry.index())));
-                }
-                if let LogEntry::Record(stored) = entry {
-                    bytes += stored.envelope.payload.len() * 4 / 3 + 1024;
-                }
-                taken.extend(convert(entry));
-            }
-        }
-        Ok((taken, Some(next)))
-    }
-
-    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
-    ///
-    /// # Errors
-    /// [`EngineError::NotFound`] for a view's name, [`EngineError::WrongState`] for one in quarantine;
-    /// [`EngineError::OverLimit`]; the registry's.
-    pub fn complete_answer(
-        &self,
-        scene: &str,
-        view: Option<AskedView>,
-        as_of: Option<&str>,
-        most: usize,
-    ) -> Result<Vec<u8>, EngineError> {
-        let photograph = match view {
-            None => None,
-            Some(AskedView::Photograph(digest)) => Some(digest),
-            Some(AskedView::Named(name)) => {
-                let folder = self.scene(scene)?;
-                let view = crate::store::scenes::view_index(folder.capture(), &name)?;
-                if self.quarantine.names(scene, &folder)?.0.contains(&name) {
-                    let why =
-                        "it is in quarantine, and nobody is credited with it; what the log says of its photograph \
-                               is there to ask by its SHA-256"
-                            .to_owned();
-                    let what = format!("view {name:?} of scene {scene:?}");
-                    return Err(EngineError::WrongState { what, operation: "asked about", why });
-                }
-                Some(Digest::from_bytes(folder.photograph_digest(view)))
-            }
-        };
-        let limit = most.min(cairn_log::answer::MAX_ANSWER_BYTES);
-        let answer = self.registry().answer(scene, photograph.as_ref(), as_of, limit)?.to_json();
-        if answer.len() > limit {
-            let (what, key) = ("the complete answer in bytes (ask about a view)".into(), "limits.max_message_bytes");
-            return Err(EngineError::OverLimit { what, key, limit: limit as u64, got: answer.len() as u64 });
-        }
-        Ok(answer.into_bytes())
-    }
-
-    /// The offline proof of a record (C2SP tlog-proof): index, inclusion hashes,
-    /// the newest checkpoint, or the newest one that witnesses cosigned.
-    ///
-    /// # Errors
-    /// [`RegistryError::NoSuchRecord`].
-    pub fn tlog_proof(&self, index: u64) -> Result<String, EngineError> {
-        let size = self.registry().size();
-        if index >= size {
-            return Err(RegistryError::NoSuchRecord { index, size }.into());
-        }
-        self.publisher.await_cosigned(self.registry(), index);
-        Ok(self.registry().tlog_proof(index)?.to_text())
-    }
+    let signal = if info.mark.is_some() { info.signal(models, identity)? } else { Parts::default() };
+    Ok(Material { info: info.clone(), identity: known, signal })
 }
 
-/// See [`Engine::records_of`].
-fn bearing_on(
+/// Takes a record in, at the cost of `payer`, an account's id, if any; durable on return, and published soon after. What
+/// it says of a key's end holds for that key's account from then on. A revocation costs nothing: there is one a key, and
+/// whoever's key was stolen must not wait for a quota.
+///
+/// # Errors
+/// The quota's, the registry's.
+pub fn submit(
+    registry: &Registry,
+    access: &Access,
+    publisher: &Publisher,
+    envelope: &[u8],
+    payer: Option<Digest>,
+) -> Result<cairn_log::Receipt, EngineError> {
+    let refuse = |e| RegistryError::from(cairn_log::RecordError::from(e));
+    let envelope = Envelope::parse(envelope).map_err(refuse)?;
+    let record = OwnerRecord::parse(&envelope.payload).map_err(RegistryError::from)?;
+    // What is there already costs nothing, or whoever used up a quota could not ask again for their last answer.
+    let is_new = registry.find(&envelope.digest())?.is_none();
+    let payer = payer.filter(|_| is_new && record.kind != RecordKind::Revocation);
+    if let Some(payer) = &payer {
+        access.charge_record(payer)?;
+    }
+    let submitted = registry.submit(&envelope);
+    if let Some(payer) = payer.filter(|_| !matches!(&submitted, Ok(receipt) if !receipt.resubmitted)) {
+        access.forgive_record(&payer);
+    }
+    let receipt = submitted?;
+    publisher.wake();
+    if matches!(record.kind, RecordKind::Revocation | RecordKind::Rotation) {
+        access.follow(registry, &record)?;
+    }
+    Ok(receipt)
+}
+
+/// A page of log entries, each as `convert` makes it: at most `limit` of them, and no more than about `most` bytes of
+/// envelopes, but one at least; and where to go on, if anywhere.
+///
+/// # Errors
+/// The registry's.
+pub fn page<T>(
+    registry: &Registry,
+    scene: Option<&str>,
+    from: u64,
+    limit: usize,
+    most: usize,
+    convert: impl Fn(&LogEntry) -> Option<T>,
+) -> Result<(Vec<T>, Option<u64>), EngineError> {
+    let (mut taken, mut bytes, mut looked_at, mut next) = (Vec::new(), 0, 0, from);
+    while looked_at < limit {
+        let page = registry.page(scene, next, PAGE.min(limit - looked_at))?;
+        let Some(last) = page.last() else { return Ok((taken, None)) };
+        next = last.index() + 1;
+        looked_at += page.len();
+        for entry in &page {
+            if bytes > most {
+                return Ok((taken, Some(entry.index())));
+            }
+            if let LogEntry::Record(stored) = entry {
+                bytes += stored.envelope.payload.len() * 4 / 3 + 1024;
+            }
+            taken.extend(convert(entry));
+        }
+    }
+    Ok((taken, Some(next)))
+}
+
+/// The photograph that `view` asks about, by its SHA-256.
+///
+/// # Errors
+/// [`EngineError::NotFound`] for a view's name, [`EngineError::WrongState`] for one in quarantine.
+pub fn photograph_of(snapshot: &SceneSnapshot, name: &str) -> Result<Digest, EngineError> {
+    let photograph = snapshot.photograph_of(name)?;
+    if snapshot.is_out(name) {
+        let why =
+            "it is in quarantine, and nobody is credited with it; what the log says of its photograph is there to \
+                   ask by its SHA-256"
+                .to_owned();
+        let what = format!("view {name:?} of scene {:?}", snapshot.name());
+        return Err(EngineError::WrongState { what, operation: "asked about", why });
+    }
+    Ok(photograph)
+}
+
+/// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
+///
+/// # Errors
+/// [`EngineError::OverLimit`]; the registry's.
+pub fn complete_answer(
+    registry: &Registry,
+    scene: &str,
+    photograph: Option<&Digest>,
+    as_of: Option<&str>,
+    most: usize,
+) -> Result<Vec<u8>, EngineError> {
+    let limit = most.min(cairn_log::answer::MAX_ANSWER_BYTES);
+    let answer = registry.answer(scene, photograph, as_of, limit)?.to_json();
+    if answer.len() > limit {
+        let (what, key) = ("the complete answer in bytes (ask about a view)".into(), "limits.max_message_bytes");
+        return Err(EngineError::OverLimit { what, key, limit: limit as u64, got: answer.len() as u64 });
+    }
+    Ok(answer.into_bytes())
+}
+
+/// Log indices of the records that bear on an identity, rising: claims and training records of this very marked field,
+/// contributions of the identity's photographs, and rotations of any of these; none that was taken back or replaced.
+///
+/// # Errors
+/// The registry's.
+pub fn bearing_on(
     registry: &Registry,
     scene: &str,
     marked_field: Option<Digest>,

@@ -1,11 +1,18 @@
 //! Whose class is whose: a detector counts the identities of all scenes that share it,
 //! a scene its own only.
 
-use cairn_mark::{Detection, RegisteredReader};
-use cairn_scene::{Camera, Picture};
+use cairn_mark::Detection;
+use serde::{Deserialize, Serialize};
 
-use crate::error::EngineError;
-use crate::store::model::{Mark, Share};
+/// A scene's part of a detector's classes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Share {
+    /// The scene.
+    pub scene: String,
+    /// What its identities are called, in order: a class each.
+    pub labels: Vec<String>,
+}
 
 /// Which of a detector's classes are a scene's.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,7 +103,8 @@ impl Classes {
         (None, None)
     }
 
-    fn found(&self, mut detection: Detection) -> Found {
+    /// What `detection` says in the scene's own numbers.
+    pub(crate) fn found(&self, mut detection: Detection) -> Found {
         let class = detection.identity.unwrap_or(0) as usize;
         let confidence = detection.probabilities.get(class).copied().unwrap_or(0.0);
         let (identity, elsewhere) = self.owner(class);
@@ -105,71 +113,6 @@ impl Classes {
         let own = owners.iter().skip(self.before()).take(self.shares[self.own].labels.len());
         detection.probabilities = unmarked.iter().chain(own).copied().collect();
         Found { identity, elsewhere, confidence, laid_over: None, detection }
-    }
-}
-
-impl Mark {
-    /// Classifies `picture` (any size) and recovers what it hides.
-    ///
-    /// # Errors
-    /// As [`cairn_mark::Detector::detect`].
-    pub fn detect(&self, picture: &Picture) -> Result<Found, EngineError> {
-        Ok(self.classes.found(self.detector.detect(picture)?))
-    }
-
-    /// As [`Mark::detect`], with the picture laid over the field as well, at `from` where that is known: a mark that stands
-    /// out there is believed, and where none does, or no place is found, the classifier answers. What is hidden
-    /// comes from the detector, told that answer. `views` are asked for when the first picture comes: cameras and
-    /// names of photographs, where a search begins; it is given up, and the classifier answers, once it is no longer `wanted`.
-    ///
-    /// # Errors
-    /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`] where nothing can be laid over
-    /// this field; as [`cairn_mark::Detector::detect`].
-    pub fn detect_laid_over(
-        &self,
-        picture: &Picture,
-        views: impl FnOnce() -> Vec<(Camera, String)>,
-        (from, wanted): (Option<&Camera>, &dyn Fn() -> bool),
-    ) -> Result<Found, EngineError> {
-        let (width, height) = (picture.width(), picture.height());
-        if !RegisteredReader::can_tell(width, height) {
-            let allowed = "64 x 64 px or more, to be laid over a field";
-            return Err(EngineError::invalid("the picture", format!("{width} x {height} px"), allowed));
-        }
-        let made = || {
-            let views = views();
-            let views: Vec<(Camera, &str)> = views.iter().map(|(camera, name)| (*camera, name.as_str())).collect();
-            RegisteredReader::new(&self.field, &views)
-        };
-        let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| EngineError::WrongState {
-            what: "the scene".into(),
-            operation: "laid a picture over",
-            why: "its densities moved with the marks (mark.density), its field has basis lights (field.basis_lights) or it \
-                  has no views to train on; ask without, and the classifier answers"
-                .into(),
-        })?;
-        let Some(reading) = reader.read(&self.field, picture, from, wanted) else {
-            return self.detect(picture);
-        };
-        let (explained, believed) = (reading.registered.explained, reading.identity());
-        let laid_over = Some(LaidOver { explained, scores: reading.scores.clone(), believed });
-        let Some(number) = believed else {
-            return Ok(Found { laid_over, ..self.detect(picture)? });
-        };
-        let mut detection = self.detector.detect_forced(picture, self.classes.of(number))?;
-        detection.identity = Some(number);
-        detection.probabilities = reading.probabilities();
-        let confidence = detection.probabilities[number as usize];
-        Ok(Found { identity: Some(number), elsewhere: None, confidence, laid_over, detection })
-    }
-
-    /// As [`Mark::detect`], with the scene's identity `number` told to the detector in place of the
-    /// classifier's answer.
-    ///
-    /// # Errors
-    /// As [`cairn_mark::Detector::detect_forced`].
-    pub fn detect_forced(&self, picture: &Picture, number: u32) -> Result<Found, EngineError> {
-        Ok(self.classes.found(self.detector.detect_forced(picture, self.classes.of(number))?))
     }
 }
 

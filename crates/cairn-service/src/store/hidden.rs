@@ -4,13 +4,14 @@
 
 use std::path::Path;
 
+use cairn_durable::{read_limited, write_atomic};
 use cairn_log::Digest;
 use cairn_mark::{Recipe, Signal};
 use cairn_scene::{SoundLimits, decode_wav, encode_png, encode_wav, save_png};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::error::EngineError;
-use cairn_durable::{read_limited, write_atomic};
+use crate::store::checked::read_checked;
 
 /// Largest file of a published signal's part, bytes.
 const MAX_PART_BYTES: u64 = 16 << 20;
@@ -154,9 +155,7 @@ pub fn write(folder: &Path, number: usize, files: &Parts<Vec<u8>>) -> Result<(),
 /// # Errors
 /// [`EngineError::Stored`] for one that was altered.
 pub fn read(folder: &Path, number: usize, digests: &Parts<Digest>) -> Result<Parts<Vec<u8>>, EngineError> {
-    read_parts(digests, number, |name, digest| {
-        crate::store::model::read_checked(&folder.join(name), digest, MAX_PART_BYTES)
-    })
+    read_parts(digests, number, |name, digest| read_checked(&folder.join(name), digest, MAX_PART_BYTES))
 }
 
 /// What published files hold.

@@ -1,11 +1,14 @@
 //! What lies on the disk: the data folder, scenes, models, hidden payloads, and whose each scene is.
 
 pub mod access;
+pub mod checked;
 pub mod classes;
 pub mod folder;
 pub mod given;
 pub mod hidden;
+pub mod import;
 pub mod model;
 pub mod quarantine;
 pub mod scenes;
 pub(crate) mod seal;
+pub mod snapshot;

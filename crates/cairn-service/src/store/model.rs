@@ -3,25 +3,23 @@
 //! folder is filled under another name, flushed, renamed, and only then named in
 //! `current.json`.
 
-use std::fs::File;
-use std::io::{Read, Seek};
+use std::io::Read;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
-use cairn_field::FieldError;
+use cairn_durable::{remove, sync_folder, write_atomic};
+use cairn_field::{Field, FieldError};
 use cairn_log::Digest;
 use cairn_log::record::photographs_root;
-use cairn_mark::{MarkError, RegisteredReader, Signal};
+use cairn_mark::{Detector, MarkError, MarkedField, RegisteredReader, Signal};
 use cairn_scene::cluster::Clusters;
 use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
-use crate::store::classes::Classes;
+use crate::store::checked::{open_checked, read_checked};
+use crate::store::classes::{Classes, Share};
 use crate::store::folder::{read_json, read_json_of, write_json};
 use crate::store::hidden::{self, Parts};
-use crate::train::marks::{Detector, MarkedField};
-use crate::train::stages::Field;
-use cairn_durable::{read_limited, remove, sync_folder, write_atomic};
 
 /// Largest field or detector file that is read, bytes.
 const MAX_FIELD_BYTES: u64 = 64 << 30;
@@ -71,16 +69,6 @@ pub struct MarkInfo {
     /// empty where it has one to itself.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared: Vec<Share>,
-}
-
-/// A scene's part of a detector's classes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Share {
-    /// The scene.
-    pub scene: String,
-    /// What its identities are called, in order: a class each.
-    pub labels: Vec<String>,
 }
 
 /// One identity.
@@ -377,45 +365,12 @@ impl ModelInfo {
     }
 }
 
-/// The file at `path`, at most `limit` bytes, whose SHA-256 is `expected`.
-///
-/// # Errors
-/// [`EngineError::Stored`] for another.
-pub fn read_checked(path: &Path, expected: &Digest, limit: u64) -> Result<Vec<u8>, EngineError> {
-    let bytes = read_limited(path, limit)?;
-    held_to(path, &Digest::of(&bytes), expected)?;
-    Ok(bytes)
-}
-
-fn held_to(path: &Path, got: &Digest, expected: &Digest) -> Result<(), EngineError> {
-    if got == expected {
-        return Ok(());
-    }
-    let problem = format!("its SHA-256 is {got}, model.json says {expected}: it was altered");
-    Err(EngineError::Stored { path: path.to_path_buf(), problem })
-}
-
 /// What went wrong with the field in the file at `path`.
 fn of_file(path: &Path, error: FieldError) -> EngineError {
     match error {
         FieldError::Read { source, .. } => EngineError::io("read", path)(source),
         error => error.into(),
     }
-}
-
-/// As [`read_checked`], of a file that is read piece by piece and left open at its start: fields take gigabytes.
-///
-/// # Errors
-/// [`EngineError::Stored`] for another.
-fn open_checked(path: &Path, expected: &Digest, limit: u64) -> Result<File, EngineError> {
-    let mut file = File::open(path).map_err(EngineError::io("open", path))?;
-    let (got, size) = Digest::of_all(&mut file.by_ref().take(limit + 1)).map_err(EngineError::io("read", path))?;
-    if size > limit {
-        return Err(EngineError::too_large(path.to_path_buf(), limit));
-    }
-    held_to(path, &got, expected)?;
-    file.rewind().map_err(EngineError::io("read", path))?;
-    Ok(file)
 }
 
 #[cfg(test)]
@@ -430,25 +385,5 @@ mod tests {
         let new = IdentityInfo { contributors: vec![("ada".into(), 3)], ..old };
         let again: IdentityInfo = serde_json::from_str(&serde_json::to_string(&new).unwrap()).unwrap();
         assert_eq!(again, new);
-    }
-
-    #[test]
-    fn a_file_that_was_altered_or_is_too_large_is_not_opened() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("base.field");
-        let mut bytes = vec![7; 100_000];
-        std::fs::write(&path, &bytes).unwrap();
-        let digest = Digest::of(&bytes);
-        let open = |limit| open_checked(&path, &digest, limit).map_err(|e| e.to_string());
-        let mut read = Vec::new();
-        open(100_000).unwrap().read_to_end(&mut read).unwrap();
-        assert!(read == bytes, "from its start");
-        assert!(open(99_999).unwrap_err().contains("more than 99999 bytes"));
-        bytes[99_999] ^= 1;
-        std::fs::write(&path, &bytes).unwrap();
-        let text = open(100_000).unwrap_err();
-        assert!(text.contains("altered") && text.contains("base.field"), "{text}");
-        std::fs::remove_file(&path).unwrap();
-        assert!(open(100_000).unwrap_err().contains("base.field"));
     }
 }

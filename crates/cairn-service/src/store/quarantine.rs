@@ -7,6 +7,7 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cairn_log::Digest;
@@ -99,12 +100,72 @@ impl Entry {
     }
 }
 
+/// Contributors with how many photographs each took, most first, then by name.
+pub type Credited = Vec<(String, usize)>;
+
+/// Everything that is known of a scene's views, by name.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Entries(pub Vec<Entry>);
+
+impl Entries {
+    /// Names of the scene's views that are left out, and of those that a person released.
+    pub fn names(&self, scene: &SceneFolder) -> (BTreeSet<String>, BTreeSet<String>) {
+        let of = |out: bool| {
+            let bound = |(at, view): &(usize, &View)| {
+                let photograph = Digest::from_bytes(scene.photograph_digest(*at));
+                self.0.iter().any(|e| e.is_out() == out && e.is_of(&view.name, &photograph))
+            };
+            let views = scene.capture().views.iter().enumerate().filter(bound);
+            views.map(|(_, view)| view.name.clone()).collect()
+        };
+        (of(true), of(false))
+    }
+
+    /// Which views of a model's identities are left out, by their index in its clusters.
+    pub fn out_of(&self, info: &ModelInfo) -> BTreeSet<usize> {
+        let mut out = BTreeSet::new();
+        for (identity, cluster) in info.identities.iter().zip(&info.clusters.clusters) {
+            for (at, member) in cluster.members.iter().enumerate() {
+                if self.0.iter().any(|e| e.is_out() && is_at(e, identity, at)) {
+                    out.insert(*member);
+                }
+            }
+        }
+        out
+    }
+
+    /// Who took an identity's photographs that are not left out, as [`IdentityInfo::contributors`]; `None` where
+    /// all of them are.
+    pub fn credited(&self, identity: &IdentityInfo) -> Option<Credited> {
+        let mut left = identity.views.len();
+        let mut credited = identity.contributors.clone();
+        for at in 0..identity.views.len() {
+            let Some(entry) = self.0.iter().find(|e| e.is_out() && is_at(e, identity, at)) else { continue };
+            left -= 1;
+            if let Some((_, count)) = credited.iter_mut().find(|(name, _)| *name == entry.contributor) {
+                *count = count.saturating_sub(1);
+            }
+        }
+        credited.retain(|(_, count)| *count > 0);
+        credited.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+        (left > 0 || identity.views.is_empty()).then_some(credited)
+    }
+}
+
+/// Whether an entry is about the identity's view at a place.
+fn is_at(entry: &Entry, identity: &IdentityInfo, at: usize) -> bool {
+    let photograph = identity.photographs.get(at);
+    photograph.is_some_and(|photograph| entry.is_of(&identity.views[at], photograph))
+}
+
 /// The quarantines of all scenes.
 #[derive(Debug)]
 pub struct Quarantine {
     folder: PathBuf,
     /// One change at a time.
     changing: Mutex<()>,
+    /// How often anything changed since the start.
+    changes: AtomicU64,
 }
 
 impl Quarantine {
@@ -114,7 +175,7 @@ impl Quarantine {
     /// [`EngineError::Stored`] for a damaged file, and the file system's.
     pub fn open(folder: PathBuf, scenes: &Path) -> Result<Self, EngineError> {
         std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
-        let made = Self { folder, changing: Mutex::default() };
+        let made = Self { folder, changing: Mutex::default(), changes: AtomicU64::new(0) };
         for entry in std::fs::read_dir(&made.folder).map_err(EngineError::io("list", &made.folder))? {
             let path = entry.map_err(EngineError::io("list", &made.folder))?.path();
             let name = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".json"));
@@ -134,18 +195,23 @@ impl Quarantine {
         self.folder.join(format!("{scene}.json"))
     }
 
-    /// Everything that is known of a scene's views, by name.
+    /// What is known of a scene's views.
     ///
     /// # Errors
     /// [`EngineError::Stored`], and for a name that no scene can have.
-    pub fn of(&self, scene: &str) -> Result<Vec<Entry>, EngineError> {
+    pub fn of(&self, scene: &str) -> Result<Entries, EngineError> {
         scenes::check_scene_name(scene)?;
         let path = self.file(scene);
         if !path.exists() {
-            return Ok(Vec::new());
+            return Ok(Entries::default());
         }
         let stored: Stored = read_json(&path)?;
-        Ok(stored.views)
+        Ok(Entries(stored.views))
+    }
+
+    /// How often what is left out has changed since the start, in any scene.
+    pub fn changes(&self) -> u64 {
+        self.changes.load(Ordering::Acquire)
     }
 
     /// Whether views of a scene were removed.
@@ -153,29 +219,14 @@ impl Quarantine {
     /// # Errors
     /// As [`Quarantine::of`].
     pub fn has_removed(&self, scene: &str) -> Result<bool, EngineError> {
-        Ok(self.of(scene)?.iter().any(|entry| entry.standing == Standing::Removed))
+        Ok(self.of(scene)?.0.iter().any(|entry| entry.standing == Standing::Removed))
     }
 
     fn write(&self, scene: &str, mut views: Vec<Entry>) -> Result<(), EngineError> {
         views.sort_by(|a, b| a.view.cmp(&b.view));
-        write_json(&self.file(scene), &Stored { format_version: 1, views })
-    }
-
-    /// Names of the scene's views that are left out, and of those that a person released.
-    ///
-    /// # Errors
-    /// As [`Quarantine::of`].
-    pub fn names(&self, name: &str, scene: &SceneFolder) -> Result<(BTreeSet<String>, BTreeSet<String>), EngineError> {
-        let entries = self.of(name)?;
-        let of = |out: bool| {
-            let bound = |(at, view): &(usize, &View)| {
-                let photograph = Digest::from_bytes(scene.photograph_digest(*at));
-                entries.iter().any(|e| e.is_out() == out && e.is_of(&view.name, &photograph))
-            };
-            let views = scene.capture().views.iter().enumerate().filter(bound);
-            views.map(|(_, view)| view.name.clone()).collect()
-        };
-        Ok((of(true), of(false)))
+        let written = write_json(&self.file(scene), &Stored { format_version: 1, views });
+        self.changes.fetch_add(1, Ordering::AcqRel);
+        written
     }
 
     /// The scene without what is left out.
@@ -183,7 +234,7 @@ impl Quarantine {
     /// # Errors
     /// As [`Quarantine::of`].
     pub fn without(&self, name: &str, scene: SceneFolder) -> Result<SceneFolder, EngineError> {
-        let (out, _) = self.names(name, &scene)?;
+        let (out, _) = self.of(name)?.names(&scene);
         Ok(leaving_out(scene, &out))
     }
 
@@ -193,7 +244,7 @@ impl Quarantine {
     /// [`EngineError::Stored`], and the file system's.
     pub fn put(&self, scene: &str, found: Vec<Entry>) -> Result<(), EngineError> {
         let _changing = self.lock();
-        let mut entries = self.of(scene)?;
+        let mut entries = self.of(scene)?.0;
         for new in found {
             if !entries.iter().any(|e| e.is_of(&new.view, &new.photograph)) {
                 entries.retain(|e| e.view != new.view);
@@ -210,7 +261,7 @@ impl Quarantine {
     /// [`EngineError::NotFound`] for a view that is not in quarantine; then nothing has changed.
     pub fn release(&self, scene: &str, views: &[String], by: Option<Digest>) -> Result<Vec<Entry>, EngineError> {
         let _changing = self.lock();
-        let mut entries = self.of(scene)?;
+        let mut entries = self.of(scene)?.0;
         let held = |e: &Entry| e.standing == Standing::Quarantined;
         for name in views {
             if !entries.iter().any(|e| e.view == *name && held(e)) {
@@ -236,7 +287,8 @@ impl Quarantine {
     /// nothing has changed.
     pub fn remove(
         &self,
-        (name, scene): (&str, &SceneFolder),
+        name: &str,
+        scene: &SceneFolder,
         views: &[String],
         by: Option<Digest>,
     ) -> Result<Vec<Entry>, EngineError> {
@@ -249,7 +301,7 @@ impl Quarantine {
             let why = "no view to train on would be left; delete the scene instead".to_owned();
             return Err(EngineError::WrongState { what, operation: "removed", why });
         }
-        let mut entries = self.of(name)?;
+        let mut entries = self.of(name)?.0;
         let decided = Some(Decision { by, unix_s: unix_s() });
         for index in indices {
             let (view, photograph) = (&capture.views[index], Digest::from_bytes(scene.photograph_digest(index)));
@@ -262,11 +314,11 @@ impl Quarantine {
         }
         self.write(name, entries)?;
         self.finish(name, scene)?;
-        Ok(self.of(name)?.into_iter().filter(|e| views.contains(&e.view)).collect())
+        Ok(self.of(name)?.0.into_iter().filter(|e| views.contains(&e.view)).collect())
     }
 
     fn finish_removals(&self, name: &str, scenes: &Path) -> Result<(), EngineError> {
-        if self.of(name)?.iter().any(|e| e.standing == Standing::Removing) {
+        if self.of(name)?.0.iter().any(|e| e.standing == Standing::Removing) {
             self.finish(name, &scenes::open(scenes, name)?)?;
         }
         Ok(())
@@ -274,7 +326,7 @@ impl Quarantine {
 
     /// Carries out what was written down.
     fn finish(&self, name: &str, scene: &SceneFolder) -> Result<(), EngineError> {
-        let mut entries = self.of(name)?;
+        let mut entries = self.of(name)?.0;
         let going = |e: &&Entry| e.standing == Standing::Removing;
         let names: Vec<&str> = entries.iter().filter(going).map(|e| e.view.as_str()).collect();
         scene.without_for_good(&names)?;
@@ -291,53 +343,10 @@ impl Quarantine {
     /// The file system's.
     pub fn forget(&self, scene: &str) -> Result<(), EngineError> {
         let _changing = self.lock();
+        self.changes.fetch_add(1, Ordering::AcqRel);
         remove(&self.file(scene))?;
         Ok(sync_folder(&self.folder)?)
     }
-
-    /// Which views of a model's identities are left out, by their index in its clusters.
-    ///
-    /// # Errors
-    /// As [`Quarantine::of`].
-    pub fn out_of(&self, info: &ModelInfo) -> Result<BTreeSet<usize>, EngineError> {
-        let entries = self.of(&info.scene)?;
-        let mut out = BTreeSet::new();
-        for (identity, cluster) in info.identities.iter().zip(&info.clusters.clusters) {
-            for (at, member) in cluster.members.iter().enumerate() {
-                if entries.iter().any(|e| e.is_out() && is_at(e, identity, at)) {
-                    out.insert(*member);
-                }
-            }
-        }
-        Ok(out)
-    }
-
-    /// Who took an identity's photographs that are not left out, as [`IdentityInfo::contributors`]; `None` where
-    /// all of them are.
-    ///
-    /// # Errors
-    /// As [`Quarantine::of`].
-    pub fn credited(&self, scene: &str, identity: &IdentityInfo) -> Result<Option<Vec<(String, usize)>>, EngineError> {
-        let entries = self.of(scene)?;
-        let mut left = identity.views.len();
-        let mut credited = identity.contributors.clone();
-        for at in 0..identity.views.len() {
-            let Some(entry) = entries.iter().find(|e| e.is_out() && is_at(e, identity, at)) else { continue };
-            left -= 1;
-            if let Some((_, count)) = credited.iter_mut().find(|(name, _)| *name == entry.contributor) {
-                *count = count.saturating_sub(1);
-            }
-        }
-        credited.retain(|(_, count)| *count > 0);
-        credited.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
-        Ok((left > 0 || identity.views.is_empty()).then_some(credited))
-    }
-}
-
-/// Whether an entry is about the identity's view at a place.
-fn is_at(entry: &Entry, identity: &IdentityInfo, at: usize) -> bool {
-    let photograph = identity.photographs.get(at);
-    photograph.is_some_and(|photograph| entry.is_of(&identity.views[at], photograph))
 }
 
 /// The scene without the views of these names; names that it does not have change nothing.

@@ -8,7 +8,7 @@ use cairn_scene::{Capture, Picture, ReadOptions};
 use super::*;
 use crate::config::Config;
 use crate::engine::Engine;
-use crate::query::look::Viewpoint;
+use crate::query::viewpoint::Viewpoint;
 use crate::records::owners::AskedView;
 use crate::records::published::tests::TestFolder;
 use crate::train::job::{Job, JobState};
@@ -151,7 +151,7 @@ fn what_is_found_is_left_out_until_it_is_released_or_removed() {
     let (_, removed) = world.train(QUICK);
     assert_eq!(removed.base_field, first.base_field);
     world.engine.delete_scene("town").unwrap();
-    assert!(world.engine.quarantine.of("town").unwrap().is_empty(), "gone with its scene");
+    assert!(world.engine.quarantine.of("town").unwrap().0.is_empty(), "gone with its scene");
 }
 
 #[test]

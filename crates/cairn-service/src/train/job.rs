@@ -22,7 +22,7 @@ pub struct JobSpec {
     /// The scene's name.
     pub scene: String,
     /// How views become identities; a K of 0 is as many views a cluster as the scene has for it
-    /// ([`crate::train::training::clusters`]).
+    /// ([`crate::train::clusters::clusters`]).
     pub grouping: Grouping,
     /// Every random number comes from it. Text in JSON: it uses all 64 bits.
     #[serde(with = "as_text")]

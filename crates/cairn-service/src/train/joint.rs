@@ -7,18 +7,20 @@ use std::path::{Path, PathBuf};
 
 use cairn_landmark::signals::emblem;
 use cairn_log::Digest;
-use cairn_mark::Signal;
+use cairn_mark::{Detector, MarkedField, Signal};
 use cairn_scene::SceneFolder;
 use cairn_scene::cluster::Clusters;
 
 use crate::error::EngineError;
+use crate::store::classes::Share;
 use crate::store::hidden;
-use crate::store::model::{self, MarkFiles, Model, ModelFiles, ModelInfo, Share, publish};
+use crate::store::model::{self, MarkFiles, Model, ModelFiles, ModelInfo};
 use crate::store::scenes;
+use crate::train::clusters::{all_are_kept, clusters_if_any, identities};
 use crate::train::job::Job;
 use crate::train::jobs::Control;
-use crate::train::marks::{Detector, Grown, MarkedField};
-use crate::train::training::{Training, all_are_kept, clusters_if_any, identities};
+use crate::train::marks::Grown;
+use crate::train::sifting::Sift;
 
 /// A scene of a training.
 pub(crate) struct Part {
@@ -34,97 +36,97 @@ pub(crate) struct Part {
     pub(crate) earlier: Option<ModelInfo>,
 }
 
-impl Training {
-    /// The job's scenes, screened; `None` when it was asked to stop.
-    pub(crate) fn parts(
-        &self,
-        job: &Job,
-        folder: &Path,
-        control: &Control<'_>,
-    ) -> Result<Option<Vec<Part>>, EngineError> {
-        let mut parts = Vec::new();
-        for (at, name) in job.spec.scenes().enumerate() {
-            let own = job.of_scene(at);
-            let folder = if at == 0 { folder.to_path_buf() } else { folder.join(format!("scene-{}", at + 1)) };
-            std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
-            let scene = scenes::open(&self.scenes, name)?;
-            let Some(scene) = self.sifted(&own, scene, &folder, control)? else { return Ok(None) };
-            let (clusters, note) = clusters_if_any(&scene, &own.spec.grouping, (own.spec.seed, own.spec.base_only))?;
-            note.into_iter().for_each(|note| control.note(note));
-            let earlier = own.spec.grow_from.first().cloned().flatten();
-            let earlier = earlier.map(|from| model::of_job(&self.models, name, &from)).transpose()?;
-            parts.push(Part { job: own, folder, scene, clusters, earlier });
-        }
-        Ok(Some(parts))
+/// The job's scenes, screened; `None` when it was asked to stop.
+pub(crate) fn parts(
+    scenes: &Path,
+    models: &Path,
+    sift: &Sift<'_>,
+    job: &Job,
+    folder: &Path,
+    control: &Control<'_>,
+) -> Result<Option<Vec<Part>>, EngineError> {
+    let mut parts = Vec::new();
+    for (at, name) in job.spec.scenes().enumerate() {
+        let own = job.of_scene(at);
+        let folder = if at == 0 { folder.to_path_buf() } else { folder.join(format!("scene-{}", at + 1)) };
+        std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
+        let scene = scenes::open(scenes, name)?;
+        let Some(scene) = sift.sifted(&own, scene, &folder, control)? else { return Ok(None) };
+        let (clusters, note) = clusters_if_any(&scene, &own.spec.grouping, own.spec.seed, own.spec.base_only)?;
+        note.into_iter().for_each(|note| control.note(note));
+        let earlier = own.spec.grow_from.first().cloned().flatten();
+        let earlier = earlier.map(|from| model::of_job(models, name, &from)).transpose()?;
+        parts.push(Part { job: own, folder, scene, clusters, earlier });
     }
+    Ok(Some(parts))
+}
 
-    /// Whether the newest model of each scene is this job's. Its number alone does not
-    /// say: numbers start again where somebody emptied the folder of jobs.
-    pub(crate) fn are_published(&self, parts: &[Part]) -> Result<bool, EngineError> {
-        for Part { job, clusters, .. } in parts {
-            let Some(model) = model::newest(&self.models, &job.spec.scene)? else { return Ok(false) };
-            let is_it = model.job == job.id
-                && model.seed == job.spec.seed.to_string()
-                && model.settings == Digest::of(job.spec.settings.to_toml()?)
-                && model.clusters == *clusters
-                && model.mark.is_none() == job.spec.base_only;
-            if !is_it {
-                return Ok(false);
-            }
+/// Whether the newest model of each scene is this job's. Its number alone does not
+/// say: numbers start again where somebody emptied the folder of jobs.
+pub(crate) fn are_published(models: &Path, parts: &[Part]) -> Result<bool, EngineError> {
+    for Part { job, clusters, .. } in parts {
+        let Some(model) = model::newest(models, &job.spec.scene)? else { return Ok(false) };
+        let is_it = model.job == job.id
+            && model.seed == job.spec.seed.to_string()
+            && model.settings == Digest::of(job.spec.settings.to_toml()?)
+            && model.clusters == *clusters
+            && model.mark.is_none() == job.spec.base_only;
+        if !is_it {
+            return Ok(false);
         }
-        Ok(true)
     }
+    Ok(true)
+}
 
-    /// Puts a scene's model in its place.
-    pub(crate) fn publish(
-        &self,
-        part: &Part,
-        base: &[u8],
-        mark: Option<&MarkFiles>,
-        shares: &[Share],
-    ) -> Result<(), EngineError> {
-        let spec = &part.job.spec;
-        let settings = spec.settings.to_toml()?;
-        let info = ModelInfo {
-            format_version: model::VERSION,
-            scene: spec.scene.clone(),
-            job: part.job.id.clone(),
-            seed: spec.seed.to_string(),
-            identities: identities(&part.scene, &part.clusters),
-            clusters: part.clusters.clone(),
-            base_field: Digest::of(base),
-            settings: Digest::of(&settings),
-            mark: mark.map(|files| files.info(shares)),
+/// Puts a scene's model in its place.
+pub(crate) fn publish(
+    models: &Path,
+    part: &Part,
+    base: &[u8],
+    mark: Option<&MarkFiles>,
+    shares: &[Share],
+) -> Result<(), EngineError> {
+    let spec = &part.job.spec;
+    let settings = spec.settings.to_toml()?;
+    let info = ModelInfo {
+        format_version: model::VERSION,
+        scene: spec.scene.clone(),
+        job: part.job.id.clone(),
+        seed: spec.seed.to_string(),
+        identities: identities(&part.scene, &part.clusters),
+        clusters: part.clusters.clone(),
+        base_field: Digest::of(base),
+        settings: Digest::of(&settings),
+        mark: mark.map(|files| files.info(shares)),
+    };
+    model::publish(models, &info, &ModelFiles { base, settings: &settings, mark })
+}
+
+/// What the parts go on from; `None` where all begin.
+pub(crate) fn grown(models: &Path, parts: &[Part]) -> Result<Option<Grown>, EngineError> {
+    let mut detector: Option<Detector> = None;
+    let (mut fields, mut known, mut signals): (Vec<MarkedField>, _, _) = (Vec::new(), Vec::new(), Vec::new());
+    for part in parts {
+        let now = identities(&part.scene, &part.clusters);
+        let Some(info) = part.earlier.clone() else {
+            known.extend(now.iter().map(|_| None));
+            signals.extend(now.iter().map(|_| None));
+            continue;
         };
-        publish(&self.models, &info, &ModelFiles { base, settings: &settings, mark })
-    }
-
-    /// What the parts go on from; `None` where all begin.
-    pub(crate) fn grown(&self, parts: &[Part]) -> Result<Option<Grown>, EngineError> {
-        let mut detector: Option<Detector> = None;
-        let (mut fields, mut known, mut signals): (Vec<MarkedField>, _, _) = (Vec::new(), Vec::new(), Vec::new());
-        for part in parts {
-            let now = identities(&part.scene, &part.clusters);
-            let Some(info) = part.earlier.clone() else {
-                known.extend(now.iter().map(|_| None));
-                signals.extend(now.iter().map(|_| None));
-                continue;
-            };
-            // Views may have gone into quarantine since the job was accepted.
-            all_are_kept(&info, &now)?;
-            let before: BTreeMap<String, u32> = info.identities.iter().map(|i| (i.label.clone(), i.number)).collect();
-            let Model { info, mark, .. } = Model::load(&self.models, info)?;
-            let mark = mark.ok_or_else(|| EngineError::Internal(format!("{} has no marks to go on from", info.job)))?;
-            for identity in &now {
-                let number = before.get(&identity.label).copied();
-                known.push(number.map(|number| (fields.len(), number, mark.classes.of(number))));
-                signals.push(number.and_then(|number| mark.signals.get(number as usize - 1).cloned()));
-            }
-            fields.push(mark.field);
-            detector.get_or_insert(mark.detector);
+        // Views may have gone into quarantine since the job was accepted.
+        all_are_kept(&info, &now)?;
+        let before: BTreeMap<String, u32> = info.identities.iter().map(|i| (i.label.clone(), i.number)).collect();
+        let Model { info, mark, .. } = Model::load(models, info)?;
+        let mark = mark.ok_or_else(|| EngineError::Internal(format!("{} has no marks to go on from", info.job)))?;
+        for identity in &now {
+            let number = before.get(&identity.label).copied();
+            known.push(number.map(|number| (fields.len(), number, mark.classes.of(number))));
+            signals.push(number.and_then(|number| mark.signals.get(number as usize - 1).cloned()));
         }
-        Ok(detector.map(|detector| Grown { detector, fields, known, signals }))
+        fields.push(mark.field);
+        detector.get_or_insert(mark.detector);
     }
+    Ok(detector.map(|detector| Grown { detector, fields, known, signals }))
 }
 
 /// What each scene has of the detector's classes; nothing where there is one scene.

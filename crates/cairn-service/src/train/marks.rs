@@ -3,20 +3,18 @@
 
 use std::sync::Arc;
 
-use cairn_field::watermarks;
+use cairn_field::{Field, watermarks};
 use cairn_mark::{
-    Earlier, Judgement, Known, MarkError, MarkPlan, MarkScene, MarkTrainer, PlannedView, Recipe, Recovered, Signal,
-    at_most,
+    Detector, Earlier, Judgement, Known, MarkError, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Recipe,
+    Recovered, Signal, at_most,
 };
 use cairn_scene::cluster::Clusters;
 use cairn_scene::metrics::psnr_db_from_mse;
 use cairn_scene::{Camera, Picture8, SceneFolder};
 
-pub use cairn_mark::{Detector, MarkedField};
-
 use crate::error::EngineError;
 use crate::store::given::QUIET_DB;
-use crate::train::stages::{self, Field, Preparing, Stage, Step};
+use crate::train::stages::{self, Preparing, Stage, Step};
 
 /// Steps between judgements of a state on poses it was not trained on; fixed, so
 /// that every run of a job judges at the same steps.
@@ -104,7 +102,8 @@ impl Marking {
     pub fn start(
         scenes: Vec<ToMark<'_>>,
         grown: Option<&Grown>,
-        (settings, seed): (&Recipe, u64),
+        settings: &Recipe,
+        seed: u64,
         checkpoint: Option<&[u8]>,
         preparing: Preparing<'_>,
     ) -> Result<Option<Self>, EngineError> {
@@ -148,7 +147,7 @@ impl Marking {
             Ok(trainer) => {
                 let quietest = levels.into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
                 let notes = asked.into_iter().enumerate().filter_map(|(at, (of_scene, own, explained_db))| {
-                    budget_note(trainer.config_of(at), own, (&of_scene, explained_db))
+                    budget_note(trainer.config_of(at), own, &of_scene, explained_db)
                 });
                 Ok(Some(Self { notes: notes.collect(), whose, quietest, trainer }))
             }
@@ -244,7 +243,7 @@ fn weak_figures(right: f64, recovered: &Recovered, share: f64) -> Vec<String> {
 
 /// What to say where marks `of_scene` are `kept` fainter than was `asked` for; a resumed training does not
 /// know any more how well its photographs are explained.
-fn budget_note(kept: &Recipe, asked: &Recipe, (of_scene, explained_db): (&str, Option<f64>)) -> Option<String> {
+fn budget_note(kept: &Recipe, asked: &Recipe, of_scene: &str, explained_db: Option<f64>) -> Option<String> {
     let why = explained_db.map_or(String::new(), |db| format!("it explains photographs to {db:.1} dB, and "));
     (kept.budget_db > asked.budget_db).then(|| {
         format!(

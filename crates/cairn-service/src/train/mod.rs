@@ -1,5 +1,7 @@
 //! Training: the queue of jobs, their stages, and what a request turns into.
 
+pub mod clusters;
+pub(crate) mod drive;
 pub mod job;
 pub mod jobs;
 pub(crate) mod joint;

@@ -13,8 +13,8 @@ use crate::error::EngineError;
 use crate::store::given::{Added, Given, assigned, hides_note, left_over_note};
 use crate::store::hidden;
 use crate::store::model::{IdentityInfo, ModelInfo};
+use crate::train::clusters;
 use crate::train::job::{Beside, Job, JobSpec};
-use crate::train::training;
 
 /// What to train, as it is asked for.
 #[derive(Clone, Debug)]
@@ -175,10 +175,10 @@ impl Engine {
             }
         };
         let folder = self.quarantine.without(scene, folder)?;
-        let (clusters, _) = training::clusters_if_any(&folder, &request.grouping, (request.seed, request.base_only))?;
-        let identities = training::identities(&folder, &clusters);
+        let (clusters, _) = clusters::clusters_if_any(&folder, &request.grouping, request.seed, request.base_only)?;
+        let identities = clusters::identities(&folder, &clusters);
         if let Some(info) = &earlier {
-            training::all_are_kept(info, &identities)?;
+            clusters::all_are_kept(info, &identities)?;
         }
         let marked: BTreeSet<String> =
             earlier.iter().flat_map(|info| info.identities.iter().map(|i| i.label.clone())).collect();

@@ -4,8 +4,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use cairn_durable::remove;
 use cairn_field::screening::LEAST_VIEWS;
 use cairn_field::{Screened, Screening, ScreeningOutcome};
 use cairn_log::Digest;
@@ -15,12 +16,11 @@ use serde::{Deserialize, Serialize};
 use crate::error::EngineError;
 use crate::store::access::unix_s;
 use crate::store::folder::{read_json, write_json};
-use crate::store::quarantine::{Entry, Found, Standing, leaving_out};
+use crate::store::quarantine::{Entry, Found, Quarantine, Standing, leaving_out};
+use crate::train::drive::{Run, drive, preparing, read_checkpoint, stopped};
 use crate::train::job::Job;
 use crate::train::jobs::Control;
 use crate::train::stages;
-use crate::train::training::{Training, preparing, read_checkpoint, stopped};
-use cairn_durable::remove;
 
 /// Views named in a note.
 const NAMED: usize = 12;
@@ -38,7 +38,15 @@ struct Views {
     screened: bool,
 }
 
-impl Training {
+/// What screening needs beside the scene.
+pub(crate) struct Sift<'a> {
+    /// Which views are left out.
+    pub(crate) quarantine: &'a Quarantine,
+    /// Time between checkpoints.
+    pub(crate) checkpoint_every: Duration,
+}
+
+impl Sift<'_> {
     /// The scene with the views that the job trains on, screened; `None` when it was asked to stop.
     pub(crate) fn sifted(
         &self,
@@ -51,7 +59,7 @@ impl Training {
         let mut views: Views = if file.exists() {
             read_json(&file)?
         } else {
-            let (left_out, trusted) = self.quarantine.names(&job.spec.scene, &scene)?;
+            let (left_out, trusted) = self.quarantine.of(&job.spec.scene)?.names(&scene);
             // A job from before views were screened goes on as it began.
             let begun = ["base.checkpoint", "base.field"].iter().any(|name| folder.join(name).exists());
             let screened = begun || !job.spec.settings.quarantine.enabled;
@@ -78,7 +86,13 @@ impl Training {
         drop(saved);
         // Charged to stage 1, which it prepares.
         let Some(mut screening) = made else { return stopped(stages::BASE, clock, control) };
-        if !self.drive((stages::SCREENING, stages::BASE, clock), &mut screening, &checkpoint, control)? {
+        let run = Run {
+            name: stages::SCREENING,
+            counted: stages::BASE,
+            since: clock,
+            checkpoint_every: self.checkpoint_every,
+        };
+        if !drive(&run, &mut screening, &checkpoint, control)? {
             return Ok(None);
         }
         let found = Screening::finish(&screening);

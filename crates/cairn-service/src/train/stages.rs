@@ -12,8 +12,6 @@ use cairn_field::{
 };
 use cairn_scene::{Picture, Picture8, SceneFolder};
 
-pub use cairn_field::{Appearance, Field};
-
 use crate::config::TrainingSettings;
 use crate::error::EngineError;
 use crate::train::job::Job;

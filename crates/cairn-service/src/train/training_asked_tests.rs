@@ -1,7 +1,7 @@
 //! What becomes of a request before anything is trained: whose settings hold, who hides what, and what is refused.
 
 use cairn_scene::SceneKind;
-use cairn_scene::cluster::ClusterConfig;
+use cairn_scene::cluster::{ClusterConfig, Grouping};
 
 use super::*;
 use crate::config::{TrainingSettings, overlay_for, training_settings};
@@ -220,8 +220,8 @@ fn views_that_went_since_a_job_was_accepted_do_not_cost_an_identity_its_mark() {
         let clusters = clusters(&scene, &Grouping::Anchors(sizes), 7).unwrap();
         Part { job: trained.job.clone(), folder: trained.folder(), scene, clusters, earlier: Some(info.clone()) }
     };
-    assert!(training.grown(&[part(3)]).unwrap().is_some());
+    assert!(joint::grown(&training.models, &[part(3)]).unwrap().is_some());
     // With one anchor the second identity is gone.
-    let error = training.grown(&[part(1)]).map(|_| ()).unwrap_err().to_string();
+    let error = joint::grown(&training.models, &[part(1)]).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains(labels(&info)[1]) && error.contains("nobody would read"), "{error}");
 }

@@ -1,5 +1,7 @@
 //! A step that fails: what is left of the training, and that it is taken up from there.
 
+use cairn_scene::cluster::Grouping;
+
 use super::*;
 use crate::train::job::JobSpec;
 
@@ -12,7 +14,7 @@ struct Counting {
     fails: Option<(u64, bool)>,
 }
 
-impl Stage for Counting {
+impl stages::Stage for Counting {
     fn step(&mut self) -> Result<stages::Step, EngineError> {
         self.asked += 1;
         if let Some((_, counts)) = self.fails.filter(|(at, _)| *at == self.count) {
@@ -45,9 +47,9 @@ fn a_step_that_fails_leaves_the_last_good_state_and_its_own_error() {
         // No checkpoint falls due in between.
         checkpoint_every: Duration::from_secs(3600),
     };
-    let drive = |count: u64, fails, file: &Path| {
+    let driven = |count: u64, fails, file: &Path| {
         let mut stage = Counting { count, asked: 0, fails };
-        (training.drive(("counting", "counting", Instant::now()), &mut stage, file, &control), stage.asked)
+        (drive(&training.stage("counting", Instant::now()), &mut stage, file, &control), stage.asked)
     };
     let file = dir.path().join("counting.checkpoint");
     let kept = || read_checkpoint(&file).unwrap().map(|bytes| u64::from_le_bytes(bytes.try_into().unwrap()));
@@ -55,21 +57,21 @@ fn a_step_that_fails_leaves_the_last_good_state_and_its_own_error() {
         let error = result.expect_err("the step failed").to_string();
         assert!(error.contains("a number that is not finite"), "{error}");
     };
-    let (result, asked) = drive(0, Some((5, false)), &file);
+    let (result, asked) = driven(0, Some((5, false)), &file);
     says(result);
     assert_eq!((asked, kept()), (6, Some(5)));
     assert_eq!(sender.borrow().stages.len(), 1, "its seconds count");
     // Taken up, it goes on from there.
-    let (result, asked) = drive(kept().unwrap(), None, &file);
+    let (result, asked) = driven(kept().unwrap(), None, &file);
     assert_eq!((result.unwrap(), asked, kept()), (true, 4, Some(9)));
     // What failed after a step that counts has to be come to again: the checkpoint stays.
     write_atomic(&file, &2u64.to_le_bytes()).unwrap();
-    let (result, _) = drive(2, Some((6, true)), &file);
+    let (result, _) = driven(2, Some((6, true)), &file);
     says(result);
     assert_eq!(kept(), Some(2));
     // Where the state cannot be written either, the step's error is told.
     let nowhere = dir.path().join("nowhere").join("counting.checkpoint");
-    says(drive(0, Some((5, false)), &nowhere).0);
+    says(driven(0, Some((5, false)), &nowhere).0);
     assert!(!nowhere.exists());
 }
 

@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicU8;
 
 use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_mark::Signal;
+use cairn_scene::cluster::Grouping;
 use cairn_scene::{Capture, ReadOptions};
 use tokio::sync::watch;
 
@@ -18,8 +19,10 @@ use crate::store::hidden::Parts;
 use crate::store::model;
 use crate::store::model::ModelInfo;
 use crate::store::scenes;
+use crate::train::clusters::{clusters, identities};
 use crate::train::job::JobState;
 use crate::train::request::TrainingRequest;
+use crate::train::stages::Stage as _;
 
 #[path = "training_asked_tests.rs"]
 mod asked;
@@ -171,7 +174,7 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
         let scenes =
             vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &config }];
-        Marking::start(scenes, None, (&config, 7), checkpoint, &mut |_, _, _| true).unwrap().unwrap()
+        Marking::start(scenes, None, &config, 7, checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
     let notes = |budget_db, max_cost_db| begin(budget_db, max_cost_db, None).notes();
     let [note] = &notes(20.0, 0.1)[..] else { panic!("marks of 20 dB cost nothing?") };
@@ -242,7 +245,7 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     heard.clear();
     let scenes =
         vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &settings.mark }];
-    let made = Marking::start(scenes, None, (&settings.mark, seed), None, &mut |stage, done, total| {
+    let made = Marking::start(scenes, None, &settings.mark, seed, None, &mut |stage, done, total| {
         heard.push((stage, done, total));
         stage != stages::RAY_WEIGHTS || done < 3
     });
@@ -264,7 +267,7 @@ fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time(
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
         let scenes =
             vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &settings.mark }];
-        Marking::start(scenes, None, (&settings.mark, seed), checkpoint, &mut |_, _, _| true).unwrap().unwrap()
+        Marking::start(scenes, None, &settings.mark, seed, checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
     let trained = || {
         let mut marking = begin(None);
@@ -420,12 +423,4 @@ fn clusters_stay_as_large_where_a_scene_grows() {
     end_of(&engine, &engine.train(more).unwrap().id);
     let grown = engine.newest_model("town").unwrap().unwrap();
     assert_eq!(grown.clusters.grouping(), &of(3, 1).grouping);
-}
-
-#[test]
-fn contributors_are_counted_most_first_then_by_name() {
-    let names = ["visitor-31", "drone-2", "ada", "drone-2", "drone-2", "ada", "zoe", "zoe"];
-    let wanted = [("drone-2", 3), ("ada", 2), ("zoe", 2), ("visitor-31", 1)].map(|(n, c)| (n.to_owned(), c));
-    assert_eq!(contributors(names.into_iter()), wanted);
-    assert_eq!(contributors(std::iter::empty()), []);
 }

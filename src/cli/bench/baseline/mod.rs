@@ -22,7 +22,8 @@ use super::field::source::Source;
 use super::field::{Name, train, unless_stopped};
 use super::rows::Rows;
 use cairn_service::config::{Config, overlay_for, training_settings};
-use cairn_service::query::evaluate::{PERFECT_DB, eight_bits};
+use cairn_service::query::evaluate::eight_bits;
+use cairn_service::query::report::PERFECT_DB;
 pub use networks::{Networks, Task as TrainNetworks, run as train_networks};
 pub use stego::Stego;
 

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::progress::Progress;
 use super::source::Source;
-use cairn_service::query::evaluate::{OFF, PERFECT_DB, difference, eight_bits, half};
+use cairn_service::query::evaluate::{OFF, difference, eight_bits, half};
+use cairn_service::query::report::PERFECT_DB;
 
 /// Most views on a sheet.
 const SHEET_ROWS: usize = 6;

@@ -17,8 +17,9 @@ pub use super::scored::Judged;
 use super::scored::{Band, Harmed};
 use super::unmarked::Foreign;
 use super::{What, laid, permuted, sheet, train, unmarked};
-use cairn_service::query::evaluate::{PERFECT_DB, eight_bits, half};
+use cairn_service::query::evaluate::{eight_bits, half};
 use cairn_service::query::recovery::{SeenView, picture_ssim, recovery};
+use cairn_service::query::report::PERFECT_DB;
 use cairn_service::query::report::{Recovery, Right};
 
 /// Confidence bins of the calibration.

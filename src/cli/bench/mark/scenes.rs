@@ -25,8 +25,8 @@ use super::ablations::AS_IT_IS;
 use super::judge::{View, views};
 use super::train::{Files, plan, signals};
 use super::{Run, case, pictures};
-use cairn_service::query::evaluate::PERFECT_DB;
 use cairn_service::query::recovery::picture_ssim;
+use cairn_service::query::report::PERFECT_DB;
 use cairn_service::query::report::Right;
 use cairn_service::train::marks::JUDGE_EVERY;
 

@@ -1,0 +1,225 @@
+//! Bringing captures in: an import is gathered in the staging folder, checked whole, and becomes a scene at once.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use cairn_log::Digest;
+use cairn_scene::{Camera, Capture, PhotographFile, SceneFolder, SceneKind, View};
+use glam::DVec3;
+use sha2::{Digest as _, Sha256};
+
+use crate::auth::Charge;
+use crate::config::Limits;
+use crate::error::EngineError;
+use crate::store::access::Owned;
+use crate::store::scenes::{check_scene_name, check_size};
+
+/// Most points of a scene's surface; they take 24 bytes each.
+const MAX_POINTS: usize = 50_000_000;
+
+/// What an import announces before the photographs' bytes.
+#[derive(Clone, Debug)]
+pub struct ImportPlan {
+    /// The new scene's name.
+    pub scene: String,
+    /// How the scene lies around its cameras.
+    pub kind: SceneKind,
+    /// What transparent photographs are composited on.
+    pub background: Option<[f32; 3]>,
+    /// The views, in the order of their photographs' bytes.
+    pub views: Vec<PlannedView>,
+}
+
+/// A view that is going to be brought.
+#[derive(Clone, Debug)]
+pub struct PlannedView {
+    /// Its name, distinct.
+    pub name: String,
+    /// Its camera, at the photograph's size.
+    pub camera: Camera,
+    /// Who took it.
+    pub contributor: String,
+    /// Whether it is kept from training.
+    pub held_out: bool,
+    /// Whether its pixels are meant without EXIF orientation ([`PhotographFile::as_stored`]).
+    pub as_stored: bool,
+    /// Nearest and farthest depth, capture's unit.
+    pub bounds: Option<(f64, f64)>,
+    /// The photograph's bytes.
+    pub photograph_bytes: u64,
+    /// Their SHA-256.
+    pub photograph_sha256: [u8; 32],
+}
+
+/// An import under way. Dropped before [`Import::finish`], it leaves nothing.
+#[derive(Debug)]
+pub struct Import {
+    plan: ImportPlan,
+    points: Vec<DVec3>,
+    /// Who is charged with it; charged no longer when dropped.
+    pub(crate) owned: Option<Owned>,
+    folder: tempfile::TempDir,
+    /// The photograph being written: its file, bytes so far, and their hash.
+    current: Option<(File, u64, Sha256)>,
+    next: usize,
+}
+
+impl Import {
+    /// Checks the plan and makes room for it.
+    ///
+    /// # Errors
+    /// For a plan over the limits, a name that is taken or not allowed, views with
+    /// the same name, and the file system's.
+    pub fn begin(plan: ImportPlan, limits: &Limits, scenes: &Path, staging: &Path) -> Result<Self, EngineError> {
+        check_scene_name(&plan.scene)?;
+        let path = scenes.join(&plan.scene);
+        if path.exists() {
+            return Err(cairn_scene::CaptureError::SceneExists { path }.into());
+        }
+        check_plan(&plan, limits)?;
+        let folder = tempfile::Builder::new()
+            .prefix("import-")
+            .tempdir_in(staging)
+            .map_err(EngineError::io("create a folder in", staging))?;
+        Ok(Self { plan, points: Vec::new(), owned: None, folder, current: None, next: 0 })
+    }
+
+    /// The new scene's name.
+    pub fn scene(&self) -> &str {
+        &self.plan.scene
+    }
+
+    /// What the plan says that the photographs take.
+    pub fn takes(&self) -> Charge {
+        let bytes = self.plan.views.iter().fold(0_u64, |sum, v| sum.saturating_add(v.photograph_bytes));
+        Charge { bytes, views: self.plan.views.len() as u64 }
+    }
+
+    /// A name like no other import's.
+    pub fn id(&self) -> String {
+        self.folder.path().file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Takes points of the surface, capture's unit.
+    ///
+    /// # Errors
+    /// For more than [`MAX_POINTS`].
+    pub fn add_points(&mut self, points: Vec<DVec3>) -> Result<(), EngineError> {
+        let count = self.points.len() + points.len();
+        if count > MAX_POINTS {
+            return Err(EngineError::invalid("the number of points", count, format!("at most {MAX_POINTS}")));
+        }
+        self.points.extend(points);
+        Ok(())
+    }
+
+    /// Takes the next bytes of view `index`'s photograph.
+    ///
+    /// # Errors
+    /// For bytes out of order, more than announced, or of another SHA-256.
+    pub fn write(&mut self, index: usize, data: &[u8]) -> Result<(), EngineError> {
+        let Some(view) = self.plan.views.get(self.next).filter(|_| index == self.next) else {
+            let expected = format!("view {} of {}, in the header's order", self.next, self.plan.views.len());
+            return Err(EngineError::invalid("the chunk's view_index", index, expected));
+        };
+        let path = photograph_path(self.folder.path(), index);
+        if self.current.is_none() {
+            let file = File::create_new(&path).map_err(EngineError::io("create", &path))?;
+            self.current = Some((file, 0, Sha256::new()));
+        }
+        let Some((file, written, hash)) = self.current.as_mut() else { return Ok(()) };
+        *written += data.len() as u64;
+        if *written > view.photograph_bytes {
+            let expected = format!("{} bytes, as the header says", view.photograph_bytes);
+            return Err(EngineError::invalid(format!("the photograph of {}", view.name), "longer", expected));
+        }
+        file.write_all(data).map_err(EngineError::io("write", &path))?;
+        hash.update(data);
+        if *written == view.photograph_bytes {
+            let got: [u8; 32] = std::mem::take(hash).finalize().into();
+            if got != view.photograph_sha256 {
+                let expected = format!("SHA-256 {}, as the header says", Digest::from_bytes(view.photograph_sha256));
+                let got = format!("of SHA-256 {}", Digest::from_bytes(got));
+                return Err(EngineError::invalid(format!("the photograph of {}", view.name), got, expected));
+            }
+            self.current = None;
+            self.next += 1;
+        }
+        Ok(())
+    }
+
+    /// Decodes every photograph, stores the scene durably and opens it. Blocks.
+    ///
+    /// # Errors
+    /// For missing bytes, a photograph that does not decode or has another size
+    /// than its camera, and the file system's.
+    pub fn finish(self, scenes: &Path) -> Result<SceneFolder, EngineError> {
+        if self.next < self.plan.views.len() {
+            let expected = format!("{} photographs, whole", self.plan.views.len());
+            return Err(EngineError::invalid("the import", format!("{} whole photographs", self.next), expected));
+        }
+        let mut views: Vec<View> = Vec::with_capacity(self.plan.views.len());
+        for (index, view) in self.plan.views.into_iter().enumerate() {
+            views.push(View {
+                name: view.name,
+                camera: view.camera,
+                contributor: view.contributor,
+                photograph: PhotographFile { path: photograph_path(Path::new(""), index), as_stored: view.as_stored },
+                held_out: view.held_out,
+                bounds: view.bounds,
+            });
+        }
+        // A capture's views are sorted by name: who sent them in another order gets the same scene.
+        views.sort_by(|a, b| a.name.cmp(&b.name));
+        let capture = Capture {
+            missing: Vec::new(),
+            root: self.folder.path().to_path_buf(),
+            kind: self.plan.kind,
+            background: self.plan.background,
+            views,
+            points: self.points,
+        };
+        Ok(SceneFolder::create(scenes, &self.plan.scene, &capture)?)
+    }
+}
+
+fn photograph_path(folder: &Path, index: usize) -> PathBuf {
+    folder.join(format!("{index:06}.photograph"))
+}
+
+fn check_plan(plan: &ImportPlan, limits: &Limits) -> Result<(), EngineError> {
+    let over = |what: String, key, limit: u64, got: u64| Err(EngineError::OverLimit { what, key, limit, got });
+    let count = plan.views.len();
+    if count < 1 {
+        return Err(EngineError::invalid("the number of views", count, "1 or more"));
+    }
+    if count > limits.max_views {
+        return over("the number of views".into(), "limits.max_views", limits.max_views as u64, count as u64);
+    }
+    if plan.views.iter().all(|v| v.held_out) {
+        return Err(EngineError::invalid("the split", "all views held out", "at least one view to train on"));
+    }
+    let mut names: Vec<&str> = plan.views.iter().map(|v| v.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(EngineError::invalid("the views' names", format!("{:?} twice", twice[0]), "distinct names"));
+    }
+    let mut total = 0u64;
+    for view in &plan.views {
+        let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        check_size(&format!("view {}", view.name), w, h, limits)?;
+        if view.photograph_bytes == 0 {
+            return Err(EngineError::invalid(format!("the photograph of {}", view.name), "0 bytes", "1 byte or more"));
+        }
+        if view.photograph_bytes > limits.max_photograph_bytes {
+            let what = format!("the photograph of {} in bytes", view.name);
+            return over(what, "limits.max_photograph_bytes", limits.max_photograph_bytes, view.photograph_bytes);
+        }
+        total = total.saturating_add(view.photograph_bytes);
+    }
+    if total > limits.max_scene_bytes {
+        return over("the photographs' bytes".into(), "limits.max_scene_bytes", limits.max_scene_bytes, total);
+    }
+    Ok(())
+}

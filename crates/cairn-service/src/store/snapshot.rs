@@ -1,0 +1,129 @@
+//! A scene as questions about it see it, read once: its folder, its newest model's `model.json`, and which of its views
+//! are left out. It is good until a new model is published or other views are left out.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use cairn_log::Digest;
+use cairn_scene::{Camera, SceneFolder};
+
+use crate::error::EngineError;
+use crate::store::model::{IdentityInfo, ModelInfo};
+use crate::store::quarantine::{Credited, Quarantine};
+use crate::store::scenes;
+
+/// A scene, its newest model, and the views that are left out.
+pub struct SceneSnapshot {
+    name: String,
+    scene: SceneFolder,
+    info: Option<ModelInfo>,
+    /// Names of views that are left out.
+    out: BTreeSet<String>,
+    /// Those of the model's identities, by their index in its clusters.
+    out_of_clusters: BTreeSet<usize>,
+    /// Whose photographs are left of each identity, in the model's order; `None` where all are left out.
+    credited: Vec<Option<Credited>>,
+    /// [`Quarantine::changes`] before it was read.
+    changes: u64,
+}
+
+impl SceneSnapshot {
+    /// Reads the scene `name` as it is now, whose newest model says `info` of itself.
+    ///
+    /// # Errors
+    /// As [`scenes::open`]; [`EngineError::Stored`] for a damaged file.
+    pub fn read(
+        scenes: &Path,
+        quarantine: &Quarantine,
+        name: &str,
+        info: Option<ModelInfo>,
+    ) -> Result<Self, EngineError> {
+        let changes = quarantine.changes();
+        let scene = scenes::open(scenes, name)?;
+        let entries = quarantine.of(name)?;
+        let (out, _) = entries.names(&scene);
+        let out_of_clusters = info.as_ref().map(|info| entries.out_of(info)).unwrap_or_default();
+        let identities = info.iter().flat_map(|info| &info.identities);
+        let credited = identities.map(|identity| entries.credited(identity)).collect();
+        Ok(Self { name: name.to_owned(), scene, info, out, out_of_clusters, credited, changes })
+    }
+
+    /// Whether it still says what reading the scene `name` again would say.
+    pub fn is_current(&self, quarantine: &Quarantine, name: &str, newest: Option<&ModelInfo>) -> bool {
+        self.name == name && self.info.as_ref() == newest && self.changes == quarantine.changes()
+    }
+
+    /// The scene's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The scene, with all its views.
+    pub fn scene(&self) -> &SceneFolder {
+        &self.scene
+    }
+
+    /// What the newest model says of itself.
+    ///
+    /// # Errors
+    /// [`EngineError::NotTrained`].
+    pub fn info(&self) -> Result<&ModelInfo, EngineError> {
+        self.info.as_ref().ok_or_else(|| EngineError::NotTrained { scene: self.name.clone() })
+    }
+
+    /// The same; `None` before the first.
+    pub fn newest(&self) -> Option<&ModelInfo> {
+        self.info.as_ref()
+    }
+
+    /// Names of the views that are left out.
+    pub fn out(&self) -> &BTreeSet<String> {
+        &self.out
+    }
+
+    /// Whether the view `name` is left out.
+    pub fn is_out(&self, name: &str) -> bool {
+        self.out.contains(name)
+    }
+
+    /// Which views of the model's clusters are left out, by their index there.
+    pub fn out_of_clusters(&self) -> &BTreeSet<usize> {
+        &self.out_of_clusters
+    }
+
+    /// The camera of view `name`.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] lists some that there are.
+    pub fn camera_of(&self, name: &str) -> Result<Camera, EngineError> {
+        let capture = self.scene.capture();
+        Ok(capture.views[scenes::view_index(capture, name)?].camera)
+    }
+
+    /// SHA-256 of view `name`'s photograph.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] lists some that there are.
+    pub fn photograph_of(&self, name: &str) -> Result<Digest, EngineError> {
+        let view = scenes::view_index(self.scene.capture(), name)?;
+        Ok(Digest::from_bytes(self.scene.photograph_digest(view)))
+    }
+
+    /// Cameras and names of the views to train on that are not left out.
+    pub fn cameras(&self) -> Vec<(Camera, String)> {
+        let views = &self.scene.capture().views;
+        let training = self.scene.capture().training().map(|i| (views[i].camera, views[i].name.clone()));
+        training.filter(|(_, name)| !self.is_out(name)).collect()
+    }
+
+    /// Identity `number`, and whose photographs are left of it; `None` where all of them are left out.
+    ///
+    /// # Errors
+    /// [`EngineError::NotTrained`], [`EngineError::NotFound`].
+    pub fn identity(&self, number: u32) -> Result<(&IdentityInfo, Option<&Credited>), EngineError> {
+        let info = self.info()?;
+        let identity = info.identity(number)?;
+        let at = info.identities.iter().position(|i| i.number == number);
+        Ok((identity, at.and_then(|at| self.credited[at].as_ref())))
+    }
+}
