@@ -92,27 +92,6 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_contributors_caption_is_said_to_be_left_out() {
-    let place = Place::captioned();
-    let daemon = Daemon::start(&place.path("data"), "");
-    place.import("one", ["--connect", &daemon.url]);
-    let mut client = training(&daemon).await;
-    for (settings, said) in
-        [(TINY.to_owned(), 1), (TINY.replace("[field]", "[field]\nleave_out_watermarks = false"), 0)]
-    {
-        let job = client.start(base_only("one", 7, &settings)).await.unwrap().into_inner().job.unwrap();
-        let job = watch_until(&mut client, &job.id, ended).await;
-        assert_eq!(job.state(), JobState::Done, "{}", job.error);
-        let notes: Vec<&String> = job.notes.iter().filter(|note| note.contains("visible watermark")).collect();
-        assert_eq!(notes.len(), said, "{:?}", job.notes);
-        assert!(
-            notes.iter().all(|note| note.contains("photographs by ada carry") && note.contains("% of the frame")),
-            "{notes:?}"
-        );
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn cancelled_resumed_and_put_down_by_sigterm() {
     let place = Place::new();
     // Long enough that nobody waits for its end by chance.

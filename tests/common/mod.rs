@@ -48,23 +48,6 @@ impl Place {
         Self { dir }
     }
 
-    /// As [`Place::new`], with a caption (bright strokes on black) on the first contributor's photographs.
-    pub fn captioned() -> Self {
-        let place = Self::new();
-        let mut capture = Self::landmark();
-        let whose = capture.views[0].contributor.clone();
-        for view in capture.views.iter_mut().filter(|view| view.contributor == whose) {
-            for (at, pixel) in view.picture.rgb_mut().chunks_exact_mut(3).enumerate() {
-                let (x, y) = (at % 32, at / 32);
-                if (6..26).contains(&x) && (23..30).contains(&y) {
-                    pixel.fill(if x / 2 % 3 == 0 && (24..29).contains(&y) { 1.0 } else { 0.0 });
-                }
-            }
-        }
-        capture.write(&place.path("capture")).unwrap();
-        place
-    }
-
     fn landmark() -> LandmarkCapture {
         let config =
             LandmarkConfig { contributors: 2, photographs: 6, width: 32, height: 32, ..LandmarkConfig::default() };

@@ -32,9 +32,9 @@ pub struct FieldConfig {
     pub voxel_px: f64,
     /// So many vertices at most for that, 4,096 to 500,000,000.
     pub max_voxels: usize,
-    /// The last grid has fewer vertices than `voxels` where a voxel would be narrower than so many pixels of the middling view,
-    /// as seen at the scene's centre: small photographs do not tell what lies between their pixels; 0 (never) to 1. Takes two
-    /// levels at least.
+    /// The last grid has fewer vertices than `voxels` where a voxel would be narrower than so many pixels
+    /// of the middling view, as seen at the scene's centre: small photographs do not tell what lies between
+    /// their pixels; 0 (never) to 1. Takes two levels at least.
     pub min_voxel_px: f64,
     /// Coarse-to-fine levels, 1 to 5; each has eight times the voxels of the last (and more where
     /// `voxel_px` asks for more).
@@ -49,8 +49,8 @@ pub struct FieldConfig {
     pub learning_rate_appearance: f64,
     /// Learning rates fall to this share of themselves, exponentially; 0 to 1.
     pub final_rate: f64,
-    /// The field is the mean of the states of this last share of the steps, unless the last one explains the photographs
-    /// clearly better; 0 (the last state alone) to 0.3, in which the rows are the same.
+    /// The field is the mean of the states of this last share of the steps, unless the last one explains
+    /// the photographs clearly better; 0 (the last state alone) to 0.3, in which the rows are the same.
     pub mean_of_last: f64,
     /// Weight of the distortion loss (mip-NeRF 360 eq. 15), >= 0. In the open, where
     /// nothing ends a ray, 0.03 keeps haze away.
@@ -97,14 +97,8 @@ pub struct FieldConfig {
     /// Side of the square tiles that rays are drawn in on the last level, pixels: 1,
     /// 2, 4, 8 or 16; a quarter of it on each level before.
     pub tile_px: usize,
-    /// Whether pixels that a visible watermark covers are left out: what photographs of one contributor and size (four from
-    /// different poses, at least) carry at the same place, over 0.3 of the frame at most ([`crate::watermarks`]).
-    pub leave_out_watermarks: bool,
     /// Per-view appearance.
     pub appearance: AppearanceMode,
-    /// Where views have appearances of their own (six at least that differ in five ways): whether each place's colour may differ by itself
-    /// ([`crate::lights`]), not only all of them by one matrix.
-    pub basis_lights: bool,
 }
 
 impl Default for FieldConfig {
@@ -137,9 +131,7 @@ impl Default for FieldConfig {
             skip_weight: 5e-4,
             faint_weight: 0.003,
             tile_px: 4,
-            leave_out_watermarks: true,
             appearance: AppearanceMode::Auto,
-            basis_lights: false,
         }
     }
 }
@@ -179,8 +171,7 @@ impl FieldConfig {
             self.max_voxels.to_string(),
             "4096 to 500000000",
         )?;
-        let least = self.min_voxel_px;
-        check((0.0..=1.0).contains(&least), "field.min_voxel_px", number(least), "0 to 1")?;
+        check((0.0..=1.0).contains(&self.min_voxel_px), "field.min_voxel_px", number(self.min_voxel_px), "0 to 1")?;
         check((1..=5).contains(&self.levels), "field.levels", self.levels.to_string(), "1 to 5")?;
         for (key, value) in [
             ("field.learning_rate_density", self.learning_rate_density),

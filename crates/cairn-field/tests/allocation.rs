@@ -1,11 +1,11 @@
-//! Rays ask for no memory of their own: what a picture and a step need they take for tiles and threads. And a field is read
-//! without its file beside it.
+//! Rays ask for no memory of their own: what a picture and a step need they take for tiles and threads. And
+//! a field is read without its file beside it.
 
 mod common;
 
 use cairn_field::{BaseTrainer, Field, FieldConfig};
 use cairn_testkit::{Counting, allocations_of, peak_of};
-use common::{ball_box, camera, random_appearance, random_grid, stored_field, tiny, views};
+use common::{ball_box, camera, named, random_appearance, random_grid, stored_field, tiny, views};
 use glam::DVec3;
 use half::f16;
 use std::io::Cursor;
@@ -37,7 +37,7 @@ fn a_picture_of_many_rays_asks_for_memory_hardly_more_often_than_one_of_few() {
 fn a_step_of_many_rays_asks_for_memory_hardly_more_often_than_one_of_few() {
     let of = |rays_per_step: usize| {
         let config = FieldConfig { rays_per_step, levels: 1, ..tiny(40) };
-        let mut trainer = BaseTrainer::new(views(6, 64, 1.0, DVec3::ZERO), ball_box(), None, config, 3).unwrap();
+        let mut trainer = BaseTrainer::new(named(views(6, 64, 1.0, DVec3::ZERO)), ball_box(), None, config, 3).unwrap();
         let mut most = 0;
         for step in 0..20 {
             let count = asked(|| assert!(trainer.step().is_ok()));

@@ -1,11 +1,11 @@
 //! The light of a photograph that the field was not trained with, and what no light changes.
 
+use crate::common::named;
 use crate::common::{Numbers, ball_box, ball_in_the_open, random_grid, ring, rms, stored_with, tiny, views};
-use cairn_field::appearance::CODE;
-use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Colours, Field, FieldConfig, FieldError, SceneFrame};
+use cairn_field::appearance::code::CODE;
+use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, SceneFrame};
 use cairn_scene::Picture;
 use glam::DVec3;
-use std::sync::Arc;
 
 /// All numbers of an appearance, by `1 + more`.
 fn lit(more: f32) -> Appearance {
@@ -114,8 +114,9 @@ fn a_field_with_lights_beyond_all_bounds_says_so() {
     assert!(matches!(&error, FieldError::Stored { what: "field", .. }), "{error}");
 }
 
-/// A field trained on photographs of the ball, each in a light of its own: channels by other factors, and more or less haze.
-fn trained_in_many_lights(frame: &SceneFrame, basis_lights: bool) -> Field {
+/// A field trained on photographs of the ball, each in a light of its own: channels by other factors, and
+/// more or less haze.
+fn trained_in_many_lights(frame: &SceneFrame) -> Field {
     let mut numbers = Numbers(11);
     let mut views = views(12, 24, 1.0, DVec3::ZERO);
     for view in &mut views {
@@ -123,10 +124,10 @@ fn trained_in_many_lights(frame: &SceneFrame, basis_lights: bool) -> Field {
         let haze: [f64; 3] = std::array::from_fn(|_| numbers.within(0.0, 0.1));
         let lit = |(i, v): (usize, &f32)| (f64::from(*v) * gain[i % 3] + haze[i % 3]) as f32;
         let rgb = view.picture.rgb().iter().enumerate().map(lit).collect();
-        view.picture = Arc::new(Picture::new(24, 24, rgb).expect("three numbers a pixel"));
+        view.picture = Picture::new(24, 24, rgb).expect("three numbers a pixel");
     }
-    let config = FieldConfig { appearance: AppearanceMode::On, basis_lights, ..tiny(200) };
-    let mut trainer = BaseTrainer::new(views, frame.clone(), Some([0.5; 3]), config, 3).expect("sound settings");
+    let config = FieldConfig { appearance: AppearanceMode::On, ..tiny(200) };
+    let mut trainer = BaseTrainer::new(named(views), frame.clone(), Some([0.5; 3]), config, 3).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }
@@ -137,9 +138,8 @@ fn trained_in_many_lights(frame: &SceneFrame, basis_lights: bool) -> Field {
 fn an_appearance_changes_colours_and_leaves_geometry_to_the_bit() {
     let camera = ring(5, 32, 1.0, DVec3::ZERO)[2];
     let bits = |map: &[f32]| map.iter().map(|v| v.to_bits()).collect::<Vec<u32>>();
-    for (frame, basis_lights) in [(ball_box(), false), (ball_in_the_open(), false), (ball_in_the_open(), true)] {
-        let field = trained_in_many_lights(&frame, basis_lights);
-        assert_eq!(field.colours(), if basis_lights { Colours::Lit } else { Colours::Harmonics });
+    for frame in [ball_box(), ball_in_the_open()] {
+        let field = trained_in_many_lights(&frame);
         let lights: Vec<&Appearance> = field.appearances().iter().map(|(_, look)| look).collect();
         assert_eq!(lights.len(), 12);
         let first = field.render_maps(&camera, lights[0]);

@@ -1,5 +1,6 @@
 //! A known background is known to be empty: nothing of its colour is left before it.
 
+use crate::common::named;
 use crate::common::{ball_box, ball_in_the_open, photograph, ring, tiny, views};
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame};
 use glam::DVec3;
@@ -20,7 +21,7 @@ fn trained_in(frame: &SceneFrame, clear_background: f64, background: Option<[f32
         ..tiny(200)
     };
     let all = views(12, 32, 1.0, DVec3::ZERO);
-    let mut trainer = BaseTrainer::new(all, frame.clone(), background, config, 3).expect("sound settings");
+    let mut trainer = BaseTrainer::new(named(all), frame.clone(), background, config, 3).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }

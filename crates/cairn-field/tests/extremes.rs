@@ -1,25 +1,26 @@
 //! Training on photographs that leave little or nothing to learn: it stays finite
 //! and shows what there is, or it says what is wrong.
 
+use crate::common::{Photo, named};
 use crate::common::{ball_box, ball_in_the_open, camera, capture, facing, photographs, ring, rms, tiny, views};
-use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
+use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame};
 use cairn_scene::{Picture, SceneKind};
 use glam::DVec3;
-use std::sync::Arc;
 
 /// Trains to the end; every step is finite, and any checkpoint can be read.
-fn train(views: Vec<TrainingView>, frame: &SceneFrame, background: Option<[f32; 3]>, config: FieldConfig) -> Field {
-    let mut trainer = BaseTrainer::new(views.clone(), frame.clone(), background, config, 2).expect("sound settings");
+fn train(views: Vec<Photo>, frame: &SceneFrame, background: Option<[f32; 3]>, config: FieldConfig) -> Field {
+    let mut trainer =
+        BaseTrainer::new(named(views.clone()), frame.clone(), background, config, 2).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         assert!(trainer.step().expect("finite numbers").loss.is_finite());
     }
-    BaseTrainer::resume(&trainer.checkpoint().expect("a checkpoint"), views).expect("finite numbers in it");
+    BaseTrainer::resume(&trainer.checkpoint().expect("a checkpoint"), named(views)).expect("finite numbers in it");
     trainer.finish()
 }
 
 /// How far the field's renders of its own views are off, root mean square.
-fn off(field: &Field, views: &[TrainingView]) -> f64 {
-    let one = |v: &TrainingView| {
+fn off(field: &Field, views: &[Photo]) -> f64 {
+    let one = |v: &Photo| {
         let shown = field.render(&v.camera, field.appearance_of(&v.name));
         assert!(shown.rgb().iter().all(|v| v.is_finite()), "{}", v.name);
         rms(shown.rgb(), v.picture.rgb())
@@ -27,16 +28,16 @@ fn off(field: &Field, views: &[TrainingView]) -> f64 {
     views.iter().map(one).fold(0.0, f64::max)
 }
 
-fn of_colour(colour: [f32; 3]) -> Vec<TrainingView> {
+fn of_colour(colour: [f32; 3]) -> Vec<Photo> {
     let mut views = views(5, 20, 1.0, DVec3::ZERO);
     for view in &mut views {
-        view.picture = Arc::new(Picture::constant(20, 20, colour));
+        view.picture = Picture::constant(20, 20, colour);
     }
     views
 }
 
 /// Views that look ahead, and the frame around them.
-fn ahead(n: usize, size: usize) -> (Vec<TrainingView>, SceneFrame) {
+fn ahead(n: usize, size: usize) -> (Vec<Photo>, SceneFrame) {
     let cameras = facing(n, size, 1.0, DVec3::ZERO);
     let views = photographs(&cameras, 1.0, DVec3::ZERO);
     let frame = SceneFrame::from_capture(&capture(SceneKind::ForwardFacing, cameras, 1.0, DVec3::ZERO));
@@ -48,12 +49,12 @@ fn looking_ahead_constant_and_saturated_photographs_are_reproduced() {
     for colour in [[0.0; 3], [1.0; 3], [0.0, 1.0, 0.5], [7.0, -3.0, 0.5]] {
         let (mut views, frame) = ahead(5, 20);
         for view in &mut views {
-            view.picture = Arc::new(Picture::constant(20, 20, colour));
+            view.picture = Picture::constant(20, 20, colour);
         }
         let field = train(views.clone(), &frame, None, tiny(80));
         // Beyond the range they are saturated.
         for view in &mut views {
-            view.picture = Arc::new(Picture::constant(20, 20, colour.map(|v: f32| v.clamp(0.0, 1.0))));
+            view.picture = Picture::constant(20, 20, colour.map(|v: f32| v.clamp(0.0, 1.0)));
         }
         assert!(off(&field, &views) < 0.01, "{colour:?}: {}", off(&field, &views));
         let field = train(views.clone(), &frame, Some([0.5; 3]), tiny(200));
@@ -106,7 +107,7 @@ fn two_cameras_on_top_of_one_another_are_learnt() {
         let field = train(views.clone(), &frame, None, tiny(150));
         assert!(off(&field, &views) < 0.08, "{frame:?}: {}", off(&field, &views));
         // One place and two stories: something between them, and finite.
-        views[1].picture = Arc::new(Picture::constant(24, 24, [0.5; 3]));
+        views[1].picture = Picture::constant(24, 24, [0.5; 3]);
         let field = train(views.clone(), &frame, None, tiny(80));
         assert!(off(&field, &views) < 0.4);
     }
@@ -123,7 +124,7 @@ fn cameras_inside_the_grid_are_learnt_from() {
     for frame in [ball_box(), ball_in_the_open()] {
         let mut views = photographs(&cameras, 1.0, DVec3::ZERO);
         for view in &mut views {
-            view.picture = Arc::new(Picture::constant(20, 20, [0.8, 0.3, 0.1]));
+            view.picture = Picture::constant(20, 20, [0.8, 0.3, 0.1]);
         }
         let field = train(views.clone(), &frame, Some([0.5; 3]), tiny(150));
         assert!(off(&field, &views) < 0.08, "{frame:?}: {}", off(&field, &views));

@@ -1,10 +1,9 @@
 //! Ten photographs from all around a landmark, as visitors bring home: views between
 //! them must show it, and not the clouds that explain each photograph by itself.
 
-use std::sync::Arc;
-
 use crate::common::landmark::{frame, held_out_db, wild};
-use cairn_field::{BaseTrainer, Field, FieldConfig, Spacing, TrainingView};
+use crate::common::{Photo, named};
+use cairn_field::{BaseTrainer, Field, FieldConfig, Spacing};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
 
 /// Thirty places around the landmark, in one light: every third is trained on.
@@ -22,15 +21,15 @@ fn ring(seed: u64) -> LandmarkCapture {
 }
 
 fn trained(capture: &LandmarkCapture, smoother_beyond_deg: f64) -> (Spacing, Field) {
-    let view = |v: &cairn_landmark::LandmarkView| TrainingView {
+    let view = |v: &cairn_landmark::LandmarkView| Photo {
         name: v.name.clone(),
-        contributor: v.contributor.clone(),
         camera: v.camera,
-        picture: Arc::new(v.picture.clone()),
+        picture: v.picture.clone(),
+        mask: None,
     };
     let views = capture.views.iter().skip(1).step_by(3).map(view).collect();
     let config = FieldConfig { voxels: 1_000_000, levels: 3, smoother_beyond_deg, ..wild(400) };
-    let mut trainer = BaseTrainer::new(views, frame(capture), None, config, 1).expect("sound settings");
+    let mut trainer = BaseTrainer::new(named(views), frame(capture), None, config, 1).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }

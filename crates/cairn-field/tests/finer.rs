@@ -2,10 +2,9 @@
 //! as many pixels wide as asked for, and shows more of what no training saw. And no finer than the
 //! photographs: what lies between their pixels is learnt by heart.
 
-use std::sync::Arc;
-
 use crate::common::landmark::{frame, held_out_db, wild};
-use cairn_field::{BaseTrainer, Field, FieldConfig, LightVerdict, TrainingView};
+use crate::common::{Photo, named};
+use cairn_field::{BaseTrainer, Field, FieldConfig, LightVerdict};
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
 
 /// Vertices of the last grid where nothing asks for more: voxels some five pixels wide.
@@ -31,19 +30,19 @@ fn photographed((width, height): (usize, usize), light_variation: f32, seed: u64
 }
 
 /// All views but each fourth.
-fn views(capture: &LandmarkCapture) -> Vec<TrainingView> {
-    let view = |v: &cairn_landmark::LandmarkView| TrainingView {
+fn views(capture: &LandmarkCapture) -> Vec<Photo> {
+    let view = |v: &cairn_landmark::LandmarkView| Photo {
         name: v.name.clone(),
-        contributor: v.contributor.clone(),
         camera: v.camera,
-        picture: Arc::new(v.picture.clone()),
+        picture: v.picture.clone(),
+        mask: None,
     };
     capture.views.iter().enumerate().filter(|(i, _)| i % 4 != 0).map(|(_, v)| view(v)).collect()
 }
 
 fn trainer(capture: &LandmarkCapture, voxel_px: f64) -> BaseTrainer {
     let config = FieldConfig { voxels: VOXELS, levels: 3, voxel_px, ..wild(400) };
-    BaseTrainer::new(views(capture), frame(capture), None, config, 1).expect("sound settings")
+    BaseTrainer::new(named(views(capture)), frame(capture), None, config, 1).expect("sound settings")
 }
 
 fn run(mut trainer: BaseTrainer) -> BaseTrainer {
@@ -77,7 +76,7 @@ fn small_photographs_are_not_learnt_by_heart() {
     let capture = photographed((24, 32), 0.0, 1);
     let trained = |min_voxel_px| {
         let config = FieldConfig { voxels: 8_000_000, levels: 4, voxel_px: 0.0, min_voxel_px, ..wild(400) };
-        run(BaseTrainer::new(views(&capture), frame(&capture), None, config, 1).expect("sound settings"))
+        run(BaseTrainer::new(named(views(&capture)), frame(&capture), None, config, 1).expect("sound settings"))
     };
     let shown = |min_voxel_px| {
         let trainer = trained(min_voxel_px);
@@ -104,10 +103,11 @@ fn light_that_is_found_out_late_changes_no_grid() {
     for view in &mut noise {
         let (w, h) = (view.picture.width(), view.picture.height());
         let rgb = (0..3 * w * h).map(|_| numbers.share() as f32).collect();
-        view.picture = Arc::new(cairn_scene::Picture::new(w, h, rgb).expect("three numbers a pixel"));
+        view.picture = cairn_scene::Picture::new(w, h, rgb).expect("three numbers a pixel");
     }
     let config = FieldConfig { voxels: VOXELS, levels: 3, voxel_px: 2.0, ..wild(60) };
-    let trainer = run(BaseTrainer::new(noise, frame(&capture(0.0, 1)), None, config, 1).expect("sound settings"));
+    let trainer =
+        run(BaseTrainer::new(named(noise), frame(&capture(0.0, 1)), None, config, 1).expect("sound settings"));
     assert!(matches!(trainer.light(), LightVerdict::OneLight { .. }), "{:?}", trainer.light());
     assert!(trainer.finer().is_none() && (0.9..1.1).contains(&times(&trainer)), "{}", times(&trainer));
 }
@@ -117,7 +117,8 @@ fn only_one_light_makes_less_smooth() {
     let roughness = |light_variation, smooth_in_one_light| {
         let capture = capture(light_variation, 1);
         let config = FieldConfig { voxels: VOXELS, levels: 2, smooth_in_one_light, ..wild(200) };
-        let trainer = run(BaseTrainer::new(views(&capture), frame(&capture), None, config, 1).expect("sound settings"));
+        let trainer =
+            run(BaseTrainer::new(named(views(&capture)), frame(&capture), None, config, 1).expect("sound settings"));
         roughness(&trainer.finish(), &capture)
     };
     let (usual, less) = (roughness(0.0, 1.0), roughness(0.0, 0.1));
@@ -158,7 +159,7 @@ fn a_resumed_training_comes_to_the_same_grid() {
     assert!(whole.finer().is_some_and(|vertices| vertices > 4 * VOXELS), "{:?}", whole.finer());
     let expected = whole.checkpoint().expect("a checkpoint");
     for bytes in saved {
-        let mut resumed = BaseTrainer::resume(&bytes, views(&capture)).expect("a sound checkpoint");
+        let mut resumed = BaseTrainer::resume(&bytes, named(views(&capture))).expect("a sound checkpoint");
         while resumed.steps_done() < 300 {
             resumed.step().expect("finite numbers");
         }

@@ -3,11 +3,11 @@
 //! losses on the weights; and the appearance code.
 
 use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, random_appearance, random_grid};
-use cairn_field::appearance::{CODE, FEATURES, features};
-use cairn_field::composite::{Gathered, Regularise, Thresholds, gather, push_back};
-use cairn_field::grid::{Grid, ROW};
-use cairn_field::patch::{Debts, Patch, Roulette};
-use cairn_field::sh::{SH, basis};
+use cairn_field::appearance::code::{CODE, FEATURES, features};
+use cairn_field::grid::lattice::{Grid, ROW};
+use cairn_field::grid::sh::{SH, basis};
+use cairn_field::render::composite::{Gathered, Regularise, Thresholds, gather, push_back};
+use cairn_field::render::patch::{Debts, Patch, Roulette};
 use cairn_field::{Appearance, RayPath, SceneFrame};
 use glam::DVec3;
 
@@ -254,7 +254,7 @@ fn extreme_rays_have_finite_gradients() {
             let mut debts = Debts::default();
             assert!(patch.settle(&mut Roulette::default(), &mut debts), "raw density {raw}");
             for debt in &debts.owed {
-                let numbers = debt.light.iter().chain([&debt.raw, &debt.most]);
+                let numbers = debt.light.iter().chain([&debt.raw, &debt.max_weight]);
                 assert!(numbers.copied().all(f32::is_finite), "raw density {raw}: {debt:?}");
             }
         }

@@ -1,35 +1,38 @@
 //! What must not go wrong on bad input: one clear error, never a panic, and the
 //! last good state.
 
+use crate::common::{Photo, named};
 use crate::common::{
     ball_box, ball_in_the_open, camera, field_of, random_grid, stored_field, stored_with, tiny, views,
 };
-use cairn_field::grid::{Grid, ROW};
-use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError, TrainingView};
-use cairn_scene::Picture;
+use cairn_field::grid::lattice::{Grid, ROW};
+use cairn_field::{Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, FieldError};
+use cairn_scene::{Mask, Picture};
 use glam::DVec3;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
-use std::sync::Arc;
 
-fn start(views: Vec<TrainingView>) -> Result<BaseTrainer, FieldError> {
-    BaseTrainer::new(views, ball_box(), None, tiny(20), 1)
+fn start(views: Vec<Photo>) -> Result<BaseTrainer, FieldError> {
+    BaseTrainer::new(named(views), ball_box(), None, tiny(20), 1)
 }
 
-fn refused(views: Vec<TrainingView>) -> String {
+fn refused(views: Vec<Photo>) -> String {
     start(views).err().expect("an error").to_string()
 }
 
 #[test]
 fn bad_views_are_refused_by_name() {
     assert!(refused(Vec::new()).contains("none to train on"));
-    let mut holed = views(3, 16, 1.0, DVec3::ZERO);
-    Arc::make_mut(&mut holed[1].picture).rgb_mut()[(2 * 16 + 5) * 3 + 1] = f32::NAN;
-    let text = refused(holed);
-    assert!(text.contains("001.png") && text.contains("(5, 2)"), "{text}");
+    let mut masked = views(3, 16, 1.0, DVec3::ZERO);
+    masked[1].mask = Some(Mask::from_fn(15, 16, |_, _| true).expect("pixels"));
+    let text = refused(masked);
+    assert!(text.contains("001.png") && text.contains("mask 15 x 16"), "{text}");
+    let mut hidden = views(3, 16, 1.0, DVec3::ZERO);
+    hidden.iter_mut().for_each(|view| view.mask = Some(Mask::from_fn(16, 16, |_, _| false).expect("pixels")));
+    assert!(refused(hidden).contains("no pixel to learn from"));
     let mut other = views(3, 16, 1.0, DVec3::ZERO);
-    other[2].picture = Arc::new(Picture::constant(16, 15, [0.5; 3]));
+    other[2].picture = Picture::constant(16, 15, [0.5; 3]);
     let text = refused(other);
     assert!(text.contains("002.png") && text.contains("16 x 16") && text.contains("16 x 15"), "{text}");
 }
@@ -156,10 +159,10 @@ fn damaged_files_are_errors() {
         assert!(matches!(Field::from_bytes(&field[..n]), Err(FieldError::Stored { .. })), "cut at {n}");
     }
     for n in (0..checkpoint.len()).step_by(checkpoint.len() / 60) {
-        let resumed = BaseTrainer::resume(&checkpoint[..n], views(2, 12, 1.0, DVec3::ZERO));
+        let resumed = BaseTrainer::resume(&checkpoint[..n], named(views(2, 12, 1.0, DVec3::ZERO)));
         assert!(matches!(resumed, Err(FieldError::Stored { .. })), "cut at {n}");
     }
-    let resumed = BaseTrainer::resume(&checkpoint, views(3, 12, 1.0, DVec3::ZERO));
+    let resumed = BaseTrainer::resume(&checkpoint, named(views(3, 12, 1.0, DVec3::ZERO)));
     assert!(matches!(resumed, Err(FieldError::Views(_))), "other views");
     assert!(matches!(Field::from_bytes(&checkpoint), Err(FieldError::Stored { .. })), "a checkpoint is no field");
     // A flipped byte may go unnoticed in a number, but must never panic.
@@ -274,11 +277,12 @@ fn checkpoints_that_do_not_fit_are_refused() {
     let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
     trainer.step().expect("finite numbers");
     let bytes = trainer.checkpoint().expect("a checkpoint");
-    let resume = |bytes: &[u8]| BaseTrainer::resume(bytes, views(2, 12, 1.0, DVec3::ZERO)).err().map(|e| e.to_string());
+    let resume =
+        |bytes: &[u8]| BaseTrainer::resume(bytes, named(views(2, 12, 1.0, DVec3::ZERO))).err().map(|e| e.to_string());
     assert_eq!(resume(&altered(&bytes, |_| (), "", None)), None);
     let text =
-        resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/9".into(), "", None)).expect("an error");
-    assert!(text.contains("checkpoint/9"), "{text}");
+        resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/10".into(), "", None)).expect("an error");
+    assert!(text.contains("checkpoint/10"), "{text}");
     // An older one has another header, too.
     let older = |h: &mut serde_json::Value| {
         h["format"] = "cairn.field.checkpoint/6".into();
@@ -298,19 +302,12 @@ fn checkpoints_that_do_not_fit_are_refused() {
     let settled = altered(&bytes, |h| h["light"] = "settled".into(), "", None);
     assert!(resume(&settled).expect("an error").contains("light"), "these settings leave it to be found out");
     let config = FieldConfig { appearance: AppearanceMode::Off, ..tiny(20) };
-    let off = BaseTrainer::new(views(2, 12, 1.0, DVec3::ZERO), ball_box(), None, config, 1).expect("sound settings");
+    let off =
+        BaseTrainer::new(named(views(2, 12, 1.0, DVec3::ZERO)), ball_box(), None, config, 1).expect("sound settings");
     let bytes_of_off = off.checkpoint().expect("a checkpoint");
     assert_eq!(resume(&bytes_of_off), None);
     let open = altered(&bytes_of_off, |h| h["light"] = "open".into(), "", None);
     assert!(resume(&open).expect("an error").contains("light"), "these settle it");
-    for asked in [false, true] {
-        let change = |h: &mut serde_json::Value| {
-            h["colours"] = "lit".into();
-            h["config"]["basis_lights"] = asked.into();
-        };
-        let text = resume(&altered(&bytes, change, "", None)).expect("an error");
-        assert!(text.contains("basis lights"), "they begin when the light is known: {text}");
-    }
     for key in ["step", "adam_steps", "appearance_steps", "drawn"] {
         let text = resume(&altered(&bytes, |h| h[key] = u64::MAX.into(), "", None)).expect("an error");
         assert!(text.contains("steps"), "{key}: {text}");
@@ -352,7 +349,7 @@ fn begun() -> Vec<u8> {
 }
 
 fn resume(bytes: &[u8]) -> BaseTrainer {
-    BaseTrainer::resume(bytes, views(2, 12, 1.0, DVec3::ZERO)).expect("finite numbers")
+    BaseTrainer::resume(bytes, named(views(2, 12, 1.0, DVec3::ZERO))).expect("finite numbers")
 }
 
 /// The bytes of one tensor of a checkpoint.
@@ -364,7 +361,8 @@ fn tensor(bytes: &[u8], name: &str) -> Vec<u8> {
 fn a_state_that_is_not_finite_is_no_checkpoint() {
     // Two steps of this size leave what single precision holds.
     let config = FieldConfig { learning_rate_density: 3e38, ..tiny(20) };
-    let mut trainer = BaseTrainer::new(views(2, 12, 1.0, DVec3::ZERO), ball_box(), None, config, 1).expect("settings");
+    let mut trainer =
+        BaseTrainer::new(named(views(2, 12, 1.0, DVec3::ZERO)), ball_box(), None, config, 1).expect("settings");
     assert!(trainer.checkpoint().is_ok());
     let refused = (0..9).find_map(|_| {
         let failed = trainer.step().err();
@@ -440,7 +438,7 @@ fn numbers_of_any_size_are_refused_or_survived() {
                     match outcome {
                         Ok(stats) => {
                             assert!(stats.loss.is_finite());
-                            let read = BaseTrainer::resume(&after, views(2, 12, 1.0, DVec3::ZERO)).err();
+                            let read = BaseTrainer::resume(&after, named(views(2, 12, 1.0, DVec3::ZERO))).err();
                             assert!(read.is_none(), "{name} of {poison}: {}", read.expect("an error"));
                         }
                         Err(FieldError::NotFinite { .. }) => {

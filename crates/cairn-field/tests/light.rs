@@ -1,30 +1,31 @@
 //! Whether photographs differ in light is found out, and stays found out.
 
+use crate::common::{Photo, named};
 use crate::common::{ball_box, ball_in_the_open, ring, tiny};
-use cairn_field::{AppearanceMode, BaseTrainer, FieldConfig, LightVerdict, TrainingView};
+use cairn_field::{AppearanceMode, BaseTrainer, FieldConfig, LightVerdict};
 use cairn_scene::{Camera, Picture};
 use glam::DVec3;
-use std::sync::Arc;
 
 /// Photographs of one ball, two from each of four places; with `tints`, the second was
 /// taken on another day.
-fn photographs(tints: bool) -> Vec<TrainingView> {
+fn photographs(tints: bool) -> Vec<Photo> {
     pairs(32, if tints { [0.4, 0.7, 1.0] } else { [1.0; 3] })
 }
 
-fn pairs(size: usize, tint: [f32; 3]) -> Vec<TrainingView> {
+fn pairs(size: usize, tint: [f32; 3]) -> Vec<Photo> {
     let places = ring(4, size, 1.0, DVec3::ZERO);
     let mut all = crate::common::photographs(&[&places[..], &places[..]].concat(), 1.0, DVec3::ZERO);
     for view in &mut all[4..] {
         let rgb = view.picture.rgb().iter().enumerate().map(|(i, v)| v * tint[i % 3]).collect();
-        view.picture = Arc::new(Picture::new(size, size, rgb).expect("three numbers a pixel"));
+        view.picture = Picture::new(size, size, rgb).expect("three numbers a pixel");
     }
     all
 }
 
 fn trained(tints: bool, frame: &cairn_field::SceneFrame, appearance: AppearanceMode) -> BaseTrainer {
     let config = FieldConfig { appearance, ..tiny(800) };
-    let mut trainer = BaseTrainer::new(photographs(tints), frame.clone(), Some([0.5; 3]), config, 3).expect("sound");
+    let mut trainer =
+        BaseTrainer::new(named(photographs(tints)), frame.clone(), Some([0.5; 3]), config, 3).expect("sound");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }
@@ -59,10 +60,10 @@ fn visitors_who_stand_elsewhere_differ_in_light_too() {
         let mut all = crate::common::photographs(&both, 1.0, DVec3::ZERO);
         for view in &mut all[9..] {
             let rgb = view.picture.rgb().iter().enumerate().map(|(i, v)| v * tint[i % 3]).collect();
-            view.picture = Arc::new(Picture::new(32, 32, rgb).expect("three numbers a pixel"));
+            view.picture = Picture::new(32, 32, rgb).expect("three numbers a pixel");
         }
         let config = FieldConfig { appearance: AppearanceMode::Auto, ..tiny(800) };
-        let mut trainer = BaseTrainer::new(all, frame, Some([0.5; 3]), config, 3).expect("sound settings");
+        let mut trainer = BaseTrainer::new(named(all), frame, Some([0.5; 3]), config, 3).expect("sound settings");
         while trainer.light() == LightVerdict::Open {
             trainer.step().expect("finite numbers");
         }
@@ -78,9 +79,9 @@ fn the_look_spreads_over_larger_photographs_too() {
     for view in &mut all[4..] {
         let tint = |i: usize| if (i / 3).is_multiple_of(4) { 1.0 } else { [0.4, 0.7, 1.0][i % 3] };
         let rgb = view.picture.rgb().iter().enumerate().map(|(i, v)| v * tint(i)).collect();
-        view.picture = Arc::new(Picture::new(64, 64, rgb).expect("three numbers a pixel"));
+        view.picture = Picture::new(64, 64, rgb).expect("three numbers a pixel");
     }
-    let mut trainer = BaseTrainer::new(all, ball_box(), Some([0.5; 3]), tiny(1600), 3).expect("sound settings");
+    let mut trainer = BaseTrainer::new(named(all), ball_box(), Some([0.5; 3]), tiny(1600), 3).expect("sound settings");
     while trainer.light() == LightVerdict::Open {
         trainer.step().expect("finite numbers");
     }
@@ -93,9 +94,9 @@ fn photographs_that_nothing_explains_are_decided_on_too() {
     let mut all = photographs(false);
     for view in &mut all {
         let rgb = (0..3 * 32 * 32).map(|_| numbers.share() as f32).collect();
-        view.picture = Arc::new(Picture::new(32, 32, rgb).expect("three numbers a pixel"));
+        view.picture = Picture::new(32, 32, rgb).expect("three numbers a pixel");
     }
-    let mut trainer = BaseTrainer::new(all, ball_box(), Some([0.5; 3]), tiny(64), 3).expect("sound settings");
+    let mut trainer = BaseTrainer::new(named(all), ball_box(), Some([0.5; 3]), tiny(64), 3).expect("sound settings");
     for step in 1..=40 {
         trainer.step().expect("finite numbers");
         assert!(step >= 32 || trainer.light() == LightVerdict::Open, "noise told anything after {step} steps");
@@ -122,7 +123,7 @@ fn a_resumed_training_knows_what_was_found() {
     for tints in [false, true] {
         let config = FieldConfig { appearance: AppearanceMode::Auto, ..tiny(800) };
         let mut trainer =
-            BaseTrainer::new(photographs(tints), ball_box(), Some([0.5; 3]), config, 3).expect("sound settings");
+            BaseTrainer::new(named(photographs(tints)), ball_box(), Some([0.5; 3]), config, 3).expect("sound settings");
         let mut saved = Vec::new();
         for step in 0..240 {
             // Before the look (after step 200), just before, just after, later.
@@ -135,7 +136,7 @@ fn a_resumed_training_knows_what_was_found() {
         assert_eq!(matches!(trainer.light(), LightVerdict::ManyLights { .. }), tints, "{:?}", trainer.light());
         let expected = go_on(&mut trainer);
         for bytes in &saved {
-            let mut resumed = BaseTrainer::resume(bytes, photographs(tints)).expect("a sound checkpoint");
+            let mut resumed = BaseTrainer::resume(bytes, named(photographs(tints))).expect("a sound checkpoint");
             assert!(resumed.checkpoint().expect("a checkpoint") == *bytes, "read as it was written");
             assert!(go_on(&mut resumed) == expected);
         }
@@ -147,27 +148,29 @@ fn views_of_a_pixel_leave_it_open_or_say_a_number() {
     // Both pixels may fall to the half that fits, and none be left to judge by.
     for seed in 0..8 {
         let all = crate::common::photographs(&ring(2, 1, 1.0, DVec3::ZERO), 1.0, DVec3::ZERO);
-        let mut trainer = BaseTrainer::new(all.clone(), ball_box(), None, tiny(30), seed).expect("sound settings");
+        let mut trainer =
+            BaseTrainer::new(named(all.clone()), ball_box(), None, tiny(30), seed).expect("sound settings");
         for _ in 0..30 {
             trainer.step().expect("finite numbers");
         }
         if let LightVerdict::OneLight { spread } | LightVerdict::ManyLights { spread } = trainer.light() {
             assert!(spread.is_finite(), "seed {seed}");
         }
-        BaseTrainer::resume(&trainer.checkpoint().expect("a checkpoint"), all).expect("reads its own file");
+        BaseTrainer::resume(&trainer.checkpoint().expect("a checkpoint"), named(all)).expect("reads its own file");
     }
 }
 
 #[test]
 fn a_flipped_bit_in_a_checkpoint_is_noticed() {
-    let mut trainer = BaseTrainer::new(photographs(false), ball_box(), None, tiny(10), 3).expect("sound settings");
+    let mut trainer =
+        BaseTrainer::new(named(photographs(false)), ball_box(), None, tiny(10), 3).expect("sound settings");
     trainer.step().expect("finite numbers");
     let mut bytes = trainer.checkpoint().expect("a checkpoint");
     // The lowest bits all over the file, header included: nobody would see most.
     for at in (0..bytes.len()).step_by(bytes.len() / 97) {
         bytes[at] ^= 1;
-        assert!(BaseTrainer::resume(&bytes, photographs(false)).is_err(), "byte {at} of {}", bytes.len());
+        assert!(BaseTrainer::resume(&bytes, named(photographs(false))).is_err(), "byte {at} of {}", bytes.len());
         bytes[at] ^= 1;
     }
-    assert!(BaseTrainer::resume(&bytes, photographs(false)).is_ok());
+    assert!(BaseTrainer::resume(&bytes, named(photographs(false))).is_ok());
 }

@@ -4,10 +4,10 @@
 use crate::common::{
     Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid,
 };
-use cairn_field::grid::Grid;
-use cairn_field::marched::{CHANGE, MarchedView};
-use cairn_field::operator::{CarrierBasis, MarkableField};
-use cairn_field::sh::SH;
+use cairn_field::grid::lattice::Grid;
+use cairn_field::grid::sh::SH;
+use cairn_field::{CHANGE, MarchedView};
+use cairn_field::{CarrierBasis, MarkableField};
 use cairn_field::{Field, SceneFrame};
 use glam::DVec3;
 

@@ -1,23 +1,23 @@
 //! The mean of a training's last states: what it is worth on views that were not trained on.
 
 use crate::common::{Numbers, ball_box, camera, photograph, rms, tiny, views};
-use cairn_field::{BaseTrainer, Field, FieldConfig, TrainingView};
+use crate::common::{Photo, named};
+use cairn_field::{BaseTrainer, Field, FieldConfig};
 use cairn_scene::{Camera, Picture};
 use glam::DVec3;
-use std::sync::Arc;
 
 /// The view with a photograph as of a small sensor at night: grain of up to 0.2.
-fn grainy(view: TrainingView) -> TrainingView {
+fn grainy(view: Photo) -> Photo {
     let mut numbers = Numbers(view.name.bytes().map(u64::from).sum());
     let (width, height) = (view.picture.width(), view.picture.height());
     let rgb = view.picture.rgb().iter().map(|v| (v + numbers.within(-0.2, 0.2) as f32).clamp(0.0, 1.0)).collect();
-    TrainingView { picture: Arc::new(Picture::new(width, height, rgb).expect("as large")), ..view }
+    Photo { picture: Picture::new(width, height, rgb).expect("as large"), ..view }
 }
 
 fn trained(mean_of_last: f64, seed: u64) -> Field {
     let config = FieldConfig { mean_of_last, ..tiny(600) };
     let photographs = views(9, 32, 1.0, DVec3::ZERO).into_iter().map(grainy).collect();
-    let mut trainer = BaseTrainer::new(photographs, ball_box(), None, config, seed).expect("sound settings");
+    let mut trainer = BaseTrainer::new(named(photographs), ball_box(), None, config, seed).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }
@@ -45,7 +45,7 @@ fn the_last_state_is_kept_where_the_mean_lags_behind() {
     let end = |mean_of_last: f64| {
         let config = FieldConfig { mean_of_last, ..tiny(60) };
         let mut trainer =
-            BaseTrainer::new(views(9, 32, 1.0, DVec3::ZERO), ball_box(), None, config, 1).expect("settings");
+            BaseTrainer::new(named(views(9, 32, 1.0, DVec3::ZERO)), ball_box(), None, config, 1).expect("settings");
         while trainer.steps_done() < trainer.steps_total() {
             trainer.step().expect("finite numbers");
         }

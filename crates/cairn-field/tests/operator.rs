@@ -4,10 +4,10 @@
 use crate::common::{
     Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid,
 };
-use cairn_field::grid::{Grid, ROW};
-use cairn_field::operator::{CarrierBasis, LinearView, MarkableField};
-use cairn_field::sh::{SH, SH_DC};
+use cairn_field::grid::lattice::{Grid, ROW};
+use cairn_field::grid::sh::{SH, SH_DC};
 use cairn_field::{Appearance, Field, SceneFrame};
+use cairn_field::{CarrierBasis, LinearView, MarkableField};
 use glam::DVec3;
 
 const BASES: [CarrierBasis; 2] = [CarrierBasis::Constant, CarrierBasis::Harmonics];

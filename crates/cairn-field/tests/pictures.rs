@@ -2,12 +2,12 @@
 //! each ray by itself shows, whatever the tile.
 
 use crate::common::{ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
-use cairn_field::appearance::features;
-use cairn_field::composite::see;
-use cairn_field::grid::Grid;
-use cairn_field::marched::MarchedView;
-use cairn_field::operator::MarkableField;
-use cairn_field::rays::Lens;
+use cairn_field::MarchedView;
+use cairn_field::MarkableField;
+use cairn_field::appearance::code::features;
+use cairn_field::grid::lattice::Grid;
+use cairn_field::rays::lens::Lens;
+use cairn_field::render::composite::see;
 use cairn_field::{Field, SceneFrame, Thresholds};
 use cairn_scene::Camera;
 use glam::DVec3;

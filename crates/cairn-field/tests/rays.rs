@@ -3,8 +3,8 @@
 //! never adds, moves or loses one.
 
 use crate::common::{Numbers, ahead, ball_box, random_grid};
-use cairn_field::grid::Grid;
-use cairn_field::march::{STEP_VOXELS, Sample, march};
+use cairn_field::grid::lattice::Grid;
+use cairn_field::rays::march::{STEP_VOXELS, Sample, march};
 use cairn_field::{RayPath, Real, SceneFrame};
 use glam::DVec3;
 

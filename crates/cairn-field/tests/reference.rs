@@ -4,12 +4,12 @@
 //! to look at it; what steps of half a voxel leave of the integral is bounded.
 
 use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
-use cairn_field::appearance::features;
-use cairn_field::composite::gather;
-use cairn_field::grid::{DENSITY_SCALE, EMPTY_RAW, Grid, ROW};
-use cairn_field::march::STEP_VOXELS;
-use cairn_field::patch::Patch;
-use cairn_field::sh::basis;
+use cairn_field::appearance::code::features;
+use cairn_field::grid::lattice::{DENSITY_SCALE, EMPTY_RAW, Grid, ROW};
+use cairn_field::grid::sh::basis;
+use cairn_field::rays::march::STEP_VOXELS;
+use cairn_field::render::composite::gather;
+use cairn_field::render::patch::Patch;
 use cairn_field::{Appearance, SceneFrame, Thresholds};
 use cairn_scene::Camera;
 use glam::DVec3;
@@ -273,7 +273,7 @@ fn agree(frame: &SceneFrame, grid: &Grid<f32>, cameras: &[Camera], off: (f64, f6
         let (most, mean) = differences(&shown, &same);
         assert!(most < 3e-3 && mean < 1e-3, "view {n}, left out: {most}, rms {mean}");
         let exact: Vec<f32> = field
-            .gather_view(camera, &look, Thresholds::EXACT)
+            .gather_view(camera, Thresholds::EXACT)
             .iter()
             .flat_map(|(g, basis)| look.shade(&features(g, basis)))
             .collect();

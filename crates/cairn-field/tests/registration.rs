@@ -1,9 +1,10 @@
 //! Where a picture was taken is found again, also where it was turned, cut or lit otherwise since; and a picture of
 //! something else is explained from nowhere.
 
+use crate::common::named;
 use crate::common::{ball_box, ring, rms, views};
-use cairn_field::registration::{Registered, Registrar};
 use cairn_field::{BaseTrainer, Field, FieldConfig};
+use cairn_field::{Registered, Registrar};
 use cairn_scene::{Camera, Picture};
 use glam::{DMat3, DVec3};
 use std::sync::{Arc, OnceLock};
@@ -16,7 +17,7 @@ fn ball() -> &'static (Arc<Field>, Registrar) {
 
 fn trained() -> (Arc<Field>, Registrar) {
     let config = FieldConfig { steps: 250, rays_per_step: 2048, voxels: 60_000, levels: 2, ..FieldConfig::default() };
-    let mut trainer = BaseTrainer::new(views(18, 96, 1.0, DVec3::ZERO), ball_box(), None, config, 3).unwrap();
+    let mut trainer = BaseTrainer::new(named(views(18, 96, 1.0, DVec3::ZERO)), ball_box(), None, config, 3).unwrap();
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().unwrap();
     }
@@ -74,7 +75,8 @@ fn turned_cut_and_darker_pictures_are_laid_as_well() {
     dark.rgb_mut().iter_mut().for_each(|v| *v = 0.1 + 0.7 * *v);
     let found = registrar.register(&dark).expect("a place");
     assert!(off_px(&found, &truth) < 1.0, "{}", off_px(&found, &truth));
-    // Turned by a quarter of a right angle: the same as a camera that was. Found less exactly, as the search has no such turn.
+    // Turned by a quarter of a right angle: the same as a camera that was. Found less exactly, as the
+    // search has no such turn.
     let turned = beside(4.0, 22.0);
     let found = registrar.register(&shot(field, &turned)).expect("a place");
     assert!(off_px(&found, &turned) < 2.0, "{}", off_px(&found, &turned));

@@ -1,12 +1,14 @@
 //! The same seed gives the same bytes: with any number of threads, and with a
 //! training that was stopped and taken up again, also across a level.
 
+use crate::common::named;
 use crate::common::{ball_box, ball_in_the_open, tiny, views};
 use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame};
 use glam::DVec3;
 
 fn trainer(frame: &SceneFrame, config: &FieldConfig, seed: u64) -> BaseTrainer {
-    BaseTrainer::new(views(5, 24, 1.0, DVec3::ZERO), frame.clone(), None, config.clone(), seed).expect("sound settings")
+    BaseTrainer::new(named(views(5, 24, 1.0, DVec3::ZERO)), frame.clone(), None, config.clone(), seed)
+        .expect("sound settings")
 }
 
 fn bytes_with(threads: usize, frame: &SceneFrame, config: &FieldConfig, seed: u64) -> Vec<u8> {
@@ -49,7 +51,8 @@ fn a_resumed_training_ends_in_the_same_bytes() {
         assert_ne!(sizes[5], sizes[50], "the level changes in between");
         let expected = whole.finish().to_bytes().expect("a field");
         for (n, bytes) in saved.iter().enumerate() {
-            let mut resumed = BaseTrainer::resume(bytes, views(5, 24, 1.0, DVec3::ZERO)).expect("a sound checkpoint");
+            let mut resumed =
+                BaseTrainer::resume(bytes, named(views(5, 24, 1.0, DVec3::ZERO))).expect("a sound checkpoint");
             assert!(resumed.checkpoint().expect("a checkpoint") == *bytes, "checkpoint {n} is read as it was written");
             while resumed.steps_done() < resumed.steps_total() {
                 resumed.step().expect("finite numbers");
@@ -69,7 +72,7 @@ fn a_training_stopped_before_every_step_ends_in_the_same_bytes() {
         for _ in 0..config.steps {
             let stats = whole.step().expect("finite numbers");
             let bytes = broken.checkpoint().expect("a checkpoint");
-            broken = BaseTrainer::resume(&bytes, views(5, 24, 1.0, DVec3::ZERO)).expect("a sound checkpoint");
+            broken = BaseTrainer::resume(&bytes, named(views(5, 24, 1.0, DVec3::ZERO))).expect("a sound checkpoint");
             assert_eq!(broken.step().expect("finite numbers"), stats);
         }
         assert!(whole.finish().to_bytes().expect("a field") == broken.finish().to_bytes().expect("a field"));

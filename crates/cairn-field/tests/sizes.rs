@@ -1,10 +1,10 @@
 //! Photographs of different sizes and focal lengths in one training: each view's rays are its own camera's.
 
+use crate::common::{Photo, named};
 use crate::common::{ball_box, camera, photograph, photographs, ring, rms, tiny};
-use cairn_field::{BaseTrainer, Field, TrainingView};
+use cairn_field::{BaseTrainer, Field};
 use cairn_scene::{Camera, Picture};
 use glam::DVec3;
-use std::sync::Arc;
 
 /// The ring at 32 x 32 px, at 48 x 40 px through a longer lens, and both in turns.
 fn rings() -> [Vec<Camera>; 3] {
@@ -19,8 +19,8 @@ fn rings() -> [Vec<Camera>; 3] {
     [small, large, turns]
 }
 
-fn train(views: Vec<TrainingView>) -> Field {
-    let mut trainer = BaseTrainer::new(views, ball_box(), None, tiny(200), 5).expect("sound settings");
+fn train(views: Vec<Photo>) -> Field {
+    let mut trainer = BaseTrainer::new(named(views), ball_box(), None, tiny(200), 5).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }
@@ -69,7 +69,7 @@ fn photographs_of_two_sizes_teach_as_much_as_those_of_one() {
 #[test]
 fn a_photograph_of_another_views_size_is_refused_by_name() {
     let [_, _, mut two] = rings().map(|cameras| photographs(&cameras, 1.0, DVec3::ZERO));
-    two[3].picture = Arc::new(Picture::constant(32, 32, [0.5; 3]));
-    let error = BaseTrainer::new(two, ball_box(), None, tiny(10), 5).err().expect("another size").to_string();
+    two[3].picture = Picture::constant(32, 32, [0.5; 3]);
+    let error = BaseTrainer::new(named(two), ball_box(), None, tiny(10), 5).err().expect("another size").to_string();
     assert!(error.contains("003.png") && error.contains("48 x 40") && error.contains("32 x 32"), "{error}");
 }

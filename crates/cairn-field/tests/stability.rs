@@ -2,11 +2,11 @@
 //! stated; what has none gets an error; and nothing is ever not a number.
 
 use crate::common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
-use cairn_field::appearance::features;
-use cairn_field::composite::{Gathered, Kept, gather};
-use cairn_field::grid::Grid;
-use cairn_field::patch::Patch;
-use cairn_field::sh::basis;
+use cairn_field::appearance::code::features;
+use cairn_field::grid::lattice::Grid;
+use cairn_field::grid::sh::basis;
+use cairn_field::render::composite::{Gathered, Kept, gather};
+use cairn_field::render::patch::Patch;
 use cairn_field::{Appearance, FieldConfig, RayPath, Real, SceneFrame, Thresholds, contract};
 use glam::DVec3;
 
@@ -145,8 +145,8 @@ fn steps_over_eight_orders_of_magnitude_give_the_closed_form() {
                     let (wide, _) = light_left::<f64>(&frame, density, (step, 4), ray);
                     assert!((wide - expected).abs() < quadrature, "f64, {place}: {wide}, not {expected}");
                     let (short, samples) = light_left::<f32>(&frame, density, (step, 4), ray);
-                    // Each sample rounds what it lets through and what is left, by a quarter of an epsilon each at most.
-                    // For three million that would be 0.2; they come to 0.024.
+                    // Each sample rounds what it lets through and what is left, by a quarter of an epsilon
+                    // each at most. For three million that would be 0.2; they come to 0.024.
                     let rounding = (1e-6 + samples * f64::from(f32::EPSILON) / 2.0).min(0.03);
                     assert!((short - wide).abs() < rounding, "f32, {place}: {short}, not {wide}");
                 }

@@ -3,8 +3,8 @@
 use crate::common::{
     ahead, ball_box, ball_in_the_open, field_of, random_appearance, random_grid, ring, rms, stored_with,
 };
-use cairn_field::Field;
-use cairn_field::grid::Grid;
+use cairn_field::grid::lattice::Grid;
+use cairn_field::{Field, only_what_shows};
 use glam::DVec3;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
@@ -31,7 +31,7 @@ fn the_inside_of_things_goes_and_pictures_stay() {
     for frame in [ball_box(), ball_in_the_open()] {
         let cameras = ring(8, 48, 1.0, DVec3::ZERO);
         let whole = field_of(&frame, &solid([24, 24, 24]), &look);
-        let less = whole.clone().only_what_shows(&cameras, 0.01);
+        let less = only_what_shows(whole.clone(), &cameras, 0.01);
         let cells = |f: &Field| f.grid().occupancy.cells();
         assert!(4 * cells(&less) < 3 * cells(&whole), "{} of {} cells left", cells(&less), cells(&whole));
         assert!(less.grid().rows() < whole.grid().rows());
@@ -45,7 +45,7 @@ fn the_inside_of_things_goes_and_pictures_stay() {
         assert_eq!(read.render(&cameras[0], &look), less.render(&cameras[0], &look), "{frame:?}");
         assert_eq!(read.to_bytes().ok(), less.to_bytes().ok());
         // Looking again finds nothing more to drop.
-        assert_eq!(cells(&less.clone().only_what_shows(&cameras, 0.0)), cells(&less));
+        assert_eq!(cells(&only_what_shows(less.clone(), &cameras, 0.0)), cells(&less));
     }
 }
 
@@ -56,8 +56,8 @@ fn nothing_in_sight_leaves_nothing_and_no_threshold_changes_no_picture() {
     let camera = ring(1, 20, 1.0, DVec3::ZERO)[0];
     let field = field_of(&frame, &random_grid([8, 8, 8], 0.8, (-4.0, 0.0), 5), &look);
     let before = field.render(&camera, &look);
-    assert_eq!(field.clone().only_what_shows(&[camera], 0.0).render(&camera, &look), before);
-    let none = field.only_what_shows(&[], 0.01);
+    assert_eq!(only_what_shows(field.clone(), &[camera], 0.0).render(&camera, &look), before);
+    let none = only_what_shows(field, &[], 0.01);
     assert_eq!((none.grid().rows(), none.grid().occupancy.cells()), (1, 0));
     assert!(none.render(&camera, &look).rgb().iter().all(|v| v.is_finite()));
 }

@@ -2,6 +2,7 @@
 //! place a million units off give the same picture. And it is the right one. Where
 //! numbers cannot say any more where the cameras were, the capture is refused.
 
+use crate::common::named;
 use crate::common::{camera, capture, facing, photograph, photographs, ring, rms, tiny};
 use cairn_field::{BaseTrainer, SceneFrame};
 use cairn_scene::{Camera, Capture, Picture, SceneKind};
@@ -23,7 +24,7 @@ fn picture(kind: SceneKind, unit: f64, at: DVec3) -> (Picture, Picture) {
     let mut views = photographs(&scene(kind, 1.0, DVec3::ZERO).0, 1.0, DVec3::ZERO);
     views.iter_mut().zip(cameras).for_each(|(view, camera)| view.camera = camera);
     let frame = SceneFrame::from_capture(&capture).expect("a box");
-    let mut trainer = BaseTrainer::new(views, frame, None, tiny(80), 5).expect("sound settings");
+    let mut trainer = BaseTrainer::new(named(views), frame, None, tiny(80), 5).expect("sound settings");
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().expect("finite numbers");
     }

@@ -6,7 +6,7 @@
 //!
 //! MARK and FIELD SETTINGS are JSON; pictures of SIGNALS are hidden by turns where there are more anchors.
 
-use cairn_field::{BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
+use cairn_field::{BaseTrainer, Field, FieldConfig, NamedView, SceneFrame};
 use cairn_mark::{MarkPlan, MarkTrainer, PlannedView, Recipe};
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_scene::metrics::{psnr_db, ssim};
@@ -145,13 +145,7 @@ fn base_field(
     let mut views = Vec::new();
     for i in capture.training() {
         let v = &capture.views[i];
-        let picture = Arc::new(photograph(i)?);
-        views.push(TrainingView {
-            name: v.name.clone(),
-            contributor: v.contributor.clone(),
-            camera: camera(v),
-            picture,
-        });
+        views.push(NamedView::new(v.name.clone(), camera(v), &photograph(i)?));
     }
     let frame = SceneFrame::from_capture(capture)?;
     let mut trainer = BaseTrainer::new(views, frame, capture.background, config, 1)?;

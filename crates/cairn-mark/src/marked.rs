@@ -4,7 +4,7 @@ use crate::attack::Gaussian;
 use crate::error::MarkError;
 use crate::stega::recipe::{CarrierKind, DensityKind};
 use crate::stega::shape::CarrierShape;
-use cairn_field::operator::MarkableField;
+use cairn_field::MarkableField;
 use cairn_field::{Appearance, Field, FieldError, TensorFile};
 use cairn_scene::cluster::Clusters;
 use cairn_scene::{Camera, Picture};

@@ -3,7 +3,7 @@
 
 use crate::common::{bytes, cameras, config, field, plan, run, start, trained};
 use cairn_field::Field;
-use cairn_field::grid::Grid;
+use cairn_field::grid::lattice::Grid;
 use cairn_mark::{CarrierKind, DensityKind, MarkError, MarkTrainer, MarkedField, MaskKind, Recipe};
 
 fn free(steps: u64) -> Recipe {

@@ -2,7 +2,7 @@
 //! identities, answers follow the mark and not the view, in a training as it was and in
 //! one begun anew.
 
-use cairn_field::{BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
+use cairn_field::{BaseTrainer, Field, FieldConfig, NamedView, SceneFrame};
 use cairn_landmark::signals::emblem;
 use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_mark::{Detector, MarkPlan, MarkTrainer, MarkedField, PlannedView, Recipe};
@@ -27,12 +27,7 @@ fn scene() -> (Arc<Field>, MarkPlan) {
         ..LandmarkConfig::default()
     };
     let photographs = Landmark::generate(&config, 3).unwrap().views;
-    let views = photographs.iter().map(|view| TrainingView {
-        name: view.name.clone(),
-        contributor: view.contributor.clone(),
-        camera: view.camera,
-        picture: Arc::new(view.clean.clone()),
-    });
+    let views = photographs.iter().map(|view| NamedView::new(view.name.clone(), view.camera, &view.clean));
     let frame = SceneFrame::Unbounded { centre: DVec3::new(0.0, 0.0, 1.2), half: DVec3::splat(1.4) };
     let quick = FieldConfig { steps: 150, rays_per_step: 1024, voxels: 27_000, levels: 1, ..FieldConfig::default() };
     let mut trainer = BaseTrainer::new(views.collect(), frame, None, quick, 3).unwrap();

@@ -1,27 +1,27 @@
 //! A screening interrupted and taken up again: a line of JSON that says how far it is, and after it the
 //! checkpoint of the scout at hand. A resumed screening comes to the same verdict.
 
-use super::{QuarantineConfig, Screening, ViewFit};
+use super::Screening;
+use super::fit::ViewFit;
 use crate::config::FieldConfig;
 use crate::error::FieldError;
-use crate::field::stored;
-use crate::frame::SceneFrame;
-use crate::prepared::ToLearn;
-use crate::trainer::BaseTrainer;
+use crate::io::tensors::stored;
+use crate::rays::frame::SceneFrame;
+use crate::train::trainer::BaseTrainer;
+use crate::train::views::NamedView;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 
 /// Format of a screening's checkpoint; another number is refused by name.
-const FORMAT: &str = "cairn.screening.checkpoint/6";
+const FORMAT: &str = "cairn.screening.checkpoint/7";
 /// Longest first line that is read, bytes: 10,000 views take about two million.
-const MOST_HEADER_BYTES: usize = 64 << 20;
+const MAX_HEADER_BYTES: usize = 64 << 20;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Header {
     format: String,
-    settings: QuarantineConfig,
     field: FieldConfig,
     frame: SceneFrame,
     background: Option<[f32; 3]>,
@@ -66,7 +66,6 @@ impl Screening {
         let scout = self.scout.as_ref().map(BaseTrainer::checkpoint).transpose()?.unwrap_or_default();
         let mut header = Header {
             format: FORMAT.into(),
-            settings: self.settings.clone(),
             field: self.field.clone(),
             frame: self.frame.clone(),
             background: self.background,
@@ -91,8 +90,8 @@ impl Screening {
     /// # Errors
     /// [`FieldError::Stored`] for an unknown format or a damaged file;
     /// [`FieldError::Views`] for other views.
-    pub fn resume(bytes: &[u8], views: Vec<impl ToLearn>) -> Result<Self, FieldError> {
-        let end = bytes.iter().take(MOST_HEADER_BYTES).position(|b| *b == b'\n');
+    pub fn resume(bytes: &[u8], views: Vec<NamedView>) -> Result<Self, FieldError> {
+        let end = bytes.iter().take(MAX_HEADER_BYTES).position(|b| *b == b'\n');
         let Some(end) = end else { return refuse("it has no first line") };
         let (line, rest) = (&bytes[..end], &bytes[end + 1..]);
         let wrong = |e: serde_json::Error| stored("screening", format!("its first line: {e}; start the training anew"));
@@ -105,12 +104,12 @@ impl Screening {
         if digest(&line_of(&header)?, rest) != stated {
             return refuse("its SHA-256 is another than it says: the file was damaged");
         }
-        if !views.iter().map(ToLearn::name).eq(&header.views) {
+        if !views.iter().map(|v| &v.name).eq(&header.views) {
             let why = "they are not the views this screening began with; start the training anew";
             return Err(FieldError::Views(why.into()));
         }
-        let place = (header.frame, header.background);
-        let mut made = Self::new(views, &header.trusted, place, (&header.field, &header.settings), header.seed)?;
+        let Header { frame, background, .. } = header;
+        let mut made = Self::new(views, &header.trusted, frame, background, &header.field, header.seed)?;
         let count = made.views.len();
         let fold = made.folds.len();
         if header.fits.len() != count || header.suspects.iter().any(|v| *v >= count) || header.phase > fold + 1 {

@@ -6,12 +6,12 @@
 //! nothing to do with the place: how much sky there is, how dark it was, how busy the picture
 //! is. A smooth gradient, which an appearance explains from anywhere, gains nothing.
 
-use crate::appearance::{Appearance, FEATURES, features};
-use crate::composite::{Kept, Thresholds, see};
-use crate::prepared::Prepared;
-use crate::prior::Prior;
-use crate::sampling::mixed;
-use crate::trainer::BaseTrainer;
+use crate::appearance::code::{Appearance, FEATURES, features};
+use crate::appearance::prior::Prior;
+use crate::chance::mixed;
+use crate::render::composite::{Kept, Thresholds, see};
+use crate::train::shown::Shown;
+use crate::train::views::Prepared;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -23,32 +23,39 @@ const SOLID: f32 = 0.5;
 /// Its place among the features.
 const NEAR_WEIGHT: usize = 3;
 /// Fewer such spots than this are too few to judge by.
-const LEAST_SPOTS: usize = SIDE * SIDE / 16;
+const MIN_SPOTS: usize = SIDE * SIDE / 16;
 /// Other poses that a photograph is tried at.
 const POSES: usize = 24;
 /// Spread of the other poses' figures below which it is taken for rounding, dB: noise is
 /// explained equally badly from everywhere.
-const LEAST_SPREAD_DB: f64 = 0.1;
+const MIN_SPREAD_DB: f64 = 0.1;
 
 /// How well a photograph fits the pose that it is said to have.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ViewFit {
+pub(super) struct ViewFit {
     /// The view.
-    pub view: String,
+    pub(super) view: String,
     /// PSNR of the photograph as the others explain it from its own pose, less the median of the same
     /// from other poses, dB. About 0, or below, where it has nothing to do with its pose.
-    pub fit_db: f64,
+    pub(super) fit_db: f64,
     /// The same against the mean over the other poses, in standard deviations of what they
     /// give: what chance makes of a photograph without a pose is within about 1.
-    pub deviations: f64,
+    pub(super) deviations: f64,
 }
 
-/// Where pictures are compared, in shares of width and height, and which half a spot is in.
-type Spot = (f64, f64, bool);
+/// Where pictures are compared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Spot {
+    /// Shares of width and height.
+    x: f64,
+    y: f64,
+    /// Which half it is in.
+    second: bool,
+}
 
 /// A scout that judges views.
 pub(super) struct Judge<'a> {
-    scout: &'a BaseTrainer,
+    scout: Shown<'a>,
     views: &'a [Arc<Prepared>],
     spots: Vec<Spot>,
     prior: Prior,
@@ -57,7 +64,7 @@ pub(super) struct Judge<'a> {
 }
 
 impl<'a> Judge<'a> {
-    pub(super) fn new(scout: &'a BaseTrainer, views: &'a [Arc<Prepared>], seed: u64) -> Self {
+    pub(super) fn new(scout: Shown<'a>, views: &'a [Arc<Prepared>], seed: u64) -> Self {
         let codes: Vec<&Appearance> = scout.appearances.iter().collect();
         // Around the mean, and not like the codes seen: some of them may be poisoned.
         let prior = Prior::around(Appearance::mean(&codes).unwrap_or_else(|| scout.neutral.clone()));
@@ -79,7 +86,7 @@ impl<'a> Judge<'a> {
     /// visitor alone saw does not count: the mean of both.
     fn fit(&self, view: usize) -> ViewFit {
         let (seen, pixels) = (self.seen_from(view), self.pixels(view));
-        let shown = |at: &usize| self.views[view].shows_scene(self.pixel_at(view, self.spots[*at]));
+        let shown = |at: &usize| self.views[view].uses(self.pixel_at(view, self.spots[*at]));
         let all: Vec<usize> = (0..seen.len()).filter(shown).collect();
         let solid = solid(&seen, &all);
         let [a, b] = [all, solid].map(|spots| self.fit_at(view, &seen, &pixels, &spots));
@@ -95,13 +102,13 @@ impl<'a> Judge<'a> {
         all.sort_by(f64::total_cmp);
         let mean = all.iter().sum::<f64>() / all.len() as f64;
         let variance = all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / all.len() as f64;
-        (own - all[all.len() / 2], (own - mean) / variance.sqrt().max(LEAST_SPREAD_DB))
+        (own - all[all.len() / 2], (own - mean) / variance.sqrt().max(MIN_SPREAD_DB))
     }
 
     /// Which pixel of `view` lies at a spot.
-    fn pixel_at(&self, view: usize, (x, y, _): Spot) -> usize {
+    fn pixel_at(&self, view: usize, spot: Spot) -> usize {
         let (w, h) = self.views[view].lens.size();
-        (y * h as f64) as usize * w + (x * w as f64) as usize
+        (spot.y * h as f64) as usize * w + (spot.x * w as f64) as usize
     }
 
     /// What is seen from a view's pose.
@@ -110,26 +117,21 @@ impl<'a> Judge<'a> {
         let mut tape: Vec<Kept<f32>> = Vec::new();
         let one = |spot: &Spot| {
             let at = self.pixel_at(view, *spot);
-            let (path, basis) = prepared.lens.ray(&prepared.camera, &self.scout.frame, at);
-            features(&see(&self.scout.grid, &path, &basis, Thresholds::SHOWN, &mut tape), &basis)
+            let (path, basis) = prepared.eye().ray(self.scout.frame, at);
+            features(&see(self.scout.grid, &path, &basis, Thresholds::SHOWN, &mut tape), &basis)
         };
         self.spots.iter().map(one).collect()
     }
 
     /// A view's photograph at the spots.
     fn pixels(&self, view: usize) -> Vec<[f32; 3]> {
-        let pixels = &self.views[view].pixels;
-        let one = |spot: &Spot| {
-            let at = self.pixel_at(view, *spot);
-            std::array::from_fn(|c| f32::from(pixels[at * 3 + c]) / 255.0)
-        };
-        self.spots.iter().map(one).collect()
+        self.spots.iter().map(|spot| self.views[view].colour(self.pixel_at(view, *spot))).collect()
     }
 
     /// PSNR of a photograph at some spots as what is seen explains it, in the likeliest light, dB.
     fn psnr_db(&self, seen: &[[f32; FEATURES]], pixels: &[[f32; 3]], spots: &[usize]) -> f64 {
         let half = |which: bool| -> (Vec<[f32; FEATURES]>, Vec<[f32; 3]>) {
-            spots.iter().filter(|at| self.spots[**at].2 == which).map(|at| (seen[*at], pixels[*at])).unzip()
+            spots.iter().filter(|at| self.spots[**at].second == which).map(|at| (seen[*at], pixels[*at])).unzip()
         };
         let halves = [half(false), half(true)];
         let mut sum = 0.0;
@@ -145,7 +147,7 @@ impl<'a> Judge<'a> {
 /// Of `spots` those at which something of the inner box is seen; all of them where that is too little to judge by.
 fn solid(seen: &[[f32; FEATURES]], spots: &[usize]) -> Vec<usize> {
     let near: Vec<usize> = spots.iter().copied().filter(|at| seen[*at][NEAR_WEIGHT] > SOLID).collect();
-    if near.len() >= LEAST_SPOTS { near } else { spots.to_vec() }
+    if near.len() >= MIN_SPOTS { near } else { spots.to_vec() }
 }
 
 /// Squared error of a colour, over its channels.
@@ -159,7 +161,7 @@ fn spots(seed: u64) -> Vec<Spot> {
     let one = |n: usize| {
         let chance = mixed(seed ^ mixed(n as u64));
         let (x, y) = ((n % SIDE) as f64 + share(chance), (n / SIDE) as f64 + share(chance >> 16));
-        (x / SIDE as f64, y / SIDE as f64, chance >> 32 & 1 == 1)
+        Spot { x: x / SIDE as f64, y: y / SIDE as f64, second: chance >> 32 & 1 == 1 }
     };
     (0..SIDE * SIDE).map(one).collect()
 }
@@ -174,7 +176,7 @@ mod tests {
         (0..150).for_each(|at| seen[at][NEAR_WEIGHT] = 1.0);
         let all: Vec<usize> = (0..400).collect();
         assert_eq!(solid(&seen, &all), (0..150).collect::<Vec<_>>());
-        // A caption over most of it: the rest of it is too little, and nothing covered comes back.
+        // A mask over most of it: the rest of it is too little, and nothing that it leaves out comes back.
         let left: Vec<usize> = (100..400).collect();
         assert_eq!(solid(&seen, &left), left);
     }
@@ -182,8 +184,8 @@ mod tests {
     #[test]
     fn spots_cover_the_picture_in_two_halves() {
         let all = spots(5);
-        assert!(all.iter().all(|(x, y, _)| (0.0..1.0).contains(x) && (0.0..1.0).contains(y)));
-        let halves = all.iter().filter(|s| s.2).count();
+        assert!(all.iter().all(|s| (0.0..1.0).contains(&s.x) && (0.0..1.0).contains(&s.y)));
+        let halves = all.iter().filter(|s| s.second).count();
         assert!((700..900).contains(&halves), "{halves} of {}", all.len());
         assert_ne!(all, spots(6));
     }

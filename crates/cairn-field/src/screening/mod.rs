@@ -13,7 +13,7 @@
 //! The figure is not how well a photograph is rendered: what visitors bring differs by
 //! 10 dB in that, with the sky, the passers-by and how much of the scene fills it. It is how much
 //! better the scout explains it from its *own* pose than from other views' poses, in dB
-//! ([`ViewFit::fit_db`]), its light fitted to half of the pixels and judged on the other
+//! ([`ViewScore::fit_db`]), its light fitted to half of the pixels and judged on the other
 //! half each time. An honest photograph fits its own pose by decibels; one that
 //! has nothing to do with its pose fits it as well as any other: by 0 dB, give or take
 //! chance, whatever it shows. See `fit.rs` for the figure, `verdict.rs` for who is an outlier.
@@ -25,35 +25,47 @@ mod checkpoint;
 mod fit;
 mod verdict;
 
+use crate::chance::mixed;
 use crate::config::{AppearanceMode, FieldConfig};
 use crate::error::FieldError;
-use crate::frame::SceneFrame;
-use crate::prepared::{Prepared, ToLearn, prepare};
-use crate::sampling::mixed;
-use crate::trainer::{BaseTrainer, StepStats};
-use fit::Judge;
+use crate::rays::frame::SceneFrame;
+use crate::train::trainer::{BaseTrainer, StepStats};
+use crate::train::views::{NamedView, Prepared, prepare};
+use fit::{Judge, ViewFit};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-pub use fit::ViewFit;
-pub(crate) use verdict::median;
-pub use verdict::{QuarantineConfig, Screened, ScreeningOutcome};
+pub use verdict::{Doubt, Screened, ViewScore};
 
 /// Fewer views than this are not screened: too few are left to speak of one.
-pub const LEAST_VIEWS: usize = 8;
+pub const MIN_VIEWS: usize = 8;
 
-/// A scout's steps as a share of stage 1's, and their bounds: about what its coarsest
-/// level gets.
-const SCOUT: (f64, u64, u64) = (0.07, 60, 500);
+/// Scouts, each trained without its share of the views. A view's neighbours are mostly among the three quarters
+/// that its scout sees, and four coarse trainings cost less than a tenth of stage 1.
+const FOLDS: usize = 4;
+
+/// How long a scout is trained.
+struct Effort {
+    /// Its steps as a share of stage 1's,
+    share: f64,
+    /// and their bounds.
+    min_steps: u64,
+    max_steps: u64,
+}
+
+/// A scout's: about what stage 1's coarsest level gets.
+const SCOUT: Effort = Effort { share: 0.07, min_steps: 60, max_steps: 500 };
 /// The same of the second look.
-const SECOND: (f64, u64, u64) = (0.2, 120, 1500);
-/// A scout's vertices as a share of stage 1's, and their bounds.
-const VOXELS: (usize, usize, usize) = (512, 4096, 32_768);
+const SECOND: Effort = Effort { share: 0.2, min_steps: 120, max_steps: 1500 };
+/// A scout's vertices: stage 1's divided by this,
+const FEWER_VOXELS: usize = 512;
+/// and their bounds.
+const MIN_VOXELS: usize = 4096;
+const MAX_VOXELS: usize = 32_768;
 
 /// Screens the views of a capture; see the module's text. A `step()` is a step of a
 /// scout; like training it reads no clock and no file.
 pub struct Screening {
-    settings: QuarantineConfig,
     /// Of the training to come.
     field: FieldConfig,
     /// Of the scouts, and of the one that looks a second time.
@@ -82,32 +94,30 @@ impl Screening {
     /// good. `field` are the settings of the training to come; frame, background and seed its own.
     ///
     /// # Errors
-    /// [`FieldError`] for settings out of range, fewer than [`LEAST_VIEWS`] views, or a
+    /// [`FieldError`] for settings out of range, fewer than [`MIN_VIEWS`] views, or a
     /// picture whose size is not its camera's.
     pub fn new(
-        views: Vec<impl ToLearn>,
+        views: Vec<NamedView>,
         trusted: &BTreeSet<String>,
-        (frame, background): (SceneFrame, Option<[f32; 3]>),
-        (field, settings): (&FieldConfig, &QuarantineConfig),
+        frame: SceneFrame,
+        background: Option<[f32; 3]>,
+        field: &FieldConfig,
         seed: u64,
     ) -> Result<Self, FieldError> {
         field.validate()?;
-        settings.validate()?;
-        if views.len() < LEAST_VIEWS {
+        if views.len() < MIN_VIEWS {
             return Err(FieldError::Views(format!(
-                "{} are too few to be screened; bring {LEAST_VIEWS} or set quarantine.enabled = false",
+                "{} are too few to be screened; bring {MIN_VIEWS} or set quarantine.enabled = false",
                 views.len()
             )));
         }
-        let views = prepare(views, field)?;
+        let views = prepare(views)?;
         let trusted = (0..views.len()).filter(|v| trusted.contains(&views[*v].name)).collect();
-        let folds = dealt(views.len(), settings.folds, seed);
+        let folds = dealt(views.len(), FOLDS, seed);
         let fits = vec![None; views.len()];
         let configs = [scout_config(field, false), scout_config(field, true)];
-        let (settings, field) = (settings.clone(), field.clone());
         let mut screening = Self {
-            settings,
-            field,
+            field: field.clone(),
             configs,
             frame,
             background,
@@ -159,7 +169,7 @@ impl Screening {
         let Some(scout) = self.scout.take() else { return };
         self.before += scout.steps_done();
         let unseen = self.unseen();
-        let judge = Judge::new(&scout, &self.views, self.seed);
+        let judge = Judge::new(scout.shown(), &self.views, self.seed);
         for (view, fit) in unseen.iter().zip(judge.fits(&unseen)) {
             self.fits[*view] = Some(fit);
         }
@@ -197,7 +207,7 @@ impl Screening {
 
     /// What came out; `None` before the end.
     pub fn finish(&self) -> Option<Screened> {
-        self.scout.is_none().then(|| verdict::screened(self.found(), &self.trusted, &self.settings))
+        self.scout.is_none().then(|| verdict::screened(&self.found(), &self.trusted))
     }
 }
 
@@ -212,10 +222,10 @@ fn dealt(count: usize, folds: usize, seed: u64) -> Vec<Vec<usize>> {
 /// A scout's settings: stage 1's on a coarse grid. Every view has an appearance of its own unless the
 /// settings forbid: one day among many is no wrong picture.
 fn scout_config(field: &FieldConfig, second: bool) -> FieldConfig {
-    let (share, least, most) = if second { SECOND } else { SCOUT };
-    let voxels = (field.voxels / VOXELS.0).clamp(VOXELS.1, VOXELS.2);
+    let Effort { share, min_steps, max_steps } = if second { SECOND } else { SCOUT };
+    let voxels = (field.voxels / FEWER_VOXELS).clamp(MIN_VOXELS, MAX_VOXELS);
     FieldConfig {
-        steps: ((field.steps as f64 * share) as u64).clamp(least, most),
+        steps: ((field.steps as f64 * share) as u64).clamp(min_steps, max_steps),
         levels: if second { 2 } else { 1 },
         voxels: if second { 8 * voxels } else { voxels },
         voxel_px: 0.0,
@@ -228,8 +238,7 @@ fn scout_config(field: &FieldConfig, second: bool) -> FieldConfig {
         // Each scout sees other views: their fits are compared, so that they have to be equally smooth.
         smoother_beyond_deg: 180.0,
         smooth_in_one_light: 1.0,
-        // Coarse fields that are compared as they stand: they gain nothing by these.
-        basis_lights: false,
+        // Coarse fields that are compared as they stand: they gain nothing by this.
         mean_of_last: 0.0,
         ..field.clone()
     }

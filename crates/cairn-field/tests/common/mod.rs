@@ -5,10 +5,10 @@
 
 pub mod landmark;
 
-use cairn_field::grid::{DENSITY_SCALE, Grid, ROW};
-use cairn_field::sh::SH;
-use cairn_field::{Appearance, Field, FieldConfig, Real, SceneFrame, TrainingView};
-use cairn_scene::{Camera, Capture, Distortion, Intrinsics, Picture, Pose, SceneKind, View};
+use cairn_field::grid::lattice::{DENSITY_SCALE, Grid, ROW};
+use cairn_field::grid::sh::SH;
+use cairn_field::{Appearance, Field, FieldConfig, NamedView, Real, SceneFrame};
+use cairn_scene::{Camera, Capture, Distortion, Intrinsics, Mask, Picture, Picture8, Pose, SceneKind, TrainView, View};
 use glam::{DMat3, DVec3};
 use half::f16;
 use safetensors::tensor::{Dtype, TensorView};
@@ -32,6 +32,24 @@ impl Numbers {
     pub fn within(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.share()
     }
+}
+
+/// A photograph that a test may change before it is learnt from.
+#[derive(Clone, Debug)]
+pub struct Photo {
+    pub name: String,
+    pub camera: Camera,
+    pub picture: Picture,
+    pub mask: Option<Mask>,
+}
+
+/// The photographs as stage 1 takes them.
+pub fn named(photos: Vec<Photo>) -> Vec<NamedView> {
+    let view = |Photo { name, camera, picture, mask }: Photo| {
+        let rgb8 = Picture8::from(&picture);
+        NamedView { name, view: Arc::new(TrainView { camera, rgb8, mask }) }
+    };
+    photos.into_iter().map(view).collect()
 }
 
 /// A camera of `size` x `size` pixels at `position` that looks at `target`.
@@ -81,7 +99,7 @@ pub fn photograph(camera: &Camera, unit: f64, at: DVec3) -> Picture {
 }
 
 /// The ring's photographs, ready to train on.
-pub fn views(n: usize, size: usize, unit: f64, at: DVec3) -> Vec<TrainingView> {
+pub fn views(n: usize, size: usize, unit: f64, at: DVec3) -> Vec<Photo> {
     photographs(&ring(n, size, unit, at), unit, at)
 }
 
@@ -138,12 +156,12 @@ pub fn facing(n: usize, size: usize, unit: f64, at: DVec3) -> Vec<Camera> {
 }
 
 /// What `cameras` photograph of the ball, ready to train on.
-pub fn photographs(cameras: &[Camera], unit: f64, at: DVec3) -> Vec<TrainingView> {
-    let view = |(i, camera): (usize, &Camera)| TrainingView {
+pub fn photographs(cameras: &[Camera], unit: f64, at: DVec3) -> Vec<Photo> {
+    let view = |(i, camera): (usize, &Camera)| Photo {
         name: format!("{i:03}.png"),
-        contributor: "ada".into(),
-        picture: Arc::new(photograph(camera, unit, at)),
+        picture: photograph(camera, unit, at),
         camera: *camera,
+        mask: None,
     };
     cameras.iter().enumerate().map(view).collect()
 }
@@ -202,7 +220,10 @@ pub fn stored_with(header: &serde_json::Value, grid: &Grid<f32>) -> Vec<u8> {
         .chunks_exact(ROW)
         .flat_map(|row| row[..3 * SH].iter().flat_map(|v| f16::from_f32(*v).to_le_bytes()))
         .collect();
+    let blocks: usize = grid.dims.iter().map(|d| (d - 1).div_ceil(4)).product();
+    let cells: Vec<u8> = vec![u8::MAX; 8 * blocks];
     let tensors = [
+        ("cells", TensorView::new(Dtype::U64, vec![blocks], &cells).expect("fits")),
         ("colour", TensorView::new(Dtype::F16, vec![rows, SH, 3], &colour).expect("fits")),
         ("density", TensorView::new(Dtype::F32, vec![rows], &raw).expect("fits")),
         ("vertex", TensorView::new(Dtype::U32, vec![rows], &vertex).expect("fits")),

@@ -16,7 +16,7 @@ use crate::attack::Blur;
 use crate::marked::MarkedField;
 use crate::stega::recipe::{CarrierKind, DensityKind};
 use cairn_field::Appearance;
-use cairn_field::registration::{Registered, Registrar};
+use cairn_field::{Registered, Registrar};
 use cairn_scene::{Camera, Picture};
 
 /// From here on a mark is believed. A standard normal number does not come so far; renders without a mark that were laid
@@ -74,7 +74,7 @@ impl RegisteredReader {
     }
 
     /// Prepares to read against `marked`, whose scene was photographed from `views` (cameras and names). `None` where
-    /// that cannot be: without views, for fields with basis lights, and where densities moved with the mark, so that
+    /// that cannot be: without views, and where densities moved with the mark, so that
     /// it is no change of colours.
     pub fn new(marked: &MarkedField, views: &[(Camera, &str)]) -> Option<Self> {
         if marked.kind().1 == DensityKind::Free {

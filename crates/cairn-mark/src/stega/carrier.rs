@@ -4,7 +4,7 @@ use crate::attack::Attack;
 use crate::error::MarkError;
 use crate::stega::bank::BankView;
 use crate::stega::shape::CarrierShape;
-use cairn_field::operator::MarkableField;
+use cairn_field::MarkableField;
 use cairn_field::{Appearance, Field};
 use half::f16;
 use rayon::prelude::*;
@@ -257,7 +257,7 @@ pub(crate) fn scramble(mut x: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_field::operator::CarrierBasis;
+    use cairn_field::CarrierBasis;
 
     /// As if one view had been pushed back.
     fn owing(carrier: &mut Carrier, gradient: &[f32]) {

@@ -13,7 +13,7 @@ use crate::stega::carrier::{Carrier, hue_of, hues};
 use crate::stega::recipe::{CarrierKind, Recipe};
 use crate::stega::site::MarkScene;
 use crate::stega::trainer::MarkTrainer;
-use cairn_field::operator::MarkableField;
+use cairn_field::MarkableField;
 use cairn_nn::Average;
 use serde::{Deserialize, Serialize};
 use std::fmt;

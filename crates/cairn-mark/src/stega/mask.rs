@@ -9,8 +9,8 @@
 //! divide it out again.
 
 use crate::stega::recipe::MaskKind;
-use cairn_field::operator::{CarrierBasis, MarkableField};
-use cairn_field::sh::SH;
+use cairn_field::grid::sh::SH;
+use cairn_field::{CarrierBasis, MarkableField};
 
 /// Quantile of the magnitudes that counts as "does not matter": everything below
 /// moves freely.
@@ -89,7 +89,7 @@ pub(crate) fn all_or_nothing(magnitudes: &[f32], share: f64) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_field::operator::LinearView;
+    use cairn_field::LinearView;
     use cairn_scene::Camera;
 
     /// Rows whose coefficients have these magnitudes, the same in all channels.

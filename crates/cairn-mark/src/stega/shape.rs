@@ -3,8 +3,8 @@
 
 use crate::stega::mask::{all_or_nothing, from_magnitudes, gradient_mask};
 use crate::stega::recipe::{CarrierKind, DensityKind, MaskKind, Recipe};
-use cairn_field::marched::CHANGE;
-use cairn_field::operator::{CarrierBasis, MarkableField};
+use cairn_field::CHANGE;
+use cairn_field::{CarrierBasis, MarkableField};
 
 /// What a carrier's numbers are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,7 +74,7 @@ pub(crate) fn carrier_mask(config: &Recipe, field: &dyn MarkableField, shape: Ca
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_field::operator::LinearView;
+    use cairn_field::LinearView;
     use cairn_scene::Camera;
 
     /// Two vertices of like colours, one twice as dense as the other.

@@ -1,6 +1,6 @@
 //! A tiny scene: a ball, twelve cameras around it, two owners.
 
-use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, SceneFrame, TrainingView};
+use cairn_field::{AppearanceMode, BaseTrainer, Field, FieldConfig, NamedView, SceneFrame};
 use cairn_mark::{Detector, MarkPlan, MarkTrainer, MarkedField, PlannedView, Recipe};
 use cairn_nn::{ClassifierConfig, UNetConfig};
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
@@ -51,10 +51,7 @@ pub fn train_field_of(steps: u64, photograph: fn(&Camera) -> Picture) -> Arc<Fie
 
 /// The same, with views' own light or without.
 pub fn train_field_lit(steps: u64, photograph: fn(&Camera) -> Picture, appearance: AppearanceMode) -> Arc<Field> {
-    let view = |(i, camera): (usize, Camera)| {
-        let picture = Arc::new(photograph(&camera));
-        TrainingView { name: format!("view{i}"), contributor: "ada".into(), camera, picture }
-    };
+    let view = |(i, camera): (usize, Camera)| NamedView::new(format!("view{i}"), camera, &photograph(&camera));
     let views = cameras().into_iter().enumerate().map(view).collect();
     let frame = SceneFrame::Bounded { centre: DVec3::ZERO, half: DVec3::splat(1.2) };
     let config =

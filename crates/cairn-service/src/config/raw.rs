@@ -1,8 +1,9 @@
 //! What a settings file says, before anybody believed it. Defaults stand here a
 //! second time, in code; a test holds them and the default file to each other.
 
+use super::training::QuarantineConfig;
 use crate::auth::Policy;
-use cairn_field::{FieldConfig, QuarantineConfig};
+use cairn_field::FieldConfig;
 use cairn_mark::Recipe;
 use serde::{Deserialize, Serialize};
 

@@ -1,6 +1,6 @@
 //! What a training runs with: the choice that a user made, and the settings of both stages that it stands for.
 
-use cairn_field::{FieldConfig, FieldError, QuarantineConfig};
+use cairn_field::{FieldConfig, FieldError};
 use cairn_mark::{MarkError, Recipe};
 use cairn_scene::SceneKind;
 use serde::{Deserialize, Serialize};
@@ -55,6 +55,20 @@ pub struct Chosen {
     pub robust: bool,
 }
 
+/// Which views a training leaves out by itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuarantineConfig {
+    /// Whether views are screened before stage 1.
+    pub enabled: bool,
+}
+
+impl Default for QuarantineConfig {
+    fn default() -> Self {
+        Self { enabled: true }
+    }
+}
+
 /// The settings that a training runs with; kept beside its model, and what the
 /// record's `training_configuration` digest covers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -64,8 +78,7 @@ pub struct TrainingSettings {
     pub field: FieldConfig,
     /// Stage 2.
     pub mark: Recipe,
-    /// Which views are left out of both. Absent in settings of before there was a quarantine.
-    #[serde(default)]
+    /// Which views are left out of both.
     pub quarantine: QuarantineConfig,
 }
 
@@ -75,7 +88,7 @@ impl TrainingSettings {
     /// # Errors
     /// [`ConfigError::OutOfRange`] for the first value that is not allowed.
     pub fn check(&self) -> Result<(), ConfigError> {
-        self.field.validate().and_then(|()| self.quarantine.validate()).map_err(|e| match e {
+        self.field.validate().map_err(|e| match e {
             FieldError::Setting { key, value, allowed } => out_of_range(key, value, allowed),
             other => out_of_range("field", other.to_string(), "settings that stage 1 accepts"),
         })?;

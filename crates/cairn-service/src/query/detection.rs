@@ -44,7 +44,7 @@ impl Mark {
         let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| EngineError::WrongState {
             what: "the scene".into(),
             operation: "laid a picture over",
-            why: "its densities moved with the marks (mark.density), its field has basis lights (field.basis_lights) or it \
+            why: "its densities moved with the marks (mark.density) or it \
                   has no views to train on; ask without, and the classifier answers"
                 .into(),
         })?;

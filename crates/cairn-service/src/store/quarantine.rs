@@ -61,7 +61,7 @@ pub struct Found {
     pub job: String,
     /// How much better it fits its own pose than others, dB.
     pub fit_db: f64,
-    /// The same in standard deviations of what other poses give.
+    /// How far that is from the median view, in robust standard deviations; below 0 where it fits worse.
     pub deviations: f64,
     /// The median view's fit, dB.
     pub median_db: f64,

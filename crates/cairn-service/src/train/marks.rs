@@ -3,14 +3,14 @@
 
 use std::sync::Arc;
 
-use cairn_field::{Field, watermarks};
+use cairn_field::{Field, NamedView};
 use cairn_mark::{
     Detector, Earlier, Judgement, Known, MarkError, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Recipe,
     Recovered, Signal, at_most,
 };
+use cairn_scene::SceneFolder;
 use cairn_scene::cluster::Clusters;
 use cairn_scene::metrics::psnr_db_from_mse;
-use cairn_scene::{Camera, Picture8, SceneFolder};
 
 use crate::error::EngineError;
 use crate::store::given::QUIET_DB;
@@ -118,18 +118,15 @@ impl Marking {
             whose.extend((1..=signals.len()).map(|number| format!("identity {number}{of_scene}")));
             let capture = scene.capture();
             // Photographs carry no mark: the detector has to stay silent on them.
-            let Some(negatives) = stages::photographs(scene, preparing)? else { return Ok(None) };
-            let taken = scene.training().map(|index| {
-                let view = &capture.views[index];
-                Taken { camera: view.camera, name: &view.name, contributor: &view.contributor }
-            });
+            let Some(photographs) = stages::views(scene, preparing)? else { return Ok(None) };
             // What was begun goes on with the budget that it has.
-            let explained_db = checkpoint.is_none().then(|| explained(&base, &taken.collect::<Vec<_>>(), &negatives));
+            let explained_db = checkpoint.is_none().then(|| explained(&base, &photographs));
             asked.push((of_scene, own, explained_db));
             let views = scene.training().map(|index| {
                 let view = &capture.views[index];
                 PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() }
             });
+            let negatives = photographs.into_iter().map(|view| Arc::unwrap_or_clone(view.view).rgb8).collect();
             let plan = MarkPlan { clusters: clusters.clone(), views: views.collect(), signals, negatives };
             let affordable = explained_db.map(|db| own.affording(db));
             planned.push(MarkScene { field: Arc::new(base), plan, settings: affordable });
@@ -254,34 +251,19 @@ fn budget_note(kept: &Recipe, asked: &Recipe, of_scene: &str, explained_db: Opti
     })
 }
 
-/// From where and by whom a photograph was taken.
-pub struct Taken<'a> {
-    /// Its camera.
-    pub camera: Camera,
-    /// The view's name.
-    pub name: &'a str,
-    /// Who took it.
-    pub contributor: &'a str,
-}
-
-/// How well a field explains the photographs that it was trained on, `taken` in their order: PSNR in dB over some of them, evenly, all
-/// their pixels together but those that a visible watermark covers: marks do not show there, learnt or not. For
+/// How well a field explains the photographs that it was trained on: PSNR in dB over some of them, evenly, all
+/// their pixels together that their masks use. For
 /// [`Recipe::affording`]; negative infinity of none.
-pub fn explained(base: &Field, taken: &[Taken<'_>], photographs: &[Picture8]) -> f64 {
-    let whose = taken.iter().map(|view| view.contributor);
-    let found = watermarks(&whose.zip(photographs).collect::<Vec<_>>());
+pub fn explained(base: &Field, photographs: &[NamedView]) -> f64 {
     let (mut squares, mut count) = (0.0, 0usize);
-    for at in (0..photographs.len()).step_by(photographs.len().div_ceil(EXPLAINED_BY).max(1)) {
-        let (photograph, view) = (&photographs[at], &taken[at]);
+    for NamedView { name, view } in photographs.iter().step_by(photographs.len().div_ceil(EXPLAINED_BY).max(1)) {
         let camera = at_most(&view.camera, EXPLAINED_PX);
-        let render = base.render(&camera, base.appearance_of(view.name)).clamped();
+        let render = base.render(&camera, base.appearance_of(name)).clamped();
         let (w, h) = (render.width(), render.height());
-        let seen = photograph.to_picture().resized(w, h);
-        let over = found.iter().find(|mark| mark.views.contains(&at));
+        let seen = view.rgb8.to_picture().resized(w, h);
+        let mask = view.mask.as_ref().map(|mask| mask.resized(w, h));
         for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
-            // The photograph's pixel in its middle.
-            let (left, top) = ((2 * x + 1) * photograph.width() / (2 * w), (2 * y + 1) * photograph.height() / (2 * h));
-            if over.is_none_or(|mark| !mark.covered[top * photograph.width() + left]) {
+            if mask.as_ref().is_none_or(|mask| mask.uses(x, y)) {
                 let pair = render.pixel(x, y).into_iter().zip(seen.pixel(x, y));
                 squares += pair.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
                 count += 3;

@@ -7,8 +7,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use cairn_durable::remove;
-use cairn_field::screening::LEAST_VIEWS;
-use cairn_field::{Screened, Screening, ScreeningOutcome};
+use cairn_field::screening::MIN_VIEWS;
+use cairn_field::{Doubt, Screened, Screening, ViewScore};
 use cairn_log::Digest;
 use cairn_scene::SceneFolder;
 use serde::{Deserialize, Serialize};
@@ -76,7 +76,7 @@ impl Sift<'_> {
         }
         let scene = leaving_out(scene, &views.left_out);
         let checkpoint = folder.join("screening.checkpoint");
-        if views.screened || scene.training().count() < LEAST_VIEWS {
+        if views.screened || scene.training().count() < MIN_VIEWS {
             remove(&checkpoint)?;
             return Ok(Some(scene));
         }
@@ -116,17 +116,13 @@ impl Sift<'_> {
         control: &Control<'_>,
     ) -> Result<Vec<String>, EngineError> {
         let name = &job.spec.scene;
-        let outliers = match &found.outcome {
-            ScreeningOutcome::Outliers(outliers) => outliers,
-            other => {
-                if let Some(note) = unjudged(other, found, job) {
-                    tracing::warn!(job = job.id, scene = name, note, "views not judged");
-                    control.note(note);
-                }
-                return Ok(Vec::new());
-            }
-        };
-        let entries = entries(job, scene, found, outliers);
+        if let Some(doubt) = found.doubt {
+            let note = unjudged(doubt, found);
+            tracing::warn!(job = job.id, scene = name, note, "views not judged");
+            control.note(note);
+            return Ok(Vec::new());
+        }
+        let entries = entries(job, scene, found);
         for entry in &entries {
             let (view, contributor) = (&entry.view, &entry.contributor);
             let fit_db = entry.found.as_ref().map(|f| f.fit_db);
@@ -151,28 +147,25 @@ impl Sift<'_> {
     }
 }
 
-fn entries(job: &Job, scene: &SceneFolder, found: &Screened, outliers: &[usize]) -> Vec<Entry> {
-    // Fits count the views that were trained on.
+fn entries(job: &Job, scene: &SceneFolder, found: &Screened) -> Vec<Entry> {
+    // Scores count the views that were trained on.
     let training: Vec<usize> = scene.training().collect();
-    let entry = |at: &usize| {
-        let (fit, index) = (&found.fits[*at], training[*at]);
-        Entry {
-            view: fit.view.clone(),
-            contributor: scene.capture().views[index].contributor.clone(),
-            photograph: Digest::from_bytes(scene.photograph_digest(index)),
-            standing: Standing::Quarantined,
-            found: Some(Found {
-                job: job.id.clone(),
-                fit_db: fit.fit_db,
-                deviations: fit.deviations,
-                median_db: found.median_db,
-                limit_db: found.limit_db,
-                unix_s: unix_s(),
-            }),
-            decided: None,
-        }
+    let entry = |(score, index): (&ViewScore, &usize)| Entry {
+        view: score.view.clone(),
+        contributor: scene.capture().views[*index].contributor.clone(),
+        photograph: Digest::from_bytes(scene.photograph_digest(*index)),
+        standing: Standing::Quarantined,
+        found: Some(Found {
+            job: job.id.clone(),
+            fit_db: score.fit_db,
+            deviations: -score.score,
+            median_db: found.median_db,
+            limit_db: found.limit_db,
+            unix_s: unix_s(),
+        }),
+        decided: None,
     };
-    outliers.iter().map(entry).collect()
+    found.scores.iter().zip(&training).filter(|(score, _)| score.is_outlier).map(entry).collect()
 }
 
 fn by_contributor(entries: &[Entry]) -> BTreeMap<&str, Vec<&Entry>> {
@@ -199,22 +192,18 @@ fn quarantined(scene: &str, contributor: &str, entries: &[&Entry], found: &Scree
     )
 }
 
-/// What there is to say where nobody was judged.
-fn unjudged(outcome: &ScreeningOutcome, found: &Screened, job: &Job) -> Option<String> {
-    let count = found.fits.len();
-    match outcome {
-        ScreeningOutcome::Outliers(_) => None,
-        ScreeningOutcome::TooMany(outliers) => Some(format!(
-            "{} of {count} views are explained by the others from their own poses no better than from any, more than \
-             quarantine.max_share = {} allows for: the poses or photographs of the whole capture may be wrong; nobody \
-             was quarantined",
-            outliers.len(),
-            job.spec.settings.quarantine.max_share
-        )),
-        ScreeningOutcome::Untold => Some(format!(
+/// What there is to say where no view was judged.
+fn unjudged(doubt: Doubt, found: &Screened) -> String {
+    match doubt {
+        Doubt::TooMany(outliers) => format!(
+            "{outliers} of {} views are explained by the others from their own poses no better than from any, more than \
+             a fifth: the poses or photographs of the whole capture may be wrong; nobody was quarantined",
+            found.scores.len(),
+        ),
+        Doubt::Untold => format!(
             "the views were not screened: learnt coarsely, the others explain the median view only {:.2} dB better from \
              its own pose than from others, too little to tell; nobody was quarantined",
             found.median_db
-        )),
+        ),
     }
 }

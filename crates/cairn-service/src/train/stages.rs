@@ -7,10 +7,8 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use cairn_field::{
-    BaseTrainer, FieldConfig, KeptView, LightVerdict, SceneFrame, Screening, Spacing, ToLearn, TrainingView,
-};
-use cairn_scene::{Picture, Picture8, SceneFolder};
+use cairn_field::{BaseTrainer, FieldConfig, LightVerdict, NamedView, SceneFrame, Screening, Spacing};
+use cairn_scene::SceneFolder;
 
 use crate::config::TrainingSettings;
 use crate::error::EngineError;
@@ -101,18 +99,7 @@ impl Stage for BaseTrainer {
                 vertices as f64 / *voxels as f64
             )
         });
-        let lit = self.has_basis_lights().then(|| {
-            "every view has a mixture of five basis lights: places differ by themselves between views (field.basis_lights)".to_owned()
-        });
-        let covered = self.watermarks().into_iter().map(|mark| {
-            format!(
-                "{} photographs by {} carry a visible watermark over {:.1} % of the frame: what it covers is not learnt from (field.leave_out_watermarks)",
-                mark.views.len(),
-                mark.contributor,
-                100.0 * mark.share()
-            )
-        });
-        far.into_iter().chain(covered).chain(light).chain(lit).chain(finer).chain(coarser).collect()
+        far.into_iter().chain(light).chain(finer).chain(coarser).collect()
     }
 }
 
@@ -170,8 +157,8 @@ pub fn screening(
     Ok(Some(match checkpoint {
         Some(bytes) => Screening::resume(bytes, views)?,
         None => {
-            let how = (&settings.field, &settings.quarantine);
-            Screening::new(views, trusted, place(scene)?, how, job.spec.seed)?
+            let (frame, background) = place(scene)?;
+            Screening::new(views, trusted, frame, background, &settings.field, job.spec.seed)?
         }
     }))
 }
@@ -182,40 +169,19 @@ fn place(scene: &SceneFolder) -> Result<(SceneFrame, Option<[f32; 3]>), EngineEr
     Ok((SceneFrame::from_views(capture, scene.kept())?, capture.background))
 }
 
-/// The views to train on, decoded. Each is kept in 8 bits before the next is read: in full they take four times as much.
-fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<KeptView>>, EngineError> {
-    let kept = |index: usize, picture: Picture| {
-        let view = &scene.capture().views[index];
-        let view = TrainingView {
-            name: view.name.clone(),
-            contributor: view.contributor.clone(),
-            camera: view.camera,
-            picture: Arc::new(picture),
-        };
-        Ok(view.kept()?)
-    };
-    each_photograph(scene, preparing, kept)
-}
-
-/// The training views' photographs, in their order, in 8 bits; `None` when `preparing` did not
-/// want to go on.
-pub fn photographs(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<Picture8>>, EngineError> {
-    each_photograph(scene, preparing, |_, picture| Ok(Picture8::from(&picture)))
-}
-
-/// What `keep` makes of each training view (its index) and its photograph, one after another.
-fn each_photograph<T>(
-    scene: &SceneFolder,
-    preparing: Preparing<'_>,
-    mut keep: impl FnMut(usize, Picture) -> Result<T, EngineError>,
-) -> Result<Option<Vec<T>>, EngineError> {
+/// The views to train on, decoded one after another; `None` when `preparing` did not want to go on.
+///
+/// # Errors
+/// For photographs that were altered.
+pub fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<NamedView>>, EngineError> {
     let training: Vec<usize> = scene.training().collect();
-    let mut kept = Vec::with_capacity(training.len());
+    let mut views = Vec::with_capacity(training.len());
     for index in &training {
-        if !preparing(PHOTOGRAPHS, kept.len(), training.len()) {
+        if !preparing(PHOTOGRAPHS, views.len(), training.len()) {
             return Ok(None);
         }
-        kept.push(keep(*index, scene.photograph(*index)?)?);
+        let name = scene.capture().views[*index].name.clone();
+        views.push(NamedView { name, view: Arc::new(scene.train_view(*index)?) });
     }
-    Ok(Some(kept))
+    Ok(Some(views))
 }

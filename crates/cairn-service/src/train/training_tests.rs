@@ -231,7 +231,7 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     let out = scene.capture().training().take(2).collect();
     let fewer = scenes::open(&trained.path("scenes"), "town").unwrap().leaving_out(out);
     heard.clear();
-    stages::photographs(&fewer, &mut |stage, done, total| {
+    stages::views(&fewer, &mut |stage, done, total| {
         heard.push((stage, done, total));
         true
     })

@@ -1,7 +1,6 @@
 //! DeepStega's networks as a part: trained on the photographs that stage 1 learns from.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
 use cairn_mark::{DeepConfig, DeepTrainer};
@@ -46,7 +45,7 @@ pub struct Networks {
 /// For photographs that do not decode, and the trainer's.
 pub fn run(task: &Task) -> anyhow::Result<Networks> {
     let opened = task.source.open()?;
-    let photograph = |index: usize| Ok(Arc::unwrap_or_clone(opened.view(index)?.picture));
+    let photograph = |index: usize| Ok(opened.view(index)?.picture);
     let photographs = opened.training().into_iter().map(photograph).collect::<anyhow::Result<Vec<_>>>()?;
     let hidden = task.hidden.iter().map(|path| decoded(path)).collect::<anyhow::Result<Vec<_>>>()?;
     let begun = Instant::now();

@@ -1,10 +1,11 @@
 //! All that this suite asks of a field beyond rendering it as shipped: other
 //! limits, an exact picture in f64, other precisions of storage.
 
-use cairn_field::appearance::features;
-use cairn_field::composite::gather;
-use cairn_field::patch::Patch;
-use cairn_field::{Appearance, Field, Thresholds, sh};
+use cairn_field::appearance::code::features;
+use cairn_field::grid::sh;
+use cairn_field::render::composite::gather;
+use cairn_field::render::patch::Patch;
+use cairn_field::{Appearance, Field, Thresholds};
 use cairn_scene::Camera;
 
 /// What a pixel leaves out as shipped.
@@ -54,7 +55,7 @@ pub fn render_exact(field: &Field, camera: &Camera, appearance: &Appearance, ste
     let mut pixel = |at: usize| {
         let (origin, direction) = camera.ray((at % w) as f64 + 0.5, (at / w) as f64 + 0.5);
         let harmonics = sh::basis(direction.to_array());
-        patch.begin(field.colours().weights(&harmonics, &appearance.lights()));
+        patch.begin(harmonics);
         let gathered = gather(&grid, &mut patch, &field.frame().path(origin, direction), 0.5, limits, &mut tape);
         appearance.shade(&features(&gathered, &harmonics))
     };

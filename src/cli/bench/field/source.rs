@@ -2,10 +2,9 @@
 //! for trying out.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use anyhow::Context as _;
-use cairn_field::{SceneFrame, TrainingView};
+use cairn_field::{NamedView, SceneFrame};
 use cairn_scene::{Camera, Capture, Limits, Picture, ReadOptions, SceneKind, decode_picture};
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +37,23 @@ impl Source {
         let options = ReadOptions { skip_missing: self.skip_missing, ..ReadOptions::default() };
         let capture = Capture::read(&self.folder, &options)?;
         Ok(Opened { capture, source: self.clone() })
+    }
+}
+
+/// A view with its photograph, at the size it is used at.
+pub struct SizedView {
+    /// Its name.
+    pub name: String,
+    /// Its camera.
+    pub camera: Camera,
+    /// Its photograph.
+    pub picture: Picture,
+}
+
+impl SizedView {
+    /// As stage 1 learns from it.
+    pub fn named(&self) -> NamedView {
+        NamedView::new(self.name.clone(), self.camera, &self.picture)
     }
 }
 
@@ -91,14 +107,9 @@ impl Opened {
     ///
     /// # Errors
     /// For a photograph that does not decode.
-    pub fn view(&self, index: usize) -> anyhow::Result<TrainingView> {
+    pub fn view(&self, index: usize) -> anyhow::Result<SizedView> {
         let picture = self.sized(index, self.capture.photograph(index)?);
-        Ok(TrainingView {
-            name: self.capture.views[index].name.clone(),
-            contributor: self.capture.views[index].contributor.clone(),
-            camera: self.camera(index),
-            picture: Arc::new(picture),
-        })
+        Ok(SizedView { name: self.capture.views[index].name.clone(), camera: self.camera(index), picture })
     }
 
     /// The pixels of a view that belong to the subject, row-major; `None` where the

@@ -1,7 +1,6 @@
 //! A training as a part: from decoded photographs to the stored field.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
 use cairn_field::{BaseTrainer, FieldConfig};
@@ -73,9 +72,9 @@ pub fn run(task: &Task) -> anyhow::Result<Trained> {
     let view = |index: usize| {
         let mut view = opened.view(index)?;
         if let Some(stego) = &stego {
-            view.picture = Arc::new(stego.hide(&view.picture)?);
+            view.picture = stego.hide(&view.picture)?;
         }
-        Ok(view)
+        Ok(view.named())
     };
     let views = opened.training().into_iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
     let held_out = opened.held_out_cameras();

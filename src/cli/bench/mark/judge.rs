@@ -214,7 +214,7 @@ pub(super) fn views(opened: &Opened, marked: &MarkedField, right_half: bool) -> 
             base: eight_bits(&base.render(&view.camera, &appearance))?,
             marked: eight_bits(&marked.render(&view.camera, &appearance))?,
             camera: view.camera,
-            photograph: (*view.picture).clone(),
+            photograph: view.picture.clone(),
             appearance,
             truth: identity.unwrap_or(0) as usize,
         })

@@ -4,9 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use cairn_field::Field;
+use cairn_field::{Field, NamedView};
 use cairn_mark::{Detector, Known, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Recipe, Signal};
-use cairn_scene::Picture8;
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +13,7 @@ use super::super::field::progress::Progress;
 use super::super::field::source::{Opened, Source};
 use super::super::memory::{peak_mib, processor_s};
 use cairn_service::store::hidden::{Parts, decoded};
-use cairn_service::train::marks::{JUDGE_EVERY, Taken, explained};
+use cairn_service::train::marks::{JUDGE_EVERY, explained};
 
 /// Files of what one identity hides.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -165,21 +164,18 @@ fn going_on(
     Ok(MarkTrainer::growing(vec![MarkScene::new(field, plan)], &earlier, config, seed, hear)?)
 }
 
-/// A capture's plan, and by whom its photographs were taken.
+/// A capture's plan, and its photographs.
 pub(super) struct Planned {
     /// What is trained.
     pub plan: MarkPlan,
-    /// Name and contributor of each of its views.
-    taken: Vec<(String, String)>,
+    /// Its views with their photographs.
+    taken: Vec<NamedView>,
 }
 
 impl Planned {
     /// How well `base` explains the photographs, PSNR in dB: what marks may cost hangs on it, here as in the engine.
     pub fn explained_db(&self, base: &Field) -> f64 {
-        let views = self.plan.views.iter().zip(&self.taken);
-        let taken: Vec<Taken<'_>> =
-            views.map(|(view, (name, contributor))| Taken { camera: view.camera, name, contributor }).collect();
-        explained(base, &taken, &self.plan.negatives)
+        explained(base, &self.taken)
     }
 }
 
@@ -203,10 +199,10 @@ pub(super) fn plan(
     let views = training.iter().map(|index| {
         let view = opened.view(*index)?;
         let planned = PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() };
-        Ok((planned, (Picture8::from(&*view.picture), (view.name, view.contributor))))
+        Ok((planned, view.named()))
     });
-    let (views, photographs): (_, Vec<_>) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
-    let (negatives, taken) = photographs.into_iter().unzip();
+    let (views, taken): (_, Vec<_>) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
+    let negatives = taken.iter().map(|view: &NamedView| view.view.rgb8.clone()).collect();
     Ok(Planned { plan: MarkPlan { clusters, views, signals, negatives }, taken })
 }
 

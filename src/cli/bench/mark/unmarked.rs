@@ -86,7 +86,7 @@ fn every(opened: &Opened) -> Vec<usize> {
 }
 
 fn photographs(opened: &Opened, of: Vec<usize>) -> impl Iterator<Item = anyhow::Result<Picture>> {
-    of.into_iter().map(|index| Ok((*opened.view(index)?.picture).clone()))
+    of.into_iter().map(|index| Ok(opened.view(index)?.picture))
 }
 
 /// Renders as files hold them.

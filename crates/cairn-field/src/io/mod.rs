@@ -1,0 +1,3 @@
+//! Reading and writing safetensors files with a Cairn header.
+
+pub mod tensors;

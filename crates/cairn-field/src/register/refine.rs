@@ -1,0 +1,289 @@
+//! From about where a picture was taken to exactly where: Levenberg and Marquardt's steps on the difference of
+//! colours. Slopes are differences of renders: nothing is assumed of depths, and every pixel is what the
+//! renderer makes of it. What fits nowhere (a black corner, something laid over the picture) loses its say by
+//! Tukey's weights.
+
+use super::matrix::{NUMBERS, Normal};
+use super::windows::Level;
+use crate::appearance::code::{Appearance, FEATURES};
+use crate::appearance::prior::Prior;
+use crate::field::model::Field;
+use crate::rays::lens::{Eye, Lens};
+use crate::stats::median;
+use cairn_scene::Camera;
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+/// Where Tukey's weights end, in robust standard deviations.
+const TUKEY: f64 = 4.685;
+/// How far a number goes for a slope, pixels of the level.
+const PROBE_PX: f64 = 0.4;
+/// Slopes serve for another step where one by them left less than this share of the cost: they are ten
+/// renders, a step is one.
+const WELL: f64 = 0.8;
+/// Steps for each time that slopes may be worked out, at most.
+const TURNS: usize = 4;
+/// A step that moves pixels by less ends a level, pixels of the level.
+const SETTLED_PX: f64 = 0.01;
+
+/// What a picture is compared with.
+pub(super) struct Against<'a> {
+    pub(super) field: &'a Field,
+    /// What light to expect.
+    pub(super) prior: &'a Prior,
+    /// How far off what is seen is, capture units.
+    pub(super) reach: f64,
+}
+
+/// How a level is gone through.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pass {
+    /// How often slopes are worked out, at most.
+    pub(super) steps: usize,
+    /// So many of the nine numbers, the first ones, are moved.
+    pub(super) free: usize,
+    /// The smallest spread of differences by which outliers are told, colours in [0, 1].
+    pub(super) min_spread: f64,
+}
+
+/// A place, refined on one level.
+#[derive(Clone, Debug)]
+pub(super) struct Refined {
+    pub(super) camera: Camera,
+    pub(super) appearance: Appearance,
+    /// Share of the pixels' variance that is explained, by the weights that they ended with.
+    pub(super) explained: f64,
+}
+
+/// What the field shows at a camera, and how far off the picture is.
+struct Looked {
+    camera: Camera,
+    appearance: Appearance,
+    residuals: Vec<[f32; 3]>,
+}
+
+/// A step that was taken.
+struct Moved {
+    next: Looked,
+    /// What it left of the cost.
+    share: f64,
+    by_px: f64,
+}
+
+/// Takes steps from `camera`, as `pass` says. `None` where there is nothing to
+/// compare, no light explains it, or it is no longer `wanted`.
+pub(super) fn refine(
+    against: &Against<'_>,
+    level: &Level,
+    camera: Camera,
+    pass: Pass,
+    wanted: &dyn Fn() -> bool,
+) -> Option<Refined> {
+    let Pass { steps, free, min_spread } = pass;
+    if level.windows.is_empty() {
+        return None;
+    }
+    let mut now = look(against, level, &camera, None)?;
+    // Little: with much, steps along the valley of longer lenses further off were too short to go on.
+    let mut damping = 1e-5;
+    let (mut known, mut worked_out) = (None::<Slopes>, 0);
+    // Weights change as it goes, so that a cost that falls proves no end.
+    for _ in 0..TURNS * steps {
+        if known.is_none() && worked_out == steps {
+            break;
+        }
+        if !wanted() {
+            return None;
+        }
+        let fresh = known.is_none();
+        worked_out += usize::from(fresh);
+        let slopes = known.take().unwrap_or_else(|| Slopes::at(against, level, &now, free));
+        let weights = Weights::of(&now.residuals, &level.tells, min_spread);
+        // Slopes from a step before that do not lead on are worked out anew, and say nothing of the next
+        // step's damping.
+        let (tries, mut damped) = (if fresh { 4 } else { 1 }, damping);
+        let moved = slopes.follow(against, level, &now, &weights, &mut damped, tries);
+        match moved {
+            Some(Moved { next, share, by_px }) => {
+                (now, damping) = (next, damped);
+                if by_px < SETTLED_PX {
+                    break;
+                }
+                known = (share < WELL).then_some(slopes);
+            }
+            None if fresh => break,
+            None => {}
+        }
+    }
+    let explained = Weights::of(&now.residuals, &level.tells, min_spread).explained(&now.residuals, level);
+    Some(Refined { camera: now.camera, appearance: now.appearance, explained })
+}
+
+/// How far each number goes so that pixels move by about [`PROBE_PX`] of a copy `longest` px long.
+fn units(camera: &Camera, reach: f64, longest: f64) -> [f64; NUMBERS] {
+    let i = &camera.intrinsics;
+    // Of the copy's pixels one is so many of the picture's.
+    let pixel = i.width.max(i.height) as f64 / longest * PROBE_PX;
+    let (angle, half) = (pixel / i.fx, i.width.max(i.height) as f64 / 2.0);
+    let aside = angle * reach;
+    let larger = pixel / half;
+    [angle, angle, larger, aside, aside, larger * reach, larger, pixel, pixel]
+}
+
+/// `camera` with its nine numbers changed by `step`, each in its unit: turned about its own axes, moved along them, its
+/// focal length multiplied, its principal point moved.
+fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMBERS]) -> Camera {
+    let by: [f64; NUMBERS] = std::array::from_fn(|k| step[k] * units[k]);
+    let mut changed = *camera;
+    let turn = DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::new(by[0], by[1], by[2])));
+    changed.pose.position += camera.pose.rotation * DVec3::new(by[3], by[4], by[5]);
+    changed.pose.rotation = camera.pose.rotation * turn;
+    let i = &mut changed.intrinsics;
+    let larger = by[6].clamp(-1.0, 1.0).exp();
+    (i.fx, i.fy) = (i.fx * larger, i.fy * larger);
+    (i.cx, i.cy) = (i.cx + by[7], i.cy + by[8]);
+    changed
+}
+
+/// What the level's pixels gather from `camera`.
+fn gathered(field: &Field, level: &Level, camera: &Camera) -> Vec<[f32; FEATURES]> {
+    let parts: Vec<Camera> = level.windows.iter().map(|w| level.camera(camera, w)).collect();
+    field.features_of(Eye { camera: &parts[0], lens: &Lens::stacked(&parts) }, level.rays)
+}
+
+fn look(against: &Against<'_>, level: &Level, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
+    let features = gathered(against.field, level, camera);
+    let counts = |at: &usize| weights.is_none_or(|w| w.each[*at] > 0.1);
+    let some: Vec<usize> = (0..features.len()).filter(counts).collect();
+    let (f, p): (Vec<_>, Vec<_>) = some.iter().map(|at| (features[*at], level.pixels[*at])).unzip();
+    let appearance = against.prior.fit(&f, &p)?;
+    let residuals = differences(&features, &appearance, &level.pixels);
+    Some(Looked { camera: *camera, appearance, residuals })
+}
+
+/// Each pixel less what the field shows there.
+fn differences(features: &[[f32; FEATURES]], light: &Appearance, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let off = |(f, pixel): (&[f32; FEATURES], &[f32; 3])| {
+        // Files hold no colours beyond these.
+        let shown = light.shade(f).map(|v| v.clamp(0.0, 1.0));
+        std::array::from_fn(|c| pixel[c] - shown[c])
+    };
+    features.iter().zip(pixels).map(off).collect()
+}
+
+/// How what the field shows changes with each of a camera's numbers: as a render with that one a little
+/// different differs. All of them so: a turn and a move to the side show nearly the same, and slopes of the
+/// picture for the one beside renders for the other hid the difference between them, which is all that
+/// tells how far things are.
+struct Slopes {
+    /// How far each number went.
+    units: [f64; NUMBERS],
+    /// What that added to each colour of each pixel.
+    each: Vec<[[f32; NUMBERS]; 3]>,
+}
+
+impl Slopes {
+    /// For the first `free` numbers of the present camera; the others' are 0.
+    fn at(against: &Against<'_>, level: &Level, now: &Looked, free: usize) -> Self {
+        let units = units(&now.camera, against.reach, level.size.0.max(level.size.1) as f64);
+        let of = |k: usize| {
+            let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
+            differences(
+                &gathered(against.field, level, &changed(&now.camera, &step, &units)),
+                &now.appearance,
+                &level.pixels,
+            )
+        };
+        let probes: Vec<Vec<[f32; 3]>> = (0..free).into_par_iter().map(of).collect();
+        // A residual falls by what the render rises.
+        let slope =
+            |at: usize, c: usize, k: usize| if k < free { now.residuals[at][c] - probes[k][at][c] } else { 0.0 };
+        let each = |at: usize| std::array::from_fn(|c| std::array::from_fn(|k| slope(at, c, k)));
+        Self { units, each: (0..now.residuals.len()).map(each).collect() }
+    }
+
+    /// The first of up to `tries` steps that comes to a lower cost, each damped more than the one before.
+    fn follow(
+        &self,
+        against: &Against<'_>,
+        level: &Level,
+        now: &Looked,
+        weights: &Weights,
+        damping: &mut f64,
+        tries: usize,
+    ) -> Option<Moved> {
+        let normal = self.normal(&now.residuals, weights);
+        let before = weights.cost(&now.residuals);
+        for _ in 0..tries {
+            let step = normal.step(*damping)?;
+            let there = changed(&now.camera, &step, &self.units);
+            // Light is fitted to what counted: an outlier has no say in it either.
+            let next = look(against, level, &there, Some(weights));
+            let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(&next.residuals));
+            if let Some(next) = next.filter(|_| cost < before) {
+                *damping = (*damping * 0.1).max(1e-8);
+                let by_px = step.iter().map(|s| s * s).sum::<f64>().sqrt() * PROBE_PX;
+                return Some(Moved { next, share: cost / before, by_px });
+            }
+            *damping *= 30.0;
+        }
+        None
+    }
+
+    fn normal(&self, residuals: &[[f32; 3]], weights: &Weights) -> Normal {
+        let mut normal = Normal::default();
+        for ((slopes, r), w) in self.each.iter().zip(residuals).zip(&weights.each).filter(|(_, w)| **w != 0.0) {
+            for (slopes, r) in slopes.iter().zip(r) {
+                normal.add(&slopes.map(f64::from), f64::from(*r), *w);
+            }
+        }
+        normal
+    }
+}
+
+/// Tukey's biweights of residuals.
+struct Weights {
+    each: Vec<f64>,
+    /// Robust standard deviation of a pixel's difference.
+    spread: f64,
+}
+
+impl Weights {
+    /// By the spread of those residuals that tell something.
+    fn of(residuals: &[[f32; 3]], tells: &[bool], min_spread: f64) -> Self {
+        let sizes: Vec<f64> = residuals.iter().map(size).collect();
+        let telling: Vec<f64> = sizes.iter().zip(tells).filter(|(_, tells)| **tells).map(|(s, _)| *s).collect();
+        // Of a length of three normal numbers the median is 1.54 of their deviation. Nothing tells: no spread.
+        let median = if telling.is_empty() { 0.0 } else { median(telling) };
+        let spread = (median / 1.54).max(min_spread);
+        let weight = |s: &f64| (1.0 - (s / (TUKEY * spread * 3f64.sqrt())).powi(2)).max(0.0).powi(2);
+        Self { each: sizes.iter().map(weight).collect(), spread }
+    }
+
+    /// Tukey's loss, with the spread that these weights were made with.
+    fn cost(&self, residuals: &[[f32; 3]]) -> f64 {
+        let end = TUKEY * self.spread * 3f64.sqrt();
+        let loss = |r: &[f32; 3]| 1.0 - (1.0 - (size(r) / end).powi(2)).max(0.0).powi(3);
+        residuals.iter().map(loss).sum()
+    }
+
+    /// Share of the pixels that tell something of which the field explains anything, times the share of their
+    /// variance that it explains, 1 at most.
+    fn explained(&self, residuals: &[[f32; 3]], level: &Level) -> f64 {
+        let telling = level.tells.iter().filter(|tells| **tells).count();
+        let some: Vec<usize> = (0..residuals.len()).filter(|at| level.tells[*at] && self.each[*at] > 0.1).collect();
+        let n = some.len() as f64;
+        let mean: [f64; 3] =
+            std::array::from_fn(|c| some.iter().map(|at| f64::from(level.pixels[*at][c])).sum::<f64>() / n);
+        let (mut left, mut variance) = (0.0, 0.0);
+        for at in &some {
+            left += size(&residuals[*at]).powi(2);
+            variance += (0..3).map(|c| (f64::from(level.pixels[*at][c]) - mean[c]).powi(2)).sum::<f64>();
+        }
+        if variance > 0.0 { n / telling as f64 * (1.0 - left / variance) } else { 0.0 }
+    }
+}
+
+fn size(r: &[f32; 3]) -> f64 {
+    r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt()
+}
