@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 use std::sync::{Arc, Mutex};
 
 use crate::handmade::{Log, key, put};
+use cairn_log::keys::{Seal, save_key};
 use cairn_log::{RecordKind, WitnessVerifier, cosign};
 
 fn cairn(arguments: &[&str]) -> Output {
@@ -38,11 +39,11 @@ fn a_store_is_audited_and_each_fault_has_its_exit_code() {
     let json: serde_json::Value = serde_json::from_str(&said).unwrap();
     assert_eq!((code, json["outcome"].as_str(), json["records"].as_u64()), (Some(0), Some("valid"), Some(5)), "{said}");
     // The folder's own key is found, and compared with the one that is pinned.
-    log.signer.save(&dir.path().join("data/registry.key")).unwrap();
+    save_key(&dir.path().join("data/registry.key"), &log.signer, &Seal::Plain).unwrap();
     let (code, said) = audit(&["store", &data]);
     assert!(code == Some(0) && said.contains("store.key.unpinned"), "{said}");
     std::fs::remove_file(dir.path().join("data/registry.key")).unwrap();
-    key(7).save(&dir.path().join("data/registry.key")).unwrap();
+    save_key(&dir.path().join("data/registry.key"), &key(7), &Seal::Plain).unwrap();
     let (code, said) = audit(&["store", &data, "--vkey", &vkey]);
     assert!(code == Some(15) && said.contains("registry.key"), "{said}");
     std::fs::remove_file(dir.path().join("data/registry.key")).unwrap();
@@ -77,7 +78,7 @@ fn a_lost_working_state_is_made_again_from_a_folder_written_by_other_code() {
     let config = dir.path().join("cairn.toml");
     put(&config, format!("[registry]\norigin = \"{}\"\n", crate::handmade::ORIGIN).as_bytes());
     let config = config.display().to_string();
-    log.signer.save(&dir.path().join("data/registry.key")).unwrap();
+    save_key(&dir.path().join("data/registry.key"), &log.signer, &Seal::Plain).unwrap();
     let run = |arguments: &[&str]| {
         let output = cairn(&[arguments, &["--data", &data, "--config", &config]].concat());
         let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();

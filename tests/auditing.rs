@@ -8,7 +8,10 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 
 use crate::common::{Daemon, Place, files};
-use cairn_log::record::{self, Digests, Identity, Seen, SignalFiles, hidden_signal_commitment, photographs_root};
+use cairn_log::format::record::{
+    self, Digests, Identity, Seen, SignalFiles, hidden_signal_commitment, photographs_root,
+};
+use cairn_log::keys::{Seal, save_key};
 use cairn_log::{
     Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, TlogProof, WitnessVerifier, cosign,
 };
@@ -132,7 +135,7 @@ impl World {
         envelope.payload = said.replace("\"ada\"", "\"eve\"").into_bytes();
         world.put("forged/record.json", envelope.to_json());
         drop(registry);
-        key(200).save(&world.path("data/registry.key")).unwrap();
+        save_key(&world.path("data/registry.key"), &key(200), &Seal::Plain).unwrap();
         // Opened by the program once and closed again, the folder is as a daemon leaves it.
         world.put("cairn.toml", format!("[registry]\norigin = {ORIGIN:?}\n"));
         let (said, code) = cairn("cairn owners vkey --data data --config cairn.toml", folder);

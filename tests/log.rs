@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use crate::common::{Daemon, Place, copy};
 use cairn_api::v1;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
-use cairn_log::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
+use cairn_log::format::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
 use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
 use tonic::transport::Channel;
 

@@ -147,7 +147,7 @@ fn cosignature_holds(proof: &Path, vkey: &Path) {
     let proof = fs::read_to_string(proof).unwrap();
     let note = Note::parse(proof.split_once("\n\n").unwrap().1).unwrap();
     let line = note.signatures.iter().find(|s| s.name == name).unwrap();
-    assert_eq!(line.key_id, cairn_log::note::key_id(name, &typed));
+    assert_eq!(line.key_id, cairn_log::format::note::key_id(name, &typed));
     let (time, signature) = line.signature.split_first_chunk::<8>().unwrap();
     let message = |time| format!("cosignature/v1\ntime {time}\n{}", note.text);
     let time = u64::from_be_bytes(*time);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use cairn_api::v1;
-use cairn_log::{ErasureRequest, RecordKind, erasure};
+use cairn_log::{ErasureRequest, RecordKind, format::erasure};
 
 use super::connect::Connection;
 use super::records::{Bundle, Ground, Stored};

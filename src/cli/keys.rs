@@ -4,8 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_api::v1;
-use cairn_log::keys::{Seal, SealingKey, StoredKey, reseal_key, save_key};
 use cairn_log::{OwnerKey, OwnerRecord, RecordKind};
+use cairn_log::{
+    format::sealed::SealingKey,
+    keys::{Seal, StoredKey, reseal_key, save_key, save_sealing_key},
+};
 
 use super::connect::Connection;
 use super::records::{self, Bundle, Ground, Stored};
@@ -125,7 +128,7 @@ pub fn local(command: &Command) -> anyhow::Result<()> {
             Ok(())
         }
         Command::NewKeyFile { file } => {
-            SealingKey::generate()?.save(file)?;
+            save_sealing_key(file, &SealingKey::generate()?)?;
             println!("new key file {}; keep it apart from the keys that it seals, and a copy of it", file.display());
             Ok(())
         }

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_api::v1;
-use cairn_log::record::{Digests, Seen, random_salt};
+use cairn_log::format::record::{Digests, Seen, random_salt};
 use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
 use tonic::{Code, Status};
 

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_api::v1;
-use cairn_log::record::{
+use cairn_log::format::record::{
     Digests, Identity, MAX_VIEWS, SignalFiles, hidden_signal_commitment, photographs_root, random_salt,
 };
+use cairn_log::keys::{Seal, save_key};
 use cairn_log::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::connect::Connection;
@@ -96,7 +97,7 @@ fn record(
     let photographs = photographs(material)?;
     let of_photographs = matches!(args.kind, Kind::Claim | Kind::Contribution);
     Ok(OwnerRecord {
-        version: cairn_log::record::VERSION,
+        version: cairn_log::format::record::VERSION,
         kind,
         origin: ground.origin,
         scene: args.name.clone(),
@@ -180,7 +181,7 @@ pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::
     let mut signed = Vec::with_capacity(model.identities.len());
     for identity in &model.identities {
         let key = folder.join(format!("{}.key", identity.number));
-        OwnerKey::generate()?.save(&key)?;
+        save_key(&key, &OwnerKey::generate()?, &Seal::Plain)?;
         let args = SignArgs {
             name: scene.to_owned(),
             identity: identity.number,

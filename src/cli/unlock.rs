@@ -4,7 +4,11 @@
 use std::path::{Path, PathBuf};
 
 use cairn_log::OwnerKey;
-use cairn_log::keys::{KeyError, Passphrase, Seal, SealingKey, Unlock, load_key};
+use cairn_log::{
+    KeyError,
+    format::sealed::Passphrase,
+    keys::{KeyFileError, Seal, Unlock, load_key, load_passphrase, load_sealing_key},
+};
 use zeroize::Zeroizing;
 
 /// What opens the owner's key where it is sealed.
@@ -24,10 +28,10 @@ impl UnlockArgs {
     ///
     /// # Errors
     /// The key file's; where there is no terminal to ask at.
-    pub fn load(&self, path: &Path) -> Result<OwnerKey, KeyError> {
+    pub fn load(&self, path: &Path) -> Result<OwnerKey, KeyFileError> {
         let unlock = match (&self.passphrase_file, &self.key_file) {
-            (Some(file), _) => Unlock::Passphrase(Passphrase::load(file)?),
-            (None, Some(file)) => Unlock::KeyFile(SealingKey::load(file)?),
+            (Some(file), _) => Unlock::Passphrase(load_passphrase(file)?),
+            (None, Some(file)) => Unlock::KeyFile(load_sealing_key(file)?),
             (None, None) => Unlock::Ask(&|path| ask(path, "passphrase")),
         };
         load_key(path, &unlock)
@@ -37,14 +41,14 @@ impl UnlockArgs {
     ///
     /// # Errors
     /// As [`UnlockArgs::load`]; where the two differ.
-    pub fn seal(&self, path: &Path) -> Result<Seal, KeyError> {
+    pub fn seal(&self, path: &Path) -> Result<Seal, KeyFileError> {
         Ok(match (&self.passphrase_file, &self.key_file) {
-            (Some(file), _) => Seal::Passphrase(Passphrase::load(file)?),
-            (None, Some(file)) => Seal::KeyFile(SealingKey::load(file)?),
+            (Some(file), _) => Seal::Passphrase(load_passphrase(file)?),
+            (None, Some(file)) => Seal::KeyFile(load_sealing_key(file)?),
             (None, None) => {
                 let first = ask(path, "new passphrase")?;
                 if first != ask(path, "the same again")? {
-                    return Err(KeyError::Passphrase("it was typed differently the second time"));
+                    return Err(KeyError::Passphrase("it was typed differently the second time").into());
                 }
                 Seal::Passphrase(first)
             }
@@ -52,7 +56,8 @@ impl UnlockArgs {
     }
 }
 
-fn ask(path: &Path, what: &str) -> Result<Passphrase, KeyError> {
+fn ask(path: &Path, what: &str) -> Result<Passphrase, KeyFileError> {
     let asked = rpassword::prompt_password(format!("{what} for {}: ", path.display()));
-    Passphrase::new(Zeroizing::new(asked.map_err(|e| KeyError::Ask { path: path.into(), cause: e.to_string() })?))
+    let typed = asked.map_err(|e| KeyFileError::Ask { path: path.into(), cause: e.to_string() })?;
+    Ok(Passphrase::new(Zeroizing::new(typed))?)
 }

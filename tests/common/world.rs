@@ -2,6 +2,7 @@
 
 use cairn_api::v1;
 use cairn_api::v1::access_service_client::AccessServiceClient;
+use cairn_log::keys::{Seal, Unlock, load_key, save_key};
 use cairn_log::{OwnerKey, PublicKey};
 use cairn_service::auth::Daemon as Identity;
 use tonic::transport::{Channel, Endpoint};
@@ -76,13 +77,13 @@ impl World {
     }
 
     pub fn key(&self, who: &str) -> OwnerKey {
-        OwnerKey::load(&self.place.path(&format!("{who}.key"))).unwrap()
+        load_key(&self.place.path(&format!("{who}.key")), &Unlock::Nothing).unwrap()
     }
 }
 
 /// A new key in `NAME.key`.
 pub fn key(place: &Place, name: &str) -> PublicKey {
     let key = OwnerKey::generate().unwrap();
-    key.save(&place.path(&format!("{name}.key"))).unwrap();
+    save_key(&place.path(&format!("{name}.key")), &key, &Seal::Plain).unwrap();
     key.public()
 }

@@ -4,7 +4,7 @@
 
 use crate::common::*;
 use cairn_durable::Fault;
-use cairn_log::{Anchor, Registry, RegistryError, store::FaultyStore};
+use cairn_log::{Anchor, Registry, RegistryError, log::store::FaultyStore};
 
 const FILE: &str = "log.anchor";
 

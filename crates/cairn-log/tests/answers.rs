@@ -5,13 +5,15 @@
 use crate::common::*;
 use cairn_log::{
     Checkpoint, Digest, Registry, RegistryError,
-    answer::{Answer, AnswerGap, asked_key, keys_about},
-    leaf::Leaf,
-    map::list_root,
-    map_leaf::Entry,
-    merkle::{self, leaf_hash},
-    record::photographs_root,
-    store::FaultyStore,
+    format::{
+        answer::{Answer, AnswerGap, asked_key, keys_about},
+        leaf::Leaf,
+        map::list_root,
+        map_leaf::Entry,
+        merkle::{self, leaf_hash},
+        record::photographs_root,
+    },
+    log::store::FaultyStore,
 };
 
 fn open(store: &FaultyStore) -> Registry {

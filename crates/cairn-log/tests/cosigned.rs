@@ -2,7 +2,7 @@
 #![cfg(feature = "store")]
 
 use crate::common::{ORIGIN, owner, registry_key, submit};
-use cairn_log::{Checkpoint, Note, Registry, RegistryError, cosign, store::FaultyStore};
+use cairn_log::{Checkpoint, Note, Registry, RegistryError, cosign, log::store::FaultyStore};
 
 /// A checkpoint with the cosignatures of so many witnesses.
 fn cosigned(checkpoint: &str, witnesses: u8) -> String {

@@ -14,7 +14,7 @@ use std::{
 
 use crate::common::*;
 use cairn_durable::RealDisk;
-use cairn_log::{Anchor, Checkpoint, Digest, Registry, merkle, store::DiskStore};
+use cairn_log::{Anchor, Checkpoint, Digest, Registry, format::merkle, log::store::DiskStore};
 use rand::{RngExt as _, SeedableRng as _};
 
 const CHILD: &str = "CAIRN_CRASH_CHILD";

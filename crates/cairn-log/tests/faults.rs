@@ -5,7 +5,7 @@
 
 use crate::common::*;
 use cairn_durable::Fault;
-use cairn_log::{Checkpoint, OwnerKey, Registry, RegistryError, store::FaultyStore};
+use cairn_log::{Checkpoint, OwnerKey, Registry, RegistryError, log::store::FaultyStore};
 
 const FAULTS: [Fault; 2] = [Fault::Before, Fault::After];
 

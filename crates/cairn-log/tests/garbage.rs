@@ -5,9 +5,11 @@ mod targets;
 
 use cairn_log::{
     Answer, Checkpoint, CheckpointError, Digest, Envelope, Note, OwnerRecord, TlogProof,
-    answer::{AnswerError, MAX_ANSWER_BYTES},
-    dsse::MAX_ENVELOPE_BYTES,
-    note::MAX_NOTE_BYTES,
+    format::{
+        answer::{AnswerError, MAX_ANSWER_BYTES},
+        dsse::MAX_ENVELOPE_BYTES,
+        note::MAX_NOTE_BYTES,
+    },
 };
 use cairn_testkit::{Counting, Limit, attack, attack_with, cases, peak_of, samples};
 use targets::{TARGETS, Target, envelope, target};

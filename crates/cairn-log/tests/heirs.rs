@@ -3,7 +3,7 @@
 
 use crate::common::{ORIGIN, owner, record, registry_key, sealed, submit};
 use cairn_log::{
-    Digest, Envelope, Heir, Receipt, RecordError, RecordKind, Registry, RegistryError, store::FaultyStore,
+    Digest, Envelope, Heir, Receipt, RecordError, RecordKind, Registry, RegistryError, log::store::FaultyStore,
 };
 
 fn opened(store: &FaultyStore) -> Registry {

@@ -2,7 +2,10 @@
 
 use std::fs;
 
-use cairn_log::{KeyError, OwnerKey, PublicKey};
+use cairn_log::{
+    KeyError, OwnerKey, PublicKey,
+    keys::{KeyFileError, Seal, Unlock, load_key, save_key},
+};
 
 /// The order of the base point, little-endian (RFC 8032, 5.1).
 const ORDER: &str = "edd3f55c1a631258d69cf7a2def9de1400000000000000000000000000000010";
@@ -96,20 +99,20 @@ fn a_key_file_is_private_whole_and_never_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("owner.pem");
     let key = OwnerKey::generate().unwrap();
-    key.save(&path).unwrap();
-    assert_eq!(OwnerKey::load(&path).unwrap().public(), key.public());
+    save_key(&path, &key, &Seal::Plain).unwrap();
+    assert_eq!(load_key(&path, &Unlock::Nothing).unwrap().public(), key.public());
     let text = fs::read_to_string(&path).unwrap();
     assert!(text.starts_with("-----BEGIN PRIVATE KEY-----\n"), "{}", text.len());
-    assert!(matches!(OwnerKey::generate().unwrap().save(&path), Err(KeyError::Exists { .. })));
-    assert_eq!(OwnerKey::load(&path).unwrap().public(), key.public());
+    assert!(matches!(save_key(&path, &OwnerKey::generate().unwrap(), &Seal::Plain), Err(KeyFileError::Exists { .. })));
+    assert_eq!(load_key(&path, &Unlock::Nothing).unwrap().public(), key.public());
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays behind");
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
         assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
         fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
-        let refused = OwnerKey::load(&path).unwrap_err();
-        assert!(matches!(refused, KeyError::TooOpen { mode: 0o640, .. }), "{refused}");
+        let refused = load_key(&path, &Unlock::Nothing).unwrap_err();
+        assert!(matches!(refused, KeyFileError::TooOpen { mode: 0o640, .. }), "{refused}");
     }
 }
 
@@ -117,7 +120,7 @@ fn a_key_file_is_private_whole_and_never_overwritten() {
 fn what_is_no_key_file_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.pem");
-    assert!(matches!(OwnerKey::load(&path), Err(KeyError::Io { what: "read", .. })));
+    assert!(matches!(load_key(&path, &Unlock::Nothing), Err(KeyFileError::Io { what: "read", .. })));
     let good = OwnerKey::from_seed(&[5; 32]).to_pem().unwrap();
     let texts =
         [String::new(), "hello".into(), good.replace("PRIVATE", "PUBLIC"), good[..60].to_owned(), "x".repeat(5000)];
@@ -127,8 +130,8 @@ fn what_is_no_key_file_is_refused_by_name() {
         std::os::unix::fs::OpenOptionsExt::mode(&mut file, 0o600);
         let mut file = file.write(true).create(true).truncate(true).open(&path).unwrap();
         std::io::Write::write_all(&mut file, text.as_bytes()).unwrap();
-        let refused = OwnerKey::load(&path).unwrap_err();
-        assert!(matches!(refused, KeyError::NotAKey { .. }), "{refused}");
+        let refused = load_key(&path, &Unlock::Nothing).unwrap_err();
+        assert!(matches!(refused, KeyFileError::NotAKey { .. }), "{refused}");
         assert!(refused.to_string().contains("bad.pem"));
     }
 }

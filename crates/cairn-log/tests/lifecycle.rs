@@ -3,8 +3,8 @@
 
 use crate::common::*;
 use cairn_log::{
-    Checkpoint, Digest, Envelope, LogEntry, OwnerRecord, RecordError, RecordKind, Registry, RegistryError, merkle,
-    store::FaultyStore,
+    Checkpoint, Digest, Envelope, LogEntry, OwnerRecord, RecordError, RecordKind, Registry, RegistryError,
+    format::merkle, log::store::FaultyStore,
 };
 
 fn in_memory() -> (FaultyStore, Registry) {
@@ -122,7 +122,7 @@ fn each_rule_refuses_by_name_and_leaves_no_trace() {
         let mut record = record(&registry, &owner(1), "fern", "a");
         change(&mut record);
         // Sealed by hand: `seal` itself would refuse some of these.
-        let mut envelope = Envelope::new(cairn_log::record::PAYLOAD_TYPE, serde_json::to_vec(&record).unwrap());
+        let mut envelope = Envelope::new(cairn_log::format::record::PAYLOAD_TYPE, serde_json::to_vec(&record).unwrap());
         envelope.sign(&owner(1));
         let error = registry.submit(&envelope).unwrap_err();
         assert!(right(&error), "{name}: {error}");

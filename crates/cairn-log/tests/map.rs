@@ -7,8 +7,11 @@ use std::{
 
 use cairn_log::{
     Digest, MapEntry, MapKey, MapProof, MapTree,
-    map::{BucketMap, BucketTop, Buckets, EMPTY, ListState, MapError, ProofEnd, Row, Staged, list_root},
-    store::StoreError,
+    format::map::{EMPTY, ListState, ProofEnd, list_root},
+    log::{
+        map::{BucketMap, BucketTop, Buckets, MapError, Row, Staged},
+        store::StoreError,
+    },
 };
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

@@ -2,11 +2,13 @@
 
 use cairn_log::{
     Digest, Entry, Leaf, MapKey, MapLeaf, OwnerKey, OwnerRecord, RecordError, RecordKind,
-    leaf::LeafError,
-    map::keys_of,
-    map_leaf::{MapLeafError, statement},
-    merkle,
-    record::{self, Digests, Identity, MAX_VIEWS, Seen, photographs_root},
+    format::{
+        leaf::LeafError,
+        map::keys_of,
+        map_leaf::{MapLeafError, statement},
+        merkle,
+        record::{self, Digests, Identity, MAX_VIEWS, Seen, photographs_root},
+    },
 };
 
 const ORIGIN: &str = "cairn.example/log";

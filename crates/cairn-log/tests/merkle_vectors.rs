@@ -9,7 +9,7 @@ use std::{fs, path::Path};
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use cairn_log::{
     Digest, ProofError,
-    merkle::{verify_consistency, verify_inclusion},
+    format::merkle::{verify_consistency, verify_inclusion},
 };
 use serde_json::Value;
 

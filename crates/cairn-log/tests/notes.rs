@@ -102,7 +102,7 @@ fn malformed_notes_are_refused() {
 fn malformed_vkeys_are_refused() {
     let weak = {
         let typed = [&[1][..], &[0; 32]].concat();
-        let id = cairn_log::note::key_id("x", &typed);
+        let id = cairn_log::format::note::key_id("x", &typed);
         format!("x+{}+{}", hex::encode(id), base64::Engine::encode(&base64::engine::general_purpose::STANDARD, typed))
     };
     for (vkey, why) in [

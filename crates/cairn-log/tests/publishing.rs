@@ -6,12 +6,14 @@ use crate::common::*;
 use cairn_durable::{Disk as _, Fault};
 use cairn_log::{
     Checkpoint, LogEntry, Registry, RegistryError,
-    map::MapKey,
-    map_leaf::Entry,
-    merkle,
-    packs::{self, Slot},
-    store::FaultyStore,
-    tile::{TilePath, decode_entries},
+    format::{
+        map::MapKey,
+        map_leaf::Entry,
+        merkle,
+        packs::{self, Slot},
+        tile::{TilePath, decode_entries},
+    },
+    log::store::FaultyStore,
 };
 
 fn open(store: &FaultyStore) -> Result<Registry, RegistryError> {
@@ -28,7 +30,7 @@ fn read_by_a_monitor(store: &FaultyStore, registry: &Registry) -> (u64, Vec<Vec<
     let checkpoint = Checkpoint::verify(&note, &registry.verifier().unwrap()).unwrap();
     let mut leaves = Vec::new();
     for index in 0.. {
-        let Some(path) = TilePath::in_tree(cairn_log::tile::TileKind::Entries, index, checkpoint.size) else {
+        let Some(path) = TilePath::in_tree(cairn_log::format::tile::TileKind::Entries, index, checkpoint.size) else {
             break;
         };
         let bundle = file(store, &format!("public/{path}")).unwrap_or_else(|| panic!("{path} is missing"));

@@ -3,7 +3,10 @@
 
 use crate::common::*;
 use cairn_durable::{Disk as _, Files};
-use cairn_log::{Digest, Receipt, RecordKind, Registry, RegistryError, log::Rebuilt, store::FaultyStore};
+use cairn_log::{
+    Digest, Receipt, RecordKind, Registry, RegistryError,
+    log::{Rebuilt, store::FaultyStore},
+};
 
 const SCENES: [&str; 3] = ["fern", "trex", "liberty"];
 

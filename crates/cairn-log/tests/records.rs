@@ -2,10 +2,13 @@
 
 use crate::common::owner;
 use cairn_log::{
-    Digest, Envelope, Leaf, OwnerRecord, RecordError, RecordKind, merkle,
-    record::{
-        self, Digests, Identity, PAYLOAD_TYPE, Seen, SignalFiles, hidden_signal_commitment, photographs_root,
-        scene_commitment,
+    Digest, Envelope, Leaf, OwnerRecord, RecordError, RecordKind,
+    format::{
+        merkle,
+        record::{
+            self, Digests, Identity, PAYLOAD_TYPE, Seen, SignalFiles, hidden_signal_commitment, photographs_root,
+            scene_commitment,
+        },
     },
 };
 

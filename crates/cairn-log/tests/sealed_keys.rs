@@ -3,9 +3,13 @@
 
 use std::{cell::Cell, fs, path::Path};
 
-use cairn_log::keys::{
-    KeyError, OwnerKey, Passphrase, Seal, SealError, SealedBy, SealingKey, StoredKey, Unlock, load_key, reseal_key,
-    save_key,
+use cairn_log::{
+    KeyError, OwnerKey,
+    format::sealed::{Passphrase, SealError, SealedBy, SealingKey},
+    keys::{
+        KeyFileError, Seal, StoredKey, Unlock, load_key, load_passphrase, load_sealing_key, reseal_key, save_key,
+        save_sealing_key,
+    },
 };
 use zeroize::Zeroizing;
 
@@ -36,25 +40,25 @@ fn a_key_loads_with_what_it_was_sealed_with_and_nothing_else() {
     let asked = Cell::new(0);
     let ask = |_: &Path| {
         asked.set(asked.get() + 1);
-        phrase("correct horse")
+        Ok(phrase("correct horse")?)
     };
     let public = |name: &str, unlock: &Unlock<'_>| load_key(&at(name), unlock).map(|key| key.public());
     assert_eq!(public("plain", &Unlock::Nothing).unwrap(), key.public());
     assert_eq!(public("plain", &Unlock::Ask(&ask)).unwrap(), key.public());
-    assert!(matches!(public("file", &Unlock::Ask(&ask)), Err(KeyError::Sealed { by: "key file", .. })));
+    assert!(matches!(public("file", &Unlock::Ask(&ask)), Err(KeyFileError::Sealed { by: "key file", .. })));
     assert_eq!(asked.get(), 0, "asked for what nobody needs");
     assert_eq!(public("phrase", &Unlock::Ask(&ask)).unwrap(), key.public());
     assert_eq!(asked.get(), 1);
     assert_eq!(public("file", &Unlock::KeyFile(unlock.clone())).unwrap(), key.public());
 
-    assert!(matches!(public("plain", &Unlock::KeyFile(unlock.clone())), Err(KeyError::NotSealed { .. })));
-    assert!(matches!(public("phrase", &Unlock::Nothing), Err(KeyError::Sealed { by: "passphrase", .. })));
+    assert!(matches!(public("plain", &Unlock::KeyFile(unlock.clone())), Err(KeyFileError::NotSealed { .. })));
+    assert!(matches!(public("phrase", &Unlock::Nothing), Err(KeyFileError::Sealed { by: "passphrase", .. })));
     let wrong = public("file", &Unlock::KeyFile(other)).unwrap_err();
-    assert!(matches!(wrong, KeyError::Seal { error: SealError::Wrong(_), .. }), "{wrong}");
+    assert!(matches!(wrong, KeyFileError::Seal { error: SealError::Wrong(_), .. }), "{wrong}");
     assert!(wrong.to_string().contains(&at("file").display().to_string()), "{wrong}");
-    assert!(matches!(public("phrase", &Unlock::KeyFile(unlock)), Err(KeyError::Seal { .. })));
+    assert!(matches!(public("phrase", &Unlock::KeyFile(unlock)), Err(KeyFileError::Seal { .. })));
     // One who knows of plain keys only says what he does not know.
-    assert!(matches!(OwnerKey::load(&at("file")), Err(KeyError::NotAKey { .. })));
+    assert!(matches!(load_key(&at("file"), &Unlock::Nothing), Err(KeyFileError::NotAKey { .. })));
 }
 
 #[test]
@@ -73,9 +77,9 @@ fn sealing_replaces_the_file_and_saving_never_does() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("key");
     let (key, unlock) = (OwnerKey::from_seed(&[5; 32]), SealingKey::generate().unwrap());
-    key.save(&path).unwrap();
+    save_key(&path, &key, &Seal::Plain).unwrap();
     let refused = save_key(&path, &key, &Seal::KeyFile(unlock.clone()));
-    assert!(matches!(refused, Err(KeyError::Exists { .. })));
+    assert!(matches!(refused, Err(KeyFileError::Exists { .. })));
     reseal_key(&path, &key, &Seal::KeyFile(unlock.clone())).unwrap();
     assert!(!fs::read_to_string(&path).unwrap().contains("PRIVATE KEY"));
     assert_eq!(load_key(&path, &Unlock::KeyFile(unlock)).unwrap().public(), key.public());
@@ -89,20 +93,20 @@ fn secrets_that_others_may_read_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let unlock = SealingKey::generate().unwrap();
-    unlock.save(&at("unlock")).unwrap();
+    save_sealing_key(&at("unlock"), &unlock).unwrap();
     save_key(&at("key"), &OwnerKey::from_seed(&[5; 32]), &Seal::KeyFile(unlock)).unwrap();
     private(&at("phrase"), "correct horse\n");
-    Passphrase::load(&at("phrase")).unwrap();
+    load_passphrase(&at("phrase")).unwrap();
     for name in ["unlock", "key", "phrase"] {
         assert_eq!(fs::metadata(at(name)).unwrap().permissions().mode() & 0o777, 0o600, "{name}");
         for mode in [0o640, 0o604, 0o620, 0o601] {
             fs::set_permissions(at(name), fs::Permissions::from_mode(mode)).unwrap();
             let refused = match name {
-                "unlock" => SealingKey::load(&at(name)).map(drop),
+                "unlock" => load_sealing_key(&at(name)).map(drop),
                 "key" => StoredKey::read(&at(name)).map(drop),
-                _ => Passphrase::load(&at(name)).map(drop),
+                _ => load_passphrase(&at(name)).map(drop),
             };
-            assert!(matches!(refused, Err(KeyError::TooOpen { mode: got, .. }) if got == mode), "{name} {mode:o}");
+            assert!(matches!(refused, Err(KeyFileError::TooOpen { mode: got, .. }) if got == mode), "{name} {mode:o}");
         }
     }
 }
@@ -113,26 +117,26 @@ fn passphrases_and_key_files_that_are_none_are_refused_without_repeating_them() 
     let path = folder.path().join("secret");
     for text in ["", "short", "two lines\nof a song", "tab\tulators", &"x".repeat(1025)] {
         private(&path, text);
-        let refused = Passphrase::load(&path).unwrap_err().to_string();
+        let refused = load_passphrase(&path).unwrap_err().to_string();
         assert!(text.is_empty() || !refused.contains(text), "{refused}");
     }
     for text in ["x".repeat(5000), "\u{0}".into()] {
         private(&path, &text);
-        assert!(Passphrase::load(&path).is_err());
+        assert!(load_passphrase(&path).is_err());
     }
     private(&path, "correct horse\r\n");
-    assert!(Passphrase::load(&path).unwrap() == phrase("correct horse").unwrap());
+    assert!(load_passphrase(&path).unwrap() == phrase("correct horse").unwrap());
     // As many characters as bytes are not needed.
     assert!(phrase("Übergröß").is_ok() && phrase("Übergrö").is_err());
 
     let good = format!("cairn-key-file-v1 {}\n", "ab".repeat(32));
     private(&path, &good);
-    SealingKey::load(&path).unwrap();
+    load_sealing_key(&path).unwrap();
     for text in [good.replace("v1", "v2"), good.replace("ab\n", "\n"), good.replace("ab\n", "abab\n"), "ab".repeat(32)]
     {
         private(&path, &text);
-        let refused = SealingKey::load(&path).unwrap_err();
-        assert!(matches!(refused, KeyError::NotAKey { .. }), "{refused}");
+        let refused = load_sealing_key(&path).unwrap_err();
+        assert!(matches!(refused, KeyFileError::NotAKey { .. }), "{refused}");
         assert!(!format!("{refused} {refused:?}").contains("abab"), "{refused}");
     }
 }

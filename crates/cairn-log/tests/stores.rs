@@ -2,7 +2,7 @@
 #![cfg(feature = "store")]
 
 use cairn_durable::{Disk, Fault, Files, RealDisk};
-use cairn_log::store::{Change, DiskStore, FaultyStore, Store};
+use cairn_log::log::store::{Change, DiskStore, FaultyStore, Store};
 
 fn entry(key: &str, value: &str) -> Change {
     (key.into(), Some(value.into()))

@@ -15,7 +15,7 @@ use std::{
 };
 
 use crate::common::*;
-use cairn_log::{Checkpoint, Digest, Envelope, Registry, RegistryError, merkle};
+use cairn_log::{Checkpoint, Digest, Envelope, Registry, RegistryError, format::merkle};
 
 const TEST: &str = "strace::a_system_call_that_fails_loses_nothing_that_was_acknowledged";
 const CHILD: &str = "CAIRN_STRACE_CHILD";

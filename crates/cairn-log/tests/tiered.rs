@@ -14,7 +14,7 @@ use crate::common::*;
 use cairn_durable::{Disk as _, Fault, Files, RealDisk};
 use cairn_log::{
     Digest, MapKey, Registry,
-    store::{Change, Cold, FaultyStore, Store, StoreError, TieredStore},
+    log::store::{Change, Cold, FaultyStore, Store, StoreError, TieredStore},
 };
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

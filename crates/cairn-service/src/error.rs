@@ -203,6 +203,9 @@ pub enum EngineError {
     /// Settings.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// A key file.
+    #[error(transparent)]
+    KeyFile(#[from] cairn_log::keys::KeyFileError),
     /// The log of owner records. Boxed: it is much larger than the others.
     #[error(transparent)]
     Registry(Box<RegistryError>),

@@ -1,7 +1,7 @@
 //! The checks, in the order in which they can mean something: the checkpoint under the
 //! pinned key, the envelope and its signatures, inclusion, the files in hand, and what came later.
 
-use cairn_log::{
+use cairn_log::format::{
     Checkpoint, CheckpointError, Digest, DsseError, Envelope, KeyError, Leaf, NoteError, NoteVerifier, OwnerRecord,
     PublicKey, RecordError, TlogProof, merkle, note::Note, record::PAYLOAD_TYPE,
 };

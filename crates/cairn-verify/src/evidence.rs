@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-use cairn_log::{
+use cairn_log::format::{
     Digest, NoteVerifier, Policy,
     record::{SignalFiles, hidden_signal_commitment, photographs_root},
 };

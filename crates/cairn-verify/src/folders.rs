@@ -11,7 +11,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cairn_log::{Digest, record::photographs_root};
+use cairn_log::format::{Digest, record::photographs_root};
 use serde_json::Value;
 
 use crate::{

@@ -1,11 +1,14 @@
 //! What came after the record: its owner's key ended, the record replaced or taken back, disputes.
 //!
 //! Time is counted in log indices only. A key's end does not touch what it signed before. Who may speak for the
-//! owner follows rotations from key to key ([`cairn_log::heir()`]), as in the registry and in complete answers.
+//! owner follows rotations from key to key ([`cairn_log::format::heir::heir()`]), as in the registry and in complete answers.
 
 use std::{collections::BTreeMap, convert::Infallible};
 
-use cairn_log::{Digest, Ending, Envelope, Heir, OwnerRecord, PublicKey, RecordKind, heir};
+use cairn_log::format::{
+    Digest, Envelope, OwnerRecord, PublicKey, RecordKind,
+    heir::{self, Ending, Heir, heir},
+};
 
 use crate::{
     code::Code,

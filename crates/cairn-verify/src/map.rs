@@ -9,7 +9,7 @@
 //!
 //! Takes about 200 bytes a key; hashes are worked out when a root is asked for.
 
-use cairn_log::{Digest, OwnerRecord, RecordKind, dsse::pae, merkle};
+use cairn_log::format::{Digest, OwnerRecord, RecordKind, dsse::pae, merkle};
 
 /// A key of the map.
 pub(crate) type Key = [u8; 32];

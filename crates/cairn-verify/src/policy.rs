@@ -1,7 +1,7 @@
 //! What a trust policy says of a checkpoint: whether enough witnesses cosigned it, and
 //! by when.
 
-use cairn_log::{
+use cairn_log::format::{
     NoteVerifier, Policy, Quorum,
     policy::{PolicyCheckError, PolicyVerdict},
 };

@@ -1,7 +1,7 @@
 //! Complete answers from logs made by hand: honest ones are trusted, and say what each record is worth.
 
 use crate::common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
-use cairn_log::{
+use cairn_log::format::{
     Checkpoint, RecordKind,
     answer::AsOf,
     merkle::{Tree, leaf_hash},

@@ -1,7 +1,7 @@
 //! Complete answers that somebody bent: every way to leave out, put in or exchange something has its code.
 
 use crate::common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
-use cairn_log::{
+use cairn_log::format::{
     Answer, Checkpoint, Digest, Entry, Leaf, MapKey, MapLeaf, MapTree, RecordKind,
     answer::{AsOf, List, ListedRecord, Source as _, keys_about},
     map::ProofEnd,

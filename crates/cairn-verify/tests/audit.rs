@@ -1,6 +1,6 @@
 //! Audits of evidence made with the formats alone: no registry runs here.
 
-use cairn_log::{
+use cairn_log::format::{
     Checkpoint, Digest, Envelope, Leaf, Note, NoteVerifier, OwnerKey, OwnerRecord, Policy, RecordKind, TlogProof,
     WitnessVerifier, cosign,
     merkle::{Tree, empty_root, leaf_hash},

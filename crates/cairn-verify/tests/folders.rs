@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::handmade::{put, seal};
-use cairn_log::Digest;
+use cairn_log::format::Digest;
 use cairn_verify::{Code, FileInHand, Finding, Severity, audit_folders};
 
 /// A data folder with a scene, its model and an ended job.
@@ -71,7 +71,7 @@ fn a_byte_changed_anywhere_is_found_and_its_file_named() {
     let (findings, stock) = audit_folders(dir.path()).unwrap();
     assert_eq!(errors(&findings), Vec::<String>::new());
     assert!(findings.iter().all(|f| f.severity == Severity::Passed), "{findings:?}");
-    let root = cairn_log::record::photographs_root(&[Digest::of("a photograph")]);
+    let root = cairn_log::format::record::photographs_root(&[Digest::of("a photograph")]);
     assert!(stock.scenes["town"].contains(&Digest::of("marked.field")) && stock.scenes["town"].contains(&root));
 
     for path in files(dir.path()) {

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use crate::handmade::{Log, key};
-use cairn_log::{Digest, Policy, RecordKind, WitnessVerifier, cosign};
+use cairn_log::format::{Digest, Policy, RecordKind, WitnessVerifier, cosign};
 use cairn_verify::{CONTRADICTION, Code, Fetch, FollowError, FollowOptions, Followed, Outcome, audit_evidence, follow};
 
 /// A log as served at one size, with files of one's own over it.
@@ -225,7 +225,7 @@ fn a_policy_asks_for_its_witnesses_at_every_look() {
     let options = FollowOptions { pinned: &log.verifier(), policy: Some(&policy) };
     let followed = follow(&served(&log), None, &options).unwrap();
     assert!(followed.report.exit_code() == 10 && followed.report.has(Code::PolicyQuorumMissing));
-    let mut note = cairn_log::Note::parse(&log.checkpoint(log.size())).unwrap();
+    let mut note = cairn_log::format::Note::parse(&log.checkpoint(log.size())).unwrap();
     note.signatures.push(cosign(&note.text, 1_700_000_000, "w.example", &key(90)).unwrap());
     let mut cosigned = served(&log);
     cosigned.over.insert("checkpoint".into(), Some(note.to_string().into_bytes()));

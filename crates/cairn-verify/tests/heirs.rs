@@ -2,7 +2,11 @@
 //! link of a chain of rotations.
 
 use crate::common::{Log, audited, errors, key, pinned, registry, sealed};
-use cairn_log::{Digest, Entry, Envelope, RecordKind, RecordKind::*, TlogProof};
+use cairn_log::format::{
+    Digest, Entry, Envelope,
+    RecordKind::{self, *},
+    TlogProof,
+};
 use cairn_verify::{AnswerReport, Code, Evidence, LogView, Outcome, RecordInHand, Report, Standing, audit};
 
 /// A record of `by` about an earlier one, with signatures of `also`.
@@ -127,8 +131,8 @@ fn a_rotation_that_the_old_key_did_not_sign_makes_no_heir() {
     let (mut log, asked, other) = begun();
     // The map of an honest registry would not list it as the key's end.
     let rotation = about(Rotation, 7, other, &[]);
-    let (leaf, record) = cairn_log::Leaf::open(&rotation).unwrap();
-    log.add_under(rotation, leaf, &cairn_log::map::keys_of(&record, None));
+    let (leaf, record) = cairn_log::format::Leaf::open(&rotation).unwrap();
+    log.add_under(rotation, leaf, &cairn_log::format::map::keys_of(&record, None));
     log.add(about(Contribution, 7, asked, &[]));
     assert_eq!(standing(log), Standing::Counts);
 }
@@ -141,7 +145,7 @@ fn an_answer_that_leaves_out_a_link_of_the_chain_is_not_whole() {
     log.add(about(Contribution, 2, asked, &[]));
     log.close();
     let mut answer = log.answer(Some("one"));
-    let ended = cairn_log::MapKey::ended(&key(2).public().id());
+    let ended = cairn_log::format::MapKey::ended(&key(2).public().id());
     answer.lists.retain(|list| list.key != ended);
     answer.records.retain(|record| record.index != 3);
     assert_eq!(

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::handmade::{Log, frame, key, put};
-use cairn_log::{Digest, Note, OwnerKey, RecordKind, record::Seen};
+use cairn_log::format::{Digest, Note, OwnerKey, RecordKind, record::Seen};
 use cairn_verify::{Class, Code, Outcome, Severity, StoreOptions, StoreReport, audit_store};
 use rayon::prelude::*;
 
@@ -158,7 +158,7 @@ fn what_the_registry_itself_did_wrong_is_found() {
     assert_eq!(faults(&report), "store.record.rule at registry/envelopes/000, record 8\n");
     for seen in [Seen { size: 7, root: Digest::of("x") }, Seen { size: 3, root: Digest::of("x") }] {
         let report = after(|log| {
-            log.add(&cairn_log::OwnerRecord { seen, ..log.record(RecordKind::Claim, 5, "town") }, &[]);
+            log.add(&cairn_log::format::OwnerRecord { seen, ..log.record(RecordKind::Claim, 5, "town") }, &[]);
             log.end_batch();
         });
         assert_eq!(faults(&report), "store.record.seen at registry/envelopes/000, record 8\n");
@@ -218,7 +218,9 @@ fn another_key_and_a_rewritten_history_are_seen_through() {
     assert_eq!(report.exit_code(), 11, "{report}");
     assert!(faults(&report).contains("store.root"), "{report}");
     // A size that nothing is there for does not make the audit endless.
-    let huge = cairn_log::Checkpoint::new(crate::handmade::ORIGIN, 1 << 60, Digest::of("x")).sign(&log.signer).unwrap();
+    let huge = cairn_log::format::Checkpoint::new(crate::handmade::ORIGIN, 1 << 60, Digest::of("x"))
+        .sign(&log.signer)
+        .unwrap();
     put(&dir.path().join("registry/public/checkpoint"), huge.to_string().as_bytes());
     assert_eq!(audit(dir.path(), &log).exit_code(), 11);
 }

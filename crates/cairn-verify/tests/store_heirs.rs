@@ -1,7 +1,7 @@
 //! What the audit of a store says of records that stand in the place of another owner's.
 
 use crate::handmade::Log;
-use cairn_log::{Digest, OwnerRecord, RecordKind};
+use cairn_log::format::{Digest, OwnerRecord, RecordKind};
 use cairn_verify::{Code, StoreOptions, StoreReport, audit_store};
 
 /// A log of three records by key 1 (0, 1, 2) and a map leaf, what `more` adds, and the audit's findings: codes and places.

@@ -177,8 +177,8 @@ pub fn all_compared(report: &Report, data: &Path) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_log::record::{self, Digests, Identity, Seen};
-    use cairn_log::{Digest, OwnerKey, RecordKind, merkle};
+    use cairn_log::format::record::{self, Digests, Identity, Seen};
+    use cairn_log::{Digest, OwnerKey, RecordKind, format::merkle};
     use cairn_verify::Outcome;
 
     fn contribution(digests: Digests) -> (OwnerRecord, Vec<u8>) {

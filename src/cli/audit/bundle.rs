@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use cairn_log::record::SignalFiles;
+use cairn_log::format::record::SignalFiles;
 use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
 use cairn_verify::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
 

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use cairn_durable::read_limited;
-use cairn_log::policy::MAX_POLICY_BYTES;
+use cairn_log::format::policy::MAX_POLICY_BYTES;
 use cairn_log::{NoteVerifier, Policy};
 use cairn_verify::Outcome;
 

@@ -9,7 +9,7 @@
 //! 2. for each record of that list, the lists of [`keys_about`] its leaf: who replaced, disputed or took
 //!    back the record, and what ended its owner's key;
 //! 3. for each rotation that a list of steps 2 and 3 names, the list of what ended the key that it leads to
-//!    ([`key_after`]): so it is known who spoke for an owner at any time ([`mod@crate::heir`]);
+//!    ([`key_after`]): so it is known who spoke for an owner at any time ([`mod@crate::format::heir::heir`]);
 //! 4. each record of any of these lists, once. Those that only lists of the later steps name have no further lists
 //!    of their own here: this much tells what the records of the answer are worth.
 //!
@@ -25,7 +25,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
+use crate::format::{
     digest::{Digest, clip},
     dsse::Envelope,
     leaf::{LEAF_LEN, Leaf, LeafError},
@@ -104,7 +104,7 @@ pub struct AsOf {
 pub struct MapPart {
     /// Its index: one below the checkpoint's size.
     pub index: u64,
-    /// Its 162 bytes, base64 in JSON: see [`crate::MapLeaf`].
+    /// Its 162 bytes, base64 in JSON: see [`crate::format::map_leaf::MapLeaf`].
     #[serde(with = "serial::leaf")]
     pub leaf: [u8; LEAF_LEN],
     /// Proof that it is in the checkpoint's log.

@@ -7,9 +7,9 @@
 //! [further lines, kept as they are]
 //! ```
 
-use crate::{
+use crate::format::{
     digest::{Digest, clip},
-    keys::OwnerKey,
+    key::OwnerKey,
     note::{Note, NoteError, NoteVerifier},
 };
 

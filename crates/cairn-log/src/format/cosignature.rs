@@ -14,9 +14,9 @@
 
 use std::{fmt, str::FromStr};
 
-use crate::{
+use crate::format::{
     checkpoint::{Checkpoint, CheckpointError},
-    keys::{OwnerKey, PublicKey, SIGNATURE_LEN},
+    key::{OwnerKey, PublicKey, SIGNATURE_LEN},
     note::{Note, NoteError, NoteSignature, check_name, key_id, parse_vkey, typed_key, vkey_text},
 };
 
@@ -197,7 +197,7 @@ fn check_time(name: &str, time: u64) -> Result<(), CosignatureError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::note::NoteVerifier;
+    use crate::format::note::NoteVerifier;
 
     /// The text of the example in tlog-cosignature.
     const TEXT: &str = "example.com/behind-the-sofa\n20852163\nCsUYapGGPo4dkMgIAUqom/Xajj7h2fB2MPA3j2jxq2I=\n";

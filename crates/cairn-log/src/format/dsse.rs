@@ -17,9 +17,9 @@ use base64::{
 };
 use serde::{Deserialize, Serialize, de::IgnoredAny};
 
-use crate::{
+use crate::format::{
     digest::{Digest, clip},
-    keys::{OwnerKey, PublicKey},
+    key::{OwnerKey, PublicKey},
 };
 
 /// Largest envelope that is read, in bytes of JSON.

@@ -7,10 +7,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
+use crate::format::{
     digest::Digest,
     dsse::{DsseError, Envelope},
-    keys::{OwnerKey, PublicKey},
+    key::{OwnerKey, PublicKey},
     record::{EXACT_IN_JSON, RecordError, check_text},
 };
 
@@ -191,7 +191,7 @@ mod tests {
         };
         let good = serde_json::to_string(&request()).unwrap();
         assert!(signed(PAYLOAD_TYPE, good.clone()).is_ok());
-        assert!(matches!(signed(crate::record::PAYLOAD_TYPE, good.clone()), Err(ErasureError::Envelope(_))));
+        assert!(matches!(signed(crate::format::record::PAYLOAD_TYPE, good.clone()), Err(ErasureError::Envelope(_))));
         let newer = good.replace(r#""version":1"#, r#""version":2,"more":true"#);
         assert_eq!(signed(PAYLOAD_TYPE, newer), Err(ErasureError::Version { got: 2 }));
         for body in [good.replace('}', r#","more":1}"#), good.replace(r#""index":7"#, r#""index":-7"#), "{}".into()] {

@@ -7,10 +7,10 @@
 //! Time is counted in log indices. A key ends once: what is signed in its name behind its end counts for
 //! nothing, a rotation by a thief who comes after the revocation included.
 
-use crate::{
+use crate::format::{
     digest::Digest,
     dsse::Envelope,
-    keys::PublicKey,
+    key::PublicKey,
     record::{OwnerRecord, RecordKind},
 };
 

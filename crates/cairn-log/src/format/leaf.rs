@@ -6,10 +6,10 @@
 //! can be made again from its envelope alone: that is how anybody checks that
 //! the two belong together.
 
-use crate::{
+use crate::format::{
     digest::Digest,
     dsse::Envelope,
-    keys::SIGNATURE_LEN,
+    key::SIGNATURE_LEN,
     merkle,
     record::{OwnerRecord, RecordError, RecordKind, scene_commitment},
 };
@@ -20,7 +20,7 @@ pub const LEAF_LEN: usize = 2 + 3 * Digest::LEN + SIGNATURE_LEN;
 /// The leaf format's version.
 pub const LEAF_VERSION: u8 = 1;
 
-/// The kind byte of the registry's own leaves: see [`crate::map_leaf`].
+/// The kind byte of the registry's own leaves: see [`crate::format::map_leaf`].
 pub const MAP_KIND: u8 = 7;
 
 /// One leaf.

@@ -8,10 +8,10 @@
 
 use serde::Serialize;
 
-use crate::{
+use crate::format::{
     digest::Digest,
     dsse::pae,
-    keys::{OwnerKey, PublicKey, SIGNATURE_LEN},
+    key::{OwnerKey, PublicKey, SIGNATURE_LEN},
     leaf::{self, LEAF_LEN, Leaf, LeafError, MAP_KIND},
     merkle,
 };

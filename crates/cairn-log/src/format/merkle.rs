@@ -2,12 +2,12 @@
 //!
 //! Verification follows the iterative form of RFC 9162 (2.1.3.2 and 2.1.4.2),
 //! with the proof's length fixed by index and sizes before a hash is looked at.
-//! Making proofs is [`Tree`]'s business, in a file of its own: verifiers do
-//! without it.
+//!
+//! Roots at any past size and proofs are made from the hashes of full subtrees, so they cost a logarithm, not a walk
+//! over the log. Where those hashes are kept is the source's business ([`Subtrees`]): a registry has them in tiles on
+//! disk; [`Tree`] has them in memory, 64 bytes a leaf.
 
-use crate::digest::{Digest, DigestError};
-
-pub use crate::tree::{Subtrees, Tree, prove_consistency, prove_inclusion, root_at};
+use crate::format::digest::{Digest, DigestError};
 
 /// Why a proof proves nothing.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -178,4 +178,289 @@ fn expect_length(expected: usize, got: usize) -> Result<(), ProofError> {
 
 fn expect_root(which: &'static str, expected: &Digest, got: Digest) -> Result<(), ProofError> {
     if *expected == got { Ok(()) } else { Err(ProofError::RootMismatch { which, expected: *expected, got }) }
+}
+
+/// An append-only RFC 6962 tree that proves about itself at any of its sizes.
+#[derive(Debug, Clone, Default)]
+pub struct Tree {
+    /// `levels[k][i]` is the hash of the full subtree over leaves `i * 2^k .. (i + 1) * 2^k`.
+    levels: Vec<Vec<Digest>>,
+}
+
+impl Tree {
+    /// The empty tree.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// How many leaves.
+    pub fn size(&self) -> u64 {
+        self.levels.first().map_or(0, |leaves| leaves.len() as u64)
+    }
+
+    /// Appends a leaf hash; gives its index.
+    pub fn push(&mut self, leaf_hash: Digest) -> u64 {
+        let index = self.size();
+        let mut hash = leaf_hash;
+        for level in 0.. {
+            if self.levels.len() == level {
+                self.levels.push(Vec::new());
+            }
+            let row = &mut self.levels[level];
+            row.push(hash);
+            if row.len() % 2 == 1 {
+                break;
+            }
+            hash = node_hash(&row[row.len() - 2], &row[row.len() - 1]);
+        }
+        index
+    }
+
+    /// Hash of leaf `index`, if there is one.
+    pub fn leaf(&self, index: u64) -> Option<Digest> {
+        self.levels.first()?.get(usize::try_from(index).ok()?).copied()
+    }
+
+    /// Hashes of level `level` (0: leaves), full subtrees only: what tiles are cut from.
+    pub fn level(&self, level: usize) -> &[Digest] {
+        self.levels.get(level).map_or(&[], Vec::as_slice)
+    }
+
+    /// Root over all leaves.
+    pub fn root(&self) -> Digest {
+        // All of the tree's own subtrees are there.
+        self.root_at(self.size()).unwrap_or_else(|_| empty_root())
+    }
+
+    /// Root of the tree when it had `size` leaves.
+    ///
+    /// # Errors
+    /// [`ProofError::IndexBeyondSize`] for a size that it has not reached.
+    pub fn root_at(&self, size: u64) -> Result<Digest, ProofError> {
+        root_at(self, size)
+    }
+
+    /// As [`prove_inclusion`].
+    ///
+    /// # Errors
+    /// [`ProofError`] for an empty tree, an index beyond `size`, or a size not reached.
+    pub fn prove_inclusion(&self, index: u64, size: u64) -> Result<Vec<Digest>, ProofError> {
+        prove_inclusion(self, index, size)
+    }
+
+    /// As [`prove_consistency`].
+    ///
+    /// # Errors
+    /// [`ProofError`] for `from` 0 or beyond `to`, or a size not reached.
+    pub fn prove_consistency(&self, from: u64, to: u64) -> Result<Vec<Digest>, ProofError> {
+        prove_consistency(self, from, to)
+    }
+}
+
+impl Subtrees for Tree {
+    type Error = ProofError;
+
+    fn size(&self) -> u64 {
+        Self::size(self)
+    }
+
+    fn node(&self, level: u32, index: u64) -> Result<Digest, ProofError> {
+        let found = usize::try_from(index).ok().and_then(|at| self.level(level as usize).get(at));
+        found.copied().ok_or(ProofError::IndexBeyondSize { index, size: self.size() })
+    }
+}
+
+/// What proofs are made of: the hashes of a tree's full subtrees, wherever they are kept.
+pub trait Subtrees {
+    /// What may go wrong with fetching one.
+    type Error: From<ProofError>;
+
+    /// How many leaves there are.
+    fn size(&self) -> u64;
+
+    /// Hash of the full subtree over leaves `index * 2^level .. (index + 1) * 2^level`.
+    ///
+    /// # Errors
+    /// Where it cannot be had.
+    fn node(&self, level: u32, index: u64) -> Result<Digest, Self::Error>;
+}
+
+/// Root of the tree when it had `size` leaves.
+///
+/// # Errors
+/// [`ProofError::IndexBeyondSize`] for a size that it has not reached, and the source's.
+pub fn root_at<S: Subtrees>(tree: &S, size: u64) -> Result<Digest, S::Error> {
+    reached(tree, size)?;
+    subtree(tree, 0, size)
+}
+
+/// Proof that leaf `index` lies in the tree of `size` leaves (RFC 6962, 2.1.1).
+///
+/// # Errors
+/// [`ProofError`] for an empty tree, an index beyond `size`, or a size not reached, and the source's.
+pub fn prove_inclusion<S: Subtrees>(tree: &S, index: u64, size: u64) -> Result<Vec<Digest>, S::Error> {
+    reached(tree, size)?;
+    if size == 0 {
+        return Err(ProofError::EmptyTree.into());
+    }
+    if index >= size {
+        return Err(ProofError::IndexBeyondSize { index, size }.into());
+    }
+    let (mut lo, mut hi) = (0, size);
+    let mut proof = Vec::new();
+    while hi - lo > 1 {
+        let middle = lo + split(hi - lo);
+        if index < middle {
+            proof.push(subtree(tree, middle, hi)?);
+            hi = middle;
+        } else {
+            proof.push(subtree(tree, lo, middle)?);
+            lo = middle;
+        }
+    }
+    proof.reverse();
+    Ok(proof)
+}
+
+/// Proof that the tree of `to` leaves begins with the tree of `from` leaves (RFC 6962, 2.1.2).
+///
+/// # Errors
+/// [`ProofError`] for `from` 0 or beyond `to`, or a size not reached, and the source's.
+pub fn prove_consistency<S: Subtrees>(tree: &S, from: u64, to: u64) -> Result<Vec<Digest>, S::Error> {
+    reached(tree, to)?;
+    if from > to {
+        return Err(ProofError::Backwards { from, to }.into());
+    }
+    if from == 0 {
+        return Err(ProofError::FromEmpty { to }.into());
+    }
+    let (mut lo, mut hi) = (0, to);
+    let mut proof = Vec::new();
+    while hi != from {
+        let middle = lo + split(hi - lo);
+        if from <= middle {
+            proof.push(subtree(tree, middle, hi)?);
+            hi = middle;
+        } else {
+            proof.push(subtree(tree, lo, middle)?);
+            lo = middle;
+        }
+    }
+    // The first tree itself, unless it is what the verifier holds already.
+    if lo != 0 {
+        proof.push(subtree(tree, lo, hi)?);
+    }
+    proof.reverse();
+    Ok(proof)
+}
+
+fn reached<S: Subtrees>(tree: &S, size: u64) -> Result<(), ProofError> {
+    if size > tree.size() {
+        return Err(ProofError::IndexBeyondSize { index: size, size: tree.size() });
+    }
+    Ok(())
+}
+
+/// Root over leaves `lo..hi`, which a split of RFC 6962 gave: `lo` is a multiple of the next power of two.
+fn subtree<S: Subtrees>(tree: &S, lo: u64, hi: u64) -> Result<Digest, S::Error> {
+    let count = hi - lo;
+    if count == 0 {
+        return Ok(empty_root());
+    }
+    if count.is_power_of_two() {
+        let level = count.trailing_zeros();
+        return tree.node(level, lo >> level);
+    }
+    let middle = lo + split(count);
+    Ok(node_hash(&subtree(tree, lo, middle)?, &subtree(tree, middle, hi)?))
+}
+
+/// Largest power of two below `count`, for `count` of at least 2.
+fn split(count: u64) -> u64 {
+    1 << (63 - (count - 1).leading_zeros())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// RFC 6962's recursive definition, word for word, as the reference.
+    fn by_definition(leaves: &[Digest]) -> Digest {
+        match leaves {
+            [] => empty_root(),
+            [one] => *one,
+            many => {
+                let mut k = 1;
+                while k * 2 < many.len() {
+                    k *= 2;
+                }
+                node_hash(&by_definition(&many[..k]), &by_definition(&many[k..]))
+            }
+        }
+    }
+
+    fn grown(count: u64) -> (Tree, Vec<Digest>) {
+        let leaves: Vec<_> = (0..count).map(|i| leaf_hash(&i.to_be_bytes())).collect();
+        let mut tree = Tree::new();
+        for leaf in &leaves {
+            tree.push(*leaf);
+        }
+        (tree, leaves)
+    }
+
+    #[test]
+    fn roots_follow_the_definition_at_every_size() {
+        let (tree, leaves) = grown(70);
+        for size in 0..=70 {
+            assert_eq!(tree.root_at(size).unwrap(), by_definition(&leaves[..size as usize]), "size {size}");
+        }
+        assert!(tree.root_at(71).is_err());
+    }
+
+    #[test]
+    fn every_proof_of_a_small_log_verifies_and_no_other_index_does() {
+        let (tree, leaves) = grown(40);
+        for size in 1..=40 {
+            let root = tree.root_at(size).unwrap();
+            for index in 0..size {
+                let proof = tree.prove_inclusion(index, size).unwrap();
+                verify_inclusion(&leaves[index as usize], index, size, &proof, &root).unwrap();
+                let other = (index + 1) % size;
+                if other != index {
+                    assert!(verify_inclusion(&leaves[index as usize], other, size, &proof, &root).is_err());
+                }
+            }
+            for from in 1..=size {
+                let proof = tree.prove_consistency(from, size).unwrap();
+                let from_root = tree.root_at(from).unwrap();
+                verify_consistency(from, size, &proof, &from_root, &root).unwrap();
+                if from < size {
+                    assert!(verify_consistency(from, size, &proof, &root, &from_root).is_err());
+                    assert!(verify_consistency(from, size, &[], &from_root, &root).is_err());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_proven_is_refused() {
+        let (tree, _) = grown(5);
+        assert_eq!(tree.prove_inclusion(0, 0), Err(ProofError::EmptyTree));
+        assert_eq!(tree.prove_inclusion(5, 5), Err(ProofError::IndexBeyondSize { index: 5, size: 5 }));
+        assert!(tree.prove_inclusion(0, 6).is_err());
+        assert_eq!(tree.prove_consistency(0, 5), Err(ProofError::FromEmpty { to: 5 }));
+        assert_eq!(tree.prove_consistency(4, 3), Err(ProofError::Backwards { from: 4, to: 3 }));
+        assert!(tree.prove_consistency(1, 6).is_err());
+    }
+
+    #[test]
+    fn sizes_near_the_end_of_u64_do_not_panic() {
+        let hash = leaf_hash(b"x");
+        for (index, size) in [(u64::MAX - 1, u64::MAX), (0, u64::MAX), (u64::MAX, u64::MAX), (1 << 63, u64::MAX)] {
+            assert!(verify_inclusion(&hash, index, size, &[hash; 64], &hash).is_err());
+        }
+        for (from, to) in [(1 << 63, u64::MAX), (u64::MAX - 1, u64::MAX), (1, u64::MAX)] {
+            assert!(verify_consistency(from, to, &[hash; 64], &hash, &hash).is_err());
+        }
+    }
 }

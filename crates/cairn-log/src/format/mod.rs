@@ -1,4 +1,6 @@
-//! The public formats: envelopes, trees, notes, checkpoints, proofs, tiles, policies, records. Nothing here reads or writes a file.
+//! The public formats: envelopes, trees, notes, checkpoints, proofs, tiles, policies, records, keys.
+//!
+//! Nothing here reads or writes a file, so an auditor that depends on this module alone cannot change a log.
 
 pub mod answer;
 pub mod checkpoint;
@@ -7,7 +9,7 @@ pub mod digest;
 pub mod dsse;
 pub mod erasure;
 pub mod heir;
-pub mod keys;
+pub mod key;
 pub mod leaf;
 pub mod map;
 pub mod map_leaf;
@@ -17,9 +19,10 @@ pub mod packs;
 pub mod policy;
 pub mod proof;
 pub mod record;
-pub(crate) mod serial;
+#[cfg(feature = "sealed-keys")]
+pub mod sealed;
+mod serial;
 pub mod tile;
-pub(crate) mod tree;
 
 pub use answer::{Answer, AnswerError};
 pub use checkpoint::{Checkpoint, CheckpointError};
@@ -27,8 +30,7 @@ pub use cosignature::{Cosignature, CosignatureError, WitnessVerifier, cosign};
 pub use digest::{Digest, DigestError};
 pub use dsse::{DsseError, Envelope};
 pub use erasure::{Erasure, ErasureError, ErasureRequest};
-pub use heir::{Ending, Heir, heir};
-pub use keys::{KeyError, OwnerKey, PublicKey};
+pub use key::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
 pub use map::{MapEntry, MapKey, MapProof, MapTree};
 pub use map_leaf::{Entry, MapLeaf};

@@ -9,9 +9,9 @@ use std::{fmt, str::FromStr};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 
-use crate::{
+use crate::format::{
     digest::{Digest, clip},
-    keys::{KeyError, OwnerKey, PublicKey},
+    key::{KeyError, OwnerKey, PublicKey},
 };
 
 /// Type byte of a plain Ed25519 signature.

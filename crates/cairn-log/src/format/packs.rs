@@ -10,7 +10,7 @@
 //! A pack grows in place and is rewritten only to erase a record. What is left of
 //! that are the keys under which the map lists it: without them nobody could work out the map again.
 
-use crate::{digest::Digest, map::MapKey, tile::TILE_WIDTH};
+use crate::format::{digest::Digest, map::MapKey, tile::TILE_WIDTH};
 
 /// Most bytes of a slot: an envelope of 64 KiB with the registry's signature, and room to spare.
 pub const MAX_SLOT: usize = 1 << 17;

@@ -13,7 +13,7 @@
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 
-use crate::digest::{Digest, clip};
+use crate::format::digest::{Digest, clip};
 
 /// First line of the format's version 1.
 pub const HEADER: &str = "c2sp.org/tlog-proof@v1";

@@ -9,10 +9,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
+use crate::format::{
     digest::{Digest, clip, commitment},
     dsse::{DsseError, Envelope, EnvelopeSignature},
-    keys::{OwnerKey, PublicKey},
+    key::{KeyError, OwnerKey, PublicKey},
     merkle,
 };
 
@@ -367,10 +367,10 @@ pub fn scene_commitment(salt: &Digest, scene: &str) -> Digest {
 /// 32 random bytes for a salt.
 ///
 /// # Errors
-/// [`crate::keys::KeyError::Random`] where the system has none to give.
-pub fn random_salt() -> Result<Digest, crate::keys::KeyError> {
+/// [`KeyError::Random`] where the system has none to give.
+pub fn random_salt() -> Result<Digest, KeyError> {
     let mut salt = [0; 32];
-    getrandom::fill(&mut salt).map_err(|e| crate::keys::KeyError::Random(e.to_string()))?;
+    getrandom::fill(&mut salt).map_err(|e| KeyError::Random(e.to_string()))?;
     Ok(Digest::from_bytes(salt))
 }
 

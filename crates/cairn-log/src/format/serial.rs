@@ -9,7 +9,7 @@ use serde::{
     de::{Error as _, SeqAccess, Visitor},
 };
 
-use crate::digest::Digest;
+use crate::format::digest::Digest;
 
 /// A hash as base64, for `#[serde(with = "...")]`.
 pub(crate) mod hash {
@@ -28,7 +28,7 @@ pub(crate) mod hash {
 /// A leaf as base64, for `#[serde(with = "...")]`.
 pub(crate) mod leaf {
     use super::{Deserialize as _, Deserializer, STANDARD, Serializer};
-    use crate::leaf::LEAF_LEN;
+    use crate::format::leaf::LEAF_LEN;
     use base64::Engine as _;
     use serde::de::Error as _;
 

@@ -7,7 +7,7 @@
 
 use std::{fmt, str::FromStr};
 
-use crate::{digest::clip, merkle::Tree};
+use crate::format::{digest::clip, merkle::Tree};
 
 /// Hashes of a full tile, entries of a full bundle.
 pub const TILE_WIDTH: u16 = 256;
@@ -200,7 +200,7 @@ fn parse_index(text: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
+    use crate::format::{
         digest::Digest,
         merkle::{leaf_hash, root},
     };

@@ -21,13 +21,15 @@ use std::{io, path::Path};
 
 use super::{RegistryError, layout, tiles::TileTree};
 use crate::{
-    checkpoint::Checkpoint,
-    digest::Digest,
-    dsse::Envelope,
-    merkle,
-    packs::{self, Slot},
-    store::StoreError,
-    tile::TILE_WIDTH,
+    format::{
+        checkpoint::Checkpoint,
+        digest::Digest,
+        dsse::Envelope,
+        merkle,
+        packs::{self, Slot},
+        tile::TILE_WIDTH,
+    },
+    log::store::StoreError,
 };
 use cairn_durable::{Disk, Files, RealDisk};
 
@@ -231,7 +233,7 @@ fn round_behind(files: &Files, size: u64) -> Result<Option<(Vec<Envelope>, u64, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{keys::OwnerKey, store::FaultyStore};
+    use crate::{format::key::OwnerKey, log::store::FaultyStore};
 
     const WIDTH: usize = TILE_WIDTH as usize;
 
@@ -274,6 +276,6 @@ mod tests {
         }
         assert_eq!(found(&[Slot::MapLeaf], 0), None, "no record at all");
         assert_eq!(found(&[Slot::Record(b"{}".to_vec()), Slot::MapLeaf], 0), None);
-        assert_eq!(found(&[Slot::Erased(vec![crate::map::MapKey::scene("a")]), Slot::MapLeaf], 0), None);
+        assert_eq!(found(&[Slot::Erased(vec![crate::format::map::MapKey::scene("a")]), Slot::MapLeaf], 0), None);
     }
 }

@@ -1,7 +1,7 @@
 //! Complete answers, put together from the log and its map at one moment.
 
 use super::{Registry, RegistryError, State, commit::StoredBuckets, reload::inconsistent};
-use crate::{
+use crate::format::{
     answer::{self, Answer, AsOf, Format, List, ListedRecord, MapPart, Source},
     checkpoint::Checkpoint,
     digest::Digest,

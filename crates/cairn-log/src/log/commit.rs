@@ -26,16 +26,21 @@ use super::{
     submit::{Admitted, Candidate, Planned},
 };
 use crate::{
-    checkpoint::Checkpoint,
-    digest::Digest,
-    dsse::Envelope,
-    leaf::Leaf,
-    map::{self, Buckets, MapEntry, MapKey, Staged, keys_of},
-    map_leaf::MapLeaf,
-    merkle::{self, leaf_hash},
-    packs::Slot,
-    store::{Change, Store, StoreError},
-    tile::TILE_WIDTH,
+    format::{
+        checkpoint::Checkpoint,
+        digest::Digest,
+        dsse::Envelope,
+        leaf::Leaf,
+        map::{MapEntry, MapKey, keys_of},
+        map_leaf::MapLeaf,
+        merkle::{self, leaf_hash},
+        packs::Slot,
+        tile::TILE_WIDTH,
+    },
+    log::{
+        map::{Buckets, Row, Staged},
+        store::{Change, Store, StoreError},
+    },
 };
 
 /// Where a submission ended up, or why nowhere. What its receipt proves is worked out by its own thread, out of the round.
@@ -384,7 +389,7 @@ impl Registry {
 pub(super) struct StoredBuckets<'a>(pub(super) &'a dyn Store);
 
 impl Buckets for StoredBuckets<'_> {
-    fn load(&self, bucket: u32) -> Result<Vec<map::Row>, StoreError> {
+    fn load(&self, bucket: u32) -> Result<Vec<Row>, StoreError> {
         let (from, to) = layout::lists(bucket);
         let rows = self.0.range(&from, to.as_deref(), usize::MAX)?.into_iter();
         rows.map(|(key, list)| Ok((list_key(&key)?, list))).collect()

@@ -7,9 +7,11 @@ use std::sync::{
 
 use super::*;
 use crate::{
-    keys::OwnerKey,
-    record::{Digests, Identity, OwnerRecord, RecordKind, Seen, VERSION},
-    store::{Entry, FaultyStore, Store, StoreError},
+    format::{
+        key::OwnerKey,
+        record::{Digests, Identity, OwnerRecord, RecordKind, Seen, VERSION},
+    },
+    log::store::{Entry, FaultyStore, Store, StoreError},
 };
 
 fn open(store: &Gated, found: &FaultyStore) -> Registry {

@@ -5,7 +5,7 @@
 //! nothing. The map keys stay (digests of scene and photographs), or nobody could work out the map again.
 
 use super::{LogEntry, Registry, RegistryError, commit::lock, layout, reload::inconsistent};
-use crate::{
+use crate::format::{
     erasure::Erasure,
     map::MapKey,
     packs::{self, Slot},
@@ -63,7 +63,7 @@ impl Registry {
             Some(index) => Some(self.record_leaf(index)?.owner),
             None => None,
         };
-        let keys = crate::map::keys_of(&stored.record, replaced_owner);
+        let keys = crate::format::map::keys_of(&stored.record, replaced_owner);
         self.rewrite(index, keys).inspect_err(|e| drop(self.halt(&e.to_string())))
     }
 

@@ -6,15 +6,16 @@ use std::path::PathBuf;
 use cairn_durable::DurableError;
 
 use crate::{
-    answer::AnswerGap,
-    digest::Digest,
-    keys::{KeyError, PublicKey},
-    map::MapError,
-    merkle::ProofError,
-    note::NoteError,
-    packs::PackError,
-    record::RecordError,
-    store::StoreError,
+    format::{
+        answer::AnswerGap,
+        digest::Digest,
+        key::{KeyError, PublicKey},
+        merkle::ProofError,
+        note::NoteError,
+        packs::PackError,
+        record::RecordError,
+    },
+    log::{map::MapError, store::StoreError},
 };
 
 /// What the registry can refuse or fail at.

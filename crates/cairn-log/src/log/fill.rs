@@ -9,7 +9,7 @@ use super::{
     Registry, RegistryError,
     commit::{Batch, lock},
 };
-use crate::{
+use crate::format::{
     leaf::Leaf,
     map::{MapEntry, MapKey},
     packs::Slot,

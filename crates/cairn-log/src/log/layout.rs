@@ -13,10 +13,15 @@
 //! A leaf stands in the store until the tile and the bundle that hold it are full and in files.
 
 use crate::{
-    digest::Digest,
-    map::{MapKey, first_key},
-    store::{Cold, successor},
-    tile::{TilePath, index_path},
+    format::{
+        digest::Digest,
+        map::MapKey,
+        tile::{TilePath, index_path},
+    },
+    log::{
+        map::first_key,
+        store::{Cold, successor},
+    },
 };
 
 /// Value of [`FORMAT`] that this release reads and writes.

@@ -8,7 +8,7 @@
 //! what it signed. Submissions that wait at the same time share one flush.
 //!
 //! Every batch ends in a map leaf: the root of the verifiable map over all that stands before it, so that whoever
-//! has a checkpoint can be shown that an answer leaves nothing out ([`crate::map`]).
+//! has a checkpoint can be shown that an answer leaves nothing out ([`crate::format::map`]).
 //!
 //! When a write fails it is unknown what the disk holds; the registry then halts: it
 //! still reads and proves, and writes again only after a new start has re-read everything.
@@ -20,12 +20,14 @@ mod erase;
 mod error;
 mod fill;
 mod layout;
+pub mod map;
 mod nonce;
 mod publish;
 mod read;
 mod rebuild;
 mod reload;
 mod seal;
+pub mod store;
 mod submit;
 mod tiles;
 
@@ -36,15 +38,19 @@ use std::{
 };
 
 use crate::{
-    checkpoint::Checkpoint,
-    digest::Digest,
-    dsse::Envelope,
-    keys::{OwnerKey, PublicKey},
-    map::BucketMap,
-    merkle,
-    note::NoteVerifier,
-    proof::TlogProof,
-    store::{DiskStore, Store, StoreError, TieredStore},
+    format::{
+        checkpoint::Checkpoint,
+        digest::Digest,
+        dsse::Envelope,
+        key::{OwnerKey, PublicKey},
+        merkle,
+        note::NoteVerifier,
+        proof::TlogProof,
+    },
+    log::{
+        map::BucketMap,
+        store::{DiskStore, Store, StoreError, TieredStore},
+    },
 };
 use cairn_durable::{Disk, Files, LockFile, RealDisk};
 

@@ -10,9 +10,9 @@ use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::Sha256;
 use zeroize::Zeroizing;
 
-use crate::{
+use crate::format::{
     digest::Digest,
-    keys::{KeyError, OwnerKey, PublicKey},
+    key::{KeyError, OwnerKey, PublicKey},
 };
 
 /// Records that the log may grow by until a nonce is no longer good.

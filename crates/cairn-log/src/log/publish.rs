@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use super::{Registry, RegistryError, commit::lock, layout, reload::inconsistent, tiles};
-use crate::{
+use crate::format::{
     checkpoint::Checkpoint,
     note::Note,
     tile::{TILE_WIDTH, TileKind, TilePath},
@@ -126,7 +126,7 @@ impl Registry {
         let full: Vec<_> =
             state.tree.fresh().into_iter().filter(|((level, index), _)| within(*level, *index)).collect();
         let mut partial = BTreeMap::new();
-        for level in 0..=crate::tile::MAX_LEVEL {
+        for level in 0..=crate::format::tile::MAX_LEVEL {
             let count = size.checked_shr(8 * u32::from(level)).unwrap_or(0);
             let last = TilePath::in_tree(TileKind::Hashes(level), count / u64::from(TILE_WIDTH), size);
             if let Some(path) = last.filter(|last| last.width < TILE_WIDTH)

@@ -1,11 +1,11 @@
 //! What the log's readers ask for: entries, records, proofs, tiles.
 
 use super::{Registry, RegistryError, State, layout, reload, reload::inconsistent};
-use crate::{
+use crate::format::{
     digest::Digest,
     dsse::Envelope,
     heir::{Ending, Heir, heir},
-    keys::PublicKey,
+    key::PublicKey,
     leaf::Leaf,
     map::{MapEntry, MapKey},
     map_leaf::{Entry, MapLeaf},

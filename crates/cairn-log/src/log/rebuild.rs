@@ -15,17 +15,22 @@ use std::{
 
 use super::{Registry, RegistryError, commit::StoredBuckets, layout, nonce::NONCE_LIFETIME, reload, seal, tiles};
 use crate::{
-    digest::Digest,
-    dsse::Envelope,
-    keys::OwnerKey,
-    leaf::Leaf,
-    map::{BucketMap, MapEntry, MapKey, keys_of},
-    map_leaf::{Entry, MapLeaf},
-    merkle::{self, Subtrees as _},
-    packs::{self, Slot},
-    record::RecordKind,
-    store::{Change, DiskStore, Store, StoreError, TieredStore},
-    tile::{TILE_WIDTH, TileKind, TilePath, decode_entries, encode_entries},
+    format::{
+        digest::Digest,
+        dsse::Envelope,
+        key::OwnerKey,
+        leaf::Leaf,
+        map::{MapEntry, MapKey, keys_of},
+        map_leaf::{Entry, MapLeaf},
+        merkle::{self, Subtrees as _},
+        packs::{self, Slot},
+        record::RecordKind,
+        tile::{TILE_WIDTH, TileKind, TilePath, decode_entries, encode_entries},
+    },
+    log::{
+        map::BucketMap,
+        store::{Change, DiskStore, Store, StoreError, TieredStore},
+    },
 };
 use cairn_durable::{Disk, Files, LockFile, RealDisk};
 

@@ -16,17 +16,21 @@ use super::{
     tiles::TileTree,
 };
 use crate::{
-    checkpoint::Checkpoint,
-    digest::Digest,
-    keys::OwnerKey,
-    leaf::LEAF_LEN,
-    map::{BucketMap, BucketTop},
-    map_leaf::Entry,
-    merkle::{self, leaf_hash},
-    note::{NoteVerifier, check_name},
-    packs,
-    store::Store,
-    tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
+    format::{
+        checkpoint::Checkpoint,
+        digest::Digest,
+        key::OwnerKey,
+        leaf::LEAF_LEN,
+        map_leaf::Entry,
+        merkle::{self, leaf_hash},
+        note::{NoteVerifier, check_name},
+        packs,
+        tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
+    },
+    log::{
+        map::{BucketMap, BucketTop},
+        store::Store,
+    },
 };
 use cairn_durable::Files;
 

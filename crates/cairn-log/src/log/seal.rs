@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 
 use super::layout;
 use crate::{
-    digest::Digest,
-    store::{KnownFile, StoreError},
+    format::digest::Digest,
+    log::store::{KnownFile, StoreError},
 };
 use cairn_durable::{Files, RealDisk, sync_folder};
 

@@ -3,11 +3,11 @@
 use std::collections::HashMap;
 
 use super::{Registry, RegistryError, commit::Writer, layout, nonce::BadNonce, reload, tiles::TileTree};
-use crate::{
+use crate::format::{
     digest::Digest,
     dsse::{Envelope, EnvelopeSignature, MAX_ENVELOPE_BYTES},
     heir::{Ending, Heir, heir},
-    keys::PublicKey,
+    key::PublicKey,
     leaf::Leaf,
     merkle,
     record::{OwnerRecord, RecordError, RecordKind},
@@ -231,7 +231,7 @@ impl Registry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{keys::OwnerKey, store::FaultyStore};
+    use crate::{format::key::OwnerKey, log::store::FaultyStore};
 
     #[test]
     fn ends_of_keys_in_the_same_batch_count() {

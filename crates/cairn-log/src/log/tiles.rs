@@ -14,7 +14,7 @@ use std::{
 use lru::LruCache;
 
 use super::{RegistryError, layout, reload::inconsistent};
-use crate::{
+use crate::format::{
     digest::Digest,
     merkle::{ProofError, Subtrees, node_hash},
     tile::{TILE_WIDTH, TileKind, TilePath},
@@ -196,8 +196,8 @@ pub(super) fn bytes_of(hashes: &[Digest]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::{
-        merkle::{Tree, leaf_hash, prove_consistency, prove_inclusion, root_at},
-        store::FaultyStore,
+        format::merkle::{Tree, leaf_hash, prove_consistency, prove_inclusion, root_at},
+        log::store::FaultyStore,
     };
 
     fn file(tree: &mut TileTree) {

@@ -13,9 +13,11 @@ use std::{
     time::Duration,
 };
 
-use crate::{
-    Checkpoint, CheckpointError, Cosignature, CosignatureError, Digest, Note, NoteSignature, NoteVerifier,
-    WitnessVerifier,
+use crate::format::{
+    checkpoint::{Checkpoint, CheckpointError},
+    cosignature::{Cosignature, CosignatureError, WitnessVerifier},
+    digest::Digest,
+    note::{Note, NoteSignature, NoteVerifier},
 };
 use ureq::{Agent, Body, http};
 

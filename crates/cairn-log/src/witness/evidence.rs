@@ -11,7 +11,7 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
-use crate::Digest;
+use crate::format::digest::Digest;
 use serde::Serialize;
 
 use crate::witness::storage::{EVIDENCE, Storage, replace};

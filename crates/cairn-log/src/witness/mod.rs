@@ -1,7 +1,7 @@
 //! Witnesses (C2SP tlog-witness): who cosigns a log's checkpoints only while it goes on from the last one seen.
 //!
 //! A log that shows different people different histories needs its witnesses' help for it; a verifier that asks for a quorum
-//! of them (`crate::policy`) is safe from a split view. [`Witness`] is the witness without any network;
+//! of them (`crate::format::policy`) is safe from a split view. [`Witness`] is the witness without any network;
 //! [`server`] puts it on HTTP; [`client`] is the log's side, which asks witnesses for cosignatures. [`plain_http`] is the bounded
 //! HTTP server below it, which the daemon serves its public files with as well.
 //!

@@ -7,7 +7,7 @@
 //! <checkpoint>
 //! ```
 
-use crate::Digest;
+use crate::format::digest::Digest;
 
 /// Largest body, bytes: a checkpoint with some tens of signatures, also of large kinds.
 pub const MAX_BODY_BYTES: usize = 256 << 10;

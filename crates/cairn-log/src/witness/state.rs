@@ -4,7 +4,7 @@
 //! monitors are given, and one side of the evidence if the log contradicts it. Size and root stand beside it for
 //! people; they must agree with it.
 
-use crate::{Checkpoint, Digest, Note, WitnessVerifier};
+use crate::format::{checkpoint::Checkpoint, cosignature::WitnessVerifier, digest::Digest, note::Note};
 use serde::{Deserialize, Serialize};
 
 /// The version of the file that this release writes and reads.

@@ -12,9 +12,13 @@ use std::{
     time::{SystemTime, UNIX_EPOCH},
 };
 
-use crate::{
-    Checkpoint, CosignatureError, Digest, Note, NoteError, NoteVerifier, OwnerKey, WitnessVerifier, cosign,
+use crate::format::{
+    checkpoint::Checkpoint,
+    cosignature::{CosignatureError, WitnessVerifier, cosign},
+    digest::Digest,
+    key::OwnerKey,
     merkle::{empty_root, verify_consistency},
+    note::{Note, NoteError, NoteVerifier},
 };
 
 use crate::witness::{

@@ -1,8 +1,11 @@
 //! Records to submit to a log, and the verification of what it answers.
 
 use cairn_log::{
-    Checkpoint, Digest, Envelope, OwnerKey, OwnerRecord, Receipt, RecordKind, Registry, RegistryError, merkle,
-    record::{self, Digests, Identity, Seen},
+    Checkpoint, Digest, Envelope, OwnerKey, OwnerRecord, Receipt, RecordKind, Registry, RegistryError,
+    format::{
+        merkle,
+        record::{self, Digests, Identity, Seen},
+    },
 };
 
 /// A training record of `owner` about `scene`, complete in every field, with a fresh nonce.

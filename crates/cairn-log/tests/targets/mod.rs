@@ -6,14 +6,17 @@
 
 use std::{fs, io::Write as _, os::unix::fs::OpenOptionsExt as _};
 
+use cairn_log::keys::{Unlock, load_key};
 use cairn_log::{
     Answer, Checkpoint, Digest, Entry, Envelope, Leaf, MapEntry, MapKey, MapLeaf, MapProof, MapTree, Note,
     NoteVerifier, OwnerKey, OwnerRecord, PublicKey, TlogProof,
-    answer::{AsOf, Format, List, ListedRecord, MapPart},
-    map::ListState,
-    packs::{self, PackError, Slot},
-    record::{Digests, Identity, RecordKind, Seen, VERSION},
-    tile::{TilePath, decode_entries, encode_entries},
+    format::{
+        answer::{AsOf, Format, List, ListedRecord, MapPart},
+        map::ListState,
+        packs::{self, PackError, Slot},
+        record::{Digests, Identity, RecordKind, Seen, VERSION},
+        tile::{TilePath, decode_entries, encode_entries},
+    },
 };
 
 /// One reader.
@@ -345,7 +348,7 @@ pub fn key_file(input: &[u8]) {
     let file = tempfile::NamedTempFile::new().unwrap();
     let mut open = fs::OpenOptions::new();
     open.write(true).mode(0o600).open(file.path()).unwrap().write_all(input).unwrap();
-    if let Err(refused) = OwnerKey::load(file.path()) {
+    if let Err(refused) = load_key(file.path(), &Unlock::Nothing) {
         assert!(refused.to_string().contains(&file.path().display().to_string()), "{refused}");
     }
 }

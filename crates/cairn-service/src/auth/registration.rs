@@ -78,7 +78,7 @@ impl Registration {
     }
 
     /// Signs it.
-    pub fn sign(&self, key: &OwnerKey) -> [u8; cairn_log::keys::SIGNATURE_LEN] {
+    pub fn sign(&self, key: &OwnerKey) -> [u8; cairn_log::format::key::SIGNATURE_LEN] {
         key.sign(&self.bytes())
     }
 }

@@ -36,7 +36,7 @@ pub const MEMORY: usize = 65_536;
 /// Of these, most of one account.
 pub const MEMORY_OF_ONE: usize = 8_192;
 
-const SIGNATURE: usize = cairn_log::keys::SIGNATURE_LEN;
+const SIGNATURE: usize = cairn_log::format::key::SIGNATURE_LEN;
 
 /// Which daemon a token is for.
 #[derive(Clone, Debug, PartialEq, Eq)]

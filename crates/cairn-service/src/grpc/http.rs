@@ -15,12 +15,12 @@ use axum::http::{StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use cairn_log::Digest;
-use cairn_log::tile::{TILE_WIDTH, TileKind, TilePath, decode_entries};
+use cairn_log::format::tile::{TILE_WIDTH, TileKind, TilePath, decode_entries};
 use cairn_log::witness::plain_http::{self, Limits};
 use tokio::net::TcpListener;
 
 /// Largest checkpoint that is served, bytes: as large as a note may be.
-const MAX_CHECKPOINT_BYTES: u64 = cairn_log::note::MAX_NOTE_BYTES as u64;
+const MAX_CHECKPOINT_BYTES: u64 = cairn_log::format::note::MAX_NOTE_BYTES as u64;
 /// Largest tile of entries, bytes: 256 of the largest, each with its length.
 const MAX_TILE_BYTES: u64 = TILE_WIDTH as u64 * (2 + u16::MAX as u64);
 

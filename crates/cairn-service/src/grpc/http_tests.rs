@@ -2,7 +2,7 @@
 
 use axum::body::{Body, to_bytes};
 use axum::http::Request;
-use cairn_log::tile::encode_entries;
+use cairn_log::format::tile::encode_entries;
 use tower::ServiceExt as _;
 
 use super::*;

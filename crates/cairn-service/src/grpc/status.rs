@@ -29,6 +29,7 @@ fn code(error: &EngineError) -> Code {
         EngineError::Invalid { .. }
         | EngineError::OverLimit { .. }
         | EngineError::Config(_)
+        | EngineError::KeyFile(_)
         | EngineError::Erasure(_) => Code::InvalidArgument,
         EngineError::NotYours { .. } => Code::PermissionDenied,
         EngineError::NotFound { .. } => Code::NotFound,

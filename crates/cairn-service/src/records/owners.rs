@@ -151,7 +151,7 @@ pub fn complete_answer(
     as_of: Option<&str>,
     most: usize,
 ) -> Result<Vec<u8>, EngineError> {
-    let limit = most.min(cairn_log::answer::MAX_ANSWER_BYTES);
+    let limit = most.min(cairn_log::format::answer::MAX_ANSWER_BYTES);
     let answer = registry.answer(scene, photograph, as_of, limit)?.to_json();
     if answer.len() > limit {
         let (what, key) = ("the complete answer in bytes (ask about a view)".into(), "limits.max_message_bytes");

@@ -1,8 +1,8 @@
 //! Which records bear on an identity: of its marked field, its photographs, and still upheld.
 
 use cairn_log::OwnerKey;
-use cairn_log::record::{self, Digests, Identity, Seen, random_salt};
-use cairn_log::store::FaultyStore;
+use cairn_log::format::record::{self, Digests, Identity, Seen, random_salt};
+use cairn_log::log::store::FaultyStore;
 
 use super::*;
 

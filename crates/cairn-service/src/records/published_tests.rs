@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use cairn_log::record::{self, Digests, Identity, Seen, photographs_root};
+use cairn_log::format::record::{self, Digests, Identity, Seen, photographs_root};
 use cairn_log::{Digest, OwnerKey, OwnerRecord, RecordKind};
 use tempfile::TempDir;
 

@@ -2,8 +2,11 @@
 
 use std::path::Path;
 
-use cairn_log::keys::{KeyError, Seal, SealingKey, Unlock, load_key, save_key};
-use cairn_log::{OwnerKey, RegistryError};
+use cairn_log::{
+    OwnerKey,
+    format::sealed::SealingKey,
+    keys::{KeyFileError, Seal, Unlock, load_key, load_sealing_key, save_key},
+};
 
 use crate::error::EngineError;
 use crate::store::folder::DataFolder;
@@ -22,18 +25,18 @@ pub fn open(folder: &DataFolder, key_file: Option<&Path>) -> Result<OwnerKey, En
             return Err(EngineError::KeyMissing { key: path, log: folder.registry() });
         }
         let seal = sealing.clone().map_or(Seal::Plain, Seal::KeyFile);
-        OwnerKey::generate().and_then(|new| save_key(&path, &new, &seal)).map_err(RegistryError::from)?;
+        save_key(&path, &OwnerKey::generate().map_err(KeyFileError::from)?, &seal)?;
     }
     let unlock = sealing.map_or(Unlock::Nothing, Unlock::KeyFile);
-    Ok(load_key(&path, &unlock).map_err(RegistryError::from)?)
+    Ok(load_key(&path, &unlock)?)
 }
 
 fn sealing_key(path: &Path) -> Result<SealingKey, EngineError> {
     // Never made here: a path that is misspelt must not seal the log's key with what nobody keeps.
-    SealingKey::load(path).map_err(|e| match e {
-        KeyError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+    load_sealing_key(path).map_err(|e| match e {
+        KeyFileError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
             EngineError::SealingKeyMissing { path: path.into() }
         }
-        other => RegistryError::from(other).into(),
+        other => other.into(),
     })
 }

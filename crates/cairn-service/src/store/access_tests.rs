@@ -86,8 +86,8 @@ fn accounts_may_have_quotas_of_their_own() {
 
 /// A log in memory, with a record of key 1 about a scene.
 mod log {
-    use cairn_log::record::{self, Digests, Identity, Seen};
-    use cairn_log::store::FaultyStore;
+    use cairn_log::format::record::{self, Digests, Identity, Seen};
+    use cairn_log::log::store::FaultyStore;
     use cairn_log::{OwnerKey, OwnerRecord};
 
     use super::*;

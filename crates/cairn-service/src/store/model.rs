@@ -10,7 +10,7 @@ use std::sync::{Arc, OnceLock};
 use cairn_durable::{remove, sync_folder, write_atomic};
 use cairn_field::{Field, FieldError};
 use cairn_log::Digest;
-use cairn_log::record::photographs_root;
+use cairn_log::format::record::photographs_root;
 use cairn_mark::{Detector, MarkError, MarkedField, RegisteredReader, Signal};
 use cairn_scene::cluster::Clusters;
 use serde::{Deserialize, Serialize};

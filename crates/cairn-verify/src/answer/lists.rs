@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cairn_log::{
+use cairn_log::format::{
     Answer, Checkpoint, Digest, Envelope, Leaf, MapEntry, MapKey, OwnerRecord, PublicKey, RecordKind,
     answer::{List, ListedRecord, key_after, keys_about},
     map::{keys_of, list_root},

@@ -13,7 +13,7 @@ mod worth;
 
 pub use report::{AnswerReport, RecordWorth, Standing};
 
-use cairn_log::{
+use cairn_log::format::{
     Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier,
     answer::Format,
     map, map_leaf,

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use cairn_log::{Digest, RecordKind};
+use cairn_log::format::{Digest, RecordKind};
 use serde::Serialize;
 
 use crate::{

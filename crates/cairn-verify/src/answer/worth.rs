@@ -5,7 +5,10 @@
 
 use std::convert::Infallible;
 
-use cairn_log::{Answer, Digest, Ending, Heir, MapKey, PublicKey, RecordKind, heir};
+use cairn_log::format::{
+    Answer, Digest, MapKey, PublicKey, RecordKind,
+    heir::{Ending, Heir, heir},
+};
 
 use super::{
     lists::{Opened, Proven},

@@ -1,7 +1,7 @@
 //! The entries that are new since the last look: they, and nothing else, make the new
 //! root out of the old tree.
 
-use cairn_log::{
+use cairn_log::format::{
     Digest, Leaf, NoteVerifier,
     leaf::LEAF_LEN,
     merkle::leaf_hash,

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use cairn_log::NoteVerifier;
+use cairn_log::format::NoteVerifier;
 use serde::Serialize;
 
 use super::{Fetch, Signed, reader::Reader};

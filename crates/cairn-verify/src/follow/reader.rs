@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use cairn_log::{
+use cairn_log::format::{
     Digest,
     leaf::LEAF_LEN,
     merkle,

@@ -7,7 +7,7 @@
 
 use std::collections::HashMap;
 
-use cairn_log::{
+use cairn_log::format::{
     Digest, Leaf, NoteVerifier, RecordKind,
     leaf::LEAF_LEN,
     merkle,

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cairn_log::{
+use cairn_log::format::{
     dsse::MAX_ENVELOPE_BYTES,
     leaf::LEAF_LEN,
     note::MAX_NOTE_BYTES,

@@ -3,7 +3,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use cairn_log::{
+use cairn_log::format::{
     Checkpoint, Digest, Envelope, Leaf, OwnerRecord, RecordKind, merkle,
     tile::{TILE_WIDTH, TileKind},
 };

@@ -26,7 +26,7 @@ mod tiles;
 
 use std::path::Path;
 
-use cairn_log::{Checkpoint, Digest, NoteVerifier, Policy, merkle};
+use cairn_log::format::{Checkpoint, Digest, NoteVerifier, Policy, merkle};
 
 pub(crate) use chunk::check_map_leaf;
 pub use class::Class;
@@ -89,8 +89,8 @@ fn published(files: &Files, options: &StoreOptions<'_>, findings: &mut Findings)
             return None;
         }
     };
-    let parsed = cairn_log::Note::parse(&text)
-        .map_err(cairn_log::CheckpointError::from)
+    let parsed = cairn_log::format::Note::parse(&text)
+        .map_err(cairn_log::format::CheckpointError::from)
         .and_then(|note| Ok((Checkpoint::parse_text(&note.text)?, note)));
     let (checkpoint, note) = match parsed {
         Ok(parsed) => parsed,

@@ -1,7 +1,7 @@
 //! One stored record: its envelope byte for byte as the registry writes it, and every
 //! signature on it.
 
-use cairn_log::{
+use cairn_log::format::{
     Digest, DsseError, Envelope, Leaf, OwnerRecord, PublicKey, RecordError, RecordKind, dsse::EnvelopeSignature,
     leaf::LEAF_LEN, record::scene_commitment,
 };

@@ -1,12 +1,15 @@
 //! Whether a record may do what it does to another: stand in its place, take it back, or
-//! go on under another key. Who speaks for the other's owner follows rotations from key to key ([`cairn_log::heir()`]).
+//! go on under another key. Who speaks for the other's owner follows rotations from key to key ([`cairn_log::format::heir::heir()`]).
 
 use std::{
     collections::{HashMap, hash_map::Entry},
     convert::Infallible,
 };
 
-use cairn_log::{Digest, Ending, Heir, RecordKind, heir};
+use cairn_log::format::{
+    Digest, RecordKind,
+    heir::{Ending, Heir, heir},
+};
 
 use super::{
     chunk::Context,

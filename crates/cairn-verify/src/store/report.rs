@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use cairn_log::{Checkpoint, Digest};
+use cairn_log::format::{Checkpoint, Digest};
 use serde::Serialize;
 
 use super::Class;

@@ -6,7 +6,7 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use cairn_log::Digest;
+use cairn_log::format::Digest;
 use serde::{Deserialize, Serialize};
 
 use super::{

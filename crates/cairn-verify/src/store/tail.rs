@@ -1,7 +1,7 @@
 //! What lies behind the last entry, and what does not belong: records that were
 //! accepted and not published yet, and files that nothing of the registry's is.
 
-use cairn_log::{NoteVerifier, tile::TilePath};
+use cairn_log::format::{NoteVerifier, tile::TilePath};
 
 use super::{
     StoreError,

@@ -1,7 +1,7 @@
 //! Tiles of hashes: those of level 1 and up are made from below as the log goes by, and
 //! every stored one is compared.
 
-use cairn_log::{
+use cairn_log::format::{
     Digest, merkle,
     tile::{TILE_WIDTH, TileKind, TilePath},
 };

@@ -2,7 +2,7 @@
 
 use std::{cell::RefCell, collections::BTreeMap};
 
-use cairn_log::{
+use cairn_log::format::{
     Answer, Checkpoint, Digest, Entry, Envelope, Leaf, MapEntry, MapKey, MapLeaf, MapTree, NoteVerifier, OwnerKey,
     OwnerRecord, RecordKind,
     answer::{AnswerGap, Format, List, ListedRecord, MapPart, Source, asked_key, collect},

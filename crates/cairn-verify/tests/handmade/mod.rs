@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use cairn_log::{
+use cairn_log::format::{
     Checkpoint, Digest, Envelope, Leaf, NoteVerifier, OwnerKey, OwnerRecord, RecordKind,
     dsse::pae,
     leaf::LEAF_LEN,

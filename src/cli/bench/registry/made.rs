@@ -1,7 +1,7 @@
 //! Records to submit and entries to fill with, all of them drawn from one seed.
 
-use cairn_log::map::MapKey;
-use cairn_log::record::{self, Digests, Identity, Seen, photographs_root};
+use cairn_log::format::map::MapKey;
+use cairn_log::format::record::{self, Digests, Identity, Seen, photographs_root};
 use cairn_log::{Digest, Envelope, Leaf, OwnerKey, OwnerRecord, RecordKind, Registry};
 
 /// The benchmark's log.

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use cairn_log::{Checkpoint, Digest, Registry, merkle};
+use cairn_log::{Checkpoint, Digest, Registry, format::merkle};
 use serde::{Deserialize, Serialize};
 
 use super::super::parts::Part;

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{digest::Digest, merkle, serial};
+use crate::format::{digest::Digest, merkle, serial};
 
 /// One record of a list, by its place in the log and its leaf.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

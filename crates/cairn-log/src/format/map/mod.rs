@@ -11,36 +11,31 @@
 //! - any other is `SHA-256(0x03 | left | right)`.
 //!
 //! So the tree is as deep as the keys need and no deeper, and a [`MapProof`] of a map of n keys holds about log2(n)
-//! hashes. Its root goes into the log as a leaf of the registry's ([`crate::map_leaf`]).
+//! hashes. Its root goes into the log as a leaf of the registry's ([`crate::format::map_leaf`]).
 //!
 //! [`MapTree`] keeps a whole map in memory. The registry's own tree, whose keys lie in its store, is
-//! `BucketMap`, with the feature `store`.
+//! `log::map::BucketMap`.
 
-#[cfg(feature = "store")]
-mod bucket;
-#[cfg(feature = "store")]
-mod buckets;
 mod list;
 mod proof;
 mod tree;
 
-#[cfg(feature = "store")]
-pub(crate) use buckets::first_key;
-#[cfg(feature = "store")]
-pub use buckets::{BUCKET_BITS, BucketError, BucketMap, BucketTop, Buckets, MapError, Row, Staged};
 use serde::{Deserialize, Serialize};
 
 pub use list::{ListError, ListState, MapEntry, list_root};
-pub use proof::{MAX_DEPTH, MapProof, MapProofError, ProofEnd};
+pub use proof::{MapProof, MapProofError, ProofEnd};
 pub use tree::MapTree;
 
-use crate::{
+use crate::format::{
     digest::Digest,
     record::{OwnerRecord, RecordKind},
 };
 
 /// What stands for an empty subtree, and so for the root of an empty map.
 pub const EMPTY: Digest = Digest::from_bytes([0; Digest::LEN]);
+
+/// Most siblings on a path: one a bit of the key.
+pub const MAX_DEPTH: usize = 256;
 
 /// A key of the map: `SHA-256(label | 0x00 | fields)`, each field behind its length as u64, big-endian.
 ///
@@ -90,7 +85,7 @@ impl MapKey {
     }
 
     /// Bit `depth`, most significant first: which way the path goes at that depth.
-    fn bit(&self, depth: usize) -> bool {
+    pub(crate) fn bit(&self, depth: usize) -> bool {
         self.as_bytes()[depth / 8] >> (7 - depth % 8) & 1 == 1
     }
 
@@ -110,7 +105,7 @@ impl std::fmt::Display for MapKey {
 /// The keys under which a record is listed: ascending, each once.
 ///
 /// `replaced_owner` is the key id of the owner of the record that `replaces` names, which that record's leaf carries
-/// ([`crate::Leaf::owner`]): a rotation ends that key. It is needed for rotations only.
+/// ([`crate::format::leaf::Leaf::owner`]): a rotation ends that key. It is needed for rotations only.
 pub fn keys_of(record: &OwnerRecord, replaced_owner: Option<Digest>) -> Vec<MapKey> {
     let mut keys = vec![MapKey::scene(&record.scene)];
     keys.extend(record.views.iter().flatten().map(|photograph| MapKey::view(&record.scene, photograph)));
@@ -127,11 +122,11 @@ pub fn keys_of(record: &OwnerRecord, replaced_owner: Option<Digest>) -> Vec<MapK
 }
 
 /// Hash of a subtree that holds exactly one key.
-fn leaf_hash(key: &MapKey, value: &Digest) -> Digest {
+pub(crate) fn leaf_hash(key: &MapKey, value: &Digest) -> Digest {
     Digest::of_parts(&[&[2], key.as_bytes(), value.as_bytes()])
 }
 
 /// Hash of a subtree that holds more.
-fn node_hash(left: &Digest, right: &Digest) -> Digest {
+pub(crate) fn node_hash(left: &Digest, right: &Digest) -> Digest {
     Digest::of_parts(&[&[3], left.as_bytes(), right.as_bytes()])
 }

@@ -6,11 +6,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{EMPTY, MapKey, leaf_hash, node_hash};
-use crate::{digest::Digest, serial};
-
-/// Most siblings on a path: one a bit of the key.
-pub const MAX_DEPTH: usize = 256;
+use super::{EMPTY, MAX_DEPTH, MapKey, leaf_hash, node_hash};
+use crate::format::{digest::Digest, serial};
 
 /// The way from a map's root to where a key's path ends, and what stands there.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

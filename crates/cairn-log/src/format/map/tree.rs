@@ -2,7 +2,7 @@
 //! leaves. For verifiers, who make the map again from a log, and for tests.
 
 use super::{EMPTY, ListState, MapEntry, MapKey, MapProof, ProofEnd, leaf_hash, node_hash};
-use crate::digest::Digest;
+use crate::format::digest::Digest;
 
 /// A verifiable map that grows record by record.
 #[derive(Debug, Clone, Default)]

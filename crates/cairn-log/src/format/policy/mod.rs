@@ -14,7 +14,7 @@
 
 mod parse;
 
-use crate::{
+use crate::format::{
     checkpoint::{Checkpoint, CheckpointError},
     cosignature::{CosignatureError, WitnessVerifier},
     digest::clip,

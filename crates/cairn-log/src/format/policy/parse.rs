@@ -5,9 +5,9 @@
 use std::collections::{BTreeMap, HashSet};
 
 use super::{Group, MAX_POLICY_BYTES, Member, Policy, PolicyError, PolicyLog, PolicyWitness};
-use crate::{
+use crate::format::{
     cosignature::WitnessVerifier,
-    keys::PublicKey,
+    key::PublicKey,
     note::{NoteError, NoteVerifier},
 };
 

@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 
 use super::format::row;
-use crate::store::{Change, Entry, Store, StoreError};
+use crate::log::store::{Change, Entry, Store, StoreError};
 
 /// What the keys of journal entries begin with; their number follows.
 const JOURNAL: &[u8] = b"journal/";

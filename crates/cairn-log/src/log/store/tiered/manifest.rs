@@ -5,7 +5,7 @@
 //! run = number u64 | level u8 | size u64 | rows u64 | keys in the filter u64 | SHA-256 of the file 32
 //! ```
 
-use crate::digest::Digest;
+use crate::format::digest::Digest;
 
 const VERSION: u8 = 1;
 const RUN: usize = 8 + 1 + 8 + 8 + 8 + Digest::LEN;

@@ -28,11 +28,7 @@ fn phrase(text: &str) -> Passphrase {
 }
 
 fn key_file(bytes: [u8; 32]) -> SealingKey {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("k");
-    let text = format!("cairn-key-file-v1 {}\n", hex::encode(bytes));
-    crate::keys::file::write(&path, &text, crate::keys::file::There::Stays).unwrap();
-    SealingKey::load(&path).unwrap()
+    SealingKey::parse(&format!("cairn-key-file-v1 {}\n", hex::encode(bytes))).unwrap()
 }
 
 #[test]

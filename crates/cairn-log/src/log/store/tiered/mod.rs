@@ -35,7 +35,7 @@ use self::{
 use super::{Change, Entry, Store, StoreError, successor};
 use cairn_durable::Files;
 
-use crate::digest::Digest;
+use crate::format::digest::Digest;
 
 /// The row of the store that holds the [`Manifest`].
 const MANIFEST: &[u8] = b"runs";

@@ -7,7 +7,7 @@ use super::{
     format::{BLOCK, Footer, MAGIC, sealed},
     manifest::RunInfo,
 };
-use crate::{digest::Digest, store::StoreError};
+use crate::{format::digest::Digest, log::store::StoreError};
 use cairn_durable::Files;
 
 /// Bytes gathered before they are handed to the file system.

@@ -7,7 +7,7 @@ use super::{
     format::{CRC, FOOTER, Footer, MAGIC, opened, row},
     manifest::RunInfo,
 };
-use crate::store::{Entry, StoreError};
+use crate::log::store::{Entry, StoreError};
 use cairn_durable::{Files, OpenFile};
 
 /// A run that is open.

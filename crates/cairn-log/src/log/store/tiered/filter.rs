@@ -58,7 +58,7 @@ fn probes(key: &[u8], bits: u64) -> impl Iterator<Item = u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::digest::Digest;
+    use crate::format::digest::Digest;
 
     #[test]
     fn every_key_is_held_and_few_others() {

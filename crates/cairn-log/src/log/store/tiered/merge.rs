@@ -1,6 +1,6 @@
 //! Several ascending sequences of rows as one; where two have the same key, the newer sequence's row counts.
 
-use crate::store::{Entry, StoreError};
+use crate::log::store::{Entry, StoreError};
 
 /// Rows in ascending order of keys.
 pub(super) type Sorted<'a> = Box<dyn Iterator<Item = Result<Entry, StoreError>> + 'a>;

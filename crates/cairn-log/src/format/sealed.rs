@@ -27,8 +27,13 @@ use chacha20poly1305::{
 };
 use zeroize::Zeroizing;
 
-use super::{KeyError, OwnerKey, Passphrase, PublicKey, SealingKey, file::SEALED as BEGIN};
+use crate::format::key::{KeyError, OwnerKey, PublicKey};
 
+/// A sealed key's text is shorter than this, bytes.
+pub const MAX_TEXT: u64 = 4096;
+
+/// First line of a sealed key's text.
+pub const BEGIN: &str = "-----BEGIN CAIRN SEALED KEY-----\n";
 const END: &str = "-----END CAIRN SEALED KEY-----\n";
 const HEADER: &str = "Public-Key: ";
 /// Base64 characters on a line.
@@ -52,15 +57,15 @@ const MAX_LANES: u32 = 16;
 
 /// What Argon2id costs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Cost {
-    pub(super) memory_kib: u32,
-    pub(super) passes: u32,
-    pub(super) lanes: u32,
+struct Cost {
+    memory_kib: u32,
+    passes: u32,
+    lanes: u32,
 }
 
 impl Cost {
     /// RFC 9106, section 4, the second recommended option: 64 MiB, 3 passes, 4 lanes.
-    pub(super) const RECOMMENDED: Self = Self { memory_kib: 1 << 16, passes: 3, lanes: 4 };
+    const RECOMMENDED: Self = Self { memory_kib: 1 << 16, passes: 3, lanes: 4 };
 
     fn check(self) -> Result<Self, SealError> {
         let within = |what, got, least, most| {
@@ -149,9 +154,98 @@ pub enum SealError {
         /// What was brought.
         brought: &'static str,
     },
+    /// The operating system gave no random bytes.
+    #[error("cannot seal a key: the operating system gave no random bytes ({0})")]
+    Random(String),
     /// Argon2id did not run.
     #[error("cannot run Argon2id ({0}); free some memory and try again")]
     Argon2(String),
+}
+
+/// A passphrase: 8 (NIST SP 800-63B, 5.1.1) to 1024 characters on one line. Wiped when dropped, never printed.
+#[derive(Clone)]
+pub struct Passphrase(Zeroizing<String>);
+
+impl Passphrase {
+    /// Takes it as typed.
+    ///
+    /// # Errors
+    /// [`KeyError::Passphrase`] where it is too short, too long or not one line.
+    pub fn new(text: Zeroizing<String>) -> Result<Self, KeyError> {
+        let characters = text.chars().count();
+        if !(8..=1024).contains(&characters) {
+            return Err(KeyError::Passphrase("it has fewer than 8 or more than 1024 characters"));
+        }
+        if text.chars().any(char::is_control) {
+            return Err(KeyError::Passphrase("it has control characters or more than one line"));
+        }
+        Ok(Self(text))
+    }
+
+    fn bytes(&self) -> &[u8] {
+        self.0.as_bytes()
+    }
+}
+
+impl PartialEq for Passphrase {
+    /// For what was typed twice; takes its time from the text.
+    fn eq(&self, other: &Self) -> bool {
+        self.0 == other.0
+    }
+}
+
+impl fmt::Debug for Passphrase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Passphrase(secret)")
+    }
+}
+
+/// The 32 random bytes that keys are sealed with where no person types a passphrase: a service's, kept apart from the keys.
+/// Wiped when dropped, never printed.
+#[derive(Clone)]
+pub struct SealingKey(Zeroizing<[u8; 32]>);
+
+/// What a file of it begins with: kind and format version.
+const SEALING_KEY: &str = "cairn-key-file-v1 ";
+
+impl SealingKey {
+    /// A new one from the operating system's random numbers.
+    ///
+    /// # Errors
+    /// [`KeyError::Random`] where the system has none to give.
+    pub fn generate() -> Result<Self, KeyError> {
+        let mut bytes = Zeroizing::new([0; 32]);
+        getrandom::fill(bytes.as_mut()).map_err(|e| KeyError::Random(e.to_string()))?;
+        Ok(Self(bytes))
+    }
+
+    /// The text of its file: `cairn-key-file-v1 ` and 64 hexadecimal digits.
+    pub fn to_text(&self) -> Zeroizing<String> {
+        let digits = Zeroizing::new(hex::encode(self.0.as_ref()));
+        Zeroizing::new([SEALING_KEY, digits.as_str(), "\n"].concat())
+    }
+
+    /// Reads that text.
+    ///
+    /// # Errors
+    /// What is wrong with it, in words.
+    pub fn parse(text: &str) -> Result<Self, &'static str> {
+        let digits = text.strip_prefix(SEALING_KEY).and_then(|t| t.strip_suffix('\n'));
+        let digits = digits.ok_or("it does not begin with `cairn-key-file-v1`")?;
+        let mut bytes = Zeroizing::new([0; 32]);
+        hex::decode_to_slice(digits, bytes.as_mut()).map_err(|_| "64 hexadecimal digits are expected")?;
+        Ok(Self(bytes))
+    }
+
+    const fn bytes(&self) -> &Zeroizing<[u8; 32]> {
+        &self.0
+    }
+}
+
+impl fmt::Debug for SealingKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("SealingKey(secret)")
+    }
 }
 
 /// A sealed key, closed. Holds no secret that is not encrypted.
@@ -185,22 +279,22 @@ impl SealedKey {
     /// Seals a key, under fresh salt and nonce.
     ///
     /// # Errors
-    /// [`KeyError::Random`]; [`KeyError::Seal`] with an empty path where Argon2id has no memory.
-    pub fn seal(key: &OwnerKey, secret: Secret<'_>) -> Result<Self, KeyError> {
+    /// [`SealError::Random`], [`SealError::Argon2`].
+    pub fn seal(key: &OwnerKey, secret: Secret<'_>) -> Result<Self, SealError> {
         Self::seal_at(key, secret, Cost::RECOMMENDED)
     }
 
-    pub(super) fn seal_at(key: &OwnerKey, secret: Secret<'_>, cost: Cost) -> Result<Self, KeyError> {
+    fn seal_at(key: &OwnerKey, secret: Secret<'_>, cost: Cost) -> Result<Self, SealError> {
         let (mut salt, mut nonce) = ([0; SALT], [0; NONCE]);
         for bytes in [&mut salt[..], &mut nonce[..]] {
-            getrandom::fill(bytes).map_err(|e| KeyError::Random(e.to_string()))?;
+            getrandom::fill(bytes).map_err(|e| SealError::Random(e.to_string()))?;
         }
         let kdf = match secret {
             Secret::Passphrase(_) => Kdf::Passphrase { cost, salt },
             Secret::KeyFile(_) => Kdf::KeyFile,
         };
         let mut sealed = Self { public: key.public(), kdf, nonce, ciphertext: [0; CIPHERTEXT] };
-        let cipher = sealed.cipher(secret).map_err(|error| KeyError::Seal { path: Default::default(), error })?;
+        let cipher = sealed.cipher(secret)?;
         let seed = key.seed();
         let payload = Payload { msg: seed.as_ref(), aad: &sealed.additional_data() };
         // 32 bytes are far from the cipher's limit, and it fails at nothing else.
@@ -264,7 +358,7 @@ impl SealedKey {
     /// [`SealError`] other than [`SealError::Wrong`], [`SealError::OtherSecret`] and [`SealError::Argon2`].
     pub fn parse(text: &str) -> Result<Self, SealError> {
         let bad = SealError::Malformed;
-        if text.len() as u64 > super::file::LIMIT {
+        if text.len() as u64 > MAX_TEXT {
             return Err(bad("too long"));
         }
         let inner = text.strip_prefix(BEGIN).and_then(|t| t.strip_suffix(END)).ok_or(bad("its first or last line"))?;

@@ -1,0 +1,317 @@
+//! Key files: plain, sealed by a passphrase, or sealed by a key file; all readable by their owner alone.
+//!
+//! Where a passphrase comes from is the caller's business (a terminal, a file), but never the environment: child
+//! processes inherit that, and the system shows it.
+
+use std::{
+    fmt, fs,
+    io::{self, Read as _},
+    path::{Path, PathBuf},
+};
+
+use zeroize::Zeroizing;
+
+use crate::format::{
+    key::{KeyError, OwnerKey, PLAIN, PublicKey},
+    sealed::{BEGIN, MAX_TEXT, Passphrase, SealError, SealedBy, SealedKey, SealingKey, Secret},
+};
+
+/// Why a key file cannot be read, opened or written.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyFileError {
+    /// The file is not what it should be.
+    #[error("{path}: not {what} ({cause})", path = .path.display())]
+    NotAKey {
+        /// The file.
+        path: PathBuf,
+        /// What was expected.
+        what: &'static str,
+        /// What the reader said; never holds key material.
+        cause: String,
+    },
+    /// Others on this machine could read the secret.
+    #[error("{path}: mode {mode:o} lets others read the secret in it, expected 600; run `chmod 600` on it", path = .path.display())]
+    TooOpen {
+        /// The key file.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+    },
+    /// A key file is never overwritten.
+    #[error("{path}: exists already and is not overwritten; move it away first", path = .path.display())]
+    Exists {
+        /// The key file.
+        path: PathBuf,
+    },
+    /// Reading or writing failed.
+    #[error("{path}: cannot {what} this file: {source}", path = .path.display())]
+    Io {
+        /// The key file.
+        path: PathBuf,
+        /// `read` or `write`.
+        what: &'static str,
+        /// The operating system's answer.
+        source: io::Error,
+    },
+    /// The key is sealed, and nothing was given to open it.
+    #[error(
+        "{path}: the key in it is sealed by a {by}; give that (--passphrase-file or --key-file, for a daemon \
+         `registry.key_file` in its settings)",
+        path = .path.display()
+    )]
+    Sealed {
+        /// The key's file.
+        path: PathBuf,
+        /// `passphrase` or `key file`.
+        by: &'static str,
+    },
+    /// The key is plain, and a secret was given to open it.
+    #[error(
+        "{path}: the key in it is not sealed; seal it (`cairn keys seal`), or give neither passphrase nor key file",
+        path = .path.display()
+    )]
+    NotSealed {
+        /// The key's file.
+        path: PathBuf,
+    },
+    /// The passphrase could not be asked for.
+    #[error("{path}: cannot ask for the passphrase ({cause}); give it in a file (--passphrase-file)", path = .path.display())]
+    Ask {
+        /// The key's file.
+        path: PathBuf,
+        /// Why not.
+        cause: String,
+    },
+    /// A sealed key is damaged, or does not open.
+    #[error("{path}: {error}", path = .path.display())]
+    Seal {
+        /// The key's file.
+        path: PathBuf,
+        /// What is wrong.
+        error: SealError,
+    },
+    /// A key or a passphrase is wrong in itself.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+}
+
+/// How a key goes into its file.
+#[derive(Debug)]
+pub enum Seal {
+    /// As plain PKCS#8 PEM.
+    Plain,
+    /// Sealed by a passphrase.
+    Passphrase(Passphrase),
+    /// Sealed by a key file.
+    KeyFile(SealingKey),
+}
+
+impl Seal {
+    fn text(&self, key: &OwnerKey, path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
+        let secret = match self {
+            Self::Plain => return Ok(key.to_pem()?),
+            Self::Passphrase(passphrase) => Secret::Passphrase(passphrase),
+            Self::KeyFile(key) => Secret::KeyFile(key),
+        };
+        Ok(Zeroizing::new(SealedKey::seal(key, secret).map_err(sealing(path))?.to_text()))
+    }
+}
+
+/// Asks a person for the passphrase of the file named.
+pub type Ask<'a> = dyn Fn(&Path) -> Result<Passphrase, KeyFileError> + 'a;
+
+/// What a key's file is opened with.
+pub enum Unlock<'a> {
+    /// Nothing: only a plain key opens.
+    Nothing,
+    /// A passphrase; a key that it does not seal is refused.
+    Passphrase(Passphrase),
+    /// A key file; a key that it does not seal is refused.
+    KeyFile(SealingKey),
+    /// A plain key opens as it is; for one sealed by a passphrase, that is asked for.
+    Ask(&'a Ask<'a>),
+}
+
+impl fmt::Debug for Unlock<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Nothing => "Nothing",
+            Self::Passphrase(_) => "Passphrase(secret)",
+            Self::KeyFile(_) => "KeyFile(secret)",
+            Self::Ask(_) => "Ask",
+        })
+    }
+}
+
+/// A key's file, read and not opened.
+#[derive(Debug)]
+pub enum StoredKey {
+    /// Plain PKCS#8 PEM.
+    Plain(OwnerKey),
+    /// Sealed.
+    Sealed(SealedKey),
+}
+
+impl StoredKey {
+    /// Reads a key's file of any kind.
+    ///
+    /// # Errors
+    /// [`KeyFileError::TooOpen`], [`KeyFileError::NotAKey`], [`KeyFileError::Seal`], [`KeyFileError::Io`].
+    pub fn read(path: &Path) -> Result<Self, KeyFileError> {
+        let text = read(path, PLAIN)?;
+        if text.starts_with(BEGIN) {
+            return SealedKey::parse(&text).map(Self::Sealed).map_err(sealing(path));
+        }
+        OwnerKey::from_pem(&text).map(Self::Plain).map_err(|e| {
+            let cause = if let KeyError::Pem { cause } = e { cause } else { e.to_string() };
+            KeyFileError::NotAKey { path: path.into(), what: PLAIN, cause }
+        })
+    }
+
+    /// The public half. Of a sealed key it is what the file states, certain only once opened.
+    pub fn public(&self) -> PublicKey {
+        match self {
+            Self::Plain(key) => key.public(),
+            Self::Sealed(sealed) => sealed.public(),
+        }
+    }
+
+    /// What it is sealed with; nothing for a plain key.
+    pub const fn sealed_by(&self) -> Option<SealedBy> {
+        match self {
+            Self::Plain(_) => None,
+            Self::Sealed(sealed) => Some(sealed.by()),
+        }
+    }
+}
+
+/// Reads and opens the key in the file `path`.
+///
+/// # Errors
+/// As [`StoredKey::read`]; [`KeyFileError::Sealed`] where nothing was brought to open it, [`KeyFileError::NotSealed`] where
+/// something was and the key is plain, [`KeyFileError::Seal`] where it does not open.
+pub fn load_key(path: &Path, unlock: &Unlock<'_>) -> Result<OwnerKey, KeyFileError> {
+    let sealed = match (StoredKey::read(path)?, unlock) {
+        (StoredKey::Plain(key), Unlock::Nothing | Unlock::Ask(_)) => return Ok(key),
+        (StoredKey::Plain(_), _) => return Err(KeyFileError::NotSealed { path: path.into() }),
+        (StoredKey::Sealed(sealed), _) => sealed,
+    };
+    let asked;
+    let secret = match (unlock, sealed.by()) {
+        (Unlock::Passphrase(passphrase), _) => Secret::Passphrase(passphrase),
+        (Unlock::KeyFile(key), _) => Secret::KeyFile(key),
+        (Unlock::Ask(ask), SealedBy::Passphrase { .. }) => {
+            asked = ask(path)?;
+            Secret::Passphrase(&asked)
+        }
+        (Unlock::Nothing | Unlock::Ask(_), by) => {
+            let by = if by == SealedBy::KeyFile { "key file" } else { "passphrase" };
+            return Err(KeyFileError::Sealed { path: path.into(), by });
+        }
+    };
+    sealed.open(secret).map_err(sealing(path))
+}
+
+/// Writes a key to a new file, mode 600, whole or not at all; one that is there is never replaced.
+///
+/// # Errors
+/// [`KeyFileError::Exists`], [`KeyFileError::Io`], [`KeyFileError::Seal`].
+pub fn save_key(path: &Path, key: &OwnerKey, seal: &Seal) -> Result<(), KeyFileError> {
+    write(path, &seal.text(key, path)?, There::Stays)
+}
+
+/// Replaces a key's file by the same key in another seal, at one stroke: at every moment one of the two is there, whole.
+///
+/// The disk may keep the old file's bytes where no name leads any more; who must be sure makes a new key and rotates.
+///
+/// # Errors
+/// [`KeyFileError::Io`], [`KeyFileError::Seal`].
+pub fn reseal_key(path: &Path, key: &OwnerKey, seal: &Seal) -> Result<(), KeyFileError> {
+    write(path, &seal.text(key, path)?, There::Goes)
+}
+
+/// Reads a passphrase from a file that nobody else may read: one line; its end does not count.
+///
+/// # Errors
+/// [`KeyFileError::TooOpen`], [`KeyFileError::Io`], [`KeyFileError::NotAKey`], [`KeyError::Passphrase`].
+pub fn load_passphrase(path: &Path) -> Result<Passphrase, KeyFileError> {
+    let text = read(path, "a passphrase")?;
+    let line = text.strip_suffix('\n').unwrap_or(&text);
+    let line = line.strip_suffix('\r').unwrap_or(line);
+    Ok(Passphrase::new(Zeroizing::new(line.to_owned()))?)
+}
+
+/// Reads a key file that keys are sealed with.
+///
+/// # Errors
+/// [`KeyFileError::TooOpen`], [`KeyFileError::NotAKey`], [`KeyFileError::Io`].
+pub fn load_sealing_key(path: &Path) -> Result<SealingKey, KeyFileError> {
+    let what = "a key file to seal keys with (made by `cairn keys new-key-file`)";
+    let text = read(path, what)?;
+    SealingKey::parse(&text).map_err(|cause| KeyFileError::NotAKey { path: path.into(), what, cause: cause.into() })
+}
+
+/// Writes a key file to seal keys with, mode 600; one that is there is never replaced.
+///
+/// # Errors
+/// [`KeyFileError::Exists`], [`KeyFileError::Io`].
+pub fn save_sealing_key(path: &Path, key: &SealingKey) -> Result<(), KeyFileError> {
+    write(path, &key.to_text(), There::Stays)
+}
+
+/// A sealing error, in the file `path`.
+fn sealing(path: &Path) -> impl FnOnce(SealError) -> KeyFileError {
+    move |error| KeyFileError::Seal { path: path.into(), error }
+}
+
+/// Reads a secret's file as text; refuses one that others may read.
+///
+/// `what` is what a wrong file is not, for the error.
+fn read(path: &Path, what: &'static str) -> Result<Zeroizing<String>, KeyFileError> {
+    let failed = |source| KeyFileError::Io { path: path.into(), what: "read", source };
+    let file = fs::File::open(path).map_err(failed)?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        let mode = file.metadata().map_err(failed)?.permissions().mode() & 0o777;
+        if mode & 0o077 != 0 {
+            return Err(KeyFileError::TooOpen { path: path.into(), mode });
+        }
+    }
+    let not = |cause: String| KeyFileError::NotAKey { path: path.into(), what, cause };
+    // As large as it can get: a vector that grows leaves copies behind. What the file says of its size is not asked, since
+    // a pipe says nothing.
+    let mut bytes = Zeroizing::new(Vec::with_capacity(MAX_TEXT as usize + 1));
+    file.take(MAX_TEXT + 1).read_to_end(&mut bytes).map_err(failed)?;
+    if bytes.len() as u64 > MAX_TEXT {
+        return Err(not(format!("more than {MAX_TEXT} bytes")));
+    }
+    match String::from_utf8(std::mem::take(&mut *bytes)) {
+        Ok(text) => Ok(Zeroizing::new(text)),
+        Err(e) => {
+            drop(Zeroizing::new(e.into_bytes()));
+            Err(not("it is no text".into()))
+        }
+    }
+}
+
+/// What becomes of a file that is there already.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum There {
+    /// It stays, and the write fails.
+    Stays,
+    /// It is replaced at one stroke.
+    Goes,
+}
+
+/// Writes a secret's file, mode 600, whole or not at all, and durable on return.
+fn write(path: &Path, text: &str, there: There) -> Result<(), KeyFileError> {
+    let written = match there {
+        There::Stays => cairn_durable::create_secret(path, text.as_bytes()),
+        There::Goes => cairn_durable::write_secret(path, text.as_bytes()),
+    };
+    written.map_err(|error| match error.into_cause() {
+        e if e.kind() == io::ErrorKind::AlreadyExists => KeyFileError::Exists { path: path.into() },
+        source => KeyFileError::Io { path: path.into(), what: "write", source },
+    })
+}
