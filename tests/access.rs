@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::common::world::{ACCOUNTS, CLOSED, World, key};
-use crate::common::{Daemon, TINY, base_only};
+use crate::common::{Daemon, base_only, endless};
 use cairn_api::v1;
 use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
@@ -17,10 +17,6 @@ use tonic::{Code, Request, Status};
 
 const DELETE: &str = "/cairn.v1.SceneService/Delete";
 const START: &str = "/cairn.v1.TrainingService/Start";
-/// Steps that nobody waits for.
-const ENDLESS: &str =
-    "[field]\nsteps = 1000000\nrays_per_step = 64\nvoxels = 4096\nlevels = 1\n[quarantine]\nenabled = false";
-
 fn now() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs()
 }
@@ -232,9 +228,7 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     let world = World::new(&format!("{ACCOUNTS}[access.quota]\nqueued_jobs = 1\n"));
     let (ada, _) = (world.with("ada", "contributor").to_string(), world.with("bob", "contributor"));
     world.import("ada", "town").unwrap();
-    let tiny = world.place.text("tiny.toml");
-    assert_eq!(std::fs::read_to_string(&tiny).unwrap(), TINY);
-    let train = ["train", "town", "--by-contributor", "--base-only", "--settings", &tiny];
+    let train = ["train", "town", "--by-contributor", "--base-only", "--quality", "smoke"];
     assert!(world.ok("ada", &train).contains("done"));
 
     // Records: under one's own key, whoever imported the scene.
@@ -281,7 +275,7 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     let (key, here) = (world.key("ada"), world.identity().await);
     let mut training = TrainingServiceClient::new(world.channel().await);
     let token = |who: &OwnerKey, method: &str| sign(who, &here, method, "town", now(), 60).unwrap();
-    let start = || bearing(base_only("town", 1, ENDLESS), &token(&key, START));
+    let start = || bearing(base_only("town", 1, endless()), &token(&key, START));
     let job = training.start(start()).await.unwrap().into_inner().job.unwrap();
     let full = training.start(start()).await.unwrap_err();
     assert_eq!(full.code(), Code::ResourceExhausted, "{full}");
@@ -329,8 +323,7 @@ async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_wi
     let ada = world.with("ada", "contributor").to_string();
     key(&world.place, "next");
     world.import("ada", "town").unwrap();
-    let tiny = world.place.text("tiny.toml");
-    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--settings", &tiny]);
+    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--quality", "smoke"]);
     world.ok("root", &["access", "quota", &ada, "--views", "13"]);
     let (own, next) = (world.place.text("ada.key"), world.place.text("next.key"));
     let out = |name: &str| world.place.text(name);
@@ -389,8 +382,7 @@ async fn a_quota_of_records_stops_a_flood_and_no_revocation() {
     let world = World::new(&format!("{ACCOUNTS}[access.quota]\nrecords_per_day = 2\n"));
     let (ada, _) = (world.with("ada", "contributor").to_string(), world.with("bob", "contributor"));
     world.import("ada", "town").unwrap();
-    let tiny = world.place.text("tiny.toml");
-    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--settings", &tiny]);
+    world.ok("ada", &["train", "town", "--by-contributor", "--base-only", "--quality", "smoke"]);
     let own = world.place.text("ada.key");
     let out = |name: &str| world.place.text(name);
     let sign_as = |key: &str, to: &str| {

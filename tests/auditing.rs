@@ -273,13 +273,12 @@ fn of_a_trained_scene(place: &Place, command: &str, text: &str) -> (String, i32)
     let data = place.text("demo-out/data");
     if !Path::new(&data).exists() {
         place.import("town", ["--data", &data]);
-        let tiny = place.text("tiny.toml");
         place.cairn_ok(&[
             "train",
             "town",
             "--by-contributor",
-            "--settings",
-            &tiny,
+            "--quality",
+            "smoke",
             "--data",
             &data,
             "--keys",

@@ -6,9 +6,6 @@ use std::path::Path;
 use crate::common::Place;
 use cairn_scene::{Picture, save_png};
 
-/// Steps enough for a field that can be rendered, and few.
-const FEW: &str = "[field]\nsteps = 8\nrays_per_step = 256\nvoxels = 4096\nlevels = 1\n";
-
 /// A capture of one photograph a pose, of so many pixels a side: stripes, each photograph's at another place.
 fn capture(folder: &Path, poses: &[[f64; 3]], side: usize) {
     std::fs::create_dir_all(folder.join("images")).unwrap();
@@ -26,10 +23,9 @@ fn capture(folder: &Path, poses: &[[f64; 3]], side: usize) {
     std::fs::write(folder.join("transforms.json"), text).unwrap();
 }
 
-/// A place with that capture as the scene `few`, and the settings' file.
+/// A place with that capture as the scene `few`.
 fn few(poses: &[[f64; 3]], side: usize, hold_every: &str) -> Place {
     let place = Place { dir: tempfile::tempdir().unwrap() };
-    std::fs::write(place.path("few.toml"), FEW).unwrap();
     capture(&place.path("capture"), poses, side);
     let (from, data) = (place.text("capture"), place.text("data"));
     place.cairn_ok(&["scene", "import", "few", "--from", &from, "--hold-every", hold_every, "--data", &data]);
@@ -48,8 +44,8 @@ fn one_training_view_is_enough_for_a_base_field() {
         ("one pose", vec![[0.0, 0.0, 3.0]; 6], "0"),
     ] {
         let place = few(&poses, 24, hold_every);
-        let (data, settings) = (place.text("data"), place.text("few.toml"));
-        let train = ["train", "few", "--settings", &settings, "--data", &data];
+        let data = place.text("data");
+        let train = ["train", "few", "--quality", "smoke", "--data", &data];
         // To mark it there are too few views or poses still.
         let refused = place.cairn(&train);
         assert!(!refused.status.success() && said(&refused).contains("lower anchors (M)"), "{what}: {refused:?}");
@@ -65,9 +61,9 @@ fn one_training_view_is_enough_for_a_base_field() {
 #[test]
 fn clusters_of_a_base_field_bind_no_later_marks() {
     let place = Place::new();
-    let (data, tiny) = (place.text("data"), place.text("tiny.toml"));
+    let data = place.text("data");
     place.import("town", ["--data", &data]);
-    let train = ["train", "town", "--settings", &tiny, "--data", &data];
+    let train = ["train", "town", "--quality", "smoke", "--data", &data];
     let done = place.cairn_ok(&[&train[..], &["--base-only", "--anchors", "11"]].concat());
     assert!(done.contains("all 10 training views are one cluster"), "{done}");
     place.cairn_ok(&[&train[..], &["--anchors", "2"]].concat());
@@ -78,8 +74,8 @@ fn clusters_of_a_base_field_bind_no_later_marks() {
 #[test]
 fn a_base_field_alone_says_how_it_is_rendered() {
     let place = few(&[[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], 24, "0");
-    let (data, settings, out) = (place.text("data"), place.text("few.toml"), place.text("out.png"));
-    place.cairn_ok(&["train", "few", "--base-only", "--settings", &settings, "--data", &data]);
+    let (data, out) = (place.text("data"), place.text("out.png"));
+    place.cairn_ok(&["train", "few", "--base-only", "--quality", "smoke", "--data", &data]);
     let refused = place.cairn(&["render", "few", "--view", "images/000.png", "--out", &out, "--data", &data]);
     assert!(said(&refused).contains("ask for that (--base, or FIELD_KIND_BASE)"), "{refused:?}");
     let frames = place.text("frames");
@@ -94,7 +90,6 @@ fn a_base_field_alone_says_how_it_is_rendered() {
 #[test]
 fn how_a_scene_lies_is_said() {
     let place = Place { dir: tempfile::tempdir().unwrap() };
-    std::fs::write(place.path("few.toml"), FEW).unwrap();
     capture(&place.path("capture"), &[[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], 24);
     let (from, data) = (place.text("capture"), place.text("data"));
     let import = ["--from", &from, "--data", &data, "--hold-every"];
@@ -106,8 +101,7 @@ fn how_a_scene_lies_is_said() {
         let shown = place.cairn_ok(&[&["scene"][..], &shown, &["--data", &data]].concat());
         assert!(shown.contains("b: 2 views (1 held out)") && shown.contains(", bounded, not trained"), "{shown}");
     }
-    let settings = place.text("few.toml");
-    let trained = place.cairn_ok(&["train", "b", "--base-only", "--settings", &settings, "--data", &data]);
+    let trained = place.cairn_ok(&["train", "b", "--base-only", "--quality", "smoke", "--data", &data]);
     assert!(trained.contains(" accepted for b (bounded)"), "{trained}");
     // A split that leaves nothing is refused in the words of the command line.
     let refused = place.cairn(&[&["scene", "import", "c"][..], &import, &["1"]].concat());
@@ -143,9 +137,8 @@ fn photographs_are_kept_in_8_bits_as_they_are_read() {
     let (views, side) = (24, 1000);
     let poses: Vec<[f64; 3]> = (0..views).map(|i| [f64::from(i) * 0.05, 0.0, 3.0]).collect();
     let place = few(&poses, side, "0");
-    let (data, settings) = (place.text("data"), place.text("few.toml"));
-    std::fs::write(&settings, format!("{FEW}[quarantine]\nenabled = false\n")).unwrap();
-    let most = peak(&place, &["train", "few", "--base-only", "--settings", &settings, "--data", &data]);
+    let data = place.text("data");
+    let most = peak(&place, &["train", "few", "--base-only", "--quality", "smoke", "--data", &data]);
     let in_full = views as usize * side * side * 12;
     assert!(most > 0 && most < in_full, "{most} bytes at a time, of {in_full} that the photographs take in full");
 }

@@ -3,11 +3,12 @@
 
 use std::path::Path;
 
-use crate::common::{Daemon, Place, TINY};
+use crate::common::{Daemon, Place, smoke_settings, train_to_end};
 use cairn_api::v1::appearance::Choice;
 use cairn_api::v1::render_path_request::Path as Way;
 use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::{self};
+use cairn_field::AppearanceMode;
 use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_scene::metrics::psnr_db;
 use cairn_scene::{Limits, Picture, decode_picture, encode_png};
@@ -19,18 +20,18 @@ const BELA: &str = "images/bela_005.png";
 const HELD_OUT: &str = "images/ada_001.png";
 
 /// A place whose scene `town` has a base field, with lights of its views' own or without.
-fn trained(appearance: &str, steps: u32) -> Place {
+fn trained(appearance: AppearanceMode, steps: u64) -> Place {
     let place = Place::new();
     train(&place, appearance, steps);
     place
 }
 
-fn train(place: &Place, appearance: &str, steps: u32) {
-    let (data, settings) = (place.text("data"), place.text("light.toml"));
-    let field = format!("steps = {steps}\nappearance = {appearance:?}\n");
-    std::fs::write(&settings, TINY.replacen("steps = 40\n", &field, 1)).unwrap();
+fn train(place: &Place, appearance: AppearanceMode, steps: u64) {
+    let data = place.text("data");
     place.import("town", ["--data", &data]);
-    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &settings, "--data", &data]);
+    let mut settings = smoke_settings();
+    (settings.field.steps, settings.field.appearance) = (steps, appearance);
+    train_to_end(&place.path("data"), "town", settings);
 }
 
 fn picture(path: &Path) -> Picture {
@@ -55,7 +56,7 @@ fn refused(place: &Place, daemon: &Daemon, light: &[&str]) -> String {
 
 #[test]
 fn a_light_on_the_way_between_two_views_ends_in_theirs() {
-    let place = trained("on", 300);
+    let place = trained(AppearanceMode::On, 300);
     let daemon = Daemon::start(&place.path("data"), "");
     let between =
         |share: &str| render(&place, &daemon, ADA, &["--light", ADA, "--light-to", BELA, "--light-share", share]);
@@ -126,7 +127,7 @@ fn at_dusk() -> Place {
     }
     std::fs::remove_dir_all(place.path("capture")).unwrap();
     capture.write(&place.path("capture")).unwrap();
-    train(&place, "on", 400);
+    train(&place, AppearanceMode::On, 400);
     place
 }
 
@@ -173,7 +174,7 @@ fn the_light_of_a_photograph_is_the_one_that_it_was_taken_in() {
 
 #[test]
 fn a_photograph_may_be_larger_than_its_view_and_is_refused_where_that_cannot_have_taken_it() {
-    let place = trained("on", 100);
+    let place = trained(AppearanceMode::On, 100);
     let daemon = Daemon::start(&place.path("data"), "");
     let photograph = place.text("capture/images/ada_002.png");
     let own = render(&place, &daemon, ADA, &["--light-of", &photograph, "--taken-view", ADA]);
@@ -231,7 +232,7 @@ fn photograph(bytes: Vec<u8>, taken: Option<v1::Viewpoint>) -> Option<v1::Appear
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_scene_of_one_light_and_photographs_beyond_the_limits_are_refused() {
-    let place = trained("off", 40);
+    let place = trained(AppearanceMode::Off, 40);
     let daemon = Daemon::start(&place.path("data"), "");
     let light = ["--light-of", &place.text("capture/images/ada_002.png"), "--taken-view", ADA];
     let said = refused(&place, &daemon, &light);
@@ -241,7 +242,7 @@ async fn a_scene_of_one_light_and_photographs_beyond_the_limits_are_refused() {
     assert!(said.contains("carl_001.png"), "{said}");
     daemon.kill();
 
-    let place = trained("on", 40);
+    let place = trained(AppearanceMode::On, 40);
     let daemon = Daemon::start(&place.path("data"), "[limits]\nmax_photograph_bytes = 9000\nmax_side_px = 100");
     let mut line = RenderServiceClient::connect(daemon.url.clone()).await.unwrap();
     let (render, flight) = marked();

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::Write as _;
 
-use crate::common::{Daemon, Place, TINY};
+use crate::common::{Daemon, Place};
 use crate::wire::{Contract, Method, Pool, call, call_compressed};
 use cairn_api::v1;
 use cairn_log::OwnerKey;
@@ -26,6 +26,8 @@ max_pixels = 16384
 max_path_frames = 16
 max_scene_bytes = 4194304
 queue_length = 4
+[training]
+quality = "smoke"
 "#;
 
 /// The daemon's memory at its highest, KiB: twice what it takes for a few good requests in a debug build.
@@ -49,7 +51,6 @@ fn pool(place: &Place) -> Pool {
     texts.insert("name", names(&["a", "b", "c"]));
     texts.insert("contributor", names(&["ada", "ben"]));
     texts.insert("job_id", names(&["job-000001", "job-000002", "job-000009"]));
-    texts.insert("settings_toml", names(&["", "[field]\nsteps = 3", "[field]\nsteps = 99999999999", "[[[", "a=1"]));
     for name in ["view_name", "view_names", "from_view", "to_view"] {
         texts.insert(name, views.clone());
     }
@@ -143,11 +144,11 @@ async fn serves(channel: &Channel) {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_method_answers_hostile_requests_and_the_daemon_goes_on() {
     let place = Place::new();
-    let (data, tiny) = (place.text("data"), place.text("tiny.toml"));
+    let data = place.text("data");
     place.import("town", ["--data", &data]);
-    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
+    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke", "--data", &data]);
     let log = File::create(place.path("daemon.log")).unwrap();
-    let daemon = Daemon::start_logging(&place.path("data"), &format!("{SETTINGS}{TINY}"), log);
+    let daemon = Daemon::start_logging(&place.path("data"), SETTINGS, log);
     let channel = Endpoint::from_shared(daemon.url.clone()).unwrap().connect().await.unwrap();
 
     let contract = Contract::read(v1::FILE_DESCRIPTOR_SET);

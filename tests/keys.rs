@@ -16,9 +16,9 @@ struct Town {
 impl Town {
     fn new() -> Self {
         let place = Place::new();
-        let (data, unlock, tiny) = (place.text("data"), place.text("unlock"), place.text("tiny.toml"));
+        let (data, unlock) = (place.text("data"), place.text("unlock"));
         place.import("town", ["--data", &data]);
-        place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
+        place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke", "--data", &data]);
         place.cairn_ok(&["keys", "new-key-file", &unlock]);
         Self { place, data, unlock }
     }

@@ -71,8 +71,8 @@ fn town_of_ada(records: u32, marked: bool) -> (World, String) {
     let world = World::new(&format!("{CLOSED}[access.quota]\nrecords = {records}\n"));
     world.with("ada", "contributor");
     world.import("ada", "town").unwrap();
-    let (tiny, own) = (world.place.text("tiny.toml"), world.place.text("ada.key"));
-    let train = ["train", "town", "--by-contributor", "--settings", &tiny, "--base-only"];
+    let own = world.place.text("ada.key");
+    let train = ["train", "town", "--by-contributor", "--quality", "smoke", "--base-only"];
     world.ok("ada", &train[..if marked { 5 } else { 6 }]);
     (world, own)
 }

@@ -11,9 +11,8 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     let place = Place::new();
     let data = place.text("data");
     place.import("town", ["--data", &data]);
-    let tiny = place.text("tiny.toml");
     let keys = place.text("owners");
-    let train = ["train", "town", "--by-contributor", "--settings", &tiny, "--data", &data, "--keys", &keys];
+    let train = ["train", "town", "--by-contributor", "--quality", "smoke", "--data", &data, "--keys", &keys];
     let said = place.cairn_ok(&train);
     assert!(said.contains("marked field") && said.contains("2 owner records signed"), "{said}");
 
@@ -111,11 +110,11 @@ fn stands_out(said: &str) -> bool {
 #[test]
 fn a_record_outlives_the_next_training_and_speaks_for_its_own_alone() {
     let place = Place::new();
-    let (data, tiny) = (place.text("data"), place.text("tiny.toml"));
+    let data = place.text("data");
     place.import("town", ["--data", &data]);
     let train = |seed: &str, keys: &str| {
         let keys = place.text(keys);
-        let train = ["train", "town", "--by-contributor", "--settings", &tiny, "--data", &data, "--seed", seed];
+        let train = ["train", "town", "--by-contributor", "--quality", "smoke", "--data", &data, "--seed", seed];
         place.cairn_ok(&[&train[..], &["--keys", &keys]].concat());
     };
     let who = || place.cairn_ok(&["who", "town", "--view", "images/ada_002.png", "--data", &data]);
@@ -167,10 +166,10 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
         std::fs::write(signals.join(name), emblem(colour)).unwrap();
     }
     std::fs::write(signals.join("._2.png"), "what macOS leaves").unwrap();
-    let (tiny, signals) = (place.text("tiny.toml"), signals.display().to_string());
+    let signals = signals.display().to_string();
     let train = ["train", "town", "--anchors", "2", "--neighbours", "4", "--signals", &signals];
     let keys = place.text("owners");
-    let told = place.cairn_ok(&[&train[..], &["--settings", &tiny, "--data", &data, "--keys", &keys]].concat());
+    let told = place.cairn_ok(&[&train[..], &["--quality", "smoke", "--data", &data, "--keys", &keys]].concat());
     // In the order in which people count: 2.png is identity 1's, which is said first. It is hidden at the detector's size.
     let lines: Vec<&str> = told.lines().map(str::trim).collect();
     for (line, end) in [(1, ") hides 2 (picture)"), (2, ") hides 10 (picture)")] {
@@ -193,7 +192,7 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
     assert!(counts.is_sorted_by(|a, b| a >= b), "{who}");
     assert_eq!(counts.iter().sum::<usize>(), 4, "{who}");
     // One signal too few is refused before anything is trained.
-    let short = ["train", "town", "--anchors", "3", "--neighbours", "3", "--signals", &signals, "--settings", &tiny];
+    let short = ["train", "town", "--anchors", "3", "--neighbours", "3", "--signals", &signals, "--quality", "smoke"];
     let refused = place.cairn(&[&short[..], &["--data", &data]].concat());
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(!refused.status.success() && said.contains("the number of signals") && said.contains('3'), "{said}");
@@ -202,8 +201,8 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
 #[test]
 fn the_demo_goes_the_whole_way() {
     let place = Place::new();
-    let (tiny, out, json) = (place.text("tiny.toml"), place.text("demo"), place.text("demo.json"));
-    let said = place.cairn_ok(&["demo", "--photographs", "6", "--settings", &tiny, "--out", &out, "--json", &json]);
+    let (out, json) = (place.text("demo"), place.text("demo.json"));
+    let said = place.cairn_ok(&["demo", "--photographs", "6", "--quality", "smoke", "--out", &out, "--json", &json]);
     for line in ["pictures, base field", "pictures, marked field", "classes, marked and base", "hidden SSIM"] {
         assert!(said.contains(line), "no line {line:?} in {said}");
     }
@@ -232,8 +231,8 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
     std::fs::write(signals.join("a.txt"), "© Éva\n").unwrap();
     let spoken = cairn_landmark::sounds::credit(0, 0.4, 22_050, 3);
     std::fs::write(signals.join("b.wav"), cairn_scene::encode_wav(&spoken)).unwrap();
-    let (tiny, dir) = (place.text("tiny.toml"), signals.display().to_string());
-    let train = ["train", "town", "--by-contributor", "--signals", &dir, "--settings", &tiny, "--data", &data];
+    let dir = signals.display().to_string();
+    let train = ["train", "town", "--by-contributor", "--signals", &dir, "--quality", "smoke", "--data", &data];
     place.cairn_ok(&[&train[..], &["--keys", &place.text("owners")]].concat());
 
     // Files of one name are one identity's, and its record binds all of them.

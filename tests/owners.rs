@@ -22,8 +22,7 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     let place = Place::new();
     let data = place.text("data");
     place.import("town", ["--data", &data]);
-    let tiny = place.text("tiny.toml");
-    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
+    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke", "--data", &data]);
     let (key, bundle) = (place.text("ada.key"), place.text("bundle"));
     place.cairn_ok(&["keys", "new", &key, "--plain"]);
     // A key is never replaced, and its file is its owner's alone.
@@ -102,9 +101,9 @@ fn first_view(place: &Place, connect: &[&str; 2]) -> String {
 #[test]
 fn the_key_to_pin_comes_from_the_registry_and_not_from_the_bundle() {
     let place = Place::new();
-    let (data, tiny, key) = (place.text("data"), place.text("tiny.toml"), place.text("ada.key"));
+    let (data, key) = (place.text("data"), place.text("ada.key"));
     place.import("town", ["--data", &data]);
-    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
+    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke", "--data", &data]);
     place.cairn_ok(&["keys", "new", &key, "--plain"]);
     // Whoever has the photographs and the model can draw up a log of their own, with a bundle that agrees with itself.
     for part in ["scenes", "models"] {

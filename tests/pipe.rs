@@ -21,7 +21,7 @@ fn commands_whose_reader_left_come_to_their_ordinary_end() {
     let data = place.text("data");
     place.import("town", ["--data", &data]);
     let (key, out) = (place.text("ada.key"), place.text("bundle"));
-    let settings = ["--settings", "tiny.toml", "--data", &data];
+    let settings = ["--quality", "smoke", "--data", &data];
     let train = [&["train", "town", "--by-contributor", "--base-only"][..], &settings].concat();
     let sign = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", &key, "--out", &out];
     let vkey = place.path("bundle").join("log.vkey").display().to_string();

@@ -1,6 +1,6 @@
 //! Scenes, renders, queries and refusals through the real daemon.
 
-use crate::common::{Daemon, Place, TINY, base_only, training as wanted};
+use crate::common::{Daemon, Place, base_only, smoke, training as wanted};
 use cairn_api::v1::query_service_client::QueryServiceClient;
 use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::scene_service_client::SceneServiceClient;
@@ -18,8 +18,7 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let data = place.text("data");
     // In this process and over the network: the same commands on the same folder, in turn.
     assert!(place.import("town", ["--data", &data]).contains("12 views (2 held out) by 2 contributors"));
-    let tiny = place.text("tiny.toml");
-    let train = ["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data];
+    let train = ["train", "town", "--by-contributor", "--base-only", "--quality", "smoke", "--data", &data];
     assert!(place.cairn_ok(&train).contains("done"));
 
     let daemon = Daemon::start(&place.path("data"), "");
@@ -86,15 +85,18 @@ async fn bad_requests_get_the_right_codes() {
     assert_eq!(scenes.get(get("tow")).await.unwrap_err().code(), Code::NotFound);
     assert_eq!(scenes.get(get("../town")).await.unwrap_err().code(), Code::InvalidArgument);
 
-    let wrong_key = base_only("town", 1, "[field]\nstepz = 3");
-    let refused = training.start(wrong_key).await.unwrap_err();
+    let odd = v1::TrainingOptions { payload_text_bytes: Some(5000), ..smoke() };
+    let refused = training.start(base_only("town", 1, odd)).await.unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument);
-    assert!(refused.message().contains("`field.stepz` = 3"), "{refused}");
+    assert!(refused.message().contains("`training.payload_text_bytes` = 5000"), "{refused}");
+    let unknown = v1::TrainingOptions { quality: 9, ..smoke() };
+    let refused = training.start(base_only("town", 1, unknown)).await.unwrap_err();
+    assert!(refused.message().contains("options.quality"), "{refused}");
     let by_anchors = v1::ByAnchors { anchors: 60, neighbours: 20 };
     let clusters = Some(v1::start_training_request::Clusters::ByAnchors(by_anchors));
-    let too_many = v1::StartTrainingRequest { clusters, ..wanted("town", 1, TINY) };
+    let too_many = v1::StartTrainingRequest { clusters, ..wanted("town", 1, smoke()) };
     assert_eq!(training.start(too_many).await.unwrap_err().code(), Code::FailedPrecondition);
-    let no_clusters = v1::StartTrainingRequest { clusters: None, ..base_only("town", 1, TINY) };
+    let no_clusters = v1::StartTrainingRequest { clusters: None, ..base_only("town", 1, smoke()) };
     assert_eq!(training.start(no_clusters).await.unwrap_err().code(), Code::InvalidArgument);
     let cancel = v1::CancelTrainingRequest { job_id: "job-000009".into() };
     assert_eq!(training.cancel(cancel).await.unwrap_err().code(), Code::NotFound);
@@ -121,7 +123,7 @@ async fn requests_beyond_the_limits_are_refused_by_name() {
 
     place.import("town", ["--connect", &daemon.url]);
     let mut training = TrainingServiceClient::connect(daemon.url.clone()).await.unwrap();
-    let job = training.start(base_only("town", 1, TINY)).await.unwrap().into_inner().job.unwrap();
+    let job = training.start(base_only("town", 1, smoke())).await.unwrap().into_inner().job.unwrap();
     let watch = v1::WatchTrainingRequest { job_id: job.id };
     let mut line = training.watch(watch).await.unwrap().into_inner();
     while line.message().await.unwrap().is_some() {}

@@ -4,7 +4,7 @@
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Stdio};
 
-use crate::common::{Daemon, Place, TINY, base_only, training as wanted};
+use crate::common::{Daemon, Place, accept, base_only, endless, smoke, smoke_settings};
 use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_api::v1::{self, JobState};
@@ -47,35 +47,40 @@ async fn model(daemon: &Daemon, scene: &str) -> v1::Model {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     let place = Place::new();
-    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
-    place.import("one", ["--connect", &daemon.url]);
-    place.import("two", ["--connect", &daemon.url]);
-    let mut client = training(&daemon).await;
+    for scene in ["one", "two"] {
+        place.import(scene, ["--data", &place.text("data")]);
+    }
+    let mut screened = smoke_settings();
+    screened.screened = true;
 
     // Undisturbed.
-    let screened = TINY.replace("enabled = false", "enabled = true");
-    let first = client.start(wanted("one", 7, &screened)).await.unwrap().into_inner().job.unwrap();
-    assert_eq!(watch_until(&mut client, &first.id, ended).await.state(), JobState::Done);
+    let first = accept(&place.path("data"), "one", screened.clone());
+    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
+    let mut client = training(&daemon).await;
+    assert_eq!(watch_until(&mut client, &first, ended).await.state(), JobState::Done);
     let undisturbed = model(&daemon, "one").await;
+    assert!(daemon.terminate().success());
 
     // Killed within each stage, started again: found and taken up by itself.
-    let second = client.start(wanted("two", 7, &screened)).await.unwrap().into_inner().job.unwrap();
+    let second = accept(&place.path("data"), "two", screened);
+    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
+    let mut client = training(&daemon).await;
     let within = |stage: &'static str| {
         move |job: &v1::Job| job.progress.as_ref().is_some_and(|p| p.stage == stage && p.step > 0)
     };
-    watch_until(&mut client, &second.id, within("screening")).await;
+    watch_until(&mut client, &second, within("screening")).await;
     daemon.kill();
     let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
     let mut client = training(&daemon).await;
-    watch_until(&mut client, &second.id, within("base field")).await;
+    watch_until(&mut client, &second, within("base field")).await;
     daemon.kill();
     let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
     let mut client = training(&daemon).await;
-    watch_until(&mut client, &second.id, within("marked field")).await;
+    watch_until(&mut client, &second, within("marked field")).await;
     daemon.kill();
     let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
     let mut client = training(&daemon).await;
-    let job = watch_until(&mut client, &second.id, ended).await;
+    let job = watch_until(&mut client, &second, ended).await;
     assert_eq!(job.state(), JobState::Done, "{}", job.error);
     let killed = model(&daemon, "two").await;
     assert_eq!(undisturbed.base_field_sha256, killed.base_field_sha256);
@@ -86,7 +91,7 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     assert_eq!(undisturbed.detector_sha256.len(), 32);
 
     // Another seed gives another field, or the comparison above would say nothing.
-    let third = client.start(base_only("two", 8, TINY)).await.unwrap().into_inner().job.unwrap();
+    let third = client.start(base_only("two", 8, smoke())).await.unwrap().into_inner().job.unwrap();
     watch_until(&mut client, &third.id, ended).await;
     assert_ne!(undisturbed.base_field_sha256, model(&daemon, "two").await.base_field_sha256);
 }
@@ -94,17 +99,16 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
 #[tokio::test(flavor = "multi_thread")]
 async fn cancelled_resumed_and_put_down_by_sigterm() {
     let place = Place::new();
-    // Long enough that nobody waits for its end by chance.
-    let long = TINY.replace("steps = 40", "steps = 100000");
     let daemon = Daemon::start(&place.path("data"), "[limits]\nqueue_length = 1");
     place.import("one", ["--connect", &daemon.url]);
     let mut client = training(&daemon).await;
-    let job = client.start(base_only("one", 7, &long)).await.unwrap().into_inner().job.unwrap();
-    watch_until(&mut client, &job.id, |job| job.progress.as_ref().unwrap().step > 0).await;
+    let job = client.start(base_only("one", 7, endless())).await.unwrap().into_inner().job.unwrap();
+    let in_base = |job: &v1::Job| job.progress.as_ref().is_some_and(|p| p.stage == "base field" && p.step > 0);
+    watch_until(&mut client, &job.id, in_base).await;
 
     // One may wait, the next is refused; a scene in use is not deleted.
-    let waiting = client.start(base_only("one", 8, &long)).await.unwrap().into_inner().job.unwrap();
-    let refused = client.start(base_only("one", 9, &long)).await.unwrap_err();
+    let waiting = client.start(base_only("one", 8, endless())).await.unwrap().into_inner().job.unwrap();
+    let refused = client.start(base_only("one", 9, endless())).await.unwrap_err();
     assert_eq!(refused.code(), tonic::Code::ResourceExhausted, "{refused}");
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
     let request = v1::DeleteSceneRequest { scene: "one".into() };
@@ -140,7 +144,7 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
     assert!(place.path("data/jobs").join(&job.id).join("base.checkpoint").exists());
     let daemon = Daemon::start(&place.path("data"), "");
     let mut client = training(&daemon).await;
-    watch_until(&mut client, &job.id, |j| j.progress.as_ref().unwrap().step > step).await;
+    watch_until(&mut client, &job.id, |j| in_base(j) && j.progress.as_ref().unwrap().step > step).await;
     let request = v1::CancelTrainingRequest { job_id: job.id.clone() };
     client.cancel(request).await.unwrap();
     let list = client.list(v1::ListTrainingRequest { scene: String::new() }).await.unwrap();
@@ -176,7 +180,7 @@ async fn what_is_missing_is_left_out_and_clusters_are_as_large_as_may_be() {
     for neighbours in [0, most] {
         let by_anchors =
             Some(v1::start_training_request::Clusters::ByAnchors(v1::ByAnchors { anchors: 2, neighbours }));
-        let request = v1::StartTrainingRequest { clusters: by_anchors, ..base_only("town", 1, TINY) };
+        let request = v1::StartTrainingRequest { clusters: by_anchors, ..base_only("town", 1, smoke()) };
         let job = client.start(request).await.unwrap().into_inner().job.unwrap();
         assert_eq!(watch_until(&mut client, &job.id, ended).await.state(), JobState::Done);
         let identities = model(&daemon, "town").await.identities;
@@ -190,10 +194,11 @@ fn ctrl_c_cancels_and_keeps_the_checkpoint() {
     let place = Place::new();
     let data = place.text("data");
     place.import("one", ["--data", &data]);
-    let long = place.text("long.toml");
-    std::fs::write(&long, TINY.replace("steps = 40", "steps = 100000")).unwrap();
+    let config = place.text("every-step.toml");
+    std::fs::write(&config, EVERY_STEP).unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
-        .args(["train", "one", "--by-contributor", "--base-only", "--settings", &long, "--data", &data])
+        .args(["train", "one", "--by-contributor", "--base-only", "--preset", "object", "--quality", "archival"])
+        .args(["--max-voxels", "4096", "--data", &data, "--config", &config])
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn()
@@ -203,10 +208,10 @@ fn ctrl_c_cancels_and_keeps_the_checkpoint() {
     // The signal is caught from the moment that the job is watched; one sent before ends
     // the process, and the wait below would see it.
     let checkpoint = place.path("data/jobs/job-000001");
-    while std::fs::read_to_string(checkpoint.join("job.json")).is_ok_and(|job| !job.contains("\"running\"")) {
+    while !checkpoint.join("base.checkpoint").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before its first checkpoint");
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
-    std::thread::sleep(std::time::Duration::from_millis(500));
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let said: Vec<String> = lines.map(Result::unwrap).collect();
     assert!(child.wait().unwrap().success());

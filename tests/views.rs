@@ -19,9 +19,9 @@ const SECOND: &str = "images/ada_004.png";
 /// A place whose scene `town` has a base field.
 fn trained() -> Place {
     let place = Place::new();
-    let (data, tiny) = (place.text("data"), place.text("tiny.toml"));
+    let data = place.text("data");
     place.import("town", ["--data", &data]);
-    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--settings", &tiny, "--data", &data]);
+    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke", "--data", &data]);
     place
 }
 
@@ -182,8 +182,7 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
     let large = v1::RenderPathRequest { width: 64, height: 64, ..orbit(50) };
     let mut stream = render.render_path(large).await.unwrap().into_inner();
     stream.message().await.unwrap().unwrap();
-    let tiny = place.text("tiny.toml");
-    let train = ["train", "town", "--by-contributor", "--base-only", "--seed", "2", "--settings", &tiny];
+    let train = ["train", "town", "--by-contributor", "--base-only", "--seed", "2", "--quality", "smoke"];
     place.cairn_ok(&[&train[..], &to].concat());
     let overtaken = loop {
         match stream.message().await {

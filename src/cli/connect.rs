@@ -35,7 +35,7 @@ pub struct Where {
     /// The data folder to work on where there is no --connect
     #[arg(long, global = true, value_name = "DIR", default_value = "cairn-data")]
     pub data: PathBuf,
-    /// Settings that go over the defaults (see configs/default.toml)
+    /// Settings that change the defaults (see configs/daemon.toml)
     #[arg(long, global = true, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// The file with the daemon's token, where it asks for one

@@ -38,9 +38,9 @@ pub struct Args {
     /// Photographs each of them takes
     #[arg(long, value_name = "N", default_value_t = 14)]
     pub photographs: usize,
-    /// Training settings that go over the quick ones
-    #[arg(long, value_name = "FILE")]
-    pub settings: Option<PathBuf>,
+    /// How long to train: `smoke` only tries the installation
+    #[arg(long, value_enum, default_value = "draft")]
+    pub quality: train::Quality,
     /// Stop after the base field: no marks
     #[arg(long)]
     pub base_only: bool,
@@ -174,8 +174,7 @@ async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
         min_views: 2,
         seed: args.seed,
         signals: None,
-        settings: args.settings.clone(),
-        quick: true,
+        options: train::Options { quality: Some(args.quality), ..train::Options::default() },
         base_only: args.base_only,
         with: Vec::new(),
         grow: false,

@@ -7,7 +7,6 @@ use cairn_api::v1::{self, JobState, start_training_request::Clusters};
 use clap::builder::ArgPredicate;
 
 use super::connect::Connection;
-use super::files::read;
 use super::progress::Progress;
 use super::refused::refused;
 use super::scene;
@@ -43,12 +42,8 @@ pub struct Args {
     /// 10 (pictures are drawn where not given)
     #[arg(long, value_name = "DIR", conflicts_with = "base_only")]
     pub signals: Option<PathBuf>,
-    /// Training settings that go over the daemon's (see configs/)
-    #[arg(long, value_name = "FILE")]
-    pub settings: Option<PathBuf>,
-    /// Fewer steps and smaller sizes, for trying things out
-    #[arg(long)]
-    pub quick: bool,
+    #[command(flatten)]
+    pub options: Options,
     /// Stop after the base field: no marks, and no clusters needed
     #[arg(long)]
     pub base_only: bool,
@@ -58,7 +53,7 @@ pub struct Args {
     /// Go on from the newest model: fields and marks stay as they are, and identities that it has not are added
     /// (ask for more anchors, or contributors of fewer views); all that it has must be among them, and --signals are those of the
     /// added ones
-    #[arg(long, conflicts_with_all = ["base_only", "quick"])]
+    #[arg(long, conflicts_with_all = ["base_only", "Options"])]
     pub grow: bool,
     /// Take up a cancelled or failed job of this scene instead
     #[arg(long, value_name = "JOB")]
@@ -69,6 +64,106 @@ pub struct Args {
     /// Then make a key for every identity in this new folder, and sign a record with each (for trying things out)
     #[arg(long, value_name = "DIR")]
     pub keys: Option<PathBuf>,
+}
+
+/// How to train. What is not given is as the daemon's file has it ([training]).
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct Options {
+    /// The kind of scene to train for; `auto` takes the scene's own
+    #[arg(long, value_enum)]
+    pub preset: Option<Preset>,
+    /// Seconds (smoke, good for trying an installation only), minutes (draft), balanced, or twice the work (archival)
+    #[arg(long, value_enum)]
+    pub quality: Option<Quality>,
+    /// Make marks outlast JPEG, blur, noise, other light, rotation and smaller copies, at a price in the picture
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
+    pub robust: Option<bool>,
+    /// The most vertices of the field's grid, where memory is short; 0 for the preset's
+    #[arg(long, value_name = "N")]
+    pub max_voxels: Option<u64>,
+    /// Whether every view gets an appearance of its own; `auto` where the photographs turn out to differ in light
+    #[arg(long, value_enum)]
+    pub appearance: Option<Appearance>,
+    /// Side of hidden pictures, px; 0 for the preset's
+    #[arg(long, value_name = "PX")]
+    pub payload_picture_px: Option<u32>,
+    /// Longest hidden sound, seconds; 0 for the preset's
+    #[arg(long, value_name = "S")]
+    pub payload_sound_s: Option<f64>,
+    /// Samples a second of hidden sounds; 0 for the preset's
+    #[arg(long, value_name = "HZ")]
+    pub payload_sound_hz: Option<u32>,
+    /// Longest hidden text, bytes of UTF-8; 0 for the preset's
+    #[arg(long, value_name = "BYTES")]
+    pub payload_text_bytes: Option<u32>,
+}
+
+/// A kind of scene.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Preset {
+    /// The scene's own kind
+    Auto,
+    /// All cameras look the same way from about the same place
+    Forward,
+    /// An object within a box, nothing behind it
+    Object,
+    /// A landmark in the open
+    Outdoor,
+}
+
+/// How long a training takes, and how good it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Quality {
+    /// Seconds: for integration tests and trying an installation, good for nothing else
+    Smoke,
+    /// Minutes: for trying things out
+    Draft,
+    /// What the measurements are of
+    Balanced,
+    /// Twice the work; not measured yet
+    Archival,
+}
+
+/// Whether views get appearances of their own.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Appearance {
+    /// Where the photographs turn out to differ in light
+    Auto,
+    /// Always
+    On,
+    /// Never
+    Off,
+}
+
+impl Options {
+    /// As the request has them.
+    fn to_proto(&self) -> v1::TrainingOptions {
+        v1::TrainingOptions {
+            preset: self.preset.map_or(v1::Preset::Unspecified, |preset| match preset {
+                Preset::Auto => v1::Preset::Auto,
+                Preset::Forward => v1::Preset::Forward,
+                Preset::Object => v1::Preset::Object,
+                Preset::Outdoor => v1::Preset::Outdoor,
+            }) as i32,
+            quality: self.quality.map_or(v1::Quality::Unspecified, |quality| match quality {
+                Quality::Smoke => v1::Quality::Smoke,
+                Quality::Draft => v1::Quality::Draft,
+                Quality::Balanced => v1::Quality::Balanced,
+                Quality::Archival => v1::Quality::Archival,
+            }) as i32,
+            robust: self.robust,
+            max_voxels: self.max_voxels,
+            appearance: self.appearance.map_or(v1::AppearanceMode::Unspecified, |mode| match mode {
+                Appearance::Auto => v1::AppearanceMode::Auto,
+                Appearance::On => v1::AppearanceMode::On,
+                Appearance::Off => v1::AppearanceMode::Off,
+            }) as i32,
+            payload_picture_px: self.payload_picture_px,
+            payload_sound_s: self.payload_sound_s,
+            payload_sound_hz: self.payload_sound_hz,
+            payload_text_bytes: self.payload_text_bytes,
+        }
+    }
 }
 
 /// Answers `cairn train`.
@@ -121,10 +216,6 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
     } else {
         Clusters::ByAnchors(v1::ByAnchors { anchors: args.anchors, neighbours: args.neighbours.unwrap_or(0) })
     };
-    let settings_toml = match &args.settings {
-        Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?,
-        None => String::new(),
-    };
     let signals = match &args.signals {
         Some(folder) => signals(folder)?,
         None => Vec::new(),
@@ -133,9 +224,8 @@ pub fn request(args: &Args) -> anyhow::Result<v1::StartTrainingRequest> {
         scene: args.name.clone(),
         clusters: Some(clusters),
         seed: args.seed,
-        settings_toml,
+        options: Some(args.options.to_proto()),
         signals,
-        quick: args.quick,
         base_only: args.base_only,
         also: args.with.clone(),
         grow: args.grow,

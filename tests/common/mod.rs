@@ -11,28 +11,27 @@ use std::process::{Child, Command, Output, Stdio};
 
 use cairn_api::v1;
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
+use cairn_scene::cluster::Grouping;
+use cairn_service::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
+use cairn_service::engine::Engine;
+use cairn_service::train::job::JobState;
+use cairn_service::train::request::{Plan, TrainingRequest};
 use tempfile::TempDir;
 
-/// Training settings so small that a whole training takes a moment.
-pub const TINY: &str = r#"
-[field]
-steps = 40
-rays_per_step = 256
-voxels = 4096
-levels = 1
-[mark]
-steps = 30
-virtual_views = 1
-longest_side_px = 64
-classify_until = 10.0
-[mark.classifier]
-channels = [4, 8]
-[mark.detector]
-size = [32, 32]
-channels = [4, 8]
-[quarantine]
-enabled = false
-"#;
+/// Options of a training that takes a moment.
+pub fn smoke() -> v1::TrainingOptions {
+    v1::TrainingOptions { quality: v1::Quality::Smoke.into(), ..v1::TrainingOptions::default() }
+}
+
+/// Options of a training of small steps that nobody waits for.
+pub fn endless() -> v1::TrainingOptions {
+    v1::TrainingOptions {
+        preset: v1::Preset::Object.into(),
+        quality: v1::Quality::Archival.into(),
+        max_voxels: Some(4096),
+        ..v1::TrainingOptions::default()
+    }
+}
 
 /// A folder that goes with the test, with a capture in it.
 pub struct Place {
@@ -44,7 +43,6 @@ impl Place {
     pub fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
         Self::landmark().write(&dir.path().join("capture")).unwrap();
-        std::fs::write(dir.path().join("tiny.toml"), TINY).unwrap();
         Self { dir }
     }
 
@@ -169,21 +167,59 @@ impl Drop for Daemon {
 }
 
 /// A training of `scene` by contributor, both stages.
-pub fn training(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainingRequest {
-    v1::StartTrainingRequest { base_only: false, ..base_only(scene, seed, settings_toml) }
+pub fn training(scene: &str, seed: u64, options: v1::TrainingOptions) -> v1::StartTrainingRequest {
+    v1::StartTrainingRequest { base_only: false, ..base_only(scene, seed, options) }
 }
 
 /// A training of `scene` by contributor that stops after stage 1.
-pub fn base_only(scene: &str, seed: u64, settings_toml: &str) -> v1::StartTrainingRequest {
+pub fn base_only(scene: &str, seed: u64, options: v1::TrainingOptions) -> v1::StartTrainingRequest {
     let by_contributor = v1::ByContributor { min_views: 2 };
     v1::StartTrainingRequest {
         scene: scene.into(),
         clusters: Some(v1::start_training_request::Clusters::ByContributor(by_contributor)),
         seed,
-        settings_toml: settings_toml.into(),
+        options: Some(options),
         base_only: true,
         ..v1::StartTrainingRequest::default()
     }
+}
+
+/// Accepts a training of `scene` in the data folder `data`, which no daemon has, with settings that are no preset's; the
+/// job's id. Whoever opens the folder next trains it.
+pub fn accept(data: &Path, scene: &str, settings: TrainingSettings) -> String {
+    let engine = Engine::open(data, &Config::from_toml("[training]\ncheckpoint_every_s = 0", "test").unwrap()).unwrap();
+    engine.train(given(scene, settings, false)).unwrap().id
+}
+
+/// Trains the base field of `scene` in the data folder `data` to its end, with settings that are no preset's.
+pub fn train_to_end(data: &Path, scene: &str, settings: TrainingSettings) {
+    let engine = Engine::open(data, &Config::from_toml("", "test").unwrap()).unwrap();
+    let id = engine.train(given(scene, settings, true)).unwrap().id;
+    let job = engine.jobs().watch(&id).unwrap();
+    while !job.borrow().state.has_ended() {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    assert_eq!(job.borrow().state, JobState::Done, "{}", job.borrow().error);
+}
+
+/// A training by contributor as a program asks for it.
+fn given(scene: &str, settings: TrainingSettings, base_only: bool) -> TrainingRequest {
+    TrainingRequest {
+        scene: scene.into(),
+        also: Vec::new(),
+        grow: false,
+        grouping: Grouping::ByContributor { min_views: 2, direction_weight: 1.0 },
+        seed: 7,
+        plan: Plan::Given(Box::new(settings)),
+        signals: Vec::new(),
+        base_only,
+        owner: None,
+    }
+}
+
+/// The settings of the `smoke` quality.
+pub fn smoke_settings() -> TrainingSettings {
+    preset::settings(Chosen { preset: Preset::Outdoor, quality: Quality::Smoke, robust: false })
 }
 
 /// Copies a folder whole.

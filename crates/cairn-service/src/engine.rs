@@ -45,8 +45,8 @@ pub struct Engine {
     access: Arc<Access>,
     pub(crate) quarantine: Arc<Quarantine>,
     pub(crate) limits: Limits,
-    /// The training settings that the daemon's own file sets, TOML.
-    pub(crate) configured: String,
+    /// How trainings are made where a request does not say.
+    pub(crate) training: crate::config::Training,
     /// The model used last: loading one takes seconds, and queries come in rows.
     cache: Mutex<Option<Arc<Model>>>,
     /// The snapshot used last.
@@ -80,7 +80,7 @@ impl Engine {
             scenes: folder.scenes(),
             models: folder.models(),
             jobs: folder.jobs(),
-            checkpoint_every: Duration::from_secs(config.checkpoint_every_s),
+            checkpoint_every: Duration::from_secs(config.training.checkpoint_every_s),
         };
         let access = Arc::new(Access::open(&folder, config.access.quota)?);
         access.follow_all(&registry)?;
@@ -100,7 +100,7 @@ impl Engine {
             access,
             quarantine,
             limits: config.limits.clone(),
-            configured: config.training_configured.clone(),
+            training: config.training.clone(),
             cache: Mutex::new(None),
             snapshot: Mutex::new(None),
         })

@@ -262,7 +262,7 @@ async fn of_demo(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Result<
         seed: args.seed,
         contributors: 3,
         photographs: 14,
-        settings: args.settings.clone(),
+        quality: crate::cli::train::Quality::Draft,
         base_only: args.base_only,
     };
     let results = demo::measure(place, &demo).await?;

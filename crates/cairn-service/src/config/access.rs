@@ -4,12 +4,10 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use crate::auth::token::MAX_LIFETIME_S;
+use super::error::{ConfigError, out_of_range};
+use super::settings::{self, AccessMode, Quota, Reading};
+use super::token::Token;
 use crate::auth::{Limits, Policy};
-
-use super::Token;
-use super::error::{ConfigError, out_of_range, within};
-use super::raw::{self, AccessMode, Reading};
 
 /// How callers are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +47,7 @@ pub struct TlsFiles {
 }
 
 /// The checked table `[access]`, and the bearer token where the mode wants one.
-pub(super) fn checked(raw: &raw::Access) -> Result<(Access, Option<Token>), ConfigError> {
+pub(super) fn checked(raw: &settings::Access, quota: &Quota) -> Result<(Access, Option<Token>), ConfigError> {
     let file = raw.token_file.as_str();
     let mode = match raw.mode {
         AccessMode::Auto if file.is_empty() => Mode::Open,
@@ -72,13 +70,14 @@ pub(super) fn checked(raw: &raw::Access) -> Result<(Access, Option<Token>), Conf
     if read_closed && mode == Mode::Open {
         return Err(out_of_range("access.read", "closed", "open while access.mode is \"open\": nobody has a token"));
     }
-    within("access.token_lifetime_s", raw.token_lifetime_s, 10..=MAX_LIFETIME_S)?;
-    let (registration, token_lifetime_s, quota) = (raw.registration, raw.token_lifetime_s, raw.quota);
+    let Quota { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *quota;
+    let quota = Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day };
+    let (registration, token_lifetime_s) = (raw.registration, raw.token_lifetime_s);
     Ok((Access { mode, read_closed, registration, token_lifetime_s, quota }, token))
 }
 
 /// The files of TLS: certificate and key, or neither.
-pub(super) fn tls(raw: &raw::Tls) -> Result<Option<TlsFiles>, ConfigError> {
+pub(super) fn tls(raw: &settings::Tls) -> Result<Option<TlsFiles>, ConfigError> {
     let given = |text: &str| (!text.is_empty()).then(|| PathBuf::from(text));
     let client_ca = given(&raw.client_ca);
     match (given(&raw.certificate), given(&raw.key)) {

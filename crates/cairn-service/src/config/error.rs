@@ -1,6 +1,5 @@
 //! Why settings are refused.
 
-use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use thiserror::Error;
@@ -50,11 +49,4 @@ pub enum ConfigError {
 
 pub(super) fn out_of_range(key: &str, value: impl ToString, allowed: impl ToString) -> ConfigError {
     ConfigError::OutOfRange { key: key.into(), value: value.to_string(), allowed: allowed.to_string() }
-}
-
-pub(super) fn within(key: &str, value: u64, allowed: RangeInclusive<u64>) -> Result<(), ConfigError> {
-    if allowed.contains(&value) {
-        return Ok(());
-    }
-    Err(out_of_range(key, value, format!("{} to {}", allowed.start(), allowed.end())))
 }

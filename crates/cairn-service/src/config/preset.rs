@@ -4,6 +4,9 @@
 //! that outlast what happens to pictures. Each value stands here once, with its reason above it;
 //! `configs/` holds the same values as files, which [`super::document`] writes.
 
+use cairn_field::FieldConfig;
+use cairn_mark::{OtherColours, Recipe};
+
 use super::training::{Chosen, Preset, Quality, TrainingSettings};
 
 /// A named group of values.
@@ -61,7 +64,7 @@ group! {
     /// Two dozen photographs of one place from one side show few colours: what a mark looks like is
     /// learnt from more of what is none.
     mark.others = 2;
-    mark.others_colours = cairn_mark::OtherColours::Any;
+    mark.others_colours = OtherColours::Any;
     /// Nor do they show an object on an empty background, and the photographs of others do.
     mark.others_cutout_share = 0.25;
     /// Noise is no mark.
@@ -155,7 +158,7 @@ group! {
     /// The steps are too few to learn what unmarked pictures look like in general, or to read marks
     /// among noise or in parts of pictures.
     mark.others = 1;
-    mark.others_colours = cairn_mark::OtherColours::Near;
+    mark.others_colours = OtherColours::Near;
     mark.others_cutout_share = 0.0;
     mark.noisy_share = 0.0;
     mark.min_confidence = 0.0;
@@ -180,6 +183,8 @@ group! {
     /// else: the picture is a blur, and marks are not read.
     SMOKE, "smoke", settings;
 
+    /// So few steps explain no photograph well enough to find outliers.
+    screened = false;
     field.steps = 40;
     field.rays_per_step = 256;
     field.voxels = 4096;
@@ -192,8 +197,6 @@ group! {
     mark.classifier.channels = vec![4, 8];
     mark.detector.size = [32, 32];
     mark.detector.channels = vec![4, 8];
-    /// So few steps explain no photograph well enough to find outliers.
-    quarantine.enabled = false;
 }
 
 group! {
@@ -208,7 +211,7 @@ group! {
     mark.max_cost_db = 0.5;
     /// Photographs of other places do not look like a strong mark, and a distortion is enough to learn.
     mark.others = 1;
-    mark.others_colours = cairn_mark::OtherColours::Near;
+    mark.others_colours = OtherColours::Near;
     mark.others_cutout_share = 0.0;
     /// Noise is among the distortions.
     mark.noisy_share = 0.0;
@@ -223,7 +226,8 @@ pub const GROUPS: [Group; 7] = [FORWARD, OBJECT, OUTDOOR, DRAFT, ARCHIVAL, SMOKE
 /// The settings that a choice stands for. Its preset comes first, its quality over it, `robust` on top;
 /// `smoke` has the last word, since it promises seconds.
 pub fn settings(chosen: Chosen) -> TrainingSettings {
-    let mut settings = TrainingSettings::default();
+    let mut settings = TrainingSettings::given(FieldConfig::default(), Recipe::default());
+    settings.chosen = Some(chosen);
     let kind = match chosen.preset {
         Preset::Forward => FORWARD,
         Preset::Object => OBJECT,

@@ -7,7 +7,7 @@ use cairn_log::WitnessVerifier;
 use cairn_log::witness::WitnessClient;
 
 use super::error::{ConfigError, out_of_range};
-use super::raw;
+use super::settings;
 
 /// Most witnesses.
 const MAX_WITNESSES: usize = 32;
@@ -62,7 +62,7 @@ pub(super) fn anchor_file(path: &str) -> Result<Option<PathBuf>, ConfigError> {
     Ok(Some(path.into()))
 }
 
-pub(super) fn public_http(raw: &raw::Registry) -> Result<Option<PublicHttp>, ConfigError> {
+pub(super) fn public_http(raw: &settings::Registry) -> Result<Option<PublicHttp>, ConfigError> {
     let prefix = &raw.http_prefix;
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
     let segment = |s: &str| !s.is_empty() && s != "." && s != ".." && s.chars().all(allowed);

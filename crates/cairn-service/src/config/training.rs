@@ -19,6 +19,17 @@ pub enum Preset {
     Outdoor,
 }
 
+impl Preset {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Forward => "forward",
+            Self::Object => "object",
+            Self::Outdoor => "outdoor",
+        }
+    }
+}
+
 impl From<SceneKind> for Preset {
     fn from(kind: SceneKind) -> Self {
         match kind {
@@ -43,6 +54,32 @@ pub enum Quality {
     Archival,
 }
 
+/// The preset that a user asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PresetChoice {
+    /// The one of the scene's kind.
+    Auto,
+    /// [`Preset::Forward`].
+    Forward,
+    /// [`Preset::Object`].
+    Object,
+    /// [`Preset::Outdoor`].
+    Outdoor,
+}
+
+impl PresetChoice {
+    /// The preset for a scene of `kind`.
+    pub fn of(self, kind: SceneKind) -> Preset {
+        match self {
+            Self::Auto => kind.into(),
+            Self::Forward => Preset::Forward,
+            Self::Object => Preset::Object,
+            Self::Outdoor => Preset::Outdoor,
+        }
+    }
+}
+
 /// A choice of named presets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -55,34 +92,28 @@ pub struct Chosen {
     pub robust: bool,
 }
 
-/// Which views a training leaves out by itself.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct QuarantineConfig {
-    /// Whether views are screened before stage 1.
-    pub enabled: bool,
-}
-
-impl Default for QuarantineConfig {
-    fn default() -> Self {
-        Self { enabled: true }
-    }
-}
-
 /// The settings that a training runs with; kept beside its model, and what the
 /// record's `training_configuration` digest covers.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingSettings {
+    /// The choice that they follow from; `None` where a program gave them itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chosen: Option<Chosen>,
+    /// Whether views are screened for outliers before stage 1.
+    pub screened: bool,
     /// Stage 1.
     pub field: FieldConfig,
     /// Stage 2.
     pub mark: Recipe,
-    /// Which views are left out of both.
-    pub quarantine: QuarantineConfig,
 }
 
 impl TrainingSettings {
+    /// Settings that a program gives itself, without a preset: for experiments, and not to be reached over the network.
+    pub fn given(field: FieldConfig, mark: Recipe) -> Self {
+        Self { chosen: None, screened: true, field, mark }
+    }
+
     /// Checks every range.
     ///
     /// # Errors

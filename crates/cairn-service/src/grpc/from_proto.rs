@@ -3,11 +3,13 @@
 
 use crate::auth::Role;
 use cairn_api::v1;
+use cairn_field::AppearanceMode;
 use cairn_log::{Digest, PublicKey, RegistryError};
 use cairn_scene::cluster::{ClusterConfig, Grouping};
 use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind};
 use glam::{DMat3, DVec3};
 
+use crate::config::{PresetChoice, Quality, TrainingOptions};
 use crate::error::EngineError;
 use crate::export::tour::{PathKind, PathRequest};
 use crate::query::light::Light;
@@ -16,14 +18,12 @@ use crate::records::owners::AskedView;
 use crate::store::given::Given;
 use crate::store::hidden::Parts;
 use crate::store::import::{ImportPlan, PlannedView};
-use crate::train::request::TrainingRequest;
+use crate::train::request::{Plan, TrainingRequest};
 
 /// Longest text field, bytes.
 const MAX_TEXT_BYTES: usize = 256;
 /// Most views named in one request.
 const MAX_VIEW_NAMES: usize = 10_000;
-/// Longest settings overlay, bytes.
-const MAX_SETTINGS_BYTES: usize = 64 << 10;
 /// Most scenes of one training.
 const MAX_SCENES: usize = 16;
 /// Cameras wider than this are a broken message, px.
@@ -215,10 +215,6 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
         Clusters::ByAnchors(a) => by_anchors(&a)?,
         Clusters::ByContributor(c) => by_contributor(&c),
     };
-    if request.settings_toml.len() > MAX_SETTINGS_BYTES {
-        let got = format!("{} bytes", request.settings_toml.len());
-        return Err(EngineError::invalid("settings_toml", got, format!("at most {MAX_SETTINGS_BYTES} bytes")));
-    }
     if request.also.len() >= MAX_SCENES {
         let got = format!("{} scenes beside the first", request.also.len());
         return Err(EngineError::invalid("also", got, format!("fewer than {MAX_SCENES}")));
@@ -229,11 +225,46 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
         grow: request.grow,
         grouping,
         seed: request.seed,
-        settings_toml: request.settings_toml,
+        plan: Plan::Options(options(request.options.unwrap_or_default())?),
         signals: request.signals.into_iter().map(signal).collect::<Result<_, _>>()?,
-        quick: request.quick,
         base_only: request.base_only,
         owner: None,
+    })
+}
+
+/// What a request says of its training; what is not there is the daemon's to say.
+fn options(options: v1::TrainingOptions) -> Result<TrainingOptions, EngineError> {
+    let (preset, quality, appearance) = (options.preset, options.quality, options.appearance);
+    let unknown = |what, got: i32| EngineError::invalid(what, got.to_string(), "a value of its enum");
+    Ok(TrainingOptions {
+        preset: match v1::Preset::try_from(preset).map_err(|_| unknown("options.preset", preset))? {
+            v1::Preset::Unspecified => None,
+            v1::Preset::Auto => Some(PresetChoice::Auto),
+            v1::Preset::Forward => Some(PresetChoice::Forward),
+            v1::Preset::Object => Some(PresetChoice::Object),
+            v1::Preset::Outdoor => Some(PresetChoice::Outdoor),
+        },
+        quality: match v1::Quality::try_from(quality).map_err(|_| unknown("options.quality", quality))? {
+            v1::Quality::Unspecified => None,
+            v1::Quality::Smoke => Some(Quality::Smoke),
+            v1::Quality::Draft => Some(Quality::Draft),
+            v1::Quality::Balanced => Some(Quality::Balanced),
+            v1::Quality::Archival => Some(Quality::Archival),
+        },
+        robust: options.robust,
+        max_voxels: options.max_voxels.map(|voxels| usize::try_from(voxels).unwrap_or(usize::MAX)),
+        appearance: match v1::AppearanceMode::try_from(appearance)
+            .map_err(|_| unknown("options.appearance", appearance))?
+        {
+            v1::AppearanceMode::Unspecified => None,
+            v1::AppearanceMode::Auto => Some(AppearanceMode::Auto),
+            v1::AppearanceMode::On => Some(AppearanceMode::On),
+            v1::AppearanceMode::Off => Some(AppearanceMode::Off),
+        },
+        payload_picture_px: options.payload_picture_px.map(|px| px as usize),
+        payload_sound_s: options.payload_sound_s,
+        payload_sound_hz: options.payload_sound_hz,
+        payload_text_bytes: options.payload_text_bytes.map(|bytes| bytes as usize),
     })
 }
 

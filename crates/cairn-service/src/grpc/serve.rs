@@ -34,6 +34,9 @@ use crate::config::{Config, Limits};
 use crate::engine::Engine;
 use crate::store::folder;
 
+/// Requests answered at the same time on one connection.
+const CONCURRENT_REQUESTS: usize = 64;
+
 /// The services with the configured message limits.
 fn routes(shared: &Shared, limits: &Limits) -> Routes {
     let most = limits.max_message_bytes;
@@ -129,7 +132,7 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
         .build_v1()?;
     let (stop, stopped) = oneshot::channel::<()>();
     let server = tls::secured(Server::builder(), config.tls.as_ref())?
-        .concurrency_limit_per_connection(config.limits.concurrent_requests)
+        .concurrency_limit_per_connection(CONCURRENT_REQUESTS)
         .layer(GateLayer(shared.clone()))
         .add_routes(routes(&shared, &config.limits))
         .add_service(health)

@@ -15,6 +15,7 @@ use cairn_mark::{Detector, MarkError, MarkedField, RegisteredReader, Signal};
 use cairn_scene::cluster::Clusters;
 use serde::{Deserialize, Serialize};
 
+use crate::config::TrainingSettings;
 use crate::error::EngineError;
 use crate::store::checked::{open_checked, read_checked};
 use crate::store::classes::{Classes, Share};
@@ -330,14 +331,15 @@ impl ModelInfo {
         read_checked(&path, &self.base_field, MAX_FIELD_BYTES)
     }
 
-    /// The settings that it was trained with, TOML.
+    /// The settings that it was trained with.
     ///
     /// # Errors
-    /// [`EngineError::Stored`] for a file that was altered.
-    pub fn settings_toml(&self, models: &Path) -> Result<String, EngineError> {
+    /// [`EngineError::Stored`] for a file that was altered or is of another release.
+    pub fn settings(&self, models: &Path) -> Result<TrainingSettings, EngineError> {
         let path = models.join(&self.scene).join(&self.job).join("settings.toml");
         let bytes = read_checked(&path, &self.settings, MAX_SETTINGS_BYTES)?;
-        String::from_utf8(bytes).map_err(|e| EngineError::Stored { path, problem: format!("it is no UTF-8: {e}") })
+        toml::from_slice(&bytes)
+            .map_err(|e| EngineError::Stored { path, problem: format!("it holds no training's settings: {e}") })
     }
 
     /// Identity `number`.

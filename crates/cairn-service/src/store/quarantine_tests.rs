@@ -6,18 +6,23 @@ use cairn_scene::cluster::Grouping;
 use cairn_scene::{Capture, Picture, ReadOptions};
 
 use super::*;
-use crate::config::Config;
+use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
 use crate::engine::Engine;
 use crate::query::viewpoint::Viewpoint;
 use crate::records::owners::AskedView;
 use crate::records::published::tests::TestFolder;
 use crate::train::job::{Job, JobState};
-use crate::train::request::TrainingRequest;
+use crate::train::request::{Plan, TrainingRequest};
 
 /// Enough rays for scouts to tell, and a field of a moment.
-const QUICK: &str = "[field]\nsteps = 60\nrays_per_step = 4096\nvoxels = 30000\nlevels = 2\nhuber = 0.2\n\
-    smooth_density = 1e-4\nsmooth_colour = 1e-3\ndistortion = 0.03\n";
-const UNSCREENED: &str = "[quarantine]\nenabled = false\n";
+fn quick(screened: bool) -> TrainingSettings {
+    let mut quick = preset::settings(Chosen { preset: Preset::Outdoor, quality: Quality::Balanced, robust: false });
+    let field = &mut quick.field;
+    (field.steps, field.rays_per_step, field.voxels, field.levels) = (60, 4096, 30_000, 2);
+    quick.screened = screened;
+    quick
+}
+
 /// What is noise.
 const BAD: [&str; 2] = ["images/ada_005.png", "images/ada_008.png"];
 
@@ -63,16 +68,15 @@ impl World {
         Self { dir, engine }
     }
 
-    fn train(&self, settings: &str) -> (Job, ModelInfo) {
+    fn train(&self, screened: bool) -> (Job, ModelInfo) {
         let request = TrainingRequest {
             scene: "town".into(),
             grouping: Grouping::ByContributor { min_views: 2, direction_weight: 1.0 },
             also: Vec::new(),
             grow: false,
             seed: 7,
-            settings_toml: settings.into(),
+            plan: Plan::Given(Box::new(quick(screened))),
             signals: Vec::new(),
-            quick: false,
             base_only: true,
             owner: None,
         };
@@ -115,7 +119,7 @@ fn both(standing: Standing) -> Vec<(String, Standing)> {
 #[test]
 fn what_is_found_is_left_out_until_it_is_released_or_removed() {
     let world = World::new(&BAD);
-    let (job, first) = world.train(QUICK);
+    let (job, first) = world.train(true);
     assert_eq!(world.standings(), both(Standing::Quarantined));
     let entry = &world.engine.quarantined("town").unwrap()[0];
     let found = entry.found.as_ref().unwrap();
@@ -127,7 +131,7 @@ fn what_is_found_is_left_out_until_it_is_released_or_removed() {
     assert!(!field.base.appearances().iter().any(|(view, _)| BAD.contains(&view.as_str())), "and of the field");
 
     // The same again: they are not judged anew.
-    let (again, second) = world.train(QUICK);
+    let (again, second) = world.train(true);
     assert_eq!(second.base_field, first.base_field);
     assert!(again.notes.iter().any(|n| n.contains("2 views that were in quarantine")), "{:?}", again.notes);
     assert_eq!(world.engine.quarantined("town").unwrap()[0].found.as_ref().unwrap().job, job.id);
@@ -136,7 +140,7 @@ fn what_is_found_is_left_out_until_it_is_released_or_removed() {
     let by = Some(Digest::of("cara"));
     world.engine.release_views("town", &BAD.map(str::to_owned), by).unwrap();
     assert_eq!(world.standings(), both(Standing::Released));
-    let (_, released) = world.train(QUICK);
+    let (_, released) = world.train(true);
     assert_eq!(world.standings(), both(Standing::Released), "figures do not bring them back");
     assert!(BAD.iter().all(|view| names(&released, "ada").contains(&(*view).to_owned())));
     assert_ne!(released.base_field, first.base_field);
@@ -148,7 +152,7 @@ fn what_is_found_is_left_out_until_it_is_released_or_removed() {
     assert_eq!(world.engine.quarantined("town").unwrap()[0].decided.as_ref().unwrap().by, by);
     assert_eq!(world.photographs(), before - 2);
     assert!(world.is_sound(), "the scene's manifest is true again");
-    let (_, removed) = world.train(QUICK);
+    let (_, removed) = world.train(true);
     assert_eq!(removed.base_field, first.base_field);
     world.engine.delete_scene("town").unwrap();
     assert!(world.engine.quarantine.of("town").unwrap().0.is_empty(), "gone with its scene");
@@ -157,7 +161,7 @@ fn what_is_found_is_left_out_until_it_is_released_or_removed() {
 #[test]
 fn an_honest_capture_loses_nobody() {
     let world = World::new(&[]);
-    let (job, _) = world.train(QUICK);
+    let (job, _) = world.train(true);
     assert_eq!(world.standings(), []);
     assert!(!job.notes.iter().any(|n| n.contains("quarantine")), "{:?}", job.notes);
 }
@@ -165,7 +169,7 @@ fn an_honest_capture_loses_nobody() {
 #[test]
 fn nobody_is_credited_with_what_was_found_or_removed_since_a_model() {
     let world = World::new(&BAD);
-    let (_, info) = world.train(&format!("{QUICK}{UNSCREENED}"));
+    let (_, info) = world.train(false);
     assert_eq!(world.standings(), [], "not screened");
     let whole = world.who("images/ada_004.png");
     let (number, count) = (whole.identity.clone().unwrap().0, names(&info, "ada").len());

@@ -117,7 +117,7 @@ impl Job {
         own.spec.marks.clear();
         own.spec.grow_from = self.spec.grow_from.get(at).cloned().into_iter().collect();
         // Its field is there: nothing is trained on its photographs any more.
-        own.spec.settings.quarantine.enabled &= !grown;
+        own.spec.settings.screened &= !grown;
         own
     }
 

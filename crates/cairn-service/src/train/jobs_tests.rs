@@ -47,7 +47,7 @@ fn spec() -> JobSpec {
         scene: "s".into(),
         grouping: Grouping::Anchors(ClusterConfig::default()),
         seed: u64::MAX,
-        settings: crate::config::TrainingSettings::default(),
+        settings: crate::config::TrainingSettings::given(Default::default(), Default::default()),
         signals: Vec::new(),
         base_only: true,
     }

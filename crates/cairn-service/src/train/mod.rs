@@ -6,7 +6,7 @@ pub mod job;
 pub mod jobs;
 pub(crate) mod joint;
 pub mod marks;
-pub(crate) mod request;
+pub mod request;
 pub(crate) mod sifting;
 pub mod stages;
 pub mod training;

@@ -7,7 +7,7 @@ use cairn_log::Digest;
 use cairn_mark::Recipe;
 use cairn_scene::cluster::{Clusters, Grouping};
 
-use crate::config::{QUICK_TOML, TrainingSettings, overlay_for, overridden, training_settings};
+use crate::config::{Chosen, TrainingOptions, TrainingSettings};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::store::given::{Added, Given, assigned, hides_note, left_over_note};
@@ -29,17 +29,30 @@ pub struct TrainingRequest {
     pub grouping: Grouping,
     /// The seed; 0 with `grow` is the newest model's.
     pub seed: u64,
-    /// TOML that goes over the settings.
-    pub settings_toml: String,
+    /// How to train.
+    pub plan: Plan,
     /// What to hide, by the names of identities or else identity 1 first ([`assigned`]); empty to draw pictures. Where
     /// the training goes on from another, what the added identities hide.
     pub signals: Vec<Given>,
-    /// Whether to lay the quick settings over the daemon's.
-    pub quick: bool,
     /// Whether to stop after stage 1.
     pub base_only: bool,
     /// Who pays: the id of an account's key; `None` for nobody.
     pub owner: Option<Digest>,
+}
+
+/// How to train.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Plan {
+    /// By named presets with these options. A training that goes on from another keeps its settings and takes no options.
+    Options(TrainingOptions),
+    /// With these settings, in every scene: a program's own, which cannot be asked for over the network.
+    Given(Box<TrainingSettings>),
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        Self::Options(TrainingOptions::default())
+    }
 }
 
 /// A scene of a request.
@@ -52,8 +65,6 @@ struct Wanted {
     /// Labels of those that have one.
     marked: BTreeSet<String>,
     earlier: Option<ModelInfo>,
-    /// What to say of its settings.
-    note: Option<String>,
 }
 
 impl Engine {
@@ -71,6 +82,7 @@ impl Engine {
             false => None,
         };
         let mut wanted = vec![self.wanted(&request, &request.scene, shared.as_ref())?];
+        let request = request.as_chosen(wanted[0].settings.chosen);
         for scene in &request.also {
             wanted.push(self.wanted(&request, scene, shared.as_ref())?);
         }
@@ -86,7 +98,6 @@ impl Engine {
             ));
         }
         let mut notes: Vec<String> = Vec::new();
-        wanted.iter_mut().for_each(|w| notes.extend(w.note.take()));
         notes.extend(said);
         let marked = wanted.iter().flat_map(|w| w.marked.iter().cloned()).collect();
         let mut signals = Vec::with_capacity(added.len());
@@ -156,23 +167,13 @@ impl Engine {
         let folder = self.scene(scene)?;
         let newest = if shared.is_some() { self.newest_model(scene)? } else { None };
         let earlier = newest.filter(|info| info.mark.as_ref().is_some_and(|mark| Some(&mark.detector) == shared));
-        let own = ("the request's settings", request.settings_toml.as_str());
-        let (kind, configured) = (overlay_for(folder.capture().kind), self.configured.as_str());
-        let (settings, note) = match &earlier {
-            Some(info) => {
-                let before = info.settings_toml(&self.folder.models())?;
-                let overlays = [("the earlier training's settings", before.as_str()), own];
-                (training_settings(&TrainingSettings::default(), &overlays)?, None)
+        let settings = match (&request.plan, &earlier) {
+            (Plan::Given(settings), _) => {
+                settings.check()?;
+                TrainingSettings::clone(settings)
             }
-            None => {
-                let quick = ("configs/quick.toml", if request.quick { QUICK_TOML } else { "" });
-                let overlays = [kind, ("the daemon's settings", configured), quick, own];
-                let settings = training_settings(&TrainingSettings::default(), &overlays)?;
-                let keys = overridden(kind, ("the daemon's settings", configured), &[quick, own])?;
-                let said =
-                    |keys: Vec<String>| format!("the daemon's settings stand over {}: {}", kind.0, keys.join(", "));
-                (settings, Some(keys).filter(|keys| !keys.is_empty()).map(said))
-            }
+            (Plan::Options(_), Some(info)) => info.settings(&self.folder.models())?,
+            (Plan::Options(options), None) => options.settings(&self.training, folder.capture().kind)?,
         };
         let folder = self.quarantine.without(scene, folder)?;
         let (clusters, _) = clusters::clusters_if_any(&folder, &request.grouping, request.seed, request.base_only)?;
@@ -189,7 +190,7 @@ impl Engine {
             number: number as usize,
             label,
         });
-        Ok(Wanted { scene: scene.into(), settings, clusters, added: added.collect(), marked, earlier, note })
+        Ok(Wanted { scene: scene.into(), settings, clusters, added: added.collect(), marked, earlier })
     }
 }
 
@@ -210,15 +211,15 @@ fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<Recipe>, Option<
     let finer = |w: &&Wanted| w.settings.mark.finer > mark.finer;
     let said = if let Some(w) = wanted.iter().find(finer) {
         Some(format!(
-            "marks of scene {:?} want to be looked at more finely (mark.finer = {}) than by the detector that is gone on from ({}): \
-             if they are not read, train all scenes from the start, or make them stronger (a lower mark.budget_db)",
+            "marks of scene {:?} want to be looked at more finely ({} times) than by the detector that is gone on from ({} times): \
+             if they are not read, train all scenes from the start",
             w.scene, w.settings.mark.finer, mark.finer
         ))
     } else {
         (mark.finer != of_first.mark.finer).then(|| {
             format!(
                 "all scenes are marked with classifier and detector as scene {:?} wants them, which looks at marks most finely \
-                 (mark.finer = {}); how strong marks are and which views are looked at is each scene's own",
+                 ({} times); how strong marks are and which views are looked at is each scene's own",
                 shared.scene, mark.finer
             )
         })
@@ -227,11 +228,25 @@ fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<Recipe>, Option<
 }
 
 impl TrainingRequest {
+    /// The request for further scenes: those that begin beside one that goes on take its quality.
+    fn as_chosen(mut self, chosen: Option<Chosen>) -> Self {
+        if let (true, Plan::Options(options), Some(chosen)) = (self.grow, &mut self.plan, chosen) {
+            (options.quality, options.robust) = (Some(chosen.quality), Some(chosen.robust));
+        }
+        self
+    }
+
     fn check(&self) -> Result<(), EngineError> {
         let names: BTreeSet<&String> = self.also.iter().chain([&self.scene]).collect();
         if names.len() <= self.also.len() {
             let got = format!("{:?} beside {:?}", self.also, self.scene);
             return Err(EngineError::invalid("the scenes", got, "each scene once"));
+        }
+        if let (true, Plan::Options(options)) = (self.grow, &self.plan)
+            && *options != TrainingOptions::default()
+        {
+            let expected = "none: a training that goes on keeps the earlier one's settings";
+            return Err(EngineError::invalid("options", format!("{options:?}"), expected));
         }
         if self.base_only && (self.grow || !self.also.is_empty() || !self.signals.is_empty()) {
             let got = match (self.grow, self.also.is_empty()) {

@@ -62,7 +62,7 @@ impl Sift<'_> {
             let (left_out, trusted) = self.quarantine.of(&job.spec.scene)?.names(&scene);
             // A job from before views were screened goes on as it began.
             let begun = ["base.checkpoint", "base.field"].iter().any(|name| folder.join(name).exists());
-            let screened = begun || !job.spec.settings.quarantine.enabled;
+            let screened = begun || !job.spec.settings.screened;
             let views = Views { format_version: 1, left_out, trusted, screened };
             write_json(&file, &views)?;
             views

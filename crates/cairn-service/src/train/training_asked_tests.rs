@@ -4,7 +4,7 @@ use cairn_scene::SceneKind;
 use cairn_scene::cluster::{ClusterConfig, Grouping};
 
 use super::*;
-use crate::config::{TrainingSettings, overlay_for, training_settings};
+use crate::config::{PresetChoice, TrainingOptions};
 use crate::error::EngineError;
 use crate::store::given::Given;
 use crate::store::hidden::Parts;
@@ -50,23 +50,42 @@ fn accepted(engine: &Engine, request: TrainingRequest) -> Job {
 }
 
 #[test]
-fn the_daemons_settings_stand_over_the_kinds_key_by_key_and_the_job_says_so() {
-    let (_dir, engine) = untrained("[mark]\nbudget_db = 36.5\n[mark.robust]\nenabled = true\n");
-    let kind = engine.scene("town").unwrap().capture().kind;
-    let of_kind = training_settings(&TrainingSettings::default(), &[overlay_for(kind)]).unwrap();
-    let job = accepted(&engine, TrainingRequest { settings_toml: String::new(), ..request(2) });
-    let settings = &job.spec.settings;
-    assert_eq!((settings.mark.budget_db, settings.mark.robust.enabled), (36.5, true));
-    assert_eq!(settings.field, of_kind.field, "a key of [mark] took stage 1 from the kind");
-    let rest = cairn_mark::Recipe { budget_db: 36.5, robust: settings.mark.robust.clone(), ..of_kind.mark.clone() };
-    assert_eq!(settings.mark, rest, "it took more from the kind than it set");
-    let told =
-        job.notes.iter().any(|note| note.contains(overlay_for(kind).0) && note.contains("mark.budget_db = 36.5"));
-    assert!(told || of_kind.mark.budget_db == TrainingSettings::default().mark.budget_db, "{:?}", job.notes);
-    // What a request says is the last word.
-    let own = "[mark]\nbudget_db = 41.0\n".to_owned();
-    let job = accepted(&engine, TrainingRequest { settings_toml: own, ..request(2) });
-    assert_eq!((job.spec.settings.mark.budget_db, job.spec.settings.mark.robust.enabled), (41.0, true));
+fn the_request_counts_first_then_the_daemons_file_then_the_preset() {
+    let (_dir, engine) = untrained("[training]\nquality = \"draft\"\nrobust = true\nmax_voxels = 5000\n");
+    let asked =
+        |options| accepted(&engine, TrainingRequest { plan: Plan::Options(options), ..request(2) }).spec.settings;
+    let chosen = |preset, quality, robust| preset::settings(Chosen { preset, quality, robust });
+    let file = asked(TrainingOptions::default());
+    let expected = chosen(Preset::Outdoor, Quality::Draft, true);
+    assert_eq!((&file.mark, file.chosen), (&expected.mark, expected.chosen));
+    assert_eq!((file.field.voxels, file.field.max_voxels, file.field.steps), (5000, 5000, expected.field.steps));
+    let own = asked(TrainingOptions {
+        preset: Some(PresetChoice::Object),
+        quality: Some(Quality::Balanced),
+        robust: Some(false),
+        max_voxels: Some(0),
+        payload_text_bytes: Some(300),
+        ..TrainingOptions::default()
+    });
+    let mut expected = chosen(Preset::Object, Quality::Balanced, false);
+    expected.mark.text.longest_bytes = 300;
+    assert_eq!(own, expected);
+}
+
+#[test]
+fn options_out_of_range_are_refused_by_name_and_a_training_that_goes_on_takes_none() {
+    let (_dir, engine) = untrained("");
+    let odd = TrainingOptions { payload_picture_px: Some(40), ..TrainingOptions::default() };
+    let says = |request: TrainingRequest, parts: &[&str]| {
+        let error = engine.train(request).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+    };
+    let parts = ["training.payload_picture_px", "40", "a multiple of 16 from 32 to 512"];
+    says(TrainingRequest { plan: Plan::Options(odd.clone()), ..request(2) }, &parts);
+    says(
+        TrainingRequest { grow: true, plan: Plan::Options(odd), ..request(2) },
+        &["options", "the earlier one's settings"],
+    );
 }
 
 #[test]
@@ -74,8 +93,8 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
     let (dir, engine) = untrained("");
     put(&dir, "mill", Some(SceneKind::Bounded));
     put(&dir, "gate", Some(SceneKind::Unbounded));
-    let of_kind = |kind| training_settings(&TrainingSettings::default(), &[overlay_for(kind)]).unwrap();
-    let [object, front] = [SceneKind::Bounded, SceneKind::Unbounded].map(of_kind);
+    let of = |preset| preset::settings(Chosen { preset, quality: Quality::Balanced, robust: false });
+    let [object, front] = [Preset::Object, Preset::Outdoor].map(of);
     assert!(object.mark.finer > front.mark.finer && object.mark.budget_db != front.mark.budget_db);
     // Whose marks are told less surely must not lose them by another's settings.
     assert!(object.mark.min_confidence > front.mark.min_confidence);
@@ -83,7 +102,7 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
     let wanted = |scene: &str, also: &str| TrainingRequest {
         scene: scene.into(),
         also: vec![also.into()],
-        settings_toml: String::new(),
+        plan: Plan::default(),
         ..request(2)
     };
     for (scene, also, first, second) in [("gate", "mill", &front, &object), ("mill", "gate", &object, &front)] {
@@ -95,7 +114,11 @@ fn each_of_several_scenes_is_marked_by_the_settings_of_its_kind_with_the_finest_
             assert_eq!(settings.field, own.field);
             assert_eq!(settings.mark, shared.for_scene(&own.mark), "{scene} and {also}, {at}");
         }
-        let said = job.notes.iter().filter(|note| note.contains("\"mill\"") && note.contains("mark.finer = 2")).count();
+        let said = job
+            .notes
+            .iter()
+            .filter(|note| note.contains("\"mill\"") && note.contains("looks at marks most finely"))
+            .count();
         assert_eq!(said, usize::from(scene == "gate"), "{:?}", job.notes);
     }
     // What all of them want stays.
@@ -122,8 +145,7 @@ fn marks_that_want_a_finer_look_than_the_detector_gone_on_from_has_are_told_so()
     put(&trained.dir, "mill", Some(SceneKind::Bounded));
     put(&trained.dir, "gate", Some(SceneKind::Unbounded));
     for (also, told) in [("mill", true), ("gate", false)] {
-        let settings_toml = String::new();
-        let more = TrainingRequest { also: vec![also.into()], grow: true, settings_toml, ..request(2) };
+        let more = TrainingRequest { also: vec![also.into()], grow: true, plan: Plan::default(), ..request(2) };
         let job = accepted(&engine, more);
         let (town, other) = (&trained.job.spec.settings.mark, &job.of_scene(1).spec.settings.mark);
         assert_eq!((&job.spec.settings.mark, &job.of_scene(0).spec.settings.mark), (town, town));
@@ -186,7 +208,7 @@ fn a_scene_does_not_grow_out_of_an_identity_that_it_has() {
     end_of(&engine, &engine.train(first.clone()).unwrap().id);
     let before = engine.newest_model("town").unwrap().unwrap();
 
-    let growing = |request: TrainingRequest| TrainingRequest { grow: true, settings_toml: String::new(), ..request };
+    let growing = |request: TrainingRequest| TrainingRequest { grow: true, plan: Plan::default(), ..request };
     let error = engine.train(growing(next)).unwrap_err().to_string();
     let seed = format!("seed {}", first.seed);
     for part in [missing.as_str(), "nobody would read", &seed, "quarantine list town", &before.job] {

@@ -84,7 +84,7 @@ fn spec() -> JobSpec {
         grow_from: Vec::new(),
         grouping: Grouping::Anchors(cairn_scene::cluster::ClusterConfig::default()),
         seed: 7,
-        settings: crate::config::TrainingSettings::default(),
+        settings: tiny(),
         signals: Vec::new(),
         base_only: true,
     }
@@ -96,8 +96,9 @@ fn a_job_whose_numbers_go_wrong_is_resumed_at_the_step_that_failed() {
     let engine = open(dir.path());
     import(dir.path(), "town", 3);
     // Densities beyond what smoothing can square, when it is first due after the first step.
-    let settings_toml = TINY.replace("[field]\n", "[field]\nlearning_rate_density = 1e30\n");
-    let wanted = TrainingRequest { base_only: true, settings_toml, ..request(2) };
+    let mut wild = tiny();
+    wild.field.learning_rate_density = 1e30;
+    let wanted = TrainingRequest { base_only: true, plan: given(wild), ..request(2) };
     let job = ended(&engine, &engine.train(wanted).unwrap().id);
     assert_eq!(job.state, JobState::Failed);
     assert!(job.error.contains("not finite") && job.error.contains("learning_rate_density"), "{}", job.error);

@@ -11,7 +11,7 @@ use cairn_scene::{Capture, ReadOptions};
 use tokio::sync::watch;
 
 use super::*;
-use crate::config::Config;
+use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
 use crate::engine::Engine;
 use crate::records::published::tests::TestFolder;
 use crate::store::given::Given;
@@ -21,7 +21,7 @@ use crate::store::model::ModelInfo;
 use crate::store::scenes;
 use crate::train::clusters::{clusters, identities};
 use crate::train::job::JobState;
-use crate::train::request::TrainingRequest;
+use crate::train::request::{Plan, TrainingRequest};
 use crate::train::stages::Stage as _;
 
 #[path = "training_asked_tests.rs"]
@@ -29,10 +29,18 @@ mod asked;
 #[path = "training_failed_tests.rs"]
 mod failed;
 
-/// Both stages in a moment, and the light to be found out.
-const TINY: &str = "[field]\nsteps = 10\nrays_per_step = 128\nvoxels = 4096\nlevels = 1\nappearance = \"auto\"\n\
-    [mark]\nsteps = 4\nvirtual_views = 1\nlongest_side_px = 64\nclassify_until = 10.0\n\
-    [mark.classifier]\nchannels = [4, 8]\n[mark.detector]\nsize = [32, 32]\nchannels = [4, 8]\n";
+/// Both stages in a moment, with screening, and the light to be found out.
+fn tiny() -> TrainingSettings {
+    let mut tiny = preset::settings(Chosen { preset: Preset::Outdoor, quality: Quality::Smoke, robust: false });
+    tiny.screened = true;
+    (tiny.field.steps, tiny.field.rays_per_step, tiny.mark.steps) = (10, 128, 4);
+    tiny
+}
+
+/// These settings, as a program's own.
+fn given(settings: TrainingSettings) -> Plan {
+    Plan::Given(Box::new(settings))
+}
 
 /// A data folder with the scene `town`, trained.
 struct Trained {
@@ -79,9 +87,8 @@ fn request(anchors: usize) -> TrainingRequest {
         grow: false,
         grouping: Grouping::Anchors(sizes),
         seed: 7,
-        settings_toml: TINY.into(),
+        plan: given(tiny()),
         signals: Vec::new(),
-        quick: false,
         base_only: false,
         owner: None,
     }
@@ -362,14 +369,14 @@ fn scenes_that_are_marked_together_share_a_detector_and_say_whose_mark_it_is() {
     assert!(error.contains("base field only"), "{error}");
 
     // Each is marked as strongly as its photographs ask for, and goes on so where identities come later.
-    let settings_toml = format!("{TINY}\n[mark.robust]\nenabled = false\n");
-    let faint = settings_toml.replace("[mark]\n", "[mark]\nbudget_db = 20.0\nbudget_start_db = 20.0\n");
-    let job = end_of(&engine, &engine.train(TrainingRequest { settings_toml: faint, ..wanted.clone() }).unwrap().id);
+    let mut faint = tiny();
+    (faint.mark.budget_db, faint.mark.budget_start_db) = (20.0, 20.0);
+    let job = end_of(&engine, &engine.train(TrainingRequest { plan: given(faint), ..wanted.clone() }).unwrap().id);
     for name in ["town", "mill"] {
         let about = format!("marks of scene {name:?} are kept");
         assert_eq!(job.notes.iter().filter(|note| note.starts_with(&about)).count(), 1, "{:?}", job.notes);
     }
-    let more = TrainingRequest { grow: true, settings_toml: String::new(), also: wanted.also, ..request(3) };
+    let more = TrainingRequest { grow: true, plan: Plan::default(), also: wanted.also, ..request(3) };
     let grown = end_of(&engine, &engine.train(more).unwrap().id);
     assert_eq!(grown.spec.marks, job.spec.marks);
     assert_eq!(labels(&engine.newest_model("mill").unwrap().unwrap()).len(), 3);
@@ -380,7 +387,7 @@ fn a_scene_that_grows_keeps_its_field_and_its_marks() {
     let trained = Trained::new();
     let engine = open(trained.dir.path());
     let before = engine.newest_model("town").unwrap().unwrap();
-    let more = TrainingRequest { grow: true, settings_toml: String::new(), ..request(3) };
+    let more = TrainingRequest { grow: true, plan: Plan::default(), ..request(3) };
     let job = end_of(&engine, &engine.train(more.clone()).unwrap().id);
     let after = engine.newest_model("town").unwrap().unwrap();
     assert_eq!((&after.job, after.base_field), (&job.id, before.base_field), "the field was trained again");
@@ -419,7 +426,7 @@ fn clusters_stay_as_large_where_a_scene_grows() {
     };
     end_of(&engine, &engine.train(of(2, 1)).unwrap().id);
     // There would be two views for each of three.
-    let more = TrainingRequest { grow: true, settings_toml: String::new(), ..of(3, 0) };
+    let more = TrainingRequest { grow: true, plan: Plan::default(), ..of(3, 0) };
     end_of(&engine, &engine.train(more).unwrap().id);
     let grown = engine.newest_model("town").unwrap().unwrap();
     assert_eq!(grown.clusters.grouping(), &of(3, 1).grouping);

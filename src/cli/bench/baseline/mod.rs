@@ -21,7 +21,7 @@ use super::children::Children;
 use super::field::source::Source;
 use super::field::{Name, train, unless_stopped};
 use super::rows::Rows;
-use cairn_service::config::{Config, overlay_for, training_settings};
+use cairn_service::config::{TrainingSettings, overlay_for, training_settings};
 use cairn_service::query::evaluate::eight_bits;
 use cairn_service::query::report::PERFECT_DB;
 pub use networks::{Networks, Task as TrainNetworks, run as train_networks};
@@ -103,7 +103,7 @@ pub async fn measure(place: &Where, args: &Args, rows: &mut Rows) -> anyhow::Res
 fn task(place: &Where, args: &Args, (case, source): (Name, &Source), stego: &Stego) -> anyhow::Result<train::Task> {
     let overlay = overlay_for(source.open()?.kind());
     let quick = ("the quick settings", if args.quick { cairn_service::config::QUICK_TOML } else { "" });
-    let base = Config::load(place.config.as_deref())?.training;
+    let base = TrainingSettings::given(Default::default(), Default::default());
     Ok(train::Task {
         source: source.clone(),
         config: training_settings(&base, &[overlay, quick])?.field,

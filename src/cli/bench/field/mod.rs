@@ -31,7 +31,7 @@ use super::super::files::{open, read};
 use super::Args;
 use super::children::Children;
 use super::rows::Rows;
-use cairn_service::config::{Config, overlay_for, training_settings};
+use cairn_service::config::{TrainingSettings, overlay_for, training_settings};
 use case::{CASES, Case};
 pub use case::{Name, SERVING_MIB};
 use outcome::{Budget, Outcome, Share};
@@ -132,7 +132,7 @@ impl Run {
             overlays.push(("the quick settings", QUICK_TOML));
         }
         overlays.push(("--settings", settings.as_str()));
-        let base = Config::load(place.config.as_deref())?.training;
+        let base = TrainingSettings::given(Default::default(), Default::default());
         let config = training_settings(&base, &overlays)?.field;
         eprintln!("{name}: {} and what goes over it, {} steps", overlay.0, config.steps);
         let shares = if args.no_curves { vec![Share::WHOLE] } else { Share::budgets(args.long) };

@@ -91,7 +91,7 @@ mod tests {
     use super::*;
     use cairn_mark::{Guidance, Recipe};
     use cairn_scene::SceneKind;
-    use cairn_service::config::{Config, overlay_for, training_settings};
+    use cairn_service::config::{TrainingSettings, overlay_for, training_settings};
 
     #[test]
     fn rows_are_chosen_by_name_in_their_order_and_a_wrong_name_says_which_there_are() {
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn what_the_classifier_is_for_is_all_that_its_rows_switch() {
-        let base = Config::from_toml("", "test").unwrap().training;
+        let base = TrainingSettings::given(Default::default(), Default::default());
         let mark = |name| {
             let over = ABLATIONS.into_iter().find(|training| training.name == name).unwrap().over;
             training_settings(&base, &[("row", over)]).unwrap().mark
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn every_row_is_accepted_over_every_kind_of_scene_and_is_another() {
-        let base = Config::from_toml("", "test").unwrap().training;
+        let base = TrainingSettings::given(Default::default(), Default::default());
         for kind in [SceneKind::ForwardFacing, SceneKind::Bounded, SceneKind::Unbounded] {
             for quick in ["", QUICK_TOML] {
                 let laid = |over| training_settings(&base, &[overlay_for(kind), ("quick", quick), ("row", over)]);

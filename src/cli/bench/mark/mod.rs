@@ -41,7 +41,7 @@ use super::field::source::Source;
 use super::field::{Name, train as base, unless_stopped};
 use super::rows::Rows;
 use ablations::{Owners, Training};
-use cairn_service::config::{Config, overlay_for, training_settings};
+use cairn_service::config::{TrainingSettings, overlay_for, training_settings};
 use case::Case;
 
 pub use judge::{Judged, Task as Judge, run as judge};
@@ -208,7 +208,7 @@ impl Run {
         }
         overlays.push(("--settings", settings.as_str()));
         overlays.push((ablation, over));
-        let base = Config::load(place.config.as_deref())?.training;
+        let base = TrainingSettings::given(Default::default(), Default::default());
         let training = training_settings(&base, &overlays)?;
         let others = case::ALL.iter().filter(|name| **name != case.name).map(|name| captures.join(name.as_str()));
         let foreign = |folder: PathBuf| {

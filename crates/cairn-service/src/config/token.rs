@@ -1,0 +1,51 @@
+//! The bearer token of `access.token_file`, and reading a small file.
+
+use std::path::Path;
+
+use super::error::{ConfigError, out_of_range};
+
+/// Largest settings or token file, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// A bearer token; never printed.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl Token {
+    /// The secret itself, to be compared or sent and not to be shown.
+    pub fn secret(&self) -> &str {
+        &self.0
+    }
+
+    /// Reads the token in `path`: one line of 16 to 512 printable ASCII characters.
+    ///
+    /// # Errors
+    /// [`ConfigError`] when it cannot be read or is no such line.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = read(path)?;
+        let token = text.trim();
+        if !(16..=512).contains(&token.len()) || !token.bytes().all(|b| b.is_ascii_graphic()) {
+            // The value is a secret: its length must do.
+            let value = format!("a token of {} bytes in {}", token.len(), path.display());
+            return Err(out_of_range("access.token_file", value, "16 to 512 printable ASCII characters on one line"));
+        }
+        Ok(Self(token.to_owned()))
+    }
+}
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Token(secret)")
+    }
+}
+
+/// The text of a settings or token file.
+pub(super) fn read(path: &Path) -> Result<String, ConfigError> {
+    let io = |source| ConfigError::Io { path: path.to_path_buf(), source };
+    let length = std::fs::metadata(path).map_err(io)?.len();
+    if length > MAX_FILE_BYTES {
+        let cause = format!("{length} bytes; a settings or token file has at most {MAX_FILE_BYTES}");
+        return Err(ConfigError::Toml { place: path.display().to_string(), cause });
+    }
+    std::fs::read_to_string(path).map_err(io)
+}
