@@ -15,20 +15,16 @@ use std::collections::HashMap;
 use std::io::{Cursor, Read, Seek};
 use std::sync::Arc;
 
-/// Format of a stored marked field with a carrier a cluster, which no light tints; another number is refused by name.
-pub const MARKED_FORMAT: &str = "cairn.marked/3";
-/// Format of one with harmonics for all identities and theta_0's densities. Before [`MARKED_FORMAT`] it was that of carriers a
-/// cluster as well, which light tinted: where views have no light of their own that makes no difference.
-const LIT_FORMAT: &str = "cairn.marked/1";
-/// Format of one whose densities moved as well: programs that know colours only refuse it.
-const FREE_FORMAT: &str = "cairn.marked/2";
+/// Format of a stored marked field; another version is refused by name.
+pub const MARKED_FORMAT: &str = "cairn.marked/4";
 
 /// theta: renders carry the mark of the identity whose cluster the pose is in.
 #[derive(Clone, Debug)]
 pub struct MarkedField {
     base: Arc<Field>,
     clusters: Clusters,
-    kind: (CarrierKind, DensityKind),
+    carrier_kind: CarrierKind,
+    density_kind: DensityKind,
     carriers: Vec<Vec<f32>>,
     /// theta itself, where densities moved as well.
     free: Option<Arc<Field>>,
@@ -41,6 +37,7 @@ const WHAT: &str = "marked field";
 struct Header {
     format: String,
     carrier: CarrierKind,
+    density: DensityKind,
     clusters: Clusters,
     carriers: usize,
 }
@@ -50,11 +47,12 @@ impl MarkedField {
     pub(crate) fn new(
         base: Arc<Field>,
         clusters: Clusters,
-        kind: (CarrierKind, DensityKind),
+        carrier_kind: CarrierKind,
+        density_kind: DensityKind,
         mut carriers: Vec<Vec<f32>>,
     ) -> Result<Self, MarkError> {
-        let width = CarrierShape::of(kind.0, kind.1).width();
-        let expected = match kind.0 {
+        let width = CarrierShape::of(carrier_kind, density_kind).width();
+        let expected = match carrier_kind {
             CarrierKind::PerCluster => clusters.clusters.len(),
             CarrierKind::Harmonics => 1,
         };
@@ -67,8 +65,8 @@ impl MarkedField {
                 return Err(stored(WHAT, "a carrier is not finite".into()));
             }
         }
-        let free = (kind.1 == DensityKind::Free).then(|| Arc::new(base.changed_by(&carriers[0])));
-        Ok(Self { base, clusters, kind, carriers, free })
+        let free = (density_kind == DensityKind::Free).then(|| Arc::new(base.changed_by(&carriers[0])));
+        Ok(Self { base, clusters, carrier_kind, density_kind, carriers, free })
     }
 
     /// theta_0.
@@ -81,14 +79,19 @@ impl MarkedField {
         &self.clusters
     }
 
-    /// Where its marks live, and whether densities moved with them.
-    pub(crate) fn kind(&self) -> (CarrierKind, DensityKind) {
-        self.kind
+    /// Where its marks live.
+    pub(crate) fn carrier_kind(&self) -> CarrierKind {
+        self.carrier_kind
+    }
+
+    /// Whether densities moved with them.
+    pub(crate) fn density_kind(&self) -> DensityKind {
+        self.density_kind
     }
 
     /// The carrier of `identity`, 1 and up, `rows x 3`; `None` where there is none of its own.
     pub fn carrier(&self, identity: u32) -> Option<&[f32]> {
-        let own = self.kind.0 == CarrierKind::PerCluster;
+        let own = self.carrier_kind == CarrierKind::PerCluster;
         let at = (identity as usize).checked_sub(1).filter(|_| own)?;
         self.carriers.get(at).map(Vec::as_slice)
     }
@@ -106,7 +109,7 @@ impl MarkedField {
         let CarrierShape::Colours(basis) = self.shape() else {
             return self.theta().render(camera, appearance);
         };
-        let carrier = match self.kind.0 {
+        let carrier = match self.carrier_kind {
             CarrierKind::Harmonics => self.carriers.first(),
             CarrierKind::PerCluster => identity.and_then(|i| self.carriers.get((i as usize).wrapping_sub(1))),
         };
@@ -170,7 +173,7 @@ impl MarkedField {
             rows.for_each(|(row, colours)| row[..colours.len()].copy_from_slice(colours));
         }
         let free = self.free.as_ref().map(|_| Arc::new(base.changed_by(&carriers[0])));
-        Self { base: Arc::new(base), clusters: self.clusters.clone(), kind: self.kind, carriers, free }
+        Self { base: Arc::new(base), carriers, free, ..self.clone() }
     }
 
     /// The field whose densities renders see, for maps: theta_0 where they are frozen.
@@ -179,7 +182,7 @@ impl MarkedField {
     }
 
     fn shape(&self) -> CarrierShape {
-        CarrierShape::of(self.kind.0, self.kind.1)
+        CarrierShape::of(self.carrier_kind, self.density_kind)
     }
 
     /// The colour coefficients of a carrier, without what it changes of densities.
@@ -195,8 +198,9 @@ impl MarkedField {
     /// [`MarkError::Stored`] when it cannot be written out.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MarkError> {
         let header = Header {
-            format: format_of(self.kind).into(),
-            carrier: self.kind.0,
+            format: MARKED_FORMAT.into(),
+            carrier: self.carrier_kind,
+            density: self.density_kind,
             clusters: self.clusters.clone(),
             carriers: self.carriers.len(),
         };
@@ -250,17 +254,17 @@ impl MarkedField {
         mut file: TensorFile<'_, R>,
         base_of: impl FnOnce(&mut TensorFile<'_, R>) -> Result<Arc<Field>, MarkError>,
     ) -> Result<Self, MarkError> {
-        let header: Header = file.header()?;
-        let density = density_of(&header)?;
-        let base = base_of(&mut file)?;
-        if header.format != format_of((header.carrier, density)) && !base.appearances().is_empty() {
-            let why = format!(
-                "it is of format `{}`, whose marks changed with the light, which this program's do not; train the scene again",
-                header.format
-            );
+        let Format { format } = file.header()?;
+        if format != MARKED_FORMAT {
+            let why = format!("format `{format}`, this program reads `{MARKED_FORMAT}`; train the scene again");
             return Err(stored(WHAT, why));
         }
-        let each = base.rows() * CarrierShape::of(header.carrier, density).width();
+        let header: Header = file.header()?;
+        if header.density == DensityKind::Free && header.carrier == CarrierKind::PerCluster {
+            return Err(stored(WHAT, "its densities moved for one identity alone".into()));
+        }
+        let base = base_of(&mut file)?;
+        let each = base.rows() * CarrierShape::of(header.carrier, header.density).width();
         if file.size("carriers", Dtype::F16)? != header.carriers.saturating_mul(each * 2) as u64 {
             return Err(stored(WHAT, "its carriers do not fit its base field".into()));
         }
@@ -272,35 +276,12 @@ impl MarkedField {
                 *value = f16::from_le_bytes([b[0], b[1]]).to_f32();
             }
         })?;
-        Self::new(base, header.clusters, (header.carrier, density), carriers)
+        Self::new(base, header.clusters, header.carrier, header.density, carriers)
     }
 }
 
 fn read_base<R: Read + Seek>(file: &mut TensorFile<'_, R>) -> Result<Arc<Field>, MarkError> {
     Ok(Arc::new(Field::of_tensors(file.within("base", "field")?)?))
-}
-
-/// Whether densities moved as well, by a header's format.
-fn density_of(header: &Header) -> Result<DensityKind, MarkError> {
-    let why = match (header.format.as_str(), header.carrier) {
-        (MARKED_FORMAT, CarrierKind::PerCluster) | (LIT_FORMAT, _) => return Ok(DensityKind::Frozen),
-        (FREE_FORMAT, CarrierKind::Harmonics) => return Ok(DensityKind::Free),
-        (MARKED_FORMAT, _) => "its marks are tinted and not, by its header".into(),
-        (FREE_FORMAT, _) => "its densities moved for one identity alone".into(),
-        (other, _) => {
-            let known = [MARKED_FORMAT, LIT_FORMAT, FREE_FORMAT].map(|format| format!("`{format}`")).join(", ");
-            format!("format `{other}`, this program reads {known}")
-        }
-    };
-    Err(stored(WHAT, why))
-}
-
-fn format_of(kind: (CarrierKind, DensityKind)) -> &'static str {
-    match kind {
-        (_, DensityKind::Free) => FREE_FORMAT,
-        (CarrierKind::Harmonics, DensityKind::Frozen) => LIT_FORMAT,
-        (CarrierKind::PerCluster, DensityKind::Frozen) => MARKED_FORMAT,
-    }
 }
 
 /// A [`MarkError::Stored`].

@@ -1,8 +1,8 @@
 //! What an identity hides, and the numbers that the heads make of it.
 
 use crate::error::MarkError;
-use crate::stega::negatives::shrunk;
 use crate::stega::recipe::Recipe;
+use crate::tensors::shrunk;
 use cairn_nn::{text_bits, text_bytes};
 use cairn_scene::{Picture, Sound};
 use serde::{Deserialize, Serialize};

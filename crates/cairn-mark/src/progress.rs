@@ -10,9 +10,9 @@ pub(crate) struct Progress<'a> {
 }
 
 impl<'a> Progress<'a> {
-    /// `done` of `total` parts before the first. `hears` is told how many are done (`total` at most) and how many there
+    /// `done` of `total` parts before the first. `hears` gets how many are done (`total` at most) and how many there
     /// are before each, and says whether to go on.
-    pub(crate) fn new((done, total): (usize, usize), hears: &'a mut dyn FnMut(usize, usize) -> bool) -> Self {
+    pub(crate) fn new(done: usize, total: usize, hears: &'a mut dyn FnMut(usize, usize) -> bool) -> Self {
         Self { done, total, hears }
     }
 

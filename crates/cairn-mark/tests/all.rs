@@ -4,6 +4,7 @@ mod common;
 
 mod deepstega;
 mod density;
+mod digest;
 mod heads;
 mod hostile;
 mod paper;

@@ -129,8 +129,9 @@ fn carriers_of_the_clusters_own_are_refused_with_a_remedy() {
 fn a_file_that_says_its_densities_moved_and_has_none_is_refused() {
     let relabelled = |carrier| {
         let mut bytes = trained(Recipe { carrier, ..config(2) }).0.to_bytes().unwrap();
-        let at = bytes.windows(13).position(|w| w == b"cairn.marked/").unwrap();
-        bytes[at + 13] = b'2';
+        let [is, other] = [br#"density\":\"frozen\""#, br#"density\":\"free\"  "#];
+        let at = bytes.windows(is.len()).position(|w| w == is).expect("the header says it");
+        bytes[at..at + is.len()].copy_from_slice(other);
         MarkedField::from_bytes(&bytes).err().unwrap().to_string()
     };
     assert!(relabelled(CarrierKind::PerCluster).contains("moved for one identity alone"));

@@ -186,7 +186,7 @@ impl Adam {
     /// When the bytes are no such state or do not fit `params`.
     pub fn load(&mut self, params: &Params, bytes: &[u8]) -> Result<()> {
         let (header, mut tensors): (Header, Tensors) = unpack(WHAT, bytes)?;
-        check_format(WHAT, (&header.format, header.version), (FORMAT, VERSION))?;
+        check_format(WHAT, &header.format, header.version, FORMAT, VERSION)?;
         let mut moments = BTreeMap::new();
         for (name, steps) in header.parameter_steps {
             let what = "in the optimiser state but not among the parameters";

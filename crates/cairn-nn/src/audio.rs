@@ -75,7 +75,8 @@ impl AudioHead {
     pub fn new(
         config: &AudioConfig,
         samples: usize,
-        (encoder, classes): (&UNetConfig, usize),
+        encoder: &UNetConfig,
+        classes: usize,
         mut scope: Scope<'_>,
     ) -> Result<Self> {
         if config.channels.is_empty() || config.channels.len() > 4 || config.channels.contains(&0) {
@@ -87,7 +88,7 @@ impl AudioHead {
             return Err(NnError::Setting { key: "audio.samples", got: samples.to_string(), allowed });
         }
         let sizes = [samples / config.place(), samples];
-        let line = Line::new((encoder, classes), config.memory, sizes, &mut scope)?;
+        let line = Line::new(encoder, classes, config.memory, sizes, &mut scope)?;
         let mut stages = Vec::with_capacity(config.channels.len());
         let mut inputs = line.channels();
         for (i, &outputs) in config.channels.iter().enumerate() {

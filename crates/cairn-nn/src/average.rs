@@ -83,7 +83,7 @@ impl Average {
     /// [`NnError::ParameterName`], [`NnError::ParameterShape`] for other parameters.
     pub fn load(&mut self, bytes: &[u8]) -> Result<()> {
         let (header, tensors): (Header, Tensors) = unpack("average", bytes)?;
-        check_format("average", (&header.format, header.version), (FORMAT, VERSION))?;
+        check_format("average", &header.format, header.version, FORMAT, VERSION)?;
         for (name, (shape, _)) in &self.tensors {
             let (got, _) = tensors.get(name).ok_or_else(|| missing(name))?;
             if got != shape {

@@ -82,7 +82,7 @@ impl FrontEnd {
             let x = &x[image * c * pixels..][..c * pixels];
             copy.copy_from_slice(&x[..copied * pixels]);
             if self.gain != 0.0 {
-                self.residual(x, (w, pixels), high);
+                self.residual(x, w, pixels, high);
                 high.iter_mut().for_each(|v| *v /= 1.0 + v.abs());
             }
             if let Some((classes, _)) = classes {
@@ -104,7 +104,7 @@ impl FrontEnd {
             dx[..copied * pixels].copy_from_slice(&at(0)[..copied * pixels]);
             if self.gain != 0.0 {
                 let mut slope = vec![0.0; c * pixels];
-                self.residual(&x[image * c * pixels..][..c * pixels], (w, pixels), &mut slope);
+                self.residual(&x[image * c * pixels..][..c * pixels], w, pixels, &mut slope);
                 for (s, g) in slope.iter_mut().zip(at(copied)) {
                     *s = g / (1.0 + s.abs()).powi(2);
                 }
@@ -118,7 +118,7 @@ impl FrontEnd {
     }
 
     /// `gain A (x - blur x)` of one image's planes, `pixels` numbers each in rows of `w`, into `out`.
-    fn residual(&self, x: &[f32], (w, pixels): (usize, usize), out: &mut [f32]) {
+    fn residual(&self, x: &[f32], w: usize, pixels: usize, out: &mut [f32]) {
         for (x, out) in x.chunks_exact(pixels).zip(out.chunks_exact_mut(pixels)) {
             high_pass(x, w, self.gain, out);
         }

@@ -35,7 +35,8 @@ impl Line {
     /// For the features of a detector of `encoder` and `classes`: a line of `length`
     /// places from which a head makes `outputs` numbers.
     pub(crate) fn new(
-        (encoder, classes): (&UNetConfig, usize),
+        encoder: &UNetConfig,
+        classes: usize,
         memory: Memory,
         [length, outputs]: [usize; 2],
         scope: &mut Scope<'_>,

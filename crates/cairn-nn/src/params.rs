@@ -118,7 +118,7 @@ impl Params {
     /// or hold a number that is not finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let (header, tensors): (Header, _) = unpack("parameters", bytes)?;
-        check_format("parameters", (&header.format, header.version), (FORMAT, VERSION))?;
+        check_format("parameters", &header.format, header.version, FORMAT, VERSION)?;
         let vars = tensors
             .into_iter()
             .map(|(name, (shape, data))| Ok((name, Var::from_vec(data, shape, &Device::Cpu)?)))
@@ -164,7 +164,7 @@ impl Params {
             match from.vars.get(name) {
                 Some(old) if fits(var, old, axis.map(|(axis, _)| axis)) => match axis {
                     None => var.set(old)?,
-                    Some(axis) => var.set(&grafted(name, (var, old), axis, class_of)?)?,
+                    Some((axis, first)) => var.set(&grafted(name, var, old, axis, first, class_of)?)?,
                 },
                 _ => fresh.push(name.clone()),
             }
@@ -228,12 +228,7 @@ fn fits(new: &Tensor, old: &Tensor, axis: Option<usize>) -> bool {
 }
 
 /// `new` with the entries of `old` along an axis: those of no class, and those of classes that go on.
-fn grafted(
-    name: &str,
-    (new, old): (&Var, &Var),
-    (axis, first): (usize, isize),
-    class_of: &[Option<usize>],
-) -> Result<Tensor> {
+fn grafted(name: &str, new: &Var, old: &Var, axis: usize, first: isize, class_of: &[Option<usize>]) -> Result<Tensor> {
     let mut slices = Vec::with_capacity(new.dim(axis)?);
     for at in 0..new.dim(axis)? {
         let from = match usize::try_from(at as isize - first) {
@@ -324,10 +319,18 @@ pub(crate) fn unpack<H: for<'a> Deserialize<'a>>(what: &'static str, bytes: &[u8
     Ok((header, tensors))
 }
 
-pub(crate) fn check_format(what: &'static str, got: (&str, u32), expected: (&str, u32)) -> Result<()> {
-    if got != expected {
-        let say = |(format, version): (&str, u32)| format!("`{format}` version {version}");
-        return Err(NnError::Format { what, expected: say(expected), got: say(got) });
+/// Refuses a file of another format, or of another version of it.
+pub(crate) fn check_format(
+    what: &'static str,
+    format: &str,
+    version: u32,
+    expected_format: &str,
+    expected_version: u32,
+) -> Result<()> {
+    if format != expected_format || version != expected_version {
+        let say = |format: &str, version: u32| format!("`{format}` version {version}");
+        let expected = say(expected_format, expected_version);
+        return Err(NnError::Format { what, expected, got: say(format, version) });
     }
     Ok(())
 }

@@ -59,7 +59,8 @@ impl TextHead {
     pub fn new(
         config: &TextConfig,
         bytes: usize,
-        (encoder, classes): (&UNetConfig, usize),
+        encoder: &UNetConfig,
+        classes: usize,
         mut scope: Scope<'_>,
     ) -> Result<Self> {
         if config.channels.is_empty() || config.channels.len() > 4 || config.channels.contains(&0) {
@@ -69,7 +70,7 @@ impl TextHead {
         if bytes == 0 {
             return Err(NnError::Setting { key: "text.bytes", got: "0".into(), allowed: "at least 1" });
         }
-        let line = Line::new((encoder, classes), config.memory, [bytes, bytes * BITS], &mut scope)?;
+        let line = Line::new(encoder, classes, config.memory, [bytes, bytes * BITS], &mut scope)?;
         let mut stages = Vec::with_capacity(config.channels.len());
         let mut inputs = line.channels();
         for (i, &outputs) in config.channels.iter().enumerate() {

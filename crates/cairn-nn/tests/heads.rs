@@ -24,12 +24,12 @@ fn one_hot(class: usize) -> Tensor {
 
 fn audio(memory: Memory, params: &mut Params) -> Result<AudioHead> {
     let config = AudioConfig { channels: vec![8, 4], memory, ..AudioConfig::default() };
-    AudioHead::new(&config, config.samples(300), (&encoder(), 3), params.scope("audio"))
+    AudioHead::new(&config, config.samples(300), &encoder(), 3, params.scope("audio"))
 }
 
 fn text(memory: Memory, params: &mut Params) -> Result<TextHead> {
     let config = TextConfig { channels: vec![8], memory, ..TextConfig::default() };
-    TextHead::new(&config, 5, (&encoder(), 3), params.scope("text"))
+    TextHead::new(&config, 5, &encoder(), 3, params.scope("text"))
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn heads_have_the_shapes_they_say() -> Result<()> {
     let mut params = Params::new(1);
     for samples in [0, 255, 300] {
         let config = AudioConfig::default();
-        let error = AudioHead::new(&config, samples, (&encoder(), 3), params.scope("a")).unwrap_err();
+        let error = AudioHead::new(&config, samples, &encoder(), 3, params.scope("a")).unwrap_err();
         assert!(error.to_string().contains("audio.samples"), "{error}");
     }
     Ok(())

@@ -133,7 +133,7 @@ impl RobustConfig {
     }
 }
 
-/// What is done to a picture and to what it is rendered from, drawn once, so that a marked render and its twin meet the same.
+/// What is done to a picture and to what it is rendered from, drawn once, so that a marked render and its unmarked pair meet the same.
 pub(crate) struct Attack {
     steps: Vec<(Distortion, u64)>,
     native_px: f32,

@@ -3,9 +3,9 @@
 //! size. Where Baluja's hiding network draws the whole picture, this one draws the change,
 //! and both it and the revealing one know odd rows and columns from even ones.
 
-use crate::detect::blind::networks::{finite, interleaved, planar};
 use crate::error::MarkError;
 use crate::marked::{read_header, stored};
+use crate::tensors::{finite, interleaved, planar};
 use cairn_nn::{ConvBlock, Init, Params, Scope, Window, conv2d, front_end};
 use cairn_scene::Picture;
 use candle_core::{Device, Tensor};

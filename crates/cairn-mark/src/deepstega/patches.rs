@@ -1,8 +1,8 @@
 //! What DeepStega's networks are trained on: patches of photographs, patches to hide
 //! in them, and the noise that files and renders put over both.
 
-use crate::detect::blind::networks::to_tensor;
 use crate::error::MarkError;
+use crate::tensors::to_tensor;
 use cairn_scene::Picture;
 use candle_core::Tensor;
 use rand::RngExt;

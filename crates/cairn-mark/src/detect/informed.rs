@@ -77,7 +77,7 @@ impl RegisteredReader {
     /// that cannot be: without views, and where densities moved with the mark, so that
     /// it is no change of colours.
     pub fn new(marked: &MarkedField, views: &[(Camera, &str)]) -> Option<Self> {
-        if marked.kind().1 == DensityKind::Free {
+        if marked.density_kind() == DensityKind::Free {
             return None;
         }
         Some(Self { registrar: Registrar::new(marked.base().clone(), views)? })
@@ -101,8 +101,8 @@ impl RegisteredReader {
         let (camera, light) = (&registered.camera, &registered.appearance);
         let base = marked.base().render(camera, light).clamped();
         let left = Left::of(&registered.picture, &base);
-        let of = |identity: u32| left.score(added(marked, (camera, light), identity, &base));
-        let scores = match marked.kind().0 {
+        let of = |identity: u32| left.score(added(marked, camera, light, identity, &base));
+        let scores = match marked.carrier_kind() {
             CarrierKind::PerCluster => (1..=identities).map(of).collect(),
             // One mark for all: whose it is, the pose says.
             CarrierKind::Harmonics => {
@@ -115,7 +115,7 @@ impl RegisteredReader {
 }
 
 /// What the mark of `identity` adds to the base render: fine detail in opponent colours.
-fn added(marked: &MarkedField, (camera, light): (&Camera, &Appearance), identity: u32, base: &Picture) -> Vec<f32> {
+fn added(marked: &MarkedField, camera: &Camera, light: &Appearance, identity: u32, base: &Picture) -> Vec<f32> {
     fine(&difference(&marked.render_as(camera, light, Some(identity)).clamped(), base), size_of(base))
 }
 

@@ -4,14 +4,14 @@
 use crate::attack::{Attack, Distortion};
 use crate::error::MarkError;
 use crate::progress::Progress;
-use crate::stega::draws::Draws;
-use crate::stega::negatives::{Negatives, shrunk};
+use crate::stega::hard_examples::Draws;
+use crate::stega::negatives::Negatives;
+use crate::stega::plan::{MarkPlan, MarkScene};
 use crate::stega::poses::{PlannedView, at_most, covering, evenly, virtual_views};
 use crate::stega::recipe::{CarrierKind, DensityKind, Recipe};
-use crate::stega::site::MarkScene;
-use crate::stega::stream::{Fresh, Stream};
-use crate::stega::trainer::MarkPlan;
+use crate::stega::view_refresh::{Fresh, Stream};
 use crate::stega::window::Window;
+use crate::tensors::shrunk;
 use cairn_field::MarchedView;
 use cairn_field::{Appearance, Field};
 use cairn_field::{LinearView, MarkableField};
@@ -255,7 +255,7 @@ impl Bank {
     }
 
     /// Puts the `k`-th fresh view of a training in its place: `ready`, where it was worked out before.
-    pub(crate) fn renew(&mut self, scene: &MarkScene, config: &Recipe, (k, ready): (u64, Option<BankView>)) {
+    pub(crate) fn renew(&mut self, scene: &MarkScene, config: &Recipe, k: u64, ready: Option<BankView>) {
         if let Some(Fresh { identity, place, view }) = self.stream.fresh(&scene.plan.clusters, k) {
             let at = self.of[identity][place];
             self.views[at] = ready.unwrap_or_else(|| Rays::new(scene, config).view(view, CUTOFF));

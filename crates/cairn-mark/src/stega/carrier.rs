@@ -18,7 +18,7 @@ const TASK: usize = 8192;
 
 /// The coefficients of one mark, `rows x shape.width()`, with its momentum.
 #[derive(Clone, Debug)]
-pub struct Carrier {
+pub(crate) struct Carrier {
     pub(crate) shape: CarrierShape,
     pub(crate) values: Vec<f32>,
     pub(crate) first: Vec<f32>,
@@ -46,11 +46,12 @@ impl Carrier {
     /// below what the networks' high-pass lets through). Carriers differ by
     /// design, not only by chance: each has a colour direction of its own (`hue`, radians),
     /// so that what tells them apart is the same from every view.
-    pub fn pattern(
+    pub(crate) fn pattern(
         field: &dyn MarkableField,
         shape: CarrierShape,
         seed: u64,
-        (which, hue): (usize, f32),
+        which: usize,
+        hue: f32,
         amplitude: f32,
     ) -> Self {
         let (width, colours) = (shape.width(), shape.colours());
@@ -105,11 +106,6 @@ impl Carrier {
             touched: Vec::new(),
             theta: OnceLock::new(),
         })
-    }
-
-    /// The coefficients, `rows x shape.width()`.
-    pub fn values(&self) -> &[f32] {
-        &self.values
     }
 
     /// Adds d(loss)/d(picture) of one view to the gradient.

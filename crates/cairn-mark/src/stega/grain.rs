@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 /// Standard deviation of the softest grain's blur, px.
 const SOFTEST_PX: f32 = 1.5;
 
-/// Noise over a picture, drawn once, so that a marked render and its twin meet the same.
+/// Noise over a picture, drawn once, so that a marked render and its unmarked pair meet the same.
 pub(crate) struct Grain {
     /// Root mean square, of the range [0, 1].
     strength: f32,

@@ -9,12 +9,9 @@ use crate::detect::blind::detector::Detector;
 use crate::detect::blind::heads::{AUDIO, TEXT};
 use crate::error::MarkError;
 use crate::payload::HeadSizes;
-use crate::stega::carrier::{Carrier, hue_of, hues};
+use crate::stega::plan::MarkScene;
 use crate::stega::recipe::{CarrierKind, Recipe};
-use crate::stega::site::MarkScene;
-use crate::stega::trainer::MarkTrainer;
 use cairn_field::MarkableField;
-use cairn_nn::Average;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -60,7 +57,7 @@ pub enum Restarted {
 impl Restarted {
     /// Those of the heads that were there `before` of which a tensor is among the `fresh` ones (names of
     /// [`cairn_nn::Params::graft`]).
-    fn among(fresh: &[String], before: &HeadSizes, now: &HeadSizes) -> Vec<Self> {
+    pub(crate) fn among(fresh: &[String], before: &HeadSizes, now: &HeadSizes) -> Vec<Self> {
         let is_fresh = |scope: &str| fresh.iter().any(|name| name.starts_with(scope));
         let audio = before.audio.zip(now.audio).filter(|_| is_fresh(AUDIO));
         let text = before.text.zip(now.text).filter(|_| is_fresh(TEXT));
@@ -84,47 +81,9 @@ impl fmt::Display for Restarted {
     }
 }
 
-impl MarkTrainer {
-    /// As [`MarkTrainer::joint`], going on from an `earlier` training of some of the
-    /// identities: their carriers stay as they are, and `mark.grow_share` of the steps are taken. A head whose length
-    /// differs starts afresh ([`MarkTrainer::restarted`]).
-    ///
-    /// # Errors
-    /// As [`MarkTrainer::joint`]; [`MarkError::Plan`] where the earlier training does not fit: other networks or
-    /// base fields, carriers that are not one an identity, a class twice or beyond those there are, nothing
-    /// new, or nothing known.
-    pub fn growing(
-        scenes: Vec<MarkScene>,
-        earlier: &Earlier<'_>,
-        mut config: Recipe,
-        seed: u64,
-        progress: &mut dyn FnMut(usize, usize) -> bool,
-    ) -> Result<Self, MarkError> {
-        config.validate()?;
-        earlier.check(&scenes, &config)?;
-        config.steps = ((config.steps as f64 * config.grow_share).ceil() as u64).max(1);
-        let mut trainer = Self::joint(scenes, config, seed, progress)?;
-        let mut class_of = vec![Some(0)];
-        class_of.extend(earlier.identities.iter().map(|known| known.map(|k| k.class)));
-        let fresh = trainer.networks.params.graft(earlier.detector.params(), &class_of)?;
-        trainer.restarted = Restarted::among(&fresh, earlier.detector.heads(), trainer.networks.detector.sizes());
-        trainer.average = Average::new(&trainer.networks.params, trainer.config.average)?;
-        let taken: Vec<f32> = earlier.identities.iter().flatten().map(|known| hue_of(known.carrier)).collect();
-        let mut free = hues(earlier.identities.len() - taken.len(), &taken).into_iter();
-        for (i, known) in earlier.identities.iter().enumerate() {
-            let site = &trainer.sites[trainer.site_of(i)];
-            trainer.carriers[i] = match known {
-                Some(known) => Carrier::from_values(trainer.carriers[i].shape, known.carrier.to_vec()),
-                None => site.pattern(&trainer.config, seed, (i, free.next().unwrap_or_default())),
-            };
-            trainer.settled[i] = known.is_some();
-        }
-        Ok(trainer)
-    }
-}
-
 impl Earlier<'_> {
-    fn check(&self, scenes: &[MarkScene], config: &Recipe) -> Result<(), MarkError> {
+    /// Refuses what does not fit the `scenes` and settings of the new training.
+    pub(crate) fn check(&self, scenes: &[MarkScene], config: &Recipe) -> Result<(), MarkError> {
         let refuse = |why: String| Err(MarkError::Plan(format!("{why}; train from the start instead")));
         if config.carrier != CarrierKind::PerCluster {
             return refuse("`mark.carrier` is not per_cluster, so that marks have no carrier each to keep".into());

@@ -16,11 +16,13 @@ use cairn_field::{CarrierBasis, MarkableField};
 /// moves freely.
 const FREE: f64 = 0.25;
 
-/// The mask of a carrier, `rows x basis.width()`, each in `[least, 1]`; 0 or 1 where it
+/// The mask of a carrier, `rows x basis.width()`, each in `[min_mask, 1]`; 0 or 1 where it
 /// is binary, 0 for the `share` of the weights that are largest.
-pub fn gradient_mask(
+pub(crate) fn gradient_mask(
     kind: MaskKind,
-    (alpha, least, share): (f64, f64, f64),
+    alpha: f64,
+    min_mask: f64,
+    share: f64,
     field: &dyn MarkableField,
     basis: CarrierBasis,
 ) -> Vec<f32> {
@@ -36,10 +38,10 @@ pub fn gradient_mask(
         }
         (MaskKind::PerWeight, CarrierBasis::Constant) => {
             let magnitudes = field.row_magnitudes();
-            from_magnitudes(&magnitudes, alpha, least).into_iter().flat_map(|m| [m; 3]).collect()
+            from_magnitudes(&magnitudes, alpha, min_mask).into_iter().flat_map(|m| [m; 3]).collect()
         }
         (MaskKind::PerWeight, CarrierBasis::Harmonics) => {
-            from_magnitudes(&field.coefficient_magnitudes(), alpha, least)
+            from_magnitudes(&field.coefficient_magnitudes(), alpha, min_mask)
         }
         (MaskKind::PerCoefficientGroup, CarrierBasis::Harmonics) => {
             let all = field.coefficient_magnitudes();
@@ -50,7 +52,7 @@ pub fn gradient_mask(
                 }
             }
             let smallest = groups.iter().copied().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
-            let group = groups.map(|g| ((alpha * (smallest.ln() - g.max(smallest).ln())).exp().max(least)) as f32);
+            let group = groups.map(|g| ((alpha * (smallest.ln() - g.max(smallest).ln())).exp().max(min_mask)) as f32);
             (0..all.len()).map(|i| group[i % SH]).collect()
         }
     }
@@ -127,8 +129,7 @@ mod tests {
         for (alpha, least, expected) in
             [(3.0, 0.0, [1.0, 0.125, 1.0 / 64.0]), (1.0, 0.0, [1.0, 0.5, 0.25]), (3.0, 0.1, [1.0, 0.125, 0.1])]
         {
-            let mask =
-                gradient_mask(MaskKind::PerCoefficientGroup, (alpha, least, 0.5), &field, CarrierBasis::Harmonics);
+            let mask = gradient_mask(MaskKind::PerCoefficientGroup, alpha, least, 0.5, &field, CarrierBasis::Harmonics);
             assert_eq!(mask.len(), 2 * 3 * SH);
             for of_channel in mask.chunks_exact(SH) {
                 for (got, expected) in of_channel.iter().zip(expected.into_iter().chain([1.0; 6])) {
@@ -145,7 +146,7 @@ mod tests {
             for basis in [CarrierBasis::Constant, CarrierBasis::Harmonics] {
                 for (alpha, least) in [(0.0, 0.2), (3.0, 0.0), (3.0, 0.2), (10.0, 0.0)] {
                     for kind in [MaskKind::PerWeight, MaskKind::PerCoefficientGroup, MaskKind::Binary, MaskKind::None] {
-                        let mask = gradient_mask(kind, (alpha, least, 0.5), &field, basis);
+                        let mask = gradient_mask(kind, alpha, least, 0.5, &field, basis);
                         assert_eq!(mask.len(), field.rows() * basis.width(), "{kind:?}, {basis:?}");
                         let lowest = if kind == MaskKind::Binary { 0.0 } else { least as f32 };
                         let odd = mask.iter().find(|m| !(lowest..=1.0).contains(*m));
@@ -160,10 +161,10 @@ mod tests {
     #[test]
     fn a_group_without_colour_moves_freely_and_holds_the_others_at_the_least() {
         let field = Rows(vec![ODD; 2]);
-        let mask = gradient_mask(MaskKind::PerCoefficientGroup, (3.0, 0.2, 0.5), &field, CarrierBasis::Harmonics);
+        let mask = gradient_mask(MaskKind::PerCoefficientGroup, 3.0, 0.2, 0.5, &field, CarrierBasis::Harmonics);
         // Smallest is nothing at all, taken as the smallest normal f64, 2^-1022: against it even 1e-45 is large.
         assert_eq!(mask[..SH], [0.2, 1.0, 1.0, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2]);
-        let open = gradient_mask(MaskKind::PerCoefficientGroup, (0.0, 0.2, 0.5), &field, CarrierBasis::Harmonics);
+        let open = gradient_mask(MaskKind::PerCoefficientGroup, 0.0, 0.2, 0.5, &field, CarrierBasis::Harmonics);
         assert_eq!(open, [1.0; 2 * 3 * SH], "alpha 0 is no mask");
     }
 
@@ -175,7 +176,7 @@ mod tests {
         assert_eq!(all_or_nothing(&ODD, 0.0), [1.0; SH]);
         // One number a vertex counts for its three channels.
         let rows = Rows(vec![[0.0; SH], [1e-42; SH], [f32::MAX; SH]]);
-        let mask = gradient_mask(MaskKind::Binary, (3.0, 0.2, 0.5), &rows, CarrierBasis::Constant);
+        let mask = gradient_mask(MaskKind::Binary, 3.0, 0.2, 0.5, &rows, CarrierBasis::Constant);
         assert_eq!(mask, [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
     }
 

@@ -5,7 +5,7 @@
 use crate::attack::Blur;
 use crate::stega::grain::Grain;
 use crate::stega::recipe::{OtherColours, Recipe};
-use cairn_scene::{AreaFilter, Picture};
+use cairn_scene::AreaFilter;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -24,8 +24,8 @@ pub(crate) struct Negatives {
     side: usize,
     /// What their colours become.
     colours: OtherColours,
-    /// How often one of them is made into an object before nothing, 0 to 1.
-    before_nothing: f64,
+    /// How often one of them is made into an object on a flat background, 0 to 1.
+    cutout_share: f64,
     /// Each as it is, and as it is read from a JPEG; `side x side x 3`.
     pictures: Vec<[Vec<f32>; 2]>,
 }
@@ -36,14 +36,14 @@ impl Negatives {
         Self {
             side,
             colours: config.others_colours,
-            before_nothing: config.others_cutout_share,
+            cutout_share: config.others_cutout_share,
             pictures: pictures.collect(),
         }
     }
 
     /// One of the bank as it is, or made into a picture of something else: cropped,
     /// mirrored, in other colours, sharpened, with coloured edges, where colours may be any with coloured grain, two
-    /// laid over one another, an object before nothing, or plain noise.
+    /// laid over one another, an object on a flat background, or plain noise.
     /// A project has photographs of its landmark only, and the world has others: what
     /// their colours are like must not be what tells a mark.
     /// With `jpegs`, half come as JPEGs.
@@ -91,15 +91,15 @@ impl Negatives {
             }
         }
         // Asked for first: without it, trainings go on with the draws that they began with.
-        if self.before_nothing > 0.0 && rng.random_bool(self.before_nothing) {
-            self.stand_before_nothing(&mut picture, rng);
+        if self.cutout_share > 0.0 && rng.random_bool(self.cutout_share) {
+            self.cut_out(&mut picture, rng);
         }
         picture
     }
 
     /// All but a blob of the picture in one flat colour, as renders and cut-outs show objects: grain, a cast and whatever else
     /// is all over a photograph then ends where the object does.
-    fn stand_before_nothing(&self, picture: &mut [f32], rng: &mut ChaCha8Rng) {
+    fn cut_out(&self, picture: &mut [f32], rng: &mut ChaCha8Rng) {
         let outline = Outline::draw(self.side as f32, rng);
         let flat: [f32; 3] = match rng.random_range(0..4) {
             0 => [1.0; 3],
@@ -235,11 +235,6 @@ fn mixing(strength: f32, rng: &mut ChaCha8Rng) -> [[f32; 3]; 3] {
     })
 }
 
-/// A picture at the networks' size, clamped to what a file can hold.
-pub(crate) fn shrunk(picture: &Picture, side: usize) -> Vec<f32> {
-    picture.clone().clamped().resized(side, side).into_rgb()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -336,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_before_nothing_are_photographs_within_one_outline_and_flat_beyond() {
+    fn cutouts_are_photographs_within_one_outline_and_flat_beyond() {
         // No colour of the picture comes twice, and none is what "nothing" may be.
         let photograph: Vec<f32> = (0..32 * 32).flat_map(|i| [0.2 + 0.5 * i as f32 / 1024.0, 0.31, 0.47]).collect();
         let bank = Negatives::new(32, &of(OtherColours::Near), std::iter::empty());
@@ -344,7 +339,7 @@ mod tests {
         let (mut white, mut black, mut kept_all) = (0, 0, 0.0);
         for _ in 0..200 {
             let mut seen = photograph.clone();
-            bank.stand_before_nothing(&mut seen, &mut rng);
+            bank.cut_out(&mut seen, &mut rng);
             let pixels = || seen.chunks_exact(3).zip(photograph.chunks_exact(3));
             let kept = pixels().filter(|(now, before)| now == before).count();
             let mut changed = BTreeMap::new();
@@ -364,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_stand_before_nothing_as_often_as_asked_for() {
+    fn objects_cut_out_as_often_as_asked_for() {
         let striped: Vec<f32> = (0..16 * 16 * 3).map(|i| if i % 48 < 24 { 0.2 } else { 0.9 }).collect();
         let drawn = |share: f64| {
             let config = Recipe { others_cutout_share: share, ..of(OtherColours::Near) };

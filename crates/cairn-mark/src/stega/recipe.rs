@@ -65,10 +65,10 @@ pub enum OtherColours {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Guidance {
-    /// Its answer is told to the detector (classifier-guided recovery, the paper's).
+    /// Its answer goes into the detector (classifier-guided recovery, the paper's).
     #[default]
     Guided,
-    /// It is trained, and the detector is told nothing.
+    /// It is trained, and the detector does without its answer.
     Unguided,
     /// It is not trained either, and its answers mean nothing: the paper's ablation
     /// without a classifier.
@@ -203,16 +203,16 @@ pub struct Recipe {
     /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never. Nothing without a classifier, or where
     /// nothing is doubted ([`Recipe::max_feature_distance`] 0).
     pub center_crop_confidence: f64,
-    /// Among a step's unmarked pictures of anything (not the marked renders' twins) how many are of something else for each
+    /// Among a step's unmarked pictures of anything (not the marked renders' unmarked pairs) how many are of something else for each
     /// render of the base field, 0 (none) to 16.
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OtherColours,
-    /// Share of the pictures of something else, but for noise and those shown as they are, that become objects before nothing, all but a blob of them in
+    /// Share of the pictures of something else, but for noise and those shown as they are, that become objects on a flat background, all but a blob of them in
     /// one flat colour, 0 (none) to 1.
     pub others_cutout_share: f64,
     /// Share of the pictures that are shown with noise of 1 to 6 levels of 255 (RMS, at [`Recipe::shown_px`]), a marked render and
-    /// its twin with the same, once marks are read, 0 to 0.9: noise is no mark. Nothing where there is no classifier.
+    /// its unmarked pair with the same, once marks are read, 0 to 0.9: noise is no mark. Nothing where there is no classifier.
     pub noisy_share: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
@@ -226,13 +226,13 @@ pub struct Recipe {
     pub classifier: ClassifierConfig,
     /// The detector; its size is that of the hidden pictures.
     pub detector: UNetConfig,
-    /// The detector's audio head, built where somebody hides a sound.
+    /// The detector's audio head, built where an identity hides a sound.
     pub audio: AudioConfig,
-    /// The detector's text head, built where somebody hides a text.
+    /// The detector's text head, built where an identity hides a text.
     pub text: TextConfig,
 }
 
-/// What was stored before a setting was there goes on as it began: what kinds of scenes have on since is off here.
+/// What presets switch on for a kind of scene is off here.
 impl Default for Recipe {
     fn default() -> Self {
         Self {

@@ -8,7 +8,7 @@ use cairn_field::{CarrierBasis, MarkableField};
 
 /// What a carrier's numbers are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CarrierShape {
+pub(crate) enum CarrierShape {
     /// Colour coefficients: a view is a fixed linear map of them.
     Colours(CarrierBasis),
     /// The field's own harmonics and the raw density ([`CHANGE`]): views are marched anew.
@@ -27,7 +27,7 @@ impl CarrierShape {
     }
 
     /// Numbers a row: 3, 27 or 28.
-    pub fn width(self) -> usize {
+    pub(crate) fn width(self) -> usize {
         match self {
             Self::Colours(basis) => basis.width(),
             Self::Free => CHANGE,
@@ -35,7 +35,7 @@ impl CarrierShape {
     }
 
     /// Of them, colour coefficients, channel-major; they come first.
-    pub fn colours(self) -> usize {
+    pub(crate) fn colours(self) -> usize {
         match self {
             Self::Colours(basis) => basis.width(),
             Self::Free => CarrierBasis::Harmonics.width(),
@@ -47,12 +47,11 @@ impl CarrierShape {
 /// of their own, by the density where colours have it by the colour's magnitude, in
 /// `[min_mask, 1]` times the ratio of the two learning rates.
 pub(crate) fn carrier_mask(config: &Recipe, field: &dyn MarkableField, shape: CarrierShape) -> Vec<f32> {
-    let numbers = (config.mask_alpha, config.min_mask, config.mask_share);
     let basis = match shape {
         CarrierShape::Colours(basis) => basis,
         CarrierShape::Free => CarrierBasis::Harmonics,
     };
-    let colours = gradient_mask(config.mask, numbers, field, basis);
+    let colours = gradient_mask(config.mask, config.mask_alpha, config.min_mask, config.mask_share, field, basis);
     if shape != CarrierShape::Free {
         return colours;
     }

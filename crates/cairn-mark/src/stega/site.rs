@@ -6,31 +6,10 @@ use crate::error::MarkError;
 use crate::progress::Progress;
 use crate::stega::bank::{Bank, Chosen, Prepare};
 use crate::stega::carrier::Carrier;
+use crate::stega::plan::{MarkPlan, MarkScene};
 use crate::stega::recipe::{CarrierKind, Recipe};
 use crate::stega::shape::{CarrierShape, carrier_mask};
-use crate::stega::trainer::MarkPlan;
-use cairn_field::Field;
 use std::ops::Range;
-use std::sync::Arc;
-
-/// A scene to mark: its base field, theta_0, and what is to be done with it.
-#[derive(Clone, Debug)]
-pub struct MarkScene {
-    /// theta_0.
-    pub field: Arc<Field>,
-    /// Whose poses are whose, and what they hide.
-    pub plan: MarkPlan,
-    /// Where several scenes share a detector, the scene's own settings, of which [`Recipe::for_scene`] takes what it may have to
-    /// itself; none: the training's.
-    pub settings: Option<Recipe>,
-}
-
-impl MarkScene {
-    /// A scene that has the training's settings.
-    pub fn new(field: Arc<Field>, plan: MarkPlan) -> Self {
-        Self { field, plan, settings: None }
-    }
-}
 
 /// A scene being marked.
 pub(crate) struct Site {
@@ -56,7 +35,8 @@ impl Site {
     pub(crate) fn all(
         scenes: Vec<MarkScene>,
         config: &Recipe,
-        (seed, step): (u64, u64),
+        seed: u64,
+        step: u64,
         progress: &mut dyn FnMut(usize, usize) -> bool,
     ) -> Result<Vec<Self>, MarkError> {
         if scenes.is_empty() {
@@ -73,7 +53,7 @@ impl Site {
         let (mut sites, mut done) = (Vec::<Self>::with_capacity(scenes.len()), 0);
         for (scene, (chosen, own)) in scenes.into_iter().zip(chosen) {
             let views = chosen.len();
-            let mut prepare = Prepare::new(&scene, &own, Progress::new((done, total), progress));
+            let mut prepare = Prepare::new(&scene, &own, Progress::new(done, total, progress));
             let bank = Bank::new(&scene.plan, chosen, &own, &mut prepare)?;
             done += views;
             let (first, first_carrier) = sites.last().map_or((0, 0), |s| (s.identities.end, s.carriers.end));
@@ -88,10 +68,10 @@ impl Site {
     }
 
     /// Its carrier `which` of all scenes' before the first step, with that hue.
-    pub(crate) fn pattern(&self, config: &Recipe, seed: u64, (which, hue): (usize, f32)) -> Carrier {
+    pub(crate) fn pattern(&self, config: &Recipe, seed: u64, which: usize, hue: f32) -> Carrier {
         let shape = CarrierShape::of(config.carrier, config.density);
         let amplitude = 10f32.powf(-config.budget_start_db as f32 / 20.0);
-        Carrier::pattern(self.scene.field.as_ref(), shape, seed, (which, hue), amplitude)
+        Carrier::pattern(self.scene.field.as_ref(), shape, seed, which, hue, amplitude)
     }
 
     /// How close to its base field's renders the scene's must be kept where the budget has tightened so far (0 to 1), dB.

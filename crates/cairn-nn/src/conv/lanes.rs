@@ -79,7 +79,7 @@ struct Unaligned<T>(T);
 
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod x86 {
-    use super::{Lanes, Unaligned};
+    use crate::conv::lanes::{Lanes, Unaligned};
     use std::arch::x86_64::{__m256, __m512, _mm256_fmadd_ps, _mm256_set1_ps, _mm512_fmadd_ps, _mm512_set1_ps};
 
     /// One register.

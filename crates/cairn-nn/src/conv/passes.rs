@@ -25,20 +25,20 @@ type Strides = [usize; 2];
 /// N x C x H x W, and `w`, O x C x taps.
 pub(crate) fn forward(isa: Isa, g: &Geometry, x: &[f32], w: &[f32], bias: Option<&[f32]>) -> Vec<f32> {
     let strides = [g.inputs * g.kernel_len(), g.kernel_len()];
-    run(isa, &g.forward_plan(), x, (w, strides), bias)
+    run(isa, &g.forward_plan(), x, w, strides, bias)
 }
 
 /// Gradient with respect to the input, N x C x H x W, from `grad`,
 /// N x O x H' x W'; with a `bias`, C, a transposed convolution.
 pub(crate) fn input_gradient(isa: Isa, g: &Geometry, grad: &[f32], w: &[f32], bias: Option<&[f32]>) -> Vec<f32> {
     let strides = [g.kernel_len(), g.inputs * g.kernel_len()];
-    run(isa, &g.gradient_plan(), grad, (w, strides), bias)
+    run(isa, &g.gradient_plan(), grad, w, strides, bias)
 }
 
 /// Computes a plan's results.
-fn run(isa: Isa, plan: &Plan, source: &[f32], weights: (&[f32], Strides), bias: Option<&[f32]>) -> Vec<f32> {
+fn run(isa: Isa, plan: &Plan, source: &[f32], w: &[f32], strides: Strides, bias: Option<&[f32]>) -> Vec<f32> {
     let tiles = tiles(plan.result.channels, tile_channels(isa));
-    let packed: Vec<Packed> = (0..plan.parts.len()).map(|part| Packed::new(plan, part, &tiles, weights)).collect();
+    let packed: Vec<Packed> = (0..plan.parts.len()).map(|part| Packed::new(plan, part, &tiles, w, strides)).collect();
     let zeros = vec![0.0; plan.result.channels];
     let bias = bias.unwrap_or(&zeros);
     let len = plan.batch * plan.result.channels * plan.result.pixels();
@@ -61,7 +61,7 @@ fn run(isa: Isa, plan: &Plan, source: &[f32], weights: (&[f32], Strides), bias: 
                     for o in from..to {
                         let piece = &mut *pieces[k * plan.result.channels + o];
                         let span = |part: usize| &spans[part * result + (o - from) * frame.span..][..frame.span];
-                        emit(plan, &frame, (task, k), span, piece);
+                        emit(plan, &frame, task, k, span, piece);
                     }
                 }
             }
@@ -75,7 +75,8 @@ fn run(isa: Isa, plan: &Plan, source: &[f32], weights: (&[f32], Strides), bias: 
 fn emit<'s>(
     plan: &Plan,
     frame: &Frame<'_>,
-    (task, k): (&Task, usize),
+    task: &Task,
+    k: usize,
     span: impl Fn(usize) -> &'s [f32],
     piece: Piece<'_>,
 ) {
@@ -146,7 +147,7 @@ fn pieces<'a>(plan: &Plan, tasks: &[Task], out: Piece<'a>) -> Vec<Vec<Piece<'a>>
 struct Packed(Vec<Vec<f32>>);
 
 impl Packed {
-    fn new(plan: &Plan, part: usize, tiles: &[[usize; 2]], (w, strides): (&[f32], Strides)) -> Self {
+    fn new(plan: &Plan, part: usize, tiles: &[[usize; 2]], w: &[f32], strides: Strides) -> Self {
         let taps = &plan.parts[part].taps;
         let sources = plan.source.channels * taps.len();
         let pack = |&[from, to]: &[usize; 2]| {

@@ -1,28 +1,22 @@
 //! The trained detector and classifier: what a picture says of its owner.
 
 use crate::attack::Distortion;
-use crate::detect::blind::networks::{Networks, to_tensor};
-use crate::detect::blind::out_of_distribution::Familiar;
+use crate::detect::blind::networks::Networks;
+use crate::detect::blind::out_of_distribution::OutOfDistribution;
 use crate::error::MarkError;
 use crate::marked::{read_format, read_header, stored};
 use crate::payload::{HeadSizes, Signal};
-use crate::stega::judge::winner;
-use crate::stega::negatives::shrunk;
-use crate::stega::recipe::{CarrierKind, MaskKind, Recipe};
+use crate::stega::recipe::Recipe;
 use crate::stega::window::LEAST;
+use crate::tensors::{shrunk, to_tensor, winner};
 use cairn_nn::Params;
 use cairn_scene::Picture;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
-/// Format of a stored detector: 4 since it knows where its owners' renders lie, 5 since its settings say how finely its
-/// classifier looks and which views came and went, 6 since they say how closely it looks, 7 since they say which unmarked pictures
-/// show objects before nothing and how sure of an owner it has to be. Another number is refused by name, but for 3 to 6.
-pub const DETECTOR_FORMAT: &str = "cairn.detector/7";
-/// Those that are read.
-const DETECTOR_FORMATS: [&str; 5] =
-    ["cairn.detector/3", "cairn.detector/4", "cairn.detector/5", "cairn.detector/6", DETECTOR_FORMAT];
+/// Format of a stored detector; another version is refused by name.
+pub const DETECTOR_FORMAT: &str = "cairn.detector/8";
 
 /// How much of each side the middles keep that a closer look is at, one after another; none keeps less than the parts that
 /// training shows.
@@ -137,7 +131,9 @@ impl Detector {
     /// Whether a picture that says nothing surely is looked at more closely: where nothing doubts the classifier, each further look is a
     /// further chance of its being surely wrong.
     fn looks_closer(&self) -> bool {
-        self.config.center_crop_confidence < 1.0 && self.config.has_classifier() && self.networks.familiar.is_some()
+        self.config.center_crop_confidence < 1.0
+            && self.config.has_classifier()
+            && self.networks.out_of_distribution.is_some()
     }
 
     /// What of `picture` is read, and what class it is told to be of: the whole, or where that says nothing surely and
@@ -185,7 +181,7 @@ impl Detector {
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
         let params = self.networks.params.to_bytes()?;
         let mut parts = vec![("parameters".to_owned(), params)];
-        parts.extend(self.networks.familiar.iter().flat_map(|familiar| familiar.parts()));
+        parts.extend(self.networks.out_of_distribution.iter().flat_map(OutOfDistribution::parts));
         let mut tensors = Vec::with_capacity(parts.len());
         for (name, bytes) in &parts {
             tensors.push((name.as_str(), TensorView::new(Dtype::U8, vec![bytes.len()], bytes).map_err(bad)?));
@@ -200,22 +196,19 @@ impl Detector {
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
         let format = read_format(bytes, "detector")?;
-        if !DETECTOR_FORMATS.contains(&format.as_str()) {
+        if format != DETECTOR_FORMAT {
             let why = format!("format `{format}`, this program reads `{DETECTOR_FORMAT}`");
             return Err(stored("detector", why));
         }
-        let mut header: Header = read_header(bytes, "detector")?;
-        // Refused of late: it was no mask, and marks that were trained so are out in the world.
-        if header.config.mask == MaskKind::PerCoefficientGroup && header.config.carrier == CarrierKind::PerCluster {
-            header.config.mask = MaskKind::None;
-        }
+        let header: Header = read_header(bytes, "detector")?;
         header.config.validate()?;
         header.heads.check(&header.config)?;
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
         let file = SafeTensors::deserialize(bytes).map_err(bad)?;
         let params = Params::from_bytes(file.tensor("parameters").map_err(bad)?.data())?;
         let mut networks = Networks::with(&header.config, header.classes, header.heads, params)?;
-        networks.familiar = Familiar::from_file(&file, header.classes, networks.classifier.feature_count())?;
+        networks.out_of_distribution =
+            OutOfDistribution::from_file(&file, header.classes, networks.classifier.feature_count())?;
         Ok(Self { config: header.config, networks })
     }
 }

@@ -1,10 +1,10 @@
 //! The detector's heads: a picture's, a sound's and a text's, over one encoder.
 //! Only those are built that some identity uses.
 
-use crate::detect::blind::networks::{finite, interleaved};
 use crate::error::MarkError;
 use crate::payload::{HeadSizes, Numbers};
 use crate::stega::recipe::Recipe;
+use crate::tensors::{finite, interleaved};
 use cairn_nn::{AudioHead, Params, TextHead, UNet, avg_pool};
 use candle_core::Tensor;
 
@@ -40,17 +40,17 @@ impl Heads {
         sizes: HeadSizes,
         params: &mut Params,
     ) -> Result<Self, MarkError> {
-        let encoder = (&config.detector, classes);
+        let encoder = &config.detector;
         let unet = match sizes.picture {
             true => UNet::new(&config.detector, classes, params.scope("detector"))?,
             false => UNet::encoder(&config.detector, classes, params.scope("detector"))?,
         };
         let audio = match sizes.audio {
-            Some(samples) => Some(AudioHead::new(&config.audio, samples, encoder, params.scope(AUDIO))?),
+            Some(samples) => Some(AudioHead::new(&config.audio, samples, encoder, classes, params.scope(AUDIO))?),
             None => None,
         };
         let text = match sizes.text {
-            Some(bytes) => Some(TextHead::new(&config.text, bytes, encoder, params.scope(TEXT))?),
+            Some(bytes) => Some(TextHead::new(&config.text, bytes, encoder, classes, params.scope(TEXT))?),
             None => None,
         };
         Ok(Self { sizes, finer: config.finer, unet, audio, text })

@@ -1,11 +1,11 @@
 //! Detector and classifier together: built alike for training and for use.
 
 use crate::detect::blind::heads::Heads;
-use crate::detect::blind::out_of_distribution::Familiar;
+use crate::detect::blind::out_of_distribution::OutOfDistribution;
 use crate::error::MarkError;
 use crate::payload::{HeadSizes, Numbers};
-use crate::stega::judge::winner;
 use crate::stega::recipe::{Guidance, Recipe};
+use crate::tensors::{finite, to_tensor, winner};
 use cairn_nn::{Classifier, Params, softmax};
 use candle_core::{Device, Tensor};
 
@@ -18,7 +18,7 @@ pub(crate) struct Networks {
     pub(crate) classifier: Classifier,
     pub(crate) detector: Heads,
     /// Where owners' renders lie; none while training.
-    pub(crate) familiar: Option<Familiar>,
+    pub(crate) out_of_distribution: Option<OutOfDistribution>,
     guidance: Guidance,
 }
 
@@ -37,7 +37,7 @@ impl Networks {
     ) -> Result<Self, MarkError> {
         let classifier = Classifier::new(&config.classifier, classes, params.scope("classifier"))?;
         let detector = Heads::new(config, classes, sizes, &mut params)?;
-        Ok(Self { params, classifier, detector, familiar: None, guidance: config.guidance })
+        Ok(Self { params, classifier, detector, out_of_distribution: None, guidance: config.guidance })
     }
 
     /// What the detector is told of class probabilities, N x (M + 1): nothing, as zeros,
@@ -67,9 +67,9 @@ impl Networks {
         let features = self.classifier.features(images)?;
         let mut probabilities = softmax(&self.classifier.classify(&features)?)?.to_vec2::<f32>()?;
         probabilities.iter().try_for_each(|p| finite(p, "a class's probability"))?;
-        if let Some(familiar) = &self.familiar {
+        if let Some(known) = &self.out_of_distribution {
             for (probabilities, features) in probabilities.iter_mut().zip(features.to_vec2::<f32>()?) {
-                familiar.doubt(probabilities, &features);
+                known.doubt(probabilities, &features);
             }
         }
         Ok(probabilities)
@@ -98,34 +98,4 @@ impl Networks {
         let said = self.detector.forward(images, &self.told(told)?)?;
         (0..classes.len()).map(|i| said.numbers(i)).collect()
     }
-}
-
-/// Refuses numbers that would otherwise be ranked or clamped into an answer.
-pub(crate) fn finite(values: &[f32], place: &str) -> Result<(), MarkError> {
-    match values.iter().all(|v| v.is_finite()) {
-        true => Ok(()),
-        false => Err(MarkError::NotFinite { step: None, place: place.into() }),
-    }
-}
-
-/// N x 3 x side x side from interleaved pictures.
-pub(crate) fn to_tensor(pictures: &[Vec<f32>], side: usize) -> Result<Tensor, MarkError> {
-    Ok(Tensor::from_vec(planar(pictures), (pictures.len(), 3, side, side), &Device::Cpu)?)
-}
-
-/// Interleaved pictures as planes, one after another.
-pub(crate) fn planar(pictures: &[Vec<f32>]) -> Vec<f32> {
-    let mut out = Vec::with_capacity(pictures.iter().map(Vec::len).sum());
-    for picture in pictures {
-        for c in 0..3 {
-            out.extend(picture.iter().skip(c).step_by(3));
-        }
-    }
-    out
-}
-
-/// Three planes as an interleaved picture.
-pub(crate) fn interleaved(planes: &[f32]) -> Vec<f32> {
-    let n = planes.len() / 3;
-    (0..n * 3).map(|i| planes[(i % 3) * n + i / 3]).collect()
 }

@@ -15,7 +15,7 @@ use safetensors::tensor::SafeTensors;
 
 /// Added to each feature's variance, in mean variances: one that never moved has a spread too.
 const FLOOR: f64 = 1e-6;
-/// Share of a class's own renders that lie nearer to those of other views than its reach, and of its fresh ones that
+/// Share of a class's own renders that lie nearer to those of other views than its reach, and of its unseen ones that
 /// lie nearer to any.
 const REACHED: f64 = 0.95;
 /// How sharply trust falls about the limit: at four fifths of it, the reach by default, it is
@@ -24,19 +24,19 @@ const SHARPNESS: i32 = 8;
 
 /// A marked render's features.
 #[derive(Clone, Debug)]
-pub(crate) struct Shown {
+pub(crate) struct RenderFeatures {
     /// The view it is of.
     pub(crate) view: usize,
     /// Whether something happened to it.
-    pub(crate) harmed: bool,
+    pub(crate) distorted: bool,
     /// Whether it is of a view that no step saw.
-    pub(crate) fresh: bool,
+    pub(crate) unseen: bool,
     pub(crate) features: Vec<f32>,
 }
 
 /// Where each class's renders lie.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Familiar {
+pub(crate) struct OutOfDistribution {
     /// Each feature's spread.
     spreads: Vec<f32>,
     /// Each class's renders, in units of the spreads.
@@ -45,15 +45,15 @@ pub(crate) struct Familiar {
     limits: Vec<f32>,
 }
 
-impl Familiar {
+impl OutOfDistribution {
     /// From each class's renders; limits are `beyond` times a class's reach. `None` where a class has fewer than
     /// two, all of its renders are the same, or a number is not finite.
-    pub(crate) fn fit(classes: &[Vec<Shown>], beyond: f64) -> Option<Self> {
+    pub(crate) fn fit(classes: &[Vec<RenderFeatures>], beyond: f64) -> Option<Self> {
         let features = classes.first()?.first()?.features.len();
         let mut variances = vec![0.0f64; features];
-        let count = classes.iter().flatten().filter(|r| !r.harmed).count() as f64;
+        let count = classes.iter().flatten().filter(|r| !r.distorted).count() as f64;
         for class in classes {
-            let plain: Vec<&[f32]> = class.iter().filter(|r| !r.harmed).map(|r| r.features.as_slice()).collect();
+            let plain: Vec<&[f32]> = class.iter().filter(|r| !r.distorted).map(|r| r.features.as_slice()).collect();
             for (f, variance) in variances.iter_mut().enumerate() {
                 let mean = plain.iter().map(|r| f64::from(r[f])).sum::<f64>() / plain.len() as f64;
                 *variance += plain.iter().map(|r| (f64::from(r[f]) - mean).powi(2)).sum::<f64>() / count;
@@ -67,13 +67,13 @@ impl Familiar {
         };
         for class in classes {
             let all: Vec<Vec<f32>> = class.iter().map(|r| fitted.scaled(&r.features)).collect();
-            // Of another view, where there is one: a new one has no twin among them. Networks know the views that they
-            // were trained on better than those between, so that fresh ones are measured from the others.
-            let trained: Vec<usize> = (0..class.len()).filter(|at| !class[*at].fresh).collect();
+            // Of another view, where there is one: a new one has no unmarked pair among them. Networks know the views that they
+            // were trained on better than those between, so that unseen ones are measured from the others.
+            let trained: Vec<usize> = (0..class.len()).filter(|at| !class[*at].unseen).collect();
             let one_view = trained.iter().all(|at| class[*at].view == class[trained[0]].view);
             let counts = |at: usize, other: usize| {
                 let another = if one_view { other != at } else { class[other].view != class[at].view };
-                !class[other].fresh && (class[at].fresh || another)
+                !class[other].unseen && (class[at].unseen || another)
             };
             let nearest = |at: usize| {
                 let others = (0..all.len()).filter(|other| counts(at, *other));
@@ -84,8 +84,8 @@ impl Familiar {
                 apart.sort_by(f64::total_cmp);
                 apart.get(((apart.len() as f64 * REACHED) as usize).min(apart.len().checked_sub(1)?)).copied()
             };
-            let fresh = reach((0..class.len()).filter(|at| class[*at].fresh).collect());
-            let reach = reach(trained.clone())?.max(fresh.unwrap_or(0.0));
+            let unseen = reach((0..class.len()).filter(|at| class[*at].unseen).collect());
+            let reach = reach(trained.clone())?.max(unseen.unwrap_or(0.0));
             fitted.limits.push((beyond * reach) as f32);
             fitted.renders.push(all.concat());
         }
@@ -131,7 +131,7 @@ impl Familiar {
         parts
     }
 
-    /// Reads back what [`Familiar::parts`] gave, for `classes` = M + 1 classes; `None` where there is nothing.
+    /// Reads back what [`OutOfDistribution::parts`] gave, for `classes` = M + 1 classes; `None` where there is nothing.
     ///
     /// # Errors
     /// [`MarkError::Stored`] for sizes that do not fit, and numbers that no fit makes.
@@ -158,16 +158,16 @@ impl Familiar {
         };
         match read.is_sound() {
             true => Ok(Some(read)),
-            false => Err(stored("detector", "`familiar` holds numbers that no training makes".into())),
+            false => Err(stored("detector", "`out_of_distribution` holds numbers that no training makes".into())),
         }
     }
 }
 
-const SPREADS: &str = "familiar.spreads";
-const LIMITS: &str = "familiar.limits";
+const SPREADS: &str = "out_of_distribution.spreads";
+const LIMITS: &str = "out_of_distribution.limits";
 
 fn renders_of(class: usize) -> String {
-    format!("familiar.renders{class}")
+    format!("out_of_distribution.renders{class}")
 }
 
 /// Root mean square of the difference.
@@ -181,18 +181,28 @@ mod tests {
     use super::*;
     use crate::attack::Gaussian;
 
-    fn plain(features: &[&[f32]]) -> Vec<Shown> {
-        let shown = |(view, f): (usize, &&[f32])| Shown { view, harmed: false, fresh: false, features: f.to_vec() };
+    fn plain(features: &[&[f32]]) -> Vec<RenderFeatures> {
+        let shown = |(view, f): (usize, &&[f32])| RenderFeatures {
+            view,
+            distorted: false,
+            unseen: false,
+            features: f.to_vec(),
+        };
         features.iter().enumerate().map(shown).collect()
     }
 
-    /// Two classes of renders with four features, harmed ones elsewhere in one of them.
-    fn renders() -> Vec<Vec<Shown>> {
+    /// Two classes of renders with four features, distorted ones elsewhere in one of them.
+    fn renders() -> Vec<Vec<RenderFeatures>> {
         let mut noise = Gaussian::new(3);
         let mut one = |middle: f32, view: usize| {
-            let ([a, b, c], harmed) = ([noise.draw(), noise.draw(), noise.draw()], view % 2 == 1);
-            let harm = if harmed { 4.0 } else { 0.0 };
-            Shown { view, harmed, fresh: false, features: vec![middle + a, harm + 0.1 * b, 5.0 + 0.01 * c, middle - b] }
+            let ([a, b, c], distorted) = ([noise.draw(), noise.draw(), noise.draw()], view % 2 == 1);
+            let shift = if distorted { 4.0 } else { 0.0 };
+            RenderFeatures {
+                view,
+                distorted,
+                unseen: false,
+                features: vec![middle + a, shift + 0.1 * b, 5.0 + 0.01 * c, middle - b],
+            }
         };
         [0.0, 3.0].map(|middle| (0..400).map(|view| one(middle, view)).collect()).to_vec()
     }
@@ -200,11 +210,11 @@ mod tests {
     #[test]
     fn what_lies_where_a_class_lies_is_trusted_and_what_lies_elsewhere_is_unmarked() {
         let classes = renders();
-        let familiar = Familiar::fit(&classes, 1.25).unwrap();
+        let known = OutOfDistribution::fit(&classes, 1.25).unwrap();
         let trusted = |class: usize, picture: &[f32]| {
             let mut p = [0.1, 0.0, 0.0];
             p[class + 1] = 0.9;
-            familiar.doubt(&mut p, picture);
+            known.doubt(&mut p, picture);
             assert!((p.iter().sum::<f32>() - 1.0).abs() < 1e-6, "{p:?}");
             p[class + 1] / 0.9
         };
@@ -227,38 +237,43 @@ mod tests {
     fn distances_are_in_spreads_from_the_nearest_render() {
         // Variances 2 and 0.5 about (1, 2).
         let ring = plain(&[&[3.0, 2.0], &[-1.0, 2.0], &[1.0, 3.0], &[1.0, 1.0]]);
-        let familiar = Familiar::fit(std::slice::from_ref(&ring), 1.0).unwrap();
+        let known = OutOfDistribution::fit(std::slice::from_ref(&ring), 1.0).unwrap();
         let expected = |dx: f64, dy: f64| ((dx * dx / 2.0 + dy * dy / 0.5) / 2.0).sqrt();
-        assert!((familiar.distance(0, &[3.0, 2.5]) - expected(0.0, 0.5)).abs() < 1e-4);
-        assert!((familiar.distance(0, &[-3.0, 2.0]) - expected(2.0, 0.0)).abs() < 1e-4);
+        assert!((known.distance(0, &[3.0, 2.5]) - expected(0.0, 0.5)).abs() < 1e-4);
+        assert!((known.distance(0, &[-3.0, 2.0]) - expected(2.0, 0.0)).abs() < 1e-4);
         // From each corner to the next: the reach.
-        assert!((f64::from(familiar.limits[0]) - expected(2.0, 1.0)).abs() < 1e-4);
+        assert!((f64::from(known.limits[0]) - expected(2.0, 1.0)).abs() < 1e-4);
     }
 
     #[test]
     fn what_cannot_be_fitted_is_not() {
-        assert!(Familiar::fit(&[], 1.25).is_none());
-        assert!(Familiar::fit(&[plain(&[&[1.0, 2.0], &[2.0, 1.0]]), Vec::new()], 1.25).is_none());
-        assert!(Familiar::fit(&[plain(&[&[1.0, 2.0]])], 1.25).is_none());
-        assert!(Familiar::fit(&[plain(&[&[1.0, f32::NAN], &[2.0, 1.0]])], 1.25).is_none());
+        assert!(OutOfDistribution::fit(&[], 1.25).is_none());
+        assert!(OutOfDistribution::fit(&[plain(&[&[1.0, 2.0], &[2.0, 1.0]]), Vec::new()], 1.25).is_none());
+        assert!(OutOfDistribution::fit(&[plain(&[&[1.0, 2.0]])], 1.25).is_none());
+        assert!(OutOfDistribution::fit(&[plain(&[&[1.0, f32::NAN], &[2.0, 1.0]])], 1.25).is_none());
         // Renders that are all the same have no spread to measure by.
-        assert!(Familiar::fit(&[plain(&[&[1.0, 2.0][..]; 5])], 1.25).is_none());
+        assert!(OutOfDistribution::fit(&[plain(&[&[1.0, 2.0][..]; 5])], 1.25).is_none());
     }
 
     #[test]
     fn views_that_no_step_saw_say_how_far_such_lie() {
         let square = plain(&[&[0.0, 0.0], &[0.0, 1.0], &[1.0, 0.0], &[1.0, 1.0]]);
-        // Numbers of fresh views are not those of the others: this one is not the third's.
-        let fresh = |features: [f32; 2]| Shown { view: 2, harmed: false, fresh: true, features: features.to_vec() };
+        // Numbers of unseen views are not those of the others: this one is not the third's.
+        let unseen = |features: [f32; 2]| RenderFeatures {
+            view: 2,
+            distorted: false,
+            unseen: true,
+            features: features.to_vec(),
+        };
         // Where the limit lies and how far `to` is from `from`, in the same spreads.
         let measured = |more: &[[f32; 2]], from: [f32; 2], to: [f32; 2]| {
-            let class: Vec<Shown> = square.iter().cloned().chain(more.iter().copied().map(fresh)).collect();
-            let familiar = Familiar::fit(&[class], 1.0).unwrap();
-            assert!(familiar.distance(0, &to) < 1e-6, "{to:?} is among the renders");
-            (f64::from(familiar.limits[0]), apart(&familiar.scaled(&from), &familiar.scaled(&to)))
+            let class: Vec<RenderFeatures> = square.iter().cloned().chain(more.iter().copied().map(unseen)).collect();
+            let known = OutOfDistribution::fit(&[class], 1.0).unwrap();
+            assert!(known.distance(0, &to) < 1e-6, "{to:?} is among the renders");
+            (f64::from(known.limits[0]), apart(&known.scaled(&from), &known.scaled(&to)))
         };
         let same = |(limit, distance): (f64, f64)| assert!((limit - distance).abs() < 1e-4, "{limit} for {distance}");
-        // From each corner to the next, also where a fresh one lies nearer.
+        // From each corner to the next, also where a unseen one lies nearer.
         same(measured(&[], [0.0, 0.0], [0.0, 1.0]));
         same(measured(&[[0.9, 0.1]], [0.0, 0.0], [0.0, 1.0]));
         // Two that lie together lie far from what was trained on all the same.
@@ -268,7 +283,7 @@ mod tests {
     #[test]
     fn a_class_of_one_view_is_measured_by_itself() {
         let mut one = plain(&[&[1.0, 2.0], &[2.0, 1.0], &[1.5, 1.0]]);
-        let apart = |renders: &[Shown]| Familiar::fit(&[renders.to_vec()], 1.0).unwrap().limits[0];
+        let apart = |renders: &[RenderFeatures]| OutOfDistribution::fit(&[renders.to_vec()], 1.0).unwrap().limits[0];
         let views = apart(&one);
         one.iter_mut().for_each(|r| r.view = 0);
         assert_eq!(apart(&one), views);

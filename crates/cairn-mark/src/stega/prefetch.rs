@@ -10,13 +10,13 @@ use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
 
 /// Pieces of work under way, each by its key.
-pub(crate) struct Ahead<K, T> {
+pub(crate) struct Prefetch<K, T> {
     /// Of its own: a step that waits in the common pool would take this work up, and finish it first.
     pool: Option<Arc<ThreadPool>>,
     coming: HashMap<K, JoinHandle<T>>,
 }
 
-impl<K: Eq + Hash, T: Send + 'static> Ahead<K, T> {
+impl<K: Eq + Hash, T: Send + 'static> Prefetch<K, T> {
     pub(crate) fn new() -> Self {
         Self { pool: None, coming: HashMap::new() }
     }
@@ -43,10 +43,10 @@ impl<K: Eq + Hash, T: Send + 'static> Ahead<K, T> {
     }
 }
 
-impl<K, T> Drop for Ahead<K, T> {
+impl<K, T> Drop for Prefetch<K, T> {
     /// Nothing outlives a training: what nobody wants any more is waited for.
     fn drop(&mut self) {
-        // Whoever let go does not want to hear of its panics either.
+        // Its panics go with it.
         self.coming.drain().for_each(|(_, thread)| drop(thread.join()));
     }
 }
@@ -63,7 +63,7 @@ mod tests {
     #[test]
     fn what_was_begun_is_taken_once_by_its_own_key() {
         on(4, || {
-            let mut ahead = Ahead::new();
+            let mut ahead = Prefetch::new();
             (0..3).for_each(|k| ahead.begin(k, move || (10 * k, rayon::current_num_threads())));
             assert_eq!(ahead.take(&3), None);
             assert_eq!(ahead.take(&1), Some((10, 2)));
@@ -78,7 +78,7 @@ mod tests {
         for (threads, expected) in [(1, 0), (2, 1)] {
             let (heard, work) = (done.clone(), done.clone());
             on(threads, move || {
-                let mut ahead = Ahead::new();
+                let mut ahead = Prefetch::new();
                 ahead.begin(0, move || {
                     std::thread::sleep(std::time::Duration::from_millis(50));
                     work.fetch_add(1, Ordering::SeqCst);
@@ -92,7 +92,7 @@ mod tests {
     #[test]
     #[should_panic(expected = "a view that cannot be")]
     fn a_panic_reaches_who_wants_the_result() {
-        let mut ahead = Ahead::<u8, ()>::new();
+        let mut ahead = Prefetch::<u8, ()>::new();
         on(2, || ahead.begin(0, || panic!("a view that cannot be")));
         ahead.take(&0);
     }

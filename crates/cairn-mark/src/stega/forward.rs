@@ -1,12 +1,12 @@
-//! What a step is to make smaller: equations 1, 2, 3 and 5; equation 4 needs no network (`moves`).
+//! What a step is to make smaller: equations 1, 2, 3 and 5; equation 4 needs no network (`backward`).
 //!
-//! Equation 5 is of one pose P: of theta(P), and of theta_0(P), which is its twin. A step has N renders of theta. With
+//! Equation 5 is of one pose P: of theta(P), and of theta_0(P), which is its unmarked pair. A step has N renders of theta. With
 //! `mark.loss_per_render` its loss is the mean of equation 5 over them, that is with every render of theta divided by N and
 //! every picture without a mark by how many of them the term is over, since each stands for any theta_0(P):
 //!
-//! - l0 (1/N sum CE(theta) + mean CE(theta_0)), equation 3, the second over twins and other unmarked pictures;
+//! - l0 (1/N sum CE(theta) + mean CE(theta_0)), equation 3, the second over unmarked pairs and other unmarked pictures;
 //! - l1/N sum |F - I| over renders of identities, equation 1;
-//! - l2 (1/N sum |F| over renders of no cluster + mean |F| over one twin and one other unmarked picture), equation 2;
+//! - l2 (1/N sum |F| over renders of no cluster + mean |F| over one unmarked pair and one other unmarked picture), equation 2;
 //! - l3/N sum |theta - theta_0|, equation 4.
 //!
 //! Without it (the default) equation 3 is one mean over all pictures, equations 1 and 2 are each the mean over the pictures they
@@ -18,12 +18,12 @@
 //! it is to be silent there. Silence is black, no sound, no text.
 
 use crate::detect::blind::heads::Said;
-use crate::detect::blind::networks::planar;
 use crate::error::MarkError;
 use crate::payload::Numbers;
 use crate::stega::recipe::LossKind;
-use crate::stega::renders::Render;
-use crate::stega::trainer::MarkTrainer;
+use crate::stega::sample::Render;
+use crate::stega::state::State;
+use crate::tensors::planar;
 use cairn_nn::{binary_cross_entropy, cross_entropy, softmax};
 use candle_core::{Device, Tensor, Var};
 
@@ -39,76 +39,74 @@ enum Distance {
 /// What a signal has for a head.
 type Part = fn(&Numbers) -> Option<Vec<f32>>;
 
-impl MarkTrainer {
-    /// Equation 5 without its picture term, which needs no network: the loss, and what
-    /// it is made of. `images` are the renders (those of
-    /// identities first), then the twins, then the other unmarked pictures; `noisy` says of each whether it came with much noise.
-    pub(crate) fn loss(
-        &self,
-        images: &Var,
-        (renders, noisy): (&[Render], &[bool]),
-    ) -> Result<(Tensor, Losses), MarkError> {
-        let all = images.dims()[0];
-        let mut classes: Vec<u32> = renders.iter().map(|r| r.class).collect();
-        classes.resize(all, 0);
-        let logits = self.networks.classifier.forward(images)?;
-        let of_renders = self.config.loss_per_render.then_some(renders.len());
-        let cross = classification(&logits, &classes, of_renders)?;
-        let classify = f64::from(cross.to_scalar::<f32>()?);
-        // Detached: recovery must not teach the classifier what to say.
-        let probabilities = softmax(&logits)?.detach();
-        let each = surprises(&probabilities.to_vec2::<f32>()?, &classes);
-        let taught = self.config.has_classifier();
-        let weighted = (cross * if taught { self.config.weight_classify } else { 0.0 })?;
-        // By pictures, also where the loss is a mean over renders: `classify_until` means the same there.
-        let unread = mean_of_quiet(&each, noisy);
-        if self.joined.is_none() {
-            return Ok((weighted, Losses { classify, each, unread, ..Losses::default() }));
+/// Equation 5 without its picture term, which needs no network: the loss, and what
+/// it is made of. `images` are the renders (those of
+/// identities first), then the unmarked pairs, then the other unmarked pictures; `noisy` says of each whether it came with much noise.
+pub(crate) fn forward(
+    state: &State,
+    images: &Var,
+    renders: &[Render],
+    noisy: &[bool],
+) -> Result<(Tensor, Losses), MarkError> {
+    let all = images.dims()[0];
+    let mut classes: Vec<u32> = renders.iter().map(|r| r.class).collect();
+    classes.resize(all, 0);
+    let logits = state.networks.classifier.forward(images)?;
+    let of_renders = state.config.loss_per_render.then_some(renders.len());
+    let cross = classification(&logits, &classes, of_renders)?;
+    let classify = f64::from(cross.to_scalar::<f32>()?);
+    // Detached: recovery must not teach the classifier what to say.
+    let probabilities = softmax(&logits)?.detach();
+    let each = surprises(&probabilities.to_vec2::<f32>()?, &classes);
+    let taught = state.config.has_classifier();
+    let weighted = (cross * if taught { state.config.weight_classify } else { 0.0 })?;
+    // By pictures, also where the loss is a mean over renders: `classify_until` means the same there.
+    let unread = mean_of_quiet(&each, noisy);
+    if state.joined.is_none() {
+        return Ok((weighted, Losses { classify, each, unread, ..Losses::default() }));
+    }
+    // The gate silences most unmarked pictures by itself: one unmarked pair and one other
+    // picture a step suffice, and the detector is the costly network.
+    let told = state.networks.told(probabilities)?;
+    let shown = if state.config.recover_moves_marks { images.as_tensor().clone() } else { images.detach() };
+    let pieces = pieces([renders.len(), pair_now(state), all]);
+    let some = |t: &Tensor| -> Result<Tensor, MarkError> {
+        let parts = pieces.iter().map(|(from, length)| t.narrow(0, *from, *length)).collect::<Result<Vec<_>, _>>()?;
+        Ok(Tensor::cat(&parts, 0)?)
+    };
+    let said = state.networks.detector.forward(&some(&shown)?, &some(&told)?)?;
+    let hidden = |class: &u32| (*class as usize).checked_sub(1).map(|identity| &state.signals[identity]);
+    let truths: Vec<Option<&Numbers>> = classes[..renders.len()].iter().chain(&[0, 0]).map(hidden).collect();
+    let weights = [state.config.weight_recover, state.config.weight_empty];
+    let (heads, [recover, empty]) = recovery(&said, &truths, weights, of_renders, state.config.loss)?;
+    let unread = match taught {
+        true => unread,
+        false => {
+            let silent = recovery(&said.silent()?, &truths, weights, of_renders, state.config.loss)?;
+            Some(share_of_silence([recover, empty], silent.1[0]))
         }
-        // The gate silences most unmarked pictures by itself: one twin and one other
-        // picture a step suffice, and the detector is the costly network.
-        let told = self.networks.told(probabilities)?;
-        let shown = if self.config.recover_moves_marks { images.as_tensor().clone() } else { images.detach() };
-        let pieces = pieces([renders.len(), self.twin_now(), all]);
-        let some = |t: &Tensor| -> Result<Tensor, MarkError> {
-            let parts =
-                pieces.iter().map(|(from, length)| t.narrow(0, *from, *length)).collect::<Result<Vec<_>, _>>()?;
-            Ok(Tensor::cat(&parts, 0)?)
-        };
-        let said = self.networks.detector.forward(&some(&shown)?, &some(&told)?)?;
-        let hidden = |class: &u32| (*class as usize).checked_sub(1).map(|identity| &self.signals[identity]);
-        let truths: Vec<Option<&Numbers>> = classes[..renders.len()].iter().chain(&[0, 0]).map(hidden).collect();
-        let weights = [self.config.weight_recover, self.config.weight_empty];
-        let (heads, [recover, empty]) = recovery(&said, &truths, (weights, of_renders), self.config.loss)?;
-        let unread = match taught {
-            true => unread,
-            false => {
-                let silent = recovery(&said.silent()?, &truths, (weights, of_renders), self.config.loss)?;
-                Some(share_of_silence([recover, empty], silent.1[0]))
-            }
-        };
-        Ok(((weighted + heads)?, Losses { classify, each, recover, empty, unread }))
-    }
-
-    /// Which of the step's twins the detector sees: the first, whose silence the gate sees to; where none does, each
-    /// identity's in turn, since silence on it is learnt from these.
-    fn twin_now(&self) -> usize {
-        if self.config.has_gate() { 0 } else { turn(self.step, self.in_turn(), self.signals.len()) }
-    }
+    };
+    Ok(((weighted + heads)?, Losses { classify, each, recover, empty, unread }))
 }
 
-/// The place in step `step` of the render, of `batch`, whose twin it is the turn of. Renders go round the `identities` as
+/// Which of the step's unmarked pairs the detector sees: the first, whose silence the gate sees to; where none does, each
+/// identity's in turn, since silence on it is learnt from these.
+fn pair_now(state: &State) -> usize {
+    if state.config.has_gate() { 0 } else { turn(state.step, state.in_turn(), state.signals.len()) }
+}
+
+/// The place in step `step` of the render, of `batch`, whose unmarked pair it is the turn of. Renders go round the `identities` as
 /// well: all come up because this moves on only once those have come round.
 fn turn(step: u64, batch: usize, identities: usize) -> usize {
     let round = if batch.is_multiple_of(identities) { 1 } else { identities };
     (step / round as u64 % batch as u64) as usize
 }
 
-/// The pictures of a step that the detector sees, as (first, how many): of `all` the `renders`, the twin at `twin`, and the last.
-fn pieces([renders, twin, all]: [usize; 3]) -> Vec<(usize, usize)> {
-    match twin {
+/// The pictures of a step that the detector sees, as (first, how many): of `all` the `renders`, the unmarked pair at `unmarked pair`, and the last.
+fn pieces([renders, pair, all]: [usize; 3]) -> Vec<(usize, usize)> {
+    match pair {
         0 => vec![(0, renders + 1), (all - 1, 1)],
-        twin => vec![(0, renders), (renders + twin, 1), (all - 1, 1)],
+        pair => vec![(0, renders), (renders + pair, 1), (all - 1, 1)],
     }
 }
 
@@ -162,7 +160,8 @@ fn surprises(probabilities: &[Vec<f32>], classes: &[u32]) -> Vec<f32> {
 fn recovery(
     said: &Said,
     truths: &[Option<&Numbers>],
-    weights: ([f64; 2], Option<usize>),
+    weights: [f64; 2],
+    of_renders: Option<usize>,
     loss: LossKind,
 ) -> Result<(Tensor, [f64; 2]), MarkError> {
     let levels = Distance::Levels(loss);
@@ -176,7 +175,7 @@ fn recovery(
     for (said, distance, of) in heads {
         let Some(said) = said else { continue };
         let truths: Vec<Option<Vec<f32>>> = truths.iter().map(|t| t.and_then(of)).collect();
-        let (both, of_head) = head(said, &truths, weights, distance)?;
+        let (both, of_head) = head(said, &truths, weights, of_renders, distance)?;
         total = (total + both)?;
         means = [0, 1].map(|i| means[i] + of_head[i]);
         count += 1.0;
@@ -202,7 +201,8 @@ fn divisors<T>(truths: &[Option<T>], of_renders: Option<usize>) -> Vec<f64> {
 fn head(
     said: &Tensor,
     truths: &[Option<Vec<f32>>],
-    ([plus, minus], of_renders): ([f64; 2], Option<usize>),
+    [plus, minus]: [f64; 2],
+    of_renders: Option<usize>,
     distance: Distance,
 ) -> Result<(Tensor, [f64; 2]), MarkError> {
     let each = said.elem_count() / truths.len();
@@ -252,17 +252,17 @@ mod tests {
         let truths = [Some(vec![0.25, 0.5]), Some(vec![0.0, -1.0]), None];
         // |.|: (0.25 + 1) / 2 and (0 + 2) / 2, mean 0.8125; silence (0.25 + 0.75) / 2.
         let (both, [plus, minus]) =
-            head(&said, &truths, ([2.0, 3.0], None), Distance::Levels(LossKind::Absolute)).unwrap();
+            head(&said, &truths, [2.0, 3.0], None, Distance::Levels(LossKind::Absolute)).unwrap();
         assert!((plus - 0.8125).abs() < 1e-6 && (minus - 0.5).abs() < 1e-6);
         assert!((value(&both) - (2.0 * 0.8125 + 3.0 * 0.5)).abs() < 1e-6);
         // Squares: (0.0625 + 1) / 2 and (0 + 4) / 2, mean 1.265625; silence (0.0625 + 0.5625) / 2.
         let (both, [plus, minus]) =
-            head(&said, &truths, ([2.0, 3.0], None), Distance::Levels(LossKind::Squared)).unwrap();
+            head(&said, &truths, [2.0, 3.0], None, Distance::Levels(LossKind::Squared)).unwrap();
         assert!((plus - 1.265_625).abs() < 1e-6 && (minus - 0.3125).abs() < 1e-6);
         assert!((value(&both) - (2.0 * 1.265_625 + 3.0 * 0.3125)).abs() < 1e-6);
     }
 
-    /// Three identities, a view of no cluster, three twins and three other unmarked pictures: N = 4 renders of theta.
+    /// Three identities, a view of no cluster, three unmarked pairs and three other unmarked pictures: N = 4 renders of theta.
     #[test]
     fn a_step_of_three_identities_weighs_as_equation_5_a_render() {
         // Four classes; a logit of ln 2 beside three of 0 has probability 2/5, one of 0 beside it 1/5.
@@ -276,7 +276,7 @@ mod tests {
         let expected = (3.0 * right + wrong) / 4.0 + (5.0 * right + wrong) / 6.0;
         assert!((apart(Some(4)) - expected).abs() < 1e-6);
 
-        // Of these the detector sees the four renders, a twin and the last; a number each.
+        // Of these the detector sees the four renders, a unmarked pair and the last; a number each.
         let truths = [Some(vec![1.0]), Some(vec![1.0]), Some(vec![1.0]), None, None, None];
         assert_eq!(divisors(&truths, None), [3.0; 6]);
         assert_eq!(divisors(&truths, Some(4)), [4.0, 4.0, 4.0, 4.0, 2.0, 2.0]);
@@ -284,7 +284,7 @@ mod tests {
         let said = tensor(&[0.5, 0.75, 1.25, 0.125, 0.5, -0.25], 6);
         let both = |of_renders| {
             let (both, means) =
-                head(&said, &truths, ([2.0, 3.0], of_renders), Distance::Levels(LossKind::Absolute)).unwrap();
+                head(&said, &truths, [2.0, 3.0], of_renders, Distance::Levels(LossKind::Absolute)).unwrap();
             (value(&both), means)
         };
         let (sum, means) = both(None);
@@ -303,7 +303,7 @@ mod tests {
         let unread = |audio: [f32; 6], text: [f32; 6]| {
             let said = Said { picture: None, audio: Some(tensor(&audio, 3)), text: Some(tensor(&text, 3)) };
             let of = |said: &Said| {
-                recovery(said, &[Some(&one), Some(&one), None], ([9.0, 7.0], None), LossKind::Absolute).unwrap().1
+                recovery(said, &[Some(&one), Some(&one), None], [9.0, 7.0], None, LossKind::Absolute).unwrap().1
             };
             share_of_silence(of(&said), of(&said.silent().unwrap())[0])
         };
@@ -331,7 +331,7 @@ mod tests {
             assert_eq!(counts, vec![steps / identities; identities], "{batch} of {identities}");
         }
         assert_eq!([0, 1, 2, 3].map(|step| turn(step, 3, 3)), [0, 1, 2, 0]);
-        // Three identities' renders, one of no cluster, three twins, three others.
+        // Three identities' renders, one of no cluster, three unmarked pairs, three others.
         assert_eq!(pieces([4, 0, 10]), [(0, 5), (9, 1)]);
         assert_eq!(pieces([4, 2, 10]), [(0, 4), (6, 1), (9, 1)]);
     }
@@ -350,14 +350,14 @@ mod tests {
         // A 1 under logit ln 3 has probability 3/4, a 0 under it 1/4; a logit of 0 says nothing.
         let three = 3.0f32.ln();
         let said = tensor(&[three, three, 0.0, -three], 2);
-        let (both, [plus, _]) = head(&said, &[Some(vec![1.0, 0.0]), None], ([1.0, 1.0], None), Distance::Bits).unwrap();
+        let (both, [plus, _]) = head(&said, &[Some(vec![1.0, 0.0]), None], [1.0, 1.0], None, Distance::Bits).unwrap();
         let expected = (-(0.75f64.ln()) - 0.25f64.ln()) / 2.0;
         assert!((plus - expected).abs() < 1e-6, "{plus} for {expected}");
         let silent = (2.0f64.ln() - 0.75f64.ln()) / 2.0;
         assert!((value(&both) - expected - silent).abs() < 1e-6);
         // Far out it is the logit itself, and finite.
         let (far, _) =
-            head(&tensor(&[90.0, -1e4], 1), &[Some(vec![0.0, 1.0])], ([1.0, 1.0], None), Distance::Bits).unwrap();
+            head(&tensor(&[90.0, -1e4], 1), &[Some(vec![0.0, 1.0])], [1.0, 1.0], None, Distance::Bits).unwrap();
         assert!((value(&far) - (90.0 + 1e4) / 2.0).abs() < 1e-2);
     }
 
@@ -370,7 +370,7 @@ mod tests {
         };
         let spoken = Numbers { audio: Some(vec![0.0, 1.0]), ..Numbers::default() };
         let (both, [plus, minus]) =
-            recovery(&said, &[Some(&spoken), None], ([1.0, 1.0], None), LossKind::Absolute).unwrap();
+            recovery(&said, &[Some(&spoken), None], [1.0, 1.0], None, LossKind::Absolute).unwrap();
         // Audio: 0.5 and 0.25. Text: nobody's, so that both pictures are to be silent, ln 2 nats a bit.
         assert!((plus - 0.25).abs() < 1e-6, "{plus}");
         assert!((minus - (0.25 + 2.0f64.ln()) / 2.0).abs() < 1e-6, "{minus}");
