@@ -12,8 +12,6 @@ mod access;
 mod audit;
 mod auditing;
 mod base_only;
-mod bench_field;
-mod bench_mark;
 mod chosen_light;
 mod fuzz_requests;
 mod keys;

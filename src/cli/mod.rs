@@ -3,7 +3,7 @@
 mod access;
 mod answers;
 mod audit;
-mod bench;
+
 mod connect;
 mod corrections;
 mod credential;
@@ -91,11 +91,6 @@ enum Command {
     Witness(witness::Command),
     /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
     Demo(demo::Args),
-    /// Measure run time and quality, into a ledger
-    Bench(bench::Args),
-    /// One measurement of `bench field`, in a process of its own; what, it hears on standard input
-    #[command(hide = true)]
-    BenchPart,
 }
 
 impl Cli {
@@ -104,11 +99,9 @@ impl Cli {
     /// # Errors
     /// Whatever went wrong, for people to read.
     pub fn run(self) -> anyhow::Result<ExitCode> {
-        if !matches!(self.command, Command::Bench(_) | Command::BenchPart) {
-            // Whatever opens a data folder reads the registry's key; measurements want their cores and counters.
-            cairn_service::secrets::keep_out_of_dumps()
-                .context("cannot forbid core dumps, which would hold secret keys")?;
-        }
+        // Whatever opens a data folder reads the registry's key.
+        cairn_service::secrets::keep_out_of_dumps()
+            .context("cannot forbid core dumps, which would hold secret keys")?;
         let config = Config::load(self.place.config.as_deref())?;
         start_log(&config, matches!(self.command, Command::Serve | Command::Witness(_)));
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -124,8 +117,6 @@ impl Cli {
             Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
             Command::Registry(command) => registry::run(&place, &config, &command)?,
             Command::Demo(args) => demo::run(&place, args).await?,
-            Command::Bench(args) => bench::run(&place, args).await?,
-            Command::BenchPart => bench::part()?,
             Command::Audit(command) => return audit::run(&command),
             command => {
                 let line = Connection::open(&place).await?;
@@ -152,13 +143,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Access(command) => access::run(line, command).await,
         Command::Owners(command) => owners::run(line, command).await,
         Command::Keys(command) => keys::run(line, &command).await,
-        Command::Serve
-        | Command::Audit(_)
-        | Command::Witness(_)
-        | Command::Demo(_)
-        | Command::Registry(_)
-        | Command::Bench(_)
-        | Command::BenchPart => Ok(()),
+        Command::Serve | Command::Audit(_) | Command::Witness(_) | Command::Demo(_) | Command::Registry(_) => Ok(()),
     }
 }
 

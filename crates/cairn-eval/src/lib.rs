@@ -1,20 +1,27 @@
-//! The ledger of measurements: what was measured, against which target, by
-//! which command, from which seed and commit, on what machine.
+//! Benchmarks of Cairn: what was measured, against which target, by which command, from which seed and commit, on what
+//! machine.
 //!
-//! Reports are generated from the ledger and never written by hand, so a figure
-//! without its origin cannot get into them, and a missed target stays visible.
+//! The page of results is generated and never written by hand. A figure without its origin cannot get into it, and a
+//! missed target stays visible.
 
-pub mod chart;
-mod ledger;
-mod markdown;
-mod notes;
+pub mod args;
+pub mod baseline;
+mod captures;
+pub mod children;
+mod file;
+mod marked;
+mod marks;
+mod memory;
 mod origin;
-pub mod sheet;
-pub mod sound;
-pub mod table;
+pub mod page;
+pub mod parts;
+mod progress;
+pub mod results;
+mod rows;
+pub mod run;
+mod settings;
+mod source;
+mod suite;
+mod table;
 mod timing;
-
-pub use ledger::{Ledger, LedgerError, Row, Target, TargetOp};
-pub use notes::Notes;
-pub use origin::{commit, machine, today};
-pub use timing::{Stopwatch, median};
+mod trained;

@@ -1,16 +1,16 @@
 //! Where a measurement comes from: commit, machine and day. Nothing here names
-//! a host or a user, since the ledger is published.
+//! a host or a user, since results are published.
 
 use std::path::Path;
 use std::process::Command;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The commit checked out in `folder`, 12 hexadecimal digits, followed by
-/// `-dirty` when tracked files differ from it (the ledger and its page aside,
+/// `-dirty` when tracked files differ from it (results and their page aside,
 /// which measuring itself changes). `unknown` where there is no git to ask.
 pub fn commit(folder: &Path) -> String {
     let Some(head) = git(folder, &["rev-parse", "--short=12", "HEAD"]) else { return "unknown".to_owned() };
-    let ours = [":/", ":(top,exclude)docs/benchmarks.json", ":(top,exclude)docs/benchmarks.md"];
+    let ours = [":/", ":(top,exclude)bench/results", ":(top,exclude)docs/results.md"];
     let status = [&["status", "--porcelain", "--untracked-files=no", "--"][..], &ours].concat();
     match git(folder, &status) {
         Some(changes) if changes.is_empty() => head,
@@ -103,12 +103,12 @@ mod tests {
             std::fs::write(folder.path().join(name), text).unwrap();
         };
         write("a", "1");
-        write("docs/benchmarks.json", "1");
+        write("docs/results.md", "1");
         assert!(run(&["add", "."]));
         assert!(run(&["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "first"]));
         let clean = commit(folder.path());
         assert!(clean.len() == 12 && clean.bytes().all(|b| b.is_ascii_hexdigit()), "{clean}");
-        write("docs/benchmarks.json", "2");
+        write("docs/results.md", "2");
         assert_eq!(commit(folder.path()), clean);
         write("a", "2");
         assert_eq!(commit(folder.path()), format!("{clean}-dirty"));

@@ -7,10 +7,8 @@
 //! is a [`MarkedField`] and a [`Detector`].
 
 mod attack;
-mod deepstega;
 mod detect;
 mod error;
-mod lsb;
 mod marked;
 mod payload;
 mod progress;
@@ -18,11 +16,9 @@ pub mod stega;
 mod tensors;
 
 pub use attack::{Distortion, RobustConfig};
-pub use deepstega::{DeepConfig, DeepStats, DeepStega, DeepTrainer};
 pub use detect::blind::detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use detect::informed::{BELIEVED, RegisteredReader, RegisteredReading};
 pub use error::MarkError;
-pub use lsb::{hide_in_lowest_bits, read_lowest_bits};
 pub use marked::{MARKED_FORMAT, MarkedField};
 pub use payload::{HeadSizes, Signal};
 pub use stega::{

@@ -2,7 +2,6 @@
 
 mod common;
 
-mod deepstega;
 mod density;
 mod digest;
 mod heads;

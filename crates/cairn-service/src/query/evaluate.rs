@@ -6,8 +6,8 @@
 
 use std::collections::BTreeSet;
 
-use cairn_eval::sheet::{Tile, contact_sheet, words};
-use cairn_eval::sound::sounds;
+use crate::export::sheet::{Tile, contact_sheet, words};
+use crate::export::sound::sounds;
 use cairn_mark::Signal;
 use cairn_scene::cluster::Grouping;
 use cairn_scene::metrics::{psnr_db, ssim};

@@ -1,0 +1,12 @@
+//! The suites, a module each.
+
+pub mod ablation;
+pub mod baseline;
+pub mod conv;
+pub mod demo;
+pub mod field;
+pub mod liberty;
+pub mod mark;
+pub mod registry;
+pub mod scenes;
+pub mod tradeoff;

@@ -1,0 +1,4 @@
+//! All of these tests as one program.
+
+mod deepstega;
+mod results;
