@@ -1,7 +1,6 @@
 //! The real binary at work: starts daemons on a free port, runs commands, and
 //! makes tiny captures of a made-up landmark.
 
-pub mod captures;
 pub mod files;
 pub mod world;
 

@@ -22,6 +22,5 @@ pub mod run;
 mod settings;
 mod source;
 mod suite;
-mod table;
 mod timing;
 mod trained;

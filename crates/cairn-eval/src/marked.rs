@@ -19,7 +19,7 @@ use crate::file::{open, read, write};
 use crate::memory::{peak_mib, processor_s};
 use crate::progress::Progress;
 use crate::source::{Opened, Source};
-use crate::timing::{Stopwatch, median};
+use crate::timing::{median, median_within};
 
 /// Renders and readings of a view that are timed at most, and seconds after which no more are.
 const LAPS: (usize, f64) = (3, 2.0);
@@ -285,13 +285,13 @@ impl Work for ServeMarks {
         let (mut rates, mut reading, mut reading_unmarked) = (Vec::new(), Vec::new(), Vec::new());
         for camera in &self.cameras {
             progress.at(rates.len() as u64, "");
-            let seconds = Stopwatch::median_within(LAPS.0, LAPS.1, || marked.render(camera, &appearance));
+            let seconds = median_within(LAPS.0, LAPS.1, || marked.render(camera, &appearance));
             rates.push((camera.intrinsics.width * camera.intrinsics.height) as f64 / seconds.max(1e-9));
             let renders = [marked.render(camera, &appearance), marked.base().render(camera, &appearance)];
             for (render, seconds) in renders.iter().zip([&mut reading, &mut reading_unmarked]) {
                 let picture = eight_bits(render)?;
                 detector.detect(&picture)?;
-                seconds.push(Stopwatch::median_within(LAPS.0, LAPS.1, || detector.detect(&picture)));
+                seconds.push(median_within(LAPS.0, LAPS.1, || detector.detect(&picture)));
             }
         }
         let no_view = "there is no view to render";

@@ -8,8 +8,8 @@ use anyhow::Context as _;
 use cairn_field::{BaseTrainer, Field, FieldConfig};
 use cairn_scene::metrics::{psnr_db, psnr_db_masked, ssim};
 use cairn_scene::{Camera, Picture, encode_png};
-use cairn_service::query::evaluate::{OFF, PERFECT_DB, difference, eight_bits, half};
 use cairn_service::export::sheet::{Tile, contact_sheet};
+use cairn_service::query::evaluate::{OFF, PERFECT_DB, difference, eight_bits, half};
 use serde::{Deserialize, Serialize};
 
 use crate::baseline::stego::Stego;
@@ -18,7 +18,7 @@ use crate::file::{open, read, write};
 use crate::memory::peak_mib;
 use crate::progress::Progress;
 use crate::source::Source;
-use crate::timing::{Stopwatch, median};
+use crate::timing::{median, median_within};
 
 /// Bytes of a MiB.
 const MIB: f64 = 1024.0 * 1024.0;
@@ -247,7 +247,7 @@ impl Work for Serve {
         for camera in &self.cameras {
             progress.at(rates.len() as u64, "");
             let render = || field.render(camera, field.canonical_appearance());
-            let seconds = Stopwatch::median_within(LAPS.0, LAPS.1, render);
+            let seconds = median_within(LAPS.0, LAPS.1, render);
             rates.push((camera.intrinsics.width * camera.intrinsics.height) as f64 / seconds.max(1e-9));
         }
         let rays_per_s = median(&rates).context("there is no view to render")?;

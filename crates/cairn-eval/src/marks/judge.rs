@@ -7,10 +7,10 @@ use std::path::PathBuf;
 use cairn_mark::{Detector, Distortion, Recipe, MarkedField, Signal};
 use cairn_scene::metrics::{expected_calibration_error, psnr_db, ssim};
 use cairn_scene::{Picture, encode_png};
+use cairn_service::export::sheet::{Tile, contact_sheet};
 use cairn_service::query::evaluate::{PERFECT_DB, difference, eight_bits, half, signal_tiles};
 use cairn_service::query::recovery::{SeenView, recovery};
 use cairn_service::query::report::{Recovery, Right};
-use cairn_service::export::sheet::{Tile, contact_sheet};
 use serde::{Deserialize, Serialize};
 
 use super::attack::{self, Set};

@@ -196,7 +196,7 @@ impl Run {
             foreign: foreign.collect::<anyhow::Result<_>>()?,
             source,
             mark: settings.mark,
-            thorough: variant.name.is_empty(),
+            thorough: true,
             pictures: pictures.to_vec(),
             others: if case.all_kinds { beside(&pictures[0])? } else { Files::default() },
             field: settings.field,

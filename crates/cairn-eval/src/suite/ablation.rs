@@ -67,11 +67,12 @@ pub async fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
     for case in cases {
         let mut outcomes: Vec<(&str, Outcome)> = Vec::new();
         for variant in &wanted {
-            let run = Run::new(args, case, &captures, &pictures, variant)?;
+            let mut run = Run::new(args, case, &captures, &pictures, variant)?;
+            run.thorough = false;
             let name = run.name.clone();
             let work = move |children: &Children| {
                 let base = run.base(children)?;
-                Run { thorough: false, ..run }.outcome(base, children)
+                run.outcome(base, children)
             };
             let outcome = children.unless_stopped(work).await?;
             report::add_renders(rows, &name, &outcome);

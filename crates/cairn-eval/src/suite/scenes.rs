@@ -10,9 +10,9 @@ use cairn_field::Field;
 use cairn_mark::{Detector, Recipe, MarkScene, MarkTrainer, MarkedField, Signal};
 use cairn_scene::metrics::psnr_db;
 use cairn_service::query::evaluate::PERFECT_DB;
-use cairn_service::train::marks::JUDGE_EVERY;
 use cairn_service::query::recovery::picture_ssim;
 use cairn_service::query::report::Right;
+use cairn_service::train::marks::JUDGE_EVERY;
 use serde::{Deserialize, Serialize};
 
 use crate::args::Args;

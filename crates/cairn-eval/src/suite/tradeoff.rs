@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use crate::children::Work;
 use crate::file::read;
 use crate::progress::Progress;
-use crate::timing::{Stopwatch, median};
+use crate::timing::{median, median_within};
 
 /// What a pixel leaves out as shipped.
 const SHIPPED: Thresholds = Thresholds::SHOWN;
@@ -90,7 +90,7 @@ impl Work for Tradeoffs {
             let mut sum = Sum::default();
             exact.iter().for_each(|(small, exact)| sum.add(render(small).rgb(), exact));
             let rate = |camera: &Camera| {
-                let seconds = Stopwatch::median_within(LAPS.0, LAPS.1, || render(camera));
+                let seconds = median_within(LAPS.0, LAPS.1, || render(camera));
                 (camera.intrinsics.width * camera.intrinsics.height) as f64 / seconds.max(1e-9)
             };
             let rates: Vec<f64> = self.cameras.iter().map(rate).collect();

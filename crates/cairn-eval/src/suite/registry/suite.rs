@@ -15,7 +15,6 @@ use crate::args::Args;
 use crate::children::Children;
 use crate::results::Target;
 use crate::rows::Rows;
-use crate::table::Table;
 
 /// Sizes of the cost curves, records.
 const SIZES: [u64; 5] = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
@@ -28,18 +27,12 @@ const RATE: f64 = 2000.0;
 /// Rounds of killing the process that takes records in.
 const ROUNDS: u64 = 200;
 
-const COLUMNS: [&str; 10] = [
-    "records",
-    "seed",
-    "start_s",
-    "prove_us",
-    "answer_ms",
-    "submit_ms",
-    "verify_us",
-    "bundle_bytes",
-    "peak_mib",
-    "audit_s",
-];
+/// What a log of some size costs.
+struct Cost {
+    records: u64,
+    served: Served,
+    audit_s: f64,
+}
 
 /// Measures everything, into `rows` and, as curves, into `args.out`.
 ///
@@ -112,9 +105,7 @@ fn curves(
     rows: &mut Rows,
     folder: &dyn Fn(&str) -> anyhow::Result<PathBuf>,
 ) -> anyhow::Result<()> {
-    // Of both kinds of run: a size's row is replaced, the others stay.
-    let path = args.out.join("sizes.csv");
-    let mut table = if path.exists() { Table::load(&path, &COLUMNS)? } else { Table::new(&COLUMNS) };
+    let mut costs = Vec::new();
     let wanted = |records: &u64| if args.long { *records == GOAL } else { *records < GOAL };
     for records in SIZES.into_iter().filter(wanted).filter(|records| !args.quick || *records <= 10_000) {
         let (label, folder) = (format!("{} records", with_units(records)), folder(&format!("log-{records}"))?);
@@ -132,16 +123,9 @@ fn curves(
         }
         rows.add(&args.case_name(&label), "on disk", bytes as f64 / records as f64, "bytes/record", None);
         rows.save(args)?;
-        let prove = served.prove_us.median;
-        let figures = [served.start_s, prove, served.answer_ms, served.submit_ms.median, served.verify_us];
-        let peak = served.peak_mib.unwrap_or(f64::NAN);
-        let figures = figures.into_iter().chain([served.bundle_bytes, peak, audited.seconds]);
-        let cells = [records.to_string(), args.seed.to_string()].into_iter().chain(figures.map(|f| f.to_string()));
-        table.retain(|row| row[0] != records.to_string());
-        table.push(cells.collect())?;
+        costs.push(Cost { records, served, audit_s: audited.seconds });
     }
-    table.save(&path)?;
-    draw(&args.out, &table)
+    draw(&args.out, &costs)
 }
 
 fn of_size(case: &str, served: &Served, records: u64, rows: &mut Rows) {
@@ -161,8 +145,8 @@ fn of_size(case: &str, served: &Served, records: u64, rows: &mut Rows) {
 }
 
 /// Draws what a log's size costs.
-fn draw(out: &Path, table: &Table) -> anyhow::Result<()> {
-    let _ = (out, table);
+fn draw(out: &Path, costs: &[Cost]) -> anyhow::Result<()> {
+    let _ = (out, costs.iter().map(|c| (c.records, c.audit_s, &c.served)).count());
     Ok(())
 }
 
