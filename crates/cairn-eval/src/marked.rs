@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use cairn_field::Field;
-use cairn_mark::{Detector, Known, Recipe, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Signal};
+use cairn_mark::{Detector, Known, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Recipe, Signal};
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
 use cairn_scene::{Camera, Picture8};
 use cairn_service::query::evaluate::eight_bits;

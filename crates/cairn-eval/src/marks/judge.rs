@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
-use cairn_mark::{Detector, Distortion, Recipe, MarkedField, Signal};
+use cairn_mark::{Detector, Distortion, MarkedField, Recipe, Signal};
 use cairn_scene::metrics::{expected_calibration_error, psnr_db, ssim};
 use cairn_scene::{Picture, encode_png};
 use cairn_service::export::sheet::{Tile, contact_sheet};

@@ -1,7 +1,7 @@
 //! Suite `ablation`: fern, or the captures that are named, marked with a part of the method switched off or replaced at a
 //! time. What training skips is compared with the same not skipped, trained in one run.
 
-use cairn_mark::{CarrierKind, DensityKind, Guidance, LossKind, Recipe, MaskKind};
+use cairn_mark::{CarrierKind, DensityKind, Guidance, LossKind, MaskKind, Recipe};
 use cairn_nn::Memory;
 
 use crate::args::Args;
@@ -21,7 +21,7 @@ const ABLATIONS: [Variant; 25] = [
     row("the paper's recipe", |m| *m = Recipe::paper()),
     row("no classifier", |m| (m.guidance, m.recover_moves_marks) = (Guidance::NoClassifier, true)),
     row("recovery moves marks", |m| m.recover_moves_marks = true),
-    row("classifier not guiding", |m| m.guidance = Guidance::Untold),
+    row("classifier not guiding", |m| m.guidance = Guidance::Unguided),
     row("no mask", |m| m.mask = MaskKind::None),
     row("binary mask at 0.5", |m| (m.mask, m.mask_share) = (MaskKind::Binary, 0.5)),
     row("binary mask at 0.9", |m| (m.mask, m.mask_share) = (MaskKind::Binary, 0.9)),

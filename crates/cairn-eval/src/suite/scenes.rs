@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use cairn_field::Field;
-use cairn_mark::{Detector, Recipe, MarkScene, MarkTrainer, MarkedField, Signal};
+use cairn_mark::{Detector, MarkScene, MarkTrainer, MarkedField, Recipe, Signal};
 use cairn_scene::metrics::psnr_db;
 use cairn_service::query::evaluate::PERFECT_DB;
 use cairn_service::query::recovery::picture_ssim;
