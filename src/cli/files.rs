@@ -1,6 +1,5 @@
 //! Files that commands read and write, named where that fails.
 
-use std::fs::File;
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -11,14 +10,6 @@ use anyhow::Context as _;
 /// The file system's, with the file's name.
 pub fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
-}
-
-/// Opens a file to be read piece by piece.
-///
-/// # Errors
-/// The file system's, with the file's name.
-pub fn open(path: &Path) -> anyhow::Result<File> {
-    File::open(path).with_context(|| format!("cannot open {}", path.display()))
 }
 
 /// Writes a file.

@@ -9,7 +9,8 @@ use cairn_field::{BaseTrainer, Field, FieldConfig};
 use cairn_scene::metrics::{psnr_db, psnr_db_masked, ssim};
 use cairn_scene::{Camera, Picture, encode_png};
 use cairn_service::export::sheet::{Tile, contact_sheet};
-use cairn_service::query::evaluate::{OFF, PERFECT_DB, difference, eight_bits, half};
+use cairn_service::query::evaluate::{OFF, difference, eight_bits, half};
+use cairn_service::query::report::PERFECT_DB;
 use serde::{Deserialize, Serialize};
 
 use crate::baseline::stego::Stego;

@@ -8,8 +8,9 @@ use cairn_mark::{Detector, Distortion, MarkedField, Recipe, Signal};
 use cairn_scene::metrics::{expected_calibration_error, psnr_db, ssim};
 use cairn_scene::{Picture, encode_png};
 use cairn_service::export::sheet::{Tile, contact_sheet};
-use cairn_service::query::evaluate::{PERFECT_DB, difference, eight_bits, half, signal_tiles};
+use cairn_service::query::evaluate::{difference, eight_bits, half, signal_tiles};
 use cairn_service::query::recovery::{SeenView, recovery};
+use cairn_service::query::report::PERFECT_DB;
 use cairn_service::query::report::{Recovery, Right};
 use serde::{Deserialize, Serialize};
 

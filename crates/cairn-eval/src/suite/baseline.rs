@@ -10,7 +10,8 @@ use anyhow::Context as _;
 use cairn_field::Field;
 use cairn_scene::Picture;
 use cairn_scene::metrics::{psnr_db, ssim};
-use cairn_service::query::evaluate::{PERFECT_DB, eight_bits};
+use cairn_service::query::evaluate::eight_bits;
+use cairn_service::query::report::PERFECT_DB;
 use serde::{Deserialize, Serialize};
 
 use crate::args::Args;
