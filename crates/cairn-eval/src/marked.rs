@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use cairn_field::Field;
+use cairn_field::{Field, NamedView};
 use cairn_mark::{Detector, Known, MarkPlan, MarkScene, MarkTrainer, MarkedField, PlannedView, Recipe, Signal};
+use cairn_scene::Camera;
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};
-use cairn_scene::{Camera, Picture8};
 use cairn_service::query::evaluate::eight_bits;
 use cairn_service::store::hidden::{Parts, decoded};
-use cairn_service::train::marks::{JUDGE_EVERY, Taken, explained};
+use cairn_service::train::marks::{JUDGE_EVERY, explained};
 use serde::{Deserialize, Serialize};
 
 use crate::children::Work;
@@ -177,21 +177,18 @@ fn going_on(
     Ok(MarkTrainer::growing(vec![scene], &earlier, config, seed, hear)?)
 }
 
-/// A capture's plan, and by whom its photographs were taken.
+/// A capture's plan, and its photographs.
 pub struct Planned {
     /// What is trained.
     pub plan: MarkPlan,
-    /// Name and contributor of each of its views.
-    taken: Vec<(String, String)>,
+    /// Its views with their photographs.
+    taken: Vec<NamedView>,
 }
 
 impl Planned {
-    /// How well `base` explains the photographs, PSNR in dB: what marks may cost hangs on it, here as in the engine.
+    /// How well `base` explains the photographs, PSNR in dB: what marks may cost follows from it, as in the service.
     pub fn explained_db(&self, base: &Field) -> f64 {
-        let views = self.plan.views.iter().zip(&self.taken);
-        let taken: Vec<Taken<'_>> =
-            views.map(|(view, (name, contributor))| Taken { camera: view.camera, name, contributor }).collect();
-        explained(base, &taken, &self.plan.negatives)
+        explained(base, &self.taken)
     }
 }
 
@@ -216,10 +213,10 @@ pub fn plan(
     let views = training.iter().map(|index| {
         let view = opened.view(*index)?;
         let planned = PlannedView { camera: view.camera, appearance: base.appearance_of(&view.name).clone() };
-        Ok((planned, (Picture8::from(&*view.picture), (view.name, view.contributor))))
+        Ok((planned, view.named()))
     });
-    let (views, photographs): (_, Vec<_>) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
-    let (negatives, taken) = photographs.into_iter().unzip();
+    let (views, taken): (_, Vec<_>) = views.collect::<anyhow::Result<Vec<_>>>()?.into_iter().unzip();
+    let negatives = taken.iter().map(|view: &NamedView| view.view.rgb8.clone()).collect();
     Ok(Planned { plan: MarkPlan { clusters, views, signals, negatives }, taken })
 }
 

@@ -1,7 +1,6 @@
 //! Stage 1 as work: a field trained from a capture, scored on held-out views, and rendered by a fresh process.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
@@ -76,9 +75,9 @@ impl Work for Train {
         let view = |index: usize| {
             let mut view = opened.view(index)?;
             if let Some(stego) = &stego {
-                view.picture = Arc::new(stego.hide(&view.picture)?);
+                view.picture = stego.hide(&view.picture)?;
             }
-            Ok(view)
+            Ok(view.named())
         };
         let views = opened.training().into_iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
         let (frame, background) = (opened.frame()?, opened.background());

@@ -3,7 +3,6 @@
 //! the photographs it is all there; read from renders of the field it should be gone.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
@@ -85,7 +84,7 @@ impl Work for TrainNetworks {
 
     fn run(&self) -> anyhow::Result<Networks> {
         let opened = self.source.open()?;
-        let photograph = |index: usize| Ok(Arc::unwrap_or_clone(opened.view(index)?.picture));
+        let photograph = |index: usize| Ok(opened.view(index)?.picture);
         let photographs = opened.training().into_iter().map(photograph).collect::<anyhow::Result<Vec<_>>>()?;
         let hidden = self.hidden.iter().map(|path| decoded(path)).collect::<anyhow::Result<Vec<_>>>()?;
         let begun = Instant::now();

@@ -7,10 +7,11 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use cairn_field::appearance::features;
-use cairn_field::composite::gather;
-use cairn_field::patch::Patch;
-use cairn_field::{Appearance, Field, Thresholds, sh};
+use cairn_field::appearance::code::features;
+use cairn_field::grid::sh;
+use cairn_field::render::composite::gather;
+use cairn_field::render::patch::Patch;
+use cairn_field::{Appearance, Field, Thresholds};
 use cairn_scene::Camera;
 use serde::{Deserialize, Serialize};
 
@@ -136,7 +137,7 @@ fn render_exact(field: &Field, camera: &Camera, appearance: &Appearance) -> Vec<
     let mut pixel = |at: usize| {
         let (origin, direction) = camera.ray((at % w) as f64 + 0.5, (at / w) as f64 + 0.5);
         let harmonics = sh::basis(direction.to_array());
-        patch.begin(field.colours().weights(&harmonics, &appearance.lights()));
+        patch.begin(harmonics);
         let gathered = gather(&grid, &mut patch, &field.frame().path(origin, direction), 0.5, limits, &mut tape);
         appearance.shade(&features(&gathered, &harmonics))
     };
