@@ -42,7 +42,7 @@ pub fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
         train.extend([text("--signals"), signals.as_os_str()]);
     }
     if args.quick {
-        train.push(text("--quick"));
+        train.extend(["--quality", "draft"].map(text));
     }
     cairn(&train)?;
     let evaluate = ["evaluate", "liberty", "--json"].map(text);
