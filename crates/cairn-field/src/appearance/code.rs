@@ -162,12 +162,12 @@ impl Appearance {
 
     /// The linear part for colours of the inner box, `3 x 3` row-major
     /// (output channel, stored channel): what a change of colour there becomes.
-    pub fn near_matrix(&self) -> [[f32; 3]; 3] {
+    pub(crate) fn near_matrix(&self) -> [[f32; 3]; 3] {
         std::array::from_fn(|c| std::array::from_fn(|k| self.code[c * FEATURES + k]))
     }
 
     /// As [`Appearance::near_matrix`], for the surroundings.
-    pub fn far_matrix(&self) -> [[f32; 3]; 3] {
+    pub(crate) fn far_matrix(&self) -> [[f32; 3]; 3] {
         std::array::from_fn(|c| std::array::from_fn(|k| self.code[c * FEATURES + 4 + k]))
     }
 }

@@ -10,6 +10,7 @@
 //! tell its places apart is refused.
 
 use crate::error::FieldError;
+use crate::stats::median;
 use cairn_scene::{Camera, Capture, SceneKind, View};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -323,10 +324,6 @@ fn focus_and_footprint(cameras: &[&Camera]) -> (DVec3, f64) {
     // Parallel axes meet nowhere: a little pull to the cameras' middle decides.
     a += DMat3::IDENTITY * (1e-3 * cameras.len() as f64);
     let focus = middle + a.inverse() * b;
-    let median = |mut v: Vec<f64>| {
-        v.sort_by(f64::total_cmp);
-        v[v.len() / 2]
-    };
     let distance = median(cameras.iter().map(|c| (c.pose.position - focus).length()).collect());
     let slope = median(
         cameras

@@ -141,12 +141,12 @@ pub(crate) fn weigh<T: Real>(grid: &Grid<T>, path: &RayPath, limits: Thresholds,
 }
 
 /// The tape's runs of samples in one cell and one part of space.
-pub fn runs<T: Real>(tape: &[Kept<T>]) -> impl DoubleEndedIterator<Item = &[Kept<T>]> {
+pub(crate) fn runs<T: Real>(tape: &[Kept<T>]) -> impl DoubleEndedIterator<Item = &[Kept<T>]> {
     tape.chunk_by(|a, b| a.cell == b.cell && a.far == b.far)
 }
 
 /// What each corner of a run's cell weighs in the pixel.
-pub fn corner_shares<T: Real>(run: &[Kept<T>]) -> [T; 8] {
+pub(crate) fn corner_shares<T: Real>(run: &[Kept<T>]) -> [T; 8] {
     let mut shares = [T::zero(); 8];
     for kept in run {
         for (share, corner) in shares.iter_mut().zip(trilinear(kept.frac)) {

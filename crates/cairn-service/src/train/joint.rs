@@ -21,6 +21,7 @@ use crate::train::job::Job;
 use crate::train::jobs::Control;
 use crate::train::marks::Grown;
 use crate::train::sifting::Sift;
+use crate::train::stages::Photographs;
 
 /// A scene of a training.
 pub(crate) struct Part {
@@ -30,6 +31,8 @@ pub(crate) struct Part {
     pub(crate) folder: PathBuf,
     /// The scene with the views to train on.
     pub(crate) scene: SceneFolder,
+    /// Their photographs.
+    pub(crate) photographs: Photographs,
     /// Over those views.
     pub(crate) clusters: Clusters,
     /// The model that it goes on from.
@@ -51,12 +54,13 @@ pub(crate) fn parts(
         let folder = if at == 0 { folder.to_path_buf() } else { folder.join(format!("scene-{}", at + 1)) };
         std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
         let scene = scenes::open(scenes, name)?;
-        let Some(scene) = sift.sifted(&own, scene, &folder, control)? else { return Ok(None) };
+        let photographs = Photographs::default();
+        let Some(scene) = sift.sifted(&own, scene, &photographs, &folder, control)? else { return Ok(None) };
         let (clusters, note) = clusters_if_any(&scene, &own.spec.grouping, own.spec.seed, own.spec.base_only)?;
         note.into_iter().for_each(|note| control.note(note));
         let earlier = own.spec.grow_from.first().cloned().flatten();
         let earlier = earlier.map(|from| model::of_job(models, name, &from)).transpose()?;
-        parts.push(Part { job: own, folder, scene, clusters, earlier });
+        parts.push(Part { job: own, folder, scene, photographs, clusters, earlier });
     }
     Ok(Some(parts))
 }

@@ -14,7 +14,7 @@ use cairn_scene::metrics::psnr_db_from_mse;
 
 use crate::error::EngineError;
 use crate::store::given::QUIET_DB;
-use crate::train::stages::{self, Preparing, Stage, Step};
+use crate::train::stages::{self, Photographs, Preparing, Stage, Step};
 
 /// Steps between judgements of a state on poses it was not trained on; fixed, so
 /// that every run of a job judges at the same steps.
@@ -49,6 +49,8 @@ pub struct ToMark<'a> {
     pub name: &'a str,
     /// The scene with the views to train on.
     pub scene: &'a SceneFolder,
+    /// Their photographs; stage 2 lets them go.
+    pub photographs: &'a Photographs,
     /// theta_0.
     pub base: Field,
     /// Over the scene's training views.
@@ -111,14 +113,15 @@ impl Marking {
         let mut levels: Vec<(usize, f64)> = Vec::new();
         let several = scenes.len() > 1;
         let mut asked = Vec::with_capacity(scenes.len());
-        for ToMark { name, scene, base, clusters, signals, settings: own } in scenes {
+        for ToMark { name, scene, photographs: kept, base, clusters, signals, settings: own } in scenes {
             let of_scene = if several { format!(" of scene {name:?}") } else { String::new() };
             let sounds = (whose.len()..).zip(&signals).filter_map(|(at, s)| Some((at, s.audio.as_ref()?.rms_db())));
             levels.extend(sounds);
             whose.extend((1..=signals.len()).map(|number| format!("identity {number}{of_scene}")));
             let capture = scene.capture();
             // Photographs carry no mark: the detector has to stay silent on them.
-            let Some(photographs) = stages::views(scene, preparing)? else { return Ok(None) };
+            let Some(photographs) = kept.views(scene, preparing)? else { return Ok(None) };
+            kept.forget();
             // What was begun goes on with the budget that it has.
             let explained_db = checkpoint.is_none().then(|| explained(&base, &photographs));
             asked.push((of_scene, own, explained_db));

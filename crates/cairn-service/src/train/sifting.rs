@@ -20,7 +20,7 @@ use crate::store::quarantine::{Entry, Found, Quarantine, Standing, leaving_out};
 use crate::train::drive::{Run, drive, preparing, read_checkpoint, stopped};
 use crate::train::job::Job;
 use crate::train::jobs::Control;
-use crate::train::stages;
+use crate::train::stages::{self, Photographs};
 
 /// Views named in a note.
 const NAMED: usize = 12;
@@ -52,6 +52,7 @@ impl Sift<'_> {
         &self,
         job: &Job,
         scene: SceneFolder,
+        photographs: &Photographs,
         folder: &Path,
         control: &Control<'_>,
     ) -> Result<Option<SceneFolder>, EngineError> {
@@ -82,7 +83,8 @@ impl Sift<'_> {
         }
         let clock = Instant::now();
         let saved = read_checkpoint(&checkpoint)?;
-        let made = stages::screening(&scene, job, &views.trusted, saved.as_deref(), &mut preparing(control))?;
+        let made =
+            stages::screening(&scene, photographs, job, &views.trusted, saved.as_deref(), &mut preparing(control))?;
         drop(saved);
         // Charged to stage 1, which it prepares.
         let Some(mut screening) = made else { return stopped(stages::BASE, clock, control) };

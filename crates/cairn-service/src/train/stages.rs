@@ -4,11 +4,11 @@
 //! Making a trainer takes long where photographs or poses are many. It therefore
 //! tells how far it is, part by part, and hears between them that it has to stop.
 
-use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use cairn_field::{BaseTrainer, FieldConfig, LightVerdict, NamedView, SceneFrame, Screening, Spacing};
-use cairn_scene::SceneFolder;
+use cairn_scene::{SceneFolder, TrainView};
 
 use crate::config::TrainingSettings;
 use crate::error::EngineError;
@@ -125,12 +125,13 @@ impl Stage for Screening {
 /// For photographs that were altered, settings out of range, a checkpoint of other views.
 pub fn base_trainer(
     scene: &SceneFolder,
+    photographs: &Photographs,
     settings: &TrainingSettings,
     seed: u64,
     checkpoint: Option<&[u8]>,
     preparing: Preparing<'_>,
 ) -> Result<Option<BaseTrainer>, EngineError> {
-    let Some(views) = views(scene, preparing)? else { return Ok(None) };
+    let Some(views) = photographs.views(scene, preparing)? else { return Ok(None) };
     Ok(Some(match checkpoint {
         Some(bytes) => BaseTrainer::resume(bytes, views)?,
         None => {
@@ -147,12 +148,13 @@ pub fn base_trainer(
 /// As [`base_trainer`].
 pub fn screening(
     scene: &SceneFolder,
+    photographs: &Photographs,
     job: &Job,
     trusted: &BTreeSet<String>,
     checkpoint: Option<&[u8]>,
     preparing: Preparing<'_>,
 ) -> Result<Option<Screening>, EngineError> {
-    let Some(views) = views(scene, preparing)? else { return Ok(None) };
+    let Some(views) = photographs.views(scene, preparing)? else { return Ok(None) };
     let settings = &job.spec.settings;
     Ok(Some(match checkpoint {
         Some(bytes) => Screening::resume(bytes, views)?,
@@ -169,19 +171,40 @@ fn place(scene: &SceneFolder) -> Result<(SceneFrame, Option<[f32; 3]>), EngineEr
     Ok((SceneFrame::from_views(capture, scene.kept())?, capture.background))
 }
 
-/// The views to train on, decoded one after another; `None` when `preparing` did not want to go on.
-///
-/// # Errors
-/// For photographs that were altered.
-pub fn views(scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<NamedView>>, EngineError> {
-    let training: Vec<usize> = scene.training().collect();
-    let mut views = Vec::with_capacity(training.len());
-    for index in &training {
-        if !preparing(PHOTOGRAPHS, views.len(), training.len()) {
-            return Ok(None);
+/// The photographs of one scene of a job: each is decoded once, for screening and for both stages.
+#[derive(Default)]
+pub struct Photographs {
+    /// By name.
+    decoded: Mutex<BTreeMap<String, Arc<TrainView>>>,
+}
+
+impl Photographs {
+    /// The views to train on, decoded one after another where they are not yet; `None` when `preparing` did not want to
+    /// go on.
+    ///
+    /// # Errors
+    /// For photographs that were altered.
+    pub fn views(&self, scene: &SceneFolder, preparing: Preparing<'_>) -> Result<Option<Vec<NamedView>>, EngineError> {
+        let training: Vec<usize> = scene.training().collect();
+        let mut decoded = self.decoded.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut views = Vec::with_capacity(training.len());
+        for index in &training {
+            if !preparing(PHOTOGRAPHS, views.len(), training.len()) {
+                return Ok(None);
+            }
+            let name = scene.capture().views[*index].name.clone();
+            let view = match decoded.get(&name) {
+                Some(view) => view.clone(),
+                None => Arc::new(scene.train_view(*index)?),
+            };
+            decoded.insert(name.clone(), view.clone());
+            views.push(NamedView { name, view });
         }
-        let name = scene.capture().views[*index].name.clone();
-        views.push(NamedView { name, view: Arc::new(scene.train_view(*index)?) });
+        Ok(Some(views))
     }
-    Ok(Some(views))
+
+    /// Lets them go: nothing that comes needs them.
+    pub fn forget(&self) {
+        self.decoded.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
 }

@@ -5,13 +5,12 @@
 //! checkpoint within a stage, the base field between the stages. The same job
 //! ends in the same bytes however often it was cut off.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use cairn_durable::{read_limited, remove, write_atomic};
 use cairn_field::Field;
-use cairn_scene::SceneFolder;
 
 use crate::error::EngineError;
 use crate::store::hidden;
@@ -54,9 +53,12 @@ impl Work for Training {
         for part in &parts {
             let base = match &part.earlier {
                 Some(info) => Some(info.base_field_bytes(&self.models)?),
-                None => self.base_field(&part.job, &part.scene, &part.folder, control)?,
+                None => self.base_field(part, control)?,
             };
             let Some(base) = base else { return Ok(Outcome::Stopped) };
+            if job.spec.base_only {
+                part.photographs.forget();
+            }
             bases.push(base);
         }
         let marks = match job.spec.base_only {
@@ -90,13 +92,8 @@ impl Training {
     }
 
     /// Stage 1: the base field's bytes, or `None` when it was asked to stop.
-    fn base_field(
-        &self,
-        job: &Job,
-        scene: &SceneFolder,
-        folder: &Path,
-        control: &Control<'_>,
-    ) -> Result<Option<Vec<u8>>, EngineError> {
+    fn base_field(&self, part: &Part, control: &Control<'_>) -> Result<Option<Vec<u8>>, EngineError> {
+        let Part { job, folder, scene, photographs, .. } = part;
         let done = folder.join("base.field");
         if done.exists() {
             return Ok(Some(read_limited(&done, MAX_CHECKPOINT_BYTES)?));
@@ -105,7 +102,8 @@ impl Training {
         let file = folder.join("base.checkpoint");
         let checkpoint = read_checkpoint(&file)?;
         let (settings, seed) = (&job.spec.settings, job.spec.seed);
-        let made = stages::base_trainer(scene, settings, seed, checkpoint.as_deref(), &mut preparing(control))?;
+        let saved = checkpoint.as_deref();
+        let made = stages::base_trainer(scene, photographs, settings, seed, saved, &mut preparing(control))?;
         drop(checkpoint);
         let Some(mut trainer) = made else { return stopped(stages::BASE, clock, control) };
         if !drive(&self.stage(stages::BASE, clock), &mut trainer, &file, control)? {
@@ -139,6 +137,7 @@ impl Training {
             scenes.push(ToMark {
                 name: &part.job.spec.scene,
                 scene: &part.scene,
+                photographs: &part.photographs,
                 base,
                 clusters: &part.clusters,
                 signals,

@@ -1,5 +1,6 @@
 //! What becomes of a request before anything is trained: whose settings hold, who hides what, and what is refused.
 
+use cairn_scene::SceneFolder;
 use cairn_scene::SceneKind;
 use cairn_scene::cluster::{ClusterConfig, Grouping};
 
@@ -240,7 +241,14 @@ fn views_that_went_since_a_job_was_accepted_do_not_cost_an_identity_its_mark() {
         let sizes = ClusterConfig { anchors, neighbours: 2, ..ClusterConfig::default() };
         let scene = engine.scene("town").unwrap();
         let clusters = clusters(&scene, &Grouping::Anchors(sizes), 7).unwrap();
-        Part { job: trained.job.clone(), folder: trained.folder(), scene, clusters, earlier: Some(info.clone()) }
+        Part {
+            job: trained.job.clone(),
+            folder: trained.folder(),
+            scene,
+            photographs: Default::default(),
+            clusters,
+            earlier: Some(info.clone()),
+        }
     };
     assert!(joint::grown(&training.models, &[part(3)]).unwrap().is_some());
     // With one anchor the second identity is gone.

@@ -1,6 +1,7 @@
 //! A step that fails: what is left of the training, and that it is taken up from there.
 
 use cairn_scene::cluster::Grouping;
+use std::path::Path;
 
 use super::*;
 use crate::train::job::JobSpec;
@@ -106,7 +107,8 @@ fn a_job_whose_numbers_go_wrong_is_resumed_at_the_step_that_failed() {
     let checkpoint = read_checkpoint(&file).unwrap().expect("the state before the step that failed");
     let scene = scenes::open(&dir.path().join("scenes"), "town").unwrap();
     let (settings, seed) = (&job.spec.settings, job.spec.seed);
-    let made = stages::base_trainer(&scene, settings, seed, Some(&checkpoint), &mut |_, _, _| true);
+    let made =
+        stages::base_trainer(&scene, &Default::default(), settings, seed, Some(&checkpoint), &mut |_, _, _| true);
     let mut trainer = made.unwrap().unwrap();
     let (done, all) = (trainer.steps_done(), trainer.steps_total());
     assert!((1..all).contains(&done) && job.error.contains(&format!("step {done}:")), "{done}: {}", job.error);

@@ -1,6 +1,8 @@
 //! One job on a made-up landmark: cut off after its model was published, and
 //! stopped while a stage is being prepared.
 
+use cairn_scene::SceneFolder;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU8;
 
@@ -179,8 +181,16 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
         let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, config.side_px(), 7));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
-        let scenes =
-            vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &config }];
+        let photographs = stages::Photographs::default();
+        let scenes = vec![ToMark {
+            name: "town",
+            scene: &scene,
+            photographs: &photographs,
+            base,
+            clusters: &clusters,
+            signals,
+            settings: &config,
+        }];
         Marking::start(scenes, None, &config, 7, checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
     let notes = |budget_db, max_cost_db| begin(budget_db, max_cost_db, None).notes();
@@ -227,7 +237,7 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     let scene = scenes::open(&trained.path("scenes"), "town").unwrap();
     let (settings, seed) = (&trained.job.spec.settings, trained.job.spec.seed);
     let mut heard = Vec::new();
-    let made = stages::base_trainer(&scene, settings, seed, None, &mut |stage, done, total| {
+    let made = stages::base_trainer(&scene, &Default::default(), settings, seed, None, &mut |stage, done, total| {
         heard.push((stage, done, total));
         done < 2
     });
@@ -238,11 +248,12 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     let out = scene.capture().training().take(2).collect();
     let fewer = scenes::open(&trained.path("scenes"), "town").unwrap().leaving_out(out);
     heard.clear();
-    stages::views(&fewer, &mut |stage, done, total| {
-        heard.push((stage, done, total));
-        true
-    })
-    .unwrap();
+    stages::Photographs::default()
+        .views(&fewer, &mut |stage, done, total| {
+            heard.push((stage, done, total));
+            true
+        })
+        .unwrap();
     assert_eq!(heard.last(), Some(&(stages::PHOTOGRAPHS, total - 3, total - 2)));
 
     let clusters = clusters(&scene, &trained.job.spec.grouping, seed).unwrap();
@@ -250,8 +261,16 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     let signals = (0..clusters.clusters.len()).map(emblem).collect();
     let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
     heard.clear();
-    let scenes =
-        vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &settings.mark }];
+    let photographs = stages::Photographs::default();
+    let scenes = vec![ToMark {
+        name: "town",
+        scene: &scene,
+        photographs: &photographs,
+        base,
+        clusters: &clusters,
+        signals,
+        settings: &settings.mark,
+    }];
     let made = Marking::start(scenes, None, &settings.mark, seed, None, &mut |stage, done, total| {
         heard.push((stage, done, total));
         stage != stages::RAY_WEIGHTS || done < 3
@@ -272,8 +291,16 @@ fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time(
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
         let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, settings.mark.side_px(), seed));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
-        let scenes =
-            vec![ToMark { name: "town", scene: &scene, base, clusters: &clusters, signals, settings: &settings.mark }];
+        let photographs = stages::Photographs::default();
+        let scenes = vec![ToMark {
+            name: "town",
+            scene: &scene,
+            photographs: &photographs,
+            base,
+            clusters: &clusters,
+            signals,
+            settings: &settings.mark,
+        }];
         Marking::start(scenes, None, &settings.mark, seed, checkpoint, &mut |_, _, _| true).unwrap().unwrap()
     };
     let trained = || {
