@@ -89,7 +89,9 @@ impl Rows {
             kept.record(row)?;
         }
         kept.save(&all, suite)?;
-        results.save(&args.results, suite)?;
+        if results.rows().iter().any(|row| row.suite == suite) {
+            results.save(&args.results, suite)?;
+        }
         write_page(&results, &args.page)
     }
 

@@ -1,4 +1,8 @@
 //! All of these tests as one program.
 
+mod common;
+
 mod deepstega;
+mod field;
+mod mark;
 mod results;

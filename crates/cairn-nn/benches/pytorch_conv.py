@@ -2,7 +2,7 @@
 
 python3 pytorch_conv.py SHAPES.json TORCH.json
 
-Run by `cairn bench conv --torch python3`, which writes SHAPES.json and takes turns with it. Times are added to those in
+Run by `cairn-eval conv --torch python3`, which writes SHAPES.json and takes turns with it. Times are added to those in
 TORCH.json.
 """
 

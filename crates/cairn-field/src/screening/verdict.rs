@@ -6,7 +6,7 @@
 //! lies [`MAX_SCORE`] sigmas below the median, and below [`MIN_DB`] whatever the spread, so
 //! that a good capture with a narrow spread loses nobody; and other poses explain it about
 //! as well as its own, so that a photograph that nobody else's overlaps much, which fits weakly
-//! but fits nowhere better, is kept. What captures gave is in docs/experiments.md.
+//! but fits nowhere better, is kept. What captures gave is in docs/design/limits.md.
 
 use super::fit::ViewFit;
 use crate::stats::median;

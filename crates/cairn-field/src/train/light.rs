@@ -34,7 +34,7 @@ pub enum LightVerdict {
 }
 
 /// Spread from which on appearances are worth having: six steps of an 8-bit colour.
-/// docs/experiments.md has what captures of either sort gave.
+/// docs/design/limits.md has what captures of either sort gave.
 pub(super) const WORTH: f32 = 0.025;
 /// PSNR in their own light from which on pictures are taken to show the scene, dB: a
 /// cloud would look like the mean of each photograph, which differs in any light.

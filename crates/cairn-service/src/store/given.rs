@@ -10,7 +10,7 @@ use crate::error::EngineError;
 use crate::store::hidden::{Kinds, Parts, kinds_of};
 
 /// Sounds quieter than this are likely to come back below 25 dB of signal to noise: trex's spoken credit, of -20.6 dB, came
-/// back at 45 (docs/benchmarks.md, *mark*), so that what its detector added lay some 66 dB below full scale. RMS, dB of full scale.
+/// back at 45 (docs/design/limits.md), so that what its detector added lay some 66 dB below full scale. RMS, dB of full scale.
 pub const QUIET_DB: f64 = -41.0;
 /// How far over full scale a peak may be before people are told that it is cut, dB.
 const CUT_DB: f64 = 0.1;
