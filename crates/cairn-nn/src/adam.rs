@@ -52,7 +52,7 @@ impl Rate {
 
 /// Adam's other constants, in the paper's symbols.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct AdamConfig {
     /// Decay of the mean of gradients, in [0, 1).
     pub beta1: f64,

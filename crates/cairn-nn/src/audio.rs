@@ -15,7 +15,7 @@ use crate::unet::{Memory, UNetConfig};
 
 /// How an [`AudioHead`] is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct AudioConfig {
     /// Samples a second of hidden sounds.
     pub sample_rate_hz: u32,

@@ -19,7 +19,7 @@ use crate::resample::{avg_pool, pool_moments};
 
 /// How a [`Classifier`] is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct ClassifierConfig {
     /// Channels of the input pictures.
     pub inputs: usize,

@@ -15,7 +15,7 @@ use crate::unet::{Memory, UNetConfig};
 
 /// How a [`TextHead`] is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct TextConfig {
     /// Longest text that may be hidden, bytes of UTF-8; the head is as long as the longest that is.
     pub longest_bytes: usize,

@@ -19,7 +19,7 @@ use crate::resample::upsample_add;
 
 /// How a [`UNet`] is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct UNetConfig {
     /// Channels of the input pictures.
     pub inputs: usize,

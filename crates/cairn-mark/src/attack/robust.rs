@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// What marks are trained to outlast (`[mark.robust]`). A limit at its harmless end
 /// leaves its distortion out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct RobustConfig {
     /// Whether any of it is done.
     pub enabled: bool,

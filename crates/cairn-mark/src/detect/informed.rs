@@ -1,7 +1,7 @@
-//! Reading a mark by laying the picture over the field. The classifier has the picture alone, and must tell a mark
-//! of half a grey level from whatever else a picture may show. Who has the field knows more: once it is found
-//! from where the picture was taken ([`Registrar`]), what the field shows there without a mark is taken from it,
-//! and what is left is compared with what each identity's mark would add. That is detection of a known signal by
+//! Informed detection: a mark is read by registration of the picture with the field. The classifier has the
+//! picture alone, and must tell a mark of half a grey level from whatever else a picture may show. The field
+//! knows more. Once it is known from where the picture was taken ([`Registrar`]), the field's render without a mark is
+//! subtracted, and the residual is compared with what each identity's mark would add. That is detection of a known signal by
 //! correlation (Cox, Kilian, Leighton and Shamoon 1997; detection with the original at hand is
 //! *informed*, chapter 2 of Cox et al., Digital Watermarking and Steganography, 2008): a quarter of a
 //! million pixels together tell what no one of them shows.
@@ -19,8 +19,8 @@ use cairn_field::Appearance;
 use cairn_field::{Registered, Registrar};
 use cairn_scene::{Camera, Picture};
 
-/// From here on a mark is believed. A standard normal number does not come so far; renders without a mark that were laid
-/// on a little amiss have come to 4.3. No number of blocks can come beyond its own root, so that a picture needs 64.
+/// From here on a mark is believed. A standard normal number does not come so far; renders without a mark that were
+/// registered a little amiss have come to 4.3. No number of blocks can come beyond its own root, so that a picture needs 64.
 pub const BELIEVED: f64 = 8.0;
 /// Side of a block, px.
 const BLOCK: usize = 8;
@@ -37,7 +37,7 @@ pub struct RegisteredReader {
     registrar: Registrar,
 }
 
-/// What laying a picture over the field says.
+/// What registration of a picture with the field says.
 #[derive(Clone, Debug)]
 pub struct RegisteredReading {
     /// Where the picture was taken, and in which light.
@@ -83,7 +83,7 @@ impl RegisteredReader {
         Some(Self { registrar: Registrar::new(marked.base().clone(), views)? })
     }
 
-    /// Lays `picture` over the field and looks for each identity's mark of `marked`, the field that it was made for. `from`
+    /// Registers `picture` with the field and looks for each identity's mark of `marked`, the field that it was made for. `from`
     /// is the camera that it was rendered with, where that is known; otherwise it is searched for, which takes seconds, for as long as
     /// `wanted` says so. `None` where no place was found for it.
     pub fn read(

@@ -91,19 +91,20 @@ const MAX_BUDGET_DB: f64 = 80.0;
 
 /// Settings of stage 2.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// Optimiser steps at most, 1 to 1,000,000; training ends earlier once
     /// recovery on virtual poses has converged.
     pub steps: u64,
     /// Share of the steps, 0.01 to 1, that adding identities to a trained scene takes.
     pub grow_share: f64,
-    /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64; where several scenes share a detector, as many
-    /// more, of whose marks are told worst. Each goes with the base field's render of the same view and an unmarked picture of anything.
+    /// Marked renders a step, 1 to 64; where more identities learn, one of each, up to 64. Where several
+    /// scenes share a detector, as many more, of the identities that are read worst. Each comes with its
+    /// unmarked pair (the base field's render of the same view) and an unmarked picture of anything.
     pub batch: usize,
-    /// Whether a step's loss is the mean of equation 5 over its renders of theta, as the paper has it an image at a time.
-    /// Otherwise (the default, which the shipped weights were chosen with) equation 3 is the mean over all pictures of the step,
-    /// equations 1 and 2 the means over those that hide something and over the others, and equation 4 the sum over the renders.
+    /// Whether a step's loss is the mean of equation 5 over its renders of theta, one picture at a time as
+    /// in the paper. Otherwise equation 3 is the mean over all pictures of the step, equations 1 and 2 are
+    /// means over pictures that hide something and over the others, and equation 4 is the sum over renders.
     pub loss_per_render: bool,
     /// l0, weight of the classification (equation 3); 0 to 1,000,000.
     pub weight_classify: f64,
@@ -115,12 +116,12 @@ pub struct Recipe {
     pub weight_picture: f64,
     /// How signals are compared (equations 1 and 2).
     pub loss: LossKind,
-    /// How pictures are compared (equation 4). An absolute error pulls just as
-    /// hard on a faint mark as on a strong one and wipes it out; a squared one lets go.
+    /// How pictures are compared (equation 4). An absolute error pulls just as hard on a faint mark as on
+    /// a strong one and removes it; a squared one lets go.
     pub picture_loss: LossKind,
-    /// Whether recovery's gradient moves the mark as well (the paper's), or only
-    /// classification's. A detector that knows the pictures by heart asks nothing of
-    /// the mark but the class, and its gradient is then noise that wears marks off.
+    /// Whether the gradient of recovery moves the mark as well (the paper's), or that of classification
+    /// alone. A detector that has memorised the payloads asks only the class of a mark; its gradient is
+    /// then noise, which wears marks off.
     pub recover_moves_marks: bool,
     /// Where marks live.
     pub carrier: CarrierKind,
@@ -130,20 +131,20 @@ pub struct Recipe {
     pub mask: MaskKind,
     /// alpha, the mask's exponent, 0 to 10.
     pub mask_alpha: f64,
-    /// The mask's smallest value, 0 to 1: nothing is locked altogether.
+    /// The mask's smallest value, 0 to 1: above 0 every weight can move.
     pub min_mask: f64,
     /// Share of the weights that a binary mask locks, 0 to 1.
     pub mask_share: f64,
     /// What the classifier is to the detector.
     pub guidance: Guidance,
-    /// Whether carriers are scaled to the budget below, and the picture loss waits until
-    /// marks are read with ease. The paper has no budget: there the picture loss (and the pull)
-    /// alone keeps the picture, at its full weight from the start.
+    /// Whether carriers are scaled to the budget below, and the picture loss waits until marks are read
+    /// with ease. The paper has no budget: the picture loss (and the pull) alone keeps the picture there.
     pub budget: bool,
-    /// How close theta's renders are to theta_0's, PSNR in dB, 20 to 80: that of a step's which strays furthest.
+    /// How close theta's renders are to theta_0's, PSNR in dB, 20 to 80, measured on the step's render
+    /// that differs most.
     pub budget_db: f64,
-    /// What marks may cost photographs, dB of PSNR, 0 to 10: the budget is raised until they cost no more where the base field
-    /// explains its photographs well ([`Recipe::affording`]). 0 leaves it as it is.
+    /// What marks may cost photographs, dB of PSNR, 0 to 10. The budget is raised until they cost no more,
+    /// where the base field explains its photographs well ([`Recipe::affording`]). 0 leaves it as it is.
     pub max_cost_db: f64,
     /// Where the budget starts, PSNR in dB, 20 to `budget_db`: strong marks are
     /// found at once and can then be made fainter. With or without a budget, the
@@ -174,53 +175,56 @@ pub struct Recipe {
     /// Up to three times as many, over all clusters, are trained on where others of the cluster's look further
     /// than this from all of them, degrees, 0 to 180: an object seen from all around has more sides.
     pub views_apart_deg: f64,
-    /// How often a view comes up whose mark is read with ease, as a share of how often others
-    /// do, 0.01 to 1; 1: all alike.
+    /// Hard-example sampling: how often a view comes up whose mark is read with ease, as a share of how
+    /// often others do, 0.01 to 1; 1 samples all alike.
     pub easy_view_share: f64,
     /// Poses between each cluster's photographs and a little beyond, rather where these look far apart, to train on as
     /// well, 0 to 256; where more than `views` photographs' poses are, as many as those.
     pub virtual_views: usize,
-    /// Every so many steps a virtual view of each scene gives its place to a fresh one, identities in turn, 0 (never)
-    /// to 1,000,000.
+    /// View refresh: after this many steps an unseen view replaces a virtual view of each scene,
+    /// identities in turn, 0 (never) to 1,000,000.
     pub view_refresh_steps: u64,
     /// Views are trained on at most this long, px, 64 to 4096.
     pub longest_side_px: usize,
-    /// Training ends when twice in a row all held-out virtual poses are answered right (where marks are to last, nearly all
-    /// after harm as well; without a classifier nothing is asked but what comes back) and the hidden pictures' mean SSIM has reached
-    /// this, 0 to 10; above 1 = never.
+    /// Training ends when twice in a row all held-out virtual poses are answered right, and the hidden
+    /// pictures' mean SSIM has reached this, 0 to 10; above 1 = never. Where marks are trained against
+    /// distortions, nearly all distorted renders are answered right as well. Without a classifier recovery
+    /// alone counts.
     pub enough_ssim: f64,
     /// The same for hidden sounds' SNR, dB, 0 to 1000.
     pub enough_snr_db: f64,
     /// The same for the share of hidden texts' characters, 0 to 10; above 1 = never.
     pub enough_characters: f64,
-    /// An owner is no longer believed of pictures that lie this many times as far from the
-    /// owner's nearest render as those lie from each other at most, 1 to 100; 0 = believed of any.
+    /// Out-of-distribution limit: an owner is not believed of pictures that lie this many times as far from
+    /// the owner's nearest render as those lie from each other at most, 1 to 100; 0 = no limit.
     pub max_feature_distance: f64,
-    /// An owner is named of a picture as a whole with this probability at least, 0 (whoever is likelier than each other and than nobody)
-    /// to `center_crop_confidence`; else where its middle tells the same owner, and otherwise it is unmarked. Nothing where there is no closer look.
+    /// An owner is named of a whole picture with this probability at least, 0 to `center_crop_confidence`.
+    /// Below it the picture is unmarked, unless its center crop gives the same owner. Without center crops
+    /// it has no effect.
     pub min_confidence: f64,
-    /// A picture that is told to be unmarked is looked at more closely: an owner is named whom its middle (three quarters
-    /// of each side, else three fifths) tells with this probability, 0.5 to 1; 1 = never. Nothing without a classifier, or where
-    /// nothing is doubted ([`Recipe::max_feature_distance`] 0).
+    /// A picture that seems unmarked is read again by its center crop (three quarters of each side, else
+    /// three fifths), which has to give an owner with this probability, 0.5 to 1; 1 = never. No effect
+    /// without a classifier, or where [`Recipe::max_feature_distance`] is 0.
     pub center_crop_confidence: f64,
-    /// Among a step's unmarked pictures of anything (not the marked renders' unmarked pairs) how many are of something else for each
-    /// render of the base field, 0 (none) to 16.
+    /// Of a step's unmarked pictures (unmarked pairs aside), how many show something else for each render of
+    /// the base field, 0 (none) to 16.
     pub others: u32,
     /// What their colours are like.
     pub others_colours: OtherColours,
-    /// Share of the pictures of something else, but for noise and those shown as they are, that become objects on a flat background, all but a blob of them in
-    /// one flat colour, 0 (none) to 1.
+    /// Share of the pictures of something else that become objects on a flat background, 0 (none) to 1;
+    /// noise and pictures as they are stay out of it.
     pub others_cutout_share: f64,
-    /// Share of the pictures that are shown with noise of 1 to 6 levels of 255 (RMS, at [`Recipe::shown_px`]), a marked render and
-    /// its unmarked pair with the same, once marks are read, 0 to 0.9: noise is no mark. Nothing where there is no classifier.
+    /// Share of the pictures with noise of 1 to 6 levels of 255 (RMS, at [`Recipe::shown_px`]) once marks
+    /// are read, 0 to 0.9; a marked render and its unmarked pair get the same. Noise is no mark. No effect
+    /// without a classifier.
     pub noisy_share: f64,
     /// What marks are trained to outlast.
     pub robust: RobustConfig,
     /// How many times finer than hidden pictures are the pictures that the classifier sees, 1, 2 or 4; the
     /// detector sees their means over as many pixels each way.
     pub finer: usize,
-    /// Whether heads are built that no identity uses as well, as long as what they may hide: a detector that is ready for
-    /// anything. What an identity of later hides gets its head without.
+    /// Whether heads are built that no identity uses as well, as long as their longest payload. Otherwise
+    /// what a later identity hides gets its head then.
     pub unused_heads: bool,
     /// The classifier.
     pub classifier: ClassifierConfig,
@@ -581,7 +585,7 @@ impl Recipe {
     }
 
     /// Samples of the longest sound that may be hidden.
-    pub fn max_samples(&self) -> usize {
+    pub(crate) fn max_samples(&self) -> usize {
         (self.audio.longest_s * f64::from(self.audio.sample_rate_hz)).ceil() as usize
     }
 

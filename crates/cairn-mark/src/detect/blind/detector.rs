@@ -18,8 +18,7 @@ use std::collections::HashMap;
 /// Format of a stored detector; another version is refused by name.
 pub const DETECTOR_FORMAT: &str = "cairn.detector/8";
 
-/// How much of each side the middles keep that a closer look is at, one after another; none keeps less than the parts that
-/// training shows.
+/// How much of each side the center crops keep, tried one after another; none keeps less than the parts that training shows.
 const MIDDLES: [f32; 2] = [0.75, 0.6];
 const _: () = assert!(MIDDLES[1] as f64 >= LEAST - 1e-6);
 
@@ -36,7 +35,7 @@ pub struct Detection {
     pub identity: Option<u32>,
     /// Probability of each class; class 0 is `unmarked`.
     pub probabilities: Vec<f32>,
-    /// Whether only a closer look found the owner ([`Recipe::center_crop_confidence`]): all else said here is then of the picture's middle.
+    /// Whether a center crop gave the identity ([`Recipe::center_crop_confidence`]): all else here is then of that crop.
     pub is_center_crop: bool,
     /// The recovered signal, of all that the detector has heads for: a picture,
     /// side x side in [0, 1]; a sound of the head's length; a text. Where nothing is
