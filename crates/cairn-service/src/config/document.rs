@@ -91,8 +91,9 @@ fn preset_file(group: &Group) -> String {
         for set in group.sets {
             let (key, path) = set.path.split_last().expect("a set value has a key");
             let within = if differs { [&[*name], path].concat().join(".") } else { path.join(".") };
-            if !within.is_empty() && table.as_ref() != Some(&within) {
-                write!(text, "\n[{within}]\n").expect("a string takes all");
+            if table.as_ref() != Some(&within) {
+                let header = if within.is_empty() { String::new() } else { format!("[{within}]\n") };
+                write!(text, "\n{header}").expect("a string takes all");
                 table = Some(within);
             }
             let why = if set.why.is_empty() { String::new() } else { comment(set.why) };

@@ -151,7 +151,6 @@ group! {
     mark.view_refresh_steps = 0;
     mark.longest_side_px = 128;
     mark.finer = 1;
-    mark.classifier.channels = vec![16, 32, 64, 64];
     /// Marks that training finds in few steps.
     mark.budget_db = 42.0;
     mark.enough_ssim = 0.96;
@@ -163,6 +162,7 @@ group! {
     mark.noisy_share = 0.0;
     mark.min_confidence = 0.0;
     mark.center_crop_confidence = 1.0;
+    mark.classifier.channels = vec![16, 32, 64, 64];
 }
 
 group! {
