@@ -284,5 +284,5 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
     let refused = place.cairn(&train);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(!refused.status.success(), "{said}");
-    assert!(["identity 1", "300 bytes", "mark.text.longest_bytes"].iter().all(|s| said.contains(s)), "{said}");
+    assert!(["identity 1", "300 bytes", "training.payload_text_bytes"].iter().all(|s| said.contains(s)), "{said}");
 }

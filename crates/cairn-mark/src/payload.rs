@@ -50,7 +50,7 @@ impl Signal {
         if let Some(audio) = &self.audio {
             let (got, rate) = (audio.sample_rate_hz(), config.audio.sample_rate_hz);
             if got != rate {
-                return refuse(format!("a sound of {got} Hz; bring it to `mark.audio.sample_rate_hz` = {rate}"));
+                return refuse(format!("a sound of {got} Hz; bring it to `training.payload_sound_hz` = {rate}"));
             }
             if audio.samples().iter().all(|v| *v == 0.0) {
                 return refuse("a sound of silence; bring one that is heard, or leave it out".into());
@@ -60,7 +60,7 @@ impl Signal {
             if audio.samples().len() > most + 1 {
                 let (got, longest) = (audio.seconds(), config.audio.longest_s);
                 return refuse(format!(
-                    "a sound of {got:.2} s; at most `mark.audio.longest_s` = {longest} s are hidden: cut it, or raise that"
+                    "a sound of {got:.2} s; at most `training.payload_sound_s` = {longest} s are hidden: cut it, or raise that"
                 ));
             }
         }
@@ -71,7 +71,7 @@ impl Signal {
             }
             if text.len() > longest {
                 return refuse(format!(
-                    "a text of {} bytes of UTF-8; at most `mark.text.longest_bytes` = {longest} are hidden: shorten it, or raise that",
+                    "a text of {} bytes of UTF-8; at most `training.payload_text_bytes` = {longest} are hidden: shorten it, or raise that",
                     text.len()
                 ));
             }
@@ -229,15 +229,15 @@ mod tests {
         };
         let text = |text: &str| Signal { text: Some(text.into()), ..Signal::default() };
         says(Signal::default(), &["picture, a sound or a text"]);
-        says(text(&"x".repeat(257)), &["257 bytes", "mark.text.longest_bytes", "256"]);
+        says(text(&"x".repeat(257)), &["257 bytes", "training.payload_text_bytes", "256"]);
         says(text(""), &["empty text"]);
         says(text("a\0b"), &["zero byte at 1"]);
         let long = Signal { audio: Some(sound(5 * 16_000)), ..Signal::default() };
-        says(long, &["5.00 s", "mark.audio.longest_s", "4 s"]);
+        says(long, &["5.00 s", "training.payload_sound_s", "4 s"]);
         let silent = Sound::new(vec![0.0; 9], 16_000).unwrap();
         says(Signal { audio: Some(silent), ..Signal::default() }, &["silence"]);
         let other = Signal { audio: Some(Sound::new(vec![0.5], 8000).unwrap()), ..Signal::default() };
-        says(other, &["8000 Hz", "mark.audio.sample_rate_hz", "16000"]);
+        says(other, &["8000 Hz", "training.payload_sound_hz", "16000"]);
         assert!(text("ok").check(1, &config).is_ok());
     }
 }

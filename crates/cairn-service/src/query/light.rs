@@ -75,7 +75,7 @@ fn of_photograph(
     if model.base.appearances().is_empty() {
         let (what, operation) = (format!("scene {scene:?}"), "rendered in a photograph's light");
         let why = "its field was trained as of one light, and knows no other; render it without, or train it on \
-                   photographs in several lights (with field.appearance = \"on\" in --settings where it was not found out)";
+                   photographs in several lights (with --appearance on where `auto` did not find that out)";
         return Err(EngineError::WrongState { what, operation, why: why.to_owned() });
     }
     let background = snapshot.scene().capture().background;

@@ -220,8 +220,8 @@ fn weak_note(kept: &Judgement, whose: &[String], quietest: Option<(usize, f64)>)
     });
     (!weak.is_empty()).then(|| {
         format!(
-            "poses between photographs are not answered as they should be ({}): train with more steps (mark.steps), \
-             stronger marks (a lower mark.budget_db, or where the job keeps them fainter a higher mark.max_cost_db) or fewer identities{level}",
+            "poses between photographs are not answered as they should be ({}): train with a higher quality (--quality), \
+             stronger marks (--robust) or fewer identities{level}",
             weak.join("; ")
         )
     })

@@ -83,19 +83,19 @@ impl Stage for BaseTrainer {
         let Spacing { apart_deg, smoothing } = self.spacing();
         let far = (smoothing > 1.0).then(|| {
             format!(
-                "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much (field.smoother_beyond_deg)"
+                "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much"
             )
         });
         let FieldConfig { voxels, voxel_px, min_voxel_px, .. } = self.config();
         let finer = self.finer().map(|vertices| {
             format!(
-                "the last grid has {:.1} times the configured vertices, so that a voxel is {voxel_px} px wide or as near as may be (field.voxel_px)",
+                "the last grid has {:.1} times the configured vertices, so that a voxel is {voxel_px} px wide or as near as may be",
                 vertices as f64 / *voxels as f64
             )
         });
         let coarser = self.coarser().map(|vertices| {
             format!(
-                "the photographs are small: the last grid has {:.2} of the configured vertices, so that no voxel is narrower than {min_voxel_px} px (field.min_voxel_px)",
+                "the photographs are small: the last grid has {:.2} of the configured vertices, so that no voxel is narrower than {min_voxel_px} px",
                 vertices as f64 / *voxels as f64
             )
         });

@@ -160,7 +160,7 @@ fn a_published_model_is_not_trained_again() {
     let [spacing, light, weak] = &job.notes[..] else { panic!("{:?}", job.notes) };
     assert!(spacing.contains("degrees apart") && light.contains("light"), "{:?}", job.notes);
     // So few steps teach nothing, and nobody is left to find that out.
-    assert!(weak.contains("answers right:") && weak.contains("mark.steps"), "{:?}", job.notes);
+    assert!(weak.contains("answers right:") && weak.contains("--quality"), "{:?}", job.notes);
     for left in ["base.field", "mark.checkpoint"] {
         assert!(!trained.folder().join(left).exists(), "{left} was left behind");
     }
