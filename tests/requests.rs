@@ -167,7 +167,7 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         v1::ImportSceneRequest { part: Some(Part::Header(header)) }
     };
     let chunk = |view_index, bytes: usize| {
-        let part = Part::Chunk(v1::PhotographChunk { view_index, data: vec![1; bytes].into() });
+        let part = Part::Chunk(v1::PhotographChunk { view_index, data: vec![1; bytes].into(), is_mask: false });
         v1::ImportSceneRequest { part: Some(part) }
     };
     let points = |xyz| v1::ImportSceneRequest { part: Some(Part::Points(v1::PointChunk { xyz })) };

@@ -156,6 +156,7 @@ async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
         contributors: Some(capture.join("contributors.csv")),
         kind: None,
         hold_every: 8,
+        masks: None,
         images: None,
         skip_missing: false,
         width: None,

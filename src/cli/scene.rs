@@ -51,6 +51,10 @@ pub struct ImportArgs {
     /// The folder of photographs, in the capture's folder or absolute (its format's usual one where not given)
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
+    /// A folder of masks, in the capture's folder or absolute: named as the photographs, with .png behind or for the
+    /// ending; white means use (where not given, COLMAP's masks folder, or nerfstudio's mask_path)
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
     /// Who took what: a CSV table with the columns image,contributor; looked for here, then in the capture's folder
     #[arg(long, value_name = "CSV")]
     pub contributors: Option<PathBuf>,
@@ -169,6 +173,12 @@ pub async fn get(line: &Connection, name: &str) -> anyhow::Result<v1::GetSceneRe
     Ok(line.scenes().get(request).await.map_err(refused)?.into_inner())
 }
 
+/// What is sent of a view: its photograph and, where it has one, its mask.
+struct Files {
+    photograph: Photograph,
+    mask: Option<Vec<u8>>,
+}
+
 /// A photograph's file, or its resampled copy.
 enum Photograph {
     File(PathBuf),
@@ -187,8 +197,8 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         _ => table,
     });
     let (hold_every, skip_missing) = (args.hold_every, args.skip_missing);
-    let images = args.images.clone();
-    let options = ReadOptions { contributors, kind, hold_every, images, skip_missing, ..ReadOptions::default() };
+    let (images, masks) = (args.images.clone(), args.masks.clone());
+    let options = ReadOptions { contributors, kind, hold_every, images, masks, skip_missing, ..ReadOptions::default() };
     let capture = Capture::read(&args.from, &options).map_err(in_flags)?;
     if !capture.missing.is_empty() {
         let (count, names) = (capture.missing.len(), capture.missing.join(", "));
@@ -227,8 +237,8 @@ fn in_flags(error: CaptureError) -> CaptureError {
     }
 }
 
-fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::ImportView>, Vec<Photograph>)> {
-    let (mut views, mut photographs) = (Vec::new(), Vec::new());
+fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::ImportView>, Vec<Files>)> {
+    let (mut views, mut files) = (Vec::new(), Vec::new());
     for (index, view) in capture.views.iter().enumerate() {
         let mut camera = view.camera;
         let path = capture.root.join(&view.photograph);
@@ -246,6 +256,8 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
                 (Photograph::Copy(copy), bytes, sha256)
             }
         };
+        let size = (camera.intrinsics.width, camera.intrinsics.height);
+        let mask = capture.mask(index)?.map(|mask| mask.resized(size.0, size.1).to_png());
         let (near, far) = view.bounds.unwrap_or((0.0, 0.0));
         views.push(v1::ImportView {
             name: view.name.clone(),
@@ -258,10 +270,15 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
             held_out: view.held_out,
             // A resampled copy is upright already, and has no EXIF.
             as_stored: view.photograph.as_stored && matches!(photograph, Photograph::File(_)),
+            mask_bytes: mask.as_ref().map_or(0, |png| png.len() as u64),
+            mask_sha256: mask.as_ref().map(|png| Sha256::digest(png).to_vec().into()).unwrap_or_default(),
+            support: view
+                .support
+                .map(|s| v1::Support { points: s.points, reprojection_error_px: s.reprojection_error_px }),
         });
-        photographs.push(photograph);
+        files.push(Files { photograph, mask });
     }
-    Ok((views, photographs))
+    Ok((views, files))
 }
 
 fn point_chunk(points: &[glam::DVec3]) -> v1::ImportSceneRequest {
@@ -293,18 +310,22 @@ impl std::io::Write for HashWriter<'_> {
     }
 }
 
-/// The photographs' bytes, read as they are sent. Ends early where a file cannot
+/// The photographs' and masks' bytes, read as they are sent. Ends early where a file cannot
 /// be read, and says so in `trouble`.
 fn chunks(
-    photographs: Vec<Photograph>,
+    files: Vec<Files>,
     trouble: Arc<Mutex<Option<anyhow::Error>>>,
 ) -> impl Iterator<Item = v1::ImportSceneRequest> + Send + 'static {
-    let mut open: Option<(u32, Box<dyn Read + Send>)> = None;
-    let mut rest = photographs.into_iter().enumerate();
+    let mut open: Option<(u32, bool, Box<dyn Read + Send>)> = None;
+    let each = files.into_iter().enumerate().flat_map(|(index, Files { photograph, mask })| {
+        let mask = mask.map(|png| (index, true, Photograph::Copy(png)));
+        std::iter::once((index, false, photograph)).chain(mask)
+    });
+    let mut rest = each.collect::<Vec<_>>().into_iter();
     std::iter::from_fn(move || {
         loop {
             if open.is_none() {
-                let (index, photograph) = rest.next()?;
+                let (index, is_mask, photograph) = rest.next()?;
                 let reader: Box<dyn Read + Send> = match photograph {
                     Photograph::Copy(bytes) => Box::new(std::io::Cursor::new(bytes)),
                     Photograph::File(path) => match File::open(&path) {
@@ -316,14 +337,14 @@ fn chunks(
                         }
                     },
                 };
-                open = Some((index as u32, reader));
+                open = Some((index as u32, is_mask, reader));
             }
-            let (view_index, reader) = open.as_mut()?;
+            let (view_index, is_mask, reader) = open.as_mut()?;
             let mut data = Vec::with_capacity(CHUNK_BYTES);
             match reader.take(CHUNK_BYTES as u64).read_to_end(&mut data) {
                 Ok(0) => open = None,
                 Ok(_) => {
-                    let chunk = v1::PhotographChunk { view_index: *view_index, data: data.into() };
+                    let chunk = v1::PhotographChunk { view_index: *view_index, data: data.into(), is_mask: *is_mask };
                     return Some(v1::ImportSceneRequest { part: Some(Part::Chunk(chunk)) });
                 }
                 Err(e) => {

@@ -1,17 +1,19 @@
 //! A capture: every view of one place with its camera, its photograph and who
 //! took it, read from whichever format the cameras came in.
 
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
+use cairn_durable::read_limited;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::camera::Camera;
+use crate::cameras::camera::Camera;
 use crate::error::CaptureError;
-use crate::photograph::{self, Limits};
-use crate::photograph_file::PhotographFile;
-use crate::picture::Picture;
-use crate::{assemble, colmap, llff, transforms};
+use crate::images::format::Limits;
+use crate::images::mask::Mask;
+use crate::images::photograph;
+use crate::images::picture::Picture;
 
 /// The contributor of a view that no table says anything about.
 pub const UNKNOWN_CONTRIBUTOR: &str = "unknown";
@@ -28,6 +30,16 @@ pub enum SceneKind {
     Unbounded,
 }
 
+/// How well structure from motion supports a photograph's pose.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Support {
+    /// How many of its image points belong to a reconstructed point.
+    pub points: u32,
+    /// The mean over those of their points' reprojection errors, px; 0 without points.
+    pub reprojection_error_px: f64,
+}
+
 /// One photograph and its camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
@@ -41,9 +53,50 @@ pub struct View {
     pub photograph: PhotographFile,
     /// Whether it is kept from training, to measure on.
     pub held_out: bool,
+    /// Where its mask lies, relative to [`Capture::root`], or absolute; `None` uses all pixels.
+    pub mask: Option<PathBuf>,
+    /// What structure from motion says for it; `None` where the format brings nothing of that.
+    pub support: Option<Support>,
     /// Nearest and farthest depth of the scene here, in the capture's unit
     /// (LLFF brings it).
     pub bounds: Option<(f64, f64)>,
+}
+
+/// A photograph's file. It derefs to its path.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PhotographFile {
+    /// Relative to [`Capture::root`], or absolute.
+    pub path: PathBuf,
+    /// Whether the pixels are meant as they are stored, without EXIF orientation, where both ways have the camera's
+    /// size. Structure from motion that does not look at EXIF (COLMAP) computes its cameras on those.
+    pub as_stored: bool,
+}
+
+impl Deref for PhotographFile {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl AsRef<Path> for PhotographFile {
+    fn as_ref(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl From<PathBuf> for PhotographFile {
+    /// The photograph as it is looked at: EXIF orientation applied.
+    fn from(path: PathBuf) -> Self {
+        Self { path, as_stored: false }
+    }
+}
+
+impl From<&str> for PhotographFile {
+    fn from(path: &str) -> Self {
+        PathBuf::from(path).into()
+    }
 }
 
 /// Every view of one place.
@@ -68,104 +121,42 @@ pub struct Capture {
     pub missing: Vec<String>,
 }
 
-/// How to read a capture.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ReadOptions {
-    /// A CSV table with the columns `image` and `contributor`, one row a view.
-    pub contributors: Option<PathBuf>,
-    /// What kind of scene it is, instead of the guess.
-    pub kind: Option<SceneKind>,
-    /// Hold out views 0, n, 2n, ... in order of name; 0 holds out none. A
-    /// capture that brings its own split keeps that.
-    pub hold_every: usize,
-    /// The folder of photographs, relative to the capture (or absolute),
-    /// instead of the format's usual one.
-    pub images: Option<PathBuf>,
-    /// Leave out the views whose photographs are not there, where any is; else the first is an error.
-    pub skip_missing: bool,
-    /// The most that is accepted.
-    pub limits: Limits,
-}
-
-impl Default for ReadOptions {
-    /// No table, kind guessed, every 8th view held out, default limits.
-    fn default() -> Self {
-        Self {
-            contributors: None,
-            kind: None,
-            hold_every: 8,
-            images: None,
-            skip_missing: false,
-            limits: Limits::default(),
-        }
-    }
-}
+/// Folders that hold one capture's photographs in several sizes.
+const SIZES: [&str; 4] = ["images", "images_2", "images_4", "images_8"];
+/// How many views a note names.
+const NAMED: usize = 5;
 
 impl Capture {
-    /// Reads the capture in `folder`, whichever format its cameras are in. A camera file may be named instead
-    /// ([`Capture::folder_of`]); then that one is read.
-    ///
-    /// The first of these that is there is read:
-    /// 1. `poses_bounds.npy` whose cameras all face one way (LLFF);
-    /// 2. a COLMAP model in `sparse/0`, `sparse` or the folder itself;
-    /// 3. any other `poses_bounds.npy`;
-    /// 4. `transforms_train.json` with `transforms_test.json` or, without that,
-    ///    `transforms_val.json` (NeRF-Synthetic);
-    /// 5. `transforms.json` (instant-ngp, nerfstudio).
-    ///
-    /// LLFF comes before COLMAP because LLFF's scenes ship with both and only
-    /// the former has depth bounds; a 360-degree capture that ships with both
-    /// (Mip-NeRF 360) does not face one way.
-    ///
-    /// Photographs lie, unless `options.images` says otherwise, in the first of
-    /// `images_8`, `images_4`, `images_2`, `images` for LLFF (its figures are
-    /// published for the smaller ones); in the first of `images`, `images_2`,
-    /// `images_4`, `images_8`, or else the folder itself, for COLMAP; where
-    /// `file_path` says for transforms. Cameras are brought to the photographs'
-    /// size where only the size differs.
-    ///
-    /// The kind is guessed: LLFF whose cameras face one way, and a COLMAP model
-    /// whose cameras do from about one place, with points that reach from before
-    /// all of them to at least twice as far, is [`SceneKind::ForwardFacing`]; NeRF-Synthetic, and a `transforms.json`
-    /// whose photographs are all transparent (each has an alpha channel, and in
-    /// five of them, chosen evenly, it is somewhere less than full) and whose
-    /// `aabb_scale` is not over 1, is [`SceneKind::Bounded`]; everything else is
-    /// [`SceneKind::Unbounded`], which is right, if wasteful, for any scene.
-    /// A forward-facing scene needs something that says where it begins: depth
-    /// bounds, or points before the cameras.
-    ///
-    /// # Errors
-    /// [`CaptureError`], naming the file and the entry, for anything missing,
-    /// malformed or over the limits.
-    pub fn read(folder: &Path, options: &ReadOptions) -> Result<Self, CaptureError> {
-        let (folder, named) = (Self::folder_of(folder), camera_file(folder));
-        std::fs::read_dir(folder).map_err(CaptureError::io("open", folder))?;
-        let transforms = || {
-            transforms::read(folder, named, options)?
-                .ok_or_else(|| CaptureError::NotACapture { folder: folder.to_path_buf() })
-        };
-        if named.is_some_and(|name| name != LLFF) {
-            return assemble::assemble(folder, transforms()?, options);
-        }
-        let llff = llff::read(folder, options)?;
-        let ahead = llff.as_ref().is_some_and(|m| m.kind == assemble::Guess::ForwardFacing);
-        let colmap = if ahead || named.is_some() { None } else { colmap::read(folder, options)? };
-        let model = match colmap.or(llff) {
-            Some(model) => model,
-            None => transforms()?,
-        };
-        assemble::assemble(folder, model, options)
+    /// Notes for who brought this capture, a sentence or two each: which folder of
+    /// photographs was taken where there are several, and which views' lenses fold
+    /// within the frame.
+    pub fn notes(&self) -> Vec<String> {
+        self.folder_note().into_iter().chain(self.lens_note()).collect()
     }
 
-    /// The folder of the capture at `from`: `from` itself, or where that is a camera file that gives a capture its
-    /// format (`transforms.json`, `transforms_train.json`, `poses_bounds.npy`), the folder it lies in.
-    pub fn folder_of(from: &Path) -> &Path {
-        match from.parent().filter(|_| camera_file(from).is_some()) {
-            // The file in the folder that the process is in.
-            Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
-            Some(parent) => parent,
-            None => from,
-        }
+    fn folder_note(&self) -> Option<String> {
+        let taken = self.views.first()?.photograph.components().next()?;
+        let taken = SIZES.into_iter().find(|&name| Path::new(name).components().next() == Some(taken))?;
+        let others: Vec<&str> =
+            SIZES.into_iter().filter(|&name| name != taken && self.root.join(name).is_dir()).collect();
+        let list = others.join(", ");
+        (!others.is_empty()).then(|| format!("photographs are those in {taken}; there is {list}, too (--images DIR)"))
+    }
+
+    fn lens_note(&self) -> Option<String> {
+        let folding: Vec<&str> =
+            self.views.iter().filter(|v| v.camera.intrinsics.folds()).map(|v| v.name.as_str()).collect();
+        let rest = match folding.len().saturating_sub(NAMED) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let views = folding.get(..NAMED).unwrap_or(&folding).join(", ");
+        (!folding.is_empty()).then(|| {
+            format!(
+                "the lens distortion of {views}{rest} folds within the frame: towards the corners its rays turn back, and what is seen \
+                 there is placed wrongly; calibrate with fewer coefficients, or undistort the photographs (`colmap image_undistorter`)"
+            )
+        })
     }
 
     /// The photograph of view `view`, decoded: as large as the view's camera,
@@ -179,8 +170,19 @@ impl Capture {
     /// missing, broken, over the limits, or of another size than the camera.
     pub fn photograph(&self, view: usize) -> Result<Picture, CaptureError> {
         let (path, limits) = self.photograph_path(view)?;
-        let bytes = photograph::read_limited(&path, limits.max_file_bytes)?;
+        let bytes = read_limited(&path, limits.max_file_bytes)?;
         self.decode(view, &path, &bytes)
+    }
+
+    /// The mask of view `view`, of its camera's size; `None` where all pixels are used.
+    ///
+    /// # Errors
+    /// [`CaptureError`] for a view that is not there, a mask that is missing, broken, over the limits, or of another
+    /// size than the camera.
+    pub fn mask(&self, view: usize) -> Result<Option<Mask>, CaptureError> {
+        let Some((path, limits)) = self.mask_path(view)? else { return Ok(None) };
+        let bytes = read_limited(&path, limits.max_file_bytes)?;
+        self.decode_mask(view, &path, &bytes).map(Some)
     }
 
     /// Indices of the views to train on, ascending.
@@ -201,21 +203,25 @@ impl Capture {
         Ok((self.root.join(&view.photograph), limits_for(view)))
     }
 
+    /// Where view `view`'s mask lies, and the limits it is read under; `None` where it has none.
+    pub(crate) fn mask_path(&self, view: usize) -> Result<Option<(PathBuf, Limits)>, CaptureError> {
+        let missing = CaptureError::NoSuchView { view, views: self.views.len() };
+        let view = self.views.get(view).ok_or(missing)?;
+        Ok(view.mask.as_ref().map(|mask| (self.root.join(mask), limits_for(view))))
+    }
+
+    /// Decodes `bytes`, which were read from `path`, as view `view`'s mask.
+    pub(crate) fn decode_mask(&self, view: usize, path: &Path, bytes: &[u8]) -> Result<Mask, CaptureError> {
+        let view = &self.views[view];
+        photograph::decode_mask(path, bytes, &limits_for(view), &view.camera.intrinsics)
+    }
+
     /// Decodes `bytes`, which were read from `path`, as view `view`'s photograph.
     pub(crate) fn decode(&self, view: usize, path: &Path, bytes: &[u8]) -> Result<Picture, CaptureError> {
         let view = &self.views[view];
-        let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        photograph::decode_sized(path, bytes, &limits_for(view), self.background, size, view.photograph.as_stored)
+        let camera = &view.camera.intrinsics;
+        photograph::decode_sized(path, bytes, &limits_for(view), self.background, camera, view.photograph.as_stored)
     }
-}
-
-const LLFF: &str = "poses_bounds.npy";
-
-/// The name of the camera file that `from` is, if it is one.
-fn camera_file(from: &Path) -> Option<&'static str> {
-    let known = ["transforms.json", "transforms_train.json", LLFF];
-    let name = from.file_name()?.to_str()?;
-    known.into_iter().find(|&known| known == name).filter(|_| from.is_file())
 }
 
 fn limits_for(view: &View) -> Limits {

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use crate::camera::PoseError;
+use cairn_durable::DurableError;
+
+use crate::cameras::pose::PoseError;
 
 /// Why a capture, a photograph or a stored scene was refused.
 #[derive(Debug, Error)]
@@ -44,6 +46,19 @@ pub enum CaptureError {
         got: String,
         /// What to do.
         remedy: &'static str,
+    },
+    /// A mask of another size than its photograph.
+    #[error(
+        "the mask {} has {} x {} pixels, its photograph {} x {}; bring masks of the photographs' size, or name their folder (--masks DIR)",
+        mask.display(), got.0, got.1, photograph.0, photograph.1
+    )]
+    MaskSize {
+        /// The mask's file.
+        mask: PathBuf,
+        /// The photograph's width and height, px.
+        photograph: (usize, usize),
+        /// The mask's width and height, px.
+        got: (usize, usize),
     },
     /// A camera model that is not a pinhole with Brown-Conrady distortion.
     #[error(
@@ -201,6 +216,23 @@ pub enum CaptureError {
         /// The value.
         got: f32,
     },
+}
+
+impl From<DurableError> for CaptureError {
+    fn from(error: DurableError) -> Self {
+        match error {
+            DurableError::Io { operation, path, cause } => Self::Io { operation, path, problem: cause },
+            DurableError::TooLarge { path, limit, got } => Self::TooLarge {
+                file: path.display().to_string(),
+                what: "file size in bytes",
+                limit,
+                got: got.unwrap_or(limit.saturating_add(1)),
+            },
+            DurableError::Locked { ref path, .. } => {
+                Self::Io { operation: "lock", path: path.clone(), problem: error.into() }
+            }
+        }
+    }
 }
 
 impl CaptureError {

@@ -1,4 +1,4 @@
-//! What contributors bring: cameras, poses, photographs, and who took what.
+//! What contributors bring: cameras, poses, photographs, masks, sounds, and who took what.
 //!
 //! This is the only crate that reads photographs, camera files and sounds. Everything
 //! after it works on [`Camera`]s and [`Picture`]s in memory, so a new camera
@@ -8,46 +8,25 @@
 //! (x right, y down, z forward); lengths are in the capture's own unit; pixel
 //! (0, 0)'s centre lies at (0.5, 0.5).
 
-mod assemble;
-mod camera;
+mod cameras;
 mod capture;
 pub mod cluster;
-mod colmap;
-mod contributors;
-mod emblem;
 mod error;
-mod facing;
-mod grey;
-mod llff;
-mod manifest;
-mod mask;
+mod images;
+mod import;
 pub mod metrics;
-mod named;
-mod notes;
-mod npy;
-mod photograph;
-mod photograph_file;
-mod picture;
-mod removal;
-mod resample;
-mod resize;
 mod scene;
-mod scene_file;
 mod sound;
 mod train_view;
-mod transforms;
 
-pub use camera::{Camera, Distortion, Intrinsics, Pose, PoseError};
-pub use capture::{Capture, ReadOptions, SceneKind, UNKNOWN_CONTRIBUTOR, View};
-pub use emblem::{Ground, decode_emblem};
+pub use cameras::{Camera, Distortion, Intrinsics, LensModel, Pose, PoseError};
+pub use capture::{Capture, PhotographFile, SceneKind, Support, UNKNOWN_CONTRIBUTOR, View};
 pub use error::CaptureError;
-pub use grey::encode_grey16;
-pub use manifest::{MANIFEST, write_manifest};
-pub use mask::Mask;
-pub use photograph::{Limits, decode_picture, encode_png, save_png};
-pub use photograph_file::PhotographFile;
-pub use picture::{Picture, Picture8, PictureError};
-pub use resize::AreaFilter;
-pub use scene::{Mismatch, SceneFolder};
+pub use images::{
+    AreaFilter, Ground, ImageFormat, Limits, Mask, Picture, Picture8, PictureError, decode_emblem, decode_picture,
+    encode_grey16, encode_png, save_png,
+};
+pub use import::ReadOptions;
+pub use scene::{MANIFEST, Mismatch, SceneFolder, write_manifest};
 pub use sound::{SAMPLE_RATES_HZ, Sound, SoundLimits, decode_wav, encode_wav};
 pub use train_view::TrainView;

@@ -1,8 +1,8 @@
 //! A view as trainings use it: decoded once, kept for a whole job.
 
-use crate::camera::Camera;
-use crate::mask::Mask;
-use crate::picture::Picture8;
+use crate::cameras::camera::Camera;
+use crate::images::mask::Mask;
+use crate::images::picture::Picture8;
 
 /// A view's camera, photograph and mask, all of one size. A quarter of the memory of a photograph in f32.
 #[derive(Clone, Debug, PartialEq)]

@@ -268,12 +268,12 @@ fn what_cannot_be_is_refused() {
     assert!(matches!(build(anchors(usize::MAX, 2)), Err(ClusterError::TooFewViews { .. })));
     assert!(text(build(anchors(0, 5))).contains("anchors is 0; it must be at least 1"));
     assert!(text(build(anchors(2, 0))).contains("neighbours is 0"));
-    assert!(text(build(by_contributor(1))).contains("least_views is 1; it must be at least 2"));
+    assert!(text(build(by_contributor(1))).contains("min_views is 1; it must be at least 2"));
     let heavy = Grouping::ByContributor { min_views: 2, direction_weight: f64::NAN };
     assert!(text(build(heavy)).contains("direction_weight is NaN"));
     assert_eq!(
         text(build(by_contributor(6))),
-        "no contributor has 6 views of their own; the most, 5, are from \"c\"; lower least_views (--least-views) or bring a table of contributors"
+        "no contributor has 6 views of their own; the most, 5, are from \"c\"; lower min_views (--min-views) or bring a table of contributors"
     );
     let few = Clusters::build(&poses, &by_contributor(2), &runs(3, 1), 0);
     assert_eq!(few, Err(ClusterError::ContributorCount { views: 20, contributors: 3 }));

@@ -362,6 +362,8 @@ mod tests {
                 camera: *camera,
                 contributor: String::new(),
                 photograph: "none".into(),
+                mask: None,
+                support: None,
                 held_out: false,
                 bounds: near.map(|n| (n, 100.0)),
             })

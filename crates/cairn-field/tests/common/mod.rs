@@ -117,6 +117,8 @@ pub fn capture(kind: SceneKind, cameras: Vec<Camera>, unit: f64, at: DVec3) -> C
             contributor: "unknown".into(),
             photograph: "none".into(),
             held_out: false,
+            mask: None,
+            support: None,
             bounds: None,
         })
         .collect();

@@ -1,6 +1,6 @@
 //! Clusters around anchors: farthest-point sampling, then the nearest views.
 
-use crate::Pose;
+use crate::cameras::pose::Pose;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 

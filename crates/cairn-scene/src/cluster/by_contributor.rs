@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::{Pose, UNKNOWN_CONTRIBUTOR};
+use crate::cameras::pose::Pose;
+use crate::capture::UNKNOWN_CONTRIBUTOR;
 
 use crate::cluster::clusters::{Cluster, ClusterError, Clusters, Grouping, Reference};
 use crate::cluster::metric::PoseMetric;

@@ -2,12 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use crate::Pose;
+use crate::cameras::pose::Pose;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::cluster::metric::PoseMetric;
-use crate::cluster::{anchors, by_contributor};
 
 /// Clusters around anchors: the method's M and K.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -167,7 +166,7 @@ pub enum ClusterError {
     },
     /// Nobody brought enough views.
     #[error(
-        "no contributor has {min_views} views of their own; the most, {most}, are from {contributor:?}; lower least_views (--least-views) or bring a table of contributors"
+        "no contributor has {min_views} views of their own; the most, {most}, are from {contributor:?}; lower min_views (--min-views) or bring a table of contributors"
     )]
     NoContributor {
         /// Views wanted.
@@ -192,46 +191,6 @@ pub enum ClusterError {
 }
 
 impl Clusters {
-    /// Groups the views with these `poses` into identities.
-    ///
-    /// *Anchors*: the first is drawn with `seed`, each further one is the view
-    /// farthest from those there are (farthest-point sampling; Gonzalez 1985).
-    /// A cluster is its anchor's K nearest views (and any exactly as near as the
-    /// last), less those that are nearer to another anchor. A pose belongs to its
-    /// nearest anchor's cluster if it is within the radius, which lies half way
-    /// between the farthest member and the next view of that anchor outside
-    /// (or at the farthest member, where no such view is).
-    ///
-    /// *By contributor*: a pose belongs to whoever took the view nearest to it,
-    /// if they are an identity and the view is within the radius, twice the
-    /// median distance from one of their views to the next. Views from the same
-    /// spot by several contributors belong to none of them, and `unknown` is
-    /// nobody. `seed` is not used.
-    ///
-    /// In both, ties go to the lower index, a member is told its cluster's
-    /// identity by [`Clusters::identity_of`], and no other view is told it.
-    ///
-    /// # Errors
-    /// [`ClusterError`] for a setting out of range, too few views, or a pose
-    /// that is not finite.
-    pub fn build(
-        poses: &[Pose],
-        grouping: &Grouping,
-        contributors: &[String],
-        seed: u64,
-    ) -> Result<Self, ClusterError> {
-        grouping.check()?;
-        if let Some(view) = poses.iter().position(|p| !p.position.is_finite() || !p.rotation.is_finite()) {
-            return Err(ClusterError::NotFinite { view });
-        }
-        match grouping {
-            Grouping::Anchors(config) => anchors::build(poses, config, seed),
-            Grouping::ByContributor { min_views, direction_weight } => {
-                by_contributor::build(poses, contributors, *min_views, *direction_weight)
-            }
-        }
-    }
-
     /// How the views were grouped.
     pub fn grouping(&self) -> &Grouping {
         &self.grouping
@@ -327,9 +286,10 @@ impl Clusters {
 }
 
 impl Grouping {
-    fn check(&self) -> Result<(), ClusterError> {
-        let at_least = |key, value: usize, least, allowed| {
-            if value < least {
+    /// Refuses a setting out of range.
+    pub(crate) fn check(&self) -> Result<(), ClusterError> {
+        let at_least = |key, value: usize, min, allowed| {
+            if value < min {
                 return Err(ClusterError::Setting { key, value: value.to_string(), allowed });
             }
             Ok(())
@@ -341,7 +301,7 @@ impl Grouping {
                 config.direction_weight
             }
             Self::ByContributor { min_views, direction_weight } => {
-                at_least("least_views", *min_views, 2, "at least 2: one view says nothing about how far it reaches")?;
+                at_least("min_views", *min_views, 2, "at least 2: one view says nothing about how far it reaches")?;
                 *direction_weight
             }
         };

@@ -1,7 +1,7 @@
 //! How far apart two cameras are, without a unit: a capture's unit is arbitrary
 //! (COLMAP's certainly is), so positions are measured in the capture's own spread.
 
-use crate::Pose;
+use crate::cameras::pose::Pose;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 

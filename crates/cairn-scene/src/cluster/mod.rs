@@ -10,6 +10,7 @@
 //! against that many takes under a millisecond.
 
 mod anchors;
+mod build;
 mod by_contributor;
 mod clusters;
 mod metric;

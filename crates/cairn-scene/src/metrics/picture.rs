@@ -2,7 +2,7 @@
 //! picture has 720 000 terms, and at 50 dB an f32 sum is already off in the
 //! second decimal.
 
-use crate::Picture;
+use crate::images::picture::Picture;
 
 use crate::metrics::error::{MetricError, finite};
 

@@ -7,7 +7,7 @@
 //! A picture smaller than the window is an error and not a smaller window: the
 //! figure would look comparable and would not be.
 
-use crate::Picture;
+use crate::images::picture::Picture;
 use rayon::prelude::*;
 
 use crate::metrics::error::MetricError;

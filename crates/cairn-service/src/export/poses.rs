@@ -319,6 +319,8 @@ mod tests {
             contributor: format!("person-{:02}", (i * i) % 15),
             photograph: "none".into(),
             held_out: i % 8 == 0,
+            mask: None,
+            support: None,
             bounds: None,
         };
         let views = poses.into_iter().enumerate().map(view).collect();

@@ -6,7 +6,7 @@ use cairn_api::v1;
 use cairn_field::AppearanceMode;
 use cairn_log::{Digest, PublicKey, RegistryError};
 use cairn_scene::cluster::{ClusterConfig, Grouping};
-use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind};
+use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind, Support};
 use glam::{DMat3, DVec3};
 
 use crate::config::{PresetChoice, Quality, TrainingOptions};
@@ -17,7 +17,7 @@ use crate::query::viewpoint::{FieldKind, Viewpoint};
 use crate::records::owners::AskedView;
 use crate::store::given::Given;
 use crate::store::hidden::Parts;
-use crate::store::import::{ImportPlan, PlannedView};
+use crate::store::import::{ImportPlan, PlannedFile, PlannedView};
 use crate::train::request::{Plan, TrainingRequest};
 
 /// Longest text field, bytes.
@@ -196,14 +196,33 @@ fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
             return Err(EngineError::invalid(format!("view {name}: near and far"), got, "0 and 0, or 0 < near < far"));
         }
     };
+    let mask = match view.mask_bytes {
+        0 if view.mask_sha256.is_empty() => None,
+        0 => return Err(EngineError::invalid(format!("view {name}: mask_bytes"), 0, "1 or more for a mask")),
+        bytes => {
+            let sha256 = bytes32(&format!("view {name}: mask_sha256"), &view.mask_sha256)?;
+            Some(PlannedFile { bytes, sha256 })
+        }
+    };
+    let support = view.support.map(|s| Support { points: s.points, reprojection_error_px: s.reprojection_error_px });
+    if let Some(Support { reprojection_error_px: error, .. }) = support
+        && !(error.is_finite() && error >= 0.0)
+    {
+        let what = format!("view {name}: reprojection_error_px");
+        return Err(EngineError::invalid(what, error, "a finite number, at least 0"));
+    }
     Ok(PlannedView {
         camera: camera(&format!("view {name}: camera"), view.camera.as_ref())?,
         contributor: text(&format!("view {name}: contributor"), view.contributor)?,
         held_out: view.held_out,
         as_stored: view.as_stored,
         bounds,
-        photograph_bytes: view.photograph_bytes,
-        photograph_sha256: bytes32(&format!("view {name}: photograph_sha256"), &view.photograph_sha256)?,
+        photograph: PlannedFile {
+            bytes: view.photograph_bytes,
+            sha256: bytes32(&format!("view {name}: photograph_sha256"), &view.photograph_sha256)?,
+        },
+        mask,
+        support,
         name,
     })
 }

@@ -39,7 +39,7 @@ impl SceneService for Shared {
             };
             import = self
                 .run(move |_| {
-                    import.write(chunk.view_index as usize, &chunk.data)?;
+                    import.write(chunk.view_index as usize, chunk.is_mask, &chunk.data)?;
                     Ok(import)
                 })
                 .await?;

@@ -112,6 +112,7 @@ fn capture(error: &CaptureError) -> Code {
         | CaptureError::SoundTooLong { .. }
         | CaptureError::TooLarge { .. }
         | CaptureError::SizeMismatch { .. }
+        | CaptureError::MaskSize { .. }
         | CaptureError::Contributors { .. }
         | CaptureError::SceneName { .. } => Code::InvalidArgument,
         CaptureError::SceneExists { .. } => Code::AlreadyExists,

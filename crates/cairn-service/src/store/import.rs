@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use cairn_log::Digest;
-use cairn_scene::{Camera, Capture, PhotographFile, SceneFolder, SceneKind, View};
+use cairn_scene::{Camera, Capture, PhotographFile, SceneFolder, SceneKind, Support, View};
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
 
@@ -46,10 +46,32 @@ pub struct PlannedView {
     pub as_stored: bool,
     /// Nearest and farthest depth, capture's unit.
     pub bounds: Option<(f64, f64)>,
-    /// The photograph's bytes.
-    pub photograph_bytes: u64,
-    /// Their SHA-256.
-    pub photograph_sha256: [u8; 32],
+    /// The photograph's file.
+    pub photograph: PlannedFile,
+    /// The mask's file, if it has one.
+    pub mask: Option<PlannedFile>,
+    /// What structure from motion says for it.
+    pub support: Option<Support>,
+}
+
+impl PlannedView {
+    /// Its files, in the order in which they come.
+    fn files(&self) -> impl Iterator<Item = &PlannedFile> {
+        std::iter::once(&self.photograph).chain(&self.mask)
+    }
+
+    fn bytes(&self) -> u64 {
+        self.files().fold(0, |sum, file| sum.saturating_add(file.bytes))
+    }
+}
+
+/// A file that is going to be brought.
+#[derive(Clone, Copy, Debug)]
+pub struct PlannedFile {
+    /// Its size, bytes.
+    pub bytes: u64,
+    /// Its SHA-256.
+    pub sha256: [u8; 32],
 }
 
 /// An import under way. Dropped before [`Import::finish`], it leaves nothing.
@@ -60,9 +82,12 @@ pub struct Import {
     /// Who is charged with it; charged no longer when dropped.
     pub(crate) owned: Option<Owned>,
     folder: tempfile::TempDir,
-    /// The photograph being written: its file, bytes so far, and their hash.
+    /// The file being written, bytes so far, and their hash.
     current: Option<(File, u64, Sha256)>,
+    /// The view whose files come next.
     next: usize,
+    /// Whether that view's photograph is whole, so that its mask comes.
+    mask_is_next: bool,
 }
 
 impl Import {
@@ -82,7 +107,7 @@ impl Import {
             .prefix("import-")
             .tempdir_in(staging)
             .map_err(EngineError::io("create a folder in", staging))?;
-        Ok(Self { plan, points: Vec::new(), owned: None, folder, current: None, next: 0 })
+        Ok(Self { plan, points: Vec::new(), owned: None, folder, current: None, next: 0, mask_is_next: false })
     }
 
     /// The new scene's name.
@@ -90,9 +115,9 @@ impl Import {
         &self.plan.scene
     }
 
-    /// What the plan says that the photographs take.
+    /// What the plan says that photographs and masks take.
     pub fn takes(&self) -> Charge {
-        let bytes = self.plan.views.iter().fold(0_u64, |sum, v| sum.saturating_add(v.photograph_bytes));
+        let bytes = self.plan.views.iter().fold(0_u64, |sum, v| sum.saturating_add(v.bytes()));
         Charge { bytes, views: self.plan.views.len() as u64 }
     }
 
@@ -114,37 +139,48 @@ impl Import {
         Ok(())
     }
 
-    /// Takes the next bytes of view `index`'s photograph.
+    /// Takes the next bytes of view `index`'s photograph or, where `is_mask`, of its mask, which comes after it.
     ///
     /// # Errors
     /// For bytes out of order, more than announced, or of another SHA-256.
-    pub fn write(&mut self, index: usize, data: &[u8]) -> Result<(), EngineError> {
+    pub fn write(&mut self, index: usize, is_mask: bool, data: &[u8]) -> Result<(), EngineError> {
         let Some(view) = self.plan.views.get(self.next).filter(|_| index == self.next) else {
             let expected = format!("view {} of {}, in the header's order", self.next, self.plan.views.len());
             return Err(EngineError::invalid("the chunk's view_index", index, expected));
         };
-        let path = photograph_path(self.folder.path(), index);
+        let planned = match (&view.mask, self.mask_is_next) {
+            _ if is_mask != self.mask_is_next => {
+                let expected = if self.mask_is_next { "its mask's" } else { "its photograph's" };
+                let got = if is_mask { "its mask's" } else { "its photograph's" };
+                return Err(EngineError::invalid(format!("the chunk's bytes for {}", view.name), got, expected));
+            }
+            (Some(mask), true) => *mask,
+            _ => view.photograph,
+        };
+        let what = format!("the {} of {}", if is_mask { "mask" } else { "photograph" }, view.name);
+        let path = file_path(self.folder.path(), index, is_mask);
         if self.current.is_none() {
             let file = File::create_new(&path).map_err(EngineError::io("create", &path))?;
             self.current = Some((file, 0, Sha256::new()));
         }
         let Some((file, written, hash)) = self.current.as_mut() else { return Ok(()) };
         *written += data.len() as u64;
-        if *written > view.photograph_bytes {
-            let expected = format!("{} bytes, as the header says", view.photograph_bytes);
-            return Err(EngineError::invalid(format!("the photograph of {}", view.name), "longer", expected));
+        if *written > planned.bytes {
+            let expected = format!("{} bytes, as the header says", planned.bytes);
+            return Err(EngineError::invalid(what, "longer", expected));
         }
         file.write_all(data).map_err(EngineError::io("write", &path))?;
         hash.update(data);
-        if *written == view.photograph_bytes {
+        if *written == planned.bytes {
             let got: [u8; 32] = std::mem::take(hash).finalize().into();
-            if got != view.photograph_sha256 {
-                let expected = format!("SHA-256 {}, as the header says", Digest::from_bytes(view.photograph_sha256));
+            if got != planned.sha256 {
+                let expected = format!("SHA-256 {}, as the header says", Digest::from_bytes(planned.sha256));
                 let got = format!("of SHA-256 {}", Digest::from_bytes(got));
-                return Err(EngineError::invalid(format!("the photograph of {}", view.name), got, expected));
+                return Err(EngineError::invalid(what, got, expected));
             }
             self.current = None;
-            self.next += 1;
+            self.mask_is_next = !is_mask && view.mask.is_some();
+            self.next += usize::from(!self.mask_is_next);
         }
         Ok(())
     }
@@ -156,8 +192,8 @@ impl Import {
     /// than its camera, and the file system's.
     pub fn finish(self, scenes: &Path) -> Result<SceneFolder, EngineError> {
         if self.next < self.plan.views.len() {
-            let expected = format!("{} photographs, whole", self.plan.views.len());
-            return Err(EngineError::invalid("the import", format!("{} whole photographs", self.next), expected));
+            let expected = format!("{} views, whole", self.plan.views.len());
+            return Err(EngineError::invalid("the import", format!("{} whole views", self.next), expected));
         }
         let mut views: Vec<View> = Vec::with_capacity(self.plan.views.len());
         for (index, view) in self.plan.views.into_iter().enumerate() {
@@ -165,7 +201,9 @@ impl Import {
                 name: view.name,
                 camera: view.camera,
                 contributor: view.contributor,
-                photograph: PhotographFile { path: photograph_path(Path::new(""), index), as_stored: view.as_stored },
+                photograph: PhotographFile { path: file_path(Path::new(""), index, false), as_stored: view.as_stored },
+                mask: view.mask.map(|_| file_path(Path::new(""), index, true)),
+                support: view.support,
                 held_out: view.held_out,
                 bounds: view.bounds,
             });
@@ -184,8 +222,8 @@ impl Import {
     }
 }
 
-fn photograph_path(folder: &Path, index: usize) -> PathBuf {
-    folder.join(format!("{index:06}.photograph"))
+fn file_path(folder: &Path, index: usize, is_mask: bool) -> PathBuf {
+    folder.join(format!("{index:06}.{}", if is_mask { "mask" } else { "photograph" }))
 }
 
 fn check_plan(plan: &ImportPlan, limits: &Limits) -> Result<(), EngineError> {
@@ -209,17 +247,24 @@ fn check_plan(plan: &ImportPlan, limits: &Limits) -> Result<(), EngineError> {
     for view in &plan.views {
         let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         check_size(&format!("view {}", view.name), w, h, limits)?;
-        if view.photograph_bytes == 0 {
+        if view.photograph.bytes == 0 {
             return Err(EngineError::invalid(format!("the photograph of {}", view.name), "0 bytes", "1 byte or more"));
         }
-        if view.photograph_bytes > limits.max_photograph_bytes {
-            let what = format!("the photograph of {} in bytes", view.name);
-            return over(what, "limits.max_photograph_bytes", limits.max_photograph_bytes, view.photograph_bytes);
+        for (what, file) in ["photograph", "mask"].into_iter().zip(view.files()) {
+            if file.bytes > limits.max_photograph_bytes {
+                let what = format!("the {what} of {} in bytes", view.name);
+                return over(what, "limits.max_photograph_bytes", limits.max_photograph_bytes, file.bytes);
+            }
         }
-        total = total.saturating_add(view.photograph_bytes);
+        total = total.saturating_add(view.bytes());
     }
     if total > limits.max_scene_bytes {
-        return over("the photographs' bytes".into(), "limits.max_scene_bytes", limits.max_scene_bytes, total);
+        return over(
+            "the bytes of photographs and masks".into(),
+            "limits.max_scene_bytes",
+            limits.max_scene_bytes,
+            total,
+        );
     }
     Ok(())
 }

@@ -71,13 +71,15 @@ pub fn open(folder: &Path, name: &str) -> Result<SceneFolder, EngineError> {
 /// What a scene takes of its owner's quotas as it is now.
 ///
 /// # Errors
-/// The file system's, naming the photograph.
+/// The file system's, naming the file.
 pub fn takes(scene: &SceneFolder) -> Result<Charge, EngineError> {
     let capture = scene.capture();
     let mut charge = Charge { bytes: 0, views: capture.views.len() as u64 };
     for view in &capture.views {
-        let path = capture.root.join(&view.photograph);
-        charge.bytes += path.metadata().map_err(EngineError::io("measure", &path))?.len();
+        for file in [Some(view.photograph.path.as_path()), view.mask.as_deref()].into_iter().flatten() {
+            let path = capture.root.join(file);
+            charge.bytes += path.metadata().map_err(EngineError::io("measure", &path))?.len();
+        }
     }
     Ok(charge)
 }

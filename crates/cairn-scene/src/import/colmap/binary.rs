@@ -8,12 +8,16 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use super::{Cameras, Image, MODELS, REMEDY, check_point, insert, intrinsics, unsupported};
-use crate::assemble::check_count;
+use crate::cameras::lens::LensModel;
 use crate::error::CaptureError;
+use crate::import::colmap::parts::{Cameras, Image, Points, REMEDY, Seen, Size, insert, intrinsics, unsupported};
+use crate::import::model::check_count;
 
 /// Longest image name that is accepted, bytes.
 const MAX_NAME_BYTES: usize = 4096;
+
+/// Length of an observation in `images.bin`, bytes.
+const OBSERVATION_BYTES: u64 = 24;
 
 /// A file read from front to back, with what is left of it and where it is.
 struct Reader {
@@ -68,12 +72,12 @@ impl Reader {
         Ok(DVec3::new(self.f64()?, self.f64()?, self.f64()?))
     }
 
-    /// The number of entries that follow, each at least `least` bytes long.
-    fn count(&mut self, least: u64) -> Result<u64, CaptureError> {
+    /// The number of entries that follow, each at least `min_bytes` bytes long.
+    fn count(&mut self, min_bytes: u64) -> Result<u64, CaptureError> {
         let count = self.u64()?;
-        if count > self.left / least {
+        if count > self.left / min_bytes {
             let got = format!("{count}, in a file with {} bytes left", self.left);
-            return Err(self.wrong(format!("a count of entries of at least {least} bytes each"), got));
+            return Err(self.wrong(format!("a count of entries of at least {min_bytes} bytes each"), got));
         }
         Ok(count)
     }
@@ -86,6 +90,18 @@ impl Reader {
         self.bytes.seek_relative(offset).map_err(CaptureError::io("read", &self.file))?;
         self.left -= bytes;
         Ok(())
+    }
+
+    /// `count` observations, x and y f64 and the point's number u64 each (all ones where it is none), of which those
+    /// of `points` are counted.
+    fn observations(&mut self, count: u64, points: &Points) -> Result<Seen, CaptureError> {
+        self.need(count.saturating_mul(OBSERVATION_BYTES))?;
+        let mut seen = Seen::default();
+        for _ in 0..count {
+            self.skip(1, 16)?;
+            seen.observe(points, self.u64()?);
+        }
+        Ok(seen)
     }
 
     /// Text up to a zero byte.
@@ -119,13 +135,11 @@ pub(super) fn cameras(path: &Path) -> Result<Cameras, CaptureError> {
     let mut cameras = Cameras::new();
     for index in 0..count {
         reader.entry = ("camera at index", index);
-        let (id, model) = (reader.u32()?, reader.u32()? as usize);
-        let size = (reader.u64()?, reader.u64()?);
-        let Some(&(_, length)) = MODELS.get(model) else {
-            return Err(unsupported(path, id, format!("number {}", model as i32)));
-        };
-        let parameters = (0..length).map(|_| reader.f64()).collect::<Result<Vec<_>, _>>()?;
-        insert(path, &mut cameras, id, intrinsics(path, id, model, size, &parameters)?)?;
+        let (id, model) = (reader.u32()?, reader.u32()?);
+        let size = Size { width: reader.u64()?, height: reader.u64()? };
+        let model = LensModel::from_colmap_number(model).map_err(|name| unsupported(path, id, name))?;
+        let parameters = (0..model.parameters()).map(|_| reader.f64()).collect::<Result<Vec<_>, _>>()?;
+        insert(path, &mut cameras, id, intrinsics(path, id, model, &size, &parameters)?)?;
     }
     reader.finish()?;
     Ok(cameras)
@@ -133,7 +147,8 @@ pub(super) fn cameras(path: &Path) -> Result<Cameras, CaptureError> {
 
 /// `images.bin`: count; then id u32, quaternion 4 f64, translation 3 f64, camera
 /// u32, name, zero byte, count of observations u64 and 24 bytes for each.
-pub(super) fn images(path: &Path, max_views: usize) -> Result<Vec<Image>, CaptureError> {
+/// What it observes of `points` becomes its support.
+pub(super) fn images(path: &Path, max_views: usize, points: Option<&Points>) -> Result<Vec<Image>, CaptureError> {
     let mut reader = Reader::open(path)?;
     let count = reader.count(4 + 56 + 4 + 1 + 8)?;
     check_count(path, count, max_views)?;
@@ -146,8 +161,14 @@ pub(super) fn images(path: &Path, max_views: usize) -> Result<Vec<Image>, Captur
         let camera = reader.u32()?;
         let name = reader.name()?;
         let observations = reader.u64()?;
-        reader.skip(observations, 24)?;
-        images.push(Image { id, rotation, translation, camera, name });
+        let support = match points {
+            None => {
+                reader.skip(observations, OBSERVATION_BYTES)?;
+                None
+            }
+            Some(points) => reader.observations(observations, points)?.support(),
+        };
+        images.push(Image { id, rotation, translation, camera, name, support });
     }
     reader.finish()?;
     Ok(images)
@@ -155,19 +176,20 @@ pub(super) fn images(path: &Path, max_views: usize) -> Result<Vec<Image>, Captur
 
 /// `points3D.bin`: count; then id u64, position 3 f64, colour 3 u8, error f64,
 /// count of track elements u64 and 8 bytes for each.
-pub(super) fn points(path: &Path) -> Result<Vec<DVec3>, CaptureError> {
+pub(super) fn points(path: &Path) -> Result<Points, CaptureError> {
     let mut reader = Reader::open(path)?;
     let count = reader.count(8 + 24 + 3 + 8 + 8)?;
-    let mut points = Vec::with_capacity(count as usize);
+    let mut points = Points::default();
     for index in 0..count {
         reader.entry = ("point at index", index);
         let id = reader.u64()?;
         let point = reader.vector()?;
-        reader.take::<11>()?;
+        reader.take::<3>()?;
+        let error_px = reader.f64()?;
         let track = reader.u64()?;
         reader.skip(track, 8)?;
-        points.push(check_point(path, id, point)?);
+        points.push(path, id, point, error_px)?;
     }
     reader.finish()?;
-    Ok(points)
+    Ok(points.sort())
 }

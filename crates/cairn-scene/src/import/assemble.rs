@@ -1,21 +1,17 @@
 //! From what a camera file states to a checked [`Capture`]: the part that every
 //! format shares, so that no format can forget a check.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::Path;
 
-use glam::DVec3;
-
-use crate::camera::{Camera, Intrinsics, Pose};
-use crate::capture::{Capture, ReadOptions, SceneKind, UNKNOWN_CONTRIBUTOR, View};
-use crate::contributors;
+use crate::cameras::camera::Camera;
+use crate::cameras::facing;
+use crate::cameras::intrinsics::{Intrinsics, check_intrinsics};
+use crate::capture::{Capture, PhotographFile, SceneKind, UNKNOWN_CONTRIBUTOR, View};
 use crate::error::CaptureError;
-use crate::facing;
-use crate::named;
-use crate::photograph::{self, Header, WHITE};
-use crate::photograph_file::PhotographFile;
-
-/// Cameras wider than this are a broken file, not a camera, px.
-pub(crate) const MAX_CAMERA_SIDE_PX: usize = 1 << 20;
+use crate::images::photograph::{self, Header, WHITE};
+use crate::import::model::{Entry, Guess, Model, check_count};
+use crate::import::options::ReadOptions;
+use crate::import::{contributors, masks, named};
 
 /// How many photographs are decoded to see whether they are transparent.
 const LOOKED_AT: usize = 5;
@@ -26,45 +22,6 @@ enum Share {
     None,
     Some,
     All,
-}
-
-/// What a format alone says about the kind of scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Guess {
-    ForwardFacing,
-    Bounded,
-    BoundedIfTransparent,
-    ForwardFacingIfDeep,
-    Unbounded,
-}
-
-/// One view as its camera file states it, the pose already checked.
-#[derive(Clone, Debug)]
-pub(crate) struct Entry {
-    pub name: String,
-    /// How errors name it, for example `image 12 (a.jpg)`.
-    pub label: String,
-    pub intrinsics: Intrinsics,
-    pub pose: Pose,
-    /// Relative to the capture's folder.
-    pub photograph: PathBuf,
-    pub bounds: Option<(f64, f64)>,
-    /// Where the format brings a split.
-    pub held_out: Option<bool>,
-}
-
-/// A camera file's whole content.
-#[derive(Clone, Debug)]
-pub(crate) struct Model {
-    /// The file that errors about entries name.
-    pub file: PathBuf,
-    pub kind: Guess,
-    /// Whether its cameras were computed on pixels as they are stored, without EXIF orientation.
-    pub as_stored: bool,
-    pub entries: Vec<Entry>,
-    pub points: Vec<DVec3>,
-    /// Names of views that were left out already, their photographs missing.
-    pub missing: Vec<String>,
 }
 
 /// Checks `model` against its photographs and makes the capture of it.
@@ -98,16 +55,21 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
             camera: Camera { intrinsics: entry.intrinsics.resized(width, height), pose: entry.pose },
             contributor,
             photograph: PhotographFile { path: entry.photograph.clone(), as_stored },
+            mask: None,
+            support: entry.support,
             held_out,
             bounds: entry.bounds,
         });
     }
+    add_masks(root, &model, options, &mut views)?;
     let transparent = transparent(root, &model, &headers, options)?;
     let kind = options.kind.unwrap_or(match model.kind {
         Guess::ForwardFacing => SceneKind::ForwardFacing,
         Guess::Bounded => SceneKind::Bounded,
         Guess::BoundedIfTransparent if transparent == Share::All => SceneKind::Bounded,
-        Guess::ForwardFacingIfDeep if facing::looks_ahead(&model.entries, &model.points) => SceneKind::ForwardFacing,
+        Guess::ForwardFacingIfDeep if facing::looks_ahead(&stated_cameras(&model), &model.points) => {
+            SceneKind::ForwardFacing
+        }
         Guess::BoundedIfTransparent | Guess::ForwardFacingIfDeep | Guess::Unbounded => SceneKind::Unbounded,
     });
     if kind == SceneKind::ForwardFacing {
@@ -120,6 +82,26 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
         (Share::Some | Share::None, _) => None,
     };
     Ok(Capture { root: root.to_path_buf(), kind, background, views, points: model.points, missing })
+}
+
+/// The cameras as the file states them.
+fn stated_cameras(model: &Model) -> Vec<Camera> {
+    model.entries.iter().map(|e| Camera { intrinsics: e.intrinsics, pose: e.pose }).collect()
+}
+
+/// Gives the views their masks, each held to its photograph's size by its header.
+fn add_masks(root: &Path, model: &Model, options: &ReadOptions, views: &mut [View]) -> Result<(), CaptureError> {
+    for (view, mask) in views.iter_mut().zip(masks::find(root, model, options)?) {
+        let Some(mask) = mask else { continue };
+        let path = root.join(&mask);
+        let photograph = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+        let got = photograph::header(&path, &options.limits)?.stored;
+        if got != photograph {
+            return Err(CaptureError::MaskSize { mask: path, photograph, got });
+        }
+        view.mask = Some(mask);
+    }
+    Ok(())
 }
 
 /// Sorts by name and refuses what no format may say.
@@ -140,41 +122,6 @@ fn check_entries(model: &mut Model, options: &ReadOptions) -> Result<(), Capture
         }
     }
     model.entries.iter().try_for_each(|e| check_intrinsics(&model.file, &e.label, &e.intrinsics))
-}
-
-/// Refuses a file that states no views, or more than are allowed.
-pub(crate) fn check_count(file: &Path, views: u64, max_views: usize) -> Result<(), CaptureError> {
-    if views == 0 {
-        let remedy = "bring a file that lists the photographs";
-        return Err(CaptureError::malformed(file, "the list of views", "at least one view", "none", remedy));
-    }
-    if views > max_views as u64 {
-        let (file, what) = (file.display().to_string(), "number of views");
-        return Err(CaptureError::TooLarge { file, what, limit: max_views as u64, got: views });
-    }
-    Ok(())
-}
-
-/// Refuses a camera without pixels or with a focal length that is none.
-pub(crate) fn check_intrinsics(file: &Path, label: &str, i: &Intrinsics) -> Result<(), CaptureError> {
-    let wrong = |expected: &str, got: String| {
-        Err(CaptureError::malformed(file, label, expected, got, "re-export the cameras or drop this view"))
-    };
-    let side = 1..=MAX_CAMERA_SIDE_PX;
-    if !side.contains(&i.width) || !side.contains(&i.height) {
-        return wrong("a camera of 1 to 1048576 pixels a side", format!("{} x {}", i.width, i.height));
-    }
-    if !(i.fx.is_finite() && i.fy.is_finite() && i.fx > 0.0 && i.fy > 0.0) {
-        return wrong("a focal length above 0", format!("{}, {}", i.fx, i.fy));
-    }
-    if !(i.cx.is_finite() && i.cy.is_finite()) {
-        return wrong("a finite principal point", format!("{}, {}", i.cx, i.cy));
-    }
-    let d = &i.distortion;
-    if ![d.k1, d.k2, d.k3, d.p1, d.p2].iter().all(|v| v.is_finite()) {
-        return wrong("finite distortion", format!("{d:?}"));
-    }
-    Ok(())
 }
 
 /// Takes the views out whose photographs are not there and returns their names. Without
@@ -246,27 +193,4 @@ fn fit(camera: &Intrinsics, header: &Header, as_stored: bool) -> Option<(usize, 
     let (width, height) = if stored { header.stored } else { header.oriented };
     // A photograph that nothing turns is the same both ways, and need not be told apart.
     Some((width, height, stored && header.turned))
-}
-
-/// `path` as a relative path that stays where it starts; `None` for one that is
-/// absolute, climbs out, or is empty. `./` goes.
-pub(crate) fn inside(path: &str) -> Option<PathBuf> {
-    let mut clean = PathBuf::new();
-    for part in Path::new(path).components() {
-        match part {
-            Component::CurDir => {}
-            Component::Normal(part) => clean.push(part),
-            Component::ParentDir | Component::RootDir | Component::Prefix(_) => return None,
-        }
-    }
-    (!clean.as_os_str().is_empty()).then_some(clean)
-}
-
-/// The folder of photographs relative to `root`: the one asked for, or the first
-/// of `usual` that exists.
-pub(crate) fn image_folder(root: &Path, options: &ReadOptions, usual: &[&str]) -> Option<PathBuf> {
-    if let Some(asked) = &options.images {
-        return Some(asked.strip_prefix(root).unwrap_or(asked).to_path_buf());
-    }
-    usual.iter().map(PathBuf::from).find(|folder| root.join(folder).is_dir())
 }

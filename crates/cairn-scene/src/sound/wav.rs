@@ -108,7 +108,7 @@ impl Sound {
         if sample_rate_hz == self.sample_rate_hz {
             return Ok(self.clone());
         }
-        let samples = crate::resample::resample(&self.samples, self.sample_rate_hz, sample_rate_hz);
+        let samples = crate::sound::resample::resample(&self.samples, self.sample_rate_hz, sample_rate_hz);
         Self::new(samples, sample_rate_hz)
     }
 }

@@ -1,7 +1,7 @@
 //! Masks: which pixels of a photograph are to be used. What a mask leaves out (passers-by, a caption,
 //! a visible watermark) teaches nothing.
 
-use crate::picture::PictureError;
+use crate::images::picture::PictureError;
 
 /// Which pixels of a photograph are to be used, one bit a pixel.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -69,6 +69,23 @@ impl Mask {
     /// How many pixels are used.
     pub fn used_pixels(&self) -> usize {
         self.bits.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// A grey PNG of 1 bit, white where a pixel is used. The same mask gives the same bytes.
+    pub fn to_png(&self) -> Vec<u8> {
+        let mut png = Vec::new();
+        let mut encoder = png::Encoder::new(&mut png, self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::One);
+        let row_bytes = self.width.div_ceil(8);
+        let mut bytes = vec![0u8; row_bytes * self.height];
+        for (y, row) in bytes.chunks_exact_mut(row_bytes).enumerate() {
+            // The leftmost pixel is a byte's highest bit.
+            (0..self.width).filter(|&x| self.uses(x, y)).for_each(|x| row[x / 8] |= 0x80 >> (x % 8));
+        }
+        let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&bytes));
+        written.expect("writing to memory, of the mask's own size, cannot fail");
+        png
     }
 
     /// The mask of the photograph at `width x height`. A new pixel is used where **all** pixels that it covers, in

@@ -1,7 +1,7 @@
 //! Photographs and renders in memory: one plain type, so that every later stage
 //! shares a layout and none of them needs to know an image file format; and another for keeping many of them.
 
-use crate::resize::AreaFilter;
+use crate::images::resize::AreaFilter;
 use thiserror::Error;
 
 /// An RGB image, `height x width x 3`, row-major, interleaved, display-referred

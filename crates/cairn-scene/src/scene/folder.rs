@@ -1,31 +1,33 @@
 //! A scene on disk: the table `scene.json`, the sparse points `points.bin`, the
-//! contributors' photographs as they brought them, byte for byte, and `manifest.json` over them all.
+//! contributors' photographs as they brought them, byte for byte, their masks as PNGs of 1 bit, and `manifest.json`
+//! over them all.
 //!
 //! A scene appears whole or not at all: everything is checked and written into a
 //! staging folder beside it, synced, and renamed. What is left of an import that
 //! was cut off is a folder whose name starts with `.staging-`, which nothing reads.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
+use std::fs;
 use std::path::{Path, PathBuf};
 
+use cairn_durable::{read_limited, sync_folder, write_synced};
 use glam::DVec3;
-use image::ImageFormat;
 use sha2::{Digest, Sha256};
 
+use crate::cameras::facing::check_near;
 use crate::capture::{Capture, SceneKind};
 use crate::error::CaptureError;
-use crate::facing::check_near;
-use crate::manifest::write_manifest;
-use crate::photograph::{read_limited, write_synced};
-use crate::picture::{Picture, Picture8};
-use crate::scene_file::{FORMAT, PHOTOGRAPHS, PointsRow, SceneFile, VERSION, ViewRow, digest_from_hex, hex};
+use crate::images::format::ImageFormat;
+use crate::images::mask::Mask;
+use crate::images::picture::{Picture, Picture8};
+use crate::scene::manifest::write_manifest;
+use crate::scene::table::{
+    FORMAT, MASKS, MAX_TABLE_BYTES, MaskRow, PHOTOGRAPHS, PointsRow, SceneFile, TABLE, VERSION, ViewRow,
+    digest_from_hex, hex,
+};
 use crate::train_view::TrainView;
 
-pub(crate) const TABLE: &str = "scene.json";
 const POINTS: &str = "points.bin";
-/// Largest table that is read: 100 000 views take about 70 MB.
-pub(crate) const MAX_TABLE_BYTES: u64 = 256 << 20;
 /// Largest file of points that is read: 80 million of them.
 const MAX_POINTS_BYTES: u64 = 2 << 30;
 
@@ -35,16 +37,18 @@ pub struct SceneFolder {
     folder: PathBuf,
     capture: Capture,
     digests: Vec<[u8; 32]>,
+    /// SHA-256 of each view's mask, where it has one.
+    mask_digests: Vec<Option<[u8; 32]>>,
     /// Views that are not to be trained on.
     left_out: BTreeSet<usize>,
 }
 
-/// A photograph that is no longer what was imported.
+/// A photograph or a mask that is no longer what was imported.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mismatch {
     /// Index of the view.
     pub view: usize,
-    /// The photograph's file.
+    /// The photograph's or the mask's file.
     pub photograph: PathBuf,
     /// Its SHA-256 at import.
     pub expected: [u8; 32],
@@ -107,6 +111,11 @@ impl SceneFolder {
             .iter()
             .map(|v| digest_from_hex(&file, &format!("view {}", v.name), &v.sha256))
             .collect::<Result<_, _>>()?;
+        let of_mask = |v: &ViewRow| match &v.mask {
+            Some(mask) => digest_from_hex(&file, &format!("the mask of view {}", v.name), &mask.sha256).map(Some),
+            None => Ok(None),
+        };
+        let mask_digests = table.views.iter().map(of_mask).collect::<Result<_, _>>()?;
         let capture = Capture {
             missing: Vec::new(),
             root: folder.to_path_buf(),
@@ -115,7 +124,7 @@ impl SceneFolder {
             views: table.views.into_iter().map(ViewRow::into_view).collect(),
             points,
         };
-        Ok(Self { folder: folder.to_path_buf(), capture, digests, left_out: BTreeSet::new() })
+        Ok(Self { folder: folder.to_path_buf(), capture, digests, mask_digests, left_out: BTreeSet::new() })
     }
 
     /// The scene's own folder.
@@ -160,36 +169,58 @@ impl SceneFolder {
     /// [`Capture::photograph`].
     pub fn photograph(&self, view: usize) -> Result<Picture, CaptureError> {
         let (path, limits) = self.capture.photograph_path(view)?;
-        let bytes = read_limited(&path, limits.max_file_bytes)?;
-        let got: [u8; 32] = Sha256::digest(&bytes).into();
-        if got != self.digests[view] {
-            return Err(CaptureError::Altered { file: path, expected: hex(&self.digests[view]), got: hex(&got) });
-        }
+        let bytes = read_held_to(&path, limits.max_file_bytes, &self.digests[view])?;
         self.capture.decode(view, &path, &bytes)
+    }
+
+    /// View `view`'s mask, of its photograph's size; `None` where all pixels are used.
+    ///
+    /// # Errors
+    /// [`CaptureError::Altered`] when the file has changed since the import, and as [`Capture::mask`].
+    pub fn mask(&self, view: usize) -> Result<Option<Mask>, CaptureError> {
+        let Some((path, limits)) = self.capture.mask_path(view)? else { return Ok(None) };
+        // The table gives each mask a digest.
+        let digest = self.mask_digests[view].unwrap_or_default();
+        let bytes = read_held_to(&path, limits.max_file_bytes, &digest)?;
+        self.capture.decode_mask(view, &path, &bytes).map(Some)
     }
 
     /// View `view` as trainings use it: its photograph in 8 bits, its camera and its mask, of one size.
     ///
     /// # Errors
-    /// As [`SceneFolder::photograph`].
+    /// As [`SceneFolder::photograph`] and [`SceneFolder::mask`].
     pub fn train_view(&self, view: usize) -> Result<TrainView, CaptureError> {
         let rgb8 = Picture8::from(&self.photograph(view)?);
-        Ok(TrainView { camera: self.capture.views[view].camera, rgb8, mask: None })
+        Ok(TrainView { camera: self.capture.views[view].camera, rgb8, mask: self.mask(view)? })
     }
 
-    /// Every photograph whose bytes are not those that were imported; empty for
-    /// a sound scene.
+    /// Every photograph and mask whose bytes are not those that were imported, by view; empty for a sound scene.
     pub fn verify_photographs(&self) -> Vec<Mismatch> {
-        let check = |view: usize| {
-            let (photograph, limits) = self.capture.photograph_path(view).ok()?;
-            let got = read_limited(&photograph, limits.max_file_bytes)
-                .map(|bytes| Sha256::digest(&bytes).into())
-                .map_err(|e| e.to_string());
-            let expected = self.digests[view];
-            (got.as_ref() != Ok(&expected)).then_some(Mismatch { view, photograph, expected, got })
-        };
-        (0..self.digests.len()).filter_map(check).collect()
+        let mut wrong = Vec::new();
+        for (view, digest) in self.digests.iter().enumerate() {
+            let photograph = self.capture.photograph_path(view).ok().map(|place| (place, *digest));
+            let mask = self.capture.mask_path(view).ok().flatten().zip(self.mask_digests[view]);
+            for ((photograph, limits), expected) in photograph.into_iter().chain(mask) {
+                let got = read_limited(&photograph, limits.max_file_bytes)
+                    .map(|bytes| Sha256::digest(&bytes).into())
+                    .map_err(|e| CaptureError::from(e).to_string());
+                if got.as_ref() != Ok(&expected) {
+                    wrong.push(Mismatch { view, photograph, expected, got });
+                }
+            }
+        }
+        wrong
     }
+}
+
+/// The bytes of the file at `path`, whose SHA-256 must be `expected`.
+fn read_held_to(path: &Path, limit: u64, expected: &[u8; 32]) -> Result<Vec<u8>, CaptureError> {
+    let bytes = read_limited(path, limit)?;
+    let got: [u8; 32] = Sha256::digest(&bytes).into();
+    if got != *expected {
+        return Err(CaptureError::Altered { file: path.to_path_buf(), expected: hex(expected), got: hex(&got) });
+    }
+    Ok(bytes)
 }
 
 /// The folder of scene `name`, if that is a name.
@@ -229,10 +260,15 @@ impl Drop for Staging {
 fn fill(folder: &Path, capture: &Capture) -> Result<(), CaptureError> {
     let photographs = folder.join(PHOTOGRAPHS);
     fs::create_dir(&photographs).map_err(CaptureError::io("create", &photographs))?;
-    let views = (0..capture.views.len())
-        .map(|view| copy_photograph(&photographs, capture, view))
-        .collect::<Result<Vec<_>, _>>()?;
+    if capture.views.iter().any(|view| view.mask.is_some()) {
+        let masks = folder.join(MASKS);
+        fs::create_dir(&masks).map_err(CaptureError::io("create", &masks))?;
+    }
+    let views = (0..capture.views.len()).map(|view| copy_view(folder, capture, view)).collect::<Result<Vec<_>, _>>()?;
     sync_folder(&photographs)?;
+    if views.iter().any(|view| view.mask.is_some()) {
+        sync_folder(&folder.join(MASKS))?;
+    }
 
     let points: Vec<u8> = capture.points.iter().flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes).collect();
     write_synced(&folder.join(POINTS), &points)?;
@@ -249,17 +285,26 @@ fn fill(folder: &Path, capture: &Capture) -> Result<(), CaptureError> {
     write_synced(&path, &json)?;
     // Last, over all that was written: it tells a changed byte also in the table itself.
     write_manifest(folder)?;
-    sync_folder(folder)
+    Ok(sync_folder(folder)?)
 }
 
-/// Copies one photograph, which must decode; the bytes checked are the bytes kept.
-fn copy_photograph(folder: &Path, capture: &Capture, index: usize) -> Result<ViewRow, CaptureError> {
+/// Copies one view's photograph and mask, which must decode. A photograph's bytes that are checked are those that are
+/// kept; a mask is kept as its pixels say.
+fn copy_view(folder: &Path, capture: &Capture, index: usize) -> Result<ViewRow, CaptureError> {
     let (path, limits) = capture.photograph_path(index)?;
     let bytes = read_limited(&path, limits.max_file_bytes)?;
     capture.decode(index, &path, &bytes)?;
-    let ending = if image::guess_format(&bytes).ok() == Some(ImageFormat::Png) { "png" } else { "jpg" };
+    let ending = ImageFormat::of(&bytes).map_or("", |format| format.endings()[0]);
     let photograph = format!("{index:06}.{ending}");
-    write_synced(&folder.join(&photograph), &bytes)?;
+    write_synced(&folder.join(PHOTOGRAPHS).join(&photograph), &bytes)?;
+    let mask = match capture.mask(index)? {
+        None => None,
+        Some(mask) => {
+            let (file, png) = (format!("{index:06}.png"), mask.to_png());
+            write_synced(&folder.join(MASKS).join(&file), &png)?;
+            Some(MaskRow { file, sha256: hex(&Sha256::digest(&png)) })
+        }
+    };
     let view = &capture.views[index];
     Ok(ViewRow {
         name: view.name.clone(),
@@ -270,16 +315,14 @@ fn copy_photograph(folder: &Path, capture: &Capture, index: usize) -> Result<Vie
         photograph,
         as_stored: view.photograph.as_stored,
         sha256: hex(&Sha256::digest(&bytes)),
+        mask,
+        support: view.support,
     })
 }
 
 fn read_points(path: &Path, table: &Path, row: &PointsRow) -> Result<Vec<DVec3>, CaptureError> {
     let expected = digest_from_hex(table, "points", &row.sha256)?;
-    let bytes = read_limited(path, MAX_POINTS_BYTES)?;
-    let got: [u8; 32] = Sha256::digest(&bytes).into();
-    if got != expected {
-        return Err(CaptureError::Altered { file: path.to_path_buf(), expected: hex(&expected), got: hex(&got) });
-    }
+    let bytes = read_held_to(path, MAX_POINTS_BYTES, &expected)?;
     let wrong = |expected: String, got: String| {
         CaptureError::malformed(path, "the points", expected, got, "import the capture again")
     };
@@ -292,9 +335,4 @@ fn read_points(path: &Path, table: &Path, row: &PointsRow) -> Result<Vec<DVec3>,
         Some(at) => Err(wrong("finite coordinates".to_owned(), format!("{} at {at}", points[at]))),
         None => Ok(points),
     }
-}
-
-/// Waits until a folder's entries are on the disk.
-pub(crate) fn sync_folder(folder: &Path) -> Result<(), CaptureError> {
-    File::open(folder).and_then(|f| f.sync_all()).map_err(CaptureError::io("sync", folder))
 }

@@ -4,11 +4,12 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use cairn_durable::read_limited;
 use serde::Deserialize;
 
 use crate::error::CaptureError;
-use crate::named::{LEFT_AWAY, composed};
-use crate::photograph::{Limits, read_limited};
+use crate::images::format::Limits;
+use crate::import::named::{LEFT_AWAY, composed};
 
 #[derive(Deserialize)]
 struct Row {

@@ -6,43 +6,21 @@
 //! NeRF-Synthetic figures do.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, Seek, Write};
-use std::path::{Path, PathBuf};
+use std::io::{BufReader, Cursor};
+use std::path::Path;
 
+use cairn_durable::read_limited;
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageError, ImageReader};
-use serde::{Deserialize, Serialize};
+use image::{DynamicImage, ImageDecoder};
 
+use crate::cameras::intrinsics::Intrinsics;
 use crate::error::CaptureError;
-use crate::picture::Picture;
+use crate::images::format::{self, ImageFormat, Limits, open_decoder, refused};
+use crate::images::mask::Mask;
+use crate::images::picture::Picture;
 
 /// What a transparent pixel is composited on where nothing else is said.
 pub(crate) const WHITE: [f32; 3] = [1.0; 3];
-
-/// The most that is accepted from people; everything is checked before memory
-/// is taken for it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Limits {
-    /// Largest photograph, table or JSON file, bytes.
-    pub max_file_bytes: u64,
-    /// Longest side of a photograph, px.
-    pub max_side_px: usize,
-    /// Most pixels in a photograph.
-    pub max_pixels: u64,
-    /// Most views in a capture.
-    pub max_views: usize,
-}
-
-impl Default for Limits {
-    /// 64 MiB, 16384 px, 100 million pixels, 100 000 views.
-    fn default() -> Self {
-        Self { max_file_bytes: 64 << 20, max_side_px: 16_384, max_pixels: 100_000_000, max_views: 100_000 }
-    }
-}
-
-/// The most that a PNG's chunks before its pixels may take, bytes; a colour profile that unpacks to more is left out.
-const MAX_HEADER_BYTES: u64 = 16 << 20;
 
 /// What a photograph's header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,7 +43,7 @@ pub(crate) fn header(path: &Path, limits: &Limits) -> Result<Header, CaptureErro
     let file = File::open(path).map_err(CaptureError::io("open", path))?;
     let length = file.metadata().map_err(CaptureError::io("read", path))?.len();
     let name = path.display().to_string();
-    check("file size in bytes", &name, length, limits.max_file_bytes)?;
+    format::check("file size in bytes", &name, length, limits.max_file_bytes)?;
     let mut decoder = open_decoder(BufReader::new(file), limits, &name)?;
     Ok(read_header(&mut decoder).0)
 }
@@ -97,21 +75,6 @@ pub(crate) fn shows_through(path: &Path, limits: &Limits) -> Result<bool, Captur
     })
 }
 
-/// The bytes of `path`, at most `limits.max_file_bytes` of them.
-///
-/// # Errors
-/// When it cannot be read or is larger.
-pub(crate) fn read_limited(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CaptureError> {
-    let file = File::open(path).map_err(CaptureError::io("open", path))?;
-    let length = file.metadata().map_err(CaptureError::io("read", path))?.len();
-    check("file size in bytes", &path.display().to_string(), length, max_bytes)?;
-    let mut bytes = Vec::with_capacity(length as usize);
-    // `take`, because a file may grow between the look and the read.
-    std::io::Read::read_to_end(&mut std::io::Read::take(file, max_bytes), &mut bytes)
-        .map_err(CaptureError::io("read", path))?;
-    Ok(bytes)
-}
-
 /// Decodes a PNG or JPEG: EXIF orientation applied, alpha composited on
 /// `background` (RGB in [0, 1]; `None` is white), 16-bit values kept to f32.
 ///
@@ -122,8 +85,7 @@ pub fn decode_picture(bytes: &[u8], limits: &Limits, background: Option<[f32; 3]
     decode("picture", bytes, limits, background, |_, _| Ok(true))
 }
 
-/// As [`decode_picture`], for the photograph at `path`, which must have `size`
-/// (width, height): found on the header, before any pixel is allocated. Where
+/// As [`decode_picture`], for the photograph at `path`, which must have the size of `camera`: found on the header, before any pixel is allocated. Where
 /// only the stored pixels have that size, the camera was computed on those, and
 /// they are returned without EXIF orientation; where both have it, `as_stored`
 /// says whether they are.
@@ -132,9 +94,10 @@ pub(crate) fn decode_sized(
     bytes: &[u8],
     limits: &Limits,
     background: Option<[f32; 3]>,
-    size: (usize, usize),
+    camera: &Intrinsics,
     as_stored: bool,
 ) -> Result<Picture, CaptureError> {
+    let size = (camera.width, camera.height);
     let orient = |oriented, stored| {
         if oriented == size || stored == size {
             return Ok(oriented == size && !(as_stored && stored == size));
@@ -153,7 +116,7 @@ fn decode(
     background: Option<[f32; 3]>,
     orient: impl FnOnce((usize, usize), (usize, usize)) -> Result<bool, CaptureError>,
 ) -> Result<Picture, CaptureError> {
-    check("file size in bytes", name, bytes.len() as u64, limits.max_file_bytes)?;
+    format::check("file size in bytes", name, bytes.len() as u64, limits.max_file_bytes)?;
     let mut decoder = open_decoder(Cursor::new(bytes), limits, name)?;
     let (header, orientation) = read_header(&mut decoder);
     let apply = orient(header.oriented, header.stored)?;
@@ -167,20 +130,12 @@ fn decode(
         .map_err(|e| CaptureError::NotAPicture { photograph: name.to_owned(), reason: e.to_string() })
 }
 
-/// `picture` as an 8-bit RGB PNG, values clamped to [0, 1] and rounded to nearest.
-///
-/// The same picture gives the same bytes. A number that is not finite has no
-/// 8-bit value: [`save_png`] refuses it, here it is the caller's to have refused.
+/// `picture` as an 8-bit RGB PNG; as [`ImageFormat::encode`].
 ///
 /// # Panics
 /// When a side is over 2^32 - 1 pixels.
 pub fn encode_png(picture: &Picture) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let size = |side: usize| u32::try_from(side).expect("a PNG's side is below 2^32 pixels");
-    image::codecs::png::PngEncoder::new(&mut bytes)
-        .write_image(&picture.to_rgb8(), size(picture.width()), size(picture.height()), image::ExtendedColorType::Rgb8)
-        .expect("writing to memory does not fail, and the buffer fits the size");
-    bytes
+    ImageFormat::Png.encode(picture)
 }
 
 /// Saves `picture` as PNG: written and synced beside `path`, then renamed, so
@@ -195,63 +150,7 @@ pub fn save_png(path: &Path, picture: &Picture) -> Result<(), CaptureError> {
         let (x, y) = (pixel % picture.width(), pixel / picture.width());
         return Err(CaptureError::NotFinite { path: path.to_path_buf(), x, y, got });
     }
-    write_atomic(path, &encode_png(picture))
-}
-
-/// Writes `bytes` to `path` through a synced file beside it and a rename.
-pub(crate) fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), CaptureError> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.part", std::process::id()));
-    let part: PathBuf = path.with_file_name(name);
-    let written =
-        write_synced(&part, bytes).and_then(|()| std::fs::rename(&part, path).map_err(CaptureError::io("write", path)));
-    if written.is_err() {
-        // The write's own error is the one to report; the leftover is only litter.
-        let _ = std::fs::remove_file(&part);
-    }
-    written
-}
-
-/// Writes `bytes` to a new file `path` and waits until they are on the disk.
-pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), CaptureError> {
-    let mut file = File::create(path).map_err(CaptureError::io("create", path))?;
-    file.write_all(bytes).and_then(|()| file.sync_all()).map_err(CaptureError::io("write", path))
-}
-
-fn check(what: &'static str, file: &str, got: u64, limit: u64) -> Result<(), CaptureError> {
-    if got > limit {
-        return Err(CaptureError::TooLarge { file: file.to_owned(), what, limit, got });
-    }
-    Ok(())
-}
-
-fn refused(name: &str, error: &ImageError) -> CaptureError {
-    CaptureError::NotAPicture { photograph: name.to_owned(), reason: error.to_string() }
-}
-
-fn open_decoder<'a, R: BufRead + Seek + 'a>(
-    reader: R,
-    limits: &Limits,
-    name: &str,
-) -> Result<impl ImageDecoder + 'a, CaptureError> {
-    let mut reader = ImageReader::new(reader)
-        .with_guessed_format()
-        .map_err(|e| CaptureError::NotAPicture { photograph: name.to_owned(), reason: e.to_string() })?;
-    // Before the first byte: a PNG's compressed colour profile is unpacked along with the header.
-    let mut of_header = image::Limits::no_limits();
-    of_header.max_alloc = Some(MAX_HEADER_BYTES);
-    reader.limits(of_header);
-    let mut decoder = reader.into_decoder().map_err(|e| refused(name, &e))?;
-    let (w, h) = decoder.dimensions();
-    check("longest side in pixels", name, u64::from(w.max(h)), limits.max_side_px as u64)?;
-    check("number of pixels", name, u64::from(w) * u64::from(h), limits.max_pixels)?;
-    let mut allowed = image::Limits::no_limits();
-    allowed.max_image_width = Some(w);
-    allowed.max_image_height = Some(h);
-    // Four 16-bit channels, once in the decoder and once in its result.
-    allowed.max_alloc = Some(limits.max_pixels.saturating_mul(16).saturating_add(64 << 20));
-    decoder.set_limits(allowed).map_err(|e| refused(name, &e))?;
-    Ok(decoder)
+    Ok(cairn_durable::write_atomic(path, &encode_png(picture))?)
 }
 
 fn swaps_sides(orientation: Orientation) -> bool {
@@ -265,4 +164,29 @@ fn composite(decoded: DynamicImage, background: [f32; 3]) -> Vec<f32> {
     }
     let rgba = decoded.into_rgba32f();
     rgba.as_raw().chunks_exact(4).flat_map(|p| [0, 1, 2].map(|c| p[c] * p[3] + background[c] * (1.0 - p[3]))).collect()
+}
+
+/// Decodes the mask at `path`, of which `bytes` were read: any PNG or JPEG, by its brightness. Neither EXIF
+/// orientation nor alpha is looked at. It must have the size of `camera`, which is the photograph's: found on the
+/// header, before any pixel is allocated.
+///
+/// # Errors
+/// [`CaptureError::MaskSize`] names both sizes; else as [`decode_picture`].
+pub(crate) fn decode_mask(
+    path: &Path,
+    bytes: &[u8],
+    limits: &Limits,
+    camera: &Intrinsics,
+) -> Result<Mask, CaptureError> {
+    let name = path.display().to_string();
+    format::check("file size in bytes", &name, bytes.len() as u64, limits.max_file_bytes)?;
+    let decoder = open_decoder(Cursor::new(bytes), limits, &name)?;
+    let (width, height) = (decoder.dimensions().0 as usize, decoder.dimensions().1 as usize);
+    if (width, height) != (camera.width, camera.height) {
+        let photograph = (camera.width, camera.height);
+        return Err(CaptureError::MaskSize { mask: path.to_path_buf(), photograph, got: (width, height) });
+    }
+    let grey = DynamicImage::from_decoder(decoder).map_err(|e| refused(&name, &e))?.into_luma8();
+    Mask::from_grey8(width, height, grey.as_raw())
+        .map_err(|e| CaptureError::NotAPicture { photograph: name, reason: e.to_string() })
 }

@@ -8,12 +8,12 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
+use cairn_durable::write_synced;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::error::CaptureError;
-use crate::photograph::write_synced;
-use crate::scene_file::hex;
+use crate::scene::table::hex;
 
 /// The manifest's name in its folder.
 pub const MANIFEST: &str = "manifest.json";

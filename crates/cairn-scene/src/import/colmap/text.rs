@@ -7,16 +7,17 @@ use std::str::FromStr;
 
 use glam::DVec3;
 
-use super::{Cameras, Image, REMEDY, check_point, insert, intrinsics, model_number};
-use crate::assemble::check_count;
+use crate::cameras::lens::LensModel;
 use crate::error::CaptureError;
+use crate::import::colmap::parts::{Cameras, Image, Points, REMEDY, Seen, Size, insert, intrinsics, unsupported};
+use crate::import::model::check_count;
 
 /// Longest line that is accepted, bytes: an image's observations, some 30 bytes each. A file without line ends is
 /// not taken into memory whole.
 const MAX_LINE_BYTES: u64 = 16 << 20;
 
-/// Most parameters that are read of a camera: one more than any model has ([`super::MODELS`]).
-const MAX_PARAMETERS: usize = 17;
+/// Most parameters that are read of a camera: one more than any model has.
+const MAX_PARAMETERS: usize = LensModel::MAX_PARAMETERS + 1;
 
 /// Lines of a file with their numbers.
 struct Reader {
@@ -59,17 +60,26 @@ impl Reader {
         Ok(None)
     }
 
-    /// The line of observations that follows an image's: X Y POINT3D_ID, any
-    /// number of times. Read and dropped, but looked at: where a file leaves these
-    /// lines out, every other image would be taken for one and lost.
-    fn observations(&mut self) -> Result<(), CaptureError> {
-        let Some(line) = self.any()? else { return Ok(()) };
-        let numbers = line.split_ascii_whitespace().all(|f| f.parse::<f64>().is_ok());
-        if numbers && line.split_ascii_whitespace().count().is_multiple_of(3) {
-            return Ok(());
+    /// The line of observations that follows an image's: X Y POINT3D_ID, any number of times, of which those of
+    /// `points` are counted. It is looked at even where there are none: where a file leaves these lines out, every
+    /// other image would be taken for one and lost.
+    fn observations(&mut self, points: Option<&Points>) -> Result<Seen, CaptureError> {
+        let mut seen = Seen::default();
+        let Some(line) = self.any()? else { return Ok(seen) };
+        let mut fields = line.split_ascii_whitespace();
+        while let Some(x) = fields.next() {
+            let (y, id) = (fields.next().unwrap_or_default(), fields.next().unwrap_or_default());
+            if ![x, y, id].iter().all(|field| field.parse::<f64>().is_ok()) {
+                let got: String = line.chars().take(40).collect();
+                let expected = "a line of observations (it may be empty) after each image's";
+                return Err(self.wrong(expected, format!("{got:?}")));
+            }
+            // -1 is the number of no point.
+            if let (Some(points), Ok(id)) = (points, id.parse()) {
+                seen.observe(points, id);
+            }
         }
-        let got: String = line.chars().take(40).collect();
-        Err(self.wrong("a line of observations (it may be empty) after each image's", format!("{got:?}")))
+        Ok(seen)
     }
 
     fn wrong(&self, expected: &str, got: String) -> CaptureError {
@@ -103,20 +113,21 @@ pub(super) fn cameras(path: &Path) -> Result<Cameras, CaptureError> {
         let mut fields = line.split_ascii_whitespace();
         let id = reader.field(&mut fields, "a camera number")?;
         let model = fields.next().ok_or_else(|| reader.wrong("a camera model", "the end of the line".to_owned()))?;
-        let model = model_number(path, id, model)?;
-        let size = (reader.field(&mut fields, "a width in pixels")?, reader.field(&mut fields, "a height in pixels")?);
+        let model = LensModel::from_name(model).ok_or_else(|| unsupported(path, id, model.to_owned()))?;
+        let width = reader.field(&mut fields, "a width in pixels")?;
+        let size = Size { width, height: reader.field(&mut fields, "a height in pixels")? };
         let parameters = fields
             .take(MAX_PARAMETERS)
             .map(|text| reader.field(&mut [text].into_iter(), "a camera parameter"))
             .collect::<Result<Vec<f64>, _>>()?;
-        insert(path, &mut cameras, id, intrinsics(path, id, model, size, &parameters)?)?;
+        insert(path, &mut cameras, id, intrinsics(path, id, model, &size, &parameters)?)?;
     }
     Ok(cameras)
 }
 
 /// `images.txt`: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of
-/// observations, which may be empty.
-pub(super) fn images(path: &Path, max_views: usize) -> Result<Vec<Image>, CaptureError> {
+/// observations, which may be empty. What it observes of `points` becomes its support.
+pub(super) fn images(path: &Path, max_views: usize, points: Option<&Points>) -> Result<Vec<Image>, CaptureError> {
     let mut reader = Reader::open(path)?;
     let mut images = Vec::new();
     while let Some(line) = reader.entry()? {
@@ -134,8 +145,9 @@ pub(super) fn images(path: &Path, max_views: usize) -> Result<Vec<Image>, Captur
             return Err(reader.wrong("an image name", "the end of the line".to_owned()));
         }
         check_count(path, images.len() as u64 + 1, max_views)?;
-        images.push(Image { id, rotation, translation, camera, name });
-        reader.observations()?;
+        let seen = reader.observations(points)?;
+        let support = points.and_then(|_| seen.support());
+        images.push(Image { id, rotation, translation, camera, name, support });
     }
     Ok(images)
 }
@@ -150,14 +162,16 @@ fn after_fields(line: &str, count: usize) -> &str {
 }
 
 /// `points3D.txt`: POINT3D_ID X Y Z R G B ERROR TRACK...
-pub(super) fn points(path: &Path) -> Result<Vec<DVec3>, CaptureError> {
+pub(super) fn points(path: &Path) -> Result<Points, CaptureError> {
     let mut reader = Reader::open(path)?;
-    let mut points = Vec::new();
+    let mut points = Points::default();
     while let Some(line) = reader.entry()? {
         let mut fields = line.split_ascii_whitespace();
         let id = reader.field(&mut fields, "a point number")?;
         let point = reader.vector(&mut fields, "a coordinate")?;
-        points.push(check_point(path, id, point)?);
+        let mut fields = fields.skip(3);
+        let error_px = reader.field(&mut fields, "a reprojection error")?;
+        points.push(path, id, point, error_px)?;
     }
-    Ok(points)
+    Ok(points.sort())
 }

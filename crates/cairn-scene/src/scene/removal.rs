@@ -6,12 +6,14 @@
 
 use std::collections::HashSet;
 use std::fs;
+use std::path::Path;
+
+use cairn_durable::{read_limited, remove, sync_folder, write_atomic};
 
 use crate::error::CaptureError;
-use crate::manifest::{MANIFEST, write_manifest};
-use crate::photograph::{read_limited, write_synced};
-use crate::scene::{MAX_TABLE_BYTES, SceneFolder, TABLE, sync_folder};
-use crate::scene_file::{PHOTOGRAPHS, SceneFile};
+use crate::scene::folder::SceneFolder;
+use crate::scene::manifest::{MANIFEST, write_manifest};
+use crate::scene::table::{MASKS, MAX_TABLE_BYTES, PHOTOGRAPHS, SceneFile, TABLE};
 
 impl SceneFolder {
     /// Takes the views with these names out, photographs and all, and opens what is left. Views that are not
@@ -29,28 +31,29 @@ impl SceneFolder {
             let (expected, got) = ("a view left to train on", "none");
             return Err(CaptureError::malformed(&file, "the views", expected, got, "delete the scene instead"));
         }
-        match fs::remove_file(folder.join(MANIFEST)) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(CaptureError::io("remove", &folder.join(MANIFEST))(e));
-            }
-            _ => sync_folder(folder)?,
-        }
-        let new = folder.join(format!("{TABLE}.new"));
-        let json = serde_json::to_vec_pretty(&table).map_err(|e| CaptureError::io("write", &file)(e.into()))?;
-        write_synced(&new, &json)?;
-        fs::rename(&new, &file).map_err(CaptureError::io("replace", &file))?;
+        remove(&folder.join(MANIFEST))?;
         sync_folder(folder)?;
-        let kept: HashSet<&str> = table.views.iter().map(|row| row.photograph.as_str()).collect();
-        let photographs = folder.join(PHOTOGRAPHS);
-        for entry in fs::read_dir(&photographs).map_err(CaptureError::io("list", &photographs))? {
-            let entry = entry.map_err(CaptureError::io("list", &photographs))?;
-            if !entry.file_name().to_str().is_some_and(|name| kept.contains(name)) {
-                fs::remove_file(entry.path()).map_err(CaptureError::io("remove", &entry.path()))?;
-            }
+        let json = serde_json::to_vec_pretty(&table).map_err(|e| CaptureError::io("write", &file)(e.into()))?;
+        write_atomic(&file, &json)?;
+        let photographs = table.views.iter().map(|row| row.photograph.as_str()).collect();
+        keep_only(&folder.join(PHOTOGRAPHS), &photographs)?;
+        if folder.join(MASKS).is_dir() {
+            let masks = table.views.iter().filter_map(|row| row.mask.as_ref()).map(|mask| mask.file.as_str());
+            keep_only(&folder.join(MASKS), &masks.collect())?;
         }
-        sync_folder(&photographs)?;
         write_manifest(folder)?;
         sync_folder(folder)?;
         Self::open_at(folder)
     }
+}
+
+/// Removes all files from `folder` but those of these names; durable on return.
+fn keep_only(folder: &Path, kept: &HashSet<&str>) -> Result<(), CaptureError> {
+    for entry in fs::read_dir(folder).map_err(CaptureError::io("list", folder))? {
+        let entry = entry.map_err(CaptureError::io("list", folder))?;
+        if !entry.file_name().to_str().is_some_and(|name| kept.contains(name)) {
+            remove(&entry.path())?;
+        }
+    }
+    Ok(sync_folder(folder)?)
 }

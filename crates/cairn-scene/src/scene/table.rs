@@ -7,18 +7,24 @@ use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::assemble::check_intrinsics;
-use crate::camera::{Camera, Pose};
-use crate::capture::{SceneKind, View};
+use crate::cameras::camera::Camera;
+use crate::cameras::intrinsics::check_intrinsics;
+use crate::cameras::pose::Pose;
+use crate::capture::{PhotographFile, SceneKind, Support, View};
 use crate::error::CaptureError;
-use crate::photograph_file::PhotographFile;
 
+/// The table's name in its folder.
+pub(crate) const TABLE: &str = "scene.json";
+/// Largest table that is read: 100 000 views take about 70 MB.
+pub(crate) const MAX_TABLE_BYTES: u64 = 256 << 20;
 /// What `format` says in every scene file.
 pub(crate) const FORMAT: &str = "cairn-scene";
 /// The version that this program writes and reads.
-pub(crate) const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 2;
 /// Folder of the photographs within a scene.
 pub(crate) const PHOTOGRAPHS: &str = "photographs";
+/// Folder of the masks within a scene, there where a view has one.
+pub(crate) const MASKS: &str = "masks";
 
 const REMEDY: &str = "restore the scene from a copy, or import the capture again";
 
@@ -61,10 +67,21 @@ pub(crate) struct ViewRow {
     pub camera: Camera,
     /// File name within `photographs/`.
     pub photograph: String,
-    /// [`PhotographFile::as_stored`]; left out where it is not so.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    /// [`PhotographFile::as_stored`].
     pub as_stored: bool,
     /// Hexadecimal SHA-256 of the photograph's bytes.
+    pub sha256: String,
+    pub mask: Option<MaskRow>,
+    pub support: Option<Support>,
+}
+
+/// A view's mask: a grey PNG of 1 bit, white where the photograph is used.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct MaskRow {
+    /// File name within `masks/`.
+    pub file: String,
+    /// Hexadecimal SHA-256 of the file.
     pub sha256: String,
 }
 
@@ -101,7 +118,7 @@ impl SceneFile {
         if self.views.is_empty() {
             return wrong("views".to_owned(), "at least one view", "none".to_owned());
         }
-        let mut files = HashSet::new();
+        let (mut files, mut masks) = (HashSet::new(), HashSet::new());
         for (i, view) in self.views.iter().enumerate() {
             let entry = format!("view {i} ({})", view.name);
             if i > 0 && self.views[i - 1].name >= view.name {
@@ -115,6 +132,14 @@ impl SceneFile {
             }
             if !is_file_name(&view.photograph) || !files.insert(view.photograph.as_str()) {
                 return wrong(entry, "a photograph's file name, each once", format!("{:?}", view.photograph));
+            }
+            if let Some(mask) = &view.mask
+                && (!is_file_name(&mask.file) || !masks.insert(mask.file.as_str()))
+            {
+                return wrong(entry, "a mask's file name, each once", format!("{:?}", mask.file));
+            }
+            if view.support.is_some_and(|s| !(s.reprojection_error_px >= 0.0 && s.reprojection_error_px.is_finite())) {
+                return wrong(entry, "a finite reprojection error, at least 0", format!("{:?}", view.support));
             }
             check_intrinsics(file, &entry, &view.camera.intrinsics)?;
             Pose::new(view.camera.pose.rotation, view.camera.pose.position).map_err(|problem| CaptureError::Pose {
@@ -138,6 +163,8 @@ impl ViewRow {
                 path: PathBuf::from(PHOTOGRAPHS).join(self.photograph),
                 as_stored: self.as_stored,
             },
+            mask: self.mask.map(|mask| PathBuf::from(MASKS).join(mask.file)),
+            support: self.support,
             held_out: self.held_out,
             bounds: self.bounds,
         }

@@ -10,22 +10,23 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
+use cairn_durable::read_limited;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 
-use crate::assemble::{self, Entry, Guess, Model, check_count};
-use crate::camera::{Distortion, Intrinsics, Pose};
-use crate::capture::ReadOptions;
+use crate::cameras::intrinsics::Intrinsics;
+use crate::cameras::lens::{Distortion, LensModel};
+use crate::cameras::pose::Pose;
 use crate::error::CaptureError;
-use crate::named::{self, LEFT_AWAY};
-use crate::photograph::{Limits, header, read_limited};
+use crate::images::format::Limits;
+use crate::images::photograph::header;
+use crate::import::model::{self, Entry, Guess, Model, check_count};
+use crate::import::named::{self, LEFT_AWAY};
+use crate::import::options::ReadOptions;
 
 const REMEDY: &str = "correct the file, or export it again";
-
-/// Camera models that are a pinhole with Brown-Conrady distortion.
-const MODELS: [&str; 6] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE"];
 
 /// A camera as JSON states it, for all frames or for one.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -53,6 +54,8 @@ struct Lens {
 #[derive(Deserialize)]
 struct Frame<'a> {
     file_path: String,
+    /// nerfstudio's mask of the frame.
+    mask_path: Option<String>,
     #[serde(borrow)]
     transform_matrix: &'a RawValue,
 }
@@ -140,6 +143,7 @@ pub(crate) fn read(folder: &Path, named: Option<&str>, options: &ReadOptions) ->
             as_stored: false,
             entries,
             points: Vec::new(),
+            masks: None,
             missing,
         }));
     }
@@ -150,7 +154,7 @@ pub(crate) fn read(folder: &Path, named: Option<&str>, options: &ReadOptions) ->
     let Read { bounded, entries, missing } = read_file(folder, &file, options, None)?;
     let missing = names_of(missing, &entries)?;
     let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), missing }))
+    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), masks: None, missing }))
 }
 
 /// The names of what is missing, where something is there.
@@ -195,7 +199,9 @@ fn read_file(folder: &Path, file: &Path, options: &ReadOptions, held_out: Option
             let in_test =
                 |test: &HashSet<String>| test.contains(&name) || test.contains(&named::plain(&frame.file_path));
             let held_out = held_out.or_else(|| test.as_ref().map(in_test));
-            Ok(Some(Entry { name, label: source.label, intrinsics, pose, photograph, bounds: None, held_out }))
+            let mask = frame.mask_path.as_deref().map(|path| source.mask(path)).transpose()?;
+            let (label, bounds, support) = (source.label, None, None);
+            Ok(Some(Entry { name, label, intrinsics, pose, photograph, bounds, mask, support, held_out }))
         })
         .filter_map(Result::transpose)
         .collect::<Result<Vec<_>, CaptureError>>()?;
@@ -243,7 +249,7 @@ impl Lens {
     /// The model's name where it is not one that Cairn reads.
     fn unsupported(&self) -> Option<String> {
         if let Some(model) = &self.camera_model
-            && !MODELS.contains(&model.to_ascii_uppercase().as_str())
+            && LensModel::from_name(model).is_none()
         {
             return Some(model.clone());
         }
@@ -268,15 +274,22 @@ impl Source<'_> {
 
     /// The frame's photograph, relative to the folder ([`named::find`]).
     fn photograph(&self, path: &str, options: &ReadOptions) -> Result<PathBuf, CaptureError> {
-        let mut stem = assemble::inside(path)
+        let mut stem = model::inside(path)
             .ok_or_else(|| self.wrong("a file_path inside the capture's folder", format!("{path:?}")))?;
-        if let Some(images) = assemble::image_folder(self.folder, options, &[]) {
+        if let Some(images) = model::image_folder(self.folder, options, &[]) {
             stem = images.join(path.rsplit(['/', '\\']).next().unwrap_or_default());
         }
         named::find(self.folder, &stem, &LEFT_AWAY).ok_or_else(|| {
             let (file, entry) = (self.file.to_path_buf(), self.label.clone());
             CaptureError::PhotographMissing { file, entry, photograph: self.folder.join(&stem) }
         })
+    }
+
+    /// The frame's mask, relative to the folder.
+    fn mask(&self, path: &str) -> Result<PathBuf, CaptureError> {
+        let path = model::inside(path)
+            .ok_or_else(|| self.wrong("a mask_path inside the capture's folder", format!("{path:?}")))?;
+        Ok(named::find(self.folder, &path, &[]).unwrap_or(path))
     }
 
     /// The rows of a matrix; of one that is too large as many as show it.

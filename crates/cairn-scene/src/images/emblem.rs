@@ -2,8 +2,9 @@
 //! to whoever shows it. A white logo on a transparent ground is nothing but white where photographs are composited.
 
 use crate::error::CaptureError;
-use crate::photograph::{Limits, decode_picture};
-use crate::picture::Picture;
+use crate::images::format::{ImageFormat, Limits};
+use crate::images::photograph::decode_picture;
+use crate::images::picture::Picture;
 
 /// A picture with less than this share of its contrast on white than on black is put on black.
 const LOST_ON_WHITE: f64 = 0.25;
@@ -36,7 +37,7 @@ pub fn decode_emblem(bytes: &[u8], limits: &Limits, side: usize) -> Result<(Pict
     // One after another: in full size each takes four times the memory of its 8 bits.
     let white = on([1.0; 3])?;
     // A JPEG has no transparency.
-    if bytes.starts_with(&[0xff, 0xd8]) {
+    if ImageFormat::of(bytes) == Some(ImageFormat::Jpeg) {
         return Ok((white, Ground::None));
     }
     let black = on([0.0; 3])?;

@@ -7,15 +7,18 @@
 
 use std::path::{Path, PathBuf};
 
+use cairn_durable::read_limited;
 use glam::{DMat3, DVec3};
 
-use crate::assemble::{Entry, Guess, MAX_CAMERA_SIDE_PX, Model, check_count, image_folder};
-use crate::camera::{Distortion, Intrinsics, Pose};
-use crate::capture::ReadOptions;
+use crate::cameras::facing::face_one_way;
+use crate::cameras::intrinsics::{Intrinsics, MAX_CAMERA_SIDE_PX};
+use crate::cameras::lens::Distortion;
+use crate::cameras::pose::Pose;
 use crate::error::CaptureError;
-use crate::facing::face_one_way;
-use crate::npy;
-use crate::photograph::read_limited;
+use crate::images::format::ImageFormat;
+use crate::import::model::{Entry, Guess, Model, check_count, image_folder};
+use crate::import::npy;
+use crate::import::options::ReadOptions;
 
 /// Where photographs usually lie, in order of preference: the small ones are
 /// what figures on these scenes are published for.
@@ -54,7 +57,7 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
     let rows = matrix.values.chunks_exact(17).enumerate().zip(names);
     let entries = rows.map(|((i, row), name)| entry(&file, &images, i, row, name)).collect::<Result<Vec<_>, _>>()?;
     let kind = if face_one_way(entries.iter().map(|e| &e.pose)) { Guess::ForwardFacing } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), missing: Vec::new() }))
+    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), masks: None, missing: Vec::new() }))
 }
 
 fn entry(file: &Path, images: &Path, index: usize, row: &[f64], name: String) -> Result<Entry, CaptureError> {
@@ -77,17 +80,25 @@ fn entry(file: &Path, images: &Path, index: usize, row: &[f64], name: String) ->
     let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
     let intrinsics = Intrinsics { width, height, fx: hwf.z, fy: hwf.z, cx, cy, distortion: Distortion::default() };
     let photograph = images.join(&name);
-    Ok(Entry { name, label, intrinsics, pose, photograph, bounds: Some((near, far)), held_out: None })
+    Ok(Entry {
+        name,
+        label,
+        intrinsics,
+        pose,
+        photograph,
+        bounds: Some((near, far)),
+        mask: None,
+        support: None,
+        held_out: None,
+    })
 }
 
-/// File names of the PNG and JPEG files in `folder` that are not hidden, sorted.
+/// File names of the photographs in `folder` that are not hidden, sorted.
 fn photographs(folder: &PathBuf) -> Result<Vec<String>, CaptureError> {
     let mut names = Vec::new();
     for item in std::fs::read_dir(folder).map_err(CaptureError::io("open", folder))? {
         let path = item.map_err(CaptureError::io("read", folder))?.path();
-        let ending = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-        if let (Some("png" | "jpg" | "jpeg"), Some(name)) =
-            (ending.as_deref(), path.file_name().and_then(|n| n.to_str()))
+        if let (Some(_), Some(name)) = (ImageFormat::of_path(&path), path.file_name().and_then(|n| n.to_str()))
             // What macOS leaves beside files on other systems' disks (`._a.png`) is none.
             && !name.starts_with('.')
         {

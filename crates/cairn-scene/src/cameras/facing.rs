@@ -10,8 +10,8 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use crate::assemble::Entry;
-use crate::camera::{Camera, Pose};
+use crate::cameras::camera::Camera;
+use crate::cameras::pose::Pose;
 use crate::error::CaptureError;
 
 /// Cosine of the widest angle between a camera and the mean direction: 30 degrees.
@@ -42,10 +42,10 @@ fn face_within<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, cosine: f64) -
     poses.clone().all(|p| p.forward().dot(mean) > cosine).then_some(mean)
 }
 
-/// Whether `entries` look into one deep scene from about one place, as far as `points` tell.
-pub(crate) fn looks_ahead(entries: &[Entry], points: &[DVec3]) -> bool {
-    let Some(forward) = face_within(entries.iter().map(|e| &e.pose), COS_APART) else { return false };
-    let centre = entries.iter().map(|e| e.pose.position).sum::<DVec3>() / entries.len() as f64;
+/// Whether `cameras` look into one deep scene from about one place, as far as `points` tell.
+pub(crate) fn looks_ahead(cameras: &[Camera], points: &[DVec3]) -> bool {
+    let Some(forward) = face_within(cameras.iter().map(|c| &c.pose), COS_APART) else { return false };
+    let centre = cameras.iter().map(|c| c.pose.position).sum::<DVec3>() / cameras.len() as f64;
     let mut depths: Vec<f64> = points.iter().map(|&p| forward.dot(p - centre)).collect();
     if depths.len() < ENOUGH_POINTS {
         return false;
@@ -54,17 +54,16 @@ pub(crate) fn looks_ahead(entries: &[Entry], points: &[DVec3]) -> bool {
     // A hundredth on either side, because some points are always matched wrongly.
     let outliers = depths.len() / 100;
     let (near, far) = (depths[outliers], depths[depths.len() - 1 - outliers]);
-    let near_enough = |e: &Entry| forward.dot(e.pose.position - centre).abs() <= DEPTH_OF_CAMERAS * near;
+    let near_enough = |c: &Camera| forward.dot(c.pose.position - centre).abs() <= DEPTH_OF_CAMERAS * near;
     near > 0.0
         && far >= DEPTH_OF_SCENE * near
-        && entries.iter().all(near_enough)
-        && entries.iter().all(|e| corners_ahead(e, forward))
+        && cameras.iter().all(near_enough)
+        && cameras.iter().all(|c| corners_ahead(c, forward))
 }
 
 /// Whether what is in the picture's corners lies ahead.
-fn corners_ahead(entry: &Entry, forward: DVec3) -> bool {
-    let camera = Camera { intrinsics: entry.intrinsics, pose: entry.pose };
-    let (w, h) = (entry.intrinsics.width as f64, entry.intrinsics.height as f64);
+fn corners_ahead(camera: &Camera, forward: DVec3) -> bool {
+    let (w, h) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
     [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)].into_iter().all(|(x, y)| camera.ray(x, y).1.dot(forward) > COS_CORNER)
 }
 

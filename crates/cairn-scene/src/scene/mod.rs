@@ -1,0 +1,9 @@
+//! A stored scene: its folder, its table, its manifest.
+
+mod folder;
+mod manifest;
+mod removal;
+mod table;
+
+pub use folder::{Mismatch, SceneFolder};
+pub use manifest::{MANIFEST, write_manifest};
