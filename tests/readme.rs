@@ -1,31 +1,40 @@
-//! The README's commands, held against the program: documentation that cannot rot.
+//! The commands of README and guide, held against the program: documentation that cannot rot.
 //!
 //! Every line of a `console` block that starts with `$ cairn ` must parse, which a command or an option
 //! that is not there does not. Those of a block that needs nobody's capture (`PATH/TO`) and no daemon are run as well, in
 //! one fresh folder, in order, and must succeed.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// The README and every page of the guide.
+fn pages() -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let guide = std::fs::read_dir(root.join("docs/guide")).unwrap().map(|entry| entry.unwrap().path());
+    let mut pages: Vec<PathBuf> = guide.chain([root.join("README.md")]).collect();
+    pages.sort();
+    pages
+}
+
 #[test]
-fn every_cairn_command_of_the_readme_parses_and_runs_where_it_can() {
-    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
-    let Ok(text) = std::fs::read_to_string(&readme) else {
-        eprintln!("SKIPPED every_cairn_command_of_the_readme_parses_and_runs_where_it_can: no {}", readme.display());
-        return;
-    };
-    let commands = commands(&text);
-    assert!(!commands.is_empty(), "the README shows no `$ cairn ...` in a `console` block");
-    let folder = tempfile::tempdir().unwrap();
-    for (command, elsewhere) in commands {
-        let mut arguments: Vec<&str> = command.split_whitespace().skip(1).collect();
-        if arguments.first() == Some(&"serve") || command.contains("--connect") || elsewhere {
-            arguments.push("--help");
+fn every_cairn_command_of_readme_and_guide_parses_and_runs_where_it_can() {
+    let mut shown = 0;
+    for page in pages() {
+        let text = std::fs::read_to_string(&page).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        for (command, elsewhere) in commands(&text) {
+            shown += 1;
+            let mut arguments: Vec<&str> = command.split_whitespace().skip(1).collect();
+            if arguments.first() == Some(&"serve") || command.contains("--connect") || elsewhere {
+                arguments.push("--help");
+            }
+            let output =
+                Command::new(env!("CARGO_BIN_EXE_cairn")).args(&arguments).current_dir(folder.path()).output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success(), "{}: $ {command}\n{said}", page.display());
         }
-        let output =
-            Command::new(env!("CARGO_BIN_EXE_cairn")).args(&arguments).current_dir(folder.path()).output().unwrap();
-        assert!(output.status.success(), "$ {command}\n{}", String::from_utf8_lossy(&output.stderr));
     }
+    assert!(shown > 30, "README and guide show {shown} commands in `console` blocks");
 }
 
 /// Lines `$ cairn ...` of the text's `console` blocks, without comments, and
