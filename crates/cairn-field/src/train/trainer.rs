@@ -347,10 +347,9 @@ impl BaseTrainer {
         if self.step >= self.config.steps {
             return;
         }
-        if let Some(since) = self.step.checked_sub(light_step(&self.config)) {
-            if self.light == LightVerdict::Open && since.is_multiple_of((self.config.steps / 16).max(1)) {
-                self.look_at_light();
-            }
+        let due = |since: u64| since.is_multiple_of((self.config.steps / 16).max(1));
+        if self.light == LightVerdict::Open && self.step.checked_sub(light_step(&self.config)).is_some_and(due) {
+            self.look_at_light();
         }
         self.change_level();
     }
