@@ -7,6 +7,7 @@
 pub mod args;
 pub mod baseline;
 mod captures;
+mod chart;
 pub mod children;
 mod file;
 mod marked;

@@ -19,7 +19,8 @@ fn the_suite_leaves_rows_sheets_charts_and_a_page() {
     let rows = place.rows();
     assert!(rows.iter().all(|row| row.value.is_finite() && row.suite == "field"));
     assert!(rows.iter().all(|row| !row.command.contains("captures")), "{}", rows[0].command);
-    for metric in ["SSIM", "PSNR, 1/8 of the steps", "training, 1/2 of the steps", "stored field", "as shipped: rendering"]
+    for metric in
+        ["SSIM", "PSNR, 1/8 of the steps", "training, 1/2 of the steps", "stored field", "as shipped: rendering"]
     {
         value(&rows, "lego, quick", metric);
     }
@@ -32,6 +33,10 @@ fn the_suite_leaves_rows_sheets_charts_and_a_page() {
     let missed = results.missed().find(|row| row.case == "lego, quick" && row.metric == "PSNR");
     assert_eq!(missed.unwrap().target.unwrap().value, 33.0);
     assert_eq!(std::fs::read_to_string(place.path("results.md")).unwrap(), page(&results));
+    for chart in ["budgets-lego--quick", "tradeoffs-liberty--quick"] {
+        let svg = std::fs::read_to_string(place.path(&format!("out/{chart}.svg"))).unwrap();
+        assert!(svg.contains("<polyline") && !svg.contains("NaN"), "{chart}: {svg}");
+    }
     for sheet in ["lego-field-1-1.png", "lego-field-1-1-8.png", "liberty-field-1-1.png"] {
         let png = std::fs::read(place.path("out").join(sheet)).unwrap();
         let sheet = cairn_scene::decode_picture(&png, &cairn_scene::Limits::default(), None).unwrap();

@@ -1,16 +1,11 @@
-//! Letters of five by seven dots, for initials on emblems and for labels on
-//! sheets of pictures. Seven small numbers a letter are easier to keep than a
-//! font file and its rasteriser.
+//! The initials on emblems: capital letters of five by seven dots. Owners' emblems are what trained marks hide, so that
+//! their dots stay as they are.
 
-use cairn_scene::Picture;
-
-/// Dots from one letter's left edge to the next one's.
-pub const ADVANCE: usize = 6;
 /// Dots down.
 pub const LINE: usize = 7;
 
 /// Rows from the top; in each the highest of five bits is the left dot.
-const LETTERS: &[(char, [u8; 7])] = &[
+const LETTERS: [(char, [u8; 7]); 26] = [
     ('A', [14, 17, 17, 31, 17, 17, 17]),
     ('B', [30, 17, 17, 30, 17, 17, 30]),
     ('C', [14, 17, 16, 16, 16, 17, 14]),
@@ -37,68 +32,12 @@ const LETTERS: &[(char, [u8; 7])] = &[
     ('X', [17, 17, 10, 4, 10, 17, 17]),
     ('Y', [17, 17, 10, 4, 4, 4, 4]),
     ('Z', [31, 1, 2, 4, 8, 16, 31]),
-    ('0', [14, 17, 19, 21, 25, 17, 14]),
-    ('1', [4, 12, 4, 4, 4, 4, 14]),
-    ('2', [14, 17, 1, 6, 8, 16, 31]),
-    ('3', [30, 1, 1, 14, 1, 1, 30]),
-    ('4', [2, 6, 10, 18, 31, 2, 2]),
-    ('5', [31, 16, 30, 1, 1, 17, 14]),
-    ('6', [6, 8, 16, 30, 17, 17, 14]),
-    ('7', [31, 1, 2, 4, 8, 8, 8]),
-    ('8', [14, 17, 17, 14, 17, 17, 14]),
-    ('9', [14, 17, 17, 15, 1, 2, 12]),
-    ('.', [0, 0, 0, 0, 0, 12, 12]),
-    (',', [0, 0, 0, 0, 12, 4, 8]),
-    (':', [0, 12, 12, 0, 12, 12, 0]),
-    ('-', [0, 0, 0, 31, 0, 0, 0]),
-    ('+', [0, 4, 4, 31, 4, 4, 0]),
-    ('_', [0, 0, 0, 0, 0, 0, 31]),
-    ('=', [0, 0, 31, 0, 31, 0, 0]),
-    ('/', [1, 1, 2, 4, 8, 16, 16]),
-    ('%', [24, 25, 2, 4, 8, 19, 3]),
-    ('(', [2, 4, 8, 8, 8, 4, 2]),
-    (')', [8, 4, 2, 2, 2, 4, 8]),
-    ('>', [8, 4, 2, 1, 2, 4, 8]),
-    ('<', [2, 4, 8, 16, 8, 4, 2]),
-    (' ', [0; 7]),
 ];
 
-/// Drawn for a letter that the font lacks, so that it is seen to be missing.
-const MISSING: [u8; 7] = [31, 17, 17, 17, 17, 17, 31];
-
-/// Whether dot (`x`, `y`), from the letter's top left, is inked. Small letters
-/// are drawn as capitals; outside of the five by seven dots nothing is.
+/// Whether dot (`x`, `y`) of a capital letter, from its top left, is inked; outside of the five by seven dots nothing is.
 pub fn inked(letter: char, x: usize, y: usize) -> bool {
-    if x >= 5 || y >= LINE {
-        return false;
-    }
-    let wanted = letter.to_ascii_uppercase();
-    let rows = LETTERS.iter().find(|(l, _)| *l == wanted).map_or(MISSING, |(_, rows)| *rows);
-    rows[y] >> (4 - x) & 1 == 1
-}
-
-/// Pixels across of `text` at `scale` pixels a dot.
-pub fn text_width(text: &str, scale: usize) -> usize {
-    (text.chars().count() * ADVANCE).saturating_sub(1) * scale
-}
-
-/// Writes `text` into `picture`, its top left corner at (`left`, `top`), in
-/// colour `rgb` at `scale` pixels a dot. What does not fit is cut off.
-pub fn draw_text(picture: &mut Picture, text: &str, left: usize, top: usize, scale: usize, rgb: [f32; 3]) {
-    let (width, height) = (picture.width(), picture.height());
-    for (index, letter) in text.chars().enumerate() {
-        let start = left + index * ADVANCE * scale;
-        if start >= width {
-            return;
-        }
-        for y in (top..height).take(LINE * scale) {
-            for x in (start..width).take(5 * scale) {
-                if inked(letter, (x - start) / scale, (y - top) / scale) {
-                    picture.rgb_mut()[(y * width + x) * 3..][..3].copy_from_slice(&rgb);
-                }
-            }
-        }
-    }
+    let rows = LETTERS.iter().find(|(other, _)| *other == letter).map(|(_, rows)| *rows);
+    x < 5 && y < LINE && rows.is_some_and(|rows| rows[y] >> (4 - x) & 1 == 1)
 }
 
 #[cfg(test)]
@@ -113,18 +52,6 @@ mod tests {
                 assert!(a != b && rows != others, "{a} and {b} look the same");
             }
         }
-    }
-
-    #[test]
-    fn text_lands_where_it_should_and_is_cut_at_the_edge() {
-        let mut picture = Picture::constant(20, 9, [0.0; 3]);
-        draw_text(&mut picture, "ll~x", 1, 1, 1, [1.0, 0.5, 0.0]);
-        assert_eq!(picture.pixel(1, 1), [1.0, 0.5, 0.0]);
-        assert_eq!(picture.pixel(2, 1), [0.0; 3]);
-        assert_eq!(picture.pixel(5, 7), [1.0, 0.5, 0.0]);
-        assert_eq!(picture.pixel(13, 1), [1.0, 0.5, 0.0], "a missing letter is a box");
-        draw_text(&mut picture, "A", 500, 500, 3, [1.0; 3]);
-        assert_eq!(text_width("ab", 2), 22);
-        assert_eq!(text_width("", 2), 0);
+        assert!(inked('L', 0, 0) && !inked('L', 1, 0) && inked('L', 4, 6) && !inked('L', 5, 6));
     }
 }

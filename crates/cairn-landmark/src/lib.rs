@@ -11,7 +11,7 @@
 
 mod capture;
 mod config;
-pub mod font;
+mod font;
 mod light;
 mod monument;
 mod noise;

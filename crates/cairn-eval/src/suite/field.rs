@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use cairn_field::FieldConfig;
 
-use super::tradeoff::{self, Tradeoff, Tradeoffs};
+use super::tradeoff::{Tradeoff, Tradeoffs};
 use crate::args::Args;
 use crate::captures::Name;
+use crate::chart::{self, Axis, Line};
 use crate::children::Children;
 use crate::file;
 use crate::results::Target;
@@ -217,6 +218,19 @@ fn memory(rows: &mut Rows, name: &str, metric: &str, mib: Option<f64>, max_mib: 
 
 /// Draws what a smaller budget gives, and what each limit of a render costs.
 fn draw(out: &Path, name: &str, outcome: &Outcome) -> anyhow::Result<()> {
-    let _ = (out, name, tradeoff::STEPS, outcome);
-    Ok(())
+    let slug: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+    let budgets = outcome.shares.iter().chain([&outcome.whole]);
+    let points = budgets.map(|budget| [budget.trained.seconds, budget.scored.psnr_db]).collect();
+    let seconds = Axis { name: "Training, s", is_log: true };
+    let psnr = Axis { name: "PSNR on held-out views, dB", is_log: false };
+    let lines = [Line { name: name.to_owned(), points }];
+    chart::draw(&out.join(format!("budgets-{slug}.svg")), "What a budget of training gives", seconds, psnr, &lines)?;
+    let of = |found: &[Tradeoff]| Line {
+        name: found[0].varied.clone(),
+        points: found.iter().map(|found| [found.rays_per_s / 1e6, found.error.rms]).collect(),
+    };
+    let lines: Vec<Line> = outcome.tradeoffs.chunk_by(|a, b| a.varied == b.varied).map(of).collect();
+    let rate = Axis { name: "Million rays/s", is_log: true };
+    let error = Axis { name: "RMS error, 8-bit levels", is_log: true };
+    chart::draw(&out.join(format!("tradeoffs-{slug}.svg")), "What each limit of a render costs", rate, error, &lines)
 }

@@ -29,7 +29,7 @@ const ERROR_RAYS: usize = 20_000;
 /// Renders of a view that are timed at most, and seconds after which no more are.
 const LAPS: (usize, f64) = (5, 4.0);
 /// Distances between samples, voxels.
-pub const STEPS: [f64; 4] = [0.125, 0.25, 0.5, 1.0];
+const STEPS: [f64; 4] = [0.125, 0.25, 0.5, 1.0];
 const TRANSMITTANCES: [f64; 4] = [1e-4, 1e-3, 1e-2, 0.1];
 const ALPHAS: [f64; 3] = [1e-5, 1e-4, 1e-3];
 

@@ -1,21 +1,22 @@
-//! Drawings of lines, polygons, dots and words, as SVG or as a picture. One list
-//! of shapes and two ways to put it down, so that both show the same.
+//! Drawings of lines, polygons, dots and words, as SVG or as a picture. One list of shapes and two backends, so that both
+//! show the same.
 
-use std::fmt::Write as _;
-
-use cairn_landmark::font;
 use cairn_scene::Picture;
 use glam::DVec2;
+use plotters::coord::Shift;
+use plotters::prelude::{
+    BitMapBackend, Circle, Color, DrawingArea, DrawingAreaErrorKind, DrawingBackend, IntoDrawingArea, IntoFont,
+    PathElement, Polygon, RGBColor, SVGBackend, ShapeStyle,
+};
 
-/// Samples of a pixel across and down: edges are soft, words stay sharp.
+use crate::export::words::{self, Colour, Label};
+
+/// Samples of a pixel across and down in a picture: edges are soft, words are sharp.
 const FINE: usize = 3;
-/// Pixels of a letter's dot.
-const DOT_PX: usize = 2;
-/// The words' letter height, px.
-pub const LETTER_PX: f64 = (font::LINE * DOT_PX) as f64;
-
-/// Red, green, blue.
-pub type Colour = [u8; 3];
+/// Units of an SVG document for a pixel: its places are whole numbers.
+const SVG_UNITS: usize = 10;
+/// The height of a line of words, px.
+pub const LINE_PX: f64 = 17.0;
 
 /// A shape; places are px from the top left corner.
 #[derive(Clone, Debug)]
@@ -47,18 +48,18 @@ pub enum Shape {
         /// Its colour.
         colour: Colour,
     },
-    /// Words, their top left corner at a place.
+    /// A line of words, its top left corner at a place.
     Words {
         /// Where.
         at: DVec2,
-        /// What. The picture has capital letters, digits and common signs.
+        /// What.
         text: String,
         /// Their colour.
         colour: Colour,
     },
 }
 
-/// Shapes on paper, the later ones on top.
+/// Shapes on paper, the later ones on top; words above all.
 #[derive(Clone, Debug)]
 pub struct Drawing {
     /// Pixels across, 1 and up.
@@ -74,29 +75,18 @@ pub struct Drawing {
 impl Drawing {
     /// The drawing as a picture.
     pub fn picture(&self) -> Picture {
-        let mut fine = Fine::new(self);
-        for shape in &self.shapes {
-            match shape {
-                Shape::Polygon { corners, fill, line } => {
-                    if let Some((colour, strength)) = fill {
-                        fine.fill(corners, *colour, *strength);
-                    }
-                    if let Some((colour, width)) = line {
-                        for (i, from) in corners.iter().enumerate() {
-                            fine.line(*from, corners[(i + 1) % corners.len()], *colour, *width);
-                        }
-                    }
-                }
-                Shape::Line { ends: [from, to], colour, width } => fine.line(*from, *to, *colour, *width),
-                Shape::Dot { at, radius, colour } => fine.line(*at, *at, *colour, 2.0 * radius),
-                Shape::Words { .. } => {}
-            }
+        let (width, height) = (self.width * FINE, self.height * FINE);
+        let mut samples = self.paper.repeat(width * height);
+        {
+            let area = BitMapBackend::with_buffer(&mut samples, (width as u32, height as u32)).into_drawing_area();
+            // Samples in memory take every shape: there is nothing that could fail.
+            let _ = draw(&area, &self.shapes, FINE as f64).and_then(|()| area.present());
         }
-        let mut picture = fine.averaged();
+        let mut picture = averaged(&samples, self.width, self.height);
         for shape in &self.shapes {
             if let Shape::Words { at, text, colour } = shape {
-                let (left, top) = (at.x.round().max(0.0) as usize, at.y.round().max(0.0) as usize);
-                font::draw_text(&mut picture, text, left, top, DOT_PX, colour.map(|v| f32::from(v) / 255.0));
+                let (text, height_px, colour) = (text.clone(), LINE_PX, *colour);
+                words::write(&mut picture, &Label { text, left: at.x, top: at.y, height_px, colour });
             }
         }
         picture
@@ -104,137 +94,93 @@ impl Drawing {
 
     /// The drawing as an SVG document.
     pub fn svg(&self) -> String {
-        let (w, h, paper) = (self.width, self.height, hex(self.paper));
-        // Writing into a string cannot fail, here and below.
-        let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" font-family=\"monospace\" font-size=\"17\">\n<rect width=\"{w}\" height=\"{h}\" fill=\"{paper}\"/>\n"
-        );
-        for shape in &self.shapes {
-            match shape {
-                Shape::Polygon { corners, fill, line } => {
-                    let corners: Vec<String> = corners.iter().map(|c| format!("{:.2},{:.2}", c.x, c.y)).collect();
-                    let fill = fill.map_or("none".to_owned(), |(c, s)| format!("{}\" fill-opacity=\"{s}", hex(c)));
-                    let line = line.map_or("none".to_owned(), |(c, w)| format!("{}\" stroke-width=\"{w}", hex(c)));
-                    let _ =
-                        writeln!(svg, "<polygon points=\"{}\" fill=\"{fill}\" stroke=\"{line}\"/>", corners.join(" "));
+        let (width, height) = ((self.width * SVG_UNITS) as u32, (self.height * SVG_UNITS) as u32);
+        let mut svg = String::new();
+        {
+            let area = SVGBackend::with_string(&mut svg, (width, height)).into_drawing_area();
+            let words = self.shapes.iter().filter_map(|shape| match shape {
+                Shape::Words { at, text, colour } => Some((at, text, colour)),
+                _ => None,
+            });
+            // A string takes every shape: there is nothing that could fail.
+            let drawn = area.fill(&rgb(self.paper)).and_then(|()| draw(&area, &self.shapes, SVG_UNITS as f64));
+            let _ = drawn.and_then(|()| {
+                for (at, text, colour) in words {
+                    let style = ("sans-serif", LINE_PX * SVG_UNITS as f64).into_font().color(&rgb(*colour));
+                    area.draw_text(text, &style, place(*at, SVG_UNITS as f64))?;
                 }
-                Shape::Line { ends: [a, b], colour, width } => {
-                    let _ = writeln!(
-                        svg,
-                        "<line x1=\"{:.2}\" y1=\"{:.2}\" x2=\"{:.2}\" y2=\"{:.2}\" stroke=\"{}\" stroke-width=\"{width}\"/>",
-                        a.x,
-                        a.y,
-                        b.x,
-                        b.y,
-                        hex(*colour)
-                    );
-                }
-                Shape::Dot { at, radius, colour } => {
-                    let _ = writeln!(
-                        svg,
-                        "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius}\" fill=\"{}\"/>",
-                        at.x,
-                        at.y,
-                        hex(*colour)
-                    );
-                }
-                Shape::Words { at, text, colour } => {
-                    let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
-                    let (x, y, colour) = (at.x, at.y + LETTER_PX, hex(*colour));
-                    let _ = writeln!(svg, "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"{colour}\">{escaped}</text>");
-                }
-            }
+                area.present()
+            });
         }
-        svg + "</svg>\n"
+        // The document's own units are finer than the pixels that it is to be shown at.
+        let fine = format!("width=\"{width}\" height=\"{height}\"");
+        svg.replacen(&fine, &format!("width=\"{}\" height=\"{}\"", self.width, self.height), 1)
     }
 }
 
 /// Pixels across of `text`.
 pub fn words_width(text: &str) -> f64 {
-    font::text_width(text, DOT_PX) as f64
+    words::width_px(text, LINE_PX)
 }
 
-fn hex(colour: Colour) -> String {
-    format!("#{:02x}{:02x}{:02x}", colour[0], colour[1], colour[2])
+fn rgb([red, green, blue]: Colour) -> RGBColor {
+    RGBColor(red, green, blue)
 }
 
-/// The picture at several samples a pixel.
-struct Fine {
-    width: usize,
-    height: usize,
-    rgb: Vec<u8>,
+fn place(at: DVec2, scale: f64) -> (i32, i32) {
+    ((at.x * scale).round() as i32, (at.y * scale).round() as i32)
 }
 
-impl Fine {
-    fn new(drawing: &Drawing) -> Self {
-        let (width, height) = (drawing.width * FINE, drawing.height * FINE);
-        Self { width, height, rgb: drawing.paper.repeat(width * height) }
-    }
+/// A line of so many px.
+fn stroke(colour: Colour, width: f64, scale: f64) -> ShapeStyle {
+    rgb(colour).stroke_width((width * scale).round().max(1.0) as u32)
+}
 
-    /// Rows and columns of samples between two places, px, as far as there are any.
-    fn samples(&self, low: DVec2, high: DVec2) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
-        let range = |low: f64, high: f64, most: usize| {
-            let at = |v: f64| (v * FINE as f64).clamp(0.0, most as f64);
-            at(low).floor() as usize..at(high).ceil() as usize
-        };
-        (range(low.y, high.y, self.height), range(low.x, high.x, self.width))
-    }
-
-    /// Lays `colour` over the samples between two places for which `inside` holds.
-    fn paint(&mut self, (low, high): (DVec2, DVec2), colour: Colour, strength: f64, inside: impl Fn(DVec2) -> bool) {
-        let (rows, columns) = self.samples(low, high);
-        for y in rows {
-            for x in columns.clone() {
-                if inside(DVec2::new(x as f64 + 0.5, y as f64 + 0.5) / FINE as f64) {
-                    let at = (y * self.width + x) * 3;
-                    for (old, new) in self.rgb[at..at + 3].iter_mut().zip(colour) {
-                        let mixed = f64::from(*old) + (f64::from(new) - f64::from(*old)) * strength;
-                        *old = mixed.round() as u8;
-                    }
+/// Draws all shapes but words, `scale` units a pixel.
+fn draw<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    shapes: &[Shape],
+    scale: f64,
+) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
+    for shape in shapes {
+        match shape {
+            Shape::Polygon { corners, fill, line } => {
+                let mut corners: Vec<(i32, i32)> = corners.iter().map(|corner| place(*corner, scale)).collect();
+                if let Some((colour, strength)) = fill {
+                    area.draw(&Polygon::new(corners.clone(), rgb(*colour).mix(*strength).filled()))?;
                 }
+                if let Some((colour, width)) = line {
+                    corners.extend(corners.first().copied());
+                    area.draw(&PathElement::new(corners, stroke(*colour, *width, scale)))?;
+                }
+            }
+            Shape::Line { ends, colour, width } => {
+                let ends = ends.map(|end| place(end, scale)).to_vec();
+                area.draw(&PathElement::new(ends, stroke(*colour, *width, scale)))?;
+            }
+            Shape::Dot { at, radius, colour } => {
+                let radius = (radius * scale).round().max(1.0) as i32;
+                area.draw(&Circle::new(place(*at, scale), radius, rgb(*colour).filled()))?;
+            }
+            Shape::Words { .. } => {}
+        }
+    }
+    Ok(())
+}
+
+/// The mean of the samples of each pixel.
+fn averaged(samples: &[u8], width: usize, height: usize) -> Picture {
+    let mut picture = Picture::constant(width, height, [0.0; 3]);
+    let scale = 1.0 / (255 * FINE * FINE) as f32;
+    for (y, row) in samples.chunks_exact(width * FINE * 3).enumerate() {
+        for (x, sample) in row.chunks_exact(3).enumerate() {
+            let at = (y / FINE * width + x / FINE) * 3;
+            for (sum, value) in picture.rgb_mut()[at..at + 3].iter_mut().zip(sample) {
+                *sum += f32::from(*value) * scale;
             }
         }
     }
-
-    /// A line with round ends.
-    fn line(&mut self, from: DVec2, to: DVec2, colour: Colour, width: f64) {
-        let (way, half) = (to - from, width / 2.0);
-        let long = way.length_squared();
-        let inside = |p: DVec2| {
-            let t = if long > 0.0 { ((p - from).dot(way) / long).clamp(0.0, 1.0) } else { 0.0 };
-            (p - from - way * t).length_squared() <= half * half
-        };
-        self.paint((from.min(to) - half, from.max(to) + half), colour, 1.0, inside);
-    }
-
-    /// A polygon's inside, by the even-odd rule.
-    fn fill(&mut self, corners: &[DVec2], colour: Colour, strength: f64) {
-        let Some(first) = corners.first() else { return };
-        let (low, high) = corners.iter().fold((*first, *first), |(l, h), c| (l.min(*c), h.max(*c)));
-        let inside = |p: DVec2| {
-            let crossed = |i: usize| {
-                let (a, b) = (corners[i], corners[(i + 1) % corners.len()]);
-                (a.y > p.y) != (b.y > p.y) && p.x < a.x + (b.x - a.x) * (p.y - a.y) / (b.y - a.y)
-            };
-            (0..corners.len()).filter(|i| crossed(*i)).count() % 2 == 1
-        };
-        self.paint((low, high), colour, strength, inside);
-    }
-
-    fn averaged(&self) -> Picture {
-        let (width, height) = (self.width / FINE, self.height / FINE);
-        let mut picture = Picture::constant(width, height, [0.0; 3]);
-        let scale = 1.0 / (255 * FINE * FINE) as f32;
-        for (y, row) in self.rgb.chunks_exact(self.width * 3).enumerate() {
-            for (x, sample) in row.chunks_exact(3).enumerate() {
-                let at = (y / FINE * width + x / FINE) * 3;
-                for (sum, value) in picture.rgb_mut()[at..at + 3].iter_mut().zip(sample) {
-                    *sum += f32::from(*value) * scale;
-                }
-            }
-        }
-        picture
-    }
+    picture
 }
 
 #[cfg(test)]
@@ -258,21 +204,24 @@ mod tests {
         let near = |x, y, colour: [f32; 3]| {
             picture.pixel(x, y).iter().zip(colour).all(|(a, b): (&f32, f32)| (a - b).abs() < 1e-3)
         };
-        assert!(near(15, 15, [1.0, 0.0, 0.0]) && near(10, 19, [1.0, 0.0, 0.0]) && near(9, 15, [1.0; 3]));
+        assert!(near(15, 15, [1.0, 0.0, 0.0]) && near(12, 18, [1.0, 0.0, 0.0]) && near(8, 15, [1.0; 3]));
         assert!(near(30, 5, [0.0, 0.0, 1.0]) && near(35, 5, [1.0; 3]));
-        assert!(near(0, 25, [0.0; 3]) && near(39, 25, [0.0; 3]) && near(20, 27, [1.0; 3]));
+        let dark = |x: usize| (24..27).any(|y| picture.pixel(x, y)[0] < 0.7);
+        assert!(dark(0) && dark(39) && near(20, 28, [1.0; 3]));
     }
 
     #[test]
-    fn the_svg_has_every_shape_and_escapes_names() {
+    fn words_are_in_both_and_names_are_escaped() {
         let at = DVec2::new(3.0, 4.0);
-        let svg = drawing(vec![
+        let drawing = drawing(vec![
             Shape::Words { at, text: "a<b & \"c\"".into(), colour: [1, 2, 3] },
             Shape::Dot { at, radius: 1.0, colour: [255; 3] },
-            Shape::Polygon { corners: vec![at], fill: None, line: Some(([0; 3], 1.5)) },
-        ])
-        .svg();
-        assert!(svg.contains("a&lt;b &amp; \"c\"</text>") && svg.contains("<circle") && svg.contains("fill=\"none\""));
-        assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n") && svg.contains("#010203"));
+            Shape::Polygon { corners: vec![at, at * 2.0, at * 3.0], fill: None, line: Some(([0; 3], 1.5)) },
+        ]);
+        let svg = drawing.svg();
+        assert!(svg.contains("a&lt;b &amp; ") && svg.contains("<circle") && svg.contains("<polyline"), "{svg}");
+        assert!(svg.starts_with("<svg ") && svg.trim_end().ends_with("</svg>") && svg.contains("#010203"), "{svg}");
+        assert!(svg.contains("width=\"40\" height=\"30\"") && svg.contains("viewBox=\"0 0 400 300\""), "{svg}");
+        assert!(drawing.picture().rgb().iter().any(|v| *v < 0.5));
     }
 }

@@ -7,3 +7,4 @@ pub mod poses;
 pub mod sheet;
 pub mod sound;
 pub mod tour;
+pub mod words;

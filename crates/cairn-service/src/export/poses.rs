@@ -9,15 +9,16 @@ use cairn_scene::{Capture, SceneFolder};
 use glam::DVec2;
 
 use crate::error::EngineError;
-use crate::export::drawing::{Colour, Drawing, LETTER_PX, Shape, words_width};
+use crate::export::drawing::{Drawing, LINE_PX, Shape, words_width};
 use crate::export::layout::{Layout, PANEL};
+use crate::export::words::Colour;
 use crate::store::model::{IdentityInfo, ModelInfo};
 use crate::train::clusters;
 
 /// Groups with a colour of their own; the others share one.
-const MOST_COLOURS: usize = 12;
+const MAX_COLOURS: usize = 12;
 /// Far apart from each other, the first ones for colour-blind readers too (Okabe and Ito's).
-const COLOURS: [Colour; MOST_COLOURS] = [
+const COLOURS: [Colour; MAX_COLOURS] = [
     [0, 114, 178],
     [213, 94, 0],
     [0, 158, 115],
@@ -48,7 +49,7 @@ const ROW: f64 = 26.0;
 /// Letters of a name in the legend.
 const NAME_LETTERS: usize = 22;
 /// Sparse points drawn a panel.
-const MOST_POINTS: usize = 5000;
+const MAX_POINTS: usize = 5000;
 
 /// The drawing, and what is on it.
 #[derive(Clone, Debug)]
@@ -136,7 +137,7 @@ impl Groups {
         }
         let mut groups: Vec<_> = counts.into_iter().collect();
         let numbered = groups.iter().any(|((number, _), _)| *number > 0);
-        if !numbered || groups.len() > MOST_COLOURS {
+        if !numbered || groups.len() > MAX_COLOURS {
             // Stable: equal counts stay in their order.
             groups.sort_by_key(|(_, [training, held_out])| Reverse(training + held_out));
         }
@@ -163,7 +164,7 @@ fn sheet(scene: &str, capture: &Capture, rows: &[Groups]) -> Drawing {
     let layout = Layout::new(capture);
     let row_height = TITLE + PANEL.y + GAP;
     let width = GAP * 4.0 + PANEL.x * 2.0 + LEGEND;
-    let height = GAP * 2.0 + LETTER_PX + row_height * rows.len() as f64;
+    let height = GAP * 2.0 + LINE_PX + row_height * rows.len() as f64;
     let mut shapes = Vec::new();
     let held_out = capture.held_out().count();
     let views = capture.views.len();
@@ -174,7 +175,7 @@ fn sheet(scene: &str, capture: &Capture, rows: &[Groups]) -> Drawing {
     let title = format!("{scene}: {views} views by {by}, {held_out} of them held out");
     words(&mut shapes, DVec2::new(GAP, GAP), &title, INK);
     for (i, groups) in rows.iter().enumerate() {
-        let top = GAP * 2.0 + LETTER_PX + row_height * i as f64;
+        let top = GAP * 2.0 + LINE_PX + row_height * i as f64;
         for (k, (side, what)) in [(1, "plan, from above"), (2, "from the side")].iter().enumerate() {
             let left = GAP + k as f64 * (PANEL.x + GAP);
             words(&mut shapes, DVec2::new(left, top), &format!("{}: {what}", groups.title), INK);
@@ -189,7 +190,7 @@ fn panel(shapes: &mut Vec<Shape>, capture: &Capture, layout: &Layout, groups: &G
     let end = corner + PANEL;
     let corners = vec![corner, DVec2::new(end.x, corner.y), end, DVec2::new(corner.x, end.y)];
     shapes.push(Shape::Polygon { corners: corners.clone(), fill: Some(([255; 3], 1.0)), line: None });
-    let every = capture.points.len().div_ceil(MOST_POINTS).max(1);
+    let every = capture.points.len().div_ceil(MAX_POINTS).max(1);
     for point in capture.points.iter().step_by(every) {
         let at = layout.place(*point, side, corner);
         if at.cmpgt(corner + 1.0).all() && at.cmplt(end - 1.0).all() {
@@ -236,14 +237,14 @@ fn scale_bar(shapes: &mut Vec<Shape>, layout: &Layout, left: DVec2) {
     }
     let digits = (-power.log10().floor()).clamp(0.0, 9.0) as usize;
     let unit = if length == 1.0 { "unit" } else { "units" };
-    words(shapes, left - DVec2::Y * (LETTER_PX + 10.0), &format!("{length:.digits$} {unit}"), INK);
+    words(shapes, left - DVec2::Y * (LINE_PX + 10.0), &format!("{length:.digits$} {unit}"), INK);
 }
 
 fn legend(shapes: &mut Vec<Shape>, groups: &Groups, layout: &Layout, points: bool, corner: DVec2) {
     let mut at = corner;
     words(shapes, at, "views (+ held out)", INK);
     at.y += TITLE;
-    let shown = groups.names.len().min(MOST_COLOURS);
+    let shown = groups.names.len().min(MAX_COLOURS);
     for (i, (name, counts)) in groups.names[..shown].iter().enumerate() {
         entry(shapes, at, layout, COLOURS[i], false, &short(name), &count(*counts));
         at.y += ROW;
@@ -266,13 +267,13 @@ fn legend(shapes: &mut Vec<Shape>, groups: &Groups, layout: &Layout, points: boo
     entry(shapes, at, layout, INK, true, "hollow: held out", "");
     at.y += ROW;
     if !groups.ringed.is_empty() {
-        ring(shapes, at + DVec2::new(16.0, LETTER_PX / 2.0), 9.0);
+        ring(shapes, at + DVec2::new(16.0, LINE_PX / 2.0), 9.0);
         words(shapes, at + DVec2::X * 40.0, "ringed: anchor", INK);
         at.y += ROW;
     }
     if points {
         for i in 0..3 {
-            let dot = at + DVec2::new(8.0 + 8.0 * f64::from(i), LETTER_PX / 2.0 + f64::from(i % 2) * 3.0);
+            let dot = at + DVec2::new(8.0 + 8.0 * f64::from(i), LINE_PX / 2.0 + f64::from(i % 2) * 3.0);
             shapes.push(Shape::Dot { at: dot, radius: 1.4, colour: POINT });
         }
         words(shapes, at + DVec2::X * 40.0, "dots: sparse points", INK);
@@ -281,7 +282,7 @@ fn legend(shapes: &mut Vec<Shape>, groups: &Groups, layout: &Layout, points: boo
 
 /// A line of the legend: a camera, what it is, and a number at the right.
 fn entry(shapes: &mut Vec<Shape>, at: DVec2, layout: &Layout, colour: Colour, hollow: bool, name: &str, count: &str) {
-    let (size, tip) = (layout.camera_px.min(20.0), at + DVec2::new(6.0, LETTER_PX / 2.0));
+    let (size, tip) = (layout.camera_px.min(20.0), at + DVec2::new(6.0, LINE_PX / 2.0));
     let open = [DVec2::new(size, -size * 0.45), DVec2::new(size, size * 0.45)];
     shapes.push(mark(vec![tip, tip + open[0], tip + open[1]], colour, hollow));
     words(shapes, at + DVec2::X * 40.0, name, INK);
@@ -364,7 +365,7 @@ mod tests {
         let drawing = sheet("town", &capture, &[groups]);
         let cameras = |s: &&Shape| matches!(s, Shape::Polygon { fill: Some(_), line: Some(_), .. });
         // A view in each of two panels, and the legend: its groups, a whole one and a hollow one.
-        let groups = Groups::by_contributor(&capture).names.len().min(MOST_COLOURS + 1);
+        let groups = Groups::by_contributor(&capture).names.len().min(MAX_COLOURS + 1);
         assert_eq!(drawing.shapes.iter().filter(cameras).count(), 2 * 40 + groups + 2);
         assert!(finite(&drawing));
     }

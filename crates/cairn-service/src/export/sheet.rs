@@ -1,22 +1,25 @@
 //! Sheets of labelled pictures: the check by eye that stands beside every
 //! figure, since a number can be good on a wrong picture.
 
-use cairn_landmark::font;
 use cairn_scene::Picture;
+
+use crate::export::words::{self, Label};
 
 /// Space around and between tiles, px.
 const GAP: usize = 4;
+/// Height of a label's line, px.
+const LINE_PX: f64 = 14.0;
 /// Height of a label's strip, px.
-const LABEL: usize = font::LINE + 4;
+const LABEL: usize = 18;
 const PAPER: [f32; 3] = [0.97, 0.97, 0.95];
-const INK: [f32; 3] = [0.12, 0.12, 0.14];
+const INK: words::Colour = [30, 30, 36];
 
 /// One picture of a sheet and what stands under it.
 #[derive(Clone, Debug)]
 pub struct Tile {
     /// Any size; it is fitted into its place with its proportions kept.
     pub picture: Picture,
-    /// Capital letters, digits and common signs are drawn; cut to the width.
+    /// One line; cut to the width.
     pub label: String,
 }
 
@@ -35,29 +38,40 @@ pub fn contact_sheet(rows: &[Vec<Tile>], tile_w: usize, tile_h: usize) -> Pictur
             let fitted = fit(&tile.picture, tile_w, tile_h);
             let (dx, dy) = ((tile_w - fitted.width()) / 2, (tile_h - fitted.height()) / 2);
             paste(&mut sheet, &fitted, left + dx, top + dy);
-            let letters = (tile_w + 1) / font::ADVANCE;
-            let label: String = tile.label.chars().take(letters).collect();
-            font::draw_text(&mut sheet, &label, left, top + tile_h + 2, 1, INK);
+            let text = words::cut(&tile.label, LINE_PX, tile_w as f64);
+            write(&mut sheet, text, left, top + tile_h + 1);
         }
     }
     sheet
 }
 
-/// `paragraphs` on paper of `width` x `height` px (at least 1 each is used), broken
-/// between letters where a line is full; what does not fit is cut off.
-pub fn words(paragraphs: &[String], width: usize, height: usize) -> Picture {
+/// `paragraphs` on paper of `width` x `height` px (at least 1 each is used), broken between letters where a line is full;
+/// what does not fit is cut off.
+pub fn paper(paragraphs: &[String], width: usize, height: usize) -> Picture {
     let mut paper = Picture::constant(width.max(1), height.max(1), PAPER);
-    let letters = ((width + 1) / font::ADVANCE).max(1);
+    let line = LINE_PX as usize + 2;
     let mut top = 1;
     for paragraph in paragraphs {
-        let all: Vec<char> = paragraph.chars().collect();
-        for line in all.chunks(letters) {
-            font::draw_text(&mut paper, &line.iter().collect::<String>(), 0, top, 1, INK);
-            top += font::LINE + 2;
+        let mut rest = paragraph.as_str();
+        while !rest.is_empty() && top < paper.height() {
+            let mut kept = words::cut(rest, LINE_PX, width as f64);
+            if kept.is_empty() {
+                // Paper narrower than a letter: it is cut at the edge.
+                kept = rest.chars().take(1).collect();
+            }
+            rest = &rest[kept.len()..];
+            write(&mut paper, kept, 0, top);
+            top += line;
         }
-        top += font::LINE;
+        top += line / 2;
     }
     paper
+}
+
+/// A line of words on a sheet.
+fn write(sheet: &mut Picture, text: String, left: usize, top: usize) {
+    let label = Label { text, left: left as f64, top: top as f64, height_px: LINE_PX, colour: INK };
+    words::write(sheet, &label);
 }
 
 /// `picture` as large as fits. Values outside of [0, 1] are clamped: a sheet is
@@ -89,21 +103,23 @@ mod tests {
         assert_eq!(sheet.pixel(14, 4), PAPER, "the wide picture leaves room above");
         assert_eq!(sheet.pixel(14, 14), [1.0, 0.0, 1.0]);
         assert_eq!(sheet.pixel(28 + 10, 4), [1.0, 0.0, 1.0], "the tall one leaves none");
-        let inked = (4..24).any(|x| (24..24 + LABEL).any(|y| sheet.pixel(x, y) == INK));
-        assert!(inked, "there is a label");
-        let beyond = (24..28).any(|x| (24..24 + LABEL).any(|y| sheet.pixel(x, y) == INK));
+        let is_inked = |x: usize, y: usize| sheet.pixel(x, y)[0] < 0.6;
+        assert!((4..24).any(|x| (24..24 + LABEL).any(|y| is_inked(x, y))), "there is a label");
+        let beyond = (25..28).any(|x| (24..24 + LABEL).any(|y| is_inked(x, y)));
         assert!(!beyond, "and it is cut to its tile");
         assert_eq!(contact_sheet(&[], 9, 9).pixel(0, 0), PAPER);
     }
 
     #[test]
     fn words_are_broken_where_a_line_is_full() {
-        // Two letters a line: two lines of the first paragraph, one of the second, none left for the third.
-        let paper = words(&["IIII".into(), "I".into(), "I".into()], 12, 40);
-        let inked = |rows: std::ops::Range<usize>, columns: std::ops::Range<usize>| {
-            rows.clone().any(|y| columns.clone().any(|x| paper.pixel(x, y) == INK))
+        // Two letters a line: two lines of the first paragraph, one of the second.
+        let width = words::width_px("HH", LINE_PX).ceil() as usize + 1;
+        let paper = paper(&["HHHH".into(), "H".into()], width, 60);
+        let is_inked = |rows: std::ops::Range<usize>, columns: std::ops::Range<usize>| {
+            rows.clone().any(|y| columns.clone().any(|x| paper.pixel(x, y)[0] < 0.6))
         };
-        assert!(inked(1..8, 0..5) && inked(1..8, 6..11) && inked(10..17, 6..11), "the first paragraph");
-        assert!(!inked(19..26, 0..12) && inked(26..33, 0..5) && !inked(26..33, 6..11) && !inked(33..40, 0..12));
+        let half = width / 2;
+        assert!(is_inked(1..15, 0..half) && is_inked(1..15, half..width) && is_inked(18..31, half..width), "the first");
+        assert!(is_inked(42..55, 0..half) && !is_inked(42..55, half + 1..width), "the second paragraph");
     }
 }

@@ -2,12 +2,15 @@
 //! recovered one below on the same axes. A sound cannot be listened to on a page of
 //! figures, and its ratio of signal to noise alone says nothing about where the noise is.
 
-use cairn_landmark::font;
 use cairn_scene::metrics::{LSD_FLOOR_DB, LSD_FRAME, log_spectrum_db};
 use cairn_scene::{Picture, Sound};
 
+use crate::export::words::{self, Label};
+
 const PAPER: [f32; 3] = [0.97, 0.97, 0.95];
-const INK: [f32; 3] = [0.12, 0.12, 0.14];
+const INK: words::Colour = [30, 30, 36];
+/// Height of a line of words, px.
+const LINE_PX: usize = 12;
 /// The waveform.
 const WAVE: [f32; 3] = [0.16, 0.33, 0.60];
 /// Between the parts, px.
@@ -26,11 +29,13 @@ pub fn sounds(truth: &Sound, recovered: &Sound, width: usize, height: usize) -> 
     let mut sheet = Picture::constant(width, height, PAPER);
     let each = (height - GAP) / 2;
     let seconds = truth.seconds().max(recovered.seconds());
-    for (name, sound, top) in [("TRUE", truth, 0), ("RECOVERED", recovered, each + GAP)] {
-        let wave = font::LINE + 2..each * 2 / 5;
+    for (name, sound, top) in [("True", truth, 0), ("Recovered", recovered, each + GAP)] {
+        let wave = LINE_PX + 2..each * 2 / 5;
         waveform(&mut sheet, sound, seconds, top + wave.start..top + wave.end);
         spectrogram(&mut sheet, sound, seconds, top + wave.end + 1..top + each);
-        font::draw_text(&mut sheet, &format!("{name} {:.1} S", sound.seconds()), 1, top, 1, INK);
+        let text = format!("{name}, {:.1} s", sound.seconds());
+        let label = Label { text, left: 1.0, top: top as f64, height_px: LINE_PX as f64, colour: INK };
+        words::write(&mut sheet, &label);
     }
     sheet
 }
@@ -107,6 +112,6 @@ mod tests {
         assert_eq!(picture.pixel(80, 190), LEVELS[0]);
         // Waveforms: one fills its strip, the other is a line.
         let inked = |rows: std::ops::Range<usize>| rows.filter(|y| picture.pixel(20, *y) == WAVE).count();
-        assert!(inked(9..40) > 20 && inked(112..143) == 1, "{} and {}", inked(9..40), inked(112..143));
+        assert!(inked(14..40) > 20 && inked(117..143) == 1, "{} and {}", inked(14..40), inked(117..143));
     }
 }

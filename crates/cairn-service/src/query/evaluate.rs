@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::export::sheet::{Tile, contact_sheet, words};
+use crate::export::sheet::{Tile, contact_sheet, paper};
 use crate::export::sound::sounds;
 use cairn_mark::Signal;
 use cairn_scene::cluster::Grouping;
@@ -231,10 +231,10 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
     let (w, h) = (w.clamp(96, 256), h.clamp(96, 256));
     let mut rows = Vec::new();
     for view in scored.iter().take(SHEET_ROWS) {
-        let mut row = vec![tile(&view.photograph, "PHOTOGRAPH"), tile(&view.base, "BASE")];
+        let mut row = vec![tile(&view.photograph, "Photograph"), tile(&view.base, "Base")];
         if let Some(read) = &view.marked {
-            row.push(tile(&read.picture, "MARKED"));
-            row.push(tile(&difference(&read.picture, &view.base, 20.0), "DIFFERENCE X 20"));
+            row.push(tile(&read.picture, "Marked"));
+            row.push(tile(&difference(&read.picture, &view.base, 20.0), "Difference x 20"));
             let signals = model.mark.iter().flat_map(|m| &m.signals).collect::<Vec<_>>();
             let truth = (view.truth as usize).checked_sub(1).and_then(|at| signals.get(at).copied());
             row.extend(signal_tiles(
@@ -244,7 +244,7 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
                 (w, h),
             ));
         } else {
-            row.push(tile(&difference(&view.base, &view.photograph, OFF), "DIFFERENCE X 4"));
+            row.push(tile(&difference(&view.base, &view.photograph, OFF), "Difference x 4"));
         }
         rows.push(row);
     }
@@ -259,22 +259,22 @@ pub fn signal_tiles(
     (class, owner): (Option<u32>, u32),
     (w, h): (usize, usize),
 ) -> Vec<Tile> {
-    let class = class.map_or("ELSEWHERE".to_owned(), |class| class.to_string());
+    let class = class.map_or("elsewhere".to_owned(), |class| class.to_string());
     let tile = |signal: &Signal, label: String| {
         let picture = signal.picture.clone().unwrap_or_else(|| Picture::constant(w, h, [0.0; 3]));
         Tile { picture, label }
     };
-    let mut tiles = vec![tile(read, format!("READ: {class}")), tile(truth, format!("TRUE: {owner}"))];
+    let mut tiles = vec![tile(read, format!("Read: {class}")), tile(truth, format!("True: {owner}"))];
     if let Some(said) = &read.audio {
         let silence = || Sound::new(vec![0.0; said.samples().len()], said.sample_rate_hz()).ok();
         if let Some(truth) = truth.audio.clone().or_else(silence) {
-            tiles.push(Tile { picture: sounds(&truth, said, w, h), label: "SOUND".to_owned() });
+            tiles.push(Tile { picture: sounds(&truth, said, w, h), label: "Sound".to_owned() });
         }
     }
     if let Some(said) = &read.text {
         let truth = truth.text.as_deref().unwrap_or_default();
-        let lines = [format!("TRUE: {truth}"), format!("READ: {said}")];
-        tiles.push(Tile { picture: words(&lines, w, h), label: "TEXT".to_owned() });
+        let lines = [format!("True: {truth}"), format!("Read: {said}")];
+        tiles.push(Tile { picture: paper(&lines, w, h), label: "Text".to_owned() });
     }
     tiles
 }

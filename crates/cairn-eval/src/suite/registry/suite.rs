@@ -12,6 +12,7 @@ use super::grown::{AuditLog, Grow, Log, ServeLog, Served};
 use super::load::{Load, Loaded};
 use super::victim;
 use crate::args::Args;
+use crate::chart::{self, Axis, Line};
 use crate::children::Children;
 use crate::results::Target;
 use crate::rows::Rows;
@@ -144,10 +145,23 @@ fn of_size(case: &str, served: &Served, records: u64, rows: &mut Rows) {
     }
 }
 
-/// Draws what a log's size costs.
+/// Draws what a log's size costs, in milliseconds.
 fn draw(out: &Path, costs: &[Cost]) -> anyhow::Result<()> {
-    let _ = (out, costs.iter().map(|c| (c.records, c.audit_s, &c.served)).count());
-    Ok(())
+    type Of = fn(&Cost) -> f64;
+    let of: [(&str, Of); 6] = [
+        ("Audit of all of it", |cost| cost.audit_s * 1e3),
+        ("Start", |cost| cost.served.start_s * 1e3),
+        ("Answer about a scene", |cost| cost.served.answer_ms),
+        ("Submission", |cost| cost.served.submit_ms.median),
+        ("Verification", |cost| cost.served.verify_us * 1e-3),
+        ("Proof", |cost| cost.served.prove_us.median * 1e-3),
+    ];
+    let line = |(name, of): (&str, Of)| {
+        let points = costs.iter().map(|cost| [cost.records as f64, of(cost)]).collect();
+        Line { name: name.to_owned(), points }
+    };
+    let (records, time) = (Axis { name: "Records", is_log: true }, Axis { name: "Time, ms", is_log: true });
+    chart::draw(&out.join("sizes.svg"), "What a log's size costs", records, time, &of.map(line))
 }
 
 fn bytes_in(folder: &Path) -> anyhow::Result<u64> {
