@@ -1,5 +1,4 @@
 //! Cairn as a library: the data folder, trainings, queries, records, and the gRPC handlers over them.
-#![allow(missing_docs)]
 
 pub mod auth;
 pub mod config;

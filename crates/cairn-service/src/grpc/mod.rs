@@ -10,6 +10,7 @@
 //! that; renders and the like queue for a limited number of places.
 
 mod access;
+pub mod error;
 pub mod from_proto;
 mod gate;
 pub mod http;

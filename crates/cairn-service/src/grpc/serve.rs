@@ -9,7 +9,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_api::v1::access_service_server::AccessServiceServer;
 use cairn_api::v1::owner_service_server::OwnerServiceServer;
@@ -28,6 +27,7 @@ use tonic::transport::Server;
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
+use super::error::ServeError;
 use super::gate::GateLayer;
 use super::{Shared, http, tls};
 use crate::config::{Config, Limits};
@@ -86,11 +86,13 @@ struct PublicFiles {
 
 impl PublicFiles {
     /// Starts serving them where the settings say so.
-    async fn start(config: &Config, data: &Path) -> anyhow::Result<Option<Self>> {
+    async fn start(config: &Config, data: &Path) -> Result<Option<Self>, ServeError> {
         let Some(public) = &config.public_http else { return Ok(None) };
-        let listener = tokio::net::TcpListener::bind(public.bind)
-            .await
-            .with_context(|| format!("cannot listen at {} (registry.http_bind)", public.bind))?;
+        let listener = tokio::net::TcpListener::bind(public.bind).await.map_err(|source| ServeError::Listen {
+            address: public.bind,
+            setting: "registry.http_bind",
+            source,
+        })?;
         let url = format!("http://{}{}", listener.local_addr()?, public.prefix);
         let (folder, prefix) = (data.join("registry").join("public"), public.prefix.clone());
         let (stop, stopped) = oneshot::channel::<()>();
@@ -113,13 +115,13 @@ impl PublicFiles {
 ///
 /// # Errors
 /// When the address or the data folder is taken, or what lies in the folder cannot be read.
-pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
+pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
     let listener = match tokio::net::TcpListener::bind(config.bind).await {
         Ok(listener) => listener,
-        Err(error) => {
+        Err(source) => {
             // A second daemon with the same settings finds both taken; the folder alone says by whom.
             folder::must_be_free(data)?;
-            return Err(error).with_context(|| format!("cannot listen at {} (server.bind)", config.bind));
+            return Err(ServeError::Listen { address: config.bind, setting: "server.bind", source });
         }
     };
     let address = listener.local_addr()?;
@@ -183,7 +185,7 @@ pub async fn serve(config: Config, data: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-async fn load(config: &Config, data: &Path) -> anyhow::Result<Arc<Engine>> {
+async fn load(config: &Config, data: &Path) -> Result<Arc<Engine>, ServeError> {
     let (config, data) = (config.clone(), data.to_path_buf());
     Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config)).await??))
 }
@@ -230,7 +232,7 @@ impl InProcess {
     ///
     /// # Errors
     /// As [`serve`], but for the address.
-    pub async fn start(config: &Config, data: &Path) -> anyhow::Result<Self> {
+    pub async fn start(config: &Config, data: &Path) -> Result<Self, ServeError> {
         let engine = load(config, data).await?;
         // Nobody else can call: a token would only lock the owner out.
         let shared = Shared::in_process(config);

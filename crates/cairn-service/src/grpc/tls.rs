@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use anyhow::Context as _;
 use tonic::transport::{Certificate, Identity, Server, ServerTlsConfig};
 
+use super::error::TlsError;
 use crate::config::TlsFiles;
 
 /// Largest PEM file that is read, bytes.
@@ -14,24 +14,20 @@ const MAX_PEM_BYTES: u64 = 1 << 20;
 ///
 /// # Errors
 /// With the file's name, and what should be in it.
-pub fn pem(path: &Path, kind: &str) -> anyhow::Result<Vec<u8>> {
-    let name = path.display();
-    let length =
-        std::fs::metadata(path).with_context(|| format!("cannot read the TLS file {name}; check its path"))?.len();
-    anyhow::ensure!(
-        length <= MAX_PEM_BYTES,
-        "the TLS file {name} has {length} bytes; at most {MAX_PEM_BYTES} are read"
-    );
-    let bytes =
-        std::fs::read(path).with_context(|| format!("cannot read the TLS file {name}; check its permissions"))?;
+pub fn pem(path: &Path, kind: &str) -> Result<Vec<u8>, TlsError> {
+    let read = |source| TlsError::Read { path: path.to_path_buf(), source };
+    let length = std::fs::metadata(path).map_err(read)?.len();
+    if length > MAX_PEM_BYTES {
+        return Err(TlsError::TooLarge { path: path.to_path_buf(), length, limit: MAX_PEM_BYTES });
+    }
+    let bytes = std::fs::read(path).map_err(read)?;
     // `RSA PRIVATE KEY` and `EC PRIVATE KEY` end the same way.
     let there = String::from_utf8_lossy(&bytes)
         .lines()
         .any(|l| l.starts_with("-----BEGIN ") && l.trim_end().ends_with(&format!("{kind}-----")));
-    anyhow::ensure!(
-        there,
-        "the TLS file {name} holds no PEM section {kind}; give a file with `-----BEGIN {kind}-----`"
-    );
+    if !there {
+        return Err(TlsError::NoSection { path: path.to_path_buf(), kind: kind.to_owned() });
+    }
     Ok(bytes)
 }
 
@@ -39,22 +35,17 @@ pub fn pem(path: &Path, kind: &str) -> anyhow::Result<Vec<u8>> {
 ///
 /// # Errors
 /// For a file that cannot be read or is no such thing, and a key that is not the certificate's.
-pub fn secured(server: Server, files: Option<&TlsFiles>) -> anyhow::Result<Server> {
+pub fn secured(server: Server, files: Option<&TlsFiles>) -> Result<Server, TlsError> {
     let Some(TlsFiles { certificate, key, client_ca }) = files else { return Ok(server) };
     let identity = Identity::from_pem(pem(certificate, "CERTIFICATE")?, pem(key, "PRIVATE KEY")?);
     let mut config = ServerTlsConfig::new().identity(identity);
     if let Some(path) = client_ca {
         config = config.client_ca_root(Certificate::from_pem(pem(path, "CERTIFICATE")?));
     }
-    let server = server.tls_config(config).map_err(|e| {
-        let why = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
-        anyhow::anyhow!(
-            "TLS does not start with server.tls.certificate {} and server.tls.key {}{}: {why}; they must be a \
-             certificate and its own private key, in PEM",
-            certificate.display(),
-            key.display(),
-            client_ca.as_ref().map_or(String::new(), |c| format!(" and server.tls.client_ca {}", c.display())),
-        )
-    })?;
-    Ok(server)
+    server.tls_config(config).map_err(|e| TlsError::Refused {
+        certificate: certificate.clone(),
+        key: key.clone(),
+        client_ca: client_ca.clone(),
+        why: std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string),
+    })
 }
