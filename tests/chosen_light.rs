@@ -31,7 +31,7 @@ fn train(place: &Place, appearance: AppearanceMode, steps: u64) {
     place.import("town", ["--data", &data]);
     let mut settings = smoke_settings();
     (settings.field.steps, settings.field.appearance) = (steps, appearance);
-    train_to_end(&place.path("data"), "town", settings);
+    train_to_end(&place.path("data"), "town", settings, true);
 }
 
 fn picture(path: &Path) -> Picture {

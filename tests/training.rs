@@ -4,7 +4,7 @@
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Stdio};
 
-use crate::common::{Daemon, Place, accept, base_only, endless, smoke, smoke_settings};
+use crate::common::{Daemon, Place, accept, base_only, endless, smoke, smoke_settings, train_to_end};
 use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_api::v1::{self, JobState};
@@ -54,12 +54,7 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     screened.screened = true;
 
     // Undisturbed.
-    let first = accept(&place.path("data"), "one", screened.clone());
-    let daemon = Daemon::start(&place.path("data"), EVERY_STEP);
-    let mut client = training(&daemon).await;
-    assert_eq!(watch_until(&mut client, &first, ended).await.state(), JobState::Done);
-    let undisturbed = model(&daemon, "one").await;
-    assert!(daemon.terminate().success());
+    train_to_end(&place.path("data"), "one", screened.clone(), false);
 
     // Killed within each stage, started again: found and taken up by itself.
     let second = accept(&place.path("data"), "two", screened);
@@ -82,7 +77,7 @@ async fn a_job_killed_in_the_middle_ends_in_the_same_bytes() {
     let mut client = training(&daemon).await;
     let job = watch_until(&mut client, &second, ended).await;
     assert_eq!(job.state(), JobState::Done, "{}", job.error);
-    let killed = model(&daemon, "two").await;
+    let [undisturbed, killed] = [model(&daemon, "one").await, model(&daemon, "two").await];
     assert_eq!(undisturbed.base_field_sha256, killed.base_field_sha256);
     assert_eq!(undisturbed.settings_sha256, killed.settings_sha256);
     assert_eq!(undisturbed.marked_field_sha256, killed.marked_field_sha256);

@@ -374,6 +374,15 @@ mod tests {
     }
 
     #[test]
+    fn a_scene_that_grows_takes_no_options() {
+        let refused = asked(&["--grow", "--quality", "draft"]).unwrap_err();
+        assert!(refused.contains("--grow") && refused.contains("--quality"), "{refused}");
+        let options = asked(&["--quality", "draft", "--robust=false"]).unwrap().options.unwrap();
+        assert_eq!((options.quality(), options.robust), (v1::Quality::Draft, Some(false)));
+        assert_eq!(asked(&["--robust"]).unwrap().options.unwrap().robust, Some(true));
+    }
+
+    #[test]
     fn nothing_is_hidden_where_nothing_is_marked() {
         let refused = asked(&["--base-only", "--signals", "folder"]).unwrap_err();
         assert!(refused.contains("--base-only") && refused.contains("--signals"), "{refused}");

@@ -184,16 +184,16 @@ pub fn base_only(scene: &str, seed: u64, options: v1::TrainingOptions) -> v1::St
 }
 
 /// Accepts a training of `scene` in the data folder `data`, which no daemon has, with settings that are no preset's; the
-/// job's id. Whoever opens the folder next trains it.
+/// job's id. The daemon that opens the folder next trains it.
 pub fn accept(data: &Path, scene: &str, settings: TrainingSettings) -> String {
     let engine = Engine::open(data, &Config::from_toml("[training]\ncheckpoint_every_s = 0", "test").unwrap()).unwrap();
     engine.train(given(scene, settings, false)).unwrap().id
 }
 
-/// Trains the base field of `scene` in the data folder `data` to its end, with settings that are no preset's.
-pub fn train_to_end(data: &Path, scene: &str, settings: TrainingSettings) {
+/// As [`accept`], trained to its end without a break; `base_only` stops after stage 1.
+pub fn train_to_end(data: &Path, scene: &str, settings: TrainingSettings, base_only: bool) {
     let engine = Engine::open(data, &Config::from_toml("", "test").unwrap()).unwrap();
-    let id = engine.train(given(scene, settings, true)).unwrap().id;
+    let id = engine.train(given(scene, settings, base_only)).unwrap().id;
     let job = engine.jobs().watch(&id).unwrap();
     while !job.borrow().state.has_ended() {
         std::thread::sleep(std::time::Duration::from_millis(20));
