@@ -3,7 +3,6 @@
 //! A newer row of the same suite, case and metric replaces the older one. Rows stand in a stable order, so that a
 //! change of one figure is a change of one line in review. Unknown fields are refused.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -224,14 +223,8 @@ impl Results {
             text += &serde_json::to_string(row).map_err(|e| io(e.into()))?;
             text.push('\n');
         }
-        let write = || {
-            std::fs::create_dir_all(folder)?;
-            let mut file = tempfile::NamedTempFile::new_in(folder)?;
-            file.write_all(text.as_bytes())?;
-            file.as_file().sync_all()?;
-            file.persist(&path)?;
-            Ok(())
-        };
-        write().map_err(io)
+        let written =
+            cairn_durable::make_folders(folder).and_then(|()| cairn_durable::write_atomic(&path, text.as_bytes()));
+        written.map_err(|error| io(error.into_cause()))
     }
 }

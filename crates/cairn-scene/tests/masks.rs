@@ -115,7 +115,10 @@ fn a_hostile_mask_is_refused_and_nothing_of_it_is_kept() {
         refuses(read_with(folder.path(), None), &["masks/2.png"]);
     }
     // What only breaks behind its header is found when the scene is made.
-    fs::write(&mask, &good[..good.len() - 20]).unwrap();
+    let mut broken = good;
+    // The first byte of the compressed pixels, behind signature, header and the chunk's own beginning.
+    broken[41] ^= 0xff;
+    fs::write(&mask, &broken).unwrap();
     let scenes = tempfile::tempdir().unwrap();
     let capture = read_with(folder.path(), None).unwrap();
     refuses(SceneFolder::create(scenes.path(), "a", &capture), &["masks/2.png"]);

@@ -127,9 +127,9 @@ fn a_table_that_cannot_be_is_refused_by_name() {
         fs::write(&path, bad.to_string()).unwrap();
         SceneFolder::open(dir.path(), "square")
     };
-    let future = with("/version", 2.into());
-    assert!(matches!(future, Err(CaptureError::UnknownVersion { got: 2, expected: 1, .. })));
-    refuses(future, &["scene.json", "version is 2", "reads version 1"]);
+    let future = with("/version", 3.into());
+    assert!(matches!(future, Err(CaptureError::UnknownVersion { got: 3, expected: 2, .. })));
+    refuses(future, &["scene.json", "version is 3", "reads version 2"]);
     refuses(with("/format", "other".into()), &["scene.json", "cairn-scene", "other"]);
     refuses(with("/views/1/photograph", "../../x.png".into()), &["view 1 (2.png)", "file name", "../../x.png"]);
     refuses(with("/views/1/photograph", "000000.png".into()), &["view 1 (2.png)", "each once"]);

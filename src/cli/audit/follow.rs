@@ -19,7 +19,7 @@ use cairn_verify::{Contradiction, FollowOptions};
 
 use super::http::HttpLog;
 use super::trust::Trust;
-use cairn_durable::{read_limited, remove, sync_folder, write_atomic};
+use cairn_durable::{read_limited, remove, rename, write_atomic};
 
 /// `cairn audit follow`.
 #[derive(Clone, Debug, clap::Args)]
@@ -116,8 +116,7 @@ fn keep(evidence: &Path, found: &Contradiction) -> anyhow::Result<PathBuf> {
         std::fs::create_dir_all(parent).with_context(|| format!("cannot make the folder {}", parent.display()))?;
         write_atomic(&path, bytes)?;
     }
-    std::fs::rename(&filling, &folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    sync_folder(evidence)?;
+    rename(&filling, &folder)?;
     Ok(folder)
 }
 

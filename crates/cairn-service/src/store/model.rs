@@ -7,7 +7,7 @@ use std::io::Read;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
-use cairn_durable::{remove, sync_folder, write_atomic};
+use cairn_durable::{remove, rename, sync_folder, write_atomic};
 use cairn_field::{Field, FieldError};
 use cairn_log::Digest;
 use cairn_log::format::record::photographs_root;
@@ -181,8 +181,7 @@ pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Resul
     }
     write_json(&filling.join("model.json"), info)?;
     let manifest = Some(Digest::from_bytes(cairn_scene::write_manifest(&filling)?));
-    std::fs::rename(&filling, &folder).map_err(EngineError::io("create", &folder))?;
-    sync_folder(&of_scene)?;
+    rename(&filling, &folder)?;
     sync_folder(models)?;
     write_json(&of_scene.join("current.json"), &Current { format_version: 1, job: info.job.clone(), manifest })
 }
