@@ -114,16 +114,9 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
         let cancelled = client.cancel(request).await.unwrap().into_inner().job.unwrap();
         assert_eq!(cancelled.state(), JobState::Cancelled);
     }
-    let step = client
-        .get(v1::GetTrainingRequest { job_id: job.id.clone() })
-        .await
-        .unwrap()
-        .into_inner()
-        .job
-        .unwrap()
-        .progress
-        .unwrap()
-        .step;
+    let watch = v1::WatchTrainingRequest { job_id: job.id.clone() };
+    let now = client.watch(watch).await.unwrap().into_inner().message().await.unwrap().unwrap();
+    let step = now.job.unwrap().progress.unwrap().step;
     let request = v1::ResumeTrainingRequest { job_id: job.id.clone() };
     client.resume(request).await.unwrap();
     let resumed = watch_until(&mut client, &job.id, |j| {

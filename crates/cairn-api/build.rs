@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use prost::Message;
 
 /// One file a service, and what they share.
-const FILES: [&str; 8] = ["common", "scene", "training", "render", "query", "owner", "access", "quarantine"];
+const FILES: [&str; 7] = ["common", "scene", "training", "render", "query", "owner", "access"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     // Asked for when it runs: two checkouts may share a target folder, and with it this program.

@@ -4,7 +4,7 @@
 //! its operator: whoever can write there needs no account.
 
 use anyhow::Context as _;
-use cairn_api::v1;
+use cairn_api::v1::{self, change_account_request::Change};
 use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
 
@@ -33,25 +33,29 @@ pub enum Command {
     },
     /// All accounts, oldest first (auditors and operators)
     List,
-    /// Give an account another role: contributor, curator, auditor or operator (operators)
-    Role {
-        /// Its public key
-        key: PublicKey,
-        /// The role
-        role: Role,
-    },
-    /// Shut an account out (operators)
-    Disable {
-        /// Its public key
-        key: PublicKey,
-        /// Let it in again instead
-        #[arg(long)]
-        enable: bool,
-    },
+    /// Give an account another role, shut it out, or let it in again (operators)
+    Set(SetArgs),
     /// What an account uses and may use: your own, or anybody's; with limits, set them (operators)
     Quota(QuotaArgs),
     /// Add an account to the data folder of a daemon that is not running: how the first operator is made
     Add(AddArgs),
+}
+
+/// `cairn access set`.
+#[derive(Debug, clap::Args)]
+#[group(id = "change", required = true, multiple = false, args = ["role", "disable", "enable"])]
+pub struct SetArgs {
+    /// The account's public key
+    key: PublicKey,
+    /// The role: contributor, curator, auditor or operator
+    #[arg(long)]
+    role: Option<Role>,
+    /// Shut the account out
+    #[arg(long)]
+    disable: bool,
+    /// Let the account in again
+    #[arg(long)]
+    enable: bool,
 }
 
 /// `cairn access quota`.
@@ -112,13 +116,11 @@ pub fn add(place: &Where, args: &AddArgs) -> anyhow::Result<()> {
 /// Answers `cairn access`.
 pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     let mut client = line.access();
-    let bytes = |key: &PublicKey| key.to_bytes().to_vec().into();
-    let changed = match command {
+    let (key, change) = match command {
         Command::Register { name, role } => return register(line, name, role).await,
         Command::Approve { key, role } => {
-            let role = role.map_or(v1::Role::Unspecified, cairn_service::grpc::to_proto::role).into();
-            let request = v1::ApproveAccountRequest { public_key: bytes(&key), role };
-            client.approve(request).await.map_err(refused)?.into_inner().account
+            let role = role.map_or(v1::Role::Unspecified, cairn_service::grpc::to_proto::role);
+            (key, Change::Approve(role.into()))
         }
         Command::List => {
             let request = v1::ListAccountsRequest {};
@@ -126,19 +128,16 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             accounts.iter().for_each(|account| println!("{}", one_line(account)));
             return Ok(());
         }
-        Command::Role { key, role } => {
-            let role = cairn_service::grpc::to_proto::role(role).into();
-            let request = v1::SetRoleRequest { public_key: bytes(&key), role };
-            client.set_role(request).await.map_err(refused)?.into_inner().account
+        Command::Set(SetArgs { key, role: Some(role), .. }) => {
+            (key, Change::Role(cairn_service::grpc::to_proto::role(role).into()))
         }
-        Command::Disable { key, enable } => {
-            let request = v1::DisableAccountRequest { public_key: bytes(&key), enable };
-            client.disable(request).await.map_err(refused)?.into_inner().account
-        }
+        Command::Set(SetArgs { key, disable, .. }) => (key, Change::Disabled(disable)),
         Command::Quota(args) => return quota(line, &args).await,
         // It needs no line, and was answered before there was one.
         Command::Add(_) => return Ok(()),
     };
+    let request = v1::ChangeAccountRequest { public_key: key.to_bytes().to_vec().into(), change: Some(change) };
+    let changed = client.change(request).await.map_err(refused)?.into_inner().account;
     println!("{}", one_line(&changed.context("the daemon's answer names no account")?));
     Ok(())
 }
@@ -219,9 +218,9 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
             records: args.records.unwrap_or(old.records),
             records_per_day: args.records_per_day.unwrap_or(old.records_per_day),
         };
-        let quota = (!args.default).then_some(quota);
-        let request = v1::SetQuotaRequest { public_key: public_key(), quota };
-        client.set_quota(request).await.map_err(refused)?;
+        let change = if args.default { Change::DaemonQuota(v1::DaemonQuota {}) } else { Change::Quota(quota) };
+        let request = v1::ChangeAccountRequest { public_key: public_key(), change: Some(change) };
+        client.change(request).await.map_err(refused)?;
         now = client.quota(ask()).await.map_err(refused)?.into_inner();
     }
     let (limits, used) = (now.limits.unwrap_or_default(), now.used.unwrap_or_default());

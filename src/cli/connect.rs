@@ -7,7 +7,6 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use cairn_api::v1::access_service_client::AccessServiceClient;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
-use cairn_api::v1::quarantine_service_client::QuarantineServiceClient;
 use cairn_api::v1::query_service_client::QueryServiceClient;
 use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::scene_service_client::SceneServiceClient;
@@ -116,8 +115,6 @@ clients! {
     owners: OwnerServiceClient,
     /// Accounts.
     access: AccessServiceClient,
-    /// Views in quarantine.
-    quarantine: QuarantineServiceClient,
 }
 
 impl Connection {

@@ -3,7 +3,7 @@
 mod access;
 mod answers;
 mod audit;
-
+mod check;
 mod connect;
 mod corrections;
 mod credential;
@@ -17,7 +17,6 @@ mod owners;
 mod path;
 mod poses;
 mod progress;
-mod quarantine;
 mod records;
 mod refused;
 mod registry;
@@ -53,12 +52,9 @@ pub struct Cli {
 enum Command {
     /// Run the daemon on --data with --config, until SIGINT or SIGTERM
     Serve,
-    /// Import, list, show and delete scenes
+    /// Import, list, show, check and delete scenes
     #[command(subcommand)]
     Scene(scene::Command),
-    /// Views that the others do not explain: list, release and remove them
-    #[command(subcommand)]
-    Quarantine(quarantine::Command),
     /// Train a scene: base field, then marked field and detector
     Train(train::Args),
     /// List the training jobs, newest first
@@ -133,7 +129,6 @@ impl Cli {
 async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Scene(command) => scene::run(line, command).await,
-        Command::Quarantine(command) => quarantine::run(line, command).await,
         Command::Train(args) => train::run(line, args).await,
         Command::Jobs => train::jobs(line).await,
         Command::Render(args) => render::render(line, *args).await,

@@ -33,6 +33,12 @@ pub enum Command {
         #[command(flatten)]
         poses: super::poses::Args,
     },
+    /// How far each view is to be trusted: how the other views explain it, how structure from motion supports it
+    Check(super::check::CheckArgs),
+    /// Exclude views: the next training learns nothing from them, and nobody is credited with them
+    Exclude(super::check::ExcludeArgs),
+    /// Include views: the next training learns from them, and none excludes them by itself
+    Include(super::check::IncludeArgs),
     /// Delete a scene and its models (owner records stay in the log)
     Delete {
         /// The scene
@@ -107,6 +113,9 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             show(line, &name).await?;
             super::poses::draw(line, name, poses).await
         }
+        Command::Check(args) => super::check::check(line, args).await,
+        Command::Exclude(args) => super::check::exclude(line, args).await,
+        Command::Include(args) => super::check::include(line, args).await,
         Command::Delete { name } => {
             let request = v1::DeleteSceneRequest { scene: name.clone() };
             line.about(&name).scenes().delete(request).await.map_err(refused)?;
@@ -155,8 +164,8 @@ async fn show(line: &Connection, name: &str) -> anyhow::Result<()> {
     }
     for view in &scene.views {
         let held_out = if view.held_out { "  held out" } else { "" };
-        let quarantined = if view.quarantined { "  in quarantine" } else { "" };
-        println!("  {}  by {}{held_out}{quarantined}", view.name, view.contributor);
+        let decided = view.decision.as_ref().map_or(String::new(), |d| format!("  {}", super::check::decision(d)));
+        println!("  {}  by {}{held_out}{decided}", view.name, view.contributor);
     }
     if let Some(model) = &scene.model {
         println!("model of {}, seed {}", model.job_id, model.seed);

@@ -12,10 +12,11 @@ use cairn_log::{Digest, PublicKey, Registry, RegistryError};
 use cairn_scene::cluster::Grouping;
 use cairn_scene::{Camera, Picture, SceneFolder};
 
-use crate::config::{Config, Limits};
+use crate::config::{Config, Limits, TrainingOptions};
 use crate::error::EngineError;
 use crate::export::poses::{self, PoseSheet};
 use crate::export::tour::{self, PathRequest, Tour};
+use crate::query::check::{self, Checked};
 use crate::query::evaluate;
 use crate::query::light::{Light, appearance};
 use crate::query::look::{self, Identified, Over, Who};
@@ -27,13 +28,14 @@ use crate::records::published::LastPublished;
 use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
+use crate::store::exclusions::{Decision, Entries, Exclusions, leaving_out};
 use crate::store::folder::DataFolder;
 use crate::store::import::{Import, ImportPlan};
 use crate::store::model::{self, Model, ModelInfo};
-use crate::store::quarantine::{self, Quarantine};
 use crate::store::scenes;
 use crate::store::snapshot::SceneSnapshot;
 use crate::train::jobs::Jobs;
+use crate::train::screen;
 use crate::train::training::Training;
 
 /// One data folder at work.
@@ -43,7 +45,7 @@ pub struct Engine {
     publisher: Publisher,
     registry: Arc<Registry>,
     access: Arc<Access>,
-    pub(crate) quarantine: Arc<Quarantine>,
+    pub(crate) exclusions: Arc<Exclusions>,
     pub(crate) limits: Limits,
     /// How trainings are made where a request does not say.
     pub(crate) training: crate::config::Training,
@@ -74,9 +76,9 @@ impl Engine {
             .collect::<Result<_, _>>()?;
         let last = LastPublished::of(folder.last_checkpoint(), data, &registry.public_key());
         let publisher = Publisher::start(registry.clone(), last, witnesses)?;
-        let quarantine = Arc::new(Quarantine::open(folder.quarantine(), &folder.scenes())?);
+        let exclusions = Arc::new(Exclusions::open(folder.exclusions(), &folder.scenes())?);
         let work = Training {
-            quarantine: quarantine.clone(),
+            exclusions: exclusions.clone(),
             scenes: folder.scenes(),
             models: folder.models(),
             jobs: folder.jobs(),
@@ -84,12 +86,6 @@ impl Engine {
         };
         let access = Arc::new(Access::open(&folder, config.access.quota)?);
         access.follow_all(&registry)?;
-        // The daemon may have died between a removal and giving its owner back what was removed.
-        for name in scenes::list(&folder.scenes())? {
-            if quarantine.has_removed(&name)? {
-                give_back(&access, &folder.scenes(), &name);
-            }
-        }
         let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
         folder.seal_at_end();
         Ok(Self {
@@ -98,7 +94,7 @@ impl Engine {
             registry,
             publisher,
             access,
-            quarantine,
+            exclusions,
             limits: config.limits.clone(),
             training: config.training.clone(),
             cache: Mutex::new(None),
@@ -170,37 +166,6 @@ impl Engine {
         scenes::open(&self.folder.scenes(), name)
     }
 
-    /// Lets views out of quarantine; see [`Quarantine::release`].
-    ///
-    /// # Errors
-    /// As there, and [`Engine::scene`]'s.
-    pub fn release_views(
-        &self,
-        scene: &str,
-        views: &[String],
-        by: Option<Digest>,
-    ) -> Result<Vec<quarantine::Entry>, EngineError> {
-        self.scene(scene)?;
-        self.quarantine.release(scene, views, by)
-    }
-
-    /// Removes views of a scene for good; see [`Quarantine::remove`].
-    ///
-    /// # Errors
-    /// As there; [`EngineError::WrongState`] while a job trains on the scene.
-    pub fn remove_views(
-        &self,
-        scene: &str,
-        views: &[String],
-        by: Option<Digest>,
-    ) -> Result<Vec<quarantine::Entry>, EngineError> {
-        let folder = self.scene(scene)?;
-        self.refuse_in_training(scene, format!("views of scene {scene:?}"), "removed")?;
-        let removed = self.quarantine.remove(scene, &folder, views, by)?;
-        give_back(&self.access, &self.folder.scenes(), scene);
-        Ok(removed)
-    }
-
     /// Refuses what must not be done while a job trains on a scene.
     fn refuse_in_training(&self, scene: &str, what: String, operation: &'static str) -> Result<(), EngineError> {
         match self.jobs.list().iter().find(|j| j.spec.is_of(scene) && !j.state.has_ended()) {
@@ -238,7 +203,7 @@ impl Engine {
         std::fs::rename(&path, &gone).map_err(EngineError::io("delete", &path))?;
         cairn_durable::sync_folder(&self.folder.scenes())?;
         self.access.forget(name)?;
-        self.quarantine.forget(name)?;
+        self.exclusions.forget(name)?;
         cairn_durable::remove(&self.folder.models().join(name))?;
         *self.cache.lock().unwrap_or_else(PoisonError::into_inner) = None;
         *self.snapshot.lock().unwrap_or_else(PoisonError::into_inner) = None;
@@ -272,22 +237,61 @@ impl Engine {
     pub fn snapshot(&self, scene: &str) -> Result<Arc<SceneSnapshot>, EngineError> {
         let info = self.newest_model(scene)?;
         let mut last = self.snapshot.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = last.as_ref().filter(|s| s.is_current(&self.quarantine, scene, info.as_ref())) {
+        if let Some(known) = last.as_ref().filter(|s| s.is_current(&self.exclusions, scene, info.as_ref())) {
             return Ok(known.clone());
         }
         *last = None;
-        let read = Arc::new(SceneSnapshot::read(&self.folder.scenes(), &self.quarantine, scene, info)?);
+        let read = Arc::new(SceneSnapshot::read(&self.folder.scenes(), &self.exclusions, scene, info)?);
         *last = Some(read.clone());
         Ok(read)
     }
 
-    /// The views of a scene that are, or were, in quarantine, by name.
+    /// What was decided about a scene's views, and what was measured of them.
     ///
     /// # Errors
-    /// As [`Engine::scene`].
-    pub fn quarantined(&self, scene: &str) -> Result<Vec<quarantine::Entry>, EngineError> {
+    /// As [`Engine::scene`]; [`EngineError::Stored`].
+    pub fn entries(&self, scene: &str) -> Result<Entries, EngineError> {
         self.scene(scene)?;
-        Ok(self.quarantine.of(scene)?.0)
+        self.exclusions.of(scene)
+    }
+
+    /// Excludes or includes views of a scene; see [`Exclusions::decide`]. How many are excluded then.
+    ///
+    /// # Errors
+    /// As there, and [`Engine::scene`]'s.
+    pub fn decide(&self, scene: &str, views: &[String], decision: &Decision) -> Result<usize, EngineError> {
+        self.exclusions.decide(scene, &self.scene(scene)?, views, decision)?;
+        Ok(self.exclusions.of(scene)?.excluded().len())
+    }
+
+    /// How far each view of a scene is to be trusted. Reads what was measured last; measures where there is nothing, and
+    /// where `anew` asks for it, which takes minutes and is given up once it is no longer `wanted`. With a picture where
+    /// that is asked for.
+    ///
+    /// # Errors
+    /// As [`Engine::scene`]; with a picture [`EngineError::NotTrained`].
+    pub fn check(
+        &self,
+        scene: &str,
+        anew: bool,
+        picture: bool,
+        wanted: &dyn Fn() -> bool,
+    ) -> Result<Checked, EngineError> {
+        let folder = self.scene(scene)?;
+        let model = if picture { Some(self.model(scene)?) } else { None };
+        let mut entries = self.exclusions.of(scene)?;
+        if anew || entries.measured.is_none() {
+            let kept = leaving_out(folder.clone(), &entries.excluded());
+            let settings = TrainingOptions::default().settings(&self.training, folder.capture().kind)?;
+            if let Some(measured) = screen::measure(&kept, &settings, &entries.included(), wanted)? {
+                // Nothing is excluded here: a check looks.
+                self.exclusions.screened(scene, &folder, measured, &[])?;
+                entries = self.exclusions.of(scene)?;
+            }
+        }
+        let views = check::views(&folder, &entries);
+        let picture = model.map(|model| check::picture(&folder, &model, &views)).transpose()?;
+        Ok(Checked { views, measured: entries.measured, picture })
     }
 
     /// The camera of a viewpoint.
@@ -339,7 +343,7 @@ impl Engine {
     /// # Errors
     /// As there, and [`Engine::scene`]'s.
     pub fn draw_poses(&self, scene: &str, grouping: Option<(Grouping, u64)>) -> Result<PoseSheet, EngineError> {
-        let folder = self.quarantine.without(scene, self.scene(scene)?)?;
+        let folder = self.exclusions.without(scene, self.scene(scene)?)?;
         poses::draw_poses(scene, &folder, grouping, self.newest_model(scene)?)
     }
 
@@ -447,12 +451,5 @@ impl Engine {
     /// Publishes what is left. After the last request: what comes in later is published at the next start.
     pub fn close(&self) {
         self.publisher.stop();
-    }
-}
-
-/// Charges a scene's owner, if any, with no more than what is left of it: the removed views are gone in any case.
-fn give_back(access: &Access, scenes: &Path, scene: &str) {
-    if let Err(error) = scenes::open(scenes, scene).and_then(|left| access.lower(scene, &left)) {
-        tracing::warn!(scene, %error, "removed views stay charged until a start at which they can be measured");
     }
 }

@@ -1,6 +1,5 @@
-//! The daemon's own state beside the registry: accounts and what they use, who imported which scene, which views are in
-//! quarantine, the checkpoint that was
-//! published last, and the registry's key, against the seal that a clean stop leaves.
+//! The daemon's own state beside the registry: accounts and what they use, who imported which scene, which views are
+//! excluded, the checkpoint that was published last, and the registry's key, against the seal that a clean stop leaves.
 //!
 //! These files change while the daemon runs, so `DIR/state.seal` is taken away at every start and written anew when it stops
 //! cleanly, as `registry/working.seal` is. It is a [`Manifest`]: of the key, which is a secret, it holds a digest like of
@@ -18,7 +17,7 @@ use crate::{
 pub(crate) const SEAL: &str = "state.seal";
 
 /// What it covers: folders with everything in them, and single files.
-pub(crate) const FOLDERS: [&str; 3] = ["access", "owners", "quarantine"];
+pub(crate) const FOLDERS: [&str; 3] = ["access", "exclusions", "owners"];
 /// See [`FOLDERS`].
 pub(crate) const FILES: [&str; 2] = ["registry.checkpoint", "registry.key"];
 

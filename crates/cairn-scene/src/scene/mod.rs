@@ -2,7 +2,6 @@
 
 mod folder;
 mod manifest;
-mod removal;
 mod table;
 
 pub use folder::{Mismatch, SceneFolder};

@@ -146,20 +146,6 @@ impl Quotas {
         })
     }
 
-    /// Lowers what an item was charged with to what it takes now: some of it was removed. Nothing where it was not charged, or
-    /// with no more.
-    ///
-    /// # Errors
-    /// [`FileError`]; the charge still stands then.
-    pub fn lower(&self, owner: &Digest, item: &str, now: Charge) -> Result<(), FileError> {
-        self.change(|all| {
-            if let Some(charge) = all.get_mut(&owner.to_string()).and_then(|owner| owner.stored.get_mut(item)) {
-                *charge = Charge { bytes: charge.bytes.min(now.bytes), views: charge.views.min(now.views) };
-            }
-            Ok(())
-        })
-    }
-
     /// Takes back what an item was charged with; nothing where it was not.
     ///
     /// # Errors

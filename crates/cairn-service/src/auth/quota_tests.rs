@@ -195,26 +195,3 @@ fn a_file_from_before_there_were_quotas_of_records_is_read() {
     std::fs::write(place.0.path().join("usage.json"), text).unwrap();
     assert_eq!(place.open().usage(&owner("ada"), 5 * HOUR_S).training_seconds, 1);
 }
-
-#[test]
-fn what_was_removed_is_given_back_whatever_the_limit_is_now() {
-    let place = Place::new();
-    let quotas = place.open();
-    let ada = owner("ada");
-    quotas.charge(&ada, &LIMITS, "town", charge(60, 4)).unwrap();
-    quotas.charge(&ada, &LIMITS, "fern", charge(30, 2)).unwrap();
-    quotas.lower(&ada, "town", charge(45, 3)).unwrap();
-    let used = |quotas: &Quotas| (quotas.usage(&ada, 0).bytes, quotas.usage(&ada, 0).views);
-    assert_eq!(used(&quotas), (75, 5));
-    // Never more than was charged, never what was not, and the same again changes nothing.
-    quotas.lower(&ada, "town", charge(99, 9)).unwrap();
-    quotas.lower(&ada, "trex", charge(1, 1)).unwrap();
-    quotas.lower(&owner("bob"), "town", charge(1, 1)).unwrap();
-    quotas.lower(&ada, "town", charge(45, 3)).unwrap();
-    assert_eq!((used(&quotas), used(&place.open())), ((75, 5), (75, 5)));
-    // Nor is it a new charge, which a limit that was lowered meanwhile would refuse.
-    let tight = Limits { bytes: 10, views: 1, ..LIMITS };
-    assert!(quotas.charge(&ada, &tight, "town", charge(40, 3)).is_err());
-    quotas.lower(&ada, "town", charge(40, 3)).unwrap();
-    assert_eq!(used(&quotas), (70, 5));
-}

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub enum Role {
     /// Imports scenes of their own, trains on them within quota, submits records under their own key.
     Contributor,
-    /// Changes any scene, and anybody's jobs; decides about views in quarantine.
+    /// Changes any scene, and anybody's jobs; excludes and includes views.
     Curator,
     /// Reads everything and changes nothing.
     Auditor,
@@ -128,11 +128,8 @@ pub const METHODS: &[(&str, Need)] = &[
     ("/cairn.v1.AccessService/Nonce", Need::Anyone),
     // Its proof of possession is its authorisation.
     ("/cairn.v1.AccessService/Register", Need::Anyone),
-    ("/cairn.v1.AccessService/Approve", Need::Operate),
     ("/cairn.v1.AccessService/List", Need::Oversee),
-    ("/cairn.v1.AccessService/SetRole", Need::Operate),
-    ("/cairn.v1.AccessService/Disable", Need::Operate),
-    ("/cairn.v1.AccessService/SetQuota", Need::Operate),
+    ("/cairn.v1.AccessService/Change", Need::Operate),
     // One's own usage; anybody else's needs what `List` needs.
     ("/cairn.v1.AccessService/Quota", Need::Account),
     ("/cairn.v1.SceneService/Import", Need::Contribute),
@@ -140,14 +137,13 @@ pub const METHODS: &[(&str, Need)] = &[
     ("/cairn.v1.SceneService/Get", Need::Read),
     ("/cairn.v1.SceneService/DrawPoses", Need::Read),
     ("/cairn.v1.SceneService/Delete", Need::Change),
-    ("/cairn.v1.QuarantineService/List", Need::Inspect),
-    ("/cairn.v1.QuarantineService/Release", Need::Curate),
-    ("/cairn.v1.QuarantineService/Remove", Need::Curate),
+    ("/cairn.v1.SceneService/Check", Need::Inspect),
+    ("/cairn.v1.SceneService/Exclude", Need::Curate),
+    ("/cairn.v1.SceneService/Include", Need::Curate),
     ("/cairn.v1.TrainingService/Start", Need::Change),
     ("/cairn.v1.TrainingService/Watch", Need::Read),
     ("/cairn.v1.TrainingService/Cancel", Need::Change),
     ("/cairn.v1.TrainingService/Resume", Need::Change),
-    ("/cairn.v1.TrainingService/Get", Need::Read),
     ("/cairn.v1.TrainingService/List", Need::Read),
     // The base field, which is what a thief would want, needs what `Evaluate` needs.
     ("/cairn.v1.RenderService/Render", Need::Read),

@@ -1,15 +1,14 @@
 //! `AccessService`: who is known here, and what they may use.
 
-use crate::auth::{Account, AccountError, Limits, Need, Registration, registration::NONCE_LIFETIME_S};
+use crate::auth::{AccountError, Limits, Need, Registration, Role, registration::NONCE_LIFETIME_S};
 use cairn_api::v1::{self, access_service_server::AccessService};
-use cairn_log::{Digest, Heir, PublicKey};
-use tonic::{Extensions, Request, Response, Status};
+use cairn_log::{Digest, Heir};
+use tonic::{Request, Response, Status};
 
 use super::gate::About;
 use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::config::Mode;
-use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::store::access::unix_s;
 
@@ -28,27 +27,18 @@ impl Shared {
         let why = "the daemon runs without them; set access.mode = \"accounts\"".to_owned();
         Err(status(EngineError::WrongState { what: "accounts".into(), operation: "used", why }))
     }
+}
 
-    /// Validates and authorises what changes one account, and changes it.
-    async fn change(
-        &self,
-        extensions: &Extensions,
-        key: &[u8],
-        change: impl FnOnce(&Engine, &PublicKey) -> Result<Account, crate::auth::AccessError> + Send + 'static,
-    ) -> Result<v1::Account, Status> {
-        self.accounts_count()?;
-        self.authorise(extensions, About::Nothing)?;
-        let key = from_proto::public_key("public_key", key).map_err(status)?;
-        let account = self.run(move |engine| Ok(change(engine, &key)?)).await?;
-        tracing::info!(
-            account = account.name,
-            key = %account.key,
-            role = account.role.name(),
-            standing = account.standing.name(),
-            "account changed"
-        );
-        Ok(to_proto::account(&account))
-    }
+/// What to change of an account.
+enum AccountChange {
+    /// Approve it, with this role or the one that it asked for.
+    Approve(Option<Role>),
+    /// Its role.
+    Role(Role),
+    /// Whether it is shut out.
+    Disabled(bool),
+    /// Quotas of its own; `None` for the daemon's.
+    Quota(Option<Limits>),
 }
 
 #[tonic::async_trait]
@@ -94,7 +84,7 @@ impl AccessService for Shared {
             let got = format!("{} bytes", signature.len());
             return Err(status(EngineError::invalid("signature", got, format!("{MAX_SIGNATURE_BYTES} bytes"))));
         }
-        let role = from_proto::role(role).map_err(status)?.unwrap_or(crate::auth::Role::Contributor);
+        let role = from_proto::role(role).map_err(status)?.unwrap_or(Role::Contributor);
         let loaded = self.at_work()?;
         let origin = loaded.engine.registry().origin().to_owned();
         let registration = Registration { nonce, origin, key, name, role };
@@ -117,15 +107,6 @@ impl AccessService for Shared {
         Ok(Response::new(v1::RegisterResponse { account }))
     }
 
-    async fn approve(&self, request: Request<v1::ApproveAccountRequest>) -> Answer<v1::ApproveAccountResponse> {
-        let v1::ApproveAccountRequest { ref public_key, role } = *request.get_ref();
-        let role = from_proto::role(role).map_err(status)?;
-        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().approve(key, role);
-        let account = self.change(request.extensions(), public_key, change).await?;
-        let account = Some(account);
-        Ok(Response::new(v1::ApproveAccountResponse { account }))
-    }
-
     async fn list(&self, request: Request<v1::ListAccountsRequest>) -> Answer<v1::ListAccountsResponse> {
         self.accounts_count()?;
         self.authorise(request.extensions(), About::Nothing)?;
@@ -133,33 +114,52 @@ impl AccessService for Shared {
         Ok(Response::new(v1::ListAccountsResponse { accounts }))
     }
 
-    async fn set_role(&self, request: Request<v1::SetRoleRequest>) -> Answer<v1::SetRoleResponse> {
-        let v1::SetRoleRequest { ref public_key, role } = *request.get_ref();
-        let role = from_proto::role(role).map_err(status)?;
-        let Some(role) = role else {
-            return Err(status(EngineError::invalid("role", "not set", "contributor, curator, auditor or operator")));
+    async fn change(&self, request: Request<v1::ChangeAccountRequest>) -> Answer<v1::ChangeAccountResponse> {
+        use v1::change_account_request::Change;
+        self.accounts_count()?;
+        self.authorise(request.extensions(), About::Nothing)?;
+        let v1::ChangeAccountRequest { public_key, change } = request.into_inner();
+        let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
+        let role = |role: i32| from_proto::role(role).map_err(status);
+        let change = match change {
+            Some(Change::Approve(asked)) => AccountChange::Approve(role(asked)?),
+            Some(Change::Role(wanted)) => match role(wanted)? {
+                Some(role) => AccountChange::Role(role),
+                None => {
+                    let expected = "contributor, curator, auditor or operator";
+                    return Err(status(EngineError::invalid("role", "not set", expected)));
+                }
+            },
+            Some(Change::Disabled(disabled)) => AccountChange::Disabled(disabled),
+            Some(Change::Quota(q)) => {
+                let v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = q;
+                let limits = Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day };
+                AccountChange::Quota(Some(limits))
+            }
+            Some(Change::DaemonQuota(_)) => AccountChange::Quota(None),
+            None => {
+                return Err(status(EngineError::invalid("what to change", "not set", "one of the request's changes")));
+            }
         };
-        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_role(key, role);
-        let account = Some(self.change(request.extensions(), public_key, change).await?);
-        Ok(Response::new(v1::SetRoleResponse { account }))
-    }
-
-    async fn disable(&self, request: Request<v1::DisableAccountRequest>) -> Answer<v1::DisableAccountResponse> {
-        let v1::DisableAccountRequest { ref public_key, enable } = *request.get_ref();
-        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_disabled(key, !enable);
-        let account = Some(self.change(request.extensions(), public_key, change).await?);
-        Ok(Response::new(v1::DisableAccountResponse { account }))
-    }
-
-    async fn set_quota(&self, request: Request<v1::SetQuotaRequest>) -> Answer<v1::SetQuotaResponse> {
-        let v1::SetQuotaRequest { ref public_key, ref quota } = *request.get_ref();
-        let quota = quota.as_ref().map(|q| {
-            let v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *q;
-            Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day }
-        });
-        let change = move |engine: &Engine, key: &PublicKey| engine.access().accounts().set_quota(key, quota);
-        let account = Some(self.change(request.extensions(), public_key, change).await?);
-        Ok(Response::new(v1::SetQuotaResponse { account }))
+        let account = self
+            .run(move |engine| {
+                let accounts = engine.access().accounts();
+                Ok(match change {
+                    AccountChange::Approve(role) => accounts.approve(&key, role)?,
+                    AccountChange::Role(role) => accounts.set_role(&key, role)?,
+                    AccountChange::Disabled(disabled) => accounts.set_disabled(&key, disabled)?,
+                    AccountChange::Quota(quota) => accounts.set_quota(&key, quota)?,
+                })
+            })
+            .await?;
+        tracing::info!(
+            account = account.name,
+            key = %account.key,
+            role = account.role.name(),
+            standing = account.standing.name(),
+            "account changed"
+        );
+        Ok(Response::new(v1::ChangeAccountResponse { account: Some(to_proto::account(&account)) }))
     }
 
     async fn quota(&self, request: Request<v1::QuotaRequest>) -> Answer<v1::QuotaResponse> {

@@ -15,7 +15,6 @@ pub mod from_proto;
 mod gate;
 pub mod http;
 mod owners;
-mod quarantine;
 mod queries;
 mod renders;
 mod scenes;
@@ -24,6 +23,7 @@ mod status;
 pub mod tls;
 pub mod to_proto;
 mod training;
+mod waiting;
 
 use std::sync::{Arc, OnceLock};
 

@@ -1,7 +1,6 @@
 //! `QueryService`.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::auth::Need;
 use cairn_api::v1::{self, query_service_server::QueryService};
@@ -11,6 +10,7 @@ use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
 use super::status::status;
+use super::waiting::Waiting;
 use super::{Shared, from_proto, to_proto};
 use crate::query::look::Over;
 
@@ -20,7 +20,7 @@ type Answer<T> = Result<Response<T>, Status>;
 impl QueryService for Shared {
     async fn identify(&self, request: Request<v1::IdentifyRequest>) -> Answer<v1::IdentifyResponse> {
         let over = self.over(request.extensions(), request.get_ref())?;
-        let _waiting = over.as_ref().map(Waiting::of);
+        let _waiting = over.as_ref().map(|over| Waiting::of(over.given_up.clone()));
         let searching = self.searching(over.as_ref()).await;
         let v1::IdentifyRequest { scene, picture, payload, .. } = request.into_inner();
         let found = self.compute(move |engine| {
@@ -50,21 +50,6 @@ impl QueryService for Shared {
             })
             .await?;
         Ok(Response::new(answer))
-    }
-}
-
-/// A caller who waits: where it goes without its answer, this is dropped, and a search for its picture's camera ends.
-struct Waiting(Arc<AtomicBool>);
-
-impl Waiting {
-    fn of(over: &Over) -> Self {
-        Self(over.given_up.clone())
-    }
-}
-
-impl Drop for Waiting {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
     }
 }
 

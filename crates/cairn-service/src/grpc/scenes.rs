@@ -1,15 +1,19 @@
 //! `SceneService`.
 
+use std::sync::atomic::Ordering;
+
 use cairn_api::v1::{self, import_scene_request::Part, scene_service_server::SceneService};
 use cairn_scene::encode_png;
 use tonic::{Request, Response, Status, Streaming};
 
 use super::gate::About;
 use super::status::status;
+use super::waiting::Waiting;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::poses::PoseSheet;
+use crate::store::exclusions::{Decision, State};
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -65,7 +69,7 @@ impl SceneService for Shared {
                 let (folder, model) = (snapshot.scene(), snapshot.newest());
                 Ok(v1::GetSceneResponse {
                     summary: Some(to_proto::scene_summary(&scene, folder, model.is_some())),
-                    views: to_proto::scene_views(folder, snapshot.out()),
+                    views: to_proto::scene_views(folder, snapshot.entries()),
                     model: model.map(to_proto::model),
                 })
             })
@@ -91,6 +95,39 @@ impl SceneService for Shared {
             })
             .await?;
         Ok(Response::new(answer))
+    }
+
+    async fn check(&self, request: Request<v1::CheckSceneRequest>) -> Answer<v1::CheckSceneResponse> {
+        self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
+        let v1::CheckSceneRequest { scene, anew, picture } = request.into_inner();
+        let waiting = Waiting::default();
+        let given_up = waiting.given_up();
+        let answer = self
+            .compute(move |engine| {
+                let checked = engine.check(&scene, anew, picture, &|| !given_up.load(Ordering::Relaxed))?;
+                Ok(to_proto::checked(&engine.scene(&scene)?, checked))
+            })
+            .await?;
+        drop(waiting);
+        Ok(Response::new(answer))
+    }
+
+    async fn exclude(&self, request: Request<v1::ExcludeViewsRequest>) -> Answer<v1::ExcludeViewsResponse> {
+        let by = self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
+        let v1::ExcludeViewsRequest { scene, view_names, why } = request.into_inner();
+        let names = from_proto::view_names(view_names).map_err(status)?;
+        let decision = Decision { state: State::Excluded, why, by };
+        let excluded = self.run(move |engine| engine.decide(&scene, &names, &decision)).await?;
+        Ok(Response::new(v1::ExcludeViewsResponse { excluded: excluded as u32 }))
+    }
+
+    async fn include(&self, request: Request<v1::IncludeViewsRequest>) -> Answer<v1::IncludeViewsResponse> {
+        let by = self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
+        let v1::IncludeViewsRequest { scene, view_names } = request.into_inner();
+        let names = from_proto::view_names(view_names).map_err(status)?;
+        let decision = Decision { state: State::Included, why: String::new(), by };
+        let excluded = self.run(move |engine| engine.decide(&scene, &names, &decision)).await?;
+        Ok(Response::new(v1::IncludeViewsResponse { excluded: excluded as u32 }))
     }
 
     async fn delete(&self, request: Request<v1::DeleteSceneRequest>) -> Answer<v1::DeleteSceneResponse> {

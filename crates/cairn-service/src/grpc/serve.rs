@@ -12,7 +12,6 @@ use std::time::Duration;
 use cairn_api::v1;
 use cairn_api::v1::access_service_server::AccessServiceServer;
 use cairn_api::v1::owner_service_server::OwnerServiceServer;
-use cairn_api::v1::quarantine_service_server::QuarantineServiceServer;
 use cairn_api::v1::query_service_server::QueryServiceServer;
 use cairn_api::v1::render_service_server::RenderServiceServer;
 use cairn_api::v1::scene_service_server::SceneServiceServer;
@@ -54,8 +53,7 @@ fn routes(shared: &Shared, limits: &Limits) -> Routes {
         RenderServiceServer,
         QueryServiceServer,
         OwnerServiceServer,
-        AccessServiceServer,
-        QuarantineServiceServer
+        AccessServiceServer
     );
     routes
 }
@@ -70,7 +68,6 @@ async fn tell(health: &HealthReporter, status: ServingStatus) {
         QueryServiceServer::<Shared>::NAME,
         OwnerServiceServer::<Shared>::NAME,
         AccessServiceServer::<Shared>::NAME,
-        QuarantineServiceServer::<Shared>::NAME,
     ];
     for service in services {
         health.set_service_status(service, status).await;

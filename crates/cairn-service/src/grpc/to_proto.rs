@@ -1,18 +1,17 @@
 //! From the engine's own types to messages. Nothing here can fail.
 
-use std::collections::{BTreeMap, BTreeSet};
-
 use cairn_api::v1;
 use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
-use cairn_scene::{Camera, SceneFolder, SceneKind};
+use cairn_scene::{Camera, SceneFolder, SceneKind, encode_png};
 use tonic::codegen::Bytes;
 
+use crate::query::check::{Checked, CheckedView};
 use crate::query::look::{Identified, Who};
 use crate::records::corrections::Standing;
 use crate::store::classes::{Elsewhere, LaidOver};
+use crate::store::exclusions::{Entries, Entry, State};
 use crate::store::hidden::encoded;
 use crate::store::model::{IdentityInfo, MarkInfo, ModelInfo};
-use crate::store::quarantine::{Entry, Standing as Held};
 use crate::train::job::{Job, JobState};
 
 /// A camera.
@@ -73,62 +72,55 @@ pub fn scene_summary(name: &str, scene: &SceneFolder, trained: bool) -> v1::Scen
     }
 }
 
-/// A scene's views, of which those named in `out` are in quarantine.
-pub fn scene_views(scene: &SceneFolder, out: &BTreeSet<String>) -> Vec<v1::SceneView> {
+/// A scene's views, with what was decided about them.
+pub fn scene_views(scene: &SceneFolder, entries: &Entries) -> Vec<v1::SceneView> {
     let of = |(index, view): (usize, &cairn_scene::View)| v1::SceneView {
         name: view.name.clone(),
         camera: Some(camera(&view.camera)),
         contributor: view.contributor.clone(),
         photograph_sha256: scene.photograph_digest(index).to_vec().into(),
         held_out: view.held_out,
-        quarantined: out.contains(&view.name),
+        decision: entries.views.iter().find(|e| e.view == view.name).map(decision),
     };
     scene.capture().views.iter().enumerate().map(of).collect()
 }
 
-/// A view that is, or was, in quarantine.
-pub fn quarantined_view(entry: &Entry) -> v1::QuarantinedView {
-    let figures = entry.found.as_ref().map(|found| v1::QuarantineFigures {
-        fit_db: found.fit_db,
-        deviations: found.deviations,
-        median_db: found.median_db,
-        limit_db: found.limit_db,
-        job_id: found.job.clone(),
-        found_unix_s: found.unix_s,
-    });
-    let decided = entry.decided.as_ref();
-    v1::QuarantinedView {
-        view_name: entry.view.clone(),
-        photograph_sha256: entry.photograph.as_bytes().to_vec().into(),
-        standing: match entry.standing {
-            Held::Quarantined => v1::QuarantineStanding::Quarantined,
-            Held::Released => v1::QuarantineStanding::Released,
-            // What the next start finishes is gone for whoever asks.
-            Held::Removing | Held::Removed => v1::QuarantineStanding::Removed,
-        }
-        .into(),
-        figures,
-        decided_by: decided.and_then(|d| d.by).map(|id| id.as_bytes().to_vec()).unwrap_or_default().into(),
-        decided_unix_s: decided.map_or(0, |d| d.unix_s),
+/// What was decided about a view.
+fn decision(entry: &Entry) -> v1::ViewDecision {
+    v1::ViewDecision {
+        excluded: entry.state == State::Excluded,
+        automatic: entry.automatic,
+        why: entry.why.clone(),
+        by: entry.by.map(|id| id.as_bytes().to_vec()).unwrap_or_default().into(),
+        unix_s: entry.unix_s,
     }
 }
 
-/// A scene's quarantine by contributor: most views in quarantine first, then by name.
-pub fn quarantine_groups(scene: &SceneFolder, entries: &[Entry]) -> Vec<v1::QuarantineGroup> {
-    let mut by: BTreeMap<&str, Vec<&Entry>> = BTreeMap::new();
-    for entry in entries {
-        by.entry(&entry.contributor).or_default().push(entry);
-    }
-    let mut groups: Vec<(&str, Vec<&Entry>)> = by.into_iter().collect();
-    let held = |of: &[&Entry]| of.iter().filter(|e| e.standing == Held::Quarantined).count();
-    // Stable: equal counts stay in the order of names.
-    groups.sort_by_key(|(_, of)| std::cmp::Reverse(held(of)));
-    let group = |(contributor, of): (&str, Vec<&Entry>)| v1::QuarantineGroup {
-        contributor: contributor.to_owned(),
-        views_in_scene: scene.capture().views.iter().filter(|v| v.contributor == contributor).count() as u32,
-        views: of.into_iter().map(quarantined_view).collect(),
+/// What is known of a scene's views.
+pub fn checked(scene: &SceneFolder, checked: Checked) -> v1::CheckSceneResponse {
+    let view = |view: CheckedView| {
+        let known = &scene.capture().views[view.index];
+        v1::CheckedView {
+            view_name: known.name.clone(),
+            contributor: known.contributor.clone(),
+            held_out: known.held_out,
+            fit: view.score.map(|s| v1::ViewFit { score: s.score, fit_db: s.fit_db, outlier: s.is_outlier }),
+            support: view
+                .support
+                .map(|s| v1::Support { points: s.points, reprojection_error_px: s.reprojection_error_px }),
+            against: view.against.unwrap_or_default(),
+            decision: view.decision.as_ref().map(decision),
+        }
     };
-    groups.into_iter().map(group).collect()
+    let (median_fit_db, limit_fit_db, doubt) =
+        checked.measured.map(|m| (m.median_db, m.limit_db, m.doubt)).unwrap_or_default();
+    v1::CheckSceneResponse {
+        views: checked.views.into_iter().map(view).collect(),
+        median_fit_db,
+        limit_fit_db,
+        doubt,
+        picture_png: checked.picture.map(|p| encode_png(&p)).unwrap_or_default().into(),
+    }
 }
 
 /// A model.

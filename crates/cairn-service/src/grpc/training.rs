@@ -70,12 +70,6 @@ impl TrainingService for Shared {
         Ok(Response::new(v1::ResumeTrainingResponse { job: Some(to_proto::job(&job)) }))
     }
 
-    async fn get(&self, request: Request<v1::GetTrainingRequest>) -> Answer<v1::GetTrainingResponse> {
-        let v1::GetTrainingRequest { job_id } = request.into_inner();
-        let job = self.engine()?.jobs().get(&job_id).map_err(status)?;
-        Ok(Response::new(v1::GetTrainingResponse { job: Some(to_proto::job(&job)) }))
-    }
-
     async fn list(&self, request: Request<v1::ListTrainingRequest>) -> Answer<v1::ListTrainingResponse> {
         let v1::ListTrainingRequest { scene } = request.into_inner();
         let jobs = self.engine()?.jobs().list();

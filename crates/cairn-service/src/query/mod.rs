@@ -1,5 +1,6 @@
 //! Questions about a trained scene: renders, who contributed, what a picture hides, how well all of that is answered.
 
+pub mod check;
 pub mod crowd;
 pub mod detection;
 pub mod evaluate;

@@ -38,8 +38,8 @@ pub enum AskedView {
 /// What a record about an identity of the newest model has to state; the hidden signal's files lie in `models`.
 ///
 /// # Errors
-/// [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`EngineError::WrongState`] where a view of it is in
-/// quarantine since.
+/// [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`EngineError::WrongState`] where a view of it is
+/// excluded since.
 pub fn material(snapshot: &SceneSnapshot, models: &Path, identity: u32) -> Result<Material, EngineError> {
     let info = snapshot.info()?;
     let known = info.identity(identity)?.clone();
@@ -50,7 +50,7 @@ pub fn material(snapshot: &SceneSnapshot, models: &Path, identity: u32) -> Resul
         return Err(EngineError::WrongState {
             what: format!("identity {identity} of scene {:?}", snapshot.name()),
             operation: "signed for",
-            why: format!("its view {view:?} is in quarantine or removed; train the scene again, or release the view"),
+            why: format!("its view {view:?} is excluded; train the scene again, or include the view"),
         });
     }
     let signal = if info.mark.is_some() { info.signal(models, identity)? } else { Parts::default() };
@@ -126,14 +126,13 @@ pub fn page<T>(
 /// The photograph that `view` asks about, by its SHA-256.
 ///
 /// # Errors
-/// [`EngineError::NotFound`] for a view's name, [`EngineError::WrongState`] for one in quarantine.
+/// [`EngineError::NotFound`] for a view's name, [`EngineError::WrongState`] for one that is excluded.
 pub fn photograph_of(snapshot: &SceneSnapshot, name: &str) -> Result<Digest, EngineError> {
     let photograph = snapshot.photograph_of(name)?;
     if snapshot.is_out(name) {
-        let why =
-            "it is in quarantine, and nobody is credited with it; what the log says of its photograph is there to \
+        let why = "it is excluded, and nobody is credited with it; what the log says of its photograph is there to \
                    ask by its SHA-256"
-                .to_owned();
+            .to_owned();
         let what = format!("view {name:?} of scene {:?}", snapshot.name());
         return Err(EngineError::WrongState { what, operation: "asked about", why });
     }

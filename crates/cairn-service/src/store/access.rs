@@ -14,7 +14,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use crate::auth::quota::check_jobs;
 use crate::auth::{AccessError, Account, Accounts, Charge, Limits, Quotas, Reserved, Role, Usage};
 use cairn_log::{Digest, Heir, OwnerRecord, PublicKey, RecordKind, Registry, RegistryError};
-use cairn_scene::SceneFolder;
 use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
@@ -258,27 +257,6 @@ impl Access {
         self.quotas.release(&found.owner, scene).map_err(AccessError::from)?;
         remove(&path)?;
         Ok(sync_folder(&self.owners)?)
-    }
-
-    /// Views of a scene are gone: its owner, if any, is charged with what is left. Written down before it counts, for the
-    /// next start.
-    ///
-    /// # Errors
-    /// The file system's; the next start sets it right.
-    pub fn lower(&self, name: &str, scene: &SceneFolder) -> Result<(), EngineError> {
-        let path = self.file(name);
-        if !path.exists() {
-            return Ok(());
-        }
-        let found: SceneOwner = read_json(&path)?;
-        let charge = scenes::takes(scene)?;
-        let left =
-            SceneOwner { bytes: found.bytes.min(charge.bytes), views: found.views.min(charge.views), ..found.clone() };
-        if left != found {
-            write_json(&path, &left)?;
-        }
-        self.quotas.lower(&found.owner, name, charge).map_err(AccessError::from)?;
-        Ok(())
     }
 
     /// Whether an owner, of whose trainings `open` have not ended, may have one more.

@@ -13,9 +13,9 @@
 //! DIR/registry.checkpoint       the checkpoint that it published last
 //! DIR/access/                   accounts.json, usage.json (cairn-service's formats)
 //! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
-//! DIR/quarantine/NAME.json      which of the scene's views are left out, and why
+//! DIR/exclusions/NAME.json      which of the scene's views are excluded, and why
 //! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
-//! DIR/state.seal                digests of access/, owners/, quarantine/, registry.key and registry.checkpoint, while nobody has it open
+//! DIR/state.seal                digests of access/, owners/, exclusions/, registry.key and registry.checkpoint, while nobody has it open
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
@@ -142,9 +142,9 @@ impl DataFolder {
         self.root.join("owners")
     }
 
-    /// Views that are left out of trainings and answers.
-    pub fn quarantine(&self) -> PathBuf {
-        self.root.join("quarantine")
+    /// Views that are excluded from trainings and answers.
+    pub fn exclusions(&self) -> PathBuf {
+        self.root.join("exclusions")
     }
 
     /// Imports under way.

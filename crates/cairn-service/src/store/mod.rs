@@ -3,12 +3,13 @@
 pub mod access;
 pub mod checked;
 pub mod classes;
+pub mod exclusions;
 pub mod folder;
 pub mod given;
 pub mod hidden;
 pub mod import;
 pub mod model;
-pub mod quarantine;
 pub mod scenes;
 pub(crate) mod seal;
 pub mod snapshot;
+pub mod support;

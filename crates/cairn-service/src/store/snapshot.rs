@@ -8,8 +8,8 @@ use cairn_log::Digest;
 use cairn_scene::{Camera, SceneFolder};
 
 use crate::error::EngineError;
+use crate::store::exclusions::{Credited, Entries, Exclusions};
 use crate::store::model::{IdentityInfo, ModelInfo};
-use crate::store::quarantine::{Credited, Quarantine};
 use crate::store::scenes;
 
 /// A scene, its newest model, and the views that are left out.
@@ -17,13 +17,15 @@ pub struct SceneSnapshot {
     name: String,
     scene: SceneFolder,
     info: Option<ModelInfo>,
-    /// Names of views that are left out.
+    /// What was decided about its views.
+    entries: Entries,
+    /// Names of views that are excluded.
     out: BTreeSet<String>,
     /// Those of the model's identities, by their index in its clusters.
     out_of_clusters: BTreeSet<usize>,
     /// Whose photographs are left of each identity, in the model's order; `None` where all are left out.
     credited: Vec<Option<Credited>>,
-    /// [`Quarantine::changes`] before it was read.
+    /// [`Exclusions::changes`] before it was read.
     changes: u64,
 }
 
@@ -34,23 +36,23 @@ impl SceneSnapshot {
     /// As [`scenes::open`]; [`EngineError::Stored`] for a damaged file.
     pub fn read(
         scenes: &Path,
-        quarantine: &Quarantine,
+        exclusions: &Exclusions,
         name: &str,
         info: Option<ModelInfo>,
     ) -> Result<Self, EngineError> {
-        let changes = quarantine.changes();
+        let changes = exclusions.changes();
         let scene = scenes::open(scenes, name)?;
-        let entries = quarantine.of(name)?;
-        let (out, _) = entries.names(&scene);
+        let entries = exclusions.of(name)?;
+        let out = entries.excluded();
         let out_of_clusters = info.as_ref().map(|info| entries.out_of(info)).unwrap_or_default();
         let identities = info.iter().flat_map(|info| &info.identities);
         let credited = identities.map(|identity| entries.credited(identity)).collect();
-        Ok(Self { name: name.to_owned(), scene, info, out, out_of_clusters, credited, changes })
+        Ok(Self { name: name.to_owned(), scene, info, entries, out, out_of_clusters, credited, changes })
     }
 
     /// Whether it still says what reading the scene `name` again would say.
-    pub fn is_current(&self, quarantine: &Quarantine, name: &str, newest: Option<&ModelInfo>) -> bool {
-        self.name == name && self.info.as_ref() == newest && self.changes == quarantine.changes()
+    pub fn is_current(&self, exclusions: &Exclusions, name: &str, newest: Option<&ModelInfo>) -> bool {
+        self.name == name && self.info.as_ref() == newest && self.changes == exclusions.changes()
     }
 
     /// The scene's name.
@@ -74,6 +76,11 @@ impl SceneSnapshot {
     /// The same; `None` before the first.
     pub fn newest(&self) -> Option<&ModelInfo> {
         self.info.as_ref()
+    }
+
+    /// What was decided about the views, and what was measured of them.
+    pub fn entries(&self) -> &Entries {
+        &self.entries
     }
 
     /// Names of the views that are left out.

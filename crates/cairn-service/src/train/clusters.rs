@@ -87,7 +87,7 @@ pub fn all_are_kept(earlier: &ModelInfo, now: &[IdentityInfo]) -> Result<(), Eng
         Grouping::ByContributor { .. } => "clusters by contributor, as small as then or smaller".to_owned(),
     };
     let expected = format!(
-        "all {} identities that {scene:?} has, and more: {grouping}, over the views of then (`cairn quarantine list {scene}` shows \
+        "all {} identities that {scene:?} has, and more: {grouping}, over the views of then (`cairn scene check {scene}` shows \
          which went or came back since); or train it anew, without growing",
         earlier.identities.len()
     );

@@ -20,7 +20,7 @@ use crate::train::clusters::{all_are_kept, clusters_if_any, identities};
 use crate::train::job::Job;
 use crate::train::jobs::Control;
 use crate::train::marks::Grown;
-use crate::train::sifting::Sift;
+use crate::train::screen::Screen;
 use crate::train::stages::Photographs;
 
 /// A scene of a training.
@@ -43,7 +43,7 @@ pub(crate) struct Part {
 pub(crate) fn parts(
     scenes: &Path,
     models: &Path,
-    sift: &Sift<'_>,
+    screen: &Screen<'_>,
     job: &Job,
     folder: &Path,
     control: &Control<'_>,
@@ -55,7 +55,7 @@ pub(crate) fn parts(
         std::fs::create_dir_all(&folder).map_err(EngineError::io("create", &folder))?;
         let scene = scenes::open(scenes, name)?;
         let photographs = Photographs::default();
-        let Some(scene) = sift.sifted(&own, scene, &photographs, &folder, control)? else { return Ok(None) };
+        let Some(scene) = screen.screened(&own, scene, &photographs, &folder, control)? else { return Ok(None) };
         let (clusters, note) = clusters_if_any(&scene, &own.spec.grouping, own.spec.seed, own.spec.base_only)?;
         note.into_iter().for_each(|note| control.note(note));
         let earlier = own.spec.grow_from.first().cloned().flatten();
@@ -117,7 +117,7 @@ pub(crate) fn grown(models: &Path, parts: &[Part]) -> Result<Option<Grown>, Engi
             signals.extend(now.iter().map(|_| None));
             continue;
         };
-        // Views may have gone into quarantine since the job was accepted.
+        // Views may have been excluded since the job was accepted.
         all_are_kept(&info, &now)?;
         let before: BTreeMap<String, u32> = info.identities.iter().map(|i| (i.label.clone(), i.number)).collect();
         let Model { info, mark, .. } = Model::load(models, info)?;

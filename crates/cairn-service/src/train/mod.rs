@@ -7,6 +7,6 @@ pub mod jobs;
 pub(crate) mod joint;
 pub mod marks;
 pub mod request;
-pub(crate) mod sifting;
+pub(crate) mod screen;
 pub mod stages;
 pub mod training;

@@ -175,7 +175,7 @@ impl Engine {
             (Plan::Options(_), Some(info)) => info.settings(&self.folder.models())?,
             (Plan::Options(options), None) => options.settings(&self.training, folder.capture().kind)?,
         };
-        let folder = self.quarantine.without(scene, folder)?;
+        let folder = self.exclusions.without(scene, folder)?;
         let (clusters, _) = clusters::clusters_if_any(&folder, &request.grouping, request.seed, request.base_only)?;
         let identities = clusters::identities(&folder, &clusters);
         if let Some(info) = &earlier {

@@ -12,7 +12,6 @@ use cairn_scene::{SceneFolder, TrainView};
 
 use crate::config::TrainingSettings;
 use crate::error::EngineError;
-use crate::train::job::Job;
 
 /// Name of stage 1 in progress, jobs and reports.
 pub const BASE: &str = "base field";
@@ -82,9 +81,7 @@ impl Stage for BaseTrainer {
         };
         let Spacing { apart_deg, smoothing } = self.spacing();
         let far = (smoothing > 1.0).then(|| {
-            format!(
-                "the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much"
-            )
+            format!("the photographs look {apart_deg:.0} degrees apart: smoothness weighs {smoothing:.1} times as much")
         });
         let FieldConfig { voxels, voxel_px, min_voxel_px, .. } = self.config();
         let finer = self.finer().map(|vertices| {
@@ -141,7 +138,7 @@ pub fn base_trainer(
     }))
 }
 
-/// Screening of the scene's training views for `job`, where those named in `trusted` are taken to be good; new
+/// Screening of the scene's training views, where those named in `trusted` are taken to be good; new
 /// or from a checkpoint. `None` when `preparing` did not want to go on.
 ///
 /// # Errors
@@ -149,18 +146,18 @@ pub fn base_trainer(
 pub fn screening(
     scene: &SceneFolder,
     photographs: &Photographs,
-    job: &Job,
+    settings: &TrainingSettings,
+    seed: u64,
     trusted: &BTreeSet<String>,
     checkpoint: Option<&[u8]>,
     preparing: Preparing<'_>,
 ) -> Result<Option<Screening>, EngineError> {
     let Some(views) = photographs.views(scene, preparing)? else { return Ok(None) };
-    let settings = &job.spec.settings;
     Ok(Some(match checkpoint {
         Some(bytes) => Screening::resume(bytes, views)?,
         None => {
             let (frame, background) = place(scene)?;
-            Screening::new(views, trusted, frame, background, &settings.field, job.spec.seed)?
+            Screening::new(views, trusted, frame, background, &settings.field, seed)?
         }
     }))
 }

@@ -13,15 +13,15 @@ use cairn_durable::{read_limited, remove, write_atomic};
 use cairn_field::Field;
 
 use crate::error::EngineError;
+use crate::store::exclusions::Exclusions;
 use crate::store::hidden;
 use crate::store::model::MarkFiles;
-use crate::store::quarantine::Quarantine;
 use crate::train::drive::{MAX_CHECKPOINT_BYTES, Run, drive, preparing, read_checkpoint, stopped};
 use crate::train::job::{Job, Progress};
 use crate::train::jobs::{Control, Outcome, Work};
 use crate::train::joint::{self, Part, shares, signals};
 use crate::train::marks::{Marked, Marking, ToMark};
-use crate::train::sifting::Sift;
+use crate::train::screen::Screen;
 use crate::train::stages;
 
 /// Runs training jobs.
@@ -32,8 +32,8 @@ pub struct Training {
     pub models: PathBuf,
     /// Where jobs keep their checkpoints.
     pub jobs: PathBuf,
-    /// Which views are left out.
-    pub quarantine: Arc<Quarantine>,
+    /// Which views are excluded.
+    pub exclusions: Arc<Exclusions>,
     /// Time between checkpoints.
     pub checkpoint_every: Duration,
 }
@@ -41,8 +41,8 @@ pub struct Training {
 impl Work for Training {
     fn run(&mut self, job: &Job, control: &Control<'_>) -> Result<Outcome, EngineError> {
         let folder = self.jobs.join(&job.id);
-        let sift = Sift { quarantine: &self.quarantine, checkpoint_every: self.checkpoint_every };
-        let Some(parts) = joint::parts(&self.scenes, &self.models, &sift, job, &folder, control)? else {
+        let screen = Screen { exclusions: &self.exclusions, checkpoint_every: self.checkpoint_every };
+        let Some(parts) = joint::parts(&self.scenes, &self.models, &screen, job, &folder, control)? else {
             return Ok(Outcome::Stopped);
         };
         // Cut off between publishing and its end: the models are there, whole.

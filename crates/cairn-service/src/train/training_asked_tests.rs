@@ -212,7 +212,7 @@ fn a_scene_does_not_grow_out_of_an_identity_that_it_has() {
     let growing = |request: TrainingRequest| TrainingRequest { grow: true, plan: Plan::default(), ..request };
     let error = engine.train(growing(next)).unwrap_err().to_string();
     let seed = format!("seed {}", first.seed);
-    for part in [missing.as_str(), "nobody would read", &seed, "quarantine list town", &before.job] {
+    for part in [missing.as_str(), "nobody would read", &seed, "scene check town", &before.job] {
         assert!(error.contains(part), "{part:?} is not in: {error}");
     }
     let kept = labels(&before).into_iter().find(|label| *label != missing).unwrap();
@@ -234,7 +234,7 @@ fn views_that_went_since_a_job_was_accepted_do_not_cost_an_identity_its_mark() {
         scenes: trained.path("scenes"),
         models: trained.path("models"),
         jobs: trained.path("jobs"),
-        quarantine: Arc::new(Quarantine::open(trained.path("quarantine"), &trained.path("scenes")).unwrap()),
+        exclusions: Arc::new(Exclusions::open(trained.path("exclusions"), &trained.path("scenes")).unwrap()),
         checkpoint_every: Duration::from_secs(30),
     };
     let part = |anchors: usize| {

@@ -44,7 +44,7 @@ fn a_step_that_fails_leaves_the_last_good_state_and_its_own_error() {
         scenes: dir.path().into(),
         models: dir.path().into(),
         jobs: dir.path().into(),
-        quarantine: Arc::new(Quarantine::open(dir.path().join("quarantine"), dir.path()).unwrap()),
+        exclusions: Arc::new(Exclusions::open(dir.path().join("exclusions"), dir.path()).unwrap()),
         // No checkpoint falls due in between.
         checkpoint_every: Duration::from_secs(3600),
     };

@@ -344,7 +344,7 @@ fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
         scenes: trained.path("scenes"),
         models: trained.path("models"),
         jobs: trained.path("jobs"),
-        quarantine: Arc::new(Quarantine::open(trained.path("quarantine"), &trained.path("scenes")).unwrap()),
+        exclusions: Arc::new(Exclusions::open(trained.path("exclusions"), &trained.path("scenes")).unwrap()),
         checkpoint_every: Duration::from_secs(30),
     };
     assert_eq!(training.run(&job, &control).unwrap(), Outcome::Stopped);

@@ -1,0 +1,126 @@
+//! `cairn scene check`, `exclude`, `include`: which photographs are to be trusted.
+
+use std::path::PathBuf;
+
+use cairn_api::v1;
+
+use super::connect::Connection;
+use super::files::write;
+use super::refused::refused;
+
+/// `cairn scene check`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct CheckArgs {
+    /// The scene
+    name: String,
+    /// Measure again, whatever was measured before
+    #[arg(long)]
+    anew: bool,
+    /// Also draw the most suspicious photographs beside their renders
+    #[arg(long, value_name = "PNG")]
+    picture: Option<PathBuf>,
+}
+
+/// `cairn scene exclude`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ExcludeArgs {
+    /// The scene
+    name: String,
+    /// The views, by name
+    #[arg(required = true)]
+    views: Vec<String>,
+    /// Why, for those who read the list later
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    why: String,
+}
+
+/// `cairn scene include`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct IncludeArgs {
+    /// The scene
+    name: String,
+    /// The views, by name
+    #[arg(required = true)]
+    views: Vec<String>,
+}
+
+/// Answers `cairn scene check`: a table of the views, the most suspicious first.
+pub async fn check(line: &Connection, args: CheckArgs) -> anyhow::Result<()> {
+    let request = v1::CheckSceneRequest { scene: args.name.clone(), anew: args.anew, picture: args.picture.is_some() };
+    let answer = line.about(&args.name).scenes().check(request).await.map_err(refused)?.into_inner();
+    let heading = ["view", "contributor", "sigmas", "fit dB", "points", "error px", "state"].map(str::to_owned);
+    let rows: Vec<[String; 7]> = std::iter::once(heading).chain(answer.views.iter().map(row)).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: [usize; 7] = std::array::from_fn(width);
+    for row in &rows {
+        let cells = row.iter().zip(widths).enumerate().map(|(column, (cell, width))| match column {
+            // Numbers on the right.
+            2..=5 => format!("{cell:>width$}"),
+            6 => cell.clone(),
+            _ => format!("{cell:<width$}"),
+        });
+        println!("{}", cells.collect::<Vec<_>>().join("  "));
+    }
+    if !answer.doubt.is_empty() {
+        println!("{}", answer.doubt);
+    } else if answer.median_fit_db > 0.0 {
+        let (median, limit) = (answer.median_fit_db, answer.limit_fit_db);
+        println!("the median view fits by {median:.2} dB, outliers by less than {limit:.2} dB");
+    }
+    if let Some(path) = &args.picture {
+        write(path, &answer.picture_png)?;
+        println!("photographs beside their renders in {}", path.display());
+    }
+    Ok(())
+}
+
+fn row(view: &v1::CheckedView) -> [String; 7] {
+    let (fit, support) = (view.fit.as_ref(), view.support.as_ref());
+    let number = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.2}"));
+    let mut state = Vec::new();
+    if view.held_out {
+        state.push("held out".to_owned());
+    }
+    state.extend(view.decision.as_ref().map(decision));
+    if fit.is_some_and(|fit| fit.outlier) {
+        state.push("outlier".to_owned());
+    }
+    state.extend(Some(view.against.clone()).filter(|against| !against.is_empty()));
+    [
+        view.view_name.clone(),
+        view.contributor.clone(),
+        fit.map_or("-".to_owned(), |fit| format!("{:.1}", fit.score)),
+        number(fit.map(|fit| fit.fit_db)),
+        support.map_or("-".to_owned(), |s| s.points.to_string()),
+        number(support.filter(|s| s.points > 0).map(|s| s.reprojection_error_px)),
+        state.join(", "),
+    ]
+}
+
+/// What was decided about a view, in words.
+pub fn decision(decision: &v1::ViewDecision) -> String {
+    let what = match (decision.excluded, decision.automatic) {
+        (true, true) => "excluded by training",
+        (true, false) => "excluded",
+        (false, _) => "included",
+    };
+    if decision.why.is_empty() { what.to_owned() } else { format!("{what} ({})", decision.why) }
+}
+
+/// Answers `cairn scene exclude`.
+pub async fn exclude(line: &Connection, args: ExcludeArgs) -> anyhow::Result<()> {
+    let ExcludeArgs { name, views, why } = args;
+    let request = v1::ExcludeViewsRequest { scene: name.clone(), view_names: views, why };
+    let answer = line.about(&name).scenes().exclude(request).await.map_err(refused)?.into_inner();
+    println!("{} views of {name} are excluded; train it again to have them out", answer.excluded);
+    Ok(())
+}
+
+/// Answers `cairn scene include`.
+pub async fn include(line: &Connection, args: IncludeArgs) -> anyhow::Result<()> {
+    let IncludeArgs { name, views } = args;
+    let request = v1::IncludeViewsRequest { scene: name.clone(), view_names: views };
+    let answer = line.about(&name).scenes().include(request).await.map_err(refused)?.into_inner();
+    println!("{} views of {name} are excluded; train it again to have the others in", answer.excluded);
+    Ok(())
+}
