@@ -38,7 +38,8 @@ pub trait Disk: Send + Sync {
     /// [`DurableError`].
     fn sync(&self, path: &str) -> Result<(), DurableError>;
 
-    /// Flushes several files. At the same time where that is cheaper: a file system flushes a group for the price of one.
+    /// Flushes several files, at the same time where that is cheaper: a file system flushes a group
+    /// for the price of one.
     ///
     /// # Errors
     /// [`DurableError`], of the first that failed; others may be flushed or not.

@@ -41,8 +41,8 @@ impl Files {
         self.disk.open(path)
     }
 
-    /// Goes on with the file that is to become `path` at `offset`, what was behind it forgotten. Not durable, and not there
-    /// under its name, before [`Files::complete`].
+    /// Continues the file that is to become `path` at `offset` and forgets what was behind it. It is
+    /// not durable, and not there under its name, before [`Files::complete`].
     ///
     /// # Errors
     /// [`DurableError`].

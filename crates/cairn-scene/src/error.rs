@@ -21,7 +21,7 @@ pub enum CaptureError {
         operation: &'static str,
         /// On what.
         path: PathBuf,
-        /// What the system answered. Not a `source`: the text has it already, and who prints sources would print it twice.
+        /// What the system answered. Not a `source`: the message has it already.
         problem: io::Error,
     },
     /// No camera file of a known format is there.

@@ -85,10 +85,10 @@ pub fn decode_picture(bytes: &[u8], limits: &Limits, background: Option<[f32; 3]
     decode("picture", bytes, limits, background, |_, _| Ok(true))
 }
 
-/// As [`decode_picture`], for the photograph at `path`, which must have the size of `camera`: found on the header, before any pixel is allocated. Where
-/// only the stored pixels have that size, the camera was computed on those, and
-/// they are returned without EXIF orientation; where both have it, `as_stored`
-/// says whether they are.
+/// As [`decode_picture`], for the photograph at `path`, which must have the size of `camera`: checked
+/// on the header, before any pixel is allocated. Where only the stored pixels have that size, the
+/// camera was computed on those, and they are returned without EXIF orientation; where both have it,
+/// `as_stored` says whether they are.
 pub(crate) fn decode_sized(
     path: &Path,
     bytes: &[u8],

@@ -130,7 +130,8 @@ impl Picture {
         self
     }
 
-    /// How far pixels are from the picture's mean colour: root mean square over pixels and channels, 0 where all are alike.
+    /// How far pixels are from the picture's mean colour: root mean square over pixels and channels,
+    /// 0 where all are alike.
     pub fn spread(&self) -> f64 {
         let count = (self.width * self.height) as f64;
         let mut mean = [0.0f64; 3];
