@@ -30,7 +30,7 @@ fn open_rebuilt(store: &FaultyStore, disk: &FaultyStore) -> Registry {
 fn rebuild(disk: &FaultyStore) -> Result<(FaultyStore, Rebuilt), RegistryError> {
     let store = FaultyStore::new();
     let (into, on) = (Box::new(store.clone()), Box::new(disk.clone()));
-    let rebuilt = Registry::rebuild_store(into, on, ("other/runs", 40), &registry_key(), ORIGIN, &mut |_, _| {})?;
+    let rebuilt = Registry::rebuild_store(into, on, "other/runs", 40, &registry_key(), ORIGIN, &mut |_, _| {})?;
     Ok((store, rebuilt))
 }
 

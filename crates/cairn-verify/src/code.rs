@@ -1,8 +1,33 @@
 //! The codes of findings: stable names that scripts may rely on.
 
+use std::fmt;
+
 use serde::{Serialize, Serializer};
 
-use crate::report::Severity;
+/// How much a finding weighs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// A check that held.
+    Passed,
+    /// Something that could not be checked, or is worth knowing.
+    Info,
+    /// Something that limits what the report says.
+    Warning,
+    /// A check that failed: the outcome is [`crate::Outcome::Invalid`].
+    Error,
+}
+
+impl fmt::Display for Severity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Passed => "passed",
+            Self::Info => "info",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        })
+    }
+}
 
 macro_rules! codes {
     ($($(#[$doc:meta])* $name:ident = $text:literal, $severity:ident, $remedy:literal;)*) => {

@@ -24,7 +24,7 @@ mod store;
 
 pub use answer::{AnswerReport, Question, RecordWorth, Standing, audit_answer, audit_answer_to};
 pub use check::audit;
-pub use code::Code;
+pub use code::{Code, Severity};
 pub use evidence::{
     Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
 };
@@ -33,5 +33,5 @@ pub use follow::{
     CONTRADICTION, Contradiction, EvidenceReport, Fetch, FollowError, FollowOptions, FollowReport, Followed,
     MAX_NEW_ENTRIES, audit_evidence, follow,
 };
-pub use report::{Finding, Freshness, Outcome, Report, Severity};
+pub use report::{Finding, Freshness, Outcome, Report};
 pub use store::{Class, Manifest, ManifestFile, Stock, StoreError, StoreOptions, StoreReport, audit_store};

@@ -4,21 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::code::Code;
-
-/// How much a finding weighs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Severity {
-    /// A check that held.
-    Passed,
-    /// Something that could not be checked, or is worth knowing.
-    Info,
-    /// Something that limits what the report says.
-    Warning,
-    /// A check that failed: the outcome is [`Outcome::Invalid`].
-    Error,
-}
+use crate::code::{Code, Severity};
 
 /// The answer in one word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -126,17 +112,6 @@ impl Findings {
 
     pub(crate) fn failed(&self) -> bool {
         self.0.iter().any(|f| f.severity == Severity::Error)
-    }
-}
-
-impl fmt::Display for Severity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Passed => "passed",
-            Self::Info => "info",
-            Self::Warning => "warning",
-            Self::Error => "error",
-        })
     }
 }
 

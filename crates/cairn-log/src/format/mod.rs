@@ -22,6 +22,7 @@ pub mod record;
 #[cfg(feature = "sealed-keys")]
 pub mod sealed;
 mod serial;
+pub mod signed;
 pub mod tile;
 
 pub use answer::{Answer, AnswerError};
@@ -39,3 +40,4 @@ pub use note::{Note, NoteError, NoteSignature, NoteVerifier};
 pub use policy::{Policy, PolicyError, PolicyVerdict, Quorum};
 pub use proof::{TlogProof, TlogProofError};
 pub use record::{OwnerRecord, RecordError, RecordKind};
+pub use signed::SignedRecord;

@@ -19,7 +19,7 @@
 
 use std::{io, path::Path};
 
-use super::{RegistryError, layout, tiles::TileTree};
+use super::{error::RegistryError, layout, tiles::TileTree};
 use crate::{
     format::{
         checkpoint::Checkpoint,

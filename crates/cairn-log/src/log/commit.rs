@@ -10,20 +10,21 @@
 //! overwritten by the next round, or taken in by the next start where the anchor speaks of them.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::BTreeMap,
     mem,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, PoisonError},
     thread,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use super::{
-    Receipt, Registry, RegistryError, State,
     anchor::{Anchor, Round},
+    error::{RegistryError, inconsistent},
     layout,
     nonce::NONCE_LIFETIME,
-    reload::inconsistent,
-    submit::{Admitted, Candidate, Planned},
+    read,
+    shared::{Outcome, Placed, Shared, State, Turn, Waiting, Writer, lock},
+    submit::{self, Admitted, Planned},
 };
 use crate::{
     format::{
@@ -35,6 +36,8 @@ use crate::{
         map_leaf::MapLeaf,
         merkle::{self, leaf_hash},
         packs::Slot,
+        proof::TlogProof,
+        signed::SignedRecord,
         tile::TILE_WIDTH,
     },
     log::{
@@ -43,44 +46,37 @@ use crate::{
     },
 };
 
-/// Where a submission ended up, or why nowhere. What its receipt proves is worked out by its own thread, out of the round.
-type Outcome = Result<Placed, RegistryError>;
-
-/// Submissions that wait, and whether somebody is writing.
-#[derive(Default)]
-pub(super) struct Queue {
-    waiting: Vec<Waiting>,
-    /// Since when somebody has been writing.
-    busy: Option<Instant>,
+/// What a submitter gets once the record is durable.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Receipt {
+    /// The record's place in the log.
+    pub index: u64,
+    /// Hash of its leaf.
+    pub leaf_hash: Digest,
+    /// Always true: a receipt exists only behind a flush.
+    pub durable: bool,
+    /// Whether this record was in the log before this submission.
+    pub resubmitted: bool,
+    /// A signed checkpoint that covers the record.
+    pub checkpoint: String,
+    /// The checkpoint's size.
+    pub size: u64,
+    /// Proof that the leaf lies in the tree of that size.
+    pub inclusion: Vec<Digest>,
+    /// The envelope with the registry's signature.
+    pub envelope: Envelope,
 }
 
-impl Queue {
-    /// Takes a submission out again; false where a round has it already.
-    fn leave(&mut self, slot: &Arc<Mutex<Option<Outcome>>>) -> bool {
-        let before = self.waiting.len();
-        self.waiting.retain(|waiting| !Arc::ptr_eq(&waiting.slot, slot));
-        self.waiting.len() < before
+impl Receipt {
+    /// The evidence that the record is in the log, to be kept beside its envelope.
+    pub fn tlog_proof(&self) -> TlogProof {
+        TlogProof {
+            extra: None,
+            index: self.index,
+            hashes: self.inclusion.clone(),
+            checkpoint: self.checkpoint.clone(),
+        }
     }
-}
-
-/// What only the one who writes needs to know.
-pub(super) struct Writer {
-    /// Bytes of the pack that the next entry goes into.
-    pub(super) pack_length: u64,
-    /// Nonces that are used and would still be good otherwise, and the records that used them.
-    pub(super) used: HashMap<Digest, u64>,
-}
-
-struct Waiting {
-    candidate: Candidate,
-    slot: Arc<Mutex<Option<Outcome>>>,
-}
-
-/// Where a submission of this round ends up.
-struct Placed {
-    index: u64,
-    resubmitted: bool,
-    envelope: Envelope,
 }
 
 /// What a round writes.
@@ -96,293 +92,227 @@ pub(super) struct Batch {
     found: Option<Round>,
 }
 
-/// One writer's turn. However it ends, nobody is left waiting.
-pub(super) struct Turn<'a> {
-    registry: &'a Registry,
-    batch: Vec<Waiting>,
-}
-
-impl Drop for Turn<'_> {
-    fn drop(&mut self) {
-        if std::thread::panicking() {
-            self.registry.halt("the writer panicked");
-        }
-        for waiting in &self.batch {
-            let mut slot = lock(&waiting.slot);
-            if slot.is_none() {
-                let cause = self.registry.halt("the writer panicked");
-                *slot = Some(Err(RegistryError::Halted { cause }));
-            }
-        }
-        lock(&self.registry.queue).busy = None;
-        self.registry.wake.notify_all();
-    }
-}
-
-impl Registry {
-    /// Takes a record into the log. Blocks until it is durable.
-    ///
-    /// The same record again gives its old index, so a submitter whose connection broke asks again. A record that was refused
-    /// or failed left no trace, except after [`RegistryError::Store`] and [`RegistryError::Halted`]: then it may be in the log
-    /// after the next start; submit it again.
-    ///
-    /// # Errors
-    /// [`RegistryError`]; nothing is acknowledged that is not flushed.
-    pub fn submit(&self, envelope: &Envelope) -> Result<Receipt, RegistryError> {
-        let candidate = Candidate::check(envelope, &self.origin)?;
-        let slot = Arc::new(Mutex::new(None));
-        let mut queue = lock(&self.queue);
-        queue.waiting.push(Waiting { candidate, slot: slot.clone() });
-        loop {
-            if let Some(outcome) = lock(&slot).take() {
-                drop(queue);
-                return self.receipt(outcome?);
-            }
-            if queue.busy.is_some() {
-                // The round that is being written may never end; this submission is in none.
-                if let Some(cause) = self.halted()
-                    && queue.leave(&slot)
-                {
-                    return Err(RegistryError::Halted { cause });
-                }
-                queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
-                continue;
-            }
-            queue.busy = Some(Instant::now());
-            let mut turn = Turn { registry: self, batch: mem::take(&mut queue.waiting) };
+/// As [`super::Registry::submit_signed`].
+pub(super) fn submit(shared: &Shared, candidate: SignedRecord) -> Result<Receipt, RegistryError> {
+    submit::check_origin(shared, &candidate)?;
+    let slot = Arc::new(Mutex::new(None));
+    let mut queue = lock(&shared.queue);
+    queue.waiting.push(Waiting { candidate, slot: slot.clone() });
+    loop {
+        if let Some(outcome) = lock(&slot).take() {
             drop(queue);
-            let outcomes = self.write_round(&turn.batch);
-            // Out of the turn: whoever wakes early takes an outcome away, and must not look like one who got none.
-            for (waiting, outcome) in mem::take(&mut turn.batch).iter().zip(outcomes) {
-                *lock(&waiting.slot) = Some(outcome);
-            }
-            drop(turn);
-            queue = lock(&self.queue);
+            return receipt(shared, outcome?);
         }
-    }
-
-    /// How long the round that is being written has been; `None` where none is. A disk that does not answer, or a store
-    /// that waits for itself, keeps its writer for ever: whoever finds that stops the writing ([`Registry::stop_writing`]).
-    pub fn writing_for(&self) -> Option<Duration> {
-        lock(&self.queue).busy.map(|since| since.elapsed())
-    }
-
-    /// The turn to write, taken for something that no submission waits for.
-    ///
-    /// # Errors
-    /// [`RegistryError::Halted`] where writing was stopped and the round that is being written does not end.
-    pub(super) fn turn(&self) -> Result<Turn<'_>, RegistryError> {
-        let mut queue = lock(&self.queue);
-        while queue.busy.is_some() {
-            if let Some(cause) = self.halted() {
+        if queue.busy.is_some() {
+            // The round that is being written may never end; this submission is in none.
+            if let Some(cause) = shared.halted()
+                && queue.leave(&slot)
+            {
                 return Err(RegistryError::Halted { cause });
             }
-            queue = self.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            queue = shared.wake.wait(queue).unwrap_or_else(PoisonError::into_inner);
+            continue;
         }
         queue.busy = Some(Instant::now());
-        Ok(Turn { registry: self, batch: Vec::new() })
-    }
-
-    fn write_round(&self, round: &[Waiting]) -> Vec<Outcome> {
-        if let Some(cause) = self.halted() {
-            return round.iter().map(|_| Err(RegistryError::Halted { cause: cause.clone() })).collect();
+        let mut turn = Turn { shared, batch: mem::take(&mut queue.waiting) };
+        drop(queue);
+        let outcomes = write_round(shared, &turn.batch);
+        // Out of the turn: whoever wakes early takes an outcome away, and must not look like one who got none.
+        for (waiting, outcome) in mem::take(&mut turn.batch).iter().zip(outcomes) {
+            *lock(&waiting.slot) = Some(outcome);
         }
-        let size = self.size();
-        let mut writer = lock(&self.writer);
-        let mut batch = Batch::default();
-        let placed: Vec<_> = round.iter().map(|w| self.place(&w.candidate, size, &writer, &mut batch)).collect();
-        let written = if batch.leaves.is_empty() { Ok(()) } else { self.write_batch(size, &mut writer, batch) };
-        drop(writer);
-        let outcomes = placed.into_iter().map(|placed| {
-            let placed = placed?;
-            match &written {
-                Ok(()) => Ok(placed),
-                // A record that was in the log before does not depend on this round's luck.
-                Err(_) if placed.index < size => Ok(placed),
-                Err(e) => Err(e.again()),
-            }
+        drop(turn);
+        queue = lock(&shared.queue);
+    }
+}
+
+fn write_round(shared: &Shared, round: &[Waiting]) -> Vec<Outcome> {
+    if let Some(cause) = shared.halted() {
+        return round.iter().map(|_| Err(RegistryError::Halted { cause: cause.clone() })).collect();
+    }
+    let size = shared.size();
+    let mut writer = lock(&shared.writer);
+    let mut batch = Batch::default();
+    let placed: Vec<_> = round.iter().map(|w| place(shared, &w.candidate, size, &writer, &mut batch)).collect();
+    let written = if batch.leaves.is_empty() { Ok(()) } else { write_batch(shared, size, &mut writer, batch) };
+    drop(writer);
+    let outcomes = placed.into_iter().map(|placed| {
+        let placed = placed?;
+        match &written {
+            Ok(()) => Ok(placed),
+            // A record that was in the log before does not depend on this round's luck.
+            Err(_) if placed.index < size => Ok(placed),
+            Err(e) => Err(e.again()),
+        }
+    });
+    outcomes.collect()
+}
+
+/// Finds the record's place in the log, old or new.
+fn place(
+    shared: &Shared,
+    candidate: &SignedRecord,
+    size: u64,
+    writer: &Writer,
+    batch: &mut Batch,
+) -> Result<Placed, RegistryError> {
+    let digest = candidate.leaf().record;
+    if let Some((index, _)) = batch.planned.records.get(&digest) {
+        let envelope = batch.kept[(index - size) as usize].clone();
+        return Ok(Placed { index: *index, resubmitted: true, envelope });
+    }
+    if let Some(index) = read::index_of(shared, &digest)? {
+        let envelope = read::stored(shared, index)?.envelope;
+        return Ok(Placed { index, resubmitted: true, envelope });
+    }
+    let admitted = submit::admit(shared, candidate, &shared.read().tree, size, writer, &batch.planned)?;
+    let index = size + batch.leaves.len() as u64;
+    batch.add(index, candidate, &admitted);
+    Ok(Placed { index, resubmitted: false, envelope: admitted.envelope })
+}
+
+/// Writes, flushes, and only then signs.
+pub(super) fn write_batch(shared: &Shared, size: u64, writer: &mut Writer, batch: Batch) -> Result<(), RegistryError> {
+    commit(shared, size, writer, batch).inspect_err(|e| drop(shared.halt(&e.to_string())))
+}
+
+fn commit(shared: &Shared, size: u64, writer: &mut Writer, mut batch: Batch) -> Result<(), RegistryError> {
+    let staged = close_with_the_map(shared, size, &mut batch)?;
+    let (new_size, root) = {
+        let mut state = shared.write();
+        for (leaf, _) in &batch.leaves {
+            state.tree.push(leaf_hash(leaf));
+        }
+        let new_size = size + batch.leaves.len() as u64;
+        (new_size, merkle::root_at(&state.tree, new_size)?)
+    };
+    let signed = Checkpoint::new(&shared.origin, new_size, root);
+    let envelopes = || match &batch.found {
+        Some(round) => round.comes_to(&signed, size),
+        None => append_to_packs(shared, size, writer.pack_length, &batch.leaves),
+    };
+    let pack_length = beside_anchor(shared, envelopes, |anchor| anchor.prepare(&signed))?;
+    // Somebody may have stopped the log meanwhile, who knows better what it is.
+    if let Some(cause) = shared.halted() {
+        return Err(RegistryError::Halted { cause });
+    }
+    batch.entries.push((layout::SIGNED.to_vec(), Some(layout::signed(new_size, &root))));
+    let rows = || Ok(shared.store.put(batch.entries).and_then(|()| shared.store.flush())?);
+    beside_anchor(shared, rows, Anchor::adopt)?;
+    read_back(shared, size, &batch.leaves)?;
+    let note = signed.sign(&shared.key)?;
+    writer.pack_length = pack_length;
+    writer.used.extend(batch.planned.nonces);
+    writer.used.retain(|_, index| new_size - *index <= NONCE_LIFETIME);
+    let mut state = shared.write();
+    state.map.apply(&staged);
+    state.size = new_size;
+    state.root = root;
+    state.checkpoint = note.to_string();
+    Ok(())
+}
+
+/// Does a part of a round, and at the same time, where there is an anchor, something with that: a file system flushes
+/// both for the price of one.
+fn beside_anchor<T>(
+    shared: &Shared,
+    part: impl FnOnce() -> Result<T, RegistryError>,
+    act: impl FnOnce(&Anchor) -> Result<(), StoreError> + Send,
+) -> Result<T, RegistryError> {
+    let Some(anchor) = &shared.anchor else { return part() };
+    let (done, anchored) = thread::scope(|scope| {
+        let anchored = scope.spawn(|| act(anchor));
+        (part(), anchored.join())
+    });
+    let done = done?;
+    anchored.map_err(|_| RegistryError::Halted { cause: "the anchor's writer panicked".into() })??;
+    Ok(done)
+}
+
+/// Takes in a round that a crash left in the packs after the anchor was told of it.
+///
+/// # Errors
+/// [`RegistryError::RolledBack`] where its envelopes do not come to what was about to be signed; [`RegistryError::Store`].
+pub(super) fn take_up(shared: &Shared, round: Round) -> Result<(), RegistryError> {
+    let (size, mut writer, mut batch) = (shared.size(), lock(&shared.writer), Batch::default());
+    for envelope in &round.envelopes {
+        let placed = SignedRecord::open(envelope.clone()).map_err(RegistryError::from).and_then(|candidate| {
+            submit::check_origin(shared, &candidate)?;
+            place(shared, &candidate, size, &writer, &mut batch)
         });
-        outcomes.collect()
-    }
-
-    /// Finds the record's place in the log, old or new.
-    fn place(
-        &self,
-        candidate: &Candidate,
-        size: u64,
-        writer: &Writer,
-        batch: &mut Batch,
-    ) -> Result<Placed, RegistryError> {
-        let digest = candidate.leaf.record;
-        if let Some((index, _)) = batch.planned.records.get(&digest) {
-            let envelope = batch.kept[(index - size) as usize].clone();
-            return Ok(Placed { index: *index, resubmitted: true, envelope });
-        }
-        if let Some(index) = self.index_of(&digest)? {
-            let envelope = self.stored(index)?.envelope;
-            return Ok(Placed { index, resubmitted: true, envelope });
-        }
-        let admitted = self.admit(candidate, &self.read().tree, size, writer, &batch.planned)?;
-        let index = size + batch.leaves.len() as u64;
-        batch.add(index, candidate, &admitted);
-        Ok(Placed { index, resubmitted: false, envelope: admitted.envelope })
-    }
-
-    /// Writes, flushes, and only then signs.
-    pub(super) fn write_batch(&self, size: u64, writer: &mut Writer, batch: Batch) -> Result<(), RegistryError> {
-        self.commit(size, writer, batch).inspect_err(|e| drop(self.halt(&e.to_string())))
-    }
-
-    fn commit(&self, size: u64, writer: &mut Writer, mut batch: Batch) -> Result<(), RegistryError> {
-        let staged = self.close_with_the_map(size, &mut batch)?;
-        let (new_size, root) = {
-            let mut state = self.write();
-            for (leaf, _) in &batch.leaves {
-                state.tree.push(leaf_hash(leaf));
-            }
-            let new_size = size + batch.leaves.len() as u64;
-            (new_size, merkle::root_at(&state.tree, new_size)?)
+        let problem = match placed {
+            Ok(placed) if placed.resubmitted => "a record that is in the log before".into(),
+            Ok(placed) if placed.envelope != *envelope => "a record with other signatures than it would get".into(),
+            Ok(_) => continue,
+            Err(e @ RegistryError::Store(_)) => return Err(e),
+            Err(e) => e.to_string(),
         };
-        let signed = Checkpoint::new(&self.origin, new_size, root);
-        let envelopes = || match &batch.found {
-            Some(round) => round.comes_to(&signed, size),
-            None => self.append_to_packs(size, writer.pack_length, &batch.leaves),
-        };
-        let pack_length = self.beside_anchor(envelopes, |anchor| anchor.prepare(&signed))?;
-        // Somebody may have stopped the log meanwhile, who knows better what it is.
-        if let Some(cause) = self.halted() {
-            return Err(RegistryError::Halted { cause });
+        return Err(round.refuse(size, &problem));
+    }
+    batch.found = Some(round);
+    write_batch(shared, size, &mut writer, batch)
+}
+
+/// Works out the map with the batch's records in it, and appends its leaf.
+fn close_with_the_map(shared: &Shared, size: u64, batch: &mut Batch) -> Result<Staged, RegistryError> {
+    let staged = shared.read().map.stage(&StoredBuckets(shared.store.as_ref()), &batch.map)?;
+    for (key, entries) in &batch.map {
+        let prefix = layout::map_entries(key);
+        batch.entries.extend(entries.iter().map(|entry| {
+            let row = [&prefix[..], &entry.index.to_be_bytes()].concat();
+            (row, Some(entry.leaf_hash.as_bytes().to_vec()))
+        }));
+    }
+    batch.entries.extend(staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone()))));
+    batch.entries.extend(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))));
+    let index = size + batch.leaves.len() as u64;
+    let leaf = MapLeaf::sign(&shared.origin, index, staged.root, &shared.key).encode().to_vec();
+    batch.entries.push((layout::leaf(index), Some(leaf.clone())));
+    batch.leaves.push((leaf, Slot::MapLeaf));
+    Ok(staged)
+}
+
+/// Appends frames to one pack or several; gives the length of the pack that the next entry goes into.
+fn append_to_packs(shared: &Shared, size: u64, length: u64, leaves: &[(Vec<u8>, Slot)]) -> Result<u64, RegistryError> {
+    let width = u64::from(TILE_WIDTH);
+    let (mut index, mut offset, mut rest) = (size, length, leaves);
+    while !rest.is_empty() {
+        let room = (width - index % width) as usize;
+        let (here, behind) = rest.split_at(room.min(rest.len()));
+        let frames: Vec<u8> = here.iter().flat_map(|(_, slot)| slot.to_frame()).collect();
+        shared.files.append(&layout::pack(index / width), offset, &frames)?;
+        index += here.len() as u64;
+        offset = if index.is_multiple_of(width) { 0 } else { offset + frames.len() as u64 };
+        rest = behind;
+    }
+    Ok(offset)
+}
+
+/// A signature over leaves that the store does not give back could never be honoured.
+fn read_back(shared: &Shared, size: u64, leaves: &[(Vec<u8>, Slot)]) -> Result<(), RegistryError> {
+    let read = shared.store.scan(layout::LEAVES, &size.to_be_bytes(), leaves.len())?;
+    for (at, (leaf, _)) in leaves.iter().enumerate() {
+        let index = size + at as u64;
+        if read.get(at).is_none_or(|(key, value)| *key != layout::leaf(index) || value != leaf) {
+            let what = "reads back differently from what was written".into();
+            return Err(inconsistent(&format!("leaf {index}"), what));
         }
-        batch.entries.push((layout::SIGNED.to_vec(), Some(layout::signed(new_size, &root))));
-        let rows = || Ok(self.store.put(batch.entries).and_then(|()| self.store.flush())?);
-        self.beside_anchor(rows, Anchor::adopt)?;
-        self.read_back(size, &batch.leaves)?;
-        let note = signed.sign(&self.key)?;
-        writer.pack_length = pack_length;
-        writer.used.extend(batch.planned.nonces);
-        writer.used.retain(|_, index| new_size - *index <= NONCE_LIFETIME);
-        let mut state = self.write();
-        state.map.apply(&staged);
-        state.size = new_size;
-        state.root = root;
-        state.checkpoint = note.to_string();
-        Ok(())
     }
+    Ok(())
+}
 
-    /// Does a part of a round, and at the same time, where there is an anchor, something with that: a file system flushes
-    /// both for the price of one.
-    fn beside_anchor<T>(
-        &self,
-        part: impl FnOnce() -> Result<T, RegistryError>,
-        act: impl FnOnce(&Anchor) -> Result<(), StoreError> + Send,
-    ) -> Result<T, RegistryError> {
-        let Some(anchor) = &self.anchor else { return part() };
-        let (done, anchored) = thread::scope(|scope| {
-            let anchored = scope.spawn(|| act(anchor));
-            (part(), anchored.join())
-        });
-        let done = done?;
-        anchored.map_err(|_| RegistryError::Halted { cause: "the anchor's writer panicked".into() })??;
-        Ok(done)
-    }
-
-    /// Takes in a round that a crash left in the packs after the anchor was told of it.
-    ///
-    /// # Errors
-    /// [`RegistryError::RolledBack`] where its envelopes do not come to what was about to be signed; [`RegistryError::Store`].
-    pub(super) fn take_up(&self, round: Round) -> Result<(), RegistryError> {
-        let (size, mut writer, mut batch) = (self.size(), lock(&self.writer), Batch::default());
-        for envelope in &round.envelopes {
-            let placed = Candidate::check(envelope, &self.origin)
-                .and_then(|candidate| self.place(&candidate, size, &writer, &mut batch));
-            let problem = match placed {
-                Ok(placed) if placed.resubmitted => "a record that is in the log before".into(),
-                Ok(placed) if placed.envelope != *envelope => "a record with other signatures than it would get".into(),
-                Ok(_) => continue,
-                Err(e @ RegistryError::Store(_)) => return Err(e),
-                Err(e) => e.to_string(),
-            };
-            return Err(round.refuse(size, &problem));
-        }
-        batch.found = Some(round);
-        self.write_batch(size, &mut writer, batch)
-    }
-
-    /// Works out the map with the batch's records in it, and appends its leaf.
-    fn close_with_the_map(&self, size: u64, batch: &mut Batch) -> Result<Staged, RegistryError> {
-        let staged = self.read().map.stage(&StoredBuckets(self.store.as_ref()), &batch.map)?;
-        for (key, entries) in &batch.map {
-            let prefix = layout::map_entries(key);
-            batch.entries.extend(entries.iter().map(|entry| {
-                let row = [&prefix[..], &entry.index.to_be_bytes()].concat();
-                (row, Some(entry.leaf_hash.as_bytes().to_vec()))
-            }));
-        }
-        batch.entries.extend(staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone()))));
-        batch.entries.extend(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))));
-        let index = size + batch.leaves.len() as u64;
-        let leaf = MapLeaf::sign(&self.origin, index, staged.root, &self.key).encode().to_vec();
-        batch.entries.push((layout::leaf(index), Some(leaf.clone())));
-        batch.leaves.push((leaf, Slot::MapLeaf));
-        Ok(staged)
-    }
-
-    /// Appends frames to one pack or several; gives the length of the pack that the next entry goes into.
-    fn append_to_packs(&self, size: u64, length: u64, leaves: &[(Vec<u8>, Slot)]) -> Result<u64, RegistryError> {
-        let width = u64::from(TILE_WIDTH);
-        let (mut index, mut offset, mut rest) = (size, length, leaves);
-        while !rest.is_empty() {
-            let room = (width - index % width) as usize;
-            let (here, behind) = rest.split_at(room.min(rest.len()));
-            let frames: Vec<u8> = here.iter().flat_map(|(_, slot)| slot.to_frame()).collect();
-            self.files.append(&layout::pack(index / width), offset, &frames)?;
-            index += here.len() as u64;
-            offset = if index.is_multiple_of(width) { 0 } else { offset + frames.len() as u64 };
-            rest = behind;
-        }
-        Ok(offset)
-    }
-
-    /// A signature over leaves that the store does not give back could never be honoured.
-    fn read_back(&self, size: u64, leaves: &[(Vec<u8>, Slot)]) -> Result<(), RegistryError> {
-        let read = self.store.scan(layout::LEAVES, &size.to_be_bytes(), leaves.len())?;
-        for (at, (leaf, _)) in leaves.iter().enumerate() {
-            let index = size + at as u64;
-            if read.get(at).is_none_or(|(key, value)| *key != layout::leaf(index) || value != leaf) {
-                let what = "reads back differently from what was written".into();
-                return Err(inconsistent(&format!("leaf {index}"), what));
-            }
-        }
-        Ok(())
-    }
-
-    fn receipt(&self, placed: Placed) -> Result<Receipt, RegistryError> {
-        let state: &State = &self.read();
-        Ok(Receipt {
-            index: placed.index,
-            leaf_hash: state.tree.leaf(placed.index)?,
-            durable: true,
-            resubmitted: placed.resubmitted,
-            checkpoint: state.checkpoint.clone(),
-            size: state.size,
-            inclusion: state.proven(placed.index, state.size)?,
-            envelope: placed.envelope,
-        })
-    }
-
-    /// Stops all writing for good: somebody outside knows better what this log is. It goes on reading and proving.
-    /// Whoever waits for the round to come is refused at once; whose round is being written waits for that.
-    pub fn stop_writing(&self, cause: &str) {
-        self.halt(cause);
-        // Under its lock: between a look and a wait nobody hears a call.
-        let _queue = lock(&self.queue);
-        self.wake.notify_all();
-    }
-
-    /// Stops all writing; the first cause stays.
-    pub(super) fn halt(&self, cause: &str) -> String {
-        self.halted.get_or_init(|| cause.to_owned()).clone()
-    }
+fn receipt(shared: &Shared, placed: Placed) -> Result<Receipt, RegistryError> {
+    let state: &State = &shared.read();
+    Ok(Receipt {
+        index: placed.index,
+        leaf_hash: state.tree.leaf(placed.index)?,
+        durable: true,
+        resubmitted: placed.resubmitted,
+        checkpoint: state.checkpoint.clone(),
+        size: state.size,
+        inclusion: state.proven(placed.index, state.size)?,
+        envelope: placed.envelope,
+    })
 }
 
 /// The map's buckets as the store keeps them.
@@ -407,10 +337,10 @@ fn list_key(row: &[u8]) -> Result<MapKey, StoreError> {
 }
 
 impl Batch {
-    fn add(&mut self, index: u64, candidate: &Candidate, admitted: &Admitted) {
-        let (record, leaf) = (&candidate.record, candidate.leaf.encode().to_vec());
-        let digest = candidate.leaf.record;
-        self.index(index, &candidate.leaf);
+    fn add(&mut self, index: u64, candidate: &SignedRecord, admitted: &Admitted) {
+        let (record, leaf) = (candidate.record(), candidate.leaf().encode().to_vec());
+        let digest = candidate.leaf().record;
+        self.index(index, candidate.leaf());
         self.entries.push((layout::nonce(index), Some(record.nonce.as_bytes().to_vec())));
         for key in keys_of(record, admitted.replaced_owner) {
             self.map.entry(key).or_default().push(MapEntry { index, leaf_hash: leaf_hash(&leaf) });
@@ -430,10 +360,6 @@ impl Batch {
         self.entries.push((layout::leaf(index), Some(leaf.encode().to_vec())));
         self.entries.push((layout::index_of(&leaf.record), Some(index.to_be_bytes().to_vec())));
     }
-}
-
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -95,10 +95,10 @@ fn a_round_that_does_not_end_keeps_nobody_else_waiting() {
         store.entered.0.wait();
         assert!(registry.writing_for().is_some());
         let waiting = scope.spawn(|| registry.submit(&envelopes[1]));
-        while lock(&registry.queue).waiting.is_empty() {
+        while lock(&registry.shared.queue).waiting.is_empty() {
             std::thread::yield_now();
         }
-        let turn = scope.spawn(|| registry.turn().map(drop));
+        let turn = scope.spawn(|| registry.shared.turn().map(drop));
         registry.stop_writing("its disk does not answer");
         assert!(matches!(turn.join().unwrap(), Err(RegistryError::Halted { .. })));
         for refused in [waiting.join().unwrap(), registry.submit(&envelopes[2])] {
@@ -156,7 +156,7 @@ fn those_who_wait_during_a_flush_share_the_next() {
                 scope.spawn(move || registry.submit(&envelope).unwrap())
             })
             .collect();
-        while lock(&registry.queue).waiting.len() < 9 {
+        while lock(&registry.shared.queue).waiting.len() < 9 {
             std::thread::yield_now();
         }
         // Not published while its flush has not returned.
@@ -170,7 +170,7 @@ fn those_who_wait_during_a_flush_share_the_next() {
         assert_eq!(indices, (2..=9).map(|index| (index, 11)).collect::<Vec<_>>());
     });
     // The rounds themselves: a receipt is made after its round, and may stand under the next one's checkpoint.
-    let is_map = |index: &u64| matches!(registry.entry(*index), Ok(super::super::LogEntry::Map { .. }));
+    let is_map = |index: &u64| matches!(registry.entry(*index), Ok(crate::log::LogEntry::Map { .. }));
     assert_eq!((0..registry.size()).filter(is_map).collect::<Vec<_>>(), [1, 10]);
     assert_eq!(store.flushes.load(Ordering::SeqCst) - before, 2);
 }
@@ -205,5 +205,5 @@ fn submitters_and_whoever_wants_the_turn_for_something_else_all_get_it() {
     let records = (0..registry.size()).filter(|index| registry.leaf(*index).is_ok()).count();
     assert_eq!(records, 8 * usize::from(EACH));
     assert!(registry.check().unwrap().is_empty());
-    assert!(lock(&registry.queue).waiting.is_empty());
+    assert!(lock(&registry.shared.queue).waiting.is_empty());
 }

@@ -234,3 +234,8 @@ impl From<DurableError> for RegistryError {
         }
     }
 }
+
+/// Stored bytes that contradict each other or what was signed.
+pub(super) fn inconsistent(place: &str, what: String) -> RegistryError {
+    RegistryError::Inconsistent { place: place.to_owned(), what }
+}

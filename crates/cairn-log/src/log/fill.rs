@@ -6,8 +6,9 @@
 //! So that no such log is taken for a real one, its origin has to say what it is.
 
 use super::{
-    Registry, RegistryError,
-    commit::{Batch, lock},
+    commit::{self, Batch},
+    error::RegistryError,
+    shared::{Shared, lock},
 };
 use crate::format::{
     leaf::Leaf,
@@ -18,28 +19,23 @@ use crate::format::{
 /// What the origin of a log that may be filled begins with.
 pub const ORIGIN_PREFIX: &str = "cairn.bench/";
 
-impl Registry {
-    /// Appends erased records in one batch, durable on return: for each its leaf and its map keys.
-    ///
-    /// # Errors
-    /// [`RegistryError::WrongOrigin`] for a log that is not a benchmark's, [`RegistryError::Halted`], [`RegistryError::Store`].
-    pub fn fill(&self, records: impl Iterator<Item = (Leaf, Vec<MapKey>)>) -> Result<(), RegistryError> {
-        if !self.origin.starts_with(ORIGIN_PREFIX) {
-            let expected = format!("{ORIGIN_PREFIX}...");
-            return Err(RegistryError::WrongOrigin { expected, got: self.origin.clone() });
-        }
-        let _turn = self.turn()?;
-        if let Some(cause) = self.halted() {
-            return Err(RegistryError::Halted { cause });
-        }
-        let (size, mut batch) = (self.size(), Batch::default());
-        for (index, (leaf, keys)) in (size..).zip(records) {
-            batch.index(index, &leaf);
-            for key in &keys {
-                batch.map.entry(*key).or_default().push(MapEntry { index, leaf_hash: leaf.hash() });
-            }
-            batch.leaves.push((leaf.encode().to_vec(), Slot::Erased(keys)));
-        }
-        self.write_batch(size, &mut lock(&self.writer), batch)
+/// As [`super::Registry::fill`].
+pub(super) fn fill(shared: &Shared, records: impl Iterator<Item = (Leaf, Vec<MapKey>)>) -> Result<(), RegistryError> {
+    if !shared.origin.starts_with(ORIGIN_PREFIX) {
+        let expected = format!("{ORIGIN_PREFIX}...");
+        return Err(RegistryError::WrongOrigin { expected, got: shared.origin.clone() });
     }
+    let _turn = shared.turn()?;
+    if let Some(cause) = shared.halted() {
+        return Err(RegistryError::Halted { cause });
+    }
+    let (size, mut batch) = (shared.size(), Batch::default());
+    for (index, (leaf, keys)) in (size..).zip(records) {
+        batch.index(index, &leaf);
+        for key in &keys {
+            batch.map.entry(*key).or_default().push(MapEntry { index, leaf_hash: leaf.hash() });
+        }
+        batch.leaves.push((leaf.encode().to_vec(), Slot::Erased(keys)));
+    }
+    commit::write_batch(shared, size, &mut lock(&shared.writer), batch)
 }

@@ -13,11 +13,10 @@ use std::{
     sync::Arc,
 };
 
-use super::{Registry, RegistryError, commit::StoredBuckets, layout, nonce::NONCE_LIFETIME, reload, seal, tiles};
+use super::{commit::StoredBuckets, error::RegistryError, layout, nonce::NONCE_LIFETIME, reload, seal, tiles};
 use crate::{
     format::{
         digest::Digest,
-        dsse::Envelope,
         key::OwnerKey,
         leaf::Leaf,
         map::{MapEntry, MapKey, keys_of},
@@ -25,6 +24,7 @@ use crate::{
         merkle::{self, Subtrees as _},
         packs::{self, Slot},
         record::RecordKind,
+        signed::SignedRecord,
         tile::{TILE_WIDTH, TileKind, TilePath, decode_entries, encode_entries},
     },
     log::{
@@ -56,101 +56,88 @@ pub struct Rebuilt {
     pub left_out: u64,
 }
 
-impl Registry {
-    /// Makes the working state of the log in the folder `path` again. What is there of it must have been moved away.
-    /// Single leaves' files are believed only as far as the published root goes.
-    ///
-    /// `progress` is told entries done and entries that are published. Ended early, it begins anew the next time.
-    ///
-    /// # Errors
-    /// [`RegistryError::Rebuild`] names what is there already, missing or contradicts what was signed;
-    /// [`RegistryError::Locked`], [`RegistryError::Store`].
-    pub fn rebuild(
-        path: &Path,
-        key: &OwnerKey,
-        origin: &str,
-        progress: &mut dyn FnMut(u64, u64),
-    ) -> Result<Rebuilt, RegistryError> {
-        let _lock = LockFile::take(&path.join(layout::LOCK))?;
-        let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
-        if working.exists() {
-            return Err(refuse(layout::WORKING, "is there; move it away first".into()));
-        }
-        // A seal that was left is on what is not there any more.
-        drop(seal::Seal::break_open(path)?);
-        let failed = |operation, place: &Path| {
-            let place = place.display().to_string();
-            move |e: io::Error| StoreError { operation, place, cause: e.to_string() }
-        };
-        match fs::remove_dir_all(&new) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed("remove", &new)(e).into()),
-            _ => {}
-        }
-        let store = DiskStore::open(&new)?;
-        let disk = Box::new(RealDisk::new(path));
-        let runs = (layout::REBUILT_RUNS, layout::ENOUGH);
-        let rebuilt = Self::rebuild_store(Box::new(store), disk, runs, key, origin, progress)?;
-        seal::await_closed(&new.join("db")).map_err(failed("close", &new))?;
-        cairn_durable::rename(&new, &working)?;
-        Ok(rebuilt)
+/// As [`super::Registry::rebuild`].
+pub(super) fn rebuild(
+    path: &Path,
+    key: &OwnerKey,
+    origin: &str,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Rebuilt, RegistryError> {
+    let _lock = LockFile::take(&path.join(layout::LOCK))?;
+    let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
+    if working.exists() {
+        return Err(refuse(layout::WORKING, "is there; move it away first".into()));
     }
+    // A seal that was left is on what is not there any more.
+    drop(seal::Seal::break_open(path)?);
+    let failed = |operation, place: &Path| {
+        let place = place.display().to_string();
+        move |e: io::Error| StoreError { operation, place, cause: e.to_string() }
+    };
+    match fs::remove_dir_all(&new) {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed("remove", &new)(e).into()),
+        _ => {}
+    }
+    let store = DiskStore::open(&new)?;
+    let disk = Box::new(RealDisk::new(path));
+    let rebuilt = rebuild_store(Box::new(store), disk, layout::REBUILT_RUNS, layout::ENOUGH, key, origin, progress)?;
+    seal::await_closed(&new.join("db")).map_err(failed("close", &new))?;
+    cairn_durable::rename(&new, &working)?;
+    Ok(rebuilt)
+}
 
-    /// As [`Registry::rebuild`], into a store of the caller's, which is empty; its sorted runs go into the folder of `runs`,
-    /// each begun with so many rows.
-    ///
-    /// # Errors
-    /// As [`Registry::rebuild`].
-    pub fn rebuild_store(
-        store: Box<dyn Store>,
-        disk: Box<dyn Disk>,
-        (runs, enough): (&'static str, usize),
-        key: &OwnerKey,
-        origin: &str,
-        progress: &mut dyn FnMut(u64, u64),
-    ) -> Result<Rebuilt, RegistryError> {
-        let files = Arc::new(Files::new(disk));
-        let store = TieredStore::open(store, files.clone(), runs, layout::COLD, enough)?;
-        let Some((_, published)) = reload::published(&files, key, origin)? else {
-            return Err(refuse(layout::CHECKPOINT, "is missing: nothing says what this log signed".into()));
-        };
-        let mut making = Making {
-            store: &store,
-            files: &files,
-            key,
-            origin,
-            published: published.size,
-            filed: published.size - published.size % WIDTH,
-            tree: tiles::TileTree::load(files.clone(), 0)?,
-            map: BucketMap::new(),
-            batch: Batch::default(),
-            owners: HashSet::new(),
-            nonces_from: 0,
-            bundle: Vec::new(),
-            wrong: Vec::new(),
-            done: Rebuilt::default(),
-        };
-        for number in 0.. {
-            if !making.take_pack(number)? {
-                break;
-            }
-            making.compare_tiles()?;
-            store.tidy(&|| false)?;
-            if number % PACKS_AT_ONCE == 0 {
-                progress(making.done.size, published.size);
-            }
-        }
-        let (size, root) = (making.done.size, merkle::root_at(&making.tree, published.size.min(making.done.size))?);
-        if size < published.size || root != published.root {
-            let what = format!("gives {size} entries and root {root} at the published size {}", published.size);
-            return Err(refuse("envelopes", format!("{what}, published is root {}", published.root)));
+/// As [`super::Registry::rebuild_store`].
+pub(super) fn rebuild_store(
+    store: Box<dyn Store>,
+    disk: Box<dyn Disk>,
+    runs: &'static str,
+    enough: usize,
+    key: &OwnerKey,
+    origin: &str,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Rebuilt, RegistryError> {
+    let files = Arc::new(Files::new(disk));
+    let store = TieredStore::open(store, files.clone(), runs, layout::COLD, enough)?;
+    let Some((_, published)) = reload::published(&files, key, origin)? else {
+        return Err(refuse(layout::CHECKPOINT, "is missing: nothing says what this log signed".into()));
+    };
+    let mut making = Making {
+        store: &store,
+        files: &files,
+        key,
+        origin,
+        published: published.size,
+        filed: published.size - published.size % WIDTH,
+        tree: tiles::TileTree::load(files.clone(), 0)?,
+        map: BucketMap::new(),
+        batch: Batch::default(),
+        owners: HashSet::new(),
+        nonces_from: 0,
+        bundle: Vec::new(),
+        wrong: Vec::new(),
+        done: Rebuilt::default(),
+    };
+    for number in 0.. {
+        if !making.take_pack(number)? {
+            break;
         }
         making.compare_tiles()?;
-        files.replace(&making.wrong)?;
-        making.finish()?;
         store.tidy(&|| false)?;
-        progress(size, published.size);
-        Ok(Rebuilt { unpublished: size - published.size, ..making.done })
+        if number % PACKS_AT_ONCE == 0 {
+            progress(making.done.size, published.size);
+        }
     }
+    let (size, root) = (making.done.size, merkle::root_at(&making.tree, published.size.min(making.done.size))?);
+    if size < published.size || root != published.root {
+        let what = format!("gives {size} entries and root {root} at the published size {}", published.size);
+        return Err(refuse("envelopes", format!("{what}, published is root {}", published.root)));
+    }
+    making.compare_tiles()?;
+    files.replace(&making.wrong)?;
+    making.finish()?;
+    store.tidy(&|| false)?;
+    progress(size, published.size);
+    Ok(Rebuilt { unpublished: size - published.size, ..making.done })
 }
 
 /// A working state on its way.
@@ -263,8 +250,8 @@ impl Making<'_> {
 
     fn take_record(&mut self, index: u64, json: &[u8]) -> Result<Leaf, RegistryError> {
         let refuse = |what: String| refuse(&format!("entry {index}"), what);
-        let envelope = Envelope::parse(json).map_err(|e| refuse(e.to_string()))?;
-        let (leaf, record) = Leaf::open(&envelope).map_err(|e| refuse(e.to_string()))?;
+        let signed = SignedRecord::parse(json).map_err(|e| refuse(e.to_string()))?;
+        let (envelope, record, leaf) = signed.into_parts();
         if record.origin != self.origin {
             return Err(refuse(format!("of log {:?}, this is {:?}", record.origin, self.origin)));
         }

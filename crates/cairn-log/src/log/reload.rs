@@ -7,12 +7,11 @@
 use std::{collections::HashMap, sync::Arc};
 
 use super::{
-    RegistryError, State,
     anchor::{Anchor, Standing},
-    commit::Writer,
+    error::{RegistryError, inconsistent},
     layout,
     nonce::NONCE_LIFETIME,
-    publish::{Publisher, is_cosigned},
+    shared::{Publisher, State, Writer},
     tiles::TileTree,
 };
 use crate::{
@@ -23,7 +22,7 @@ use crate::{
         leaf::LEAF_LEN,
         map_leaf::Entry,
         merkle::{self, leaf_hash},
-        note::{NoteVerifier, check_name},
+        note::{Note, NoteVerifier, check_name},
         packs,
         tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
     },
@@ -319,6 +318,7 @@ fn expect(what: &'static str, expected: &str, got: Option<Vec<u8>>) -> Result<()
     Err(RegistryError::WrongStore { what, expected: expected.to_owned(), got })
 }
 
-pub(super) fn inconsistent(place: &str, what: String) -> RegistryError {
-    RegistryError::Inconsistent { place: place.to_owned(), what }
+/// Signature lines of a note beyond the log's own.
+pub(super) fn is_cosigned(note: &str) -> bool {
+    Note::parse(note).is_ok_and(|note| note.signatures.len() > 1)
 }

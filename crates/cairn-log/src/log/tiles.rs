@@ -13,7 +13,10 @@ use std::{
 
 use lru::LruCache;
 
-use super::{RegistryError, layout, reload::inconsistent};
+use super::{
+    error::{RegistryError, inconsistent},
+    layout,
+};
 use crate::format::{
     digest::Digest,
     merkle::{ProofError, Subtrees, node_hash},

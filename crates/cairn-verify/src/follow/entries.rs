@@ -8,7 +8,10 @@ use cairn_log::format::{
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
 
-use super::{Fetch, FollowError, MAX_NEW_ENTRIES, Signed, reader};
+use super::{
+    fetch::{Fetch, FollowError, MAX_NEW_ENTRIES, Signed},
+    reader,
+};
 use crate::{code::Code, map::Frontier, report::Findings, store::check_map_leaf};
 
 const CHUNK: u64 = TILE_WIDTH as u64;

@@ -5,7 +5,10 @@ use std::fmt;
 use cairn_log::format::NoteVerifier;
 use serde::Serialize;
 
-use super::{Fetch, Signed, reader::Reader};
+use super::{
+    fetch::{Fetch, Signed},
+    reader::Reader,
+};
 use crate::{
     code::Code,
     report::{Finding, Findings, Outcome},

@@ -9,7 +9,7 @@ use cairn_log::format::{
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
 
-use super::{Fetch, FollowError};
+use super::fetch::{Fetch, FollowError};
 
 /// Most tiles that are kept, so that a log cannot fill the memory: those of two sizes' borders are fewer.
 const MAX_KEPT: usize = 1024;

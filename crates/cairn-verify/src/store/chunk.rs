@@ -16,9 +16,9 @@ use cairn_log::format::{
 };
 
 use super::{
-    Stock,
     files::{CHUNK, ENTRY, Files},
     frames::{Frames, Slot},
+    options::Stock,
     record::{self, Replacing, Sound},
     tiles,
 };

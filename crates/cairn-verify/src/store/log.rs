@@ -10,12 +10,12 @@ use cairn_log::format::{
 use rayon::prelude::*;
 
 use super::{
-    StoreError, StoreOptions,
     chunk::{self, Chunk, Context, Said},
-    files::{CHUNK, ENTRY, Files},
+    files::{CHUNK, ENTRY, Files, StoreError},
     frames::{Frames, Slot},
+    options::StoreOptions,
     record::Replacing,
-    replaced::{self, Endings},
+    replaced::{self, Endings, owners_of},
     report::Tally,
     tail, tiles,
 };
@@ -110,23 +110,6 @@ fn rotated(context: &Context<'_>) -> HashSet<Digest> {
             Slot::Erased(_) | Slot::Map => None,
         };
         rotations.into_iter().filter_map(replaced).collect()
-    };
-    (0..context.extent.div_ceil(CHUNK)).into_par_iter().flat_map_iter(of_chunk).collect()
-}
-
-/// Index and owner's key id of each record looked for that is in the log.
-pub(super) fn owners_of(context: &Context<'_>, wanted: &HashSet<Digest>) -> HashMap<Digest, (u64, Digest)> {
-    if wanted.is_empty() {
-        return HashMap::new();
-    }
-    let of_chunk = |index: u64| -> Vec<(Digest, (u64, Digest))> {
-        let bundle = tiles::widest(context.files, TileKind::Entries, index, ENTRY);
-        let bytes = bundle.map(|(_, bytes)| bytes).unwrap_or_default();
-        let leaf = |(at, entry): (u64, &[u8; ENTRY])| {
-            let leaf = Leaf::decode(&entry[2..]).ok().filter(|leaf| wanted.contains(&leaf.record))?;
-            Some((leaf.record, (index * CHUNK + at, leaf.owner)))
-        };
-        (0..).zip(bytes.as_chunks::<ENTRY>().0).filter_map(leaf).collect()
     };
     (0..context.extent.div_ceil(CHUNK)).into_par_iter().flat_map_iter(of_chunk).collect()
 }

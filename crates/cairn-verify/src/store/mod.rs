@@ -17,6 +17,7 @@ mod class;
 mod files;
 mod frames;
 mod log;
+mod options;
 mod record;
 mod replaced;
 mod report;
@@ -31,6 +32,7 @@ use cairn_log::format::{Checkpoint, Digest, NoteVerifier, Policy, merkle};
 pub(crate) use chunk::check_map_leaf;
 pub use class::Class;
 pub use files::StoreError;
+pub use options::{Stock, StoreOptions};
 pub use report::StoreReport;
 pub(crate) use seal::read_manifest;
 pub use seal::{Manifest, ManifestFile};
@@ -38,26 +40,6 @@ pub use seal::{Manifest, ManifestFile};
 use crate::{code::Code, policy, report::Findings};
 use files::Files;
 use report::Tally;
-
-/// Whom to believe, and what else is known of the folder.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct StoreOptions<'a> {
-    /// The log's verifier key, obtained from elsewhere. Without it nothing is trusted.
-    pub pinned: Option<&'a NoteVerifier>,
-    /// The log's key as it lies in the folder: good for telling damage, not for trust.
-    pub found: Option<&'a NoteVerifier>,
-    /// Whose cosignatures the published checkpoint must carry.
-    pub policy: Option<&'a Policy>,
-    /// The models that lie in the folder, to be held to the records about them.
-    pub stock: Option<&'a Stock>,
-}
-
-/// Digests that the folder's models have, a set a scene.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Stock {
-    /// Scene, and the digests of its models' files and photographs' roots.
-    pub scenes: std::collections::BTreeMap<String, std::collections::BTreeSet<Digest>>,
-}
 
 /// Audits the registry of the data folder `dir`.
 ///

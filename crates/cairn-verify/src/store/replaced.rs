@@ -2,21 +2,24 @@
 //! go on under another key. Who speaks for the other's owner follows rotations from key to key ([`cairn_log::format::heir::heir()`]).
 
 use std::{
-    collections::{HashMap, hash_map::Entry},
+    collections::{HashMap, HashSet, hash_map::Entry},
     convert::Infallible,
 };
 
 use cairn_log::format::{
-    Digest, RecordKind,
+    Digest, Leaf, RecordKind,
     heir::{Ending, Heir, heir},
+    tile::TileKind,
 };
+
+use rayon::prelude::*;
 
 use super::{
     chunk::Context,
-    files::CHUNK,
+    files::{CHUNK, ENTRY},
     frames::{Frames, Slot},
-    log::owners_of,
     record::{self, Replacing},
+    tiles,
 };
 use crate::{
     code::Code,
@@ -110,4 +113,21 @@ fn record_at(context: &Context<'_>, index: u64) -> Option<Vec<u8>> {
         Slot::Record(json) => Some(json.to_vec()),
         Slot::Erased(_) | Slot::Map => None,
     }
+}
+
+/// Index and owner's key id of each record looked for that is in the log.
+pub(super) fn owners_of(context: &Context<'_>, wanted: &HashSet<Digest>) -> HashMap<Digest, (u64, Digest)> {
+    if wanted.is_empty() {
+        return HashMap::new();
+    }
+    let of_chunk = |index: u64| -> Vec<(Digest, (u64, Digest))> {
+        let bundle = tiles::widest(context.files, TileKind::Entries, index, ENTRY);
+        let bytes = bundle.map(|(_, bytes)| bytes).unwrap_or_default();
+        let leaf = |(at, entry): (u64, &[u8; ENTRY])| {
+            let leaf = Leaf::decode(&entry[2..]).ok().filter(|leaf| wanted.contains(&leaf.record))?;
+            Some((leaf.record, (index * CHUNK + at, leaf.owner)))
+        };
+        (0..).zip(bytes.as_chunks::<ENTRY>().0).filter_map(leaf).collect()
+    };
+    (0..context.extent.div_ceil(CHUNK)).into_par_iter().flat_map_iter(of_chunk).collect()
 }

@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::Class;
 use crate::{
-    code::Code,
-    report::{Finding, Findings, Outcome, Severity},
+    code::{Code, Severity},
+    report::{Finding, Findings, Outcome},
 };
 
 /// Most findings that a report carries; a store that is lost as a whole has one for each of its files.
