@@ -3,8 +3,8 @@
 //! the same seed.
 
 use cairn_eval::baseline::deepstega::{DeepConfig, DeepStega, DeepTrainer};
-use cairn_landmark::signals::emblem;
 use cairn_landmark::{Landmark, LandmarkConfig};
+use cairn_mark::emblem;
 use cairn_scene::Picture;
 use cairn_scene::metrics::{psnr_db, ssim};
 

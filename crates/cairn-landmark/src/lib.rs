@@ -6,18 +6,15 @@
 //! an ordinary capture in an ordinary format, plus what no real capture has: the
 //! true cameras, and every photograph without its passers-by.
 //!
-//! Entry points: [`Landmark::generate`], [`LandmarkCapture::write`], and
-//! [`signals::emblem`] for contributors who bring nothing of their own to hide.
+//! Entry points: [`Landmark::generate`] and [`LandmarkCapture::write`].
 
 mod capture;
 mod config;
-mod font;
 mod light;
 mod monument;
 mod noise;
 mod people;
 mod render;
-pub mod signals;
 pub mod sounds;
 
 pub use capture::{Landmark, LandmarkCapture, LandmarkError, LandmarkView};

@@ -8,6 +8,7 @@
 
 mod attack;
 mod detect;
+mod emblem;
 mod error;
 mod marked;
 mod payload;
@@ -18,6 +19,7 @@ mod tensors;
 pub use attack::{Distortion, RobustConfig};
 pub use detect::blind::detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use detect::informed::{BELIEVED, RegisteredReader, RegisteredReading};
+pub use emblem::emblem;
 pub use error::MarkError;
 pub use marked::{MARKED_FORMAT, MarkedField};
 pub use payload::{HeadSizes, Signal};

@@ -3,8 +3,8 @@
 //! one begun anew.
 
 use cairn_field::{BaseTrainer, Field, FieldConfig, NamedView, SceneFrame};
-use cairn_landmark::signals::emblem;
 use cairn_landmark::{Landmark, LandmarkConfig};
+use cairn_mark::emblem;
 use cairn_mark::{Detector, MarkPlan, MarkTrainer, MarkedField, PlannedView, Recipe};
 use cairn_nn::{ClassifierConfig, UNetConfig};
 use cairn_scene::cluster::{ClusterConfig, Clusters, Grouping};

@@ -10,7 +10,7 @@ use std::time::Duration;
 use cairn_log::witness::WitnessClient;
 use cairn_log::{Digest, PublicKey, Registry, RegistryError};
 use cairn_scene::cluster::Grouping;
-use cairn_scene::{Camera, Picture, SceneFolder};
+use cairn_scene::{Camera, Capture, Picture, SceneFolder};
 
 use crate::config::{Config, Limits, TrainingOptions};
 use crate::error::EngineError;
@@ -148,6 +148,17 @@ impl Engine {
                 Err(error)
             }
         }
+    }
+
+    /// Imports a capture that lies on this machine; the scene is durable on return and belongs to nobody.
+    ///
+    /// # Errors
+    /// For a name that is taken or not allowed, a photograph that does not decode, and the file system's.
+    pub fn import_capture(&self, name: &str, capture: &Capture) -> Result<SceneFolder, EngineError> {
+        scenes::check_scene_name(name)?;
+        let place = self.access.place(name, self.folder.scenes().join(name))?;
+        self.access.announce(&place, None)?;
+        Ok(SceneFolder::create(&self.folder.scenes(), name, capture)?)
     }
 
     /// Names of all scenes, sorted.

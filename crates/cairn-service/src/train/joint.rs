@@ -5,9 +5,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use cairn_landmark::signals::emblem;
 use cairn_log::Digest;
-use cairn_mark::{Detector, MarkedField, Signal};
+use cairn_mark::{Detector, MarkedField, Signal, emblem};
 use cairn_scene::SceneFolder;
 use cairn_scene::cluster::Clusters;
 

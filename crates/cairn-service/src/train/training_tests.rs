@@ -178,7 +178,7 @@ fn marks_are_fainter_where_photographs_are_explained_better_and_the_job_says_so(
     let begin = |budget_db: f64, max_cost_db: f64, checkpoint: Option<&[u8]>| {
         let config = cairn_mark::Recipe { budget_db, max_cost_db, ..trained.job.spec.settings.mark.clone() };
         let config = cairn_mark::Recipe { budget_start_db: budget_db.min(config.budget_start_db), ..config };
-        let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, config.side_px(), 7));
+        let emblem = |i| Signal::from(cairn_mark::emblem(i, config.side_px(), 7));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
         let photographs = stages::Photographs::default();
@@ -257,7 +257,7 @@ fn a_stop_is_heard_before_the_next_photograph_and_view() {
     assert_eq!(heard.last(), Some(&(stages::PHOTOGRAPHS, total - 3, total - 2)));
 
     let clusters = clusters(&scene, &trained.job.spec.grouping, seed).unwrap();
-    let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, settings.mark.side_px(), seed));
+    let emblem = |i| Signal::from(cairn_mark::emblem(i, settings.mark.side_px(), seed));
     let signals = (0..clusters.clusters.len()).map(emblem).collect();
     let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
     heard.clear();
@@ -289,7 +289,7 @@ fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time(
     let clusters = clusters(&scene, &trained.job.spec.grouping, seed).unwrap();
     let begin = |checkpoint: Option<&[u8]>| {
         let base = Field::from_bytes(&std::fs::read(trained.model().join("base.field")).unwrap()).unwrap();
-        let emblem = |i| Signal::from(cairn_landmark::signals::emblem(i, settings.mark.side_px(), seed));
+        let emblem = |i| Signal::from(cairn_mark::emblem(i, settings.mark.side_px(), seed));
         let signals = (0..clusters.clusters.len()).map(emblem).collect();
         let photographs = stages::Photographs::default();
         let scenes = vec![ToMark {

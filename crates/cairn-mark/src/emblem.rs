@@ -11,11 +11,38 @@ use glam::{Vec2, Vec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::font;
-use crate::noise::smoothstep;
-
 /// Samples a side in each pixel: edges are smooth, as in a photograph.
 const SUPERSAMPLING: usize = 3;
+
+/// The letters A to Z of five by seven dots: rows from the top; in each the highest of five bits is the left dot.
+const LETTERS: [[u8; 7]; 26] = [
+    [14, 17, 17, 31, 17, 17, 17],
+    [30, 17, 17, 30, 17, 17, 30],
+    [14, 17, 16, 16, 16, 17, 14],
+    [30, 17, 17, 17, 17, 17, 30],
+    [31, 16, 16, 30, 16, 16, 31],
+    [31, 16, 16, 30, 16, 16, 16],
+    [14, 17, 16, 23, 17, 17, 15],
+    [17, 17, 17, 31, 17, 17, 17],
+    [14, 4, 4, 4, 4, 4, 14],
+    [7, 2, 2, 2, 2, 18, 12],
+    [17, 18, 20, 24, 20, 18, 17],
+    [16, 16, 16, 16, 16, 16, 31],
+    [17, 27, 21, 21, 17, 17, 17],
+    [17, 25, 21, 19, 17, 17, 17],
+    [14, 17, 17, 17, 17, 17, 14],
+    [30, 17, 17, 30, 16, 16, 16],
+    [14, 17, 17, 17, 21, 18, 13],
+    [30, 17, 17, 30, 20, 18, 17],
+    [15, 16, 16, 14, 1, 1, 30],
+    [31, 4, 4, 4, 4, 4, 4],
+    [17, 17, 17, 17, 17, 17, 14],
+    [17, 17, 17, 17, 17, 10, 4],
+    [17, 17, 17, 21, 21, 27, 17],
+    [17, 17, 10, 4, 10, 17, 17],
+    [17, 17, 10, 4, 4, 4, 4],
+    [31, 1, 2, 4, 8, 16, 31],
+];
 
 /// What is drawn at random of an emblem.
 struct Design {
@@ -25,7 +52,8 @@ struct Design {
     field: Vec3,
     second: Vec3,
     light: Vec3,
-    letter: char,
+    /// 0 is A.
+    letter: usize,
 }
 
 /// The emblem of contributor `index` (from 0), `size` x `size` pixels, values in
@@ -65,7 +93,7 @@ impl Design {
             field: hsv(hue, 0.78, 0.62),
             second: hsv(hue + 0.42 + rng.random_range(-0.06..0.06f32), 0.6, 0.92),
             light: hsv(hue + 0.12, 0.12, 0.97),
-            letter: char::from(b'A' + (index % 26) as u8),
+            letter: index % 26,
         }
     }
 
@@ -130,8 +158,15 @@ impl Design {
     fn inked(&self, p: Vec2) -> bool {
         let dot = 0.072;
         let at = (p + Vec2::new(2.5, 3.5) * dot) / dot;
-        at.x >= 0.0 && at.y >= 0.0 && font::inked(self.letter, at.x as usize, at.y as usize)
+        let (x, y) = (at.x as usize, at.y as usize);
+        at.x >= 0.0 && at.y >= 0.0 && x < 5 && y < 7 && LETTERS[self.letter][y] >> (4 - x) & 1 == 1
     }
+}
+
+/// 0 below `low`, 1 above `high` (the other way round where they are), smooth between.
+fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
+    let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
 }
 
 /// Hue (in turns, wrapping), saturation and value to RGB.
