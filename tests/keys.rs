@@ -185,12 +185,12 @@ fn the_key_that_follows_replaces_and_takes_back_what_the_one_before_it_signed() 
     };
     let (code, said) = store();
     assert!(code == Some(0) && said.contains("state.verified") && !said.contains("file.uncovered  access"), "{said}");
-    let checkpoint = std::path::Path::new(&town.data).join("registry.checkpoint");
-    let good = std::fs::read(&checkpoint).unwrap();
-    std::fs::write(&checkpoint, [&good[..], b"x"].concat()).unwrap();
+    let sealed = std::path::Path::new(&town.data).join("registry.key");
+    let good = std::fs::read(&sealed).unwrap();
+    std::fs::write(&sealed, [&good[..], b"x"].concat()).unwrap();
     let (code, said) = store();
-    assert!(code == Some(14) && said.contains("state.mismatch  registry.checkpoint"), "{said}");
-    std::fs::write(&checkpoint, good).unwrap();
+    assert!(code == Some(14) && said.contains("state.mismatch  registry.key"), "{said}");
+    std::fs::write(&sealed, good).unwrap();
     // An answer is held to the question.
     let answer = out("answer.json");
     town.place.cairn_ok(&["owners", "answer", "town", "--out", &answer, "--data", &town.data]);

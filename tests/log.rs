@@ -127,12 +127,20 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
     assert!(daemon.terminate().success());
     let (vkey, data) = (place.text("log.vkey"), place.text("data"));
     place.cairn_ok(&["audit", "store", &data, "--vkey", &vkey, "--policy", &place.text("policy")]);
+    // An operator who takes it for the newest is told better by the witness.
+    let beside = |name: &str| {
+        let ends = |path: &PathBuf| path.extension().is_some_and(|end| end == "anchor");
+        let of = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(&format!("{name}."));
+        let found = std::fs::read_dir(place.dir.path()).unwrap().map(|entry| entry.unwrap().path());
+        found.filter(|path| ends(path) && of(path)).next()
+    };
+    place.cairn_ok(&["registry", "anchor", "--accept", "--data", &place.text("backup")]);
     let said = refused(&place, "backup", &settings);
+    std::fs::remove_file(beside("backup").unwrap()).unwrap();
     assert!(said.contains("witness.example/w") && said.contains("backup"), "{said}");
-    // Without a witness, the checkpoint that was published last speaks, as long as it was not restored as well.
-    std::fs::copy(place.path("data/registry.checkpoint"), place.path("backup/registry.checkpoint")).unwrap();
+    // In another place the older log has no anchor, and does not start by itself.
     let said = refused(&place, "backup", "");
-    assert!(said.contains("known is a checkpoint over"), "{said}");
+    assert!(said.contains(".anchor is missing") && said.contains("cairn registry anchor --accept"), "{said}");
     // The log itself starts again.
     assert!(Daemon::start(&place.path("data"), &settings).terminate().success());
 }
@@ -188,7 +196,7 @@ async fn a_whole_folder_restored_from_an_older_backup_is_refused_without_any_set
     let data = place.path("data");
     let kept = || {
         let beside = std::fs::read_dir(place.dir.path()).unwrap().map(|entry| entry.unwrap().path());
-        let is_kept = |path: &PathBuf| path.extension().is_some_and(|end| end == "checkpoint");
+        let is_kept = |path: &PathBuf| path.extension().is_some_and(|end| end == "anchor");
         beside.filter(is_kept).collect::<Vec<_>>()
     };
     // Another start, and a record more.
@@ -205,12 +213,7 @@ async fn a_whole_folder_restored_from_an_older_backup_is_refused_without_any_set
     copy(&place.path("backup"), &data);
     for _ in 0..2 {
         let said = refused(&place, "data", "");
-        for part in [
-            ".checkpoint",
-            "2 leaves, known is a checkpoint over 4",
-            "restored from an older backup",
-            "restore the newest",
-        ] {
+        for part in [".anchor", "over 4 log entries", "holds 2", "restore the newest"] {
             assert!(said.contains(part), "{part}: {said}");
         }
     }
@@ -218,26 +221,25 @@ async fn a_whole_folder_restored_from_an_older_backup_is_refused_without_any_set
     std::fs::rename(place.path("newest"), &data).unwrap();
     go_on(3).await;
 
-    // An anchor is no leave to forget it.
-    let settings = format!("[registry]\nanchor_file = {:?}\n", place.text("log.anchor"));
-    std::fs::write(place.path("anchored.toml"), settings).unwrap();
-    let accept = ["registry", "anchor", "--accept", "--data", &place.text("old/data"), "--config"];
+    // To accept the log as it is makes no new anchor where there is one.
+    let accept = ["registry", "anchor", "--accept", "--data", &place.text("old/data")];
     copy(&place.path("backup"), &place.path("old/data"));
     std::fs::copy(&kept()[0], place.path("old").join(kept()[0].file_name().unwrap())).unwrap();
-    let said = place.cairn(&[&accept[..], &[&place.text("anchored.toml")]].concat());
-    assert!(!said.status.success() && !place.path("log.anchor").exists());
-    assert!(String::from_utf8_lossy(&said.stderr).contains("restored from an older backup"));
+    let said = place.cairn(&accept);
+    assert!(!said.status.success() && String::from_utf8_lossy(&said.stderr).contains("restore the newest"));
 
-    // Without it a folder starts, as one that was moved does. A log that is begun anew in its place has its own, so that
-    // the first one's backup is refused all the same.
+    // Without it a folder does not start, as one that was moved does not, until an operator accepts the log as it is. A log
+    // that is begun anew in its place has its own, so that the first one's backup is refused all the same.
     std::fs::remove_file(&kept()[0]).unwrap();
-    go_on(4).await;
+    assert!(refused(&place, "data", "").contains("cairn registry anchor --accept"));
+    place.cairn_ok(&["registry", "anchor", "--accept", "--data", &place.text("data")]);
     assert_eq!(kept().len(), 1, "made again");
+    go_on(4).await;
     std::fs::rename(&data, place.path("newest")).unwrap();
     go_on(5).await;
     go_on(6).await;
     assert_eq!(kept().len(), 2);
     std::fs::remove_dir_all(&data).unwrap();
     copy(&place.path("backup"), &data);
-    assert!(refused(&place, "data", "").contains("restored from an older backup"));
+    assert!(refused(&place, "data", "").contains("restore the newest"));
 }

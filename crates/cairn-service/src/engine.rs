@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use cairn_log::witness::WitnessClient;
 use cairn_log::{Digest, PublicKey, Registry, RegistryError};
+use cairn_log::{Receipt, SignedRecord};
 use cairn_scene::cluster::Grouping;
 use cairn_scene::{Camera, Capture, Picture, SceneFolder};
 
@@ -24,7 +25,6 @@ use crate::query::maps::Maps;
 use crate::query::report::Report;
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
 use crate::records::owners::{self, AskedView, Material};
-use crate::records::published::LastPublished;
 use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
@@ -67,15 +67,14 @@ impl Engine {
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
-        let anchor = anchor::of(data, config.anchor_file.as_deref())?;
-        let registry = Arc::new(Registry::open_anchored(&folder.registry(), key, &config.origin, anchor)?);
+        let anchor = anchor::of(data, &key.public(), config.anchor_file.as_deref())?;
+        let registry = Arc::new(Registry::open_anchored(&folder.registry(), key, &config.origin, Some(anchor))?);
         let witnesses = config
             .witnesses
             .iter()
             .map(|w| WitnessClient::new(w.verifier.clone(), &w.url))
             .collect::<Result<_, _>>()?;
-        let last = LastPublished::of(folder.last_checkpoint(), data, &registry.public_key());
-        let publisher = Publisher::start(registry.clone(), last, witnesses)?;
+        let publisher = Publisher::start(registry.clone(), witnesses)?;
         let exclusions = Arc::new(Exclusions::open(folder.exclusions(), &folder.scenes())?);
         let work = Training {
             exclusions: exclusions.clone(),
@@ -408,8 +407,8 @@ impl Engine {
     ///
     /// # Errors
     /// As there.
-    pub fn submit_record(&self, envelope: &[u8], payer: Option<Digest>) -> Result<cairn_log::Receipt, EngineError> {
-        owners::submit(&self.registry, &self.access, &self.publisher, envelope, payer)
+    pub fn submit_record(&self, signed: &SignedRecord, payer: Option<Digest>) -> Result<Receipt, EngineError> {
+        owners::submit(&self.registry, &self.access, &self.publisher, signed, payer)
     }
 
     /// A nonce for a record of `owner` about `scene`, in hexadecimal.

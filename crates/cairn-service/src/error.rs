@@ -150,32 +150,6 @@ pub enum EngineError {
         /// What is wrong.
         problem: String,
     },
-    /// The log does not go on from what it published last, as the file beside the data folder has it.
-    #[error(
-        "the log does not go on from the checkpoint in {}, which it signed and published ({problem}): the data folder was \
-         restored from an older backup: restore the newest one, or, where its envelopes are newer than its working folder, have \
-         that made again (`cairn registry rebuild`), and never let it go on from an older one; if there is none newer, begin a \
-         new log (another data folder, registry.origin and key) and keep the public files of this one where its auditors find them",
-        file.display()
-    )]
-    RestoredOlder {
-        /// The file beside the data folder.
-        file: PathBuf,
-        /// What does not fit.
-        problem: String,
-    },
-    /// The file beside the data folder is damaged.
-    #[error(
-        "{}, where the log's last published checkpoint is kept beside the data folder: {problem}; see that the log is the \
-         newest (a witness, a follower, a receipt), then move that file away",
-        file.display()
-    )]
-    Beside {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it.
-        problem: String,
-    },
     /// A witness saw more of the log than there is, or another log; or it cannot be asked.
     #[error("{0}; restore the newest backup of the log, and never let it go on from an older one")]
     Witness(#[from] cairn_log::witness::WitnessError),

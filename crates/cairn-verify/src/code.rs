@@ -215,9 +215,9 @@ codes! {
     /// The daemon's own state is not sealed, so its files were not compared.
     StateUnsealed = "state.unsealed", Info, "stop the daemon cleanly to have it sealed";
     /// The seal of the daemon's own state cannot be read.
-    StateSeal = "state.seal", Error, "restore access/, owners/, registry.key and registry.checkpoint with state.seal from one backup";
+    StateSeal = "state.seal", Error, "restore access/, owners/ and registry.key with state.seal from one backup";
     /// A file of the daemon's own state is missing, changed, or not in the seal.
-    StateMismatch = "state.mismatch", Error, "restore access/, owners/, registry.key and registry.checkpoint with state.seal from one backup";
+    StateMismatch = "state.mismatch", Error, "restore access/, owners/ and registry.key with state.seal from one backup";
     /// The daemon's own state is as it was sealed.
     StateVerified = "state.verified", Passed, "";
     /// A manifest cannot be read, or is not as it is written.

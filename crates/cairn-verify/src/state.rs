@@ -1,5 +1,5 @@
-//! The daemon's own state beside the registry: accounts and what they use, who imported which scene, which views are
-//! excluded, the checkpoint that was published last, and the registry's key, against the seal that a clean stop leaves.
+//! The daemon's own state beside the registry, against the seal that a clean stop leaves: accounts and what they use, who
+//! imported which scene, which views are excluded, and the registry's key.
 //!
 //! These files change while the daemon runs, so `DIR/state.seal` is taken away at every start and written anew when it stops
 //! cleanly, as `registry/working.seal` is. It is a [`Manifest`]: of the key, which is a secret, it holds a digest like of
@@ -19,7 +19,7 @@ pub(crate) const SEAL: &str = "state.seal";
 /// What it covers: folders with everything in them, and single files.
 pub(crate) const FOLDERS: [&str; 3] = ["access", "exclusions", "owners"];
 /// See [`FOLDERS`].
-pub(crate) const FILES: [&str; 2] = ["registry.checkpoint", "registry.key"];
+pub(crate) const FILES: [&str; 1] = ["registry.key"];
 
 /// Whether a name of the data folder is this check's business.
 pub(crate) fn covers(name: &str) -> bool {

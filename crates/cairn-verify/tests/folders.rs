@@ -39,8 +39,7 @@ fn written(dir: &Path) {
         format!("{{\n  \"format_version\": 1,\n  \"job\": \"job-000001\",\n  \"manifest\": \"{manifest}\"\n}}");
     put(&dir.join("models/town/current.json"), current.as_bytes());
 
-    for name in ["access/accounts.json", "access/usage.json", "owners/town.json", "registry.checkpoint", "registry.key"]
-    {
+    for name in ["access/accounts.json", "access/usage.json", "owners/town.json", "registry.key"] {
         put(&dir.join(name), name.as_bytes());
     }
     seal_state(dir);
@@ -49,8 +48,7 @@ fn written(dir: &Path) {
 }
 
 fn seal_state(dir: &Path) {
-    let state =
-        ["access/accounts.json", "access/usage.json", "owners/town.json", "registry.checkpoint", "registry.key"];
+    let state = ["access/accounts.json", "access/usage.json", "owners/town.json", "registry.key"];
     seal(dir, &state, &dir.join("state.seal"));
 }
 
@@ -139,7 +137,7 @@ fn the_daemons_own_state_is_held_to_its_seal() {
     put(&path("access/accounts.json"), b"access/accounts.json");
     put(&path("access/usage.json"), b"access/usage.json");
     seal(dir.path(), &["access/accounts.json", "access/usage.json", "owners/town.json"], &path("state.seal"));
-    assert_eq!(now(), ["state.mismatch at registry.checkpoint", "state.mismatch at registry.key"]);
+    assert_eq!(now(), ["state.mismatch at registry.key"]);
     // A seal over what is none of its business, and one of another version.
     seal_state(dir.path());
     let sealed = std::fs::read_to_string(path("state.seal")).unwrap();

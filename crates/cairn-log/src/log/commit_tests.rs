@@ -11,7 +11,10 @@ use crate::{
         key::OwnerKey,
         record::{Digests, Identity, OwnerRecord, RecordKind, Seen, VERSION},
     },
-    log::store::{Entry, FaultyStore, Store, StoreError},
+    log::{
+        Registry,
+        store::{Entry, FaultyStore, Store, StoreError},
+    },
 };
 
 fn open(store: &Gated, found: &FaultyStore) -> Registry {

@@ -159,7 +159,7 @@ pub enum RegistryError {
         /// What does not fit.
         what: String,
     },
-    /// A log that is not empty has no anchor where the settings name one.
+    /// A log that is not empty has no anchor.
     #[error(
         "the anchor {anchor} is missing, and the log holds {size} entries; restore the file, or, where the setting is new or \
          the file lost for good, see that the log is the newest (a witness, a follower, a receipt) and run `cairn registry \

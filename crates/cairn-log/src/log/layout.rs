@@ -38,8 +38,6 @@ pub(super) const REBUILT: &str = "working.rebuilt";
 pub(super) const REBUILT_RUNS: &str = "working.rebuilt/runs";
 /// Digests of the store's files.
 pub(super) const SEAL: &str = "working.seal";
-/// Where releases before this format had their store.
-pub(super) const FORMER_STORE: &str = "log.sled";
 /// The published checkpoint.
 pub(super) const CHECKPOINT: &str = "public/checkpoint";
 

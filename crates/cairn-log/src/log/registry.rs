@@ -85,10 +85,6 @@ impl Registry {
             cause: e.to_string(),
         })?;
         let lock = LockFile::take(&path.join(layout::LOCK))?;
-        if path.join(layout::FORMER_STORE).exists() {
-            let got = format!("cairn-log-store/1 ({})", path.join(layout::FORMER_STORE).display());
-            return Err(RegistryError::WrongStore { what: "format", expected: layout::FORMAT_VERSION.into(), got });
-        }
         if path.join(layout::CHECKPOINT).exists() && !path.join(layout::WORKING).exists() {
             let what = "it is missing, and a checkpoint was published".into();
             return Err(inconsistent(layout::WORKING, what));

@@ -32,7 +32,7 @@ pub struct Config {
     pub origin: String,
     /// What the registry's signing key is sealed with; `None` where it lies in plain PEM. Read when the log is opened.
     pub registry_key_file: Option<PathBuf>,
-    /// Where the log's anchor lies; `None` without one. Whether that is outside the data folder is seen when the log is opened.
+    /// Where the log's anchor lies; `None`: beside the data folder. Whether that is outside the data folder is seen when the log is opened.
     pub anchor_file: Option<PathBuf>,
     /// Where the log's public files are served, and what stands in front of their paths.
     pub public_http: Option<PublicHttp>,

@@ -205,8 +205,8 @@ settings! {
             "Backups of the data folder are not to give the signing key away.";
         /// The log's anchor: a file outside the data folder, best on another disk. It holds the size and root signed
         /// last, so that a data folder restored from an older backup does not start. An absolute path in a folder that
-        /// exists. Empty: DIR.KEY.checkpoint beside the data folder DIR does the same, unless it was restored as well.
-        /// Where the log is not empty, the first start with an anchor needs `cairn registry anchor --accept`.
+        /// exists. Empty: DIR.KEY.anchor beside the data folder DIR, where KEY is the start of the log's key id. Where
+        /// the log is not empty and its anchor is missing, a start needs `cairn registry anchor --accept`.
         anchor_file: String = String::new(), Allowed::Text("an absolute path outside the data folder, or empty"),
             "Whole disks are restored from backups.";
         /// Where the log's public files (checkpoint and tiles, C2SP tlog-tiles) are served over plain HTTP: any IP

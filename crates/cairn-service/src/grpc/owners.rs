@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use cairn_api::v1::{self, owner_service_server::OwnerService};
-use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordError, RegistryError};
+use cairn_log::{LogEntry, RegistryError, SignedRecord};
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
@@ -69,19 +69,22 @@ impl OwnerService for Shared {
     }
 
     async fn submit(&self, request: Request<v1::SubmitRecordRequest>) -> Answer<v1::SubmitRecordResponse> {
-        // Read before it is verified, to know what it is about; what it says is believed by the registry alone.
-        let refuse = |e: RecordError| status(RegistryError::from(e).into());
-        let claimed = Envelope::parse(&request.get_ref().envelope).map_err(|e| refuse(e.into()))?;
-        let scene = OwnerRecord::parse(&claimed.payload).map_err(refuse)?.scene;
-        let payer = self.authorise(request.extensions(), About::Signed(&scene, &claimed))?;
-        let envelope = request.into_inner().envelope;
+        // Read once, here; whether the log takes it is the registry's to say.
+        let signed = SignedRecord::parse(&request.get_ref().envelope);
+        let signed = signed.map_err(|e| status(RegistryError::from(e).into()))?;
+        let about = About::Signed(&signed.record().scene, signed.envelope());
+        let payer = self.authorise(request.extensions(), about)?;
         let answer = self
             .while_the_disk_answers(move |engine| {
-                let receipt = engine.submit_record(&envelope, payer)?;
-                let (record, _) = OwnerRecord::open(&receipt.envelope).map_err(RegistryError::from)?;
+                let receipt = engine.submit_record(&signed, payer)?;
                 let tlog_proof = receipt.tlog_proof().to_text();
                 Ok(v1::SubmitRecordResponse {
-                    record: Some(to_proto::record(receipt.index, &receipt.leaf_hash, &receipt.envelope, &record)),
+                    record: Some(to_proto::record(
+                        receipt.index,
+                        &receipt.leaf_hash,
+                        &receipt.envelope,
+                        signed.record(),
+                    )),
                     checkpoint: receipt.checkpoint,
                     tlog_proof,
                     vkey: engine.registry().verifier()?.to_string(),

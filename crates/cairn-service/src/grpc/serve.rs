@@ -147,12 +147,6 @@ pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
     for witness in &config.witnesses {
         tracing::info!(witness = %witness.verifier, url = witness.url, "configured witness");
     }
-    match &config.anchor_file {
-        Some(file) => tracing::info!(file = %file.display(), "the log is anchored"),
-        None => tracing::info!(
-            "no registry.anchor_file: the log is held to what it published last, not to all that it signed"
-        ),
-    }
     shared.loaded(engine.clone())?;
     tell(&reporter, ServingStatus::Serving).await;
     // Before anybody is told where it is, who may then stop it at once.

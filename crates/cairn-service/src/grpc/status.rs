@@ -37,8 +37,6 @@ fn code(error: &EngineError) -> Code {
         | EngineError::WrongState { .. }
         | EngineError::KeyMissing { .. }
         | EngineError::Witness(_)
-        | EngineError::RestoredOlder { .. }
-        | EngineError::Beside { .. }
         | EngineError::SealingKeyMissing { .. }
         | EngineError::ErasesOther { .. }
         | EngineError::Path(_) => Code::FailedPrecondition,

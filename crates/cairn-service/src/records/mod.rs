@@ -3,7 +3,6 @@
 pub mod anchor;
 pub mod corrections;
 pub mod owners;
-pub mod published;
 pub mod publisher;
 pub mod rebuild;
 pub(crate) mod registry_key;

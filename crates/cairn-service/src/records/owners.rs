@@ -4,7 +4,7 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use cairn_log::{Digest, Envelope, LogEntry, OwnerRecord, RecordKind, Registry, RegistryError};
+use cairn_log::{Digest, LogEntry, OwnerRecord, RecordKind, Registry, SignedRecord};
 
 use crate::error::EngineError;
 use crate::records::publisher::Publisher;
@@ -67,26 +67,24 @@ pub fn submit(
     registry: &Registry,
     access: &Access,
     publisher: &Publisher,
-    envelope: &[u8],
+    signed: &SignedRecord,
     payer: Option<Digest>,
 ) -> Result<cairn_log::Receipt, EngineError> {
-    let refuse = |e| RegistryError::from(cairn_log::RecordError::from(e));
-    let envelope = Envelope::parse(envelope).map_err(refuse)?;
-    let record = OwnerRecord::parse(&envelope.payload).map_err(RegistryError::from)?;
+    let record = signed.record();
     // What is there already costs nothing, or whoever used up a quota could not ask again for their last answer.
-    let is_new = registry.find(&envelope.digest())?.is_none();
+    let is_new = registry.find(&signed.digest())?.is_none();
     let payer = payer.filter(|_| is_new && record.kind != RecordKind::Revocation);
     if let Some(payer) = &payer {
         access.charge_record(payer)?;
     }
-    let submitted = registry.submit(&envelope);
+    let submitted = registry.submit_signed(signed.clone());
     if let Some(payer) = payer.filter(|_| !matches!(&submitted, Ok(receipt) if !receipt.resubmitted)) {
         access.forgive_record(&payer);
     }
     let receipt = submitted?;
     publisher.wake();
     if matches!(record.kind, RecordKind::Revocation | RecordKind::Rotation) {
-        access.follow(registry, &record)?;
+        access.follow(registry, record)?;
     }
     Ok(receipt)
 }

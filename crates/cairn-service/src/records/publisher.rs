@@ -16,7 +16,6 @@ use cairn_log::witness::{WitnessClient, WitnessError, client::collect};
 use cairn_log::{Note, Registry};
 
 use crate::error::EngineError;
-use crate::records::published::LastPublished;
 
 /// Between two publications at least this long: under load each then covers many records.
 const PAUSE: Duration = Duration::from_millis(400);
@@ -49,24 +48,19 @@ pub struct Publisher {
 /// What a publication needs.
 struct Publication {
     registry: Arc<Registry>,
-    last: LastPublished,
     witnesses: Vec<WitnessClient>,
     witnessed: Arc<AtomicBool>,
 }
 
 impl Publisher {
-    /// Holds the log to the checkpoint that it published last and to its witnesses, publishes, and starts the threads.
+    /// Holds the log to its witnesses, publishes, and starts the threads.
     ///
     /// # Errors
-    /// As [`LastPublished::hold`]; [`EngineError::Witness`] for a log that does not go on from what was cosigned; where the system has no thread to give. A witness that cannot be reached is logged.
-    pub fn start(
-        registry: Arc<Registry>,
-        last: LastPublished,
-        witnesses: Vec<WitnessClient>,
-    ) -> Result<Self, EngineError> {
-        last.hold(&registry)?;
+    /// [`EngineError::Witness`] for a log that does not go on from what was cosigned; where the system has no thread to
+    /// give. A witness that cannot be reached is logged.
+    pub fn start(registry: Arc<Registry>, witnesses: Vec<WitnessClient>) -> Result<Self, EngineError> {
         let witnessed = Arc::new(AtomicBool::new(false));
-        let publication = Arc::new(Publication { registry, last, witnesses, witnessed: witnessed.clone() });
+        let publication = Arc::new(Publication { registry, witnesses, witnessed: witnessed.clone() });
         publication.publish()?;
         // At a start a witness is taken at its word: whoever knows better names it no more.
         publication.ask_witnesses()?;
@@ -171,8 +165,8 @@ impl Publication {
     }
 
     fn publish(&self) -> Result<(), EngineError> {
-        let published = self.registry.publish()?;
-        self.last.keep(&published.checkpoint)
+        self.registry.publish()?;
+        Ok(())
     }
 
     /// Has what is published cosigned; whether every witness did. One that saw more of the log, or another log, is an error.

@@ -10,7 +10,7 @@ use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
 use crate::engine::Engine;
 use crate::query::viewpoint::Viewpoint;
 use crate::records::owners::AskedView;
-use crate::records::published::tests::TestFolder;
+use crate::store::test_folder::TestFolder;
 use crate::train::job::{Job, JobState};
 use crate::train::request::{Plan, TrainingRequest};
 

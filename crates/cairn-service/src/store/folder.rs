@@ -10,12 +10,11 @@
 //! DIR/models/NAME/JOB/          base.field, marked.field, detector, model.json, ...
 //! DIR/jobs/JOB/                 job.json, signals, checkpoints
 //! DIR/registry/                 the log of owner records (cairn-log's format)
-//! DIR/registry.checkpoint       the checkpoint that it published last
 //! DIR/access/                   accounts.json, usage.json (cairn-service's formats)
 //! DIR/owners/NAME.json          who imported the scene, where somebody with an account did
 //! DIR/exclusions/NAME.json      which of the scene's views are excluded, and why
 //! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
-//! DIR/state.seal                digests of access/, owners/, exclusions/, registry.key and registry.checkpoint, while nobody has it open
+//! DIR/state.seal                digests of access/, owners/, exclusions/ and registry.key, while nobody has it open
 //! DIR/staging/                  imports under way; emptied at every start
 //! ```
 
@@ -120,11 +119,6 @@ impl DataFolder {
     /// The registry's signing key.
     pub fn registry_key(&self) -> PathBuf {
         self.root.join("registry.key")
-    }
-
-    /// What the registry published last, outside its own folder: one that is restored from an old backup is found out.
-    pub fn last_checkpoint(&self) -> PathBuf {
-        self.root.join("registry.checkpoint")
     }
 
     /// The accounts.

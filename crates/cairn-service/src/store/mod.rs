@@ -13,3 +13,5 @@ pub mod scenes;
 pub(crate) mod seal;
 pub mod snapshot;
 pub mod support;
+#[cfg(test)]
+pub mod test_folder;

@@ -1,6 +1,6 @@
 //! `DIR/state.seal`: digests of the daemon's own state, written when it stops cleanly and taken away when it starts.
 //!
-//! Accounts, what they use, who imported what, which views are excluded, and the checkpoint published last change while the daemon runs: a
+//! Accounts, what they use, who imported what, and which views are excluded change while the daemon runs: a
 //! digest of them could only lag behind. So, as for the registry's working state, there is one while nobody has the folder
 //! open, and an auditor can tell rot from then on. Of the registry's key, a secret, there is its file's digest.
 
@@ -13,7 +13,7 @@ use cairn_durable::{remove, sync_folder, write_atomic};
 
 const SEAL: &str = "state.seal";
 /// What is sealed: folders, of files only, and single files.
-const COVERED: [&str; 5] = ["access", "exclusions", "owners", "registry.checkpoint", "registry.key"];
+const COVERED: [&str; 4] = ["access", "exclusions", "owners", "registry.key"];
 
 /// Takes the seal away, durably: from now on the files may change.
 ///
@@ -77,14 +77,7 @@ mod tests {
         for name in ["access", "exclusions", "owners"] {
             std::fs::create_dir(root.join(name)).unwrap();
         }
-        for name in [
-            "access/accounts.json",
-            "owners/town.json",
-            "owners/a.json",
-            "exclusions/a.json",
-            "registry.key",
-            "registry.checkpoint",
-        ] {
+        for name in ["access/accounts.json", "owners/town.json", "owners/a.json", "exclusions/a.json", "registry.key"] {
             std::fs::write(root.join(name), name).unwrap();
         }
         // A start that came to nothing vouches for nothing.

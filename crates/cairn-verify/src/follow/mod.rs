@@ -12,7 +12,7 @@ mod reader;
 
 use std::fmt;
 
-use cairn_log::format::{Checkpoint, Note, NoteVerifier, Policy, note::MAX_NOTE_BYTES};
+use cairn_log::format::{Checkpoint, NoteVerifier, Policy, note::MAX_NOTE_BYTES};
 use serde::Serialize;
 
 use crate::{

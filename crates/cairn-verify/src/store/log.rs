@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 
 use cairn_log::format::{
-    Checkpoint, Digest, Envelope, Leaf, OwnerRecord, RecordKind, merkle,
+    Checkpoint, Digest, Envelope, OwnerRecord, RecordKind, merkle,
     tile::{TILE_WIDTH, TileKind},
 };
 use rayon::prelude::*;

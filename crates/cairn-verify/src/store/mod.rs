@@ -27,7 +27,7 @@ mod tiles;
 
 use std::path::Path;
 
-use cairn_log::format::{Checkpoint, Digest, NoteVerifier, Policy, merkle};
+use cairn_log::format::{Checkpoint, Policy, merkle};
 
 pub(crate) use chunk::check_map_leaf;
 pub use class::Class;

@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use super::made::{self, ORIGIN};
 use crate::children::Work;
 use crate::memory;
-use cairn_service::records::published::LastPublished;
 use cairn_service::records::publisher::Publisher;
 
 /// A log under load, in a process of its own.
@@ -78,8 +77,7 @@ impl Work for Load {
         let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
         let made = (0..task.records).map(|number| Ok(made::record(&registry, task.seed, number, task.views)?.0));
         let envelopes = made.collect::<anyhow::Result<Vec<Envelope>>>()?;
-        let last = LastPublished::of(task.folder.join("registry.checkpoint"), &task.folder, &registry.public_key());
-        let publisher = Publisher::start(registry.clone(), last, vec![])?;
+        let publisher = Publisher::start(registry.clone(), vec![])?;
         let (begun, ended, next) = (Instant::now(), AtomicBool::new(false), AtomicUsize::new(0));
         let (acknowledged, publications) = std::thread::scope(|scope| {
             let watcher = scope.spawn(|| watch(&registry, begun, &ended));

@@ -13,7 +13,6 @@ use serde::{Deserialize, Serialize};
 
 use super::made::{self, ORIGIN};
 use crate::children::{Part, Work};
-use cairn_service::records::published::LastPublished;
 use cairn_service::records::publisher::Publisher;
 
 /// Submitters in the process that is killed.
@@ -58,8 +57,7 @@ impl Work for Victim {
     fn run(&self) -> anyhow::Result<()> {
         let task = self;
         let registry = Arc::new(Registry::open(&task.folder.join("registry"), made::registry_key(), ORIGIN)?);
-        let last = LastPublished::of(task.folder.join("registry.checkpoint"), &task.folder, &registry.public_key());
-        let publisher = Publisher::start(registry.clone(), last, vec![])?;
+        let publisher = Publisher::start(registry.clone(), vec![])?;
         let (log, count) = (registry.verifier()?, AtomicU64::new(0));
         std::thread::scope(|scope| {
             let clients: Vec<_> = (0..CLIENTS)
