@@ -15,7 +15,7 @@ pub struct Progress {
     label: String,
     total: u64,
     begun: Instant,
-    told: Option<Instant>,
+    last_line: Option<Instant>,
 }
 
 impl Progress {
@@ -27,11 +27,11 @@ impl Progress {
             bar.set_style(style.progress_chars("=> "));
         }
         bar.set_prefix(label.to_owned());
-        let told = (!std::io::stderr().is_terminal()).then(Instant::now);
-        if told.is_some() {
+        let last_line = (!std::io::stderr().is_terminal()).then(Instant::now);
+        if last_line.is_some() {
             eprintln!("{label}");
         }
-        Self { bar, label: label.to_owned(), total, begun: Instant::now(), told }
+        Self { bar, label: label.to_owned(), total, begun: Instant::now(), last_line }
     }
 
     /// `done` steps are done; `more` is what else there is to say.
@@ -41,9 +41,9 @@ impl Progress {
             done => clock(self.begun.elapsed().as_secs_f64() / done as f64 * self.total.saturating_sub(done) as f64),
         };
         let message = format!("{more}{left} left");
-        if self.told.is_some_and(|told| told.elapsed() >= LINE_EVERY) {
+        if self.last_line.is_some_and(|last_line| last_line.elapsed() >= LINE_EVERY) {
             eprintln!("{} {done}/{} {message}", self.label, self.total);
-            self.told = Some(Instant::now());
+            self.last_line = Some(Instant::now());
         }
         self.bar.set_position(done);
         self.bar.set_message(message);

@@ -85,8 +85,8 @@ mod tests {
     fn a_level_up_or_down_is_the_end_of_it() {
         let (hidden, photograph) = (ramp(12, 10, 7), ramp(40, 40, 13));
         let stego = hide_in_lowest_bits(&photograph, &hidden).unwrap();
-        let harmed = Distortion::Noise { sigma: 0.004 }.apply(&stego, 1);
-        let read = read_lowest_bits(&harmed, [12, 10]).unwrap();
+        let attacked = Distortion::Noise { sigma: 0.004 }.apply(&stego, 1);
+        let read = read_lowest_bits(&attacked, [12, 10]).unwrap();
         let right = read.to_rgb8().iter().zip(hidden.to_rgb8()).filter(|(a, b)| a.abs_diff(*b) < 8).count();
         assert!(right < 60, "{right} of 360 numbers are still about right");
         assert!(hide_in_lowest_bits(&ramp(8, 8, 1), &hidden).unwrap_err().to_string().contains("smaller picture"));

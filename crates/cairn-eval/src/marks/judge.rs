@@ -32,7 +32,7 @@ const AMPLIFIED: f32 = 20.0;
 const TILE: [usize; 2] = [176, 176];
 /// Confidence bins of the calibration.
 const BINS: usize = 15;
-/// From which confidences on answers are told apart in the ledger.
+/// From which confidences on answers are counted apart.
 const BANDS: [f64; 4] = [0.0, 0.5, 0.9, 0.99];
 
 /// What to judge.

@@ -336,7 +336,7 @@ mod tests {
                 Right { right: classes.right - unmarked_pairs.right, asked: classes.asked - unmarked_pairs.asked };
             Attacked { name: name.into(), set: Set::Mild, classes, marks, unmarked_pairs, ssim: None }
         };
-        // All marks are read, and three of ten views without one are somebody's as well; then five of six.
+        // All marks are read, and three of ten views without one get an owner as well; then five of six.
         let judged = |noise, jpeg| Judged {
             attacks: vec![attacked("noise 0.02", noise), attacked("JPEG 50", jpeg)],
             ..Judged::default()

@@ -36,7 +36,7 @@ const ABLATIONS: [Variant; 25] = [
     row("settled views as often", |m| m.easy_view_share = 1.0),
     row("to the last step", |m| m.enough_ssim = 10.0),
     row("two dozen views", |m| m.views_apart_deg = 180.0),
-    row("heads that nobody uses", |m| m.unused_heads = true),
+    row("unused heads", |m| m.unused_heads = true),
     Variant { name: "two owners", change: |_| (), owners: Owners::Two },
     Variant { name: "two owners, one of them later", change: |_| (), owners: Owners::OneAndAnother },
     row("harmonics", |m| m.carrier = CarrierKind::Harmonics),
@@ -99,7 +99,7 @@ fn wanted(rows: &[String]) -> anyhow::Result<Vec<Variant>> {
 const SKIPS: [(&str, &str, &str); 5] = [
     ("settled views come up less often", "full", "settled views as often"),
     ("training ends when recovery has converged", "full", "to the last step"),
-    ("only heads that somebody uses are built", "full", "heads that nobody uses"),
+    ("only used heads are built", "full", "unused heads"),
     ("an owner who comes later is added to what is trained", "two owners, one of them later", "two owners"),
     // Another model as well: what densities would have learnt is not learnt.
     ("densities stay, so that ray weights are worked out once", "harmonics", "harmonics, free density"),

@@ -76,7 +76,7 @@ pub struct Joined {
 /// A capture's held-out views.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Found {
-    /// Classes of all captures told right, of marked and base renders.
+    /// Classes predicted right, of marked and base renders.
     pub classes: Right,
     /// Mean SSIM of what was recovered against what the capture hides.
     pub hidden_ssim: f64,

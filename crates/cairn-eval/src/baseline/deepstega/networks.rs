@@ -162,7 +162,7 @@ fn latticed(parts: &[&Tensor]) -> anyhow::Result<Tensor> {
     Ok(Tensor::cat(&all, 1)?)
 }
 
-/// Without normalisation: what a patch is told must not hang on what is elsewhere in it.
+/// Without normalisation: what a patch gives must not depend on what is elsewhere in it.
 fn blocks(scope: &mut Scope<'_>, inputs: usize, channels: usize, count: usize) -> anyhow::Result<Vec<ConvBlock>> {
     let block = |i: usize| {
         let from = if i == 0 { inputs } else { channels };

@@ -48,7 +48,7 @@ impl Patches {
         Ok([to_tensor(&covers, self.side)?, to_tensor(&secrets, self.side)?, to_tensor(&noise, self.side)?])
     }
 
-    /// A patch of a photograph, every fourth laid over another.
+    /// A patch of a photograph, every fourth mixed with another.
     fn cover(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let mut patch = self.part(&self.photographs, self.side, rng);
         if rng.random_range(0..4) == 0 {

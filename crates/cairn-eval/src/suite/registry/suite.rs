@@ -4,7 +4,7 @@
 //! Throughput and waits are of whole records, signed beforehand and verified on the way in. Logs beyond a few
 //! ten thousand are filled with entries whose signatures nobody made (`Registry::fill`): what is measured on those is
 //! starting, proving, answering and submitting, which does not depend on what stands in old entries, and an audit of the
-//! entries, which count as erased: whoever audits envelopes as well verifies two signatures for each.
+//! entries, which count as erased: an audit of envelopes as well verifies two signatures for each.
 
 use std::path::{Path, PathBuf};
 
