@@ -225,7 +225,7 @@ fn checkpoints_that_do_not_fit_are_refused_by_name() {
 fn too_few_views_are_refused_by_name() {
     let made = Screening::new(named(views(7, 8, 1.0, DVec3::ZERO)), &BTreeSet::new(), ball_box(), None, &tiny(60), 1);
     let few = made.err().expect("an error").to_string();
-    assert!(few.contains('7') && few.contains("quarantine.enabled"), "{few}");
+    assert!(few.contains('7') && few.contains("8 are needed"), "{few}");
 }
 
 #[test]

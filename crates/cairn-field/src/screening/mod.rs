@@ -107,7 +107,7 @@ impl Screening {
         field.validate()?;
         if views.len() < MIN_VIEWS {
             return Err(FieldError::Views(format!(
-                "{} are too few to be screened; bring {MIN_VIEWS} or set quarantine.enabled = false",
+                "{} are too few to be screened; {MIN_VIEWS} are needed",
                 views.len()
             )));
         }

@@ -37,7 +37,9 @@ pub enum AccessError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Denied {
     /// The role does not reach so far.
-    #[error("{method} needs the role {needed}; {name:?} is {role}; an operator can change that (cairn access role)")]
+    #[error(
+        "{method} needs the role {needed}; {name:?} is {role}; an operator can change that (cairn access set --role)"
+    )]
     Role {
         /// The account's name.
         name: String,
@@ -163,7 +165,9 @@ pub enum AccountError {
         more: &'static str,
     },
     /// The key has an account already, made otherwise.
-    #[error("the key {key} has an account already: {name:?}, {role}; change its role instead (cairn access role)")]
+    #[error(
+        "the key {key} has an account already: {name:?}, {role}; change its role instead (cairn access set --role)"
+    )]
     Exists {
         /// The key.
         key: PublicKey,
