@@ -12,6 +12,7 @@ pub struct TestFolder {
 }
 
 impl TestFolder {
+    /// An empty one.
     pub fn new() -> Self {
         let around = tempfile::tempdir().unwrap();
         let data = around.path().join("data");
@@ -19,6 +20,7 @@ impl TestFolder {
         Self { data, _around: around }
     }
 
+    /// Where it lies.
     pub fn path(&self) -> &Path {
         &self.data
     }
