@@ -57,8 +57,7 @@ fn a_key_loads_with_what_it_was_sealed_with_and_nothing_else() {
     assert!(matches!(wrong, KeyFileError::Seal { error: SealError::Wrong(_), .. }), "{wrong}");
     assert!(wrong.to_string().contains(&at("file").display().to_string()), "{wrong}");
     assert!(matches!(public("phrase", &Unlock::KeyFile(unlock)), Err(KeyFileError::Seal { .. })));
-    // One who knows of plain keys only says what he does not know.
-    assert!(matches!(load_key(&at("file"), &Unlock::Nothing), Err(KeyFileError::NotAKey { .. })));
+    assert!(matches!(public("file", &Unlock::Nothing), Err(KeyFileError::Sealed { by: "key file", .. })));
 }
 
 #[test]
