@@ -131,8 +131,8 @@ async fn a_log_is_cosigned_served_followed_and_asked_and_its_older_self_is_refus
     let beside = |name: &str| {
         let ends = |path: &PathBuf| path.extension().is_some_and(|end| end == "anchor");
         let of = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(&format!("{name}."));
-        let found = std::fs::read_dir(place.dir.path()).unwrap().map(|entry| entry.unwrap().path());
-        found.filter(|path| ends(path) && of(path)).next()
+        let mut found = std::fs::read_dir(place.dir.path()).unwrap().map(|entry| entry.unwrap().path());
+        found.find(|path| ends(path) && of(path))
     };
     place.cairn_ok(&["registry", "anchor", "--accept", "--data", &place.text("backup")]);
     let said = refused(&place, "backup", &settings);

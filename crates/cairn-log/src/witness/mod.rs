@@ -10,6 +10,7 @@
 
 #[cfg(feature = "witness-client")]
 pub mod client;
+mod cosigner;
 mod evidence;
 #[cfg(feature = "witness-server")]
 pub mod plain_http;
@@ -18,10 +19,9 @@ pub mod request;
 pub mod server;
 mod state;
 pub mod storage;
-mod witness;
 
 #[cfg(feature = "witness-client")]
 pub use client::{WitnessClient, WitnessError, collect};
+pub use cosigner::{Clock, OpenError, Response, Witness};
 pub use request::{AddCheckpoint, RequestError};
 pub use storage::{FolderStorage, Storage};
-pub use witness::{Clock, OpenError, Response, Witness};

@@ -14,9 +14,9 @@ use axum::{
 use tokio::{net::TcpListener, time::timeout};
 
 use crate::witness::{
+    cosigner::{self, Witness},
     plain_http::{self, Limits},
     request::MAX_BODY_BYTES,
-    witness::{self, Witness},
 };
 
 /// Time for a request's body to come.
@@ -80,7 +80,7 @@ async fn checkpoint(State(witness): State<Arc<Witness>>, Path(origin): Path<Stri
     }
 }
 
-impl IntoResponse for witness::Response {
+impl IntoResponse for cosigner::Response {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         (status, [(header::CONTENT_TYPE, self.content_type)], self.body).into_response()
