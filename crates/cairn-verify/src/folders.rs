@@ -14,12 +14,14 @@ use std::{
 use cairn_log::format::{Digest, record::photographs_root};
 use serde_json::Value;
 
+use cairn_log::format::manifest::Manifest;
+
 use crate::{
     FileInHand,
     code::Code,
     report::{Finding, Findings},
     state,
-    store::{Manifest, Stock, StoreError, read_manifest},
+    store::{Stock, StoreError, compare, read_manifest},
 };
 
 const MANIFEST: &str = "manifest.json";
@@ -109,7 +111,7 @@ impl<'a> Folders<'a> {
             }
         };
         let codes = [Code::FileMismatch, Code::FileUnknown];
-        if manifest.compare(&folder, name, &[MANIFEST], codes, &mut self.findings)? == 0 {
+        if compare(&manifest, &folder, name, &[MANIFEST], codes, &mut self.findings)? == 0 {
             self.findings.add(Code::FolderVerified, name, "", format!("{} files", manifest.files.len()));
         }
         Ok(manifest.files.into_iter().map(|file| (file.path, file.sha256)).collect())

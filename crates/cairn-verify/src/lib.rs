@@ -34,4 +34,4 @@ pub use follow::{
     MAX_NEW_ENTRIES, audit_evidence, follow,
 };
 pub use report::{Finding, Freshness, Outcome, Report};
-pub use store::{Class, Manifest, ManifestFile, Stock, StoreError, StoreOptions, StoreReport, audit_store};
+pub use store::{Class, Stock, StoreError, StoreOptions, StoreReport, audit_store};

@@ -7,10 +7,12 @@
 
 use std::path::Path;
 
+use cairn_log::format::manifest::Manifest;
+
 use crate::{
     code::Code,
     report::Findings,
-    store::{Manifest, StoreError, read_manifest},
+    store::{StoreError, compare_listed, read_manifest, strangers},
 };
 
 /// The seal.
@@ -56,10 +58,10 @@ pub(crate) fn check(dir: &Path, there: bool, findings: &mut Findings) -> Result<
         });
         let part = Manifest { format_version: manifest.format_version, files: files.collect() };
         if dir.join(folder).is_dir() || !part.files.is_empty() {
-            differ += part.compare_listed(&dir.join(folder), folder, codes[0], findings);
+            differ += compare_listed(&part, &dir.join(folder), folder, codes[0], findings);
         }
         if dir.join(folder).is_dir() {
-            differ += part.strangers(&dir.join(folder), folder, &[], codes[1], findings)?;
+            differ += strangers(&part, &dir.join(folder), folder, &[], codes[1], findings)?;
         }
     }
     for file in &rest {
@@ -74,7 +76,7 @@ pub(crate) fn check(dir: &Path, there: bool, findings: &mut Findings) -> Result<
     }
     rest.retain(|file| FILES.contains(&file.path.as_str()));
     differ +=
-        Manifest { format_version: manifest.format_version, files: rest }.compare_listed(dir, "", codes[0], findings);
+        compare_listed(&Manifest { format_version: manifest.format_version, files: rest }, dir, "", codes[0], findings);
     if differ == 0 {
         findings.add(Code::StateVerified, SEAL, "", format!("{count} files"));
     }

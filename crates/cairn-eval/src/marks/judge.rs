@@ -202,7 +202,7 @@ fn clean(asked: &mut Asked, views: &[View]) -> anyhow::Result<(Right, Right, Vec
         let of = views.iter().zip(&read).filter(|(view, _)| view.truth == at + 1);
         let seen: Vec<_> = of.map(|(view, found)| SeenView { base: &view.base, found }).collect();
         let forced = |picture: &Picture| Ok(asked.detector.detect_forced(picture, at + 1)?);
-        identities.push(recovery(&forced, (at as u32 + 1, ""), truth, &seen, size)?);
+        identities.push(recovery(&forced, at as u32 + 1, "", truth, &seen, size.into())?);
     }
     Ok((classes, marks, identities))
 }
@@ -278,7 +278,7 @@ fn draw(detector: &Detector, signals: &[Signal], views: &[View]) -> anyhow::Resu
         let attacked = detector.detect(&Distortion::Jpeg { quality: 50 }.apply(&view.marked, 0))?;
         let shown = |signal: &Signal| signal.picture.clone().unwrap_or_else(|| Picture::constant(8, 8, [0.0; 3]));
         let truth = view.truth.checked_sub(1).map(|at| signals[at].clone()).unwrap_or_default();
-        let classes = (Some(read.identity.unwrap_or(0)), view.truth as u32);
+        let read_class = Some(read.identity.unwrap_or(0));
         let mut row = vec![
             tile(&view.photograph, "Photograph".into()),
             tile(&view.base, "Base".into()),
@@ -286,7 +286,7 @@ fn draw(detector: &Detector, signals: &[Signal], views: &[View]) -> anyhow::Resu
             tile(&difference, format!("Difference x {AMPLIFIED}")),
             tile(&shown(&attacked.recovered), format!("JPEG 50: {}", attacked.identity.unwrap_or(0))),
         ];
-        row.extend(signal_tiles(&read.recovered, &truth, classes, (TILE[0], TILE[1])));
+        row.extend(signal_tiles(&read.recovered, &truth, read_class, view.truth as u32, [TILE[0], TILE[1]]));
         rows.push(row);
     }
     Ok(contact_sheet(&rows, TILE[0], TILE[1]))

@@ -11,6 +11,7 @@ pub mod erasure;
 pub mod heir;
 pub mod key;
 pub mod leaf;
+pub mod manifest;
 pub mod map;
 pub mod map_leaf;
 pub mod merkle;

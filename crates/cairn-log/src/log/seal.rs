@@ -12,33 +12,15 @@ use std::{
     time::Duration,
 };
 
-use serde::{Deserialize, Serialize};
-
 use super::layout;
 use crate::{
-    format::digest::Digest,
+    format::{
+        digest::Digest,
+        manifest::{Manifest, ManifestFile, VERSION},
+    },
     log::store::{KnownFile, StoreError},
 };
 use cairn_durable::{Files, RealDisk, sync_folder};
-
-/// The seal's format version.
-pub const VERSION: u32 = 1;
-
-/// `working.seal`.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Sealed {
-    format_version: u32,
-    files: Vec<SealedFile>,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SealedFile {
-    path: String,
-    size: u64,
-    sha256: Digest,
-}
 
 /// Seals the store's folder when dropped, if armed.
 pub(super) struct Seal {
@@ -70,11 +52,11 @@ impl Seal {
         // One that is gone stays vouched for, so that it is missed.
         for KnownFile { path, size, sha256 } in known {
             if files.iter().all(|file| file.path != *path) {
-                files.push(SealedFile { path: path.clone(), size: *size, sha256: *sha256 });
+                files.push(ManifestFile { path: path.clone(), size: *size, sha256: *sha256 });
             }
         }
         files.sort_by(|a, b| a.path.cmp(&b.path));
-        let json = serde_json::to_vec(&Sealed { format_version: VERSION, files })?;
+        let json = serde_json::to_vec(&Manifest { format_version: VERSION, files })?;
         let disk = Files::new(Box::new(RealDisk::new(&self.root)));
         disk.replace(&[(layout::SEAL.to_owned(), json)]).map_err(io::Error::other)
     }
@@ -102,7 +84,7 @@ pub(super) fn await_closed(db: &Path) -> io::Result<()> {
     Err(io::Error::new(io::ErrorKind::TimedOut, "the store does not close"))
 }
 
-fn list(root: &Path, folder: &str, known: &[KnownFile], files: &mut Vec<SealedFile>) -> io::Result<()> {
+fn list(root: &Path, folder: &str, known: &[KnownFile], files: &mut Vec<ManifestFile>) -> io::Result<()> {
     for entry in fs::read_dir(root.join(folder))? {
         let entry = entry?;
         let path = format!("{folder}/{}", entry.file_name().to_string_lossy());
@@ -115,7 +97,7 @@ fn list(root: &Path, folder: &str, known: &[KnownFile], files: &mut Vec<SealedFi
             Some(known) => (known.sha256, known.size),
             None => Digest::of_all(&mut File::open(root.join(&path))?)?,
         };
-        files.push(SealedFile { path, size, sha256 });
+        files.push(ManifestFile { path, size, sha256 });
     }
     Ok(())
 }

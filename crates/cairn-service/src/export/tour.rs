@@ -100,7 +100,7 @@ pub fn plan(
     }
     let capture = snapshot.scene().capture();
     let route = Route::new(snapshot, &request.kind)?;
-    let (width, height) = size(request.size, route.usual_size());
+    let (width, height) = size(request.size.into(), route.usual_size().into());
     check_size("a frame", width, height, limits)?;
     if request.field == FieldKind::Marked {
         model.marked_field()?;
@@ -114,7 +114,7 @@ pub fn plan(
         Some(end) => (light.0, appearance(model, snapshot, end, limits)?),
         None => light,
     };
-    let cameras = route.cameras(capture, model.base.frame(), request.frames, (width, height))?;
+    let cameras = route.cameras(capture, model.base.frame(), request.frames, width, height)?;
     Ok(Tour { scene: request.scene.clone(), job: model.info.job.clone(), field: request.field, cameras, light })
 }
 
@@ -185,7 +185,8 @@ impl<'a> Route<'a> {
         capture: &Capture,
         frame: &SceneFrame,
         frames: usize,
-        (width, height): (usize, usize),
+        width: usize,
+        height: usize,
     ) -> Result<Vec<Camera>, EngineError> {
         let views = match self {
             Self::Orbit(_, views) | Self::Spiral(views) => views,
@@ -269,15 +270,15 @@ fn own_light(model: &Model, capture: &Capture, view: &View) -> Appearance {
 }
 
 /// The frames' size: as asked, and where a side is 0, as the other side and the usual proportions have it.
-fn size((width, height): (usize, usize), usual: (usize, usize)) -> (usize, usize) {
+fn size(asked: [usize; 2], usual: [usize; 2]) -> (usize, usize) {
     let scaled = |side: usize, of: usize, other: usize| {
         ((side as f64 * other as f64 / of as f64).round().min(f64::from(u32::MAX)) as usize).max(1)
     };
-    match (width, height) {
-        (0, 0) => usual,
-        (0, height) => (scaled(height, usual.1, usual.0), height),
-        (width, 0) => (width, scaled(width, usual.0, usual.1)),
-        both => both,
+    match asked {
+        [0, 0] => (usual[0], usual[1]),
+        [0, height] => (scaled(height, usual[1], usual[0]), height),
+        [width, 0] => (width, scaled(width, usual[0], usual[1])),
+        [width, height] => (width, height),
     }
 }
 
@@ -287,10 +288,10 @@ mod tests {
 
     #[test]
     fn a_side_that_is_not_given_follows_the_other() {
-        assert_eq!(size((0, 0), (300, 200)), (300, 200));
-        assert_eq!(size((150, 0), (300, 200)), (150, 100));
-        assert_eq!(size((0, 1), (300, 200)), (2, 1));
-        assert_eq!(size((7, 9), (300, 200)), (7, 9));
-        assert_eq!(size((1, 0), (300, 2)), (1, 1));
+        assert_eq!(size([0, 0], [300, 200]), (300, 200));
+        assert_eq!(size([150, 0], [300, 200]), (150, 100));
+        assert_eq!(size([0, 1], [300, 200]), (2, 1));
+        assert_eq!(size([7, 9], [300, 200]), (7, 9));
+        assert_eq!(size([1, 0], [300, 2]), (1, 1));
     }
 }

@@ -17,16 +17,14 @@ type Answer<T> = Result<Response<T>, Status>;
 /// Longest signature that is looked at, bytes; one of Ed25519 has 64.
 const MAX_SIGNATURE_BYTES: usize = 64;
 
-impl Shared {
-    /// Accounts are changed where they count, or by whoever has the data folder in hand: not by anybody who
-    /// happens to reach a daemon that asks nobody who they are.
-    fn accounts_count(&self) -> Result<(), Status> {
-        if self.in_process || self.access.mode == Mode::Accounts {
-            return Ok(());
-        }
-        let why = "the daemon runs without them; set access.mode = \"accounts\"".to_owned();
-        Err(status(EngineError::WrongState { what: "accounts".into(), operation: "used", why }))
+/// Accounts are changed where they count, or by whoever has the data folder in hand: not by anybody who
+/// happens to reach a daemon that asks nobody who they are.
+fn accounts_count(shared: &Shared) -> Result<(), Status> {
+    if shared.in_process || shared.access.mode == Mode::Accounts {
+        return Ok(());
     }
+    let why = "the daemon runs without them; set access.mode = \"accounts\"".to_owned();
+    Err(status(EngineError::WrongState { what: "accounts".into(), operation: "used", why }))
 }
 
 /// What to change of an account.
@@ -64,7 +62,7 @@ impl AccessService for Shared {
 
     async fn nonce(&self, request: Request<v1::RegistrationNonceRequest>) -> Answer<v1::RegistrationNonceResponse> {
         let v1::RegistrationNonceRequest { public_key } = request.into_inner();
-        self.accounts_count()?;
+        accounts_count(self)?;
         let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
         let loaded = self.at_work()?;
         let nonce = loaded.nonces.issue(&key, unix_s()).map_err(access)?;
@@ -77,7 +75,7 @@ impl AccessService for Shared {
 
     async fn register(&self, request: Request<v1::RegisterRequest>) -> Answer<v1::RegisterResponse> {
         let v1::RegisterRequest { public_key, name, role, nonce, signature } = request.into_inner();
-        self.accounts_count()?;
+        accounts_count(self)?;
         let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
         let nonce = Digest::from_bytes(from_proto::bytes32("nonce", &nonce).map_err(status)?);
         if signature.len() > MAX_SIGNATURE_BYTES {
@@ -108,7 +106,7 @@ impl AccessService for Shared {
     }
 
     async fn list(&self, request: Request<v1::ListAccountsRequest>) -> Answer<v1::ListAccountsResponse> {
-        self.accounts_count()?;
+        accounts_count(self)?;
         self.authorise(request.extensions(), About::Nothing)?;
         let accounts = self.engine()?.access().accounts().list().iter().map(to_proto::account).collect();
         Ok(Response::new(v1::ListAccountsResponse { accounts }))
@@ -116,7 +114,7 @@ impl AccessService for Shared {
 
     async fn change(&self, request: Request<v1::ChangeAccountRequest>) -> Answer<v1::ChangeAccountResponse> {
         use v1::change_account_request::Change;
-        self.accounts_count()?;
+        accounts_count(self)?;
         self.authorise(request.extensions(), About::Nothing)?;
         let v1::ChangeAccountRequest { public_key, change } = request.into_inner();
         let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
@@ -164,7 +162,7 @@ impl AccessService for Shared {
 
     async fn quota(&self, request: Request<v1::QuotaRequest>) -> Answer<v1::QuotaResponse> {
         let v1::QuotaRequest { ref public_key } = *request.get_ref();
-        self.accounts_count()?;
+        accounts_count(self)?;
         let own = self.authorise(request.extensions(), About::Nothing)?;
         let asked = match public_key.is_empty() {
             true => None,

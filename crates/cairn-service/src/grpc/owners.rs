@@ -74,23 +74,17 @@ impl OwnerService for Shared {
         let signed = signed.map_err(|e| status(RegistryError::from(e).into()))?;
         let about = About::Signed(&signed.record().scene, signed.envelope());
         let payer = self.authorise(request.extensions(), about)?;
-        let answer = self
-            .while_the_disk_answers(move |engine| {
-                let receipt = engine.submit_record(&signed, payer)?;
-                let tlog_proof = receipt.tlog_proof().to_text();
-                Ok(v1::SubmitRecordResponse {
-                    record: Some(to_proto::record(
-                        receipt.index,
-                        &receipt.leaf_hash,
-                        &receipt.envelope,
-                        signed.record(),
-                    )),
-                    checkpoint: receipt.checkpoint,
-                    tlog_proof,
-                    vkey: engine.registry().verifier()?.to_string(),
-                })
+        let answer = while_the_disk_answers(self, move |engine| {
+            let receipt = engine.submit_record(&signed, payer)?;
+            let tlog_proof = receipt.tlog_proof().to_text();
+            Ok(v1::SubmitRecordResponse {
+                record: Some(to_proto::record(receipt.index, &receipt.leaf_hash, &receipt.envelope, signed.record())),
+                checkpoint: receipt.checkpoint,
+                tlog_proof,
+                vkey: engine.registry().verifier()?.to_string(),
             })
-            .await?;
+        })
+        .await?;
         Ok(Response::new(answer))
     }
 
@@ -156,26 +150,24 @@ impl OwnerService for Shared {
         self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
         let request = request.into_inner().request;
         let index =
-            self.while_the_disk_answers(move |engine| corrections::erase_record(engine.registry(), &request)).await?;
+            while_the_disk_answers(self, move |engine| corrections::erase_record(engine.registry(), &request)).await?;
         Ok(Response::new(v1::EraseRecordResponse { index }))
     }
 }
 
-impl Shared {
-    /// As [`Shared::run`], for what writes into the log: where a disk does not answer, or the store waits for itself (sled
-    /// does where two of its threads fail to write at once), its writer never ends. Then writing stops, and whoever
-    /// waits is told.
-    async fn while_the_disk_answers<T: Send + 'static>(
-        &self,
-        what: impl FnOnce(&Engine) -> Result<T, EngineError> + Send + 'static,
-    ) -> Result<T, Status> {
-        let engine = self.engine()?;
-        let stop = |cause: &str| {
-            engine.registry().stop_writing(cause);
-            tracing::error!(cause, "the log stopped writing");
-        };
-        PATIENCE.wait(self.run(what), || engine.registry().writing_for(), stop).await
-    }
+/// As [`Shared::run`], for what writes into the log: where a disk does not answer, or the store waits for itself (sled
+/// does where two of its threads fail to write at once), its writer never ends. Then writing stops, and whoever
+/// waits is told.
+async fn while_the_disk_answers<T: Send + 'static>(
+    shared: &Shared,
+    what: impl FnOnce(&Engine) -> Result<T, EngineError> + Send + 'static,
+) -> Result<T, Status> {
+    let engine = shared.engine()?;
+    let stop = |cause: &str| {
+        engine.registry().stop_writing(cause);
+        tracing::error!(cause, "the log stopped writing");
+    };
+    PATIENCE.wait(shared.run(what), || engine.registry().writing_for(), stop).await
 }
 
 impl Patience {

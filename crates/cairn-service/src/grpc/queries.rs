@@ -19,9 +19,9 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl QueryService for Shared {
     async fn identify(&self, request: Request<v1::IdentifyRequest>) -> Answer<v1::IdentifyResponse> {
-        let over = self.over(request.extensions(), request.get_ref())?;
+        let over = over(self, request.extensions(), request.get_ref())?;
         let _waiting = over.as_ref().map(|over| Waiting::of(over.given_up.clone()));
-        let searching = self.searching(over.as_ref()).await;
+        let searching = searching(self, over.as_ref()).await;
         let v1::IdentifyRequest { scene, picture, payload, .. } = request.into_inner();
         let found = self.compute(move |engine| {
             let _searching = searching;
@@ -53,24 +53,22 @@ impl QueryService for Shared {
     }
 }
 
-impl Shared {
-    /// How a picture is to be registered with the scene's field. It asks for a token as base renders do: it takes the daemon
-    /// seconds, and its scores are what someone would watch who wants a mark to go.
-    fn over(&self, caller: &Extensions, request: &v1::IdentifyRequest) -> Result<Option<Over>, Status> {
-        if !request.register && request.camera.is_none() {
-            return Ok(None);
-        }
-        let from = request.camera.clone().map(|v| from_proto::viewpoint(Some(v))).transpose().map_err(status)?;
-        self.authorise_as(caller, Need::Inspect, About::Scene(&request.scene))?;
-        Ok(Some(Over { from, given_up: Arc::default() }))
+/// How a picture is to be registered with the scene's field. It asks for a token as base renders do: it takes the daemon
+/// seconds, and its scores are what someone would watch who wants a mark to go.
+fn over(shared: &Shared, caller: &Extensions, request: &v1::IdentifyRequest) -> Result<Option<Over>, Status> {
+    if !request.register && request.camera.is_none() {
+        return Ok(None);
     }
+    let from = request.camera.clone().map(|v| from_proto::viewpoint(Some(v))).transpose().map_err(status)?;
+    shared.authorise_as(caller, Need::Inspect, About::Scene(&request.scene))?;
+    Ok(Some(Over { from, given_up: Arc::default() }))
+}
 
-    /// Waits for the one place that searches for a camera have, of those that renders share: a search keeps its own for
-    /// many seconds. It goes with the work.
-    async fn searching(&self, over: Option<&Over>) -> Option<OwnedSemaphorePermit> {
-        match over {
-            Some(Over { from: None, .. }) => self.searches.clone().acquire_owned().await.ok(),
-            _ => None,
-        }
+/// Waits for the one place that searches for a camera have, of those that renders share: a search keeps its own for
+/// many seconds. It goes with the work.
+async fn searching(shared: &Shared, over: Option<&Over>) -> Option<OwnedSemaphorePermit> {
+    match over {
+        Some(Over { from: None, .. }) => shared.searches.clone().acquire_owned().await.ok(),
+        _ => None,
     }
 }

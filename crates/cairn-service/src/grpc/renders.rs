@@ -23,7 +23,7 @@ type Answer<T> = Result<Response<T>, Status>;
 impl RenderService for Shared {
     async fn render(&self, request: Request<v1::RenderRequest>) -> Answer<v1::RenderResponse> {
         let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
-        self.may_see(request.extensions(), &request.get_ref().scene, field, &[request.get_ref().appearance.as_ref()])?;
+        may_see(self, request.extensions(), &request.get_ref().scene, field, &[request.get_ref().appearance.as_ref()])?;
         let v1::RenderRequest { scene, viewpoint, appearance, accumulation, depth, depth_colours, .. } =
             request.into_inner();
         let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
@@ -60,7 +60,7 @@ impl RenderService for Shared {
     async fn render_path(&self, request: Request<v1::RenderPathRequest>) -> Answer<Self::RenderPathStream> {
         let field = from_proto::field_kind(request.get_ref().field).map_err(status)?;
         let lights = [request.get_ref().appearance.as_ref(), request.get_ref().appearance_to.as_ref()];
-        self.may_see(request.extensions(), &request.get_ref().scene, field, &lights)?;
+        may_see(self, request.extensions(), &request.get_ref().scene, field, &lights)?;
         let fits = lights.into_iter().any(is_fitted);
         let plan = from_proto::path(request.into_inner()).map_err(status)?;
         let plan = move |engine: &Engine| engine.tour(&plan);
@@ -87,21 +87,19 @@ impl RenderService for Shared {
     }
 }
 
-impl Shared {
-    /// Holds the caller to a token where a render would show the field without its marks: the base field's, and one in a
-    /// photograph's light. Who may choose any light chooses one so dark that the mark is nearly all that is left.
-    fn may_see(
-        &self,
-        caller: &Extensions,
-        scene: &str,
-        field: FieldKind,
-        lights: &[Option<&v1::Appearance>],
-    ) -> Result<(), Status> {
-        if field == FieldKind::Base || lights.iter().any(|light| is_fitted(*light)) {
-            self.authorise_as(caller, Need::Inspect, About::Scene(scene))?;
-        }
-        Ok(())
+/// Holds the caller to a token where a render would show the field without its marks: the base field's, and one in a
+/// photograph's light. Who may choose any light chooses one so dark that the mark is nearly all that is left.
+fn may_see(
+    shared: &Shared,
+    caller: &Extensions,
+    scene: &str,
+    field: FieldKind,
+    lights: &[Option<&v1::Appearance>],
+) -> Result<(), Status> {
+    if field == FieldKind::Base || lights.iter().any(|light| is_fitted(*light)) {
+        shared.authorise_as(caller, Need::Inspect, About::Scene(scene))?;
     }
+    Ok(())
 }
 
 /// Whether it is fitted to a photograph.

@@ -162,7 +162,7 @@ fn mark_report(model: &Model, mark: &Mark, scored: &[Scored], right_half: bool) 
             .map(|(identity, signal)| {
                 let views: Vec<SeenView<'_>> = of(identity.number).collect();
                 let forced = |picture: &Picture| Ok(mark.detect_forced(picture, identity.number)?.detection);
-                recovery(&forced, (identity.number, &identity.label), signal, &views, size)
+                recovery(&forced, identity.number, &identity.label, signal, &views, size.into())
             })
             .collect::<Result<_, _>>()?,
     })
@@ -240,8 +240,9 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
             row.extend(signal_tiles(
                 &read.found.detection.recovered,
                 truth.unwrap_or(&Signal::default()),
-                (read.class(), view.truth),
-                (w, h),
+                read.class(),
+                view.truth,
+                [w, h],
             ));
         } else {
             row.push(tile(&difference(&view.base, &view.photograph, OFF), "Difference x 4"));
@@ -253,12 +254,7 @@ fn draw(model: &Model, scored: &[Scored]) -> Picture {
 
 /// What was read and what is true, of the classes of these numbers (of what is read: `None` for a pose elsewhere); a tile more
 /// for sounds, and one for texts, where the detector has heads for them.
-pub fn signal_tiles(
-    read: &Signal,
-    truth: &Signal,
-    (class, owner): (Option<u32>, u32),
-    (w, h): (usize, usize),
-) -> Vec<Tile> {
+pub fn signal_tiles(read: &Signal, truth: &Signal, class: Option<u32>, owner: u32, [w, h]: [usize; 2]) -> Vec<Tile> {
     let class = class.map_or("elsewhere".to_owned(), |class| class.to_string());
     let tile = |signal: &Signal, label: String| {
         let picture = signal.picture.clone().unwrap_or_else(|| Picture::constant(w, h, [0.0; 3]));

@@ -27,10 +27,11 @@ type Measure = fn(&Signal, &Detection) -> Result<Option<f64>, EngineError>;
 /// When the detector or a measure fails.
 pub fn recovery(
     forced: &dyn Fn(&Picture) -> Result<Detection, EngineError>,
-    (number, label): (u32, &str),
+    number: u32,
+    label: &str,
     truth: &Signal,
     views: &[SeenView<'_>],
-    (w, h): (usize, usize),
+    [w, h]: [usize; 2],
 ) -> Result<Recovery, EngineError> {
     let base = views.iter().map(|v| forced(v.base)).collect::<Result<Vec<Detection>, EngineError>>()?;
     let (grey, noise) = (forced(&Picture::constant(w, h, [0.5; 3]))?, forced(&noise(w, h))?);

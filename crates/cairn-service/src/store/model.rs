@@ -245,7 +245,7 @@ impl Model {
         let base = Arc::new(Field::read_from(&mut file).map_err(|e| of_file(&path, e))?);
         let mark = match &info.mark {
             None => None,
-            Some(mark) => Some(load_mark(&folder, mark, info.classes()?, (&base, &info.base_field))?),
+            Some(mark) => Some(load_mark(&folder, mark, info.classes()?, &base, &info.base_field)?),
         };
         Ok(Self { info, base, mark })
     }
@@ -276,17 +276,18 @@ impl Model {
     }
 }
 
-/// `base`: the field of stage 1 and its file's digest. A marked field on that same base shares it.
+/// `base` is the field of stage 1, `base_file` its file's digest. A marked field on that same base shares it.
 fn load_mark(
     folder: &Path,
     info: &MarkInfo,
     classes: Classes,
-    base: (&Arc<Field>, &Digest),
+    base: &Arc<Field>,
+    base_file: &Digest,
 ) -> Result<Mark, EngineError> {
     let path = folder.join("marked.field");
     let mut file = open_checked(&path, &info.marked_field, MAX_FIELD_BYTES)?;
-    let is_base = |stored: &mut dyn Read| Ok(Digest::of_all(stored)?.0 == *base.1);
-    let field = MarkedField::read_sharing(&mut file, base.0, is_base).map_err(|error| match error {
+    let is_base = |stored: &mut dyn Read| Ok(Digest::of_all(stored)?.0 == *base_file);
+    let field = MarkedField::read_sharing(&mut file, base, is_base).map_err(|error| match error {
         MarkError::Field(error) => of_file(&path, error),
         error => error.into(),
     })?;

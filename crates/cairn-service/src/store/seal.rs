@@ -6,7 +6,8 @@
 
 use std::path::Path;
 
-use cairn_verify::{FileInHand, Manifest, ManifestFile};
+use cairn_log::Digest;
+use cairn_log::format::manifest::{Manifest, ManifestFile, VERSION};
 
 use crate::error::EngineError;
 use cairn_durable::{remove, sync_folder, write_atomic};
@@ -49,11 +50,11 @@ pub fn write(root: &Path) -> Result<(), EngineError> {
     let mut files = Vec::with_capacity(paths.len());
     for path in paths {
         let place = root.join(&path);
-        let size = std::fs::metadata(&place).map_err(EngineError::io("read", &place))?.len();
-        let sha256 = FileInHand::read(&place).map_err(|e| EngineError::io("read", &place)(e.source))?.digest;
+        let read = |e| EngineError::io("read", &place)(e);
+        let (sha256, size) = Digest::of_all(&mut std::fs::File::open(&place).map_err(read)?).map_err(read)?;
         files.push(ManifestFile { path, size, sha256 });
     }
-    let manifest = Manifest { format_version: 1, files };
+    let manifest = Manifest { format_version: VERSION, files };
     // Strings and numbers only: there is nothing that could fail to serialise.
     Ok(write_atomic(&root.join(SEAL), &serde_json::to_vec_pretty(&manifest).unwrap_or_default())?)
 }

@@ -35,7 +35,7 @@ pub use files::StoreError;
 pub use options::{Stock, StoreOptions};
 pub use report::StoreReport;
 pub(crate) use seal::read_manifest;
-pub use seal::{Manifest, ManifestFile};
+pub(crate) use seal::{compare, compare_listed, strangers};
 
 use crate::{code::Code, policy, report::Findings};
 use files::Files;

@@ -1,13 +1,8 @@
-//! Manifests: which files a folder has, each with its size and SHA-256. The seal of the
-//! registry's working state is one, and so are those of scenes, models and jobs.
-//!
-//! A manifest tells bit rot and half-restored copies; who can write the folder can write
-//! the manifest, so it is no defence against them. Signatures are.
+//! Holds folders to their manifests, and the registry's working state to its seal.
 
 use std::{collections::BTreeSet, path::Path};
 
-use cairn_log::format::Digest;
-use serde::{Deserialize, Serialize};
+use cairn_log::format::manifest::Manifest;
 
 use super::{
     StoreError,
@@ -18,113 +13,69 @@ use crate::{FileInHand, code::Code, report::Findings};
 /// Largest manifest that is read, bytes: some 500 000 files.
 const MAX_BYTES: usize = 64 << 20;
 
-/// A folder's files.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Manifest {
-    /// 1.
-    pub format_version: u32,
-    /// All files but the manifest itself, ascending by path.
-    pub files: Vec<ManifestFile>,
+/// Holds the files of `folder` to the manifest. `name`: the folder's in the findings. `except`: files that are no
+/// business of the manifest. Gives how many files differ.
+pub(crate) fn compare(
+    manifest: &Manifest,
+    folder: &Path,
+    name: &str,
+    except: &[&str],
+    [changed, unknown]: [Code; 2],
+    findings: &mut Findings,
+) -> Result<usize, StoreError> {
+    let differ = compare_listed(manifest, folder, name, changed, findings);
+    Ok(differ + strangers(manifest, folder, name, except, unknown, findings)?)
 }
 
-/// One file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ManifestFile {
-    /// From the folder, with `/`.
-    pub path: String,
-    /// Bytes.
-    pub size: u64,
-    /// SHA-256 (hex).
-    pub sha256: Digest,
+/// The files that the manifest names; gives how many of them differ. `name`: empty where their paths say it all.
+pub(crate) fn compare_listed(
+    manifest: &Manifest,
+    folder: &Path,
+    name: &str,
+    changed: Code,
+    findings: &mut Findings,
+) -> usize {
+    let before = findings.0.len();
+    for file in &manifest.files {
+        let place = if name.is_empty() { file.path.clone() } else { format!("{name}/{}", file.path) };
+        let expected = format!("{} bytes, SHA-256 {}", file.size, file.sha256);
+        if file.path.split('/').any(|part| part.is_empty() || part == "." || part == "..") {
+            findings.add(changed, place, "a path within the folder", &file.path);
+            continue;
+        }
+        let path = folder.join(&file.path);
+        match (FileInHand::read(&path), std::fs::metadata(&path)) {
+            (Ok(got), Ok(metadata)) if got.digest == file.sha256 && metadata.len() == file.size => {}
+            (Ok(got), Ok(metadata)) => {
+                findings.add(changed, place, expected, format!("{} bytes, SHA-256 {}", metadata.len(), got.digest));
+            }
+            (Err(e), _) => findings.add(changed, place, expected, e.source),
+            (_, Err(e)) => findings.add(changed, place, expected, e),
+        }
+    }
+    findings.0.len() - before
 }
 
-impl Manifest {
-    /// Reads a manifest; only the one way of writing it is taken (compact or indented as serde_json does), so that no
-    /// byte can change unnoticed.
-    ///
-    /// # Errors
-    /// What is wrong.
-    pub fn parse(json: &[u8]) -> Result<Self, String> {
-        #[derive(Deserialize)]
-        struct Stated {
-            format_version: u64,
+/// The files that the manifest does not name; gives how many.
+pub(crate) fn strangers(
+    manifest: &Manifest,
+    folder: &Path,
+    name: &str,
+    except: &[&str],
+    unknown: Code,
+    findings: &mut Findings,
+) -> Result<usize, StoreError> {
+    let named: BTreeSet<&str> = manifest.files.iter().map(|file| file.path.as_str()).collect();
+    let mut strangers = Vec::new();
+    files::walk(folder, &mut |path, _| {
+        if !named.contains(path) && !except.contains(&path) {
+            strangers.push(path.to_owned());
         }
-        let stated: Stated = serde_json::from_slice(json).map_err(|e| e.to_string())?;
-        if stated.format_version != 1 {
-            return Err(format!("format version {}, this release reads 1", stated.format_version));
-        }
-        let manifest: Self = serde_json::from_slice(json).map_err(|e| e.to_string())?;
-        let compact = serde_json::to_vec(&manifest).map_err(|e| e.to_string())?;
-        let indented = serde_json::to_vec_pretty(&manifest).map_err(|e| e.to_string())?;
-        if json != compact && json != indented {
-            return Err("not as it is written: blanks or escapes differ".to_owned());
-        }
-        if manifest.files.windows(2).any(|pair| pair[0].path >= pair[1].path) {
-            return Err("files out of order, or one twice".to_owned());
-        }
-        Ok(manifest)
+    })?;
+    for path in &strangers {
+        findings.add(unknown, format!("{name}/{path}"), "a file that the manifest names", "another file");
     }
-
-    /// Holds the files of `folder` to the manifest. `name`: the folder's in the findings. `except`: files that are no
-    /// business of the manifest. Gives how many files differ.
-    pub(crate) fn compare(
-        &self,
-        folder: &Path,
-        name: &str,
-        except: &[&str],
-        [changed, unknown]: [Code; 2],
-        findings: &mut Findings,
-    ) -> Result<usize, StoreError> {
-        let differ = self.compare_listed(folder, name, changed, findings);
-        Ok(differ + self.strangers(folder, name, except, unknown, findings)?)
-    }
-
-    /// The files that the manifest names; gives how many of them differ. `name`: empty where their paths say it all.
-    pub(crate) fn compare_listed(&self, folder: &Path, name: &str, changed: Code, findings: &mut Findings) -> usize {
-        let before = findings.0.len();
-        for file in &self.files {
-            let place = if name.is_empty() { file.path.clone() } else { format!("{name}/{}", file.path) };
-            let expected = format!("{} bytes, SHA-256 {}", file.size, file.sha256);
-            if file.path.split('/').any(|part| part.is_empty() || part == "." || part == "..") {
-                findings.add(changed, place, "a path within the folder", &file.path);
-                continue;
-            }
-            let path = folder.join(&file.path);
-            match (FileInHand::read(&path), std::fs::metadata(&path)) {
-                (Ok(got), Ok(metadata)) if got.digest == file.sha256 && metadata.len() == file.size => {}
-                (Ok(got), Ok(metadata)) => {
-                    findings.add(changed, place, expected, format!("{} bytes, SHA-256 {}", metadata.len(), got.digest));
-                }
-                (Err(e), _) => findings.add(changed, place, expected, e.source),
-                (_, Err(e)) => findings.add(changed, place, expected, e),
-            }
-        }
-        findings.0.len() - before
-    }
-
-    /// The files that the manifest does not name; gives how many.
-    pub(crate) fn strangers(
-        &self,
-        folder: &Path,
-        name: &str,
-        except: &[&str],
-        unknown: Code,
-        findings: &mut Findings,
-    ) -> Result<usize, StoreError> {
-        let named: BTreeSet<&str> = self.files.iter().map(|file| file.path.as_str()).collect();
-        let mut strangers = Vec::new();
-        files::walk(folder, &mut |path, _| {
-            if !named.contains(path) && !except.contains(&path) {
-                strangers.push(path.to_owned());
-            }
-        })?;
-        for path in &strangers {
-            findings.add(unknown, format!("{name}/{path}"), "a file that the manifest names", "another file");
-        }
-        Ok(strangers.len())
-    }
+    Ok(strangers.len())
 }
 
 /// Checks the working state against its seal.
@@ -157,7 +108,7 @@ pub(super) fn check(files: &Files, findings: &mut Findings) -> Result<(), StoreE
                 }
             }
             let codes = [Code::WorkingMismatch, Code::WorkingMismatch];
-            if manifest.compare(&working, "registry/working", &[], codes, findings)? == 0 {
+            if compare(&manifest, &working, "registry/working", &[], codes, findings)? == 0 {
                 findings.add(Code::WorkingVerified, place, "", format!("{} files", manifest.files.len()));
             }
         }
