@@ -59,13 +59,13 @@ pub struct Account {
     /// When it was registered, seconds since 1970 by the daemon's clock.
     pub since: u64,
     /// Quotas of its own instead of the daemon's.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub quota: Option<Limits>,
     /// The key in place of `key`, as the log of owner records has it after rotations: it signs now, and `key` no more.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub heir: Option<PublicKey>,
     /// Index of the record that ended the account's key with none in its place. Then nobody signs for it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub ended_by: Option<u64>,
 }
 

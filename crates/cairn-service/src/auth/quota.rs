@@ -34,10 +34,8 @@ pub struct Limits {
     /// Trainings that have not ended.
     pub queued_jobs: u64,
     /// Owner records submitted, in all. What the log holds stays, so these are never given back.
-    #[serde(default)]
     pub records: u64,
     /// Owner records submitted within a rolling day.
-    #[serde(default)]
     pub records_per_day: u64,
 }
 
@@ -76,10 +74,8 @@ struct Owner {
     /// Milliseconds of training, by hour since 1970.
     trained_ms: BTreeMap<u64, u64>,
     /// Owner records submitted, in all.
-    #[serde(default)]
     records: u64,
     /// Of the last day, by hour since 1970.
-    #[serde(default)]
     records_by_hour: BTreeMap<u64, u64>,
 }
 

@@ -34,10 +34,10 @@ fn daemon_toml() -> String {
          in the code; docs/reference/config.md gives each setting's reason.",
     );
     for (table, values) in TABLES.iter().zip(defaults()) {
-        write!(text, "\n{}[{}]\n", comment(table.about), table.path).expect("a string takes all");
+        writeln!(text, "\n{}[{}]", comment(table.about), table.path).expect("a string takes all");
         for setting in table.settings {
             let about = format!("{} Allowed: {}.", setting.about.trim(), setting.allowed.words());
-            write!(text, "{}{} = {}\n", comment(&about), setting.key, literal(&values, setting)).expect("as above");
+            writeln!(text, "{}{} = {}", comment(&about), setting.key, literal(&values, setting)).expect("as above");
         }
     }
     text
@@ -97,7 +97,7 @@ fn preset_file(group: &Group) -> String {
                 table = Some(within);
             }
             let why = if set.why.is_empty() { String::new() } else { comment(set.why) };
-            write!(text, "{why}{key} = {}\n", value(settings, set.path)).expect("as above");
+            writeln!(text, "{why}{key} = {}", value(settings, set.path)).expect("as above");
         }
     }
     text

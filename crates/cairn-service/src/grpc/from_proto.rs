@@ -46,6 +46,9 @@ fn text(what: &str, value: String) -> Result<String, EngineError> {
 }
 
 /// Names of views, each once.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn view_names(mut names: Vec<String>) -> Result<Vec<String>, EngineError> {
     names.sort();
     names.dedup();
@@ -56,16 +59,25 @@ pub fn view_names(mut names: Vec<String>) -> Result<Vec<String>, EngineError> {
 }
 
 /// 32 bytes.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn bytes32(what: &str, bytes: &[u8]) -> Result<[u8; 32], EngineError> {
     bytes.try_into().map_err(|_| EngineError::invalid(what, format!("{} bytes", bytes.len()), "32 bytes"))
 }
 
 /// An Ed25519 public key, none of small order.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn public_key(what: &str, bytes: &[u8]) -> Result<PublicKey, EngineError> {
     Ok(PublicKey::from_bytes(&bytes32(what, bytes)?).map_err(RegistryError::from)?)
 }
 
 /// Which view a complete answer is about; `None` for the whole scene.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn asked_view(of: Option<v1::answer_request::Of>) -> Result<Option<AskedView>, EngineError> {
     use v1::answer_request::Of;
     Ok(match of {
@@ -78,6 +90,9 @@ pub fn asked_view(of: Option<v1::answer_request::Of>) -> Result<Option<AskedView
 }
 
 /// A role; `None` where none is named.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn role(number: i32) -> Result<Option<Role>, EngineError> {
     match v1::Role::try_from(number) {
         Ok(v1::Role::Unspecified) => Ok(None),
@@ -127,6 +142,9 @@ fn pose(what: &str, p: &v1::Pose) -> Result<Pose, EngineError> {
 }
 
 /// A camera; `what` names it in errors.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn camera(what: &str, camera: Option<&v1::Camera>) -> Result<Camera, EngineError> {
     let camera = camera.ok_or_else(|| missing(what))?;
     let i = camera.intrinsics.as_ref().ok_or_else(|| missing(&format!("{what}: intrinsics")))?;
@@ -135,6 +153,9 @@ pub fn camera(what: &str, camera: Option<&v1::Camera>) -> Result<Camera, EngineE
 }
 
 /// A viewpoint.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn viewpoint(viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoint, EngineError> {
     viewpoint_of("the viewpoint", viewpoint)
 }
@@ -148,6 +169,9 @@ fn viewpoint_of(what: &str, viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoin
 }
 
 /// A scene kind.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn scene_kind(kind: i32) -> Result<SceneKind, EngineError> {
     match v1::SceneKind::try_from(kind) {
         Ok(v1::SceneKind::ForwardFacing) => Ok(SceneKind::ForwardFacing),
@@ -160,6 +184,9 @@ pub fn scene_kind(kind: i32) -> Result<SceneKind, EngineError> {
 }
 
 /// An import's header.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn import_plan(header: v1::ImportHeader) -> Result<ImportPlan, EngineError> {
     let background = match header.background.as_slice() {
         [] => None,
@@ -173,6 +200,9 @@ pub fn import_plan(header: v1::ImportHeader) -> Result<ImportPlan, EngineError> 
 }
 
 /// Points of the surface.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn points(chunk: &v1::PointChunk) -> Result<Vec<DVec3>, EngineError> {
     let (points, rest) = chunk.xyz.as_chunks::<3>();
     if !rest.is_empty() {
@@ -228,6 +258,9 @@ fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
 }
 
 /// What to train.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, EngineError> {
     use v1::start_training_request::Clusters;
     let grouping = match request.clusters.ok_or_else(|| missing("clusters"))? {
@@ -303,6 +336,9 @@ fn signal(signal: v1::Signal) -> Result<Given, EngineError> {
 }
 
 /// Clusters around anchors.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn by_anchors(a: &v1::ByAnchors) -> Result<Grouping, EngineError> {
     if !(1..=64).contains(&a.anchors) {
         return Err(EngineError::invalid("anchors", a.anchors, "1 to 64"));
@@ -322,6 +358,9 @@ pub fn by_contributor(c: &v1::ByContributor) -> Grouping {
 }
 
 /// Clusters to draw, and the seed they are made with; `None` for the model's.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn drawn_clusters(request: &v1::DrawPosesRequest) -> Result<Option<(Grouping, u64)>, EngineError> {
     use v1::draw_poses_request::Clusters;
     let grouping = match &request.clusters {
@@ -333,6 +372,9 @@ pub fn drawn_clusters(request: &v1::DrawPosesRequest) -> Result<Option<(Grouping
 }
 
 /// Whether a drawing is wanted as SVG, and not as PNG.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn is_svg(format: i32) -> Result<bool, EngineError> {
     match v1::DrawingFormat::try_from(format) {
         Ok(v1::DrawingFormat::Svg) => Ok(true),
@@ -342,6 +384,9 @@ pub fn is_svg(format: i32) -> Result<bool, EngineError> {
 }
 
 /// A camera path.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn path(request: v1::RenderPathRequest) -> Result<PathRequest, EngineError> {
     use v1::render_path_request::Path;
     let kind = match request.path.ok_or_else(|| missing("the path"))? {
@@ -371,6 +416,9 @@ pub fn path(request: v1::RenderPathRequest) -> Result<PathRequest, EngineError> 
 }
 
 /// Which field.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn field_kind(kind: i32) -> Result<FieldKind, EngineError> {
     match v1::FieldKind::try_from(kind) {
         Ok(v1::FieldKind::Base) => Ok(FieldKind::Base),
@@ -380,6 +428,9 @@ pub fn field_kind(kind: i32) -> Result<FieldKind, EngineError> {
 }
 
 /// In whose light.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn light(appearance: Option<v1::Appearance>) -> Result<Light, EngineError> {
     use v1::appearance::Choice;
     Ok(match appearance.and_then(|a| a.choice) {

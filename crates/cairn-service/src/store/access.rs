@@ -21,6 +21,9 @@ use crate::store::folder::{DataFolder, read_json, write_json};
 use crate::store::scenes;
 use cairn_durable::{remove, sync_folder};
 
+/// Format version of a scene's owner file.
+const OWNER_VERSION: u32 = 1;
+
 /// Accounts, quotas and owners of one data folder.
 #[derive(Debug)]
 pub struct Access {
@@ -86,7 +89,7 @@ impl Access {
             let name = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".json"));
             match name.filter(|name| folder.scenes().join(name).is_dir()) {
                 Some(name) => {
-                    let found: SceneOwner = read_json(&path)?;
+                    let found: SceneOwner = read_json(&path, OWNER_VERSION)?;
                     let charge = Charge { bytes: found.bytes, views: found.views };
                     owned.push((found.owner, name.to_owned(), charge));
                 }
@@ -192,7 +195,7 @@ impl Access {
         if !path.exists() {
             return Ok(None);
         }
-        let found: SceneOwner = read_json(&path)?;
+        let found: SceneOwner = read_json(&path, OWNER_VERSION)?;
         Ok(Some(found.owner))
     }
 
@@ -227,9 +230,10 @@ impl Access {
     pub fn announce(&self, place: &Place<'_>, owned: Option<&Owned>) -> Result<(), EngineError> {
         let path = self.file(&place.name);
         match owned {
-            Some(Owned { owner, charge: Charge { bytes, views }, .. }) => {
-                write_json(&path, &SceneOwner { format_version: 1, owner: *owner, bytes: *bytes, views: *views })
-            }
+            Some(Owned { owner, charge: Charge { bytes, views }, .. }) => write_json(
+                &path,
+                &SceneOwner { format_version: OWNER_VERSION, owner: *owner, bytes: *bytes, views: *views },
+            ),
             None => Ok(remove(&path)?),
         }
     }
@@ -253,7 +257,7 @@ impl Access {
         if !path.exists() {
             return Ok(());
         }
-        let found: SceneOwner = read_json(&path)?;
+        let found: SceneOwner = read_json(&path, OWNER_VERSION)?;
         self.quotas.release(&found.owner, scene).map_err(AccessError::from)?;
         remove(&path)?;
         Ok(sync_folder(&self.owners)?)

@@ -206,7 +206,7 @@ impl Exclusions {
         if !path.exists() {
             return Ok(Entries::default());
         }
-        let Stored { format_version: _, views, measured } = read_json(&path)?;
+        let Stored { format_version: _, views, measured } = read_json(&path, VERSION)?;
         Ok(Entries { views, measured })
     }
 

@@ -61,7 +61,7 @@ impl DataFolder {
         let lock = LockFile::take(&root.join(LOCK))?;
         let format = root.join("format.json");
         if format.exists() {
-            let _: Layout = read_json(&format)?;
+            let _: Layout = read_json(&format, FORMAT_VERSION)?;
         } else {
             write_json(&format, &Layout { format_version: FORMAT_VERSION })?;
         }
@@ -173,25 +173,17 @@ pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), EngineErro
     Ok(write_atomic(path, &json)?)
 }
 
-/// Reads a JSON file whose `format_version` is the one that this release writes.
+/// Reads a JSON file whose `format_version` is `version`, the one that this release writes.
 ///
 /// # Errors
 /// [`EngineError::Stored`] for damage and for another version, by number.
-pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, EngineError> {
-    read_json_of(path, &[FORMAT_VERSION])
-}
-
-/// As [`read_json`], for a file of one of `versions`, which `T` can tell apart.
-pub fn read_json_of<T: DeserializeOwned>(path: &Path, versions: &[u32]) -> Result<T, EngineError> {
+pub fn read_json<T: DeserializeOwned>(path: &Path, version: u32) -> Result<T, EngineError> {
     let stored = |problem: String| EngineError::Stored { path: path.to_path_buf(), problem };
     let bytes = read_limited(path, MAX_JSON_BYTES)?;
     let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(|e| stored(format!("no JSON ({e})")))?;
     match value.get("format_version").and_then(serde_json::Value::as_u64) {
-        Some(version) if versions.iter().any(|v| u64::from(*v) == version) => {}
-        Some(version) => {
-            let read: Vec<String> = versions.iter().map(u32::to_string).collect();
-            return Err(stored(format!("format version {version}, this release reads {}", read.join(" and "))));
-        }
+        Some(found) if found == u64::from(version) => {}
+        Some(found) => return Err(stored(format!("format version {found}, this release reads {version}"))),
         None => return Err(stored("it has no format version".into())),
     }
     serde_json::from_value(value).map_err(|e| stored(e.to_string()))

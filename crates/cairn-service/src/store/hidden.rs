@@ -8,18 +8,19 @@ use cairn_durable::{read_limited, write_atomic};
 use cairn_log::Digest;
 use cairn_mark::{Recipe, Signal};
 use cairn_scene::{SoundLimits, decode_wav, encode_png, encode_wav, save_png};
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
 use crate::store::checked::read_checked;
 
 /// Largest file of a published signal's part, bytes.
 const MAX_PART_BYTES: u64 = 16 << 20;
-/// Largest file of a part beside a job, where earlier releases kept a picture at the size it was brought in.
+/// Largest file of a part beside a job, bytes.
 const MAX_GIVEN_BYTES: u64 = 1 << 30;
 
 /// One of each for a signal's picture, sound and text, where it has them.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Parts<T> {
     /// The picture's.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -36,29 +37,6 @@ pub struct Parts<T> {
 impl<T> Default for Parts<T> {
     fn default() -> Self {
         Self { picture: None, audio: None, text: None }
-    }
-}
-
-// By hand: models of before there were sounds and texts have the picture's digest alone.
-impl<'de> Deserialize<'de> for Parts<Digest> {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        #[derive(Deserialize)]
-        #[serde(untagged)]
-        enum Either {
-            Picture(Digest),
-            Parts(Named),
-        }
-        #[derive(Deserialize)]
-        #[serde(deny_unknown_fields)]
-        struct Named {
-            picture: Option<Digest>,
-            audio: Option<Digest>,
-            text: Option<Digest>,
-        }
-        Ok(match Either::deserialize(from)? {
-            Either::Picture(digest) => Self { picture: Some(digest), ..Self::default() },
-            Either::Parts(Named { picture, audio, text }) => Self { picture, audio, text },
-        })
     }
 }
 
@@ -93,21 +71,6 @@ pub struct Kinds {
     pub text: bool,
 }
 
-/// The kinds of a job's signals; jobs of before there were sounds and texts have the
-/// number of their pictures.
-pub fn kinds<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Kinds>, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(untagged)]
-    enum Either {
-        Pictures(u16),
-        Kinds(Vec<Kinds>),
-    }
-    Ok(match Either::deserialize(from)? {
-        Either::Pictures(count) => vec![Kinds { picture: true, audio: false, text: false }; count.into()],
-        Either::Kinds(kinds) => kinds,
-    })
-}
-
 /// Which parts `signal` has.
 pub fn kinds_of(signal: &Signal) -> Kinds {
     Kinds { picture: signal.picture.is_some(), audio: signal.audio.is_some(), text: signal.text.is_some() }
@@ -123,6 +86,9 @@ pub fn encoded(signal: &Signal) -> Parts<Vec<u8>> {
 }
 
 /// Writes signal `number` beside a job.
+///
+/// # Errors
+/// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
 pub fn keep(folder: &Path, number: usize, signal: &Signal) -> Result<(), EngineError> {
     // Refuses a picture that is not finite.
     if let Some(picture) = &signal.picture {
@@ -132,6 +98,9 @@ pub fn keep(folder: &Path, number: usize, signal: &Signal) -> Result<(), EngineE
 }
 
 /// Reads back what [`keep`] wrote, as it is to be hidden.
+///
+/// # Errors
+/// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
 pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &Recipe) -> Result<Signal, EngineError> {
     let wanted = Parts {
         picture: kinds.picture.then_some(()),
@@ -146,6 +115,9 @@ pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &Recipe) -> Result
 }
 
 /// Writes the files of signal `number` into a model's folder.
+///
+/// # Errors
+/// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
 pub fn write(folder: &Path, number: usize, files: &Parts<Vec<u8>>) -> Result<(), EngineError> {
     Ok(files.files(number).try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))?)
 }
@@ -233,20 +205,5 @@ mod tests {
         std::fs::write(dir.path().join("signal-1.txt"), "photographed by somebody else").unwrap();
         let error = read(dir.path(), 1, &digests).unwrap_err().to_string();
         assert!(error.contains("signal-1.txt") && error.contains("altered"), "{error}");
-    }
-
-    #[test]
-    fn what_was_written_before_there_were_sounds_is_read() {
-        let digest = Digest::of("a picture");
-        let old: Parts<Digest> = serde_json::from_value(serde_json::json!(digest.to_string())).unwrap();
-        assert_eq!(old, Parts { picture: Some(digest), ..Parts::default() });
-        let both = Parts { picture: Some(digest), audio: None, text: Some(Digest::of("t")) };
-        let again: Parts<Digest> = serde_json::from_str(&serde_json::to_string(&both).unwrap()).unwrap();
-        assert_eq!(again, both);
-        let kinds = |json: &str| kinds(&mut serde_json::Deserializer::from_str(json));
-        assert_eq!(kinds("0").unwrap(), []);
-        assert_eq!(kinds("2").unwrap(), [Kinds { picture: true, audio: false, text: false }; 2]);
-        let new = r#"[{"picture":false,"audio":true,"text":true}]"#;
-        assert_eq!(kinds(new).unwrap(), [Kinds { picture: false, audio: true, text: true }]);
     }
 }

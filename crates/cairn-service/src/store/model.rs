@@ -19,18 +19,17 @@ use crate::config::TrainingSettings;
 use crate::error::EngineError;
 use crate::store::checked::{open_checked, read_checked};
 use crate::store::classes::{Classes, Share};
-use crate::store::folder::{read_json, read_json_of, write_json};
+use crate::store::folder::{read_json, write_json};
 use crate::store::hidden::{self, Parts};
 
 /// Largest field or detector file that is read, bytes.
 const MAX_FIELD_BYTES: u64 = 64 << 30;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
-/// Format version of `model.json`: 2 since signals are sounds and texts as well, 3 since
-/// scenes may share a detector.
-pub const VERSION: u32 = 3;
-/// Those that are read.
-const VERSIONS: [u32; 3] = [1, 2, VERSION];
+/// Format version of `model.json`.
+pub const VERSION: u32 = 1;
+/// Format version of `current.json`.
+const CURRENT_VERSION: u32 = 1;
 
 /// `model.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -68,7 +67,6 @@ pub struct MarkInfo {
     pub signals: Vec<Parts<Digest>>,
     /// The scenes that share the detector, in the order of its classes, this one among them;
     /// empty where it has one to itself.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared: Vec<Share>,
 }
 
@@ -84,8 +82,7 @@ pub struct IdentityInfo {
     pub views: Vec<String>,
     /// SHA-256 of its views' photographs, in their order.
     pub photographs: Vec<Digest>,
-    /// Who took the photographs and how many each, most first, then by name; empty in models of before this was kept.
-    #[serde(default)]
+    /// Who took the photographs and how many each, most first, then by name.
     pub contributors: Vec<(String, usize)>,
 }
 
@@ -157,12 +154,14 @@ pub struct Mark {
 struct Current {
     format_version: u32,
     job: String,
-    /// SHA-256 of the model's `manifest.json`; none in folders of before there were manifests.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    manifest: Option<Digest>,
+    /// SHA-256 of the model's `manifest.json`.
+    manifest: Digest,
 }
 
 /// Puts a model in its place and makes it the scene's newest. Durable on return.
+///
+/// # Errors
+/// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
 pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Result<(), EngineError> {
     let of_scene = models.join(&info.scene);
     let (filling, folder) = (of_scene.join(format!(".{}", info.job)), of_scene.join(&info.job));
@@ -180,20 +179,26 @@ pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Resul
         }
     }
     write_json(&filling.join("model.json"), info)?;
-    let manifest = Some(Digest::from_bytes(cairn_scene::write_manifest(&filling)?));
+    let manifest = Digest::from_bytes(cairn_scene::write_manifest(&filling)?);
     rename(&filling, &folder)?;
     sync_folder(models)?;
-    write_json(&of_scene.join("current.json"), &Current { format_version: 1, job: info.job.clone(), manifest })
+    write_json(
+        &of_scene.join("current.json"),
+        &Current { format_version: CURRENT_VERSION, job: info.job.clone(), manifest },
+    )
 }
 
 /// What the newest model of `scene` says of itself; `None` before the first.
+///
+/// # Errors
+/// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
 pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineError> {
     let current = models.join(scene).join("current.json");
     if !current.exists() {
         return Ok(None);
     }
-    let Current { job, .. } = read_json(&current)?;
-    read_json_of(&models.join(scene).join(job).join("model.json"), &VERSIONS).map(Some)
+    let Current { job, .. } = read_json(&current, CURRENT_VERSION)?;
+    read_json(&models.join(scene).join(job).join("model.json"), VERSION).map(Some)
 }
 
 /// What the model of `scene` that `job` made says of itself.
@@ -201,7 +206,7 @@ pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineErr
 /// # Errors
 /// [`EngineError::Stored`] where there is none any more, or it is damaged.
 pub fn of_job(models: &Path, scene: &str, job: &str) -> Result<ModelInfo, EngineError> {
-    read_json_of(&models.join(scene).join(job).join("model.json"), &VERSIONS)
+    read_json(&models.join(scene).join(job).join("model.json"), VERSION)
 }
 
 /// What every model of `scene` says of itself, newest first: trainings leave the models before them in their place.
@@ -224,7 +229,7 @@ pub fn all(models: &Path, scene: &str) -> Result<Vec<ModelInfo>, EngineError> {
     jobs.sort_unstable_by(|a, b| b.cmp(a));
     let read = |job: &String| {
         let path = of_scene.join(job).join("model.json");
-        let info: ModelInfo = read_json_of(&path, &VERSIONS)?;
+        let info: ModelInfo = read_json(&path, VERSION)?;
         // The folder of its other files is found by these names.
         if (info.scene.as_str(), &info.job) != (scene, job) {
             let problem = format!("it says that it is of scene {:?} and job {:?}", info.scene, info.job);
@@ -238,6 +243,9 @@ pub fn all(models: &Path, scene: &str) -> Result<Vec<ModelInfo>, EngineError> {
 impl Model {
     /// Loads the model that `info` describes; every file is held to its digest. Nobody may write into a model's files: fields
     /// are read once for their digest and once more for what they hold.
+    ///
+    /// # Errors
+    /// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
     pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
         let folder = models.join(&info.scene).join(&info.job);
         let path = folder.join("base.field");

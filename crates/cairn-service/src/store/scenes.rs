@@ -9,6 +9,9 @@ use crate::config::Limits;
 use crate::error::EngineError;
 
 /// Refuses what cannot be a scene's name (and could leave the folder).
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the name and what a name may be.
 pub fn check_scene_name(name: &str) -> Result<(), EngineError> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     if name.is_empty() || name.len() > 64 || name.starts_with(['.', '-']) || !name.chars().all(allowed) {
@@ -20,6 +23,9 @@ pub fn check_scene_name(name: &str) -> Result<(), EngineError> {
 }
 
 /// Refuses a picture or a camera that is larger than the settings allow.
+///
+/// # Errors
+/// [`EngineError::OverLimit`] with the size and the limit.
 pub fn check_size(what: &str, width: usize, height: usize, limits: &Limits) -> Result<(), EngineError> {
     let side = width.max(height) as u64;
     if side > limits.max_side_px as u64 {
@@ -40,6 +46,9 @@ pub fn check_size(what: &str, width: usize, height: usize, limits: &Limits) -> R
 }
 
 /// Names of the scenes in `folder`, sorted.
+///
+/// # Errors
+/// The file system's.
 pub fn list(folder: &Path) -> Result<Vec<String>, EngineError> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(EngineError::io("list", folder))? {

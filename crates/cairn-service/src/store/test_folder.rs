@@ -11,6 +11,12 @@ pub struct TestFolder {
     _around: TempDir,
 }
 
+impl Default for TestFolder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl TestFolder {
     /// An empty one.
     pub fn new() -> Self {

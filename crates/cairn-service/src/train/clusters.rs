@@ -12,6 +12,9 @@ use crate::store::model::{IdentityInfo, ModelInfo};
 
 /// Clusters over the scene's training views, in their order. Around anchors with a K of 0: of as many
 /// views as there are for each ([`cairn_scene::cluster::ClusterConfig::within`]).
+///
+/// # Errors
+/// [`EngineError::Invalid`] where the scene has too few views for what is asked.
 pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<Clusters, EngineError> {
     let capture = scene.capture();
     let (mut poses, mut contributors) = (Vec::new(), Vec::new());
@@ -28,6 +31,9 @@ pub fn clusters(scene: &SceneFolder, grouping: &Grouping, seed: u64) -> Result<C
 
 /// As [`clusters`], for a training that may mark nothing. That needs no clusters: where the scene has not the views for those
 /// asked for, all views are one, and what to say of it comes with them. A later training with marks makes its own.
+///
+/// # Errors
+/// [`EngineError::Invalid`] where the scene has too few views for what is asked.
 pub fn clusters_if_any(
     scene: &SceneFolder,
     grouping: &Grouping,

@@ -9,11 +9,8 @@ use serde::{Deserialize, Serialize};
 use crate::config::TrainingSettings;
 use crate::store::hidden::Kinds;
 
-/// Format version of `job.json`: 2 since signals are sounds and texts as well, 3 since a
-/// training may be of several scenes, or go on from an earlier one, 4 since each of several has marks by its own settings.
-pub const VERSION: u32 = 4;
-/// Those that are read.
-pub const VERSIONS: [u32; 4] = [1, 2, 3, VERSION];
+/// Format version of `job.json`.
+pub const VERSION: u32 = 1;
 
 /// What to train. Never changes after the job was accepted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,20 +28,16 @@ pub struct JobSpec {
     pub settings: TrainingSettings,
     /// What the hidden signals in the job's folder are, identity 1's first, as
     /// `signal-<n>.png`, `.wav` and `.txt`; empty where they are drawn from the seed.
-    #[serde(deserialize_with = "crate::store::hidden::kinds")]
     pub signals: Vec<Kinds>,
     /// Whether to stop after stage 1: no marks, no detector.
     pub base_only: bool,
     /// Other scenes that are marked together with it, with one detector for all.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub also: Vec<Beside>,
     /// Of each of several scenes what its marks are made by: what all share, and what it has to itself
-    /// ([`Recipe::for_scene`]). Empty for one scene, and in jobs of before, whose scenes have the first one's.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    /// ([`Recipe::for_scene`]). Empty for one scene.
     pub marks: Vec<Recipe>,
     /// Of each scene the job whose model is gone on from, `None` for one that begins; empty
     /// where all begin.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub grow_from: Vec<Option<String>>,
 }
 
@@ -93,10 +86,8 @@ pub struct Job {
     /// Seconds of computing a stage, its preparation included, over all runs.
     pub stages: Vec<StageSeconds>,
     /// What training found out about the scene, a sentence each.
-    #[serde(default)]
     pub notes: Vec<String>,
     /// Who pays for it: the id of the account's key; absent where nobody does.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub owner: Option<Digest>,
 }
 

@@ -19,7 +19,7 @@ use tokio::sync::watch;
 
 use crate::error::EngineError;
 use crate::store::access::{Access, unix_s};
-use crate::store::folder::{read_json_of, write_json};
+use crate::store::folder::{read_json, write_json};
 use crate::train::job::{self, Job, JobSpec, JobState, Progress, StageSeconds};
 use cairn_durable::remove;
 
@@ -27,6 +27,9 @@ use cairn_durable::remove;
 pub trait Work: Send + 'static {
     /// Runs `job` to its end, or until `control` asks to stop; then everything
     /// needed to go on MUST be on the disk when this returns.
+    ///
+    /// # Errors
+    /// What stopped the job, for its list.
     fn run(&mut self, job: &Job, control: &Control<'_>) -> Result<Outcome, EngineError>;
 }
 
@@ -132,6 +135,9 @@ impl<'a> Control<'a> {
 
     /// Adds seconds of computing to a stage, charges the owner and writes the job
     /// down: called with every checkpoint.
+    ///
+    /// # Errors
+    /// The file system's.
     pub fn spent(&self, stage: &str, seconds: f64) -> Result<(), EngineError> {
         self.charge()?;
         self.sender.send_modify(|job| match job.stages.iter_mut().find(|s| s.stage == stage) {
@@ -192,9 +198,7 @@ impl Jobs {
                 remove(&path)?;
                 continue;
             }
-            let mut job: Job = read_json_of(&file, &job::VERSIONS)?;
-            // As it is written from now on.
-            job.format_version = job::VERSION;
+            let mut job: Job = read_json(&file, job::VERSION)?;
             if !job.state.has_ended() {
                 job.state = JobState::Accepted;
             }

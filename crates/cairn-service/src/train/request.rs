@@ -82,7 +82,7 @@ impl Engine {
             false => None,
         };
         let mut wanted = vec![self.wanted(&request, &request.scene, shared.as_ref())?];
-        let request = request.as_chosen(wanted[0].settings.chosen);
+        let request = request.of_quality(wanted[0].settings.chosen);
         for scene in &request.also {
             wanted.push(self.wanted(&request, scene, shared.as_ref())?);
         }
@@ -229,7 +229,7 @@ fn shared_settings(wanted: &[Wanted]) -> (TrainingSettings, Vec<Recipe>, Option<
 
 impl TrainingRequest {
     /// The request for further scenes: those that begin beside one that goes on take its quality.
-    fn as_chosen(mut self, chosen: Option<Chosen>) -> Self {
+    fn of_quality(mut self, chosen: Option<Chosen>) -> Self {
         if let (true, Plan::Options(options), Some(chosen)) = (self.grow, &mut self.plan, chosen) {
             (options.quality, options.robust) = (Some(chosen.quality), Some(chosen.robust));
         }

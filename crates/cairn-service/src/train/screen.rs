@@ -22,6 +22,9 @@ use crate::train::job::Job;
 use crate::train::jobs::Control;
 use crate::train::stages::{self, Photographs};
 
+/// Format version of `views.json`.
+const VIEWS_VERSION: u32 = 1;
+
 /// Views named in a note.
 const NAMED: usize = 12;
 
@@ -58,12 +61,16 @@ impl Screen<'_> {
     ) -> Result<Option<SceneFolder>, EngineError> {
         let file = folder.join("views.json");
         let mut views: Views = if file.exists() {
-            read_json(&file)?
+            read_json(&file, VIEWS_VERSION)?
         } else {
             let entries = self.exclusions.of(&job.spec.scene)?;
             let screened = !job.spec.settings.screened;
-            let views =
-                Views { format_version: 1, left_out: entries.excluded(), trusted: entries.included(), screened };
+            let views = Views {
+                format_version: VIEWS_VERSION,
+                left_out: entries.excluded(),
+                trusted: entries.included(),
+                screened,
+            };
             write_json(&file, &views)?;
             views
         };

@@ -33,10 +33,16 @@ pub type Preparing<'a> = &'a mut dyn FnMut(&'static str, usize, usize) -> bool;
 /// A training that goes on by steps and can be put down and taken up between them.
 pub trait Stage {
     /// Takes one step. One that fails and does not count MUST leave the state as it was: it is kept.
+    ///
+    /// # Errors
+    /// What stopped the step, a number that is not finite among it.
     fn step(&mut self) -> Result<Step, EngineError>;
     /// Steps done, and steps in all.
     fn steps(&self) -> (u64, u64);
     /// The whole state.
+    ///
+    /// # Errors
+    /// Where the state cannot be encoded.
     fn checkpoint(&self) -> Result<Vec<u8>, EngineError>;
     /// What was found out about the scene so far, each thing by itself.
     fn notes(&self) -> Vec<String> {

@@ -348,8 +348,7 @@ fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
         checkpoint_every: Duration::from_secs(30),
     };
     assert_eq!(training.run(&job, &control).unwrap(), Outcome::Stopped);
-    let written: Job =
-        crate::store::folder::read_json_of(&folder.join("job.json"), &crate::train::job::VERSIONS).unwrap();
+    let written: Job = crate::store::folder::read_json(&folder.join("job.json"), crate::train::job::VERSION).unwrap();
     assert_eq!(written.stages.iter().map(|s| s.stage.as_str()).collect::<Vec<_>>(), [stages::MARK]);
     assert_eq!(sender.borrow().progress.stage, stages::PHOTOGRAPHS);
     assert!(folder.join("base.field").exists() && !folder.join("mark.checkpoint").exists());
