@@ -136,17 +136,17 @@ fn what_cannot_be_written_does_not_count() {
     let ada = owner("ada");
     quotas.charge(&ada, &LIMITS, "town", charge(10, 1)).unwrap();
     let path = place.0.path().join("usage.json");
-    let before = std::fs::read(&path).unwrap();
-    // A folder where the new file would go: no write succeeds, whoever runs the test.
-    let blocked = place.0.path().join("usage.json.new");
-    std::fs::create_dir(&blocked).unwrap();
+    let aside = place.0.path().join("aside");
+    std::fs::rename(&path, &aside).unwrap();
+    // A folder in the file's place: no write succeeds, whoever runs the test.
+    std::fs::create_dir_all(path.join("in the way")).unwrap();
     assert!(matches!(quotas.charge(&ada, &LIMITS, "well", charge(10, 1)), Err(ChargeError::File(_))));
     assert!(quotas.release(&ada, "town").is_err());
     assert_eq!(quotas.usage(&ada, 0).bytes, 10);
-    assert_eq!(std::fs::read(&path).unwrap(), before);
-    std::fs::remove_dir(&blocked).unwrap();
+    std::fs::remove_dir_all(&path).unwrap();
+    std::fs::rename(&aside, &path).unwrap();
     // Half a file left by a process that died while writing is in nobody's way.
-    std::fs::write(&blocked, b"{\"format_ver").unwrap();
+    std::fs::write(place.0.path().join("usage.json.new"), b"{\"format_ver").unwrap();
     quotas.charge(&ada, &LIMITS, "well", charge(10, 1)).unwrap();
     assert_eq!(place.open().usage(&ada, 0).bytes, 20);
 }
@@ -183,15 +183,4 @@ fn records_have_limits_by_the_day_and_in_all() {
     // Others have their own, and 0 is no limit.
     quotas.charge_record(&owner("bob"), &LIMITS, start).unwrap();
     place.open().charge_record(&ada, &Limits::default(), start + 9 * day).unwrap();
-}
-
-#[test]
-fn a_file_from_before_there_were_quotas_of_records_is_read() {
-    let place = Place::new();
-    let owner_id = owner("ada").to_string();
-    let text = format!(
-        r#"{{"format_version": 1, "owners": {{"{owner_id}": {{"stored": {{}}, "trained_ms": {{"5": 1000}}}}}}}}"#
-    );
-    std::fs::write(place.0.path().join("usage.json"), text).unwrap();
-    assert_eq!(place.open().usage(&owner("ada"), 5 * HOUR_S).training_seconds, 1);
 }
