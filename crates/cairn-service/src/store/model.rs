@@ -382,18 +382,3 @@ fn of_file(path: &Path, error: FieldError) -> EngineError {
         error => error.into(),
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_identity_of_before_contributors_were_kept_is_read() {
-        let json = r#"{"number": 1, "label": "anchor-a", "views": ["a"], "photographs": []}"#;
-        let old: IdentityInfo = serde_json::from_str(json).unwrap();
-        assert_eq!(old.contributors, []);
-        let new = IdentityInfo { contributors: vec![("ada".into(), 3)], ..old };
-        let again: IdentityInfo = serde_json::from_str(&serde_json::to_string(&new).unwrap()).unwrap();
-        assert_eq!(again, new);
-    }
-}
