@@ -138,6 +138,8 @@ impl World {
         save_key(&world.path("data/registry.key"), &key(200), &Seal::Plain).unwrap();
         // Opened by the program once and closed again, the folder is as a daemon leaves it.
         world.put("cairn.toml", format!("[registry]\norigin = {ORIGIN:?}\n"));
+        let (said, code) = cairn("cairn registry anchor --accept --data data --config cairn.toml", folder);
+        assert_eq!(code, 0, "{said}");
         let (said, code) = cairn("cairn owners vkey --data data --config cairn.toml", folder);
         assert!(said.starts_with(&format!("{vkey}\n")) && code == 0, "{said}");
         for copy in ["damaged", "fork", "running"] {

@@ -43,7 +43,8 @@ pub enum Command {
 
 /// `cairn access set`.
 #[derive(Debug, clap::Args)]
-#[group(id = "change", required = true, multiple = false, args = ["role", "disable", "enable"])]
+#[group(skip)]
+#[command(group(clap::ArgGroup::new("change").required(true).args(["role", "disable", "enable"])))]
 pub struct SetArgs {
     /// The account's public key
     key: PublicKey,
