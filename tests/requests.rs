@@ -189,7 +189,7 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         (vec![header(vec![view("a", 8), view("b", 4096)])], Code::InvalidArgument, "limits.max_photograph_bytes"),
         (vec![header(nan)], Code::InvalidArgument, "not finite"),
         (vec![header(wide)], Code::InvalidArgument, "limits.max_side_px"),
-        (vec![header(both())], Code::InvalidArgument, "0 whole photographs"),
+        (vec![header(both())], Code::InvalidArgument, "0 whole views"),
         (vec![header(both()), header(both())], Code::InvalidArgument, "no chunk"),
         (vec![header(both()), points(vec![0.0; 4])], Code::InvalidArgument, "multiple of 3"),
         (vec![header(both()), points(vec![f64::NAN; 3])], Code::InvalidArgument, "finite"),
@@ -276,7 +276,7 @@ async fn health_and_reflection_tell_the_truth_and_the_folder_has_one_owner() {
         panic!("no list of services")
     };
     let names: Vec<String> = list.service.into_iter().map(|s| s.name).collect();
-    for service in ["Scene", "Training", "Render", "Query", "Detection", "Owner"] {
+    for service in ["Scene", "Training", "Render", "Query", "Owner", "Access"] {
         assert!(names.contains(&format!("cairn.v1.{service}Service")), "{names:?}");
     }
 
