@@ -56,6 +56,24 @@ pub struct PathArgs {
 }
 
 impl PathArgs {
+    /// Refuses what only a camera path takes. clap leaves it, since `--path` and `--view` exclude each other.
+    ///
+    /// # Errors
+    /// An option that was given, by name.
+    pub fn must_be_absent(&self) -> anyhow::Result<()> {
+        let given = [
+            ("--from", self.from.is_some()),
+            ("--to", self.to.is_some()),
+            ("--arc", self.arc.is_some()),
+            ("--width", self.width.is_some()),
+            ("--height", self.height.is_some()),
+        ];
+        match given.iter().find(|(_, is_given)| *is_given) {
+            Some((name, _)) => anyhow::bail!("{name} is for a camera path: add --path <SHAPE>, or leave it away"),
+            None => Ok(()),
+        }
+    }
+
     fn path(&self, shape: Shape) -> anyhow::Result<to::Path> {
         let ends = self.from.clone().zip(self.to.clone());
         anyhow::ensure!(shape == Shape::Between || ends.is_none(), "--from and --to are for --path between");

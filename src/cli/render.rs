@@ -65,6 +65,7 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
         let seen = Seen { scene: args.name, field, light, light_to };
         return path::run(line, shape, &args.along, seen, &args.out).await;
     }
+    args.along.must_be_absent()?;
     let request = v1::RenderRequest {
         scene: args.name.clone(),
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),

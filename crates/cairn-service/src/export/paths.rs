@@ -26,7 +26,7 @@ pub enum PathError {
     #[error("there is no view to make a path from; import the scene with training views")]
     NoViews,
     /// No common upright.
-    #[error("the views agree on no upright direction; use a path between two views instead (--between)")]
+    #[error("the views agree on no upright direction; use a path between two views instead (--path between)")]
     NoUpright,
     /// The cameras stand where the path's centre is, or all in one place.
     #[error("the views stand in one place ({what}); use a path between two views, or bring views from more places")]
@@ -36,12 +36,12 @@ pub enum PathError {
     },
     /// An orbit of a scene that was seen from one side.
     #[error(
-        "an orbit goes around a scene, and this one is forward-facing: it was seen from one side only; use a spiral (--spiral)"
+        "an orbit goes around a scene, and this one is forward-facing: it was seen from one side only; use a spiral (--path spiral)"
     )]
     OneSided,
     /// An orbit of a scene whose cameras look outwards.
     #[error(
-        "{away} of {views} views look away from the scene's centre: an orbit would show what nobody photographed; use a path between two views (--between)"
+        "{away} of {views} views look away from the scene's centre: an orbit would show what nobody photographed; use a path between two views (--path between)"
     )]
     LookingAway {
         /// How many do.
@@ -50,7 +50,7 @@ pub enum PathError {
         views: usize,
     },
     /// A spiral of cameras that look everywhere.
-    #[error("the views look in many directions, and a spiral needs a common one; use an orbit (--orbit)")]
+    #[error("the views look in many directions, and a spiral needs a common one; use an orbit (--path orbit)")]
     NoCommonView,
 }
 

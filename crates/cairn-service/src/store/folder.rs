@@ -167,6 +167,9 @@ pub fn must_be_free(root: &Path) -> Result<(), EngineError> {
 }
 
 /// Writes a versioned JSON file atomically.
+///
+/// # Errors
+/// The file system's, with the path.
 pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), EngineError> {
     let json = serde_json::to_vec_pretty(value)
         .map_err(|e| EngineError::Internal(format!("{} cannot be written as JSON: {e}", path.display())))?;
