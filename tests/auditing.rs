@@ -145,6 +145,9 @@ impl World {
         for copy in ["damaged", "fork", "running"] {
             crate::common::copy(&world.path("data"), &world.path(copy));
         }
+        // The anchor stays beside the folder that was copied.
+        let (said, code) = cairn("cairn registry anchor --accept --data running --config cairn.toml", folder);
+        assert_eq!(code, 0, "{said}");
         let entries = world.path("damaged/registry/public/tile/entries/000.p/10");
         let mut bytes = std::fs::read(&entries).unwrap();
         bytes[4 * 164 + 20] ^= 1;
