@@ -66,7 +66,7 @@ pub struct Args {
     pub keys: Option<PathBuf>,
 }
 
-/// How to train. What is not given is as the daemon's file has it ([training]).
+/// How to train. What is not given is as the daemon's file has it (`[training]`).
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct Options {
     /// The kind of scene to train for; `auto` takes the scene's own

@@ -71,11 +71,11 @@ pub struct Row {
     pub command: String,
     /// The seed of every random number in it.
     pub seed: u64,
-    /// The commit it was measured at; see [`crate::origin::commit`].
+    /// The commit it was measured at.
     pub commit: String,
-    /// The machine, without a name; see [`crate::origin::machine`].
+    /// The machine, without a name.
     pub machine: String,
-    /// The day in UTC, `YYYY-MM-DD`; see [`crate::origin::today`].
+    /// The day in UTC, `YYYY-MM-DD`.
     pub date: String,
 }
 

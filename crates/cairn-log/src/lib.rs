@@ -7,7 +7,7 @@
 //! ([`format::leaf`]), the verifiable map over them ([`format::map`], [`format::map_leaf`]) and how envelopes lie
 //! beside the log ([`format::packs`]).
 //!
-//! [`format`] builds without any feature and without I/O. The feature `store` adds the writing half: `log`, the
+//! [`mod@format`] builds without any feature and without I/O. The feature `store` adds the writing half: `log`, the
 //! registry with its store on sled, and `keys`, the key files. The features `witness-*` add `witness`.
 
 pub mod format;

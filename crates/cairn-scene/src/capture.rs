@@ -117,7 +117,7 @@ pub struct Capture {
     /// empty where the format brings none.
     pub points: Vec<DVec3>,
     /// Names of the views that were left out because their photographs are not there (see
-    /// [`ReadOptions::skip_missing`]); of a `transforms.json` as it has them, maybe without an ending.
+    /// `skip_missing` of the options); of a `transforms.json` as it has them, maybe without an ending.
     pub missing: Vec<String>,
 }
 

@@ -26,7 +26,7 @@ const SAMPLES: usize = 4096;
 /// Entries from one whose row is used to one whose row is asked for.
 const AHEAD: usize = 64;
 
-/// A field that stage 2 can mark: colours may move, geometry may not (for that see [`super::marched`]).
+/// A field that stage 2 can mark: colours may move, geometry may not (for that see `marched.rs`).
 pub trait MarkableField: Sync {
     /// Rows of colour coefficients, the unused row 0 included.
     fn rows(&self) -> usize;

@@ -9,7 +9,7 @@
 //! 2. for each record of that list, the lists of [`keys_about`] its leaf: who replaced, disputed or took
 //!    back the record, and what ended its owner's key;
 //! 3. for each rotation that a list of steps 2 and 3 names, the list of what ended the key that it leads to
-//!    ([`key_after`]): so it is known who spoke for an owner at any time ([`mod@crate::format::heir::heir`]);
+//!    ([`key_after`]): so it is known who spoke for an owner at any time ([`crate::format::heir`]);
 //! 4. each record of any of these lists, once. Those that only lists of the later steps name have no further lists
 //!    of their own here: this much tells what the records of the answer are worth.
 //!

@@ -172,7 +172,7 @@ impl Registry {
         self.shared.verifier()
     }
 
-    /// A nonce for a record of `owner` about `scene`: good for one record, for [`NONCE_LIFETIME`] log entries of growth,
+    /// A nonce for a record of `owner` about `scene`: good for one record, for [`NONCE_LIFETIME`](crate::log::NONCE_LIFETIME) log entries of growth,
     /// also after a restart.
     ///
     /// # Errors

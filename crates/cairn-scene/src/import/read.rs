@@ -32,11 +32,11 @@ impl Capture {
     ///
     /// The kind is guessed: LLFF whose cameras face one way, and a COLMAP model
     /// whose cameras do from about one place, with points that reach from before
-    /// all of them to at least twice as far, is [`SceneKind::ForwardFacing`]; NeRF-Synthetic, and a `transforms.json`
+    /// all of them to at least twice as far, is `SceneKind::ForwardFacing`; NeRF-Synthetic, and a `transforms.json`
     /// whose photographs are all transparent (each has an alpha channel, and in
     /// five of them, chosen evenly, it is somewhere less than full) and whose
-    /// `aabb_scale` is not over 1, is [`SceneKind::Bounded`]; everything else is
-    /// [`SceneKind::Unbounded`], which is right, if wasteful, for any scene.
+    /// `aabb_scale` is not over 1, is `SceneKind::Bounded`; everything else is
+    /// `SceneKind::Unbounded`, which is right, if wasteful, for any scene.
     /// A forward-facing scene needs something that says where it begins: depth
     /// bounds, or points before the cameras.
     ///

@@ -1,4 +1,4 @@
-//! Settings: declared once in [`settings`], read and checked before anything starts. Nothing else reads a settings file.
+//! Settings: declared once in `settings`, read and checked before anything starts. Nothing else reads a settings file.
 //! How a training goes is a choice of named presets ([`preset`]) with few options over it.
 
 mod access;

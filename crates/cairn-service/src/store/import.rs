@@ -129,7 +129,7 @@ impl Import {
     /// Takes points of the surface, capture's unit.
     ///
     /// # Errors
-    /// For more than [`MAX_POINTS`].
+    /// For more than `MAX_POINTS`.
     pub fn add_points(&mut self, points: Vec<DVec3>) -> Result<(), EngineError> {
         let count = self.points.len() + points.len();
         if count > MAX_POINTS {
