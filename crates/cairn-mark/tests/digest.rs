@@ -1,4 +1,4 @@
-//! Digests of what tiny trainings end in: the same seed gives the same bytes as before the modules were regrouped.
+//! Digests of what tiny trainings end in: a refactoring gives the same bytes from the same seed.
 
 use crate::common::{bytes, config, run, start};
 use cairn_mark::{CarrierKind, DensityKind, OtherColours, Recipe, RobustConfig};
@@ -14,6 +14,7 @@ fn digest(file: &[u8]) -> String {
 }
 
 #[test]
+#[ignore = "holds the bits of one kind of processor (candle's matrix product); run it before and after a refactoring"]
 fn digests() {
     let usual = config(40);
     let mut different = Vec::new();
