@@ -3,14 +3,14 @@
 use std::collections::BTreeSet;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::common::world::{ACCOUNTS, CLOSED, World, key};
-use crate::common::{Daemon, base_only, endless};
 use cairn_api::v1;
 use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_log::OwnerKey;
 use cairn_service::auth::roles::{Need, need};
 use cairn_service::auth::{Daemon as Identity, sign};
+use cairn_testkit::daemon::accounts::{ACCOUNTS, CLOSED, World, key};
+use cairn_testkit::daemon::{Daemon, base_only, endless};
 use tonic::client::Grpc;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status};

@@ -1,12 +1,9 @@
 //! All of these tests as one program: linked once, and short ones run beside long ones.
 
-mod common;
 #[path = "../crates/cairn-log/tests/edges/mod.rs"]
 mod edges;
 #[path = "../crates/cairn-verify/tests/handmade/mod.rs"]
 mod handmade;
-#[path = "common/wire.rs"]
-mod wire;
 
 mod access;
 mod audit;

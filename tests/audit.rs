@@ -2,7 +2,7 @@
 //! alone, a log served over plain HTTP that forks, and the evidence of it.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::{Arc, Mutex};
 
 use crate::handmade::{Log, key, put};
@@ -10,7 +10,7 @@ use cairn_log::keys::{Seal, save_key};
 use cairn_log::{RecordKind, WitnessVerifier, cosign};
 
 fn cairn(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_cairn")).args(arguments).output().unwrap()
+    cairn_testkit::daemon::command().args(arguments).output().unwrap()
 }
 
 /// Exit code and standard output.
@@ -122,7 +122,7 @@ fn a_log_is_followed_until_it_forks_and_the_evidence_is_kept() {
     let mut log = Log::small();
     let (dir, data, vkey) = place(&log);
     let folder = Arc::new(Mutex::new(PathBuf::from(&data).join("registry/public")));
-    let url = crate::common::files::serve(folder.clone());
+    let url = cairn_testkit::daemon::files::serve(folder.clone());
     let state = dir.path().join("state");
     let state_text = state.display().to_string();
     let follow = ["follow", &url, "--vkey", &vkey, "--state", &state_text, "--once"];

@@ -4,10 +4,8 @@
 //! With `CAIRN_WRITE_DOCS=1` what it prints is written into the guide instead; read the change before it goes in.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::{Arc, Mutex};
 
-use crate::common::{Daemon, Place, files};
 use cairn_log::format::record::{
     self, Digests, Identity, Seen, SignalFiles, hidden_signal_commitment, photographs_root,
 };
@@ -15,6 +13,7 @@ use cairn_log::keys::{Seal, save_key};
 use cairn_log::{
     Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, TlogProof, WitnessVerifier, cosign,
 };
+use cairn_testkit::daemon::{Daemon, Place, files};
 
 const ORIGIN: &str = "registry.example/owners";
 const WITNESS: &str = "witness.example/w1";
@@ -143,7 +142,7 @@ impl World {
         let (said, code) = cairn("cairn owners vkey --data data --config cairn.toml", folder);
         assert!(said.starts_with(&format!("{vkey}\n")) && code == 0, "{said}");
         for copy in ["damaged", "fork", "running"] {
-            crate::common::copy(&world.path("data"), &world.path(copy));
+            cairn_testkit::daemon::copy(&world.path("data"), &world.path(copy));
         }
         // The anchor stays beside the folder that was copied.
         let (said, code) = cairn("cairn registry anchor --accept --data running --config cairn.toml", folder);
@@ -171,7 +170,7 @@ impl World {
 /// What a command prints, on either output, and its exit code.
 fn cairn(command: &str, folder: &Path) -> (String, i32) {
     let arguments = command.split_whitespace().skip(1);
-    let output = Command::new(env!("CARGO_BIN_EXE_cairn")).args(arguments).current_dir(folder).output().unwrap();
+    let output = cairn_testkit::daemon::command().args(arguments).current_dir(folder).output().unwrap();
     let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
     (said, output.status.code().unwrap())
 }

@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-use crate::common::Place;
 use cairn_scene::{Picture, save_png};
+use cairn_testkit::daemon::Place;
 
 /// A capture of one photograph a pose, of so many pixels a side: stripes, each photograph's at another place.
 fn capture(folder: &Path, poses: &[[f64; 3]], side: usize) {
@@ -111,7 +111,7 @@ fn how_a_scene_lies_is_said() {
 /// The most memory that `cairn` with `arguments` held at a time, bytes.
 #[cfg(target_os = "linux")]
 fn peak(place: &Place, arguments: &[&str]) -> usize {
-    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_cairn"))
+    let mut child = cairn_testkit::daemon::command()
         .args(arguments)
         .current_dir(place.dir.path())
         .stdout(std::process::Stdio::null())

@@ -3,7 +3,6 @@
 
 use std::path::Path;
 
-use crate::common::{Daemon, Place, smoke_settings, train_to_end};
 use cairn_api::v1::appearance::Choice;
 use cairn_api::v1::render_path_request::Path as Way;
 use cairn_api::v1::render_service_client::RenderServiceClient;
@@ -12,6 +11,7 @@ use cairn_field::AppearanceMode;
 use cairn_landmark::{Landmark, LandmarkConfig};
 use cairn_scene::metrics::psnr_db;
 use cairn_scene::{Limits, Picture, decode_picture, encode_png};
+use cairn_testkit::daemon::{Daemon, Place, smoke_settings, train_to_end};
 use tonic::{Code, Request};
 
 const ADA: &str = "images/ada_002.png";

@@ -6,10 +6,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::Write as _;
 
-use crate::common::{Daemon, Place};
-use crate::wire::{Contract, Method, Pool, call, call_compressed};
 use cairn_api::v1;
 use cairn_log::OwnerKey;
+use cairn_testkit::daemon::wire::{Contract, Method, Pool, call, call_compressed};
+use cairn_testkit::daemon::{Daemon, Place};
 use cairn_testkit::samples;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

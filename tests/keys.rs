@@ -3,8 +3,8 @@
 
 use std::os::unix::fs::PermissionsExt as _;
 
-use crate::common::{Daemon, Place};
 use cairn_log::{Digest, Envelope, OwnerRecord, RecordKind, TlogProof};
+use cairn_testkit::daemon::{Daemon, Place};
 
 /// A made-up landmark with a model, and a key file that everybody's keys here are sealed with.
 struct Town {

@@ -3,13 +3,13 @@
 
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 
-use crate::common::{Daemon, Place, copy};
 use cairn_api::v1;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
 use cairn_log::format::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
 use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
+use cairn_testkit::daemon::{Daemon, Place, copy};
 use tonic::transport::Channel;
 
 /// A running `cairn witness serve`; ends with the test.
@@ -21,7 +21,7 @@ struct Witness {
 
 impl Witness {
     fn start(place: &Place, log: &Path) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+        let mut child = cairn_testkit::daemon::command()
             .args(["witness", "serve", "--listen", "127.0.0.1:0", "--name", "witness.example/w"])
             .args(["--key", &place.text("witness.key"), "--folder", &place.text("witness")])
             .args(["--log", &log.display().to_string()])

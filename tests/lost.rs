@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::world::{CLOSED, World, key};
 use cairn_log::{Envelope, OwnerRecord};
+use cairn_testkit::daemon::accounts::{CLOSED, World, key};
 
 /// A way to the daemon at `url` that breaks once a record went through it: the daemon has it, and its answer never comes.
 fn way_that_breaks(url: &str) -> String {

@@ -2,9 +2,9 @@
 //! is far too short for good answers; that they are well-formed and consistent
 //! is what counts here.
 
-use crate::common::{Daemon, Place};
 use cairn_api::v1;
 use cairn_api::v1::query_service_client::QueryServiceClient;
+use cairn_testkit::daemon::{Daemon, Place};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_mark_is_trained_rendered_read_and_claimed() {

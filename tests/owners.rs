@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use crate::common::{Daemon, Place};
 use cairn_api::v1;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
 use cairn_log::format::record::{self, Digests, Identity, Seen, random_salt};
 use cairn_log::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
+use cairn_testkit::daemon::{Daemon, Place};
 use cairn_verify::{Evidence, LogView, Outcome, audit};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

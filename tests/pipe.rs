@@ -1,15 +1,15 @@
 //! `cairn ... | head -1`: a reader that leaves ends no command, and makes none panic.
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
-use crate::common::Place;
+use cairn_testkit::daemon::Place;
 
 /// What a command says on standard error, and its exit code, where the reader of its standard output is gone before it
 /// writes.
 fn unread(place: &Place, arguments: &[&str]) -> (Option<i32>, String) {
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
-    let mut command = Command::new(env!("CARGO_BIN_EXE_cairn"));
+    let mut command = cairn_testkit::daemon::command();
     let output = command.args(arguments).current_dir(place.dir.path()).stdout(writer).stderr(Stdio::piped()).output();
     let output = output.unwrap();
     (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())

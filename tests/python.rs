@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::common::Place;
 use cairn_log::{Note, NoteVerifier, PublicKey};
+use cairn_testkit::daemon::Place;
 use cairn_verify::{Evidence, Outcome, audit};
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;

@@ -5,7 +5,6 @@
 //! one fresh folder, in order, and must succeed.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 /// The README and every page of the guide.
 fn pages() -> Vec<PathBuf> {
@@ -28,8 +27,7 @@ fn every_cairn_command_of_readme_and_guide_parses_and_runs_where_it_can() {
             if arguments.first() == Some(&"serve") || command.contains("--connect") || elsewhere {
                 arguments.push("--help");
             }
-            let output =
-                Command::new(env!("CARGO_BIN_EXE_cairn")).args(&arguments).current_dir(folder.path()).output().unwrap();
+            let output = cairn_testkit::daemon::command().args(&arguments).current_dir(folder.path()).output().unwrap();
             let said = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.success(), "{}: $ {command}\n{said}", page.display());
         }

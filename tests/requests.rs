@@ -1,11 +1,11 @@
 //! Scenes, renders, queries and refusals through the real daemon.
 
-use crate::common::{Daemon, Place, base_only, smoke, training as wanted};
 use cairn_api::v1::query_service_client::QueryServiceClient;
 use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_api::v1::{self, import_scene_request::Part};
+use cairn_testkit::daemon::{Daemon, Place, base_only, smoke, training as wanted};
 use tonic::{Code, Request};
 
 fn view(name: &str) -> Option<v1::Viewpoint> {

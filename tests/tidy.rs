@@ -3,6 +3,7 @@
 //! what a file is. The rules and their reasons: docs/design/architecture.md.
 
 mod modules;
+mod words;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -173,7 +174,14 @@ fn the_impls_of_a_type_stay_together() {
 
 #[test]
 fn no_function_takes_a_tuple() {
-    let faults = faults_of(Sources::tuple_parameters);
+    let mut faults = faults_of(Sources::tuple_parameters);
+    for (name, package) in packages() {
+        let tests = package.join("tests");
+        if tests.is_dir() {
+            faults
+                .extend(Sources::read(&tests).tuple_parameters().iter().map(|fault| format!("{name}/tests: {fault}")));
+        }
+    }
     assert!(faults.is_empty(), "name the group, or split the function:\n{}", faults.join("\n"));
 }
 

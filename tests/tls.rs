@@ -1,8 +1,6 @@
 //! TLS and mutual TLS through the real daemon, with certificates made here.
 
-use std::process::Command;
-
-use crate::common::{Daemon, Place};
+use cairn_testkit::daemon::{Daemon, Place};
 use rcgen::{BasicConstraints, CertificateParams, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair};
 
 /// An authority; its certificate is in `NAME.pem`.
@@ -85,7 +83,7 @@ fn bad_files_are_named() {
         let config = place.path("bad.toml");
         let settings = tls(&place, certificate, key, "") + "[server]\nbind = \"127.0.0.1:0\"\n";
         std::fs::write(&config, settings).unwrap();
-        let output = Command::new(env!("CARGO_BIN_EXE_cairn"))
+        let output = cairn_testkit::daemon::command()
             .args(["serve", "--data", &place.text("data"), "--config", config.to_str().unwrap()])
             .output()
             .unwrap();

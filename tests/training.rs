@@ -4,10 +4,10 @@
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Stdio};
 
-use crate::common::{Daemon, Place, accept, base_only, endless, smoke, smoke_settings, train_to_end};
 use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_api::v1::{self, JobState};
+use cairn_testkit::daemon::{Daemon, Place, accept, base_only, endless, smoke, smoke_settings, train_to_end};
 use tonic::transport::Channel;
 
 /// Writes a checkpoint after every step, so that any moment has one.
@@ -184,7 +184,7 @@ fn ctrl_c_cancels_and_keeps_the_checkpoint() {
     place.import("one", ["--data", &data]);
     let config = place.text("every-step.toml");
     std::fs::write(&config, EVERY_STEP).unwrap();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+    let mut child = cairn_testkit::daemon::command()
         .args(["train", "one", "--by-contributor", "--base-only", "--preset", "object", "--quality", "archival"])
         .args(["--max-voxels", "4096", "--data", &data, "--config", &config])
         .stdout(Stdio::piped())

@@ -5,11 +5,11 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::{Daemon, Place};
 use cairn_api::v1::render_path_request::Path as Way;
 use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::{self};
 use cairn_scene::{Limits, Picture, decode_picture};
+use cairn_testkit::daemon::{Daemon, Place};
 use tonic::Code;
 use tonic::transport::Endpoint;
 
@@ -201,7 +201,7 @@ fn an_interrupt_keeps_whole_frames_and_nothing_else() {
     let data = place.text("data");
     let frames = place.path("long");
     let path = ["render", "town", "--path", "orbit", "--base", "--frames", "2000", "--width", "200", "--data", &data];
-    let child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+    let child = cairn_testkit::daemon::command()
         .args(path)
         .args(["--out", frames.to_str().unwrap()])
         .stderr(Stdio::piped())

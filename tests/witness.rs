@@ -31,7 +31,7 @@ fn note(tree: &Tree, size: u64) -> String {
 }
 
 fn cairn() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_cairn"))
+    cairn_testkit::daemon::command()
 }
 
 /// A running `cairn` that was told to listen on port 0, and the lines that it began with.

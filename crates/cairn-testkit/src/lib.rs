@@ -1,5 +1,5 @@
-//! Hostile input for the tests, in one place: arbitrary and mutated bytes that shrink, and a count of what reading them
-//! allocates.
+//! What tests share: hostile input (arbitrary and mutated bytes that shrink, and a count of what
+//! reading them allocates), and, with the feature `daemon`, the program at work.
 //!
 //! A test binary declares the allocator and calls [`attack`] for each reader:
 //!
@@ -20,6 +20,8 @@
 //! For tests only: nothing that ships depends on this crate.
 
 mod allocator;
+#[cfg(feature = "daemon")]
+pub mod daemon;
 mod mutate;
 
 pub use allocator::{Counting, allocations_of, peak_of};

@@ -27,11 +27,13 @@ pub struct Method {
 
 /// All methods and message types of a descriptor set.
 pub struct Contract {
+    /// All methods of all services.
     pub methods: Vec<Method>,
     messages: HashMap<String, DescriptorProto>,
 }
 
 impl Contract {
+    /// Reads a `FileDescriptorSet`.
     pub fn read(descriptors: &[u8]) -> Self {
         let set = FileDescriptorSet::decode(descriptors).unwrap();
         let (mut methods, mut messages) = (Vec::new(), HashMap::new());
@@ -118,7 +120,7 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// Mostly what the field of this name wants, else what nobody wants.
+    /// Mostly what the field of this name wants, else what none wants.
     fn text(&self, name: &str, random: &mut ChaCha8Rng) -> String {
         const BAD: [&str; 6] = ["", "../town", "a\u{1}b", "town/", "\u{202e}nwot", "job-99999999999999999999"];
         match self.texts.get(name) {
@@ -198,7 +200,13 @@ impl Decoder for Raw {
     }
 }
 
-/// Sends `messages` to a method and reads at most three answers: how many came, or what was said instead.
+/// Sends `messages` to a method and reads at most three answers: how many came.
+///
+/// # Errors
+/// What the daemon said instead.
+///
+/// # Panics
+/// Where it says nothing for a minute.
 pub async fn call(channel: &Channel, path: &str, messages: Vec<Vec<u8>>) -> Result<usize, Status> {
     let work = async {
         let mut line = tonic::client::Grpc::new(channel.clone());

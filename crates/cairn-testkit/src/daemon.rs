@@ -1,8 +1,12 @@
-//! The real binary at work: starts daemons on a free port, runs commands, and
-//! makes tiny captures of a made-up landmark.
+//! The real `cairn` at work: daemons on a free port, commands, and tiny captures of a made-up
+//! landmark.
+//!
+//! The program is the one that Cargo built beside the running test: `target/PROFILE/cairn`. Tests of
+//! the package `cairn` have it, and so has `cargo test --workspace`.
 
+pub mod accounts;
 pub mod files;
-pub mod world;
+pub mod wire;
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -17,12 +21,24 @@ use cairn_service::train::job::JobState;
 use cairn_service::train::request::{Plan, TrainingRequest};
 use tempfile::TempDir;
 
+/// Runs `cairn`, which Cargo puts into the folder above the one of test programs.
+///
+/// # Panics
+/// Where it is not there, with the command that builds it.
+pub fn command() -> Command {
+    let test = std::env::current_exe().unwrap();
+    let folder = test.ancestors().nth(2).unwrap();
+    let program = folder.join(format!("cairn{}", std::env::consts::EXE_SUFFIX));
+    assert!(program.is_file(), "{} is not there; build it with `cargo build -p cairn`", program.display());
+    Command::new(program)
+}
+
 /// Options of a training that takes a moment.
 pub fn smoke() -> v1::TrainingOptions {
     v1::TrainingOptions { quality: v1::Quality::Smoke.into(), ..v1::TrainingOptions::default() }
 }
 
-/// Options of a training of small steps that nobody waits for.
+/// Options of a training of small steps that no test waits for.
 pub fn endless() -> v1::TrainingOptions {
     v1::TrainingOptions {
         preset: v1::Preset::Object.into(),
@@ -34,6 +50,7 @@ pub fn endless() -> v1::TrainingOptions {
 
 /// A folder that goes with the test, with a capture in it.
 pub struct Place {
+    /// The folder; the capture is in `capture`.
     pub dir: TempDir,
 }
 
@@ -65,17 +82,19 @@ impl Place {
         self.text("pose.json")
     }
 
+    /// The path of `name` in the folder.
     pub fn path(&self, name: &str) -> PathBuf {
         self.dir.path().join(name)
     }
 
+    /// As [`Place::path`], as text for a command.
     pub fn text(&self, name: &str) -> String {
         self.path(name).display().to_string()
     }
 
     /// Runs `cairn` with `arguments`, in this folder.
     pub fn cairn(&self, arguments: &[&str]) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_cairn")).args(arguments).current_dir(self.dir.path()).output().unwrap()
+        command().args(arguments).current_dir(self.dir.path()).output().unwrap()
     }
 
     /// As [`Place::cairn`]; it must succeed. What it printed.
@@ -96,9 +115,16 @@ impl Place {
     }
 }
 
+impl Default for Place {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 /// A daemon of our own.
 pub struct Daemon {
     child: Child,
+    /// Its address, `http://127.0.0.1:PORT`.
     pub url: String,
 }
 
@@ -113,7 +139,7 @@ impl Daemon {
         let config = data.with_extension("toml");
         let settings = format!("{settings}\n[server]\nbind = \"127.0.0.1:0\"\nshutdown_grace_s = 1\n");
         std::fs::write(&config, settings).unwrap();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+        let mut child = command()
             .args(["serve", "--data", data.to_str().unwrap(), "--config", config.to_str().unwrap()])
             .stdout(Stdio::piped())
             .stderr(log)
@@ -128,7 +154,7 @@ impl Daemon {
 
     /// Starts a daemon on settings that were written before, and kills it `after` that, however far it came.
     pub fn start_and_kill(data: &Path, after: std::time::Duration) {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_cairn"))
+        let mut child = command()
             .args(["serve", "--data", data.to_str().unwrap(), "--config"])
             .arg(data.with_extension("toml"))
             .stdout(Stdio::null())
@@ -139,6 +165,7 @@ impl Daemon {
         child.wait().unwrap();
     }
 
+    /// The process id.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
