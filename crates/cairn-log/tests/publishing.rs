@@ -36,7 +36,7 @@ fn read_by_a_monitor(store: &FaultyStore, registry: &Registry) -> (u64, Vec<Vec<
         let bundle = file(store, &format!("public/{path}")).unwrap_or_else(|| panic!("{path} is missing"));
         leaves.extend(decode_entries(&bundle).unwrap().into_iter().map(<[u8]>::to_vec));
     }
-    let mut tree = merkle::Tree::new();
+    let mut tree = cairn_log::format::testing::Tree::new();
     for leaf in &leaves {
         tree.push(merkle::leaf_hash(leaf));
     }

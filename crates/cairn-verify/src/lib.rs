@@ -16,7 +16,6 @@ mod evidence;
 mod folders;
 mod follow;
 mod later;
-mod map;
 mod policy;
 mod report;
 mod state;

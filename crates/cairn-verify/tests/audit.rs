@@ -3,8 +3,9 @@
 use cairn_log::format::{
     Checkpoint, Digest, Envelope, Leaf, Note, NoteVerifier, OwnerKey, OwnerRecord, Policy, RecordKind, TlogProof,
     WitnessVerifier, cosign,
-    merkle::{Tree, empty_root, leaf_hash},
+    merkle::{empty_root, leaf_hash},
     record::{self, Digests, Identity, PAYLOAD_TYPE, Seen, SignalFiles, hidden_signal_commitment, photographs_root},
+    testing::Tree,
 };
 use cairn_verify::{
     Bundle, Code, Evidence, FileInHand, Freshness, HiddenSignalInHand, LogView, Outcome, PhotographsInHand,

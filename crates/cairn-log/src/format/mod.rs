@@ -24,6 +24,8 @@ pub mod record;
 pub mod sealed;
 mod serial;
 pub mod signed;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
 pub mod tile;
 
 pub use answer::{Answer, AnswerError};

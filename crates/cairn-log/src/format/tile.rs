@@ -7,7 +7,7 @@
 
 use std::{fmt, str::FromStr};
 
-use crate::format::{digest::clip, merkle::Tree};
+use crate::format::digest::clip;
 
 /// Hashes of a full tile, entries of a full bundle.
 pub const TILE_WIDTH: u16 = 256;
@@ -78,27 +78,9 @@ impl TilePath {
         (width > 0).then_some(Self { kind, index, width })
     }
 
-    /// All tiles of a tree of `size` leaves, entries aside: level by level, from the left.
-    pub fn all(size: u64) -> impl Iterator<Item = Self> {
-        (0..=MAX_LEVEL)
-            .flat_map(move |level| (0..).map_while(move |index| Self::in_tree(TileKind::Hashes(level), index, size)))
-    }
-
     /// The index of the first hash or entry in its level; none where it exceeds 64 bits.
     pub fn first(&self) -> Option<u64> {
         self.index.checked_mul(TILE_WIDTH.into())
-    }
-
-    /// The tile's bytes, cut from a tree; none where the tree, at `size` leaves, does not hold all of it, and for entries.
-    pub fn cut(&self, tree: &Tree, size: u64) -> Option<Vec<u8>> {
-        let TileKind::Hashes(level) = self.kind else { return None };
-        let held = Self::in_tree(self.kind, self.index, size.min(tree.size()))?;
-        if self.width > held.width {
-            return None;
-        }
-        let first = usize::try_from(self.first()?).ok()?;
-        let hashes = tree.level(8 * usize::from(level)).get(first..first + usize::from(self.width))?;
-        Some(hashes.iter().flat_map(|hash| *hash.as_bytes()).collect())
     }
 }
 
@@ -203,6 +185,7 @@ mod tests {
     use crate::format::{
         digest::Digest,
         merkle::{leaf_hash, root},
+        testing::Tree,
     };
 
     #[test]

@@ -11,7 +11,7 @@ use std::{
 use cairn_log::witness::{AddCheckpoint, FolderStorage, OpenError, Response, Storage, Witness};
 use cairn_log::{
     Checkpoint, Cosignature, Digest, Note, NoteVerifier, OwnerKey,
-    format::merkle::{Tree, leaf_hash},
+    format::{merkle::leaf_hash, testing::Tree},
 };
 
 pub const ORIGIN: &str = "log.example/owners";

@@ -7,9 +7,9 @@ use std::{
 };
 
 use cairn_log::format::{
-    dsse::MAX_ENVELOPE_BYTES,
     leaf::LEAF_LEN,
     note::MAX_NOTE_BYTES,
+    packs::MAX_PACK,
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
 
@@ -17,8 +17,6 @@ use cairn_log::format::{
 pub(super) const CHUNK: u64 = TILE_WIDTH as u64;
 /// Bytes of an entry in its bundle.
 pub(super) const ENTRY: usize = 2 + LEAF_LEN;
-/// Longest slot: a marker and an envelope.
-pub(super) const MAX_SLOT: usize = 1 + MAX_ENVELOPE_BYTES;
 
 /// A folder that cannot be audited at all.
 #[derive(Debug, thiserror::Error)]
@@ -91,7 +89,7 @@ impl Files {
     }
 
     pub(super) fn envelopes(&self, chunk: u64) -> Result<Option<Vec<u8>>, String> {
-        read(&self.registry.join(envelopes(chunk)), CHUNK as usize * (4 + MAX_SLOT))
+        read(&self.registry.join(envelopes(chunk)), MAX_PACK as usize)
     }
 
     /// Widths of the partial tiles of this kind and index, rising. Names that are no width are left to the walk over

@@ -15,7 +15,6 @@
 mod chunk;
 mod class;
 mod files;
-mod frames;
 mod log;
 mod options;
 mod record;
@@ -29,7 +28,6 @@ use std::path::Path;
 
 use cairn_log::format::{Checkpoint, Policy, merkle};
 
-pub(crate) use chunk::check_map_leaf;
 pub use class::Class;
 pub use files::StoreError;
 pub use options::{Stock, StoreOptions};

@@ -1,13 +1,16 @@
 //! What lies behind the last entry, and what does not belong: records that were
 //! accepted and not published yet, and files that nothing of the registry's is.
 
-use cairn_log::format::{NoteVerifier, tile::TilePath};
+use cairn_log::format::{
+    NoteVerifier,
+    packs::{self, Slot},
+    tile::TilePath,
+};
 
 use super::{
     StoreError,
     chunk::Context,
     files::{self, CHUNK},
-    frames::{Frames, Slot},
     record,
 };
 use crate::{code::Code, report::Findings};
@@ -69,15 +72,15 @@ fn belongs(tile: &TilePath, extent: u64) -> bool {
 /// Records that no entry speaks of yet: durable, and published when the registry starts.
 fn behind(context: &Context<'_>, index: u64, findings: &mut Findings) {
     let Ok(Some(bytes)) = context.files.envelopes(index) else { return };
-    let frames = Frames::parse(&bytes);
+    let (slots, broken) = packs::parse_whole(&bytes);
     let from = context.extent.saturating_sub(index * CHUNK).min(CHUNK) as usize;
     let place = context.files.name_envelopes(index);
-    let more = frames.slots.len().saturating_sub(from);
-    if more > 0 || (frames.broken.is_some() && from < CHUNK as usize && frames.slots.len() >= from) {
-        let torn = frames.broken.as_ref().map_or_else(String::new, |cause| format!("; {cause}"));
+    let more = slots.len().saturating_sub(from);
+    if more > 0 || (broken.is_some() && from < CHUNK as usize && slots.len() >= from) {
+        let torn = broken.as_ref().map_or_else(String::new, |cause| format!("; {cause}"));
         findings.add(Code::StoreTail, place.clone(), "", format!("{more} frames behind the last entry{torn}"));
     }
-    for (at, slot) in frames.slots.iter().enumerate().skip(from) {
+    for (at, slot) in slots.iter().enumerate().skip(from) {
         let Slot::Record(json) = slot else { continue };
         if let Err(fault) = record::check(json, context.origin, context.key.map(NoteVerifier::key)) {
             let place = format!("{place}, record {}", index * CHUNK + at as u64);

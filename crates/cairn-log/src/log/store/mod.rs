@@ -9,10 +9,12 @@
 //! [`DiskStore`] is sled. [`TieredStore`] keeps a store small by moving what only accumulates into sorted files.
 
 mod disk;
+#[cfg(any(test, feature = "testing"))]
 mod memory;
 mod tiered;
 
 pub use disk::DiskStore;
+#[cfg(any(test, feature = "testing"))]
 pub use memory::FaultyStore;
 pub use tiered::{Cold, KnownFile, TieredStore};
 
