@@ -24,9 +24,7 @@ mod store;
 pub use answer::{AnswerReport, Question, RecordWorth, Standing, audit_answer, audit_answer_to};
 pub use check::audit;
 pub use code::{Code, Severity};
-pub use evidence::{
-    Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
-};
+pub use evidence::{Bundle, Evidence, EvidenceError, FileInHand, LogView, RecordInHand};
 pub use folders::audit_folders;
 pub use follow::{
     CONTRADICTION, Contradiction, EvidenceReport, Fetch, FollowError, FollowOptions, FollowReport, Followed,

@@ -43,11 +43,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let mut report = audit_store(&args.dir, &options)?;
     report.extend(beside);
     report.extend(renders::check(&args.dir, args.sample));
-    if args.json {
-        println!("{}", report.to_json());
-    } else {
-        print!("{report}");
-    }
+    super::trust::show(&report, args.json.then(|| report.to_json()));
     Ok(ExitCode::from(report.exit_code()))
 }
 

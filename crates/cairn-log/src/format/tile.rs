@@ -7,7 +7,7 @@
 
 use std::{fmt, str::FromStr};
 
-use crate::format::digest::clip;
+use crate::format::digest::{clip, decimal};
 
 /// Hashes of a full tile, entries of a full bundle.
 pub const TILE_WIDTH: u16 = 256;
@@ -137,15 +137,15 @@ impl FromStr for TilePath {
         let (level, rest) = rest.split_once('/').ok_or_else(|| refuse("no index"))?;
         let kind = match level {
             "entries" => TileKind::Entries,
-            level => match level.parse::<u8>() {
-                Ok(number) if number <= MAX_LEVEL && number.to_string() == level => TileKind::Hashes(number),
+            level => match decimal(level) {
+                Some(number) if number <= MAX_LEVEL => TileKind::Hashes(number),
                 _ => return Err(refuse("the level is neither `entries` nor 0 to 63")),
             },
         };
         let (index, width) = match rest.split_once(".p/") {
             None => (rest, TILE_WIDTH),
-            Some((index, width)) => match width.parse::<u16>() {
-                Ok(number) if (1..TILE_WIDTH).contains(&number) && number.to_string() == width => (index, number),
+            Some((index, width)) => match decimal(width) {
+                Some(number) if (1..TILE_WIDTH).contains(&number) => (index, number),
                 _ => return Err(refuse("the width is not 1 to 255")),
             },
         };

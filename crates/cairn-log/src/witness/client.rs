@@ -16,12 +16,12 @@ use std::{
 use crate::format::{
     checkpoint::{Checkpoint, CheckpointError},
     cosignature::{Cosignature, CosignatureError, WitnessVerifier},
-    digest::Digest,
+    digest::{Digest, decimal},
     note::{Note, NoteSignature, NoteVerifier},
 };
 use ureq::{Agent, Body, http};
 
-use crate::witness::request::{AddCheckpoint, decimal};
+use crate::witness::request::AddCheckpoint;
 
 /// Longest that one request takes, connecting included.
 pub const TIMEOUT: Duration = Duration::from_secs(10);

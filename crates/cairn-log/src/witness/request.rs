@@ -7,7 +7,7 @@
 //! <checkpoint>
 //! ```
 
-use crate::format::digest::Digest;
+use crate::format::digest::{Digest, decimal};
 
 /// Largest body, bytes: a checkpoint with some tens of signatures, also of large kinds.
 pub const MAX_BODY_BYTES: usize = 256 << 10;
@@ -88,11 +88,6 @@ impl AddCheckpoint {
         body.push_str(&self.note);
         body
     }
-}
-
-/// A decimal number in its one spelling.
-pub(crate) fn decimal(text: &str) -> Option<u64> {
-    text.parse::<u64>().ok().filter(|number| number.to_string() == text)
 }
 
 #[cfg(test)]

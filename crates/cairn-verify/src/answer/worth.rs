@@ -53,8 +53,8 @@ impl One<'_> {
             record: leaf.record,
             kind: leaf.kind,
             owner: leaf.owner,
-            contributor: body.as_ref().map(|(_, record)| record.identity.contributor.clone()),
-            number: body.as_ref().map(|(_, record)| record.identity.number),
+            contributor: body.as_ref().map(|body| body.record().identity.contributor.clone()),
+            number: body.as_ref().map(|body| body.record().identity.number),
             standing,
             disputed_by,
         }
@@ -105,7 +105,9 @@ impl One<'_> {
         let Ok(speaks) = heir(&self.opened.leaf.owner, index, |key| Ok::<_, Infallible>(self.ending(key)));
         match speaks {
             Heir::Key { id, .. } => {
-                let signed = |key: PublicKey| other.body.as_ref().is_some_and(|(e, _)| e.signature_by(&key).is_some());
+                let signed = |key: PublicKey| {
+                    other.body.as_ref().is_some_and(|body| body.envelope().signature_by(&key).is_some())
+                };
                 let may = other.leaf.owner == id || self.proven.keys.get(&id).copied().is_some_and(signed);
                 may.then_some(()).ok_or_else(|| format!("a record by the owner's key (id {id}), or with its signature"))
             }

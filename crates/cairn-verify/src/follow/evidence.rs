@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     code::Code,
-    report::{Finding, Findings, Outcome},
+    report::{Finding, Findings, Outcome, lines, report},
 };
 
 /// What a follower keeps when a log contradicts itself.
@@ -102,21 +102,7 @@ pub fn audit_evidence(first: &str, second: &str, tiles: &dyn Fetch, pinned: &Not
     EvidenceReport { version: EvidenceReport::VERSION, outcome, findings: findings.0 }
 }
 
-impl EvidenceReport {
-    /// The version of the JSON form.
-    pub const VERSION: u32 = 1;
-
-    /// Whether a finding with this code is there.
-    pub fn has(&self, code: Code) -> bool {
-        self.findings.iter().any(|f| f.code == code)
-    }
-
-    /// The report as indented JSON.
-    pub fn to_json(&self) -> String {
-        // Strings and numbers only: there is nothing that could fail to serialise.
-        serde_json::to_string_pretty(self).unwrap_or_default()
-    }
-}
+report!(EvidenceReport);
 
 impl fmt::Display for EvidenceReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -126,9 +112,6 @@ impl fmt::Display for EvidenceReport {
             Outcome::Invalid => "invalid: this proves nothing",
         };
         writeln!(f, "{answer}")?;
-        for finding in &self.findings {
-            writeln!(f, "{finding}")?;
-        }
-        Ok(())
+        lines(&self.findings, f)
     }
 }

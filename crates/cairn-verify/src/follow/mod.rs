@@ -18,7 +18,7 @@ use serde::Serialize;
 use crate::{
     code::{Code, Severity},
     policy,
-    report::{Finding, Findings},
+    report::{Finding, Findings, lines, report},
     store::Class,
 };
 pub use evidence::{Contradiction, EvidenceReport, audit_evidence};
@@ -168,15 +168,9 @@ impl Look {
     }
 }
 
+report!(FollowReport);
+
 impl FollowReport {
-    /// The version of the JSON form.
-    pub const VERSION: u32 = 1;
-
-    /// Whether a finding with this code is there.
-    pub fn has(&self, code: Code) -> bool {
-        self.findings.iter().any(|f| f.code == code)
-    }
-
     /// 0 where everything held, [`CONTRADICTION`], or as [`Class::exit_code`]: 10 for a checkpoint that the log or its
     /// witnesses did not sign, 11 for tiles or entries that are not those of the tree, 13 for a map leaf.
     pub fn exit_code(&self) -> u8 {
@@ -189,12 +183,6 @@ impl FollowReport {
         let errors: Vec<u8> = self.findings.iter().filter(|f| f.severity == Severity::Error).map(of).collect();
         if errors.contains(&CONTRADICTION) { CONTRADICTION } else { errors.into_iter().min().unwrap_or(0) }
     }
-
-    /// The report as indented JSON.
-    pub fn to_json(&self) -> String {
-        // Strings and numbers only: there is nothing that could fail to serialise.
-        serde_json::to_string_pretty(self).unwrap_or_default()
-    }
 }
 
 impl fmt::Display for FollowReport {
@@ -205,9 +193,6 @@ impl fmt::Display for FollowReport {
             _ => "invalid",
         };
         writeln!(f, "{answer}  {}", self.origin)?;
-        for finding in &self.findings {
-            writeln!(f, "{finding}")?;
-        }
-        Ok(())
+        lines(&self.findings, f)
     }
 }

@@ -112,14 +112,14 @@ pub(super) fn envelopes(chunk: u64) -> String {
 }
 
 /// A file of at most `limit` bytes; none where there is no such file.
-pub(super) fn read(path: &Path, limit: usize) -> Result<Option<Vec<u8>>, String> {
+pub(crate) fn read(path: &Path, limit: usize) -> Result<Option<Vec<u8>>, String> {
     let file = match File::open(path) {
         Ok(file) => file,
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(e) => return Err(format!("cannot be read: {e}")),
+        Err(e) => return Err(e.to_string()),
     };
     let mut bytes = Vec::new();
-    file.take(limit as u64 + 1).read_to_end(&mut bytes).map_err(|e| format!("cannot be read: {e}"))?;
+    file.take(limit as u64 + 1).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
     if bytes.len() > limit { Err(format!("more than {limit} bytes")) } else { Ok(Some(bytes)) }
 }
 

@@ -30,10 +30,10 @@ use cairn_log::format::{Checkpoint, Policy, merkle};
 
 pub use class::Class;
 pub use files::StoreError;
+pub(crate) use files::read;
 pub use options::{Stock, StoreOptions};
 pub use report::StoreReport;
-pub(crate) use seal::read_manifest;
-pub(crate) use seal::{compare, compare_listed, strangers};
+pub(crate) use seal::{Covered, compare, read_manifest, read_seal};
 
 use crate::{code::Code, policy, report::Findings};
 use files::Files;
