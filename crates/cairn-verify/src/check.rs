@@ -10,13 +10,13 @@ use crate::{
     code::Code,
     evidence::Evidence,
     later, policy,
-    report::{Findings, Freshness, Outcome, Report},
+    report::{Findings, Freshness, Report},
 };
 
 /// Verifies a record with everything in hand.
 ///
 /// Never fails: whatever is wrong with the evidence is a finding. The outcome is
-/// [`Outcome::Trusted`] only where the pinned registry signed the record and its log, under a checkpoint signed by the
+/// [`Outcome::Trusted`](crate::Outcome::Trusted) only where the pinned registry signed the record and its log, under a checkpoint signed by the
 /// pinned key, includes it.
 pub fn audit(evidence: &Evidence<'_>) -> Report {
     let mut findings = Findings::default();
@@ -41,13 +41,7 @@ pub fn audit(evidence: &Evidence<'_>) -> Report {
         freshness = later::check(&audited, evidence.log, &mut findings);
     }
     let anchored = [Code::RegistrySignatureValid, Code::CheckpointVerified, Code::InclusionProven];
-    let outcome = if findings.failed() {
-        Outcome::Invalid
-    } else if anchored.iter().all(|code| findings.has(*code)) {
-        Outcome::Trusted
-    } else {
-        Outcome::Valid
-    };
+    let outcome = findings.outcome(anchored.iter().all(|code| findings.has(*code)));
     let record = digest.map(|d| d.to_string());
     Report { version: Report::VERSION, outcome, freshness, record, findings: findings.0 }
 }

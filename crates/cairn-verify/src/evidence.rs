@@ -7,7 +7,7 @@ use cairn_log::format::{
     record::{SignalFiles, hidden_signal_commitment, photographs_root},
 };
 
-use crate::store::read;
+use crate::bounded::read;
 
 /// A file that cannot be read.
 #[derive(Debug, thiserror::Error)]

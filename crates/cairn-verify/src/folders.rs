@@ -18,10 +18,11 @@ use cairn_log::format::manifest::Manifest;
 
 use crate::{
     FileInHand,
+    bounded::read,
     code::Code,
     report::{Finding, Findings},
     state,
-    store::{Covered, Stock, StoreError, compare, read, read_manifest},
+    store::{Covered, Stock, StoreError, compare, read_manifest},
 };
 
 const MANIFEST: &str = "manifest.json";

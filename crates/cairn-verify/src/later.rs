@@ -3,16 +3,17 @@
 //! Time is counted in log indices only. A key's end does not touch what it signed before. Who may speak for the
 //! owner follows rotations from key to key ([`cairn_log::format::heir::heir()`]), as in the registry and in complete answers.
 
-use std::{collections::BTreeMap, convert::Infallible};
+use std::collections::BTreeMap;
 
 use cairn_log::format::{
     Digest, OwnerRecord, PublicKey, RecordKind, SignedRecord,
-    heir::{self, Ending, Heir, heir},
+    heir::{self, Ending},
 };
 
 use crate::{
     code::Code,
     evidence::LogView,
+    heirs::may_speak,
     report::{Findings, Freshness},
 };
 
@@ -122,19 +123,9 @@ impl View<'_> {
     /// else it is named.
     fn spoken_for(&self, other: &Later, findings: &mut Findings) -> bool {
         let owner = self.audited.record.owner_key.id();
-        let Ok(speaks) = heir(&owner, other.index, |key| Ok::<_, Infallible>(self.ending(key)));
-        let expected = match speaks {
-            Heir::Key { id, .. } => {
-                let signed = self.keys.get(&id).is_some_and(|key| other.signed.envelope().signature_by(key).is_some());
-                if signed {
-                    return true;
-                }
-                format!("a record by the owner's key (id {id}), or with its signature")
-            }
-            Heir::Nobody { ended_by, .. } => {
-                format!("a record before index {ended_by}, where the owner's key ended with none in its place")
-            }
-        };
+        let spoke =
+            |id: &Digest| self.keys.get(id).is_some_and(|key| other.signed.envelope().signature_by(key).is_some());
+        let Err(expected) = may_speak(&owner, other.index, |key| self.ending(key), spoke) else { return true };
         let record = other.signed.record();
         let got = format!("{:?} by {}", record.kind, record.owner_key);
         findings.add(Code::LaterRecordInvalid, place(other.index), expected, got);

@@ -10,11 +10,13 @@
 //! are different answers.
 
 mod answer;
+mod bounded;
 mod check;
 mod code;
 mod evidence;
 mod folders;
 mod follow;
+mod heirs;
 mod later;
 mod policy;
 mod report;

@@ -126,6 +126,15 @@ impl Findings {
     pub(crate) fn failed(&self) -> bool {
         self.0.iter().any(|f| f.severity == Severity::Error)
     }
+
+    /// The outcome, where `trusted` says whether somebody known vouches for all of it.
+    pub(crate) fn outcome(&self, trusted: bool) -> Outcome {
+        match (self.failed(), trusted) {
+            (true, _) => Outcome::Invalid,
+            (false, true) => Outcome::Trusted,
+            (false, false) => Outcome::Valid,
+        }
+    }
 }
 
 impl fmt::Display for Freshness {

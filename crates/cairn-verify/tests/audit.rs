@@ -393,7 +393,8 @@ fn later(kind: RecordKind, by: u8, also: Option<u8>, names: bool) -> Vec<u8> {
     let mut record = owner_record();
     record.kind = kind;
     record.owner_key = key(by).public();
-    record.replaces = (names || matches!(kind, RecordKind::Rotation | RecordKind::Dispute)).then(|| countersigned().digest());
+    record.replaces =
+        (names || matches!(kind, RecordKind::Rotation | RecordKind::Dispute)).then(|| countersigned().digest());
     record.purpose = "later".into();
     let mut envelope = record.seal(&key(by)).unwrap();
     also.into_iter().for_each(|other| envelope.sign(&key(other)));

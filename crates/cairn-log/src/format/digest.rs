@@ -109,6 +109,11 @@ pub(crate) fn clip(text: &str) -> String {
     text.chars().take(80).collect()
 }
 
+/// Hashes in base64, a line each.
+pub(crate) fn lines(hashes: &[Digest]) -> String {
+    hashes.iter().map(|hash| hash.to_base64() + "\n").collect()
+}
+
 /// A number in decimal, spelt in the one way that has no leading zeros and no sign.
 pub(crate) fn decimal<T: FromStr + ToString>(text: &str) -> Option<T> {
     text.parse::<T>().ok().filter(|number| number.to_string() == text)

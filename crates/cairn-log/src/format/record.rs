@@ -9,9 +9,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::format::{
+pub use super::statement::RecordError;
+use super::{
     digest::{Digest, clip, commitment, decimal},
-    dsse::{DsseError, Envelope, EnvelopeSignature},
+    dsse::{Envelope, EnvelopeSignature},
     key::{KeyError, OwnerKey, PublicKey},
     merkle,
     statement::{self, Statement},
@@ -152,52 +153,6 @@ pub struct OwnerRecord {
     /// record answer for single views. They must be the photographs under `digests.photographs`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub views: Option<Vec<Digest>>,
-}
-
-/// Why a body is no owner record.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum RecordError {
-    /// The envelope carries something else.
-    #[error(transparent)]
-    Envelope(#[from] DsseError),
-    /// A format version that this release does not know.
-    #[error("{what} of version {got}, this release reads version {expected}")]
-    Version {
-        /// Owner record or erasure request.
-        what: &'static str,
-        /// The version that the body states.
-        got: u64,
-        /// The version that is read.
-        expected: u32,
-    },
-    /// Not the JSON of such a body.
-    #[error("{what}: {cause}")]
-    Json {
-        /// Owner record or erasure request.
-        what: &'static str,
-        /// What the JSON reader said, with line and column.
-        cause: String,
-    },
-    /// A field with a value that is not allowed.
-    #[error("{what}, field {field}: {got}, expected {expected}")]
-    Field {
-        /// Owner record or erasure request.
-        what: &'static str,
-        /// Its name.
-        field: &'static str,
-        /// What is allowed.
-        expected: &'static str,
-        /// What it holds.
-        got: String,
-    },
-    /// The key named in the body did not sign these bytes.
-    #[error("no signature of the envelope is by the key {owner} that the {what} names; sign it with that key")]
-    OwnerSignature {
-        /// Owner record or erasure request.
-        what: &'static str,
-        /// The key named in the body.
-        owner: PublicKey,
-    },
 }
 
 impl Statement for OwnerRecord {

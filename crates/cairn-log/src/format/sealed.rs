@@ -57,10 +57,13 @@ const MAX_LANES: u32 = 16;
 
 /// What Argon2id costs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Cost {
-    memory_kib: u32,
-    passes: u32,
-    lanes: u32,
+pub struct Cost {
+    /// Memory, KiB.
+    pub memory_kib: u32,
+    /// Passes over it.
+    pub passes: u32,
+    /// Lanes.
+    pub lanes: u32,
 }
 
 impl Cost {
@@ -89,15 +92,8 @@ enum Kdf {
 /// What a key is sealed with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SealedBy {
-    /// A passphrase, through Argon2id.
-    Passphrase {
-        /// Its memory, KiB.
-        memory_kib: u32,
-        /// Its passes.
-        passes: u32,
-        /// Its lanes.
-        lanes: u32,
-    },
+    /// By a passphrase, stretched at this cost.
+    Passphrase(Cost),
     /// The 32 bytes of a [`SealingKey`]'s file.
     KeyFile,
 }
@@ -105,7 +101,7 @@ pub enum SealedBy {
 impl fmt::Display for SealedBy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Passphrase { memory_kib, passes, lanes } => {
+            Self::Passphrase(Cost { memory_kib, passes, lanes }) => {
                 write!(f, "a passphrase (argon2id, {memory_kib} KiB, {passes} passes, {lanes} lanes)")
             }
             Self::KeyFile => f.write_str("a key file"),
@@ -328,9 +324,7 @@ impl SealedKey {
     /// What it is sealed with.
     pub const fn by(&self) -> SealedBy {
         match self.kdf {
-            Kdf::Passphrase { cost: Cost { memory_kib, passes, lanes }, .. } => {
-                SealedBy::Passphrase { memory_kib, passes, lanes }
-            }
+            Kdf::Passphrase { cost, .. } => SealedBy::Passphrase(cost),
             Kdf::KeyFile => SealedBy::KeyFile,
         }
     }

@@ -4,10 +4,55 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{
-    dsse::{Envelope, EnvelopeSignature},
+    dsse::{DsseError, Envelope, EnvelopeSignature},
     key::{OwnerKey, PublicKey},
-    record::RecordError,
 };
+
+/// Why an envelope is no owner record, or no erasure request.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RecordError {
+    /// The envelope carries something else.
+    #[error(transparent)]
+    Envelope(#[from] DsseError),
+    /// A format version that this release does not know.
+    #[error("{what} of version {got}, this release reads version {expected}")]
+    Version {
+        /// Owner record or erasure request.
+        what: &'static str,
+        /// The version that the body states.
+        got: u64,
+        /// The version that is read.
+        expected: u32,
+    },
+    /// Not the JSON of such a body.
+    #[error("{what}: {cause}")]
+    Json {
+        /// Owner record or erasure request.
+        what: &'static str,
+        /// What the JSON reader said, with line and column.
+        cause: String,
+    },
+    /// A field with a value that is not allowed.
+    #[error("{what}, field {field}: {got}, expected {expected}")]
+    Field {
+        /// Owner record or erasure request.
+        what: &'static str,
+        /// Its name.
+        field: &'static str,
+        /// What is allowed.
+        expected: &'static str,
+        /// What it holds.
+        got: String,
+    },
+    /// The key named in the body did not sign these bytes.
+    #[error("no signature of the envelope is by the key {owner} that the {what} names; sign it with that key")]
+    OwnerSignature {
+        /// Owner record or erasure request.
+        what: &'static str,
+        /// The key named in the body.
+        owner: PublicKey,
+    },
+}
 
 /// A body that the key named in it signs.
 pub(crate) trait Statement: Serialize + DeserializeOwned {

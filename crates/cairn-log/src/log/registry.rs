@@ -1,13 +1,12 @@
 //! The registry over one store: its doors, each of which leads to the part that does the work.
 
 use std::{
-    fs,
     path::Path,
     sync::{Arc, Condvar, Mutex, OnceLock, RwLock},
     time::Duration,
 };
 
-use cairn_durable::{Disk, Files, LockFile, RealDisk};
+use cairn_durable::{Disk, Files, LockFile, RealDisk, make_folders};
 
 use super::{
     anchor::{Anchor, Standing},
@@ -23,7 +22,7 @@ use super::{
     reload,
     seal::Seal,
     shared::{Published, Shared, lock},
-    store::{DiskStore, Store, StoreError, TieredStore},
+    store::{DiskStore, Store, TieredStore},
 };
 use crate::format::{
     answer::Answer,
@@ -75,11 +74,7 @@ impl Registry {
         origin: &str,
         anchor: Option<Anchor>,
     ) -> Result<Self, RegistryError> {
-        fs::create_dir_all(path).map_err(|e| StoreError {
-            operation: "open",
-            place: path.display().to_string(),
-            cause: e.to_string(),
-        })?;
+        make_folders(path)?;
         let lock = LockFile::take(&path.join(layout::LOCK))?;
         if path.join(layout::CHECKPOINT).exists() && !path.join(layout::WORKING).exists() {
             let what = "it is missing, and a checkpoint was published".into();

@@ -205,12 +205,6 @@ pub(super) struct Publisher {
     pub(super) published: Option<Published>,
 }
 
-impl Publisher {
-    pub(super) fn new(filed: u64, published: Option<(u64, String)>) -> Self {
-        Self { filed, published: published.map(|(size, checkpoint)| Published { size, checkpoint }) }
-    }
-}
-
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -36,9 +36,12 @@ pub(crate) struct Remembered {
     pub(crate) note: String,
 }
 
-/// Name of the file about a log: its origin's SHA-256 in hex, as monitors ask for it.
-pub(crate) fn file_name(origin: &str) -> String {
-    format!("{}.json", Digest::of(origin))
+/// Folder of the files that say what was cosigned last, one a log.
+pub(crate) const LOGS: &str = "logs";
+
+/// The file of a log.
+pub(crate) fn path_of(origin: &str) -> String {
+    format!("{LOGS}/{}.json", Digest::of(origin))
 }
 
 impl Remembered {

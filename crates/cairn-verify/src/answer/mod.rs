@@ -98,11 +98,7 @@ struct Sizes {
 
 fn report(answer: Option<Answer>, sizes: Option<Sizes>, records: Vec<RecordWorth>, findings: Findings) -> AnswerReport {
     let anchored = findings.has(Code::CheckpointVerified);
-    let outcome = match (findings.failed(), anchored) {
-        (true, _) => Outcome::Invalid,
-        (false, true) => Outcome::Trusted,
-        (false, false) => Outcome::Valid,
-    };
+    let outcome = findings.outcome(anchored);
     // A checkpoint that nobody known signed tells nothing about what is known.
     let freshness = match &sizes {
         Some(sizes) if anchored && outcome != Outcome::Invalid => Freshness::AsOf(sizes.checkpoint.size),

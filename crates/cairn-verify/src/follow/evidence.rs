@@ -40,19 +40,9 @@ pub struct EvidenceReport {
 /// Checks the evidence of a contradiction anew, believing nobody but the key. `tiles`: those that were kept.
 pub fn audit_evidence(first: &str, second: &str, tiles: &dyn Fetch, pinned: &NoteVerifier) -> EvidenceReport {
     let mut findings = Findings::default();
-    let mut signed = |name: &str, note: &str| match Signed::verify(note, pinned) {
-        Ok(signed) => {
-            let got = format!("size {}, root {}", signed.checkpoint.size, signed.checkpoint.root);
-            findings.add(Code::CheckpointVerified, name, "", got);
-            Some(signed)
-        }
-        Err(cause) => {
-            findings.add(Code::CheckpointSignatureInvalid, name, format!("one signed by {pinned}"), cause);
-            None
-        }
-    };
-    let pair = (signed("first", first), signed("second", second));
-    if let (Some(a), Some(b)) = pair {
+    let pair = [("first", first), ("second", second)];
+    let pair = pair.map(|(name, note)| Signed::check(note, pinned, name, &mut findings));
+    if let [Some(a), Some(b)] = pair {
         let (small, large) = if a.checkpoint.size <= b.checkpoint.size {
             (a.checkpoint, b.checkpoint)
         } else {
@@ -92,13 +82,7 @@ pub fn audit_evidence(first: &str, second: &str, tiles: &dyn Fetch, pinned: &Not
             }
         }
     }
-    let outcome = if findings.failed() {
-        Outcome::Invalid
-    } else if findings.has(Code::EvidenceProven) {
-        Outcome::Trusted
-    } else {
-        Outcome::Valid
-    };
+    let outcome = findings.outcome(findings.has(Code::EvidenceProven));
     EvidenceReport { version: EvidenceReport::VERSION, outcome, findings: findings.0 }
 }
 

@@ -79,16 +79,8 @@ pub fn follow(log: &dyn Fetch, last: Option<&str>, options: &FollowOptions<'_>) 
     let bytes = bytes.ok_or_else(|| FollowError::Missing { path: "checkpoint".into() })?;
     let note = String::from_utf8_lossy(&bytes).into_owned();
     let mut look = Look { findings: Findings::default(), contradiction: None };
-    let now = match Signed::verify(&note, pinned) {
-        Ok(now) => Some(now),
-        Err(cause) => {
-            look.findings.add(Code::CheckpointSignatureInvalid, "checkpoint", format!("one signed by {pinned}"), cause);
-            None
-        }
-    };
+    let now = Signed::check(&note, pinned, "checkpoint", &mut look.findings);
     if let Some(now) = &now {
-        let got = format!("size {}, root {}", now.checkpoint.size, now.checkpoint.root);
-        look.findings.add(Code::CheckpointVerified, "checkpoint", "", got);
         if let Some(policy) = options.policy {
             policy::check(policy, pinned, &note, "checkpoint", &mut look.findings);
         }

@@ -118,9 +118,15 @@ impl Candidates {
             (None, tile) => (tile.unwrap_or(Digest::from_bytes([0; 32])), None),
         }
     }
+
+    /// The leaf where the bundle is not believed: the tile's hash, else the bundle's.
+    fn tile_first(&self) -> (Digest, Option<Bytes>) {
+        self.tile.map_or_else(|| self.fallback(), |hash| (hash, None))
+    }
 }
 
 impl Context<'_> {
+    /// Whether all entries of the chunk are there.
     fn is_full(&self, index: u64) -> bool {
         (index + 1) * CHUNK <= self.extent
     }
@@ -156,10 +162,7 @@ fn one(
                 let said = Said::Record { kind: leaf.kind, keys: keys.clone(), owner: leaf.owner, seen: None };
                 (leaf.hash(), candidates.entry, said)
             }
-            _ => match candidates.tile {
-                Some(hash) => (hash, None, Said::Unknown),
-                None => unknown(candidates.fallback()),
-            },
+            _ => unknown(candidates.tile_first()),
         },
         Some(Slot::MapLeaf) | None => match map_leaf(context, index, candidates.entry.as_ref()) {
             Ok(root) => (candidates.fallback().0, candidates.entry, Said::Map { root }),
@@ -177,10 +180,7 @@ fn one(
                 }
                 unknown(candidates.fallback())
             }
-            Err(_) => match candidates.tile {
-                Some(hash) => (hash, None, Said::Unknown),
-                None => unknown(candidates.fallback()),
-            },
+            Err(_) => unknown(candidates.tile_first()),
         },
     }
 }
@@ -286,20 +286,12 @@ fn compare_entries(context: &Context<'_>, index: u64, leaves: &[Option<Bytes>], 
 
 /// The file of envelopes; empty, and named, where it cannot be read.
 fn envelope_file(context: &Context<'_>, index: u64, width: usize, findings: &mut Findings) -> Vec<u8> {
-    let name = context.files.name_envelopes(index);
-    match context.files.envelopes(index) {
-        Ok(Some(bytes)) if bytes.is_empty() && width > 0 => {
-            findings.add(Code::StoreEnvelopeFile, name, format!("{width} frames"), "an empty file");
-            bytes
-        }
-        Ok(Some(bytes)) => bytes,
-        Ok(None) => {
-            findings.add(Code::StoreEnvelopeFile, name, format!("{width} frames"), "no file");
-            Vec::new()
-        }
-        Err(cause) => {
-            findings.add(Code::StoreEnvelopeFile, name, format!("{width} frames"), cause);
-            Vec::new()
-        }
-    }
+    let (bytes, got) = match context.files.envelopes(index) {
+        Ok(Some(bytes)) if bytes.is_empty() && width > 0 => (bytes, "an empty file".to_owned()),
+        Ok(Some(bytes)) => return bytes,
+        Ok(None) => (Vec::new(), "no file".to_owned()),
+        Err(cause) => (Vec::new(), cause),
+    };
+    findings.add(Code::StoreEnvelopeFile, context.files.name_envelopes(index), format!("{width} frames"), got);
+    bytes
 }

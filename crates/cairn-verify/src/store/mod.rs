@@ -30,7 +30,6 @@ use cairn_log::format::{Checkpoint, Policy, merkle};
 
 pub use class::Class;
 pub use files::StoreError;
-pub(crate) use files::read;
 pub use options::{Stock, StoreOptions};
 pub use report::StoreReport;
 pub(crate) use seal::{Covered, compare, read_manifest, read_seal};

@@ -8,7 +8,7 @@ use super::{
     StoreError,
     files::{self, Files},
 };
-use crate::{FileInHand, code::Code, report::Findings};
+use crate::{FileInHand, bounded::read, code::Code, report::Findings};
 
 /// Largest manifest that is read, bytes: some 500 000 files.
 const MAX_BYTES: usize = 64 << 20;
@@ -52,7 +52,7 @@ pub(crate) fn compare(manifest: &Manifest, covered: &Covered<'_>, findings: &mut
     let named: BTreeSet<&str> = manifest.files.iter().map(|file| file.path.as_str()).collect();
     for folder in covered.folders {
         let prefix = if folder.is_empty() { String::new() } else { format!("{folder}/") };
-        files::walk(&covered.root.join(folder), &mut |path, _| {
+        files::walk(&covered.root.join(folder), &mut |path| {
             let path = format!("{prefix}{path}");
             if !named.contains(path.as_str()) && path != covered.except {
                 let place = format!("{}{path}", covered.place);
@@ -110,5 +110,5 @@ pub(crate) fn read_seal(
 
 /// Reads the manifest at `path`: none where there is none.
 pub(crate) fn read_manifest(path: &Path) -> Result<Option<Manifest>, String> {
-    files::read(path, MAX_BYTES)?.map(|json| Manifest::parse(&json)).transpose()
+    read(path, MAX_BYTES)?.map(|json| Manifest::parse(&json)).transpose()
 }

@@ -26,7 +26,7 @@ pub(super) fn check(context: &Context<'_>, chunks: u64, findings: &mut Findings)
         findings.add(Code::StoreTail, files.name_public("tile"), "", got);
     }
     let mut unknown = Vec::new();
-    files::walk(&files.public(), &mut |name, _| {
+    files::walk(&files.public(), &mut |name| {
         let tile = || name.parse::<TilePath>().ok().filter(|tile| belongs(tile, context.extent));
         if name != "checkpoint" && tile().is_none() {
             unknown.push(files.name_public(name));
@@ -42,7 +42,7 @@ pub(super) fn check(context: &Context<'_>, chunks: u64, findings: &mut Findings)
     let last = context.extent / CHUNK;
     let mut tail = Vec::new();
     let mut strangers = Vec::new();
-    files::walk(&files.registry().join("envelopes"), &mut |name, _| {
+    files::walk(&files.registry().join("envelopes"), &mut |name| {
         // Paths of tiles, so that they are read in one way only.
         match format!("tile/entries/{name}").parse::<TilePath>() {
             Ok(path) if u64::from(path.width) < CHUNK => strangers.push(name.to_owned()),
