@@ -13,7 +13,8 @@ use cairn_log::format::record::{
 };
 use cairn_log::keys::{Seal, save_key};
 use cairn_log::{
-    Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, SignedRecord, TlogProof, WitnessVerifier, cosign,
+    Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, SignedRecord, TlogProof, WitnessVerifier,
+    cosign,
 };
 
 const ORIGIN: &str = "registry.example/owners";

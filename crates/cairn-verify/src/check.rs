@@ -3,7 +3,7 @@
 
 use cairn_log::format::{
     Checkpoint, CheckpointError, Digest, DsseError, Envelope, KeyError, NoteError, NoteVerifier, OwnerRecord,
-    PublicKey, RecordError, SignedRecord, TlogProof, merkle, note::Note, record::PAYLOAD_TYPE,
+    PublicKey, RecordError, SignedRecord, TlogProof, merkle, record::PAYLOAD_TYPE,
 };
 
 use crate::{
@@ -75,9 +75,8 @@ pub(crate) fn check_checkpoint(
     findings: &mut Findings,
 ) -> Option<Checkpoint> {
     let Some(pinned) = pinned else {
-        let parsed = Note::parse(note).map_err(CheckpointError::from);
-        return match parsed.and_then(|note| Checkpoint::parse_text(&note.text)) {
-            Ok(checkpoint) => Some(checkpoint),
+        return match Checkpoint::read(note) {
+            Ok((_, checkpoint)) => Some(checkpoint),
             Err(e) => {
                 findings.add(Code::CheckpointMalformed, place, "a signed checkpoint", e);
                 None

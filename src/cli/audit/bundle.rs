@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use cairn_log::format::record::SignalFiles;
-use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
+use cairn_log::{Checkpoint, Digest, Envelope, OwnerRecord, TlogProof};
 use cairn_verify::{Bundle, Evidence, FileInHand, LogView, Outcome, RecordInHand};
 
 use super::against;
@@ -84,8 +84,7 @@ pub fn report(args: &Args) -> anyhow::Result<cairn_verify::Report> {
 
 /// The log that a proof speaks of, to find its key in a policy.
 fn origin(proof: &str) -> Option<String> {
-    let note = Note::parse(&TlogProof::parse(proof).ok()?.checkpoint).ok()?;
-    Some(Checkpoint::parse_text(&note.text).ok()?.origin)
+    Some(Checkpoint::read(&TlogProof::parse(proof).ok()?.checkpoint).ok()?.1.origin)
 }
 
 /// Envelope and proof. A folder may lack the proof, which the report then says; two files side by side are both there.

@@ -94,6 +94,16 @@ impl Checkpoint {
         Ok(Self { origin: origin.to_owned(), size, root, extensions })
     }
 
+    /// Reads a note and the checkpoint in it. Verifies nothing.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Note`], [`CheckpointError::Line`].
+    pub fn read(note: &str) -> Result<(Note, Self), CheckpointError> {
+        let note = Note::parse(note)?;
+        let checkpoint = Self::parse_text(&note.text)?;
+        Ok((note, checkpoint))
+    }
+
     /// Signs the checkpoint under the origin's name.
     ///
     /// # Errors
@@ -109,8 +119,7 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`]; the origin inside the text must be the name that the key belongs to.
     pub fn verify(note: &str, log: &NoteVerifier) -> Result<Self, CheckpointError> {
-        let note = Note::parse(note)?;
-        let checkpoint = Self::parse_text(&note.text)?;
+        let (note, checkpoint) = Self::read(note)?;
         if checkpoint.origin != log.name() {
             return Err(CheckpointError::Origin { expected: log.name().to_owned(), got: clip(&checkpoint.origin) });
         }

@@ -177,10 +177,6 @@ impl Passphrase {
         }
         Ok(Self(text))
     }
-
-    fn bytes(&self) -> &[u8] {
-        self.0.as_bytes()
-    }
 }
 
 impl PartialEq for Passphrase {
@@ -231,10 +227,6 @@ impl SealingKey {
         let mut bytes = Zeroizing::new([0; 32]);
         hex::decode_to_slice(digits, bytes.as_mut()).map_err(|_| "64 hexadecimal digits are expected")?;
         Ok(Self(bytes))
-    }
-
-    const fn bytes(&self) -> &Zeroizing<[u8; 32]> {
-        &self.0
     }
 }
 
@@ -403,7 +395,7 @@ impl SealedKey {
     fn cipher(&self, secret: Secret<'_>) -> Result<XChaCha20Poly1305, SealError> {
         let key = match (self.kdf, secret) {
             (Kdf::Passphrase { cost, salt }, Secret::Passphrase(passphrase)) => stretch(passphrase, cost, &salt)?,
-            (Kdf::KeyFile, Secret::KeyFile(key)) => key.bytes().clone(),
+            (Kdf::KeyFile, Secret::KeyFile(key)) => key.0.clone(),
             (_, secret) => return Err(SealError::OtherSecret { by: self.by(), brought: secret.name() }),
         };
         let key: &Key = (&*key).into();
@@ -422,7 +414,7 @@ fn stretch(passphrase: &Passphrase, cost: Cost, salt: &[u8; SALT]) -> Result<Zer
     memory.resize(params.block_count(), Block::new());
     let mut key = Zeroizing::new([0; 32]);
     Argon2::new(Algorithm::Argon2id, Version::V0x13, params)
-        .hash_password_into_with_memory(passphrase.bytes(), salt, key.as_mut(), memory.as_mut_slice())
+        .hash_password_into_with_memory(passphrase.0.as_bytes(), salt, key.as_mut(), memory.as_mut_slice())
         .map_err(failed)?;
     Ok(key)
 }

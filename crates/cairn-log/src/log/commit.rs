@@ -92,7 +92,7 @@ pub(super) struct Batch {
     found: Option<Round>,
 }
 
-/// As [`super::Registry::submit_signed`].
+/// As [`super::Registry::submit`].
 pub(super) fn submit(shared: &Shared, candidate: SignedRecord) -> Result<Receipt, RegistryError> {
     submit::check_origin(shared, &candidate)?;
     let slot = Arc::new(Mutex::new(None));

@@ -246,13 +246,16 @@ impl Registry {
     /// How long the round that is being written has been; `None` where none is. A disk that does not answer, or a store
     /// that waits for itself, keeps its writer for ever: whoever finds that stops the writing ([`Registry::stop_writing`]).
     pub fn writing_for(&self) -> Option<Duration> {
-        self.shared.writing_for()
+        lock(&self.shared.queue).busy.map(|since| since.elapsed())
     }
 
     /// Stops all writing for good: somebody outside knows better what this log is. It goes on reading and proving.
     /// Whoever waits for the round to come is refused at once; whose round is being written waits for that.
     pub fn stop_writing(&self, cause: &str) {
-        self.shared.stop_writing(cause)
+        self.shared.halt(cause);
+        // Under its lock: between a look and a wait nobody hears a call.
+        let _queue = lock(&self.shared.queue);
+        self.shared.wake.notify_all();
     }
 
     /// Writes the tiles and the checkpoint of everything that is durable, for monitors to read. Nothing where nothing came

@@ -195,8 +195,7 @@ impl Witness {
             RequestError::TooLarge { .. } => text(413, e),
             RequestError::Line { .. } => text(400, e),
         })?;
-        let mut note = Note::parse(&request.note).map_err(|e| text(400, e))?;
-        let checkpoint = Checkpoint::parse_text(&note.text).map_err(|e| text(400, e))?;
+        let (mut note, checkpoint) = Checkpoint::read(&request.note).map_err(|e| text(400, e))?;
         let Some(log) = self.logs.get(&checkpoint.origin) else {
             return Err(text(404, format!("no log {:?} is known here", checkpoint.origin)));
         };

@@ -68,10 +68,7 @@ fn published(files: &Files, options: &StoreOptions<'_>, findings: &mut Findings)
             return None;
         }
     };
-    let parsed = cairn_log::format::Note::parse(&text)
-        .map_err(cairn_log::format::CheckpointError::from)
-        .and_then(|note| Ok((Checkpoint::parse_text(&note.text)?, note)));
-    let (checkpoint, note) = match parsed {
+    let (note, checkpoint) = match Checkpoint::read(&text) {
         Ok(parsed) => parsed,
         Err(e) => {
             findings.add(Code::StoreCheckpointMalformed, place, "a signed checkpoint", e);
