@@ -20,7 +20,7 @@ fn about(registry: &Registry, kind: RecordKind, by: u8, earlier: Digest, also: &
 }
 
 fn rotate(registry: &Registry, from: u8, to: u8, earlier: Digest) -> Receipt {
-    take(&registry, &about(registry, RecordKind::Rotation, to, earlier, &[from])).unwrap()
+    take(registry, &about(registry, RecordKind::Rotation, to, earlier, &[from])).unwrap()
 }
 
 fn entered(registry: &Registry, by: u8, what: &str) -> Digest {

@@ -41,7 +41,7 @@ fn correct(registry: &Registry, kind: RecordKind, by: u8, of: Option<&Receipt>, 
         record.seal(&owner(by)).unwrap()
     };
     with.iter().for_each(|old| envelope.sign(&owner(*old)));
-    take(&registry, &envelope).unwrap()
+    take(registry, &envelope).unwrap()
 }
 
 /// A log of three hundred entries with everything in it that can happen to a record; the last ten are not published.

@@ -80,7 +80,7 @@ impl Checkpoint {
         let mut lines = body.split('\n');
         let origin = lines.next().filter(|l| !l.is_empty()).ok_or_else(|| refuse(1, "the log's origin", None))?;
         let size_line = lines.next();
-        let size = (size_line.and_then(|l| decimal(l)))
+        let size = (size_line.and_then(decimal))
             .ok_or_else(|| refuse(2, "a size in decimal without leading zeros", size_line))?;
         let root_line = lines.next();
         let root = (root_line.and_then(|l| Digest::from_base64(l).ok()))

@@ -127,7 +127,7 @@ fn a_writer_that_panics_leaves_nobody_waiting() {
     std::thread::scope(|scope| {
         let writers = [2, 3, 4].map(|number| {
             let registry = &registry;
-            scope.spawn(move || take(&registry, &sealed(registry, number)))
+            scope.spawn(move || take(registry, &sealed(registry, number)))
         });
         let ends = writers.map(|writer| writer.join());
         assert!(ends.iter().any(Result::is_err), "one of them was the writer");
@@ -160,7 +160,7 @@ fn those_who_wait_during_a_flush_share_the_next() {
         let others: Vec<_> = (envelopes.into_iter())
             .map(|envelope| {
                 let registry = &registry;
-                scope.spawn(move || take(&registry, &envelope).unwrap())
+                scope.spawn(move || take(registry, &envelope).unwrap())
             })
             .collect();
         while lock(&registry.shared.queue).waiting.len() < 9 {
@@ -193,7 +193,7 @@ fn submitters_and_whoever_wants_the_turn_for_something_else_all_get_it() {
             let (registry, done) = (&registry, &done);
             scope.spawn(move || {
                 for number in 0..EACH {
-                    take(&registry, &sealed(registry, submitter * EACH + number + 1)).unwrap();
+                    take(registry, &sealed(registry, submitter * EACH + number + 1)).unwrap();
                     done.fetch_add(1, Ordering::SeqCst);
                 }
             });

@@ -53,7 +53,7 @@ pub fn records(registry: &Registry, scene: Option<&str>) -> Vec<StoredRecord> {
 }
 
 pub fn submit(registry: &Registry, owner: &OwnerKey, scene: &str, what: &str) -> Result<Receipt, RegistryError> {
-    take(&registry, &sealed(registry, owner, scene, what))
+    take(registry, &sealed(registry, owner, scene, what))
 }
 
 /// Verifies a receipt the way a stranger would: from the registry's vkey alone.
