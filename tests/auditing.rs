@@ -11,7 +11,8 @@ use cairn_log::format::record::{
 };
 use cairn_log::keys::{Seal, save_key};
 use cairn_log::{
-    Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, TlogProof, WitnessVerifier, cosign,
+    Checkpoint, Digest, Note, OwnerKey, OwnerRecord, RecordKind, Registry, SignedRecord, TlogProof, WitnessVerifier,
+    cosign,
 };
 use cairn_testkit::daemon::{Daemon, Place, files};
 
@@ -85,7 +86,7 @@ impl World {
         };
         let mut envelope = record.seal(&owner).unwrap();
         keys[1..].iter().for_each(|other| envelope.sign(&key(*other)));
-        (envelope.digest(), registry.submit(&envelope).unwrap().index)
+        (envelope.digest(), registry.submit(SignedRecord::open(envelope).unwrap()).unwrap().index)
     }
 
     /// Publishes, and has it cosigned at this time.

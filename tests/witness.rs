@@ -6,7 +6,7 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use cairn_log::format::merkle::{Tree, leaf_hash};
+use cairn_log::format::{merkle::leaf_hash, testing::Tree};
 use cairn_log::witness::{WitnessClient, WitnessError, collect};
 use cairn_log::{Checkpoint, Digest, NoteVerifier, OwnerKey, Policy, Quorum};
 

@@ -14,11 +14,11 @@ pub trait Disk: Send + Sync {
     /// [`DurableError`], also for a file of more than `limit` bytes, before it is read.
     fn read(&self, path: &str, limit: u64) -> Result<Option<Vec<u8>>, DurableError>;
 
-    /// At most `length` bytes from `offset` on, fewer where the file ends before; none where there is no such file.
+    /// Names in a folder, in no order; none where there is no such folder.
     ///
     /// # Errors
     /// [`DurableError`].
-    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, DurableError>;
+    fn list(&self, folder: &str) -> Result<Vec<String>, DurableError>;
 
     /// A file held open; none where there is no such file.
     ///

@@ -30,7 +30,15 @@ impl Files {
     /// # Errors
     /// [`DurableError`].
     pub fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, DurableError> {
-        self.disk.read_at(path, offset, length)
+        self.disk.open(path)?.map(|file| file.read_at(offset, length)).transpose()
+    }
+
+    /// Names in a folder; see [`Disk::list`].
+    ///
+    /// # Errors
+    /// [`DurableError`].
+    pub fn list(&self, folder: &str) -> Result<Vec<String>, DurableError> {
+        self.disk.list(folder)
     }
 
     /// As [`Disk::open`].

@@ -7,6 +7,7 @@
 
 mod disk;
 mod error;
+#[cfg(any(test, feature = "testing"))]
 mod faulty;
 mod files;
 mod lock;
@@ -15,6 +16,7 @@ mod real;
 
 pub use disk::{Disk, OpenFile};
 pub use error::DurableError;
+#[cfg(any(test, feature = "testing"))]
 pub use faulty::{Fault, FaultyDisk};
 pub use files::Files;
 pub use lock::LockFile;

@@ -2,7 +2,7 @@
 
 use std::{
     fs::{self, File, OpenOptions},
-    io::{self, Read as _, Seek as _, SeekFrom, Write as _},
+    io::{self, Seek as _, SeekFrom, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -47,17 +47,13 @@ impl Disk for RealDisk {
         paths::read_limited_if_there(&self.at(path), limit)
     }
 
-    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, DurableError> {
-        let failed = self.failed("read", path);
-        let mut file = match File::open(self.at(path)) {
-            Ok(file) => file,
-            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(failed(e)),
+    fn list(&self, folder: &str) -> Result<Vec<String>, DurableError> {
+        let entries = match fs::read_dir(self.at(folder)) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries.map_err(self.failed("list", folder))?,
         };
-        file.seek(SeekFrom::Start(offset)).map_err(&failed)?;
-        let mut bytes = Vec::with_capacity(length);
-        file.take(length as u64).read_to_end(&mut bytes).map_err(&failed)?;
-        Ok(Some(bytes))
+        let names = entries.map(|entry| entry.map(|entry| entry.file_name().to_string_lossy().into_owned()));
+        names.collect::<Result<_, _>>().map_err(self.failed("list", folder))
     }
 
     fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, DurableError> {

@@ -200,7 +200,7 @@ pub fn load_key(path: &Path, unlock: &Unlock<'_>) -> Result<OwnerKey, KeyFileErr
     let secret = match (unlock, sealed.by()) {
         (Unlock::Passphrase(passphrase), _) => Secret::Passphrase(passphrase),
         (Unlock::KeyFile(key), _) => Secret::KeyFile(key),
-        (Unlock::Ask(ask), SealedBy::Passphrase { .. }) => {
+        (Unlock::Ask(ask), SealedBy::Passphrase(_)) => {
             asked = ask(path)?;
             Secret::Passphrase(&asked)
         }

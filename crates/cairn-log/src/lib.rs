@@ -20,10 +20,9 @@ pub mod witness;
 
 pub use format::{
     Answer, AnswerError, Checkpoint, CheckpointError, Cosignature, CosignatureError, Digest, DigestError, DsseError,
-    Entry, Envelope, Erasure, ErasureError, ErasureRequest, KeyError, Leaf, MapEntry, MapKey, MapLeaf, MapProof,
-    MapTree, Note, NoteError, NoteSignature, NoteVerifier, OwnerKey, OwnerRecord, Policy, PolicyError, PolicyVerdict,
-    ProofError, PublicKey, Quorum, RecordError, RecordKind, SignedRecord, TlogProof, TlogProofError, WitnessVerifier,
-    cosign,
+    Entry, Envelope, Erasure, ErasureRequest, KeyError, Leaf, MapEntry, MapKey, MapLeaf, MapProof, MapTree, Note,
+    NoteError, NoteSignature, NoteVerifier, OwnerKey, OwnerRecord, Policy, PolicyError, PolicyVerdict, ProofError,
+    PublicKey, Quorum, RecordError, RecordKind, SignedRecord, TlogProof, TlogProofError, WitnessVerifier, cosign,
     heir::{Ending, Heir},
 };
 #[cfg(feature = "store")]

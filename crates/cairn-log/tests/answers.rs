@@ -31,7 +31,7 @@ fn with_views(registry: &Registry, by: u8, scene: &str, views: std::ops::Range<u
     let mut r = record(registry, &owner(by), scene, &format!("{by} {}", registry.size()));
     r.digests.photographs = Some(photographs_root(&views));
     r.views = Some(views);
-    registry.submit(&r.seal(&owner(by)).unwrap()).unwrap().index
+    take(registry, &r.seal(&owner(by)).unwrap()).unwrap().index
 }
 
 /// Holds an answer to the public rule, and gives the indices of the asked list.

@@ -33,7 +33,7 @@ fn try_one(nth: u64, fault: Fault, power_lost: bool) -> bool {
     let mut signed = vec![registry.checkpoint()];
     let mut acknowledged = Vec::new();
     store.fail_at(nth, fault);
-    let outcome = registry.submit(&envelope);
+    let outcome = take(&registry, &envelope);
     store.heal();
     if let Ok(receipt) = &outcome {
         verify_receipt(&registry, receipt);
@@ -58,9 +58,9 @@ fn try_one(nth: u64, fault: Fault, power_lost: bool) -> bool {
     let found = if power_lost { store.crash() } else { store };
     let registry = open(&found).unwrap();
     must_honour(&registry, &signed, &acknowledged);
-    let receipt = registry.submit(&envelope).unwrap();
+    let receipt = take(&registry, &envelope).unwrap();
     verify_receipt(&registry, &receipt);
-    let copies = registry.records(Some("trex")).unwrap().len();
+    let copies = records(&registry, Some("trex")).len();
     assert_eq!(copies, 1, "operation {nth}, {fault:?}: the retry must not make a second record");
     outcome.is_err()
 }
@@ -70,7 +70,7 @@ fn every_operation_of_a_submission_may_fail() {
     let (store, registry) = begun();
     let envelope = sealed(&registry, &owner(2), "trex", "the one");
     let before = store.operations();
-    registry.submit(&envelope).unwrap();
+    take(&registry, &envelope).unwrap();
     let operations = store.operations() - before;
     assert!(
         operations >= 5,

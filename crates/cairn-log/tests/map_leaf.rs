@@ -37,7 +37,7 @@ fn record(kind: RecordKind) -> OwnerRecord {
         purpose: "credit".into(),
         nonce: Digest::of("nonce"),
         seen: Seen { size: 0, root: merkle::empty_root() },
-        replaces: kind.needs_replaces().then(|| Digest::of("earlier")),
+        replaces: matches!(kind, RecordKind::Rotation | RecordKind::Dispute).then(|| Digest::of("earlier")),
         views: None,
     }
 }

@@ -41,7 +41,7 @@ fn correct(registry: &Registry, kind: RecordKind, by: u8, of: Option<&Receipt>, 
         record.seal(&owner(by)).unwrap()
     };
     with.iter().for_each(|old| envelope.sign(&owner(*old)));
-    registry.submit(&envelope).unwrap()
+    take(registry, &envelope).unwrap()
 }
 
 /// A log of three hundred entries with everything in it that can happen to a record; the last ten are not published.
@@ -98,7 +98,7 @@ fn what_was_lost_is_made_again_to_the_last_acknowledged_record() {
     // A nonce that was used stays used.
     let mut second = record(&again, &owner(33), "fern", "second");
     second.nonce = registry.record(rebuilt.size - 4).unwrap().record.nonce;
-    let refused = again.submit(&second.seal(&owner(33)).unwrap()).unwrap_err();
+    let refused = take(&again, &second.seal(&owner(33)).unwrap()).unwrap_err();
     assert!(matches!(refused, RegistryError::NonceUsed { .. }), "{refused}");
     drop(registry);
     submit(&again, &owner(6), "trex", "next").unwrap();
@@ -117,24 +117,24 @@ fn an_erased_records_nonce_serves_nobody_again_though_it_is_forgotten() {
     second.nonce = first.nonce;
     let (first, second) = (first.seal(&owner(1)).unwrap(), second.seal(&owner(1)).unwrap());
     let old = record(&registry, &owner(1), "fern", "a nonce that was not used yet");
-    let erased = registry.submit(&first).unwrap();
+    let erased = take(&registry, &first).unwrap();
     let fresh = sealed(&registry, &owner(1), "fern", "a nonce from behind it");
     registry.erase_index(erased.index).unwrap();
-    assert!(matches!(registry.submit(&second), Err(RegistryError::NonceUsed { .. })));
+    assert!(matches!(take(&registry, &second), Err(RegistryError::NonceUsed { .. })));
     registry.publish().unwrap();
     drop(registry);
 
     let (store, _) = rebuild(&disk).unwrap();
     let again = open_rebuilt(&store, &disk);
     let size = again.size();
-    assert!(matches!(again.submit(&first), Err(RegistryError::Erased { index }) if index == erased.index));
+    assert!(matches!(take(&again, &first), Err(RegistryError::Erased { index }) if index == erased.index));
     for refused in [second, old.seal(&owner(1)).unwrap()] {
-        let refused = again.submit(&refused).unwrap_err();
+        let refused = take(&again, &refused).unwrap_err();
         assert!(matches!(refused, RegistryError::NonceExpired { issued: 2, .. }), "{refused}");
     }
     assert_eq!(again.size(), size);
     // Nobody else has to ask again.
-    assert_eq!(again.submit(&fresh).unwrap().index, erased.index + 2);
+    assert_eq!(take(&again, &fresh).unwrap().index, erased.index + 2);
 }
 
 #[test]

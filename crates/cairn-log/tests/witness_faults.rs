@@ -4,11 +4,13 @@
 use std::{
     collections::BTreeMap,
     io,
+    path::Path,
     sync::{Arc, Mutex},
 };
 
 use crate::witness_common::{Hands, Log, ORIGIN, ask, log_verifier, over};
-use cairn_log::witness::{AddCheckpoint, Response, Storage, Witness};
+use cairn_durable::{DurableError, OpenFile};
+use cairn_log::witness::{AddCheckpoint, Response, Witness};
 use cairn_log::{Checkpoint, Digest, Note};
 
 /// What a failing step did all the same.
@@ -77,22 +79,32 @@ impl Disk {
 #[derive(Clone, Default)]
 struct Double(Arc<Mutex<Disk>>);
 
-fn done(fault: Option<Fault>) -> io::Result<()> {
-    fault.map_or(Ok(()), |fault| Err(io::Error::other(format!("injected: {fault:?} done"))))
+fn done(fault: Option<Fault>) -> Result<(), DurableError> {
+    let injected = |fault| io::Error::other(format!("injected: {fault:?} done"));
+    fault.map_or(Ok(()), |fault| Err(DurableError::io("write", Path::new("memory"))(injected(fault))))
 }
 
-impl Storage for Double {
-    fn read(&self, name: &str) -> io::Result<Option<Vec<u8>>> {
+impl cairn_durable::Disk for Double {
+    fn read(&self, name: &str, _: u64) -> Result<Option<Vec<u8>>, DurableError> {
         let disk = self.0.lock().unwrap();
         Ok(disk.names.get(name).map(|at| disk.files[*at].bytes.clone()))
     }
 
-    fn list(&self, folder: &str) -> io::Result<Vec<String>> {
+    fn open(&self, _: &str) -> Result<Option<Box<dyn OpenFile>>, DurableError> {
+        unreachable!("a witness reads whole files")
+    }
+
+    fn remove(&self, _: &str) -> Result<(), DurableError> {
+        unreachable!("a witness removes nothing")
+    }
+
+    fn list(&self, folder: &str) -> Result<Vec<String>, DurableError> {
         let disk = self.0.lock().unwrap();
         Ok(disk.names.keys().filter_map(|n| n.strip_prefix(&format!("{folder}/")).map(str::to_owned)).collect())
     }
 
-    fn write(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
+    fn write(&self, name: &str, offset: u64, bytes: &[u8]) -> Result<(), DurableError> {
+        assert_eq!(offset, 0);
         let mut disk = self.0.lock().unwrap();
         let fault = disk.step();
         let bytes = match fault {
@@ -109,7 +121,7 @@ impl Storage for Double {
         done(fault)
     }
 
-    fn sync(&self, name: &str) -> io::Result<()> {
+    fn sync(&self, name: &str) -> Result<(), DurableError> {
         let mut disk = self.0.lock().unwrap();
         let fault = disk.step();
         let at = disk.names[name];
@@ -122,7 +134,7 @@ impl Storage for Double {
         done(fault)
     }
 
-    fn rename(&self, from: &str, to: &str) -> io::Result<()> {
+    fn rename(&self, from: &str, to: &str) -> Result<(), DurableError> {
         let mut disk = self.0.lock().unwrap();
         let fault = disk.step();
         if matches!(fault, None | Some(Fault::All)) {
@@ -132,7 +144,7 @@ impl Storage for Double {
         done(fault)
     }
 
-    fn sync_folder(&self, _: &str) -> io::Result<()> {
+    fn sync_folder(&self, _: &str) -> Result<(), DurableError> {
         let mut disk = self.0.lock().unwrap();
         let fault = disk.step();
         if matches!(fault, None | Some(Fault::All)) {

@@ -78,7 +78,7 @@ fn prove(log: &Log) -> impl Fn(u64, u64) -> Result<Vec<Digest>, String> + Sync {
 fn client_and_server_agree() {
     let dir = tempfile::tempdir().unwrap();
     let (log, fork, hands) = (Log::new(40, 0), Log::new(3, 1), Hands::new());
-    let served = Served::start(open(dir.path(), &hands), Limits::default());
+    let served = Served::start(open(dir.path(), &hands).unwrap(), Limits::default());
     let client = served.client();
     assert_eq!(client.latest(&log_verifier()).unwrap(), None);
     let times = |answers: Vec<Result<Cosignature, WitnessError>>| -> Vec<u64> {
@@ -121,7 +121,7 @@ fn client_and_server_agree() {
 fn the_server_is_bounded_and_exact() {
     let dir = tempfile::tempdir().unwrap();
     let log = Log::new(40, 0);
-    let served = Served::start(open(dir.path(), &Hands::new()), Limits::default());
+    let served = Served::start(open(dir.path(), &Hands::new()).unwrap(), Limits::default());
     let request = |line: &str, body: &str| {
         let length = body.len();
         format!("{line} HTTP/1.1\r\nHost: w\r\nConnection: close\r\nContent-Length: {length}\r\n\r\n{body}")
@@ -161,7 +161,7 @@ fn a_stop_does_not_wait_for_idle_clients_and_a_full_house_lets_later_ones_wait()
     let dir = tempfile::tempdir().unwrap();
     let log = Log::new(40, 0);
     let limits = Limits { connections: 1, ..Limits::default() };
-    let served = Served::start(open(dir.path(), &Hands::new()), limits);
+    let served = Served::start(open(dir.path(), &Hands::new()).unwrap(), limits);
     let idle = TcpStream::connect(served.address).unwrap();
     let (client, note) = (served.client(), log.note(4).to_string());
     let waiting = thread::spawn(move || client.cosign(&note, &|_, _| Ok(Vec::new())));

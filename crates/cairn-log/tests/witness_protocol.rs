@@ -1,7 +1,7 @@
 //! `add-checkpoint`, status by status (C2SP tlog-witness), what is remembered, and what is kept as evidence.
 
 use crate::witness_common::{Hands, Log, NAME, NOW, ORIGIN, ask, cosignature, key, log_verifier, names, open};
-use cairn_log::witness::{AddCheckpoint, FolderStorage, OpenError, Witness, request::MAX_BODY_BYTES};
+use cairn_log::witness::{AddCheckpoint, OpenError, Witness, request::MAX_BODY_BYTES};
 use cairn_log::{Checkpoint, Digest, Note, NoteVerifier};
 
 fn conflict(size: u64) -> cairn_log::witness::Response {
@@ -12,7 +12,7 @@ fn conflict(size: u64) -> cairn_log::witness::Response {
 fn a_log_that_grows_is_cosigned() {
     let dir = tempfile::tempdir().unwrap();
     let (log, hands) = (Log::new(40, 0), Hands::new());
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     assert_eq!(witness.latest(&Digest::of(ORIGIN)), None);
     // The empty log too; and the same size again, at a later time.
     for (step, (old, size)) in [(0, 0), (0, 0), (0, 3), (3, 3), (3, 4), (4, 17), (17, 40)].into_iter().enumerate() {
@@ -35,7 +35,7 @@ fn a_log_that_grows_is_cosigned() {
 fn each_refusal_has_its_status() {
     let dir = tempfile::tempdir().unwrap();
     let (log, hands) = (Log::new(40, 0), Hands::new());
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     let good = log.request(0, 10);
     let status = |request: &AddCheckpoint| ask(&witness, request).status;
     let note = |text: &str| AddCheckpoint { note: text.into(), ..good.clone() };
@@ -86,7 +86,7 @@ fn each_refusal_has_its_status() {
 fn a_fork_is_refused_and_both_sides_are_kept() {
     let dir = tempfile::tempdir().unwrap();
     let (log, fork, hands) = (Log::new(40, 0), Log::new(7, 1), Hands::new());
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     assert_eq!(ask(&witness, &log.request(0, 10)).status, 200);
     let evidence = || names(&dir.path().join("evidence"));
     // Another root for the size that was cosigned, whatever the old size; the same fork is kept once.
@@ -114,11 +114,11 @@ fn a_fork_is_refused_and_both_sides_are_kept() {
     // The log itself goes on; after a restart the evidence is still kept once.
     assert_eq!(ask(&witness, &log.request(10, 12)).status, 200);
     drop(witness);
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     assert_eq!(ask(&witness, &fork.request(12, 12)), conflict(12));
     assert_eq!(evidence().len(), 3);
     drop(witness);
-    assert_eq!(ask(&open(dir.path(), &hands), &fork.request(12, 12)), conflict(12));
+    assert_eq!(ask(&open(dir.path(), &hands).unwrap(), &fork.request(12, 12)), conflict(12));
     assert_eq!(evidence().len(), 3);
 }
 
@@ -126,11 +126,11 @@ fn a_fork_is_refused_and_both_sides_are_kept() {
 fn a_restart_remembers_and_a_spoilt_memory_stops_it() {
     let dir = tempfile::tempdir().unwrap();
     let (log, hands) = (Log::new(40, 0), Hands::new());
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     assert_eq!(ask(&witness, &log.request(0, 10)).status, 200);
     let kept = witness.latest(&Digest::of(ORIGIN));
     drop(witness);
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     assert_eq!(witness.latest(&Digest::of(ORIGIN)), kept);
     assert_eq!(ask(&witness, &log.request(0, 12)), conflict(10));
     drop(witness);
@@ -139,7 +139,7 @@ fn a_restart_remembers_and_a_spoilt_memory_stops_it() {
     let good = std::fs::read_to_string(&file).unwrap();
     let reopened = |text: &str| {
         std::fs::write(&file, text).unwrap();
-        crate::witness_common::over(Box::new(FolderStorage::open(dir.path()).unwrap()), &hands).map(drop)
+        open(dir.path(), &hands).map(drop)
     };
     for (spoilt, says) in [
         (String::new(), "EOF"),
@@ -193,7 +193,7 @@ fn each_log_is_its_own_and_may_have_two_keys() {
 fn cosignatures_never_go_back_in_time() {
     let dir = tempfile::tempdir().unwrap();
     let (log, hands) = (Log::new(40, 0), Hands::new());
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     assert_eq!(ask(&witness, &log.request(0, 3)).status, 200);
     hands.set(NOW - 60);
     let request = log.request(3, 4);
@@ -205,14 +205,14 @@ fn cosignatures_never_go_back_in_time() {
     assert_eq!(ask(&witness, &log.request(4, 5)).status, 200);
     let dir = tempfile::tempdir().unwrap();
     hands.set(0);
-    assert_eq!(ask(&open(dir.path(), &hands), &log.request(0, 3)).status, 500, "a clock that was never set");
+    assert_eq!(ask(&open(dir.path(), &hands).unwrap(), &log.request(0, 3)).status, 500, "a clock that was never set");
 }
 
 #[test]
 fn racing_requests_never_roll_back() {
     let dir = tempfile::tempdir().unwrap();
     let (log, hands) = (Log::new(40, 0), Hands::new());
-    let witness = open(dir.path(), &hands);
+    let witness = open(dir.path(), &hands).unwrap();
     std::thread::scope(|scope| {
         for worker in 0..4_u64 {
             let (log, witness) = (&log, &witness);
@@ -241,5 +241,20 @@ fn racing_requests_never_roll_back() {
     let size = |note: String| Checkpoint::verify(&note, &log_verifier()).unwrap().size;
     let newest = size(witness.latest(&Digest::of(ORIGIN)).unwrap());
     drop(witness);
-    assert_eq!(size(open(dir.path(), &hands).latest(&Digest::of(ORIGIN)).unwrap()), newest);
+    assert_eq!(size(open(dir.path(), &hands).unwrap().latest(&Digest::of(ORIGIN)).unwrap()), newest);
+}
+
+#[test]
+fn a_folder_has_one_user_and_a_monstrous_memory_is_not_read() {
+    let (log, hands, dir) = (Log::new(40, 0), Hands::new(), tempfile::tempdir().unwrap());
+    let witness = open(dir.path(), &hands).unwrap();
+    let second = open(dir.path(), &hands).map(drop);
+    assert!(matches!(&second, Err(OpenError::Memory { what, .. }) if what.contains("held")), "{second:?}");
+    assert_eq!(ask(&witness, &log.request(0, 4)).status, 200);
+    drop(witness);
+    let logs = dir.path().join("logs");
+    assert_eq!(names(&logs).len(), 1, "no temporary file stays");
+    std::fs::write(logs.join(&names(&logs)[0]), vec![b' '; (4 << 20) + 1]).unwrap();
+    let refused = open(dir.path(), &hands).map(drop);
+    assert!(matches!(&refused, Err(OpenError::Memory { what, .. }) if what.contains("at most 4194304")), "{refused:?}");
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::auth::AccessError;
 use cairn_durable::DurableError;
 use cairn_field::FieldError;
-use cairn_log::{Digest, ErasureError, PublicKey, RegistryError};
+use cairn_log::{Digest, PublicKey, RecordError, RegistryError};
 use cairn_mark::MarkError;
 use cairn_scene::CaptureError;
 use cairn_scene::cluster::ClusterError;
@@ -111,7 +111,7 @@ pub enum EngineError {
     },
     /// An erasure request that is none, or not for this log.
     #[error(transparent)]
-    Erasure(#[from] ErasureError),
+    Erasure(#[from] RecordError),
     /// An erasure request for another record than is there.
     #[error("record {index} is {expected}, the request is to erase {got}; fetch the record and sign again")]
     ErasesOther {

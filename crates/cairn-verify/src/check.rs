@@ -2,51 +2,46 @@
 //! pinned key, the envelope and its signatures, inclusion, the files in hand, and what came later.
 
 use cairn_log::format::{
-    Checkpoint, CheckpointError, Digest, DsseError, Envelope, KeyError, Leaf, NoteError, NoteVerifier, OwnerRecord,
-    PublicKey, RecordError, TlogProof, merkle, note::Note, record::PAYLOAD_TYPE,
+    Checkpoint, CheckpointError, Digest, DsseError, Envelope, KeyError, NoteError, NoteVerifier, OwnerRecord,
+    PublicKey, RecordError, SignedRecord, TlogProof, merkle, record::PAYLOAD_TYPE,
 };
 
 use crate::{
     code::Code,
-    evidence::{Evidence, FileInHand},
+    evidence::Evidence,
     later, policy,
-    report::{Findings, Freshness, Outcome, Report},
+    report::{Findings, Freshness, Report},
 };
 
 /// Verifies a record with everything in hand.
 ///
 /// Never fails: whatever is wrong with the evidence is a finding. The outcome is
-/// [`Outcome::Trusted`] only where the pinned registry signed the record and its log, under a checkpoint signed by the
+/// [`Outcome::Trusted`](crate::Outcome::Trusted) only where the pinned registry signed the record and its log, under a checkpoint signed by the
 /// pinned key, includes it.
 pub fn audit(evidence: &Evidence<'_>) -> Report {
     let mut findings = Findings::default();
     let proof = evidence.proof.and_then(|text| check_proof(text, evidence, &mut findings));
     let mut digest = None;
     let mut freshness = Freshness::CannotTell;
-    if let Some((envelope, leaf, record)) = check_envelope(evidence.envelope, &mut digest, &mut findings) {
-        check_other_signatures(&envelope, &leaf, &record, evidence.pinned, &mut findings);
+    if let Some(signed) = check_envelope(evidence.envelope, &mut digest, &mut findings) {
+        let record = signed.record();
+        check_other_signatures(&signed, evidence.pinned, &mut findings);
         match &proof {
-            Some(proof) => check_inclusion(&leaf, &record, proof, &mut findings),
+            Some(proof) => check_inclusion(&signed, proof, &mut findings),
             None if evidence.proof.is_none() => {
                 findings.add(Code::InclusionMissing, "proof", "a .tlog-proof", "none");
             }
             None => {}
         }
-        check_files(&record, evidence, &mut findings);
+        check_files(record, evidence, &mut findings);
         // A place in the log counts only where the pinned log vouches for it: anybody can draw up a tree of their own.
         let anchored = findings.has(Code::CheckpointVerified) && findings.has(Code::InclusionProven);
         let index = proof.as_ref().filter(|_| anchored).map(|p| p.proof.index);
-        let audited = later::Audited { record: &record, digest: envelope.digest(), index };
+        let audited = later::Audited { record, digest: signed.digest(), index };
         freshness = later::check(&audited, evidence.log, &mut findings);
     }
     let anchored = [Code::RegistrySignatureValid, Code::CheckpointVerified, Code::InclusionProven];
-    let outcome = if findings.failed() {
-        Outcome::Invalid
-    } else if anchored.iter().all(|code| findings.has(*code)) {
-        Outcome::Trusted
-    } else {
-        Outcome::Valid
-    };
+    let outcome = findings.outcome(anchored.iter().all(|code| findings.has(*code)));
     let record = digest.map(|d| d.to_string());
     Report { version: Report::VERSION, outcome, freshness, record, findings: findings.0 }
 }
@@ -80,9 +75,8 @@ pub(crate) fn check_checkpoint(
     findings: &mut Findings,
 ) -> Option<Checkpoint> {
     let Some(pinned) = pinned else {
-        let parsed = Note::parse(note).map_err(CheckpointError::from);
-        return match parsed.and_then(|note| Checkpoint::parse_text(&note.text)) {
-            Ok(checkpoint) => Some(checkpoint),
+        return match Checkpoint::read(note) {
+            Ok((_, checkpoint)) => Some(checkpoint),
             Err(e) => {
                 findings.add(Code::CheckpointMalformed, place, "a signed checkpoint", e);
                 None
@@ -110,11 +104,7 @@ pub(crate) fn check_checkpoint(
 }
 
 /// The envelope, its record, and the owner's signature over exactly those bytes.
-fn check_envelope(
-    json: &[u8],
-    digest: &mut Option<Digest>,
-    findings: &mut Findings,
-) -> Option<(Envelope, Leaf, OwnerRecord)> {
+fn check_envelope(json: &[u8], digest: &mut Option<Digest>, findings: &mut Findings) -> Option<SignedRecord> {
     let envelope = match Envelope::parse(json) {
         Ok(envelope) => envelope,
         Err(e) => {
@@ -126,10 +116,10 @@ fn check_envelope(
     for field in &envelope.ignored_fields {
         findings.add(Code::EnvelopeFieldIgnored, format!("envelope, field {field}"), "no such field", field);
     }
-    match Leaf::open(&envelope) {
-        Ok((leaf, record)) => {
-            findings.add(Code::OwnerSignatureValid, "envelope", "", format!("by key {}", record.owner_key));
-            Some((envelope, leaf, record))
+    match SignedRecord::open(envelope.clone()) {
+        Ok(signed) => {
+            findings.add(Code::OwnerSignatureValid, "envelope", "", format!("by key {}", signed.record().owner_key));
+            Some(signed)
         }
         Err(e) => {
             let (code, expected) = match &e {
@@ -157,13 +147,8 @@ fn owner_key_is_weak(body: &[u8]) -> bool {
     matches!(key.map(str::parse::<PublicKey>), Some(Err(KeyError::SmallOrder { .. })))
 }
 
-fn check_other_signatures(
-    envelope: &Envelope,
-    leaf: &Leaf,
-    record: &OwnerRecord,
-    pinned: Option<&NoteVerifier>,
-    findings: &mut Findings,
-) {
+fn check_other_signatures(signed: &SignedRecord, pinned: Option<&NoteVerifier>, findings: &mut Findings) {
+    let (envelope, leaf, record) = (signed.envelope(), signed.leaf(), signed.record());
     let pae = envelope.pae();
     let known: Vec<_> = [Some(&record.owner_key), pinned.map(NoteVerifier::key)].into_iter().flatten().collect();
     let mut strangers = Vec::new();
@@ -208,7 +193,8 @@ fn check_other_signatures(
     }
 }
 
-fn check_inclusion(leaf: &Leaf, record: &OwnerRecord, checked: &Checked, findings: &mut Findings) {
+fn check_inclusion(signed: &SignedRecord, checked: &Checked, findings: &mut Findings) {
+    let (leaf, record) = (signed.leaf(), signed.record());
     let Checked { proof, checkpoint } = checked;
     let (index, size) = (proof.index, checkpoint.size);
     let place = format!("record at index {index} of {size}");
@@ -234,39 +220,35 @@ fn check_inclusion(leaf: &Leaf, record: &OwnerRecord, checked: &Checked, finding
 }
 
 fn check_files(record: &OwnerRecord, evidence: &Evidence<'_>, findings: &mut Findings) {
-    let file = |f: &Option<FileInHand>| f.as_ref().map(|f| (f.place.clone(), f.digest));
-    let signal = evidence.hidden_signal.as_ref().map(|s| (s.place.clone(), s.commitment));
-    let photographs =
-        (evidence.photographs.as_ref()).map(|p| (format!("{} ({} photographs)", p.place, p.count), p.root));
     let digests = &record.digests;
     let comparisons = [
         (
             digests.marked_field,
-            file(&evidence.marked_field),
+            &evidence.marked_field,
             "marked_field",
             [Code::MarkedFieldMatch, Code::MarkedFieldMismatch, Code::MarkedFieldUnchecked],
         ),
         (
             digests.detector,
-            file(&evidence.detector),
+            &evidence.detector,
             "detector",
             [Code::DetectorMatch, Code::DetectorMismatch, Code::DetectorUnchecked],
         ),
         (
             digests.hidden_signal,
-            signal,
+            &evidence.hidden_signal,
             "hidden_signal",
             [Code::HiddenSignalMatch, Code::HiddenSignalMismatch, Code::HiddenSignalUnchecked],
         ),
         (
             digests.photographs,
-            photographs,
+            &evidence.photographs,
             "photographs",
             [Code::PhotographsMatch, Code::PhotographsMismatch, Code::PhotographsUnchecked],
         ),
         (
             digests.training_configuration,
-            file(&evidence.training_configuration),
+            &evidence.training_configuration,
             "training_configuration",
             [Code::ConfigurationMatch, Code::ConfigurationMismatch, Code::ConfigurationUnchecked],
         ),
@@ -274,11 +256,11 @@ fn check_files(record: &OwnerRecord, evidence: &Evidence<'_>, findings: &mut Fin
     for (named, in_hand, field, [matches, mismatch, unchecked]) in comparisons {
         let record_field = || format!("record, field digests.{field}");
         match (named, in_hand) {
-            (Some(named), Some((place, digest))) if named == digest => findings.add(matches, place, "", digest),
-            (Some(named), Some((place, digest))) => findings.add(mismatch, place, named, digest),
+            (Some(named), Some(file)) if named == file.digest => findings.add(matches, &file.place, "", named),
+            (Some(named), Some(file)) => findings.add(mismatch, &file.place, named, file.digest),
             // A file that the record does not speak of must not look vouched for.
-            (None, Some((place, digest))) => {
-                findings.add(mismatch, place, "no such file: the record names none", digest)
+            (None, Some(file)) => {
+                findings.add(mismatch, &file.place, "no such file: the record names none", file.digest)
             }
             (Some(named), None) => findings.add(unchecked, record_field(), named, "nothing in hand"),
             (None, None) => {}

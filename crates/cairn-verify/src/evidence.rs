@@ -1,15 +1,13 @@
 //! What an audit is given: an envelope, and whatever else is in hand.
 
-use std::{
-    fs::File,
-    io::{self, Read as _},
-    path::Path,
-};
+use std::{fs::File, io, path::Path};
 
 use cairn_log::format::{
     Digest, NoteVerifier, Policy,
     record::{SignalFiles, hidden_signal_commitment, photographs_root},
 };
+
+use crate::bounded::read;
 
 /// A file that cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -22,7 +20,7 @@ pub struct EvidenceError {
 }
 
 /// Largest envelope or proof file that is read, in bytes; both are a few kilobytes.
-const MAX_BUNDLE_FILE: u64 = 1 << 20;
+const MAX_BUNDLE_FILE: usize = 1 << 20;
 
 /// An offline bundle: two files side by side, `<name>.dsse.json` and `<name>.tlog-proof`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -61,14 +59,12 @@ impl Bundle {
 }
 
 fn read_small(path: &str) -> Result<Vec<u8>, EvidenceError> {
-    let failed = |source| EvidenceError { path: path.to_owned(), source };
-    let mut bytes = Vec::new();
-    File::open(path).and_then(|f| f.take(MAX_BUNDLE_FILE + 1).read_to_end(&mut bytes)).map_err(failed)?;
-    if bytes.len() as u64 > MAX_BUNDLE_FILE {
-        let cause = format!("larger than {MAX_BUNDLE_FILE} bytes, which no bundle's file is");
-        return Err(failed(io::Error::new(io::ErrorKind::FileTooLarge, cause)));
+    let failed = |kind, cause: String| EvidenceError { path: path.to_owned(), source: io::Error::new(kind, cause) };
+    match read(Path::new(path), MAX_BUNDLE_FILE) {
+        Ok(Some(bytes)) => Ok(bytes),
+        Ok(None) => Err(failed(io::ErrorKind::NotFound, "no such file".into())),
+        Err(cause) => Err(failed(io::ErrorKind::Other, cause)),
     }
-    Ok(bytes)
 }
 
 /// A file to compare with the record, by its digest.
@@ -78,26 +74,6 @@ pub struct FileInHand {
     pub place: String,
     /// SHA-256 of its bytes.
     pub digest: Digest,
-}
-
-/// The hidden signal, with the salt that its commitment was made with.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct HiddenSignalInHand {
-    /// Its name in the report.
-    pub place: String,
-    /// The commitment that follows from it.
-    pub commitment: Digest,
-}
-
-/// The cluster's photographs.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PhotographsInHand {
-    /// Their name in the report.
-    pub place: String,
-    /// How many.
-    pub count: usize,
-    /// The Merkle root over their digests.
-    pub root: Digest,
 }
 
 /// A later record of the log.
@@ -135,9 +111,9 @@ pub struct Evidence<'a> {
     /// The detector's file.
     pub detector: Option<FileInHand>,
     /// The hidden signal and its salt.
-    pub hidden_signal: Option<HiddenSignalInHand>,
+    pub hidden_signal: Option<FileInHand>,
     /// The cluster's photographs.
-    pub photographs: Option<PhotographsInHand>,
+    pub photographs: Option<FileInHand>,
     /// The training configuration's file.
     pub training_configuration: Option<FileInHand>,
     /// What came later.
@@ -160,18 +136,15 @@ impl FileInHand {
         let (digest, _) = File::open(path).and_then(|mut file| Digest::of_all(&mut file)).map_err(failed)?;
         Ok(Self { digest, place })
     }
-}
 
-impl HiddenSignalInHand {
-    /// A signal (its files' bytes) and its salt.
-    pub fn of(place: impl Into<String>, salt: &Digest, files: &SignalFiles<'_>) -> Self {
-        Self { place: place.into(), commitment: hidden_signal_commitment(salt, files) }
+    /// A hidden signal, by the commitment to its files under the salt that the owner gave out.
+    pub fn hidden_signal(place: impl Into<String>, salt: &Digest, files: &SignalFiles<'_>) -> Self {
+        Self { place: place.into(), digest: hidden_signal_commitment(salt, files) }
     }
-}
 
-impl PhotographsInHand {
-    /// Photographs by their digests, in any order.
-    pub fn of(place: impl Into<String>, digests: &[Digest]) -> Self {
-        Self { place: place.into(), count: digests.len(), root: photographs_root(digests) }
+    /// Photographs, in any order, by the root over their digests.
+    pub fn photographs(place: &str, digests: &[Digest]) -> Self {
+        let place = format!("{place} ({} photographs)", digests.len());
+        Self { place, digest: photographs_root(digests) }
     }
 }

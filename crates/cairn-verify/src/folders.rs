@@ -8,7 +8,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
 use cairn_log::format::{Digest, record::photographs_root};
@@ -18,15 +18,16 @@ use cairn_log::format::manifest::Manifest;
 
 use crate::{
     FileInHand,
+    bounded::read,
     code::Code,
     report::{Finding, Findings},
     state,
-    store::{Stock, StoreError, compare, read_manifest},
+    store::{Covered, Stock, StoreError, compare, read_manifest},
 };
 
 const MANIFEST: &str = "manifest.json";
 /// Largest JSON file that is read, bytes.
-const MAX_JSON: u64 = 256 << 20;
+const MAX_JSON: usize = 256 << 20;
 const FORMAT: &str = "{\n  \"format_version\": 1\n}";
 
 /// Hashes everything in the data folder `dir` but its registry. Also gives the digests that its models have, for
@@ -88,11 +89,12 @@ impl<'a> Folders<'a> {
     }
 
     fn format(&mut self) {
-        match std::fs::read(self.dir.join("format.json")) {
-            Ok(bytes) if bytes == FORMAT.as_bytes() => {}
-            Ok(_) => self.findings.add(Code::FileMismatch, "format.json", FORMAT, "another text"),
-            Err(e) => self.findings.add(Code::FileMismatch, "format.json", FORMAT, e),
-        }
+        let got = match read(&self.dir.join("format.json"), FORMAT.len()) {
+            Ok(Some(bytes)) if bytes == FORMAT.as_bytes() => return,
+            Ok(_) => "another text".to_owned(),
+            Err(cause) => cause,
+        };
+        self.findings.add(Code::FileMismatch, "format.json", FORMAT, got);
     }
 
     /// Holds a folder to its manifest; the digests that it vouches for, by path.
@@ -110,8 +112,11 @@ impl<'a> Folders<'a> {
                 return Ok(BTreeMap::new());
             }
         };
-        let codes = [Code::FileMismatch, Code::FileUnknown];
-        if compare(&manifest, &folder, name, &[MANIFEST], codes, &mut self.findings)? == 0 {
+        let before = self.findings.0.len();
+        let (changed, unknown, within) = (Code::FileMismatch, Code::FileUnknown, format!("{name}/"));
+        let covered = Covered { root: &folder, place: &within, folders: &[""], except: MANIFEST, changed, unknown };
+        compare(&manifest, &covered, &mut self.findings)?;
+        if self.findings.0.len() == before {
             self.findings.add(Code::FolderVerified, name, "", format!("{} files", manifest.files.len()));
         }
         Ok(manifest.files.into_iter().map(|file| (file.path, file.sha256)).collect())
@@ -143,15 +148,9 @@ impl<'a> Folders<'a> {
     }
 
     fn json(&mut self, path: &str) -> Option<Value> {
-        let full: PathBuf = self.dir.join(path);
-        let read = || -> Result<Value, String> {
-            let length = std::fs::metadata(&full).map_err(|e| e.to_string())?.len();
-            if length > MAX_JSON {
-                return Err(format!("{length} bytes, at most {MAX_JSON} are read"));
-            }
-            serde_json::from_slice(&std::fs::read(&full).map_err(|e| e.to_string())?).map_err(|e| e.to_string())
-        };
-        read().map_err(|cause| self.findings.add(Code::FileMismatch, path, "JSON", cause)).ok()
+        let parsed = read(&self.dir.join(path), MAX_JSON)
+            .and_then(|bytes| serde_json::from_slice(&bytes.ok_or("no such file")?).map_err(|e| e.to_string()));
+        parsed.map_err(|cause| self.findings.add(Code::FileMismatch, path, "JSON", cause)).ok()
     }
 
     fn scene(&mut self, name: &str) -> Result<(), StoreError> {
@@ -186,24 +185,16 @@ impl<'a> Folders<'a> {
     /// `current.json` is bound by the digest of the manifest that it leads to, and by being written in one way only.
     fn current(&mut self, name: &str) {
         let place = format!("{name}/current.json");
-        let Ok(bytes) = std::fs::read(self.dir.join(&place)) else {
-            return self.findings.add(Code::FileMismatch, place, "the newest model's name", "no file that can be read");
-        };
-        let Some(current) = self.json(&place) else { return };
+        let bytes = read(&self.dir.join(&place), MAX_JSON).ok().flatten().unwrap_or_default();
+        let current: Value = serde_json::from_slice(&bytes).unwrap_or_default();
         let job = current["job"].as_str().unwrap_or_default();
-        let manifest = self.dir.join(name).join(job).join(MANIFEST);
-        let text = |digest: &str| {
+        let manifest = FileInHand::read(&self.dir.join(name).join(job).join(MANIFEST));
+        let text = |digest: &Digest| {
             format!("{{\n  \"format_version\": 1,\n  \"job\": \"{job}\",\n  \"manifest\": \"{digest}\"\n}}")
         };
-        match (current.get("manifest"), FileInHand::read(&manifest)) {
-            (None, Err(_)) if !job.is_empty() && self.dir.join(name).join(job).is_dir() => {
-                self.findings.add(Code::FileUncovered, place, "", "written before there were manifests");
-            }
-            (Some(_), Ok(file)) if text(&file.digest.to_string()).as_bytes() == bytes => {}
-            _ => {
-                let expected = "the name of a model and the SHA-256 of its manifest";
-                self.findings.add(Code::FileMismatch, place, expected, current);
-            }
+        if !manifest.is_ok_and(|file| text(&file.digest).as_bytes() == bytes) {
+            let expected = "the name of a model and the SHA-256 of its manifest";
+            self.findings.add(Code::FileMismatch, place, expected, current);
         }
     }
 
@@ -218,12 +209,8 @@ impl<'a> Folders<'a> {
             had.extend(self.file(name, "marked.field", &mark["marked_field"], &vouched));
             had.extend(self.file(name, "detector", &mark["detector"], &vouched));
             for (number, signal) in (1..).zip(mark["signals"].as_array().into_iter().flatten()) {
-                // Before there were sounds and texts it was the picture's digest alone.
-                let parts = [("png", "picture"), ("wav", "audio"), ("txt", "text")];
-                let digests = parts.map(|(ending, part)| (ending, signal.get(part)));
-                let alone = [("png", signal.is_string().then_some(signal))];
-                for (ending, digest) in digests.into_iter().chain(alone) {
-                    if let Some(digest) = digest {
+                for (ending, part) in [("png", "picture"), ("wav", "audio"), ("txt", "text")] {
+                    if let Some(digest) = signal.get(part) {
                         self.file(name, &format!("signal-{number}.{ending}"), digest, &vouched);
                     }
                 }

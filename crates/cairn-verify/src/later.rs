@@ -3,16 +3,17 @@
 //! Time is counted in log indices only. A key's end does not touch what it signed before. Who may speak for the
 //! owner follows rotations from key to key ([`cairn_log::format::heir::heir()`]), as in the registry and in complete answers.
 
-use std::{collections::BTreeMap, convert::Infallible};
+use std::collections::BTreeMap;
 
 use cairn_log::format::{
-    Digest, Envelope, OwnerRecord, PublicKey, RecordKind,
-    heir::{self, Ending, Heir, heir},
+    Digest, OwnerRecord, PublicKey, RecordKind, SignedRecord,
+    heir::{self, Ending},
 };
 
 use crate::{
     code::Code,
     evidence::LogView,
+    heirs::may_speak,
     report::{Findings, Freshness},
 };
 
@@ -27,8 +28,7 @@ pub(crate) struct Audited<'a> {
 /// A later record whose owner's signature holds.
 struct Later {
     index: u64,
-    envelope: Envelope,
-    record: OwnerRecord,
+    signed: SignedRecord,
 }
 
 pub(crate) fn check(audited: &Audited<'_>, log: Option<&LogView>, findings: &mut Findings) -> Freshness {
@@ -49,9 +49,9 @@ pub(crate) fn check(audited: &Audited<'_>, log: Option<&LogView>, findings: &mut
     );
     let mut known = opened(log, findings);
     known.sort_by_key(|later| later.index);
-    let keys = known.iter().map(|later| later.record.owner_key).chain([audited.record.owner_key]);
+    let keys = known.iter().map(|later| later.signed.record().owner_key).chain([audited.record.owner_key]);
     let view = View { audited, keys: keys.map(|key| (key.id(), key)).collect(), known: &known };
-    for later in known.iter().filter(|later| later.envelope.digest() != audited.digest) {
+    for later in known.iter().filter(|later| later.signed.digest() != audited.digest) {
         view.weigh(later, findings);
     }
     Freshness::AsOf(log.size)
@@ -61,16 +61,12 @@ pub(crate) fn check(audited: &Audited<'_>, log: Option<&LogView>, findings: &mut
 fn opened(log: &LogView, findings: &mut Findings) -> Vec<Later> {
     let mut known = Vec::new();
     for later in &log.records {
-        let opened = Envelope::parse(&later.envelope).map_err(|e| e.to_string()).and_then(|envelope| {
-            let (record, _) = OwnerRecord::open(&envelope).map_err(|e| e.to_string())?;
-            Ok(Later { index: later.index, envelope, record })
-        });
-        match opened {
+        match SignedRecord::parse(&later.envelope) {
             Ok(_) if later.index >= log.size => {
                 let expected = format!("an index below the view's size {}", log.size);
                 findings.add(Code::LaterRecordInvalid, place(later.index), expected, later.index);
             }
-            Ok(later) => known.push(later),
+            Ok(signed) => known.push(Later { index: later.index, signed }),
             Err(e) => {
                 findings.add(Code::LaterRecordInvalid, place(later.index), "a record signed by its owner", e);
             }
@@ -95,29 +91,30 @@ struct View<'a> {
 impl View<'_> {
     /// What one other record means for the record under audit.
     fn weigh(&self, other: &Later, findings: &mut Findings) {
-        let kind = other.record.kind;
-        if other.record.replaces == Some(self.audited.digest) {
+        let record = other.signed.record();
+        let kind = record.kind;
+        if record.replaces == Some(self.audited.digest) {
             match kind {
                 RecordKind::Dispute => {
-                    let got = format!("by {}: {}", other.record.owner_key, other.record.purpose);
+                    let got = format!("by {}: {}", record.owner_key, record.purpose);
                     return findings.add(Code::RecordDisputed, place(other.index), "", got);
                 }
                 RecordKind::Revocation => {
                     if self.spoken_for(other, findings) {
                         let expected = "a record that its owner upholds";
-                        return findings.add(Code::RecordRevoked, place(other.index), expected, &other.record.purpose);
+                        return findings.add(Code::RecordRevoked, place(other.index), expected, &record.purpose);
                     }
                 }
                 RecordKind::Claim | RecordKind::Contribution | RecordKind::Training => {
                     if self.spoken_for(other, findings) {
-                        let got = format!("{kind:?} by {}", other.record.owner_key);
+                        let got = format!("{kind:?} by {}", record.owner_key);
                         findings.add(Code::RecordReplaced, place(other.index), "", got);
                     }
                 }
                 RecordKind::Rotation => {}
             }
         }
-        if heir::ends(&self.audited.record.owner_key, &other.record, &other.envelope).is_some() {
+        if heir::ends(&self.audited.record.owner_key, record, other.signed.envelope()).is_some() {
             self.key_ended(other.index, findings);
         }
     }
@@ -126,20 +123,11 @@ impl View<'_> {
     /// else it is named.
     fn spoken_for(&self, other: &Later, findings: &mut Findings) -> bool {
         let owner = self.audited.record.owner_key.id();
-        let Ok(speaks) = heir(&owner, other.index, |key| Ok::<_, Infallible>(self.ending(key)));
-        let expected = match speaks {
-            Heir::Key { id, .. } => {
-                let signed = self.keys.get(&id).is_some_and(|key| other.envelope.signature_by(key).is_some());
-                if signed {
-                    return true;
-                }
-                format!("a record by the owner's key (id {id}), or with its signature")
-            }
-            Heir::Nobody { ended_by, .. } => {
-                format!("a record before index {ended_by}, where the owner's key ended with none in its place")
-            }
-        };
-        let got = format!("{:?} by {}", other.record.kind, other.record.owner_key);
+        let spoke =
+            |id: &Digest| self.keys.get(id).is_some_and(|key| other.signed.envelope().signature_by(key).is_some());
+        let Err(expected) = may_speak(&owner, other.index, |key| self.ending(key), spoke) else { return true };
+        let record = other.signed.record();
+        let got = format!("{:?} by {}", record.kind, record.owner_key);
         findings.add(Code::LaterRecordInvalid, place(other.index), expected, got);
         false
     }
@@ -148,7 +136,7 @@ impl View<'_> {
     fn ending(&self, key: &Digest) -> Option<Ending> {
         let key = self.keys.get(key)?;
         let end = |later: &Later| {
-            let to = heir::ends(key, &later.record, &later.envelope)?;
+            let to = heir::ends(key, later.signed.record(), later.signed.envelope())?;
             Some(Ending { index: later.index, to })
         };
         self.known.iter().find_map(end)

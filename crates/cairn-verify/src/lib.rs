@@ -10,13 +10,14 @@
 //! are different answers.
 
 mod answer;
+mod bounded;
 mod check;
 mod code;
 mod evidence;
 mod folders;
 mod follow;
+mod heirs;
 mod later;
-mod map;
 mod policy;
 mod report;
 mod state;
@@ -25,9 +26,7 @@ mod store;
 pub use answer::{AnswerReport, Question, RecordWorth, Standing, audit_answer, audit_answer_to};
 pub use check::audit;
 pub use code::{Code, Severity};
-pub use evidence::{
-    Bundle, Evidence, EvidenceError, FileInHand, HiddenSignalInHand, LogView, PhotographsInHand, RecordInHand,
-};
+pub use evidence::{Bundle, Evidence, EvidenceError, FileInHand, LogView, RecordInHand};
 pub use folders::audit_folders;
 pub use follow::{
     CONTRADICTION, Contradiction, EvidenceReport, Fetch, FollowError, FollowOptions, FollowReport, Followed,

@@ -72,20 +72,33 @@ impl Finding {
     }
 }
 
-impl Report {
-    /// The version of the JSON form.
-    pub const VERSION: u32 = 1;
+/// What every report has besides its fields.
+macro_rules! report {
+    ($report:ident) => {
+        impl $report {
+            /// The version of the JSON form.
+            pub const VERSION: u32 = 1;
 
-    /// Whether a finding with this code is there.
-    pub fn has(&self, code: Code) -> bool {
-        self.findings.iter().any(|f| f.code == code)
-    }
+            /// Whether a finding with this code is there.
+            pub fn has(&self, code: $crate::Code) -> bool {
+                self.findings.iter().any(|f| f.code == code)
+            }
 
-    /// The report as indented JSON.
-    pub fn to_json(&self) -> String {
-        // Strings and numbers only: there is nothing that could fail to serialise.
-        serde_json::to_string_pretty(self).unwrap_or_default()
-    }
+            /// The report as indented JSON.
+            pub fn to_json(&self) -> String {
+                // Strings and numbers only: there is nothing that could fail to serialise.
+                serde_json::to_string_pretty(self).unwrap_or_default()
+            }
+        }
+    };
+}
+pub(crate) use report;
+
+report!(Report);
+
+/// Findings, a line each.
+pub(crate) fn lines(findings: &[Finding], f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    findings.iter().try_for_each(|finding| writeln!(f, "{finding}"))
 }
 
 /// Collects findings.
@@ -112,6 +125,24 @@ impl Findings {
 
     pub(crate) fn failed(&self) -> bool {
         self.0.iter().any(|f| f.severity == Severity::Error)
+    }
+
+    /// The outcome, where `trusted` says whether somebody known vouches for all of it.
+    pub(crate) fn outcome(&self, trusted: bool) -> Outcome {
+        match (self.failed(), trusted) {
+            (true, _) => Outcome::Invalid,
+            (false, true) => Outcome::Trusted,
+            (false, false) => Outcome::Valid,
+        }
+    }
+}
+
+impl fmt::Display for Freshness {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::CannotTell => write!(f, "later revocations or disputes: cannot tell"),
+            Self::AsOf(size) => write!(f, "later revocations or disputes: known up to log size {size}"),
+        }
     }
 }
 
@@ -144,13 +175,7 @@ impl fmt::Display for Finding {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}", self.outcome)?;
-        match self.freshness {
-            Freshness::CannotTell => writeln!(f, "later revocations or disputes: cannot tell")?,
-            Freshness::AsOf(size) => writeln!(f, "later revocations or disputes: known up to log size {size}")?,
-        }
-        for finding in &self.findings {
-            writeln!(f, "{finding}")?;
-        }
-        Ok(())
+        writeln!(f, "{}", self.freshness)?;
+        lines(&self.findings, f)
     }
 }

@@ -7,12 +7,10 @@
 
 use std::path::Path;
 
-use cairn_log::format::manifest::Manifest;
-
 use crate::{
     code::Code,
     report::Findings,
-    store::{StoreError, compare_listed, read_manifest, strangers},
+    store::{Covered, StoreError, compare, read_seal},
 };
 
 /// The seal.
@@ -20,6 +18,7 @@ pub(crate) const SEAL: &str = "state.seal";
 
 /// What it covers: folders with everything in them, and single files.
 pub(crate) const FOLDERS: [&str; 3] = ["access", "exclusions", "owners"];
+
 /// See [`FOLDERS`].
 pub(crate) const FILES: [&str; 1] = ["registry.key"];
 
@@ -30,59 +29,27 @@ pub(crate) fn covers(name: &str) -> bool {
 
 /// Holds the state in the data folder `dir` to its seal. `there`: whether any of it is.
 pub(crate) fn check(dir: &Path, there: bool, findings: &mut Findings) -> Result<(), StoreError> {
-    let manifest = match read_manifest(&dir.join(SEAL)) {
-        Ok(Some(manifest)) => manifest,
-        Ok(None) => {
-            if there {
-                let got = "none: the daemon is running, or was not stopped cleanly";
-                findings.add(Code::StateUnsealed, SEAL, "a seal", got);
-            }
-            return Ok(());
-        }
-        Err(cause) => {
-            findings.add(Code::StateSeal, SEAL, "a seal of version 1", cause);
-            return Ok(());
-        }
-    };
+    let codes = there.then_some(Code::StateUnsealed);
+    let Some(mut manifest) = read_seal(&dir.join(SEAL), SEAL, codes, Code::StateSeal, findings) else { return Ok(()) };
+    let before = findings.0.len();
     let count = manifest.files.len();
-    let mut differ = 0;
-    let mut rest = manifest.files;
-    let codes = [Code::StateMismatch, Code::StateMismatch];
-    for folder in FOLDERS {
-        let (of_folder, others): (Vec<_>, Vec<_>) =
-            rest.into_iter().partition(|file| within(&file.path, folder).is_some());
-        rest = others;
-        let files = of_folder.into_iter().map(|mut file| {
-            file.path = within(&file.path, folder).unwrap_or_default().to_owned();
-            file
-        });
-        let part = Manifest { format_version: manifest.format_version, files: files.collect() };
-        if dir.join(folder).is_dir() || !part.files.is_empty() {
-            differ += compare_listed(&part, &dir.join(folder), folder, codes[0], findings);
-        }
-        if dir.join(folder).is_dir() {
-            differ += strangers(&part, &dir.join(folder), folder, &[], codes[1], findings)?;
-        }
-    }
-    for file in &rest {
-        if !FILES.contains(&file.path.as_str()) {
+    manifest.files.retain(|file| {
+        let of_folder = file.path.split_once('/').is_some_and(|(folder, _)| FOLDERS.contains(&folder));
+        let covered = of_folder || FILES.contains(&file.path.as_str());
+        if !covered {
             findings.add(Code::StateSeal, SEAL, "files of the daemon's state", &file.path);
-            differ += 1;
+        }
+        covered
+    });
+    for name in FILES.iter().filter(|name| manifest.files.iter().all(|file| file.path != **name)) {
+        if dir.join(name).exists() {
+            findings.add(Code::StateMismatch, *name, "a file that the seal names", "another file");
         }
     }
-    for name in FILES.iter().filter(|name| dir.join(name).exists() && rest.iter().all(|file| file.path != **name)) {
-        findings.add(Code::StateMismatch, *name, "a file that the seal names", "another file");
-        differ += 1;
-    }
-    rest.retain(|file| FILES.contains(&file.path.as_str()));
-    differ +=
-        compare_listed(&Manifest { format_version: manifest.format_version, files: rest }, dir, "", codes[0], findings);
-    if differ == 0 {
+    let (changed, unknown) = (Code::StateMismatch, Code::StateMismatch);
+    compare(&manifest, &Covered { root: dir, place: "", folders: &FOLDERS, except: "", changed, unknown }, findings)?;
+    if findings.0.len() == before {
         findings.add(Code::StateVerified, SEAL, "", format!("{count} files"));
     }
     Ok(())
-}
-
-fn within<'a>(path: &'a str, folder: &str) -> Option<&'a str> {
-    path.strip_prefix(folder)?.strip_prefix('/')
 }

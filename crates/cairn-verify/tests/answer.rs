@@ -1,11 +1,7 @@
 //! Complete answers from logs made by hand: honest ones are trusted, and say what each record is worth.
 
 use crate::common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
-use cairn_log::format::{
-    Checkpoint, RecordKind,
-    answer::AsOf,
-    merkle::{Tree, leaf_hash},
-};
+use cairn_log::format::{Checkpoint, RecordKind, answer::AsOf, merkle::leaf_hash, testing::Tree};
 use cairn_verify::{AnswerReport, Code, Freshness, Outcome, Question, Standing, audit_answer, audit_answer_to};
 
 fn standings(report: &AnswerReport) -> Vec<(u64, Standing)> {

@@ -3,12 +3,12 @@
 use cairn_log::format::{
     Checkpoint, Digest, Envelope, Leaf, Note, NoteVerifier, OwnerKey, OwnerRecord, Policy, RecordKind, TlogProof,
     WitnessVerifier, cosign,
-    merkle::{Tree, empty_root, leaf_hash},
+    merkle::{empty_root, leaf_hash},
     record::{self, Digests, Identity, PAYLOAD_TYPE, Seen, SignalFiles, hidden_signal_commitment, photographs_root},
+    testing::Tree,
 };
 use cairn_verify::{
-    Bundle, Code, Evidence, FileInHand, Freshness, HiddenSignalInHand, LogView, Outcome, PhotographsInHand,
-    RecordInHand, Report, Severity, audit,
+    Bundle, Code, Evidence, FileInHand, Freshness, LogView, Outcome, RecordInHand, Report, Severity, audit,
 };
 
 const ORIGIN: &str = "cairn.example/log";
@@ -118,8 +118,12 @@ impl Whole {
             proof: Some(&self.proof),
             marked_field: Some(FileInHand::of("field.safetensors", &self.field)),
             detector: Some(FileInHand::of("detector.safetensors", &self.detector)),
-            hidden_signal: Some(HiddenSignalInHand::of("credit.txt", &self.salt, &SignalFiles::picture(&self.signal))),
-            photographs: Some(PhotographsInHand::of("photographs", &self.photographs)),
+            hidden_signal: Some(FileInHand::hidden_signal(
+                "credit.txt",
+                &self.salt,
+                &SignalFiles::picture(&self.signal),
+            )),
+            photographs: Some(FileInHand::photographs("photographs", &self.photographs)),
             training_configuration: Some(FileInHand::of("train.toml", &self.configuration)),
             log: Some(&self.log),
         }
@@ -389,7 +393,8 @@ fn later(kind: RecordKind, by: u8, also: Option<u8>, names: bool) -> Vec<u8> {
     let mut record = owner_record();
     record.kind = kind;
     record.owner_key = key(by).public();
-    record.replaces = (names || kind.needs_replaces()).then(|| countersigned().digest());
+    record.replaces =
+        (names || matches!(kind, RecordKind::Rotation | RecordKind::Dispute)).then(|| countersigned().digest());
     record.purpose = "later".into();
     let mut envelope = record.seal(&key(by)).unwrap();
     also.into_iter().for_each(|other| envelope.sign(&key(other)));
@@ -493,5 +498,5 @@ fn a_bundle_is_two_small_files_side_by_side() {
     std::fs::write(at(".tlog-proof"), [0xff; 8]).unwrap();
     assert_eq!(errors(&audit(&Bundle::read(&at("")).unwrap().evidence())), ["proof.malformed"]);
     std::fs::write(at(".tlog-proof"), vec![b'a'; 2 << 20]).unwrap();
-    assert!(Bundle::read(&at("")).unwrap_err().to_string().contains("larger than"));
+    assert!(Bundle::read(&at("")).unwrap_err().to_string().contains("more than"));
 }

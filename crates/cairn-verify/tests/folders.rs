@@ -28,7 +28,7 @@ fn written(dir: &Path) {
     let info = serde_json::json!({
         "base_field": digest("base.field"), "settings": digest("settings.toml"),
         "identities": [{"photographs": [digest("a photograph")]}],
-        "mark": {"marked_field": digest("marked.field"), "detector": digest("detector"), "signals": [digest("signal-1.png"), {"audio": digest("signal-2.wav")}]},
+        "mark": {"marked_field": digest("marked.field"), "detector": digest("detector"), "signals": [{"picture": digest("signal-1.png")}, {"audio": digest("signal-2.wav")}]},
     });
     put(&model.join("model.json"), info.to_string().as_bytes());
     let files =

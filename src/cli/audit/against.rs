@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use cairn_log::OwnerRecord;
 use cairn_scene::SceneFolder;
-use cairn_verify::{Code, Evidence, FileInHand, PhotographsInHand, Report};
+use cairn_verify::{Code, Evidence, FileInHand, Report};
 
 use cairn_service::store::model::{self, ModelInfo};
 
@@ -48,7 +48,7 @@ impl Files {
 }
 
 /// Every file of a folder is a photograph; folders in it are gone through as well.
-fn all_files(folder: &Path) -> anyhow::Result<PhotographsInHand> {
+fn all_files(folder: &Path) -> anyhow::Result<FileInHand> {
     let (mut digests, mut left) = (Vec::new(), vec![folder.to_path_buf()]);
     while let Some(folder) = left.pop() {
         let listed = std::fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))?;
@@ -63,7 +63,7 @@ fn all_files(folder: &Path) -> anyhow::Result<PhotographsInHand> {
         }
     }
     anyhow::ensure!(!digests.is_empty(), "there is no file in {}", folder.display());
-    Ok(PhotographsInHand::of(folder.display().to_string(), &digests))
+    Ok(FileInHand::photographs(&folder.display().to_string(), &digests))
 }
 
 /// Adds to `evidence` each file below `data` whose digest the record names.
@@ -132,7 +132,7 @@ fn training_of(models: &Path, record: &OwnerRecord) -> anyhow::Result<ModelInfo>
     Ok(found.swap_remove(at))
 }
 
-fn photographs(data: &Path, info: &ModelInfo, record: &OwnerRecord) -> anyhow::Result<PhotographsInHand> {
+fn photographs(data: &Path, info: &ModelInfo, record: &OwnerRecord) -> anyhow::Result<FileInHand> {
     let identity = info.identity(record.identity.number).with_context(|| {
         let (place, scene) = (data.display(), &info.scene);
         format!(
@@ -155,7 +155,7 @@ fn photographs(data: &Path, info: &ModelInfo, record: &OwnerRecord) -> anyhow::R
         digests.push(FileInHand::read(&capture.root.join(&view.photograph))?.digest);
     }
     let place = format!("{} photographs of {}", digests.len(), scene.folder().display());
-    Ok(PhotographsInHand::of(place, &digests))
+    Ok(FileInHand::photographs(&place, &digests))
 }
 
 /// Makes sure that everything of the record that a data folder can be asked for was compared.
@@ -206,7 +206,7 @@ mod tests {
     #[test]
     fn whatever_the_record_binds_and_nobody_compared_is_named() {
         let any = Some(Digest::of("any"));
-        let photographs = PhotographsInHand { place: "p".into(), count: 1, root: Digest::of("photographs") };
+        let photographs = FileInHand { place: "p".into(), digest: Digest::of("photographs") };
         for (digests, field) in [
             (Digests { marked_field: any, ..Digests::default() }, "marked_field"),
             (Digests { detector: any, ..Digests::default() }, "detector"),

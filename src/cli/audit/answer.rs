@@ -52,10 +52,6 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         None => None,
     };
     let report = cairn_verify::audit_answer_to(&answer, pinned.as_ref(), question.as_ref());
-    if args.json {
-        println!("{}", report.to_json());
-    } else {
-        print!("{report}");
-    }
+    super::trust::show(&report, args.json.then(|| report.to_json()));
     Ok(super::trust::exit(report.outcome))
 }

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use cairn_log::format::record::SignalFiles;
-use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerRecord, TlogProof};
-use cairn_verify::{Bundle, Evidence, HiddenSignalInHand, LogView, Outcome, RecordInHand};
+use cairn_log::{Checkpoint, Digest, Envelope, OwnerRecord, TlogProof};
+use cairn_verify::{Bundle, Evidence, FileInHand, LogView, Outcome, RecordInHand};
 
 use super::against;
 use super::trust::Trust;
@@ -42,11 +42,7 @@ pub struct Args {
 /// Answers `cairn audit bundle`.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let report = report(args)?;
-    if args.json {
-        println!("{}", report.to_json());
-    } else {
-        print!("{report}");
-    }
+    super::trust::show(&report, args.json.then(|| report.to_json()));
     Ok(super::trust::exit(report.outcome))
 }
 
@@ -88,8 +84,7 @@ pub fn report(args: &Args) -> anyhow::Result<cairn_verify::Report> {
 
 /// The log that a proof speaks of, to find its key in a policy.
 fn origin(proof: &str) -> Option<String> {
-    let note = Note::parse(&TlogProof::parse(proof).ok()?.checkpoint).ok()?;
-    Some(Checkpoint::parse_text(&note.text).ok()?.origin)
+    Some(Checkpoint::read(&TlogProof::parse(proof).ok()?.checkpoint).ok()?.1.origin)
 }
 
 /// Envelope and proof. A folder may lack the proof, which the report then says; two files side by side are both there.
@@ -112,7 +107,7 @@ fn text(path: &Path) -> anyhow::Result<Option<String>> {
     Ok(Some(String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?))
 }
 
-fn hidden_signal(bundle: &Path) -> anyhow::Result<Option<HiddenSignalInHand>> {
+fn hidden_signal(bundle: &Path) -> anyhow::Result<Option<FileInHand>> {
     let salt = text(&bundle.join("signal.salt"))?;
     let mut places = Vec::new();
     let mut part = |name: &str| {
@@ -127,7 +122,7 @@ fn hidden_signal(bundle: &Path) -> anyhow::Result<Option<HiddenSignalInHand>> {
     let files = SignalFiles { picture: &picture, audio: &audio, text: &words };
     let Some(salt) = salt.filter(|_| !files.is_empty()) else { return Ok(None) };
     let salt: Digest = salt.trim().parse().context("signal.salt is not 32 bytes in hexadecimal")?;
-    Ok(Some(HiddenSignalInHand::of(places.join(", "), &salt, &files)))
+    Ok(Some(FileInHand::hidden_signal(places.join(", "), &salt, &files)))
 }
 
 fn log_view(path: &Path) -> anyhow::Result<LogView> {

@@ -35,11 +35,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Ok(String::from_utf8_lossy(&read_limited(&args.dir.join(name), MAX_NOTE)?).into_owned())
     };
     let report = audit_evidence(&note("first")?, &note("second")?, &Kept(args.dir.clone()), &pinned);
-    if args.json {
-        println!("{}", report.to_json());
-    } else {
-        print!("{report}");
-    }
+    super::trust::show(&report, args.json.then(|| report.to_json()));
     Ok(if report.outcome == Outcome::Trusted { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

@@ -83,11 +83,7 @@ fn look(args: &Args, log: &HttpLog, options: &FollowOptions<'_>) -> anyhow::Resu
         write_atomic(&kept, note.as_bytes())?;
     }
     let evidence = followed.contradiction.map(|found| keep(&args.state.join("evidence"), &found)).transpose()?;
-    if args.json {
-        println!("{}", followed.report.to_json());
-    } else {
-        print!("{}", followed.report);
-    }
+    super::trust::show(&followed.report, args.json.then(|| followed.report.to_json()));
     if let Some(folder) = evidence {
         eprintln!("both sides are kept in {}; check them with `cairn audit evidence`", folder.display());
     }

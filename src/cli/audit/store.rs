@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use cairn_log::keys::StoredKey;
-use cairn_log::{Checkpoint, Note, NoteVerifier};
+use cairn_log::{Checkpoint, NoteVerifier};
 use cairn_verify::{Finding, StoreOptions, audit_folders, audit_store};
 
 use super::renders;
@@ -43,19 +43,14 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let mut report = audit_store(&args.dir, &options)?;
     report.extend(beside);
     report.extend(renders::check(&args.dir, args.sample));
-    if args.json {
-        println!("{}", report.to_json());
-    } else {
-        print!("{report}");
-    }
+    super::trust::show(&report, args.json.then(|| report.to_json()));
     Ok(ExitCode::from(report.exit_code()))
 }
 
 /// The log's name, as its checkpoint has it; whether to believe that is the audit's to say.
 fn origin(dir: &Path) -> Option<String> {
     let note = read_limited(&dir.join("registry/public/checkpoint"), 1 << 20).ok()?;
-    let note = Note::parse(std::str::from_utf8(&note).ok()?).ok()?;
-    Some(Checkpoint::parse_text(&note.text).ok()?.origin)
+    Some(Checkpoint::read(std::str::from_utf8(&note).ok()?).ok()?.1.origin)
 }
 
 /// The public half of the folder's own key, where it may be read.

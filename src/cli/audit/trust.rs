@@ -60,6 +60,14 @@ pub fn vkey(path: &Path) -> anyhow::Result<NoteVerifier> {
     text.trim().parse().with_context(|| format!("{} is no vkey", path.display()))
 }
 
+/// Prints a report: its JSON where that is asked for.
+pub fn show(report: &impl std::fmt::Display, json: Option<String>) {
+    match json {
+        Some(json) => println!("{json}"),
+        None => print!("{report}"),
+    }
+}
+
 /// The exit code of what has an outcome: 1 for invalid.
 pub fn exit(outcome: Outcome) -> ExitCode {
     if outcome == Outcome::Invalid { ExitCode::FAILURE } else { ExitCode::SUCCESS }

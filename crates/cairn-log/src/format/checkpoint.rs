@@ -8,7 +8,7 @@
 //! ```
 
 use crate::format::{
-    digest::{Digest, clip},
+    digest::{Digest, clip, decimal},
     key::OwnerKey,
     note::{Note, NoteError, NoteVerifier},
 };
@@ -80,7 +80,7 @@ impl Checkpoint {
         let mut lines = body.split('\n');
         let origin = lines.next().filter(|l| !l.is_empty()).ok_or_else(|| refuse(1, "the log's origin", None))?;
         let size_line = lines.next();
-        let size = (size_line.and_then(|l| l.parse::<u64>().ok().filter(|size| size.to_string() == l)))
+        let size = (size_line.and_then(decimal))
             .ok_or_else(|| refuse(2, "a size in decimal without leading zeros", size_line))?;
         let root_line = lines.next();
         let root = (root_line.and_then(|l| Digest::from_base64(l).ok()))
@@ -92,6 +92,16 @@ impl Checkpoint {
         });
         let extensions = extensions.collect::<Result<_, _>>()?;
         Ok(Self { origin: origin.to_owned(), size, root, extensions })
+    }
+
+    /// Reads a note and the checkpoint in it. Verifies nothing.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Note`], [`CheckpointError::Line`].
+    pub fn read(note: &str) -> Result<(Note, Self), CheckpointError> {
+        let note = Note::parse(note)?;
+        let checkpoint = Self::parse_text(&note.text)?;
+        Ok((note, checkpoint))
     }
 
     /// Signs the checkpoint under the origin's name.
@@ -109,8 +119,7 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`]; the origin inside the text must be the name that the key belongs to.
     pub fn verify(note: &str, log: &NoteVerifier) -> Result<Self, CheckpointError> {
-        let note = Note::parse(note)?;
-        let checkpoint = Self::parse_text(&note.text)?;
+        let (note, checkpoint) = Self::read(note)?;
         if checkpoint.origin != log.name() {
             return Err(CheckpointError::Origin { expected: log.name().to_owned(), got: clip(&checkpoint.origin) });
         }

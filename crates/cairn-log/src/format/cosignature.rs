@@ -12,12 +12,10 @@
 //! one key must serve one witness and nothing else; that logs and witnesses have key types of their own keeps a
 //! witness's key from passing for a log's.
 
-use std::{fmt, str::FromStr};
-
 use crate::format::{
     checkpoint::{Checkpoint, CheckpointError},
-    key::{OwnerKey, PublicKey, SIGNATURE_LEN},
-    note::{Note, NoteError, NoteSignature, check_name, key_id, parse_vkey, typed_key, vkey_text},
+    key::{OwnerKey, SIGNATURE_LEN},
+    note::{Note, NoteError, NoteSignature, Verifier},
 };
 
 /// Type byte of a timestamped Ed25519 cosignature (C2SP signed-note, "Signature types").
@@ -71,12 +69,8 @@ pub enum CosignatureError {
     },
 }
 
-/// A witness's name and key, as a vkey of type 0x04.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct WitnessVerifier {
-    name: String,
-    key: PublicKey,
-}
+/// Verifies cosignatures of a witness.
+pub type WitnessVerifier = Verifier<COSIGNATURE_V1>;
 
 /// A cosignature that was verified.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -102,35 +96,6 @@ pub fn cosign(note_text: &str, time_unix: u64, name: &str, key: &OwnerKey) -> Re
 }
 
 impl WitnessVerifier {
-    /// A verifier of cosignatures by `key` under `name`.
-    ///
-    /// # Errors
-    /// [`NoteError::Name`].
-    pub fn new(name: &str, key: PublicKey) -> Result<Self, NoteError> {
-        check_name(name)?;
-        Ok(Self { name: name.to_owned(), key })
-    }
-
-    /// The witness's name.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// The witness's key.
-    pub fn key(&self) -> &PublicKey {
-        &self.key
-    }
-
-    /// First 4 bytes of SHA-256(name | 0x0A | 0x04 | public key).
-    pub fn key_id(&self) -> [u8; 4] {
-        key_id(&self.name, &typed_key(COSIGNATURE_V1, &self.key))
-    }
-
-    /// Whether a line claims to be this witness's: same name and key id.
-    pub fn claims(&self, line: &NoteSignature) -> bool {
-        line.name == self.name && line.key_id == self.key_id()
-    }
-
     /// Verifies one line over a checkpoint's text; gives its time, Unix seconds.
     ///
     /// # Errors
@@ -139,17 +104,17 @@ impl WitnessVerifier {
         if !self.claims(line) {
             let signer = |name: &str, id: [u8; 4]| format!("{name} ({})", hex::encode(id));
             return Err(CosignatureError::Signer {
-                expected: signer(&self.name, self.key_id()),
+                expected: signer(self.name(), self.key_id()),
                 got: signer(&line.name, line.key_id),
             });
         }
         let (time, signature) = match line.signature.split_first_chunk::<TIME_LEN>() {
             Some((time, signature)) if signature.len() == SIGNATURE_LEN => (u64::from_be_bytes(*time), signature),
-            _ => return Err(CosignatureError::Length { name: self.name.clone(), got: line.signature.len() }),
+            _ => return Err(CosignatureError::Length { name: self.name().to_owned(), got: line.signature.len() }),
         };
-        check_time(&self.name, time)?;
-        let verified = self.key.verify(&message(note_text, time), signature);
-        verified.map_err(|_| CosignatureError::BadSignature { name: self.name.clone(), time })?;
+        check_time(self.name(), time)?;
+        let verified = self.key().verify(&message(note_text, time), signature);
+        verified.map_err(|_| CosignatureError::BadSignature { name: self.name().to_owned(), time })?;
         Ok(time)
     }
 
@@ -170,21 +135,6 @@ impl WitnessVerifier {
 }
 
 /// The vkey.
-impl fmt::Display for WitnessVerifier {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&vkey_text(&self.name, COSIGNATURE_V1, &self.key))
-    }
-}
-
-impl FromStr for WitnessVerifier {
-    type Err = NoteError;
-
-    fn from_str(vkey: &str) -> Result<Self, NoteError> {
-        let (name, key) = parse_vkey(vkey, COSIGNATURE_V1, "4 (Ed25519 cosignature)")?;
-        Ok(Self { name, key })
-    }
-}
-
 fn message(note_text: &str, time: u64) -> Vec<u8> {
     format!("cosignature/v1\ntime {time}\n{note_text}").into_bytes()
 }

@@ -15,7 +15,7 @@ use base64::{
     alphabet::{self, Alphabet},
     engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig, general_purpose::STANDARD},
 };
-use serde::{Deserialize, Serialize, de::IgnoredAny};
+use serde::{Deserialize, Serialize, Serializer, de::IgnoredAny};
 
 use crate::format::{
     digest::{Digest, clip},
@@ -66,11 +66,13 @@ pub enum DsseError {
 }
 
 /// One signature of an envelope.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct EnvelopeSignature {
     /// A hint which key made it; empty where unset. Decides nothing.
+    #[serde(serialize_with = "hint")]
     pub keyid: String,
     /// The signature's bytes.
+    #[serde(serialize_with = "base64")]
     pub sig: Vec<u8>,
 }
 
@@ -78,34 +80,38 @@ pub struct EnvelopeSignature {
 ///
 /// As part of other JSON it reads and writes as [`Envelope::parse`] and [`Envelope::to_json`] do.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "JsonEnvelope", into = "JsonEnvelope")]
+#[serde(try_from = "JsonEnvelope")]
 pub struct Envelope {
-    /// How the body is to be read.
-    pub payload_type: String,
     /// The body's bytes.
+    #[serde(serialize_with = "base64")]
     pub payload: Vec<u8>,
+    /// How the body is to be read.
+    #[serde(rename = "payloadType")]
+    pub payload_type: String,
     /// The signatures over [`Envelope::pae`].
     pub signatures: Vec<EnvelopeSignature>,
     /// Names of JSON fields that this reader ignored.
+    #[serde(skip)]
     pub ignored_fields: Vec<String>,
 }
 
-#[derive(Serialize, Deserialize)]
+/// An envelope as it is read: fields unknown to us by their names.
+#[derive(Deserialize)]
 struct JsonEnvelope {
     payload: String,
     #[serde(rename = "payloadType")]
     payload_type: String,
     signatures: Vec<JsonSignature>,
-    #[serde(flatten, skip_serializing)]
+    #[serde(flatten)]
     ignored: BTreeMap<String, IgnoredAny>,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 struct JsonSignature {
     #[serde(default)]
     keyid: Option<String>,
     sig: String,
-    #[serde(flatten, skip_serializing)]
+    #[serde(flatten)]
     ignored: BTreeMap<String, IgnoredAny>,
 }
 
@@ -169,7 +175,7 @@ impl Envelope {
     /// The envelope as compact JSON with standard base64. Fields that were ignored on reading are left out.
     pub fn to_json(&self) -> String {
         // Strings and lists only: there is nothing that could fail to serialise.
-        serde_json::to_string(&JsonEnvelope::from(self)).unwrap_or_default()
+        serde_json::to_string(self).unwrap_or_default()
     }
 }
 
@@ -192,27 +198,12 @@ impl TryFrom<JsonEnvelope> for Envelope {
     }
 }
 
-impl From<&Envelope> for JsonEnvelope {
-    fn from(envelope: &Envelope) -> Self {
-        Self {
-            payload: STANDARD.encode(&envelope.payload),
-            payload_type: envelope.payload_type.clone(),
-            signatures: (envelope.signatures.iter())
-                .map(|s| JsonSignature {
-                    keyid: (!s.keyid.is_empty()).then(|| s.keyid.clone()),
-                    sig: STANDARD.encode(&s.sig),
-                    ignored: BTreeMap::new(),
-                })
-                .collect(),
-            ignored: BTreeMap::new(),
-        }
-    }
+fn base64<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&STANDARD.encode(bytes))
 }
 
-impl From<Envelope> for JsonEnvelope {
-    fn from(envelope: Envelope) -> Self {
-        Self::from(&envelope)
-    }
+fn hint<S: Serializer>(keyid: &str, serializer: S) -> Result<S::Ok, S::Error> {
+    if keyid.is_empty() { serializer.serialize_none() } else { serializer.serialize_str(keyid) }
 }
 
 /// Pre-authentication encoding (DSSE protocol, "Signature definition").

@@ -9,9 +9,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::format::{
     digest::Digest,
-    dsse::{DsseError, Envelope},
+    dsse::Envelope,
     key::{OwnerKey, PublicKey},
     record::{EXACT_IN_JSON, RecordError, check_text},
+    statement::{self, Statement},
 };
 
 /// The DSSE payloadType of an erasure request.
@@ -38,81 +39,34 @@ pub struct ErasureRequest {
     pub nonce: Digest,
 }
 
-/// Why an envelope is no erasure request.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ErasureError {
-    /// The envelope carries something else.
-    #[error("erasure request: {0}")]
-    Envelope(#[from] DsseError),
-    /// A format version that this release does not know.
-    #[error("erasure request of version {got}, this release reads version {expected}", expected = VERSION)]
-    Version {
-        /// The version that the body states.
-        got: u64,
-    },
-    /// Not the JSON of an erasure request.
-    #[error("erasure request: {cause}")]
-    Json {
-        /// What the JSON reader said, with line and column.
-        cause: String,
-    },
-    /// The origin is no name of a log.
-    #[error("erasure request: {0}")]
-    Origin(RecordError),
-    /// The index is one that many JSON readers round.
-    #[error("erasure request: index {got}, expected less than 2^53")]
-    Index {
-        /// What it states.
-        got: u64,
-    },
-    /// The key named in the body did not sign these bytes.
-    #[error("no signature of the erasure request is by the key {owner} that it names; sign it with that key")]
-    Signature {
-        /// The key named in the body.
-        owner: PublicKey,
-    },
+impl Statement for ErasureRequest {
+    const NAME: &'static str = "erasure request";
+    const PAYLOAD_TYPE: &'static str = PAYLOAD_TYPE;
+    const VERSION: u32 = VERSION;
+
+    fn signer(&self) -> PublicKey {
+        self.owner_key
+    }
+
+    fn check(&self) -> Result<(), RecordError> {
+        if self.version != VERSION {
+            return Err(statement::version::<Self>(self.version.into()));
+        }
+        if self.index >= EXACT_IN_JSON {
+            let (what, expected) = (Self::NAME, "less than 2^53");
+            return Err(RecordError::Field { what, field: "index", expected, got: self.index.to_string() });
+        }
+        check_text("origin", &self.origin)
+    }
 }
 
 impl ErasureRequest {
     /// The request in an envelope signed by `key`.
     ///
     /// # Errors
-    /// [`ErasureError`]; [`ErasureError::Signature`] where `key` is not the one that it names.
-    pub fn seal(&self, key: &OwnerKey) -> Result<Envelope, ErasureError> {
-        self.check()?;
-        if key.public() != self.owner_key {
-            return Err(ErasureError::Signature { owner: self.owner_key });
-        }
-        let body = serde_json::to_vec(self).map_err(|e| ErasureError::Json { cause: e.to_string() })?;
-        let mut envelope = Envelope::new(PAYLOAD_TYPE, body);
-        envelope.sign(key);
-        Ok(envelope)
-    }
-
-    fn parse(body: &[u8]) -> Result<Self, ErasureError> {
-        #[derive(Deserialize)]
-        struct Stated {
-            version: u64,
-        }
-        let json = |e: serde_json::Error| ErasureError::Json { cause: e.to_string() };
-        // The version first, so that a newer request is refused by name and not for its fields.
-        let stated: Stated = serde_json::from_slice(body).map_err(json)?;
-        if stated.version != u64::from(VERSION) {
-            return Err(ErasureError::Version { got: stated.version });
-        }
-        let request: Self = serde_json::from_slice(body).map_err(json)?;
-        request.check()?;
-        Ok(request)
-    }
-
-    fn check(&self) -> Result<(), ErasureError> {
-        if self.version != VERSION {
-            return Err(ErasureError::Version { got: self.version.into() });
-        }
-        if self.index >= EXACT_IN_JSON {
-            return Err(ErasureError::Index { got: self.index });
-        }
-        check_text("origin", &self.origin).map_err(ErasureError::Origin)
+    /// [`RecordError`]; [`RecordError::OwnerSignature`] where `key` is not the one that it names.
+    pub fn seal(&self, key: &OwnerKey) -> Result<Envelope, RecordError> {
+        statement::seal(self, key)
     }
 }
 
@@ -128,12 +82,9 @@ impl Erasure {
     /// Whether that key may ask, and whether nonce and record are this log's, is for the registry to say.
     ///
     /// # Errors
-    /// [`ErasureError`].
-    pub fn open(envelope: &Envelope) -> Result<Self, ErasureError> {
-        let request = ErasureRequest::parse(envelope.body(PAYLOAD_TYPE)?)?;
-        let owner = request.owner_key;
-        envelope.signature_by(&owner).ok_or(ErasureError::Signature { owner })?;
-        Ok(Self { request })
+    /// [`RecordError`].
+    pub fn open(envelope: &Envelope) -> Result<Self, RecordError> {
+        Ok(Self { request: statement::open(envelope)?.0 })
     }
 
     /// What is asked for.
@@ -167,11 +118,14 @@ mod tests {
     #[test]
     fn only_the_key_that_it_names_signs_it() {
         let (owner, other) = (OwnerKey::from_seed(&[1; 32]), OwnerKey::from_seed(&[2; 32]));
-        assert!(matches!(request().seal(&other), Err(ErasureError::Signature { .. })));
+        assert!(matches!(request().seal(&other), Err(RecordError::OwnerSignature { .. })));
         let mut envelope = request().seal(&owner).unwrap();
         envelope.signatures.clear();
         envelope.sign(&other);
-        assert_eq!(Erasure::open(&envelope), Err(ErasureError::Signature { owner: owner.public() }));
+        assert_eq!(
+            Erasure::open(&envelope),
+            Err(RecordError::OwnerSignature { what: "erasure request", owner: owner.public() })
+        );
         let mut envelope = request().seal(&owner).unwrap();
         for at in 0..envelope.payload.len() {
             envelope.payload[at] ^= 1;
@@ -191,15 +145,18 @@ mod tests {
         };
         let good = serde_json::to_string(&request()).unwrap();
         assert!(signed(PAYLOAD_TYPE, good.clone()).is_ok());
-        assert!(matches!(signed(crate::format::record::PAYLOAD_TYPE, good.clone()), Err(ErasureError::Envelope(_))));
+        assert!(matches!(signed(crate::format::record::PAYLOAD_TYPE, good.clone()), Err(RecordError::Envelope(_))));
         let newer = good.replace(r#""version":1"#, r#""version":2,"more":true"#);
-        assert_eq!(signed(PAYLOAD_TYPE, newer), Err(ErasureError::Version { got: 2 }));
+        assert_eq!(
+            signed(PAYLOAD_TYPE, newer),
+            Err(RecordError::Version { what: "erasure request", got: 2, expected: 1 })
+        );
         for body in [good.replace('}', r#","more":1}"#), good.replace(r#""index":7"#, r#""index":-7"#), "{}".into()] {
-            assert!(matches!(signed(PAYLOAD_TYPE, body.clone()), Err(ErasureError::Json { .. })), "{body}");
+            assert!(matches!(signed(PAYLOAD_TYPE, body.clone()), Err(RecordError::Json { .. })), "{body}");
         }
         let far = good.replace(r#""index":7"#, r#""index":9007199254740992"#);
-        assert_eq!(signed(PAYLOAD_TYPE, far), Err(ErasureError::Index { got: 1 << 53 }));
+        assert!(matches!(signed(PAYLOAD_TYPE, far), Err(RecordError::Field { field: "index", .. })));
         let nameless = good.replace("cairn.test/owners", "");
-        assert!(matches!(signed(PAYLOAD_TYPE, nameless), Err(ErasureError::Origin(_))));
+        assert!(matches!(signed(PAYLOAD_TYPE, nameless), Err(RecordError::Field { field: "origin", .. })));
     }
 }

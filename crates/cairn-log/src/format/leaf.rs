@@ -87,20 +87,19 @@ impl Leaf {
     /// [`RecordError`] as from [`OwnerRecord::open`].
     pub fn open(envelope: &Envelope) -> Result<(Self, OwnerRecord), RecordError> {
         let (record, signature) = OwnerRecord::open(envelope)?;
-        Ok((Self::of_opened(envelope, &record, &signature.sig)?, record))
-    }
-
-    /// The leaf of an envelope, by what [`OwnerRecord::open`] gave for it.
-    pub(crate) fn of_opened(envelope: &Envelope, record: &OwnerRecord, signature: &[u8]) -> Result<Self, RecordError> {
-        // Verified, so 64 bytes; anything else would have been refused.
-        let refuse = |_| RecordError::OwnerSignature { owner: record.owner_key };
-        Ok(Self {
+        let leaf = Self {
             kind: record.kind,
             record: envelope.digest(),
             owner: record.owner_key.id(),
             scene: scene_commitment(&record.scene_salt, &record.scene),
-            signature: signature.try_into().map_err(refuse)?,
-        })
+            // Verified, so 64 bytes.
+            signature: signature
+                .sig
+                .as_slice()
+                .try_into()
+                .map_err(|_| RecordError::OwnerSignature { what: "owner record", owner: record.owner_key })?,
+        };
+        Ok((leaf, record))
     }
 
     /// The 162 bytes.

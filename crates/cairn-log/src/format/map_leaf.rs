@@ -114,6 +114,18 @@ impl MapLeaf {
         merkle::leaf_hash(&self.encode())
     }
 
+    /// Verifies that its statement is the one for `index` of log `origin`: what can be told without the registry's key.
+    ///
+    /// # Errors
+    /// [`MapLeafError::Statement`].
+    pub fn verify_statement(&self, origin: &str, index: u64) -> Result<(), MapLeafError> {
+        let expected = Digest::of(statement(origin, index, &self.root));
+        if self.statement == expected {
+            return Ok(());
+        }
+        Err(MapLeafError::Statement { origin: origin.to_owned(), index, expected, got: self.statement })
+    }
+
     /// Verifies that the registry with this `key` made this leaf for `index` of log `origin`.
     ///
     /// That it stands there is for the log's own proof to show.
@@ -121,16 +133,12 @@ impl MapLeaf {
     /// # Errors
     /// [`MapLeafError`].
     pub fn verify(&self, origin: &str, index: u64, key: &PublicKey) -> Result<(), MapLeafError> {
-        let statement = statement(origin, index, &self.root);
-        let expected = Digest::of(&statement);
-        if self.statement != expected {
-            let origin = origin.to_owned();
-            return Err(MapLeafError::Statement { origin, index, expected, got: self.statement });
-        }
+        self.verify_statement(origin, index)?;
         let expected = key.id();
         if self.registry != expected {
             return Err(MapLeafError::Registry { index, expected, got: self.registry });
         }
+        let statement = statement(origin, index, &self.root);
         key.verify(&statement, &self.signature).map_err(|_| MapLeafError::Signature { index, key: *key })
     }
 }

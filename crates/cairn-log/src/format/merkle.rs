@@ -77,10 +77,8 @@ pub fn empty_root() -> Digest {
 
 /// Root over leaf hashes, in order.
 pub fn root(leaf_hashes: &[Digest]) -> Digest {
-    let mut tree = Tree::new();
-    for hash in leaf_hashes {
-        tree.push(*hash);
-    }
+    let mut tree = Frontier::default();
+    leaf_hashes.iter().for_each(|hash| tree.push(*hash));
     tree.root()
 }
 
@@ -180,93 +178,47 @@ fn expect_root(which: &'static str, expected: &Digest, got: Digest) -> Result<()
     if *expected == got { Ok(()) } else { Err(ProofError::RootMismatch { which, expected: *expected, got }) }
 }
 
-/// An append-only RFC 6962 tree that proves about itself at any of its sizes.
-#[derive(Debug, Clone, Default)]
-pub struct Tree {
-    /// `levels[k][i]` is the hash of the full subtree over leaves `i * 2^k .. (i + 1) * 2^k`.
-    levels: Vec<Vec<Digest>>,
+/// The hashes of the full subtrees along a tree's right edge: enough to append leaves and to tell the root.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Frontier {
+    size: u64,
+    /// Largest subtree first.
+    peaks: Vec<Digest>,
 }
 
-impl Tree {
-    /// The empty tree.
-    pub fn new() -> Self {
-        Self::default()
+impl Frontier {
+    /// The frontier of `size` leaves with these full subtrees, largest first.
+    pub fn of(size: u64, peaks: Vec<Digest>) -> Self {
+        Self { size, peaks }
+    }
+
+    /// Appends a leaf hash.
+    pub fn push(&mut self, leaf_hash: Digest) {
+        let mut hash = leaf_hash;
+        // Every trailing one of the size is a full subtree that the new leaf completes to one twice as large.
+        for _ in 0..self.size.trailing_ones() {
+            let Some(left) = self.peaks.pop() else { break };
+            hash = node_hash(&left, &hash);
+        }
+        self.peaks.push(hash);
+        self.size += 1;
     }
 
     /// How many leaves.
     pub fn size(&self) -> u64 {
-        self.levels.first().map_or(0, |leaves| leaves.len() as u64)
+        self.size
     }
 
-    /// Appends a leaf hash; gives its index.
-    pub fn push(&mut self, leaf_hash: Digest) -> u64 {
-        let index = self.size();
-        let mut hash = leaf_hash;
-        for level in 0.. {
-            if self.levels.len() == level {
-                self.levels.push(Vec::new());
-            }
-            let row = &mut self.levels[level];
-            row.push(hash);
-            if row.len() % 2 == 1 {
-                break;
-            }
-            hash = node_hash(&row[row.len() - 2], &row[row.len() - 1]);
-        }
-        index
+    /// Hashes of the full subtrees, largest first.
+    pub fn peaks(&self) -> &[Digest] {
+        &self.peaks
     }
 
-    /// Hash of leaf `index`, if there is one.
-    pub fn leaf(&self, index: u64) -> Option<Digest> {
-        self.levels.first()?.get(usize::try_from(index).ok()?).copied()
-    }
-
-    /// Hashes of level `level` (0: leaves), full subtrees only: what tiles are cut from.
-    pub fn level(&self, level: usize) -> &[Digest] {
-        self.levels.get(level).map_or(&[], Vec::as_slice)
-    }
-
-    /// Root over all leaves.
+    /// The root over all leaves.
     pub fn root(&self) -> Digest {
-        // All of the tree's own subtrees are there.
-        self.root_at(self.size()).unwrap_or_else(|_| empty_root())
-    }
-
-    /// Root of the tree when it had `size` leaves.
-    ///
-    /// # Errors
-    /// [`ProofError::IndexBeyondSize`] for a size that it has not reached.
-    pub fn root_at(&self, size: u64) -> Result<Digest, ProofError> {
-        root_at(self, size)
-    }
-
-    /// As [`prove_inclusion`].
-    ///
-    /// # Errors
-    /// [`ProofError`] for an empty tree, an index beyond `size`, or a size not reached.
-    pub fn prove_inclusion(&self, index: u64, size: u64) -> Result<Vec<Digest>, ProofError> {
-        prove_inclusion(self, index, size)
-    }
-
-    /// As [`prove_consistency`].
-    ///
-    /// # Errors
-    /// [`ProofError`] for `from` 0 or beyond `to`, or a size not reached.
-    pub fn prove_consistency(&self, from: u64, to: u64) -> Result<Vec<Digest>, ProofError> {
-        prove_consistency(self, from, to)
-    }
-}
-
-impl Subtrees for Tree {
-    type Error = ProofError;
-
-    fn size(&self) -> u64 {
-        Self::size(self)
-    }
-
-    fn node(&self, level: u32, index: u64) -> Result<Digest, ProofError> {
-        let found = usize::try_from(index).ok().and_then(|at| self.level(level as usize).get(at));
-        found.copied().ok_or(ProofError::IndexBeyondSize { index, size: self.size() })
+        let mut smaller_first = self.peaks.iter().rev();
+        let Some(last) = smaller_first.next() else { return empty_root() };
+        smaller_first.fold(*last, |right, left| node_hash(left, &right))
     }
 }
 
@@ -383,6 +335,7 @@ fn split(count: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::format::testing::Tree;
 
     /// RFC 6962's recursive definition, word for word, as the reference.
     fn by_definition(leaves: &[Digest]) -> Digest {
@@ -415,6 +368,17 @@ mod tests {
             assert_eq!(tree.root_at(size).unwrap(), by_definition(&leaves[..size as usize]), "size {size}");
         }
         assert!(tree.root_at(71).is_err());
+    }
+
+    #[test]
+    fn a_frontier_has_the_root_of_the_whole_tree() {
+        let leaves: Vec<Digest> = (0..70_u8).map(|i| leaf_hash(&[i])).collect();
+        let mut frontier = Frontier::default();
+        for (i, leaf) in leaves.iter().enumerate() {
+            assert_eq!(frontier.root(), by_definition(&leaves[..i]));
+            frontier.push(*leaf);
+        }
+        assert_eq!((frontier.root(), frontier.size()), (by_definition(&leaves), 70));
     }
 
     #[test]

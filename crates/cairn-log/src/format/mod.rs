@@ -24,6 +24,9 @@ pub mod record;
 pub mod sealed;
 mod serial;
 pub mod signed;
+mod statement;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
 pub mod tile;
 
 pub use answer::{Answer, AnswerError};
@@ -31,7 +34,7 @@ pub use checkpoint::{Checkpoint, CheckpointError};
 pub use cosignature::{Cosignature, CosignatureError, WitnessVerifier, cosign};
 pub use digest::{Digest, DigestError};
 pub use dsse::{DsseError, Envelope};
-pub use erasure::{Erasure, ErasureError, ErasureRequest};
+pub use erasure::{Erasure, ErasureRequest};
 pub use key::{KeyError, OwnerKey, PublicKey};
 pub use leaf::Leaf;
 pub use map::{MapEntry, MapKey, MapProof, MapTree};

@@ -90,15 +90,18 @@ pub struct Note {
     pub signatures: Vec<NoteSignature>,
 }
 
-/// A named key that notes are verified with: a vkey.
+/// A named key that signature lines of type `KIND` are verified with: a vkey.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct NoteVerifier {
+pub struct Verifier<const KIND: u8> {
     name: String,
     key: PublicKey,
 }
 
-impl NoteVerifier {
-    /// A verifier of plain Ed25519 signatures by `key` under `name`.
+/// Verifies plain Ed25519 signatures on notes.
+pub type NoteVerifier = Verifier<ED25519>;
+
+impl<const KIND: u8> Verifier<KIND> {
+    /// A verifier of signatures by `key` under `name`.
     ///
     /// # Errors
     /// [`NoteError::Name`].
@@ -117,65 +120,58 @@ impl NoteVerifier {
         &self.key
     }
 
-    /// The key id that its signature lines carry.
+    /// The key id that its signature lines carry: first 4 bytes of SHA-256(name | 0x0A | `KIND` | public key).
     pub fn key_id(&self) -> [u8; 4] {
-        key_id(&self.name, &typed_key(ED25519, &self.key))
+        key_id(&self.name, &self.typed_key())
     }
 
     /// Whether a line claims to be this signer's: same name and key id.
     pub fn claims(&self, line: &NoteSignature) -> bool {
         line.name == self.name && line.key_id == self.key_id()
     }
-}
 
-impl fmt::Display for NoteVerifier {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&vkey_text(&self.name, ED25519, &self.key))
+    /// `KIND | public key`: what key ids and vkeys are made of.
+    fn typed_key(&self) -> Vec<u8> {
+        [&[KIND], self.key.to_bytes().as_slice()].concat()
     }
 }
 
-impl FromStr for NoteVerifier {
+impl<const KIND: u8> fmt::Display for Verifier<KIND> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}+{}+{}", self.name, hex::encode(self.key_id()), STANDARD.encode(self.typed_key()))
+    }
+}
+
+impl<const KIND: u8> FromStr for Verifier<KIND> {
     type Err = NoteError;
 
     fn from_str(vkey: &str) -> Result<Self, NoteError> {
-        let (name, key) = parse_vkey(vkey, ED25519, "1 (Ed25519)")?;
-        Ok(Self { name, key })
+        let refuse = |what: String| NoteError::Vkey { got: clip(vkey), what };
+        let mut parts = vkey.splitn(3, '+');
+        let (Some(name), Some(hash), Some(key)) = (parts.next(), parts.next(), parts.next()) else {
+            return Err(refuse("not three parts".into()));
+        };
+        check_name(name)?;
+        let mut stated = [0; 4];
+        hex::decode_to_slice(hash, &mut stated).map_err(|_| refuse("the key id is not 8 hexadecimal digits".into()))?;
+        let typed = STANDARD.decode(key).map_err(|_| refuse("the key is not base64".into()))?;
+        if key_id(name, &typed) != stated {
+            let computed = hex::encode(key_id(name, &typed));
+            return Err(refuse(format!("its key id is {computed}, it states {hash}")));
+        }
+        let key = match typed.split_first() {
+            Some((kind, key)) if *kind == KIND => key,
+            other => {
+                let got = other.map(|o| o.0);
+                let what =
+                    format!("key type {got:?} does not fit here, {KIND} does (1 Ed25519, 4 Ed25519 cosignature)");
+                return Err(refuse(what));
+            }
+        };
+        let bytes: &[u8; 32] = key.try_into().map_err(|_| refuse(format!("an Ed25519 key of {} bytes", key.len())))?;
+        let key = PublicKey::from_bytes(bytes).map_err(|e: KeyError| refuse(e.to_string()))?;
+        Ok(Self { name: name.to_owned(), key })
     }
-}
-
-/// `type | public key`: what key ids and vkeys are made of.
-pub(crate) fn typed_key(kind: u8, key: &PublicKey) -> Vec<u8> {
-    [&[kind], key.to_bytes().as_slice()].concat()
-}
-
-/// A vkey line.
-pub(crate) fn vkey_text(name: &str, kind: u8, key: &PublicKey) -> String {
-    let typed = typed_key(kind, key);
-    format!("{name}+{}+{}", hex::encode(key_id(name, &typed)), STANDARD.encode(&typed))
-}
-
-/// Reads a vkey whose type byte is `wanted`; `called` says in errors which one that is.
-pub(crate) fn parse_vkey(vkey: &str, wanted: u8, called: &str) -> Result<(String, PublicKey), NoteError> {
-    let refuse = |what: String| NoteError::Vkey { got: clip(vkey), what };
-    let mut parts = vkey.splitn(3, '+');
-    let (Some(name), Some(hash), Some(key)) = (parts.next(), parts.next(), parts.next()) else {
-        return Err(refuse("not three parts".into()));
-    };
-    check_name(name)?;
-    let mut stated = [0; 4];
-    hex::decode_to_slice(hash, &mut stated).map_err(|_| refuse("the key id is not 8 hexadecimal digits".into()))?;
-    let typed = STANDARD.decode(key).map_err(|_| refuse("the key is not base64".into()))?;
-    if key_id(name, &typed) != stated {
-        let computed = hex::encode(key_id(name, &typed));
-        return Err(refuse(format!("its key id is {computed}, it states {hash}")));
-    }
-    let key = match typed.split_first() {
-        Some((kind, key)) if *kind == wanted => key,
-        other => return Err(refuse(format!("key type {:?} does not fit here, {called} does", other.map(|o| o.0)))),
-    };
-    let bytes: &[u8; 32] = key.try_into().map_err(|_| refuse(format!("an Ed25519 key of {} bytes", key.len())))?;
-    let key = PublicKey::from_bytes(bytes).map_err(|e: KeyError| refuse(e.to_string()))?;
-    Ok((name.to_owned(), key))
 }
 
 impl Note {

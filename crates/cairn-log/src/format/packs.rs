@@ -10,10 +10,10 @@
 //! A pack grows in place and is rewritten only to erase a record. What is left of
 //! that are the keys under which the map lists it: without them nobody could work out the map again.
 
-use crate::format::{digest::Digest, map::MapKey, tile::TILE_WIDTH};
+use crate::format::{digest::Digest, dsse::MAX_ENVELOPE_BYTES, map::MapKey, tile::TILE_WIDTH};
 
-/// Most bytes of a slot: an envelope of 64 KiB with the registry's signature, and room to spare.
-pub const MAX_SLOT: usize = 1 << 17;
+/// Most bytes of a slot: a record's envelope. The keys of an erased record take less.
+pub const MAX_SLOT: usize = 1 + MAX_ENVELOPE_BYTES;
 
 /// Most bytes of a pack.
 pub const MAX_PACK: u64 = (TILE_WIDTH as u64) * (4 + MAX_SLOT as u64);
@@ -81,6 +81,9 @@ impl Slot {
                 if !rest.is_empty() || keys.is_empty() {
                     return Err(refuse(format!("{} bytes of map keys, a multiple of 32 expected", bytes.len() - 1)));
                 }
+                if keys.windows(2).any(|pair| pair[0] >= pair[1]) {
+                    return Err(refuse("map keys out of order, or one twice".into()));
+                }
                 Ok(Self::Erased(keys.iter().map(|key| MapKey::from_bytes(*key)).collect()))
             }
             Some((kind, _)) => Err(refuse(format!("kind {kind}, this release reads 1 (record) and 2 (erased)"))),
@@ -93,29 +96,35 @@ impl Slot {
 /// # Errors
 /// [`PackError`] names the slot.
 pub fn parse(pack: &[u8], most: usize) -> Result<(Vec<Slot>, usize), PackError> {
-    let (mut slots, mut at) = (Vec::new(), 0);
-    while at < pack.len() && slots.len() < most {
-        let bytes = frame(pack, at, slots.len())?;
-        slots.push(Slot::parse(bytes, slots.len())?);
-        at += 4 + bytes.len();
+    match slots_of(pack, most) {
+        (_, _, Some(e)) => Err(e),
+        (slots, length, None) => Ok((slots, length)),
     }
-    Ok((slots, at))
 }
 
-/// A pack's slots as far as they are whole, and what is wrong with the one behind them, if there is one.
+/// A pack's slots as far as they are whole, and what is wrong with the bytes behind them, if there are any.
 pub fn parse_whole(pack: &[u8]) -> (Vec<Slot>, Option<PackError>) {
+    let (slots, length, broken) = slots_of(pack, TILE_WIDTH.into());
+    let behind = pack.len() - length;
+    let beyond = || (behind > 0).then(|| format!("{behind} bytes behind the last slot of a pack"));
+    let slot = slots.len();
+    (slots, broken.or_else(|| beyond().map(|what| PackError::Slot { slot, what })))
+}
+
+/// At most `most` slots, how many bytes they take, and what is wrong with the next one.
+fn slots_of(pack: &[u8], most: usize) -> (Vec<Slot>, usize, Option<PackError>) {
     let (mut slots, mut at) = (Vec::new(), 0);
-    while at < pack.len() && slots.len() < TILE_WIDTH.into() {
+    while at < pack.len() && slots.len() < most {
         let parsed = frame(pack, at, slots.len()).and_then(|bytes| Ok((Slot::parse(bytes, slots.len())?, bytes.len())));
         match parsed {
             Ok((slot, length)) => {
                 slots.push(slot);
                 at += 4 + length;
             }
-            Err(e) => return (slots, Some(e)),
+            Err(e) => return (slots, at, Some(e)),
         }
     }
-    (slots, None)
+    (slots, at, None)
 }
 
 /// Slot `number` alone, counted from 0, read through `read_at` (offset, length) without the rest of the pack; none where the
@@ -183,7 +192,8 @@ mod tests {
     use super::*;
 
     fn slots() -> Vec<Slot> {
-        let keys = vec![MapKey::scene("a"), MapKey::scene("b")];
+        let mut keys = vec![MapKey::scene("a"), MapKey::scene("b")];
+        keys.sort_unstable();
         vec![Slot::Record(b"{}".to_vec()), Slot::MapLeaf, Slot::Erased(keys), Slot::MapLeaf]
     }
 

@@ -13,7 +13,7 @@
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 
-use crate::format::digest::{Digest, clip};
+use crate::format::digest::{Digest, clip, decimal, lines};
 
 /// First line of the format's version 1.
 pub const HEADER: &str = "c2sp.org/tlog-proof@v1";
@@ -71,7 +71,7 @@ impl TlogProof {
         };
         let (n, line) = lines.next().unwrap_or((if extra.is_some() { 3 } else { 2 }, ""));
         let index = (line.strip_prefix("index "))
-            .and_then(|i| i.parse::<u64>().ok().filter(|index| index.to_string() == i))
+            .and_then(decimal)
             .ok_or_else(|| refuse(n, "`index` and a decimal number", line))?;
         let mut hashes = Vec::new();
         for (n, line) in lines {
@@ -89,13 +89,7 @@ impl TlogProof {
         if let Some(extra) = &self.extra {
             text.push_str(&format!("extra {}\n", STANDARD.encode(extra)));
         }
-        text.push_str(&format!("index {}\n", self.index));
-        for hash in &self.hashes {
-            text.push_str(&hash.to_base64());
-            text.push('\n');
-        }
-        text.push('\n');
-        text.push_str(&self.checkpoint);
+        text.push_str(&format!("index {}\n{}\n{}", self.index, lines(&self.hashes), self.checkpoint));
         text
     }
 }

@@ -9,11 +9,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::format::{
-    digest::{Digest, clip, commitment},
-    dsse::{DsseError, Envelope, EnvelopeSignature},
+pub use super::statement::RecordError;
+use super::{
+    digest::{Digest, clip, commitment, decimal},
+    dsse::{Envelope, EnvelopeSignature},
     key::{KeyError, OwnerKey, PublicKey},
     merkle,
+    statement::{self, Statement},
 };
 
 /// The DSSE payloadType of an owner record.
@@ -71,11 +73,6 @@ impl RecordKind {
     /// The kind of a leaf's byte.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.code() == code)
-    }
-
-    /// Whether the record is about one earlier record and so must name it.
-    pub const fn needs_replaces(self) -> bool {
-        matches!(self, Self::Rotation | Self::Dispute)
     }
 }
 
@@ -158,40 +155,18 @@ pub struct OwnerRecord {
     pub views: Option<Vec<Digest>>,
 }
 
-/// Why a body is no owner record.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum RecordError {
-    /// The envelope carries something else.
-    #[error(transparent)]
-    Envelope(#[from] DsseError),
-    /// A format version that this release does not know.
-    #[error("owner record of version {got}, this release reads version {expected}", expected = VERSION)]
-    Version {
-        /// The version that the body states.
-        got: u64,
-    },
-    /// Not the JSON of an owner record.
-    #[error("owner record: {cause}")]
-    Json {
-        /// What the JSON reader said, with line and column.
-        cause: String,
-    },
-    /// A field with a value that is not allowed.
-    #[error("owner record, field {field}: {got}, expected {expected}")]
-    Field {
-        /// The field.
-        field: &'static str,
-        /// What is allowed.
-        expected: &'static str,
-        /// What is there.
-        got: String,
-    },
-    /// The owner named in the body did not sign these bytes.
-    #[error("no signature of the envelope is by the owner key {owner} that the record names")]
-    OwnerSignature {
-        /// The key named in the body.
-        owner: PublicKey,
-    },
+impl Statement for OwnerRecord {
+    const NAME: &'static str = "owner record";
+    const PAYLOAD_TYPE: &'static str = PAYLOAD_TYPE;
+    const VERSION: u32 = VERSION;
+
+    fn signer(&self) -> PublicKey {
+        self.owner_key
+    }
+
+    fn check(&self) -> Result<(), RecordError> {
+        Self::check(self)
+    }
 }
 
 impl OwnerRecord {
@@ -201,14 +176,7 @@ impl OwnerRecord {
     /// [`RecordError::Field`] where [`OwnerRecord::check`] finds one wrong, [`RecordError::OwnerSignature`] where
     /// `key` is not the owner's.
     pub fn seal(&self, key: &OwnerKey) -> Result<Envelope, RecordError> {
-        self.check()?;
-        if key.public() != self.owner_key {
-            return Err(RecordError::OwnerSignature { owner: self.owner_key });
-        }
-        let body = serde_json::to_vec(self).map_err(|e| RecordError::Json { cause: e.to_string() })?;
-        let mut envelope = Envelope::new(PAYLOAD_TYPE, body);
-        envelope.sign(key);
-        Ok(envelope)
+        statement::seal(self, key)
     }
 
     /// Reads the record of an envelope and verifies that the owner named in it signed exactly these bytes.
@@ -219,10 +187,7 @@ impl OwnerRecord {
     /// # Errors
     /// [`RecordError`].
     pub fn open(envelope: &Envelope) -> Result<(Self, &EnvelopeSignature), RecordError> {
-        let record = Self::parse(envelope.body(PAYLOAD_TYPE)?)?;
-        let owner = record.owner_key;
-        let signature = envelope.signature_by(&owner).ok_or(RecordError::OwnerSignature { owner })?;
-        Ok((record, signature))
+        statement::open(envelope)
     }
 
     /// Reads and checks a body, without its signature.
@@ -230,19 +195,7 @@ impl OwnerRecord {
     /// # Errors
     /// [`RecordError`] other than [`RecordError::OwnerSignature`].
     pub fn parse(body: &[u8]) -> Result<Self, RecordError> {
-        #[derive(Deserialize)]
-        struct Stated {
-            version: u64,
-        }
-        let json = |e: serde_json::Error| RecordError::Json { cause: e.to_string() };
-        // The version first, so that a newer record is refused by name and not for its fields.
-        let stated: Stated = serde_json::from_slice(body).map_err(json)?;
-        if stated.version != u64::from(VERSION) {
-            return Err(RecordError::Version { got: stated.version });
-        }
-        let record: Self = serde_json::from_slice(body).map_err(json)?;
-        record.check()?;
-        Ok(record)
+        statement::parse(body)
     }
 
     /// Checks every rule that needs nothing but the record.
@@ -254,7 +207,7 @@ impl OwnerRecord {
     /// [`RecordError::Version`] or [`RecordError::Field`].
     pub fn check(&self) -> Result<(), RecordError> {
         if self.version != VERSION {
-            return Err(RecordError::Version { got: self.version.into() });
+            return Err(statement::version::<Self>(self.version.into()));
         }
         check_text("origin", &self.origin)?;
         check_text("scene", &self.scene)?;
@@ -374,8 +327,9 @@ pub fn random_salt() -> Result<Digest, KeyError> {
     Ok(Digest::from_bytes(salt))
 }
 
-fn field(field: &'static str, expected: &'static str, got: impl ToString) -> RecordError {
-    RecordError::Field { field, expected, got: got.to_string() }
+/// A field of an owner record with a value that is not allowed.
+pub(crate) fn field(field: &'static str, expected: &'static str, got: impl ToString) -> RecordError {
+    RecordError::Field { what: OwnerRecord::NAME, field, expected, got: got.to_string() }
 }
 
 pub(crate) fn check_text(name: &'static str, text: &str) -> Result<(), RecordError> {
@@ -388,6 +342,7 @@ pub(crate) fn check_text(name: &'static str, text: &str) -> Result<(), RecordErr
 
 /// A seed as decimal text: JSON numbers above 2^53 are rounded by many readers.
 mod seed_as_text {
+    use super::decimal;
     use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
 
     pub fn serialize<S: Serializer>(seed: &Option<u64>, serializer: S) -> Result<S::Ok, S::Error> {
@@ -399,7 +354,8 @@ mod seed_as_text {
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
         let text = String::deserialize(deserializer)?;
-        let seed = text.parse::<u64>().ok().filter(|seed| seed.to_string() == text);
-        seed.map(Some).ok_or_else(|| D::Error::custom(format!("seed {text:?} is not a decimal number below 2^64")))
+        decimal(&text)
+            .map(Some)
+            .ok_or_else(|| D::Error::custom(format!("seed {text:?} is not a decimal number below 2^64")))
     }
 }

@@ -57,10 +57,13 @@ const MAX_LANES: u32 = 16;
 
 /// What Argon2id costs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Cost {
-    memory_kib: u32,
-    passes: u32,
-    lanes: u32,
+pub struct Cost {
+    /// Memory, KiB.
+    pub memory_kib: u32,
+    /// Passes over it.
+    pub passes: u32,
+    /// Lanes.
+    pub lanes: u32,
 }
 
 impl Cost {
@@ -89,15 +92,8 @@ enum Kdf {
 /// What a key is sealed with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SealedBy {
-    /// A passphrase, through Argon2id.
-    Passphrase {
-        /// Its memory, KiB.
-        memory_kib: u32,
-        /// Its passes.
-        passes: u32,
-        /// Its lanes.
-        lanes: u32,
-    },
+    /// By a passphrase, stretched at this cost.
+    Passphrase(Cost),
     /// The 32 bytes of a [`SealingKey`]'s file.
     KeyFile,
 }
@@ -105,7 +101,7 @@ pub enum SealedBy {
 impl fmt::Display for SealedBy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Passphrase { memory_kib, passes, lanes } => {
+            Self::Passphrase(Cost { memory_kib, passes, lanes }) => {
                 write!(f, "a passphrase (argon2id, {memory_kib} KiB, {passes} passes, {lanes} lanes)")
             }
             Self::KeyFile => f.write_str("a key file"),
@@ -181,10 +177,6 @@ impl Passphrase {
         }
         Ok(Self(text))
     }
-
-    fn bytes(&self) -> &[u8] {
-        self.0.as_bytes()
-    }
 }
 
 impl PartialEq for Passphrase {
@@ -235,10 +227,6 @@ impl SealingKey {
         let mut bytes = Zeroizing::new([0; 32]);
         hex::decode_to_slice(digits, bytes.as_mut()).map_err(|_| "64 hexadecimal digits are expected")?;
         Ok(Self(bytes))
-    }
-
-    const fn bytes(&self) -> &Zeroizing<[u8; 32]> {
-        &self.0
     }
 }
 
@@ -328,9 +316,7 @@ impl SealedKey {
     /// What it is sealed with.
     pub const fn by(&self) -> SealedBy {
         match self.kdf {
-            Kdf::Passphrase { cost: Cost { memory_kib, passes, lanes }, .. } => {
-                SealedBy::Passphrase { memory_kib, passes, lanes }
-            }
+            Kdf::Passphrase { cost, .. } => SealedBy::Passphrase(cost),
             Kdf::KeyFile => SealedBy::KeyFile,
         }
     }
@@ -409,7 +395,7 @@ impl SealedKey {
     fn cipher(&self, secret: Secret<'_>) -> Result<XChaCha20Poly1305, SealError> {
         let key = match (self.kdf, secret) {
             (Kdf::Passphrase { cost, salt }, Secret::Passphrase(passphrase)) => stretch(passphrase, cost, &salt)?,
-            (Kdf::KeyFile, Secret::KeyFile(key)) => key.bytes().clone(),
+            (Kdf::KeyFile, Secret::KeyFile(key)) => key.0.clone(),
             (_, secret) => return Err(SealError::OtherSecret { by: self.by(), brought: secret.name() }),
         };
         let key: &Key = (&*key).into();
@@ -428,7 +414,7 @@ fn stretch(passphrase: &Passphrase, cost: Cost, salt: &[u8; SALT]) -> Result<Zer
     memory.resize(params.block_count(), Block::new());
     let mut key = Zeroizing::new([0; 32]);
     Argon2::new(Algorithm::Argon2id, Version::V0x13, params)
-        .hash_password_into_with_memory(passphrase.bytes(), salt, key.as_mut(), memory.as_mut_slice())
+        .hash_password_into_with_memory(passphrase.0.as_bytes(), salt, key.as_mut(), memory.as_mut_slice())
         .map_err(failed)?;
     Ok(key)
 }

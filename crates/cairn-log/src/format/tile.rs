@@ -7,7 +7,7 @@
 
 use std::{fmt, str::FromStr};
 
-use crate::format::{digest::clip, merkle::Tree};
+use crate::format::digest::{clip, decimal};
 
 /// Hashes of a full tile, entries of a full bundle.
 pub const TILE_WIDTH: u16 = 256;
@@ -78,27 +78,9 @@ impl TilePath {
         (width > 0).then_some(Self { kind, index, width })
     }
 
-    /// All tiles of a tree of `size` leaves, entries aside: level by level, from the left.
-    pub fn all(size: u64) -> impl Iterator<Item = Self> {
-        (0..=MAX_LEVEL)
-            .flat_map(move |level| (0..).map_while(move |index| Self::in_tree(TileKind::Hashes(level), index, size)))
-    }
-
     /// The index of the first hash or entry in its level; none where it exceeds 64 bits.
     pub fn first(&self) -> Option<u64> {
         self.index.checked_mul(TILE_WIDTH.into())
-    }
-
-    /// The tile's bytes, cut from a tree; none where the tree, at `size` leaves, does not hold all of it, and for entries.
-    pub fn cut(&self, tree: &Tree, size: u64) -> Option<Vec<u8>> {
-        let TileKind::Hashes(level) = self.kind else { return None };
-        let held = Self::in_tree(self.kind, self.index, size.min(tree.size()))?;
-        if self.width > held.width {
-            return None;
-        }
-        let first = usize::try_from(self.first()?).ok()?;
-        let hashes = tree.level(8 * usize::from(level)).get(first..first + usize::from(self.width))?;
-        Some(hashes.iter().flat_map(|hash| *hash.as_bytes()).collect())
     }
 }
 
@@ -155,15 +137,15 @@ impl FromStr for TilePath {
         let (level, rest) = rest.split_once('/').ok_or_else(|| refuse("no index"))?;
         let kind = match level {
             "entries" => TileKind::Entries,
-            level => match level.parse::<u8>() {
-                Ok(number) if number <= MAX_LEVEL && number.to_string() == level => TileKind::Hashes(number),
+            level => match decimal(level) {
+                Some(number) if number <= MAX_LEVEL => TileKind::Hashes(number),
                 _ => return Err(refuse("the level is neither `entries` nor 0 to 63")),
             },
         };
         let (index, width) = match rest.split_once(".p/") {
             None => (rest, TILE_WIDTH),
-            Some((index, width)) => match width.parse::<u16>() {
-                Ok(number) if (1..TILE_WIDTH).contains(&number) && number.to_string() == width => (index, number),
+            Some((index, width)) => match decimal(width) {
+                Some(number) if (1..TILE_WIDTH).contains(&number) => (index, number),
                 _ => return Err(refuse("the width is not 1 to 255")),
             },
         };
@@ -203,6 +185,7 @@ mod tests {
     use crate::format::{
         digest::Digest,
         merkle::{leaf_hash, root},
+        testing::Tree,
     };
 
     #[test]

@@ -92,7 +92,7 @@ pub(super) struct Batch {
     found: Option<Round>,
 }
 
-/// As [`super::Registry::submit_signed`].
+/// As [`super::Registry::submit`].
 pub(super) fn submit(shared: &Shared, candidate: SignedRecord) -> Result<Receipt, RegistryError> {
     submit::check_origin(shared, &candidate)?;
     let slot = Arc::new(Mutex::new(None));
@@ -257,19 +257,26 @@ pub(super) fn take_up(shared: &Shared, round: Round) -> Result<(), RegistryError
 fn close_with_the_map(shared: &Shared, size: u64, batch: &mut Batch) -> Result<Staged, RegistryError> {
     let staged = shared.read().map.stage(&StoredBuckets(shared.store.as_ref()), &batch.map)?;
     for (key, entries) in &batch.map {
-        let prefix = layout::map_entries(key);
-        batch.entries.extend(entries.iter().map(|entry| {
-            let row = [&prefix[..], &entry.index.to_be_bytes()].concat();
-            (row, Some(entry.leaf_hash.as_bytes().to_vec()))
-        }));
+        batch.entries.extend(entries.iter().map(|entry| entry_row(key, entry)));
     }
-    batch.entries.extend(staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone()))));
-    batch.entries.extend(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))));
+    batch.entries.extend(staged_rows(&staged));
     let index = size + batch.leaves.len() as u64;
     let leaf = MapLeaf::sign(&shared.origin, index, staged.root, &shared.key).encode().to_vec();
     batch.entries.push((layout::leaf(index), Some(leaf.clone())));
     batch.leaves.push((leaf, Slot::MapLeaf));
     Ok(staged)
+}
+
+/// The row that lists an entry under a map key.
+pub(super) fn entry_row(key: &MapKey, entry: &MapEntry) -> Change {
+    let row = [&layout::map_entries(key)[..], &entry.index.to_be_bytes()].concat();
+    (row, Some(entry.leaf_hash.as_bytes().to_vec()))
+}
+
+/// The rows of the map that a batch changes.
+pub(super) fn staged_rows(staged: &Staged) -> impl Iterator<Item = Change> {
+    let lists = staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone())));
+    lists.chain(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))))
 }
 
 /// Appends frames to one pack or several; gives the length of the pack that the next entry goes into.
@@ -329,10 +336,9 @@ impl Buckets for StoredBuckets<'_> {
 /// The map key of a list's row.
 fn list_key(row: &[u8]) -> Result<MapKey, StoreError> {
     let key = row.strip_prefix(layout::LISTS).and_then(|key| key.try_into().ok());
-    key.map(MapKey::from_bytes).ok_or_else(|| StoreError {
-        operation: "range",
-        place: "the map's lists".into(),
-        cause: format!("row {row:02x?} has no map key; restore the newest backup"),
+    key.map(MapKey::from_bytes).ok_or_else(|| {
+        let cause = format!("row {row:02x?} has no map key; restore the newest backup");
+        StoreError::new("range", "the map's lists", cause)
     })
 }
 
@@ -349,7 +355,7 @@ impl Batch {
         self.planned.records.insert(digest, (index, record.owner_key));
         self.planned.nonces.insert(record.nonce, index);
         if let Some(ended) = admitted.retires {
-            self.entries.push((layout::retired(&ended), Some(index.to_be_bytes().to_vec())));
+            self.entries.push(layout::numbered(layout::retired(&ended), index));
             self.planned.retired.insert(ended, index);
         }
         self.kept.push(admitted.envelope.clone());
@@ -358,7 +364,7 @@ impl Batch {
     /// The rows of a record's leaf and of its index by digest.
     pub(super) fn index(&mut self, index: u64, leaf: &Leaf) {
         self.entries.push((layout::leaf(index), Some(leaf.encode().to_vec())));
-        self.entries.push((layout::index_of(&leaf.record), Some(index.to_be_bytes().to_vec())));
+        self.entries.push(layout::numbered(layout::index_of(&leaf.record), index));
     }
 }
 

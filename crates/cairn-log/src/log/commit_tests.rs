@@ -64,6 +64,10 @@ impl Store for Gated {
     }
 }
 
+fn take(registry: &Registry, envelope: &Envelope) -> Result<Receipt, RegistryError> {
+    registry.submit(SignedRecord::open(envelope.clone())?)
+}
+
 fn sealed(registry: &Registry, number: u8) -> Envelope {
     let owner = OwnerKey::from_seed(&[number; 32]);
     let head = registry.head().unwrap();
@@ -94,17 +98,17 @@ fn a_round_that_does_not_end_keeps_nobody_else_waiting() {
     assert!(registry.writing_for().is_none());
     store.armed.store(true, Ordering::SeqCst);
     std::thread::scope(|scope| {
-        let first = scope.spawn(|| registry.submit(&envelopes[0]));
+        let first = scope.spawn(|| take(&registry, &envelopes[0]));
         store.entered.0.wait();
         assert!(registry.writing_for().is_some());
-        let waiting = scope.spawn(|| registry.submit(&envelopes[1]));
+        let waiting = scope.spawn(|| take(&registry, &envelopes[1]));
         while lock(&registry.shared.queue).waiting.is_empty() {
             std::thread::yield_now();
         }
         let turn = scope.spawn(|| registry.shared.turn().map(drop));
         registry.stop_writing("its disk does not answer");
         assert!(matches!(turn.join().unwrap(), Err(RegistryError::Halted { .. })));
-        for refused in [waiting.join().unwrap(), registry.submit(&envelopes[2])] {
+        for refused in [waiting.join().unwrap(), take(&registry, &envelopes[2])] {
             assert!(matches!(&refused, Err(RegistryError::Halted { cause }) if cause.contains("disk")), "{refused:?}");
         }
         // Should the disk answer after all, what it took is in the log.
@@ -118,12 +122,12 @@ fn a_round_that_does_not_end_keeps_nobody_else_waiting() {
 fn a_writer_that_panics_leaves_nobody_waiting() {
     let store = Gated::default();
     let registry = open(&store, &store.inner);
-    registry.submit(&sealed(&registry, 1)).unwrap();
+    take(&registry, &sealed(&registry, 1)).unwrap();
     store.panics.store(true, Ordering::SeqCst);
     std::thread::scope(|scope| {
         let writers = [2, 3, 4].map(|number| {
             let registry = &registry;
-            scope.spawn(move || registry.submit(&sealed(registry, number)))
+            scope.spawn(move || take(registry, &sealed(registry, number)))
         });
         let ends = writers.map(|writer| writer.join());
         assert!(ends.iter().any(Result::is_err), "one of them was the writer");
@@ -132,13 +136,13 @@ fn a_writer_that_panics_leaves_nobody_waiting() {
         }
     });
     store.panics.store(false, Ordering::SeqCst);
-    let refused = registry.submit(&sealed(&registry, 5)).unwrap_err();
+    let refused = take(&registry, &sealed(&registry, 5)).unwrap_err();
     assert!(matches!(refused, RegistryError::Halted { .. }), "{refused}");
     assert_eq!(registry.size(), 2);
     drop(registry);
     let found = Gated { inner: store.inner.crash(), ..Gated::default() };
     let registry = open(&found, &found.inner);
-    assert_eq!(registry.submit(&sealed(&registry, 5)).unwrap().index, 2);
+    assert_eq!(take(&registry, &sealed(&registry, 5)).unwrap().index, 2);
 }
 
 #[test]
@@ -148,7 +152,7 @@ fn those_who_wait_during_a_flush_share_the_next() {
     let before = store.flushes.load(Ordering::SeqCst);
     store.armed.store(true, Ordering::SeqCst);
     std::thread::scope(|scope| {
-        let first = scope.spawn(|| registry.submit(&sealed(&registry, 1)).unwrap());
+        let first = scope.spawn(|| take(&registry, &sealed(&registry, 1)).unwrap());
         store.entered.0.wait();
         let same = sealed(&registry, 9);
         let mut envelopes: Vec<_> = (2..=8).map(|number| sealed(&registry, number)).collect();
@@ -156,7 +160,7 @@ fn those_who_wait_during_a_flush_share_the_next() {
         let others: Vec<_> = (envelopes.into_iter())
             .map(|envelope| {
                 let registry = &registry;
-                scope.spawn(move || registry.submit(&envelope).unwrap())
+                scope.spawn(move || take(registry, &envelope).unwrap())
             })
             .collect();
         while lock(&registry.shared.queue).waiting.len() < 9 {
@@ -189,7 +193,7 @@ fn submitters_and_whoever_wants_the_turn_for_something_else_all_get_it() {
             let (registry, done) = (&registry, &done);
             scope.spawn(move || {
                 for number in 0..EACH {
-                    registry.submit(&sealed(registry, submitter * EACH + number + 1)).unwrap();
+                    take(registry, &sealed(registry, submitter * EACH + number + 1)).unwrap();
                     done.fetch_add(1, Ordering::SeqCst);
                 }
             });

@@ -5,19 +5,14 @@
 //! nothing. The map keys stay (digests of scene and photographs), or nobody could work out the map again.
 
 use super::{
-    error::{RegistryError, inconsistent},
+    error::RegistryError,
     layout, publish,
     read::{self, LogEntry},
+    reload,
     shared::{Shared, lock},
     submit,
 };
-use crate::format::{
-    erasure::Erasure,
-    map::MapKey,
-    packs::{self, Slot},
-    record::RecordKind,
-    tile::TILE_WIDTH,
-};
+use crate::format::{erasure::Erasure, map::MapKey, packs::Slot, record::RecordKind, tile::TILE_WIDTH};
 
 /// As [`super::Registry::erase`].
 pub(super) fn erase(shared: &Shared, erasure: &Erasure) -> Result<u64, RegistryError> {
@@ -65,19 +60,13 @@ pub(super) fn erase_index(shared: &Shared, index: u64) -> Result<(), RegistryErr
 fn rewrite(shared: &Shared, index: u64, keys: Vec<MapKey>) -> Result<(), RegistryError> {
     let width = u64::from(TILE_WIDTH);
     let (number, at) = (index / width, (index % width) as usize);
-    let path = layout::pack(number);
-    let pack = shared.files.read(&path, packs::MAX_PACK)?;
-    let pack = pack.ok_or_else(|| inconsistent(&path, "the file is missing".into()))?;
     // What a crash left behind the log's end is left out.
     let held = (shared.size() - number * width).min(width) as usize;
-    let (mut slots, _) = packs::parse(&pack, held).map_err(|e| inconsistent(&path, e.to_string()))?;
-    if slots.len() != held {
-        return Err(inconsistent(&path, format!("{} entries, {held} expected", slots.len())));
-    }
+    let (mut slots, _) = reload::held_slots(&shared.files, number, held)?;
     slots[at] = Slot::Erased(keys);
     let pack: Vec<u8> = slots.iter().flat_map(Slot::to_frame).collect();
     let length = pack.len() as u64;
-    shared.files.replace(&[(path, pack)])?;
+    shared.files.replace(&[(layout::pack(number), pack)])?;
     if held < TILE_WIDTH as usize {
         lock(&shared.writer).pack_length = length;
     }

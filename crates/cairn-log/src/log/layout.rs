@@ -15,12 +15,13 @@
 use crate::{
     format::{
         digest::Digest,
+        key::PublicKey,
         map::MapKey,
         tile::{TilePath, index_path},
     },
     log::{
         map::first_key,
-        store::{Cold, successor},
+        store::{Change, Cold, successor},
     },
 };
 
@@ -132,6 +133,22 @@ pub(super) fn number(bytes: &[u8]) -> Option<u64> {
 
 pub(super) fn signed(size: u64, root: &Digest) -> Vec<u8> {
     [&size.to_be_bytes()[..], root.as_bytes()].concat()
+}
+
+/// A row that holds a number.
+pub(super) fn numbered(key: Vec<u8>, number: u64) -> Change {
+    (key, Some(number.to_be_bytes().to_vec()))
+}
+
+/// The rows that say whose store it is, and what was signed last.
+pub(super) fn identity(origin: &str, key: &PublicKey, size: u64, root: &Digest) -> Vec<Change> {
+    let put = |key: &[u8], value: Vec<u8>| (key.to_vec(), Some(value));
+    vec![
+        put(FORMAT, FORMAT_VERSION.into()),
+        put(ORIGIN, origin.into()),
+        put(REGISTRY_KEY, key.to_string().into()),
+        put(SIGNED, signed(size, root)),
+    ]
 }
 
 pub(super) fn parse_signed(bytes: &[u8]) -> Option<(u64, Digest)> {

@@ -221,7 +221,7 @@ impl BucketMap {
         } else {
             Subtree::prove(&subtree, key, siblings)
         };
-        let list = bucket.list(key).cloned();
+        let list = bucket.0.get(key).cloned();
         let verified = proof.verify(key, list.as_ref().map(ListState::root), &self.root());
         verified.map_err(|_| MapError::Inconsistent { bucket: number })?;
         Ok((list, proof))
@@ -323,7 +323,7 @@ pub enum BucketError {
 
 /// A bucket's keys, ascending, with their lists.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-struct Bucket(Vec<(MapKey, ListState)>);
+struct Bucket(BTreeMap<MapKey, ListState>);
 
 impl Bucket {
     /// Appends entries to lists, whose rows go into `stored`; gives the bucket's root before and after.
@@ -335,7 +335,7 @@ impl Bucket {
         let values = self.0.iter().map(|(key, list)| (*key, list.root()));
         let mut values: BTreeMap<MapKey, Change> = values.map(|(key, value)| (key, (Some(value), value))).collect();
         for (key, entries) in changes {
-            let list = self.list_mut(key);
+            let list = self.0.entry(*key).or_default();
             entries.iter().for_each(|entry| list.append(entry));
             values.entry(*key).or_insert((None, EMPTY)).1 = list.root();
             let mut bytes = Vec::new();
@@ -346,34 +346,17 @@ impl Bucket {
         both(&rows, BUCKET_BITS)
     }
 
-    /// The list of `key`, made where there is none.
-    fn list_mut(&mut self, key: &MapKey) -> &mut ListState {
-        let at = match self.0.binary_search_by_key(key, |row| row.0) {
-            Ok(at) => at,
-            Err(at) => {
-                self.0.insert(at, (*key, ListState::default()));
-                at
-            }
-        };
-        &mut self.0[at].1
-    }
-
-    fn list(&self, key: &MapKey) -> Option<&ListState> {
-        let at = self.0.binary_search_by_key(key, |row| row.0).ok()?;
-        Some(&self.0[at].1)
-    }
-
     fn decode(stored: Vec<Row>, bucket: u32) -> Result<Self, BucketError> {
-        let mut rows: Vec<(MapKey, ListState)> = Vec::with_capacity(stored.len());
+        let mut rows = BTreeMap::new();
         for (key, bytes) in stored {
-            if bucket_of(&key) != bucket || rows.last().is_some_and(|last| last.0 >= key) {
+            if bucket_of(&key) != bucket || rows.last_key_value().is_some_and(|(last, _)| *last >= key) {
                 return Err(BucketError::Order { key });
             }
             let (list, behind) = ListState::decode(&bytes)?;
             if !behind.is_empty() {
                 return Err(BucketError::Behind { key, got: behind.len() });
             }
-            rows.push((key, list));
+            rows.insert(key, list);
         }
         Ok(Self(rows))
     }

@@ -20,6 +20,7 @@ mod erase;
 mod error;
 mod fill;
 mod layout;
+mod lookups;
 pub mod map;
 mod nonce;
 mod publish;

@@ -60,7 +60,10 @@ pub(super) fn publish(shared: &Shared) -> Result<Published, RegistryError> {
 pub(super) fn cosign(shared: &Shared, note: &str) -> Result<(), RegistryError> {
     let refuse = |what: String| inconsistent("cosigned checkpoint", what);
     let checkpoint = Checkpoint::verify(note, &shared.verifier()?).map_err(|e| refuse(e.to_string()))?;
-    must_extend_quietly(shared, &checkpoint)?;
+    {
+        let state = shared.read();
+        reload::extends(&state.tree, state.size, &checkpoint)?;
+    }
     // Fewer cosignatures may be too few for somebody's policy: then the older note goes on proving what it covers.
     let worth = |note: &str| Note::parse(note).map_or(0, |note| note.signatures.len());
     let mut publisher = lock(&shared.publisher);
@@ -75,11 +78,6 @@ pub(super) fn cosign(shared: &Shared, note: &str) -> Result<(), RegistryError> {
         state.cosigned = Some((checkpoint.size, note.to_owned()));
     }
     Ok(())
-}
-
-fn must_extend_quietly(shared: &Shared, known: &Checkpoint) -> Result<(), RegistryError> {
-    let state = shared.read();
-    reload::extends(&state.tree, state.size, known)
 }
 
 /// Size and checkpoint of what is durable, the full tiles of it that are not in files, and its partial tiles.

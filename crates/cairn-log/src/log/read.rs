@@ -8,14 +8,12 @@ use super::{
 use crate::format::{
     digest::Digest,
     dsse::Envelope,
-    heir::{self, Ending, Heir},
-    key::PublicKey,
+    heir::Ending,
     leaf::Leaf,
     map::{MapEntry, MapKey},
     map_leaf::{Entry, MapLeaf},
     merkle::{self, ProofError},
     packs::{self, Slot},
-    proof::TlogProof,
     record::{OwnerRecord, RecordKind},
     signed::SignedRecord,
     tile::{TILE_WIDTH, TileKind, TilePath, encode_entries},
@@ -65,6 +63,15 @@ impl LogEntry {
             Self::Erased { index, .. } | Self::Map { index, .. } => *index,
         }
     }
+
+    /// The record, where it is one that was not erased.
+    fn into_record(self) -> Result<StoredRecord, RegistryError> {
+        match self {
+            Self::Record(stored) => Ok(*stored),
+            Self::Erased { index, .. } => Err(RegistryError::Erased { index }),
+            Self::Map { index, .. } => Err(RegistryError::NotARecord { index }),
+        }
+    }
 }
 
 /// As [`super::Registry::prove_inclusion`].
@@ -74,36 +81,9 @@ pub(super) fn prove_inclusion(shared: &Shared, index: u64, size: u64) -> Result<
     state.proven(index, size)
 }
 
-/// As [`super::Registry::tlog_proof`].
-pub(super) fn tlog_proof(shared: &Shared, index: u64) -> Result<TlogProof, RegistryError> {
-    let state = shared.read();
-    let cosigned = state.cosigned.as_ref().filter(|(size, _)| index < *size);
-    let (size, checkpoint) = match cosigned {
-        Some((size, note)) => (*size, note.clone()),
-        None => (state.size, state.checkpoint.clone()),
-    };
-    let hashes = state.proven(index, size)?;
-    Ok(TlogProof { extra: None, index, hashes, checkpoint })
-}
-
-/// As [`super::Registry::prove_consistency`].
-pub(super) fn prove_consistency(shared: &Shared, from: u64, to: u64) -> Result<Vec<Digest>, RegistryError> {
-    let state = shared.read();
-    reached(to, &state)?;
-    let proof = merkle::prove_consistency(&state.tree, from, to)?;
-    let (first, second) = (merkle::root_at(&state.tree, from)?, merkle::root_at(&state.tree, to)?);
-    state.hold_to_signed(to, &second)?;
-    merkle::verify_consistency(from, to, &proof, &first, &second).map_err(|e| rotten(&e))?;
-    Ok(proof)
-}
-
 /// As [`super::Registry::record`].
 pub(super) fn record(shared: &Shared, index: u64) -> Result<StoredRecord, RegistryError> {
-    match entry(shared, index)? {
-        LogEntry::Record(stored) => Ok(*stored),
-        LogEntry::Erased { .. } => Err(RegistryError::Erased { index }),
-        LogEntry::Map { .. } => Err(RegistryError::NotARecord { index }),
-    }
+    entry(shared, index)?.into_record()
 }
 
 /// As [`super::Registry::entry`].
@@ -113,35 +93,6 @@ pub(super) fn entry(shared: &Shared, index: u64) -> Result<LogEntry, RegistryErr
         return Err(RegistryError::NoSuchRecord { index, size });
     }
     stored_entry(shared, index)
-}
-
-/// As [`super::Registry::records`].
-pub(super) fn records(shared: &Shared, scene: Option<&str>) -> Result<Vec<StoredRecord>, RegistryError> {
-    let entries = page(shared, scene, 0, usize::MAX)?;
-    let records = entries.into_iter().filter_map(|entry| match entry {
-        LogEntry::Record(stored) => Some(*stored),
-        LogEntry::Erased { .. } | LogEntry::Map { .. } => None,
-    });
-    Ok(records.collect())
-}
-
-/// As [`super::Registry::page`].
-pub(super) fn page(
-    shared: &Shared,
-    scene: Option<&str>,
-    from: u64,
-    limit: usize,
-) -> Result<Vec<LogEntry>, RegistryError> {
-    let Some(scene) = scene else {
-        return (from..shared.size()).take(limit).map(|index| stored_entry(shared, index)).collect();
-    };
-    let listed = listed(shared, &MapKey::scene(scene), from, limit)?;
-    listed.iter().map(|entry| stored_entry(shared, entry.index)).collect()
-}
-
-/// As [`super::Registry::listed`].
-pub(super) fn listed(shared: &Shared, key: &MapKey, from: u64, limit: usize) -> Result<Vec<MapEntry>, RegistryError> {
-    entries_below(shared, key, shared.size(), from, limit)
 }
 
 /// As [`super::Registry::listed`], for the log's first `size` entries.
@@ -187,21 +138,11 @@ pub(super) fn find(shared: &Shared, record: &Digest) -> Result<Option<u64>, Regi
     Ok(index_of(shared, record)?.filter(|index| *index < size))
 }
 
-/// As [`super::Registry::ended`].
-pub(super) fn ended(shared: &Shared, owner: &PublicKey) -> Result<Option<u64>, RegistryError> {
-    ended_id(shared, &owner.id())
-}
-
 /// As [`super::Registry::ended_id`].
 pub(super) fn ended_id(shared: &Shared, owner: &Digest) -> Result<Option<u64>, RegistryError> {
     let size = shared.size();
     let index = reload::number_at(shared.store.as_ref(), &layout::retired(owner), || format!("end of key {owner}"))?;
     Ok(index.filter(|index| *index < size))
-}
-
-/// As [`super::Registry::heir`].
-pub(super) fn heir(shared: &Shared, owner: &Digest) -> Result<Heir, RegistryError> {
-    heir::heir(owner, shared.size(), |key| ending(shared, key))
 }
 
 /// How the key with this id ended, as far as the log is written.
@@ -211,69 +152,13 @@ pub(super) fn ending(shared: &Shared, key: &Digest) -> Result<Option<Ending>, Re
     Ok(Some(Ending { index, to: (leaf.kind == RecordKind::Rotation).then_some(leaf.owner) }))
 }
 
-/// As [`super::Registry::leaf`].
-pub(super) fn leaf(shared: &Shared, index: u64) -> Result<Leaf, RegistryError> {
-    let size = shared.size();
-    if index >= size {
-        return Err(RegistryError::NoSuchRecord { index, size });
-    }
-    record_leaf(shared, index)
-}
-
-/// As [`super::Registry::about`].
-pub(super) fn about(shared: &Shared, record: &Digest) -> Result<Vec<(u64, RecordKind)>, RegistryError> {
-    let listed = listed(shared, &MapKey::about(record), 0, usize::MAX)?;
-    listed.iter().map(|entry| Ok((entry.index, record_leaf(shared, entry.index)?.kind))).collect()
-}
-
-/// As [`super::Registry::check`].
-pub(super) fn check(shared: &Shared) -> Result<Vec<RegistryError>, RegistryError> {
-    let size = shared.size();
-    let mut faults = Vec::new();
-    for index in 0..size {
-        match check_entry(shared, index) {
-            Ok(()) => {}
-            Err(RegistryError::Store(e)) => return Err(e.into()),
-            Err(fault) => faults.push(fault),
-        }
-    }
-    Ok(faults)
-}
-
-fn check_entry(shared: &Shared, index: u64) -> Result<(), RegistryError> {
-    let fault = |what: String| Err(inconsistent(&format!("record {index}"), what));
-    let (entry, expected) = (stored_entry(shared, index)?, shared.read().tree.leaf(index)?);
-    let (got, digest) = match &entry {
-        LogEntry::Record(stored) => (stored.leaf.hash(), Some(stored.leaf.record)),
-        LogEntry::Erased { leaf, .. } => (leaf.hash(), Some(leaf.record)),
-        LogEntry::Map { leaf, .. } => (leaf.hash(), None),
-    };
-    if expected != got {
-        return fault(format!("leaf hash {got}, the tree holds {expected}"));
-    }
-    if let LogEntry::Record(stored) = &entry
-        && stored.envelope.signature_by(&shared.key.public()).is_none()
-    {
-        return fault("the registry's signature is missing or does not verify".into());
-    }
-    let Some(digest) = digest else { return Ok(()) };
-    match index_of(shared, &digest)? {
-        Some(found) if found == index => Ok(()),
-        found => fault(format!("the index by digest says {found:?}")),
-    }
-}
-
 pub(super) fn index_of(shared: &Shared, record: &Digest) -> Result<Option<u64>, RegistryError> {
     reload::number_at(shared.store.as_ref(), &layout::index_of(record), || format!("index of {record}"))
 }
 
 /// As [`super::Registry::record`], for an index that the caller knows to be there.
 pub(super) fn stored(shared: &Shared, index: u64) -> Result<StoredRecord, RegistryError> {
-    match stored_entry(shared, index)? {
-        LogEntry::Record(stored) => Ok(*stored),
-        LogEntry::Erased { .. } => Err(RegistryError::Erased { index }),
-        LogEntry::Map { .. } => Err(RegistryError::NotARecord { index }),
-    }
+    stored_entry(shared, index)?.into_record()
 }
 
 /// The leaf of a record, erased or not.
@@ -285,7 +170,7 @@ pub(super) fn record_leaf(shared: &Shared, index: u64) -> Result<Leaf, RegistryE
 }
 
 /// Entry `index` with everything verified that one entry can tell about itself.
-fn stored_entry(shared: &Shared, index: u64) -> Result<LogEntry, RegistryError> {
+pub(super) fn stored_entry(shared: &Shared, index: u64) -> Result<LogEntry, RegistryError> {
     let place = format!("record {index}");
     let leaf = match decoded_leaf(shared, index)? {
         Entry::Record(leaf) => leaf,
@@ -341,7 +226,7 @@ impl State {
         Ok(proof)
     }
 
-    fn hold_to_signed(&self, size: u64, root: &Digest) -> Result<(), RegistryError> {
+    pub(super) fn hold_to_signed(&self, size: u64, root: &Digest) -> Result<(), RegistryError> {
         if size == self.size && *root != self.root {
             return Err(inconsistent(
                 "tiles",
@@ -352,11 +237,11 @@ impl State {
     }
 }
 
-fn rotten(e: &ProofError) -> RegistryError {
+pub(super) fn rotten(e: &ProofError) -> RegistryError {
     inconsistent("tiles", format!("a proof made of them does not verify: {e}"))
 }
 
-fn reached(size: u64, state: &State) -> Result<(), RegistryError> {
+pub(super) fn reached(size: u64, state: &State) -> Result<(), RegistryError> {
     if size > state.size {
         return Err(ProofError::IndexBeyondSize { index: size, size: state.size }.into());
     }

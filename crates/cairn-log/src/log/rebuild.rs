@@ -8,12 +8,17 @@
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
-    fs, io,
     path::Path,
     sync::Arc,
 };
 
-use super::{commit::StoredBuckets, error::RegistryError, layout, nonce::NONCE_LIFETIME, reload, seal, tiles};
+use super::{
+    commit::{self, StoredBuckets},
+    error::RegistryError,
+    layout,
+    nonce::NONCE_LIFETIME,
+    reload, seal, tiles,
+};
 use crate::{
     format::{
         digest::Digest,
@@ -29,7 +34,7 @@ use crate::{
     },
     log::{
         map::BucketMap,
-        store::{Change, DiskStore, Store, StoreError, TieredStore},
+        store::{Change, DiskStore, Store, StoreError, TieredStore, await_closed},
     },
 };
 use cairn_durable::{Disk, Files, LockFile, RealDisk};
@@ -70,18 +75,11 @@ pub(super) fn rebuild(
     }
     // A seal that was left is on what is not there any more.
     drop(seal::Seal::break_open(path)?);
-    let failed = |operation, place: &Path| {
-        let place = place.display().to_string();
-        move |e: io::Error| StoreError { operation, place, cause: e.to_string() }
-    };
-    match fs::remove_dir_all(&new) {
-        Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed("remove", &new)(e).into()),
-        _ => {}
-    }
+    cairn_durable::remove(&new)?;
     let store = DiskStore::open(&new)?;
     let disk = Box::new(RealDisk::new(path));
     let rebuilt = rebuild_store(Box::new(store), disk, layout::REBUILT_RUNS, layout::ENOUGH, key, origin, progress)?;
-    seal::await_closed(&new.join("db")).map_err(failed("close", &new))?;
+    await_closed(&new.join("db")).map_err(|e| StoreError::new("close", new.display(), e))?;
     cairn_durable::rename(&new, &working)?;
     Ok(rebuilt)
 }
@@ -276,14 +274,13 @@ impl Making<'_> {
         let entry = MapEntry { index, leaf_hash: leaf.hash() };
         for key in keys {
             self.batch.map.entry(*key).or_default().push(entry);
-            let row = [&layout::map_entries(key)[..], &index.to_be_bytes()].concat();
-            self.batch.rows.push((row, Some(entry.leaf_hash.as_bytes().to_vec())));
+            self.batch.rows.push(commit::entry_row(key, &entry));
         }
-        self.batch.rows.push((layout::index_of(&leaf.record), Some(index.to_be_bytes().to_vec())));
+        self.batch.rows.push(layout::numbered(layout::index_of(&leaf.record), index));
     }
 
     fn retire(&mut self, owner: Digest, index: u64) {
-        self.batch.rows.push((layout::retired(&owner), Some(index.to_be_bytes().to_vec())));
+        self.batch.rows.push(layout::numbered(layout::retired(&owner), index));
     }
 
     /// Key id of a record's owner.
@@ -321,8 +318,7 @@ impl Making<'_> {
             return Err(refuse(format!("commits to a map with root {}, the records give {}", leaf.root, staged.root)));
         }
         let mut rows = batch.rows;
-        rows.extend(staged.rows.iter().map(|(key, list)| (layout::list(key), Some(list.clone()))));
-        rows.extend(staged.tops.iter().map(|(at, top)| (layout::top(*at), Some(top.encode().to_vec()))));
+        rows.extend(commit::staged_rows(&staged));
         self.done.records += batch.leaves.len() as u64;
         for leaf in batch.leaves.into_iter().chain([leaf.encode().to_vec()]) {
             let index = self.tree.push(merkle::leaf_hash(&leaf));
@@ -380,15 +376,10 @@ impl Making<'_> {
     /// What makes the store one that a start accepts: last of all.
     fn finish(&self) -> Result<(), RegistryError> {
         let root = merkle::root_at(&self.tree, self.tree.size())?;
-        let put = |key: &[u8], value: Vec<u8>| (key.to_vec(), Some(value));
-        self.store.put(vec![
-            put(layout::FORMAT, layout::FORMAT_VERSION.into()),
-            put(layout::ORIGIN, self.origin.into()),
-            put(layout::REGISTRY_KEY, self.key.public().to_string().into()),
-            put(layout::SIGNED, layout::signed(self.tree.size(), &root)),
-            put(layout::FILED, self.filed.to_be_bytes().to_vec()),
-            put(layout::NONCES_FROM, self.nonces_from.to_be_bytes().to_vec()),
-        ])?;
+        let mut rows = layout::identity(self.origin, &self.key.public(), self.tree.size(), &root);
+        rows.push(layout::numbered(layout::FILED.to_vec(), self.filed));
+        rows.push(layout::numbered(layout::NONCES_FROM.to_vec(), self.nonces_from));
+        self.store.put(rows)?;
         Ok(self.store.flush()?)
     }
 }

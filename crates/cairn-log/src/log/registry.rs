@@ -1,13 +1,12 @@
 //! The registry over one store: its doors, each of which leads to the part that does the work.
 
 use std::{
-    fs,
     path::Path,
     sync::{Arc, Condvar, Mutex, OnceLock, RwLock},
     time::Duration,
 };
 
-use cairn_durable::{Disk, Files, LockFile, RealDisk};
+use cairn_durable::{Disk, Files, LockFile, RealDisk, make_folders};
 
 use super::{
     anchor::{Anchor, Standing},
@@ -23,21 +22,17 @@ use super::{
     reload,
     seal::Seal,
     shared::{Published, Shared, lock},
-    store::{DiskStore, Store, StoreError, TieredStore},
+    store::{DiskStore, Store, TieredStore},
 };
 use crate::format::{
     answer::Answer,
     checkpoint::Checkpoint,
     digest::Digest,
-    dsse::Envelope,
     erasure::Erasure,
-    heir::Heir,
     key::{OwnerKey, PublicKey},
     leaf::Leaf,
-    map::{MapEntry, MapKey},
+    map::MapKey,
     note::NoteVerifier,
-    proof::TlogProof,
-    record::RecordKind,
     signed::SignedRecord,
     tile::TilePath,
 };
@@ -79,11 +74,7 @@ impl Registry {
         origin: &str,
         anchor: Option<Anchor>,
     ) -> Result<Self, RegistryError> {
-        fs::create_dir_all(path).map_err(|e| StoreError {
-            operation: "open",
-            place: path.display().to_string(),
-            cause: e.to_string(),
-        })?;
+        make_folders(path)?;
         let lock = LockFile::take(&path.join(layout::LOCK))?;
         if path.join(layout::CHECKPOINT).exists() && !path.join(layout::WORKING).exists() {
             let what = "it is missing, and a checkpoint was published".into();
@@ -255,13 +246,16 @@ impl Registry {
     /// How long the round that is being written has been; `None` where none is. A disk that does not answer, or a store
     /// that waits for itself, keeps its writer for ever: whoever finds that stops the writing ([`Registry::stop_writing`]).
     pub fn writing_for(&self) -> Option<Duration> {
-        self.shared.writing_for()
+        lock(&self.shared.queue).busy.map(|since| since.elapsed())
     }
 
     /// Stops all writing for good: somebody outside knows better what this log is. It goes on reading and proving.
     /// Whoever waits for the round to come is refused at once; whose round is being written waits for that.
     pub fn stop_writing(&self, cause: &str) {
-        self.shared.stop_writing(cause)
+        self.shared.halt(cause);
+        // Under its lock: between a look and a wait nobody hears a call.
+        let _queue = lock(&self.shared.queue);
+        self.shared.wake.notify_all();
     }
 
     /// Writes the tiles and the checkpoint of everything that is durable, for monitors to read. Nothing where nothing came
@@ -291,15 +285,7 @@ impl Registry {
     ///
     /// # Errors
     /// [`RegistryError`]; nothing is acknowledged that is not flushed.
-    pub fn submit(&self, envelope: &Envelope) -> Result<Receipt, RegistryError> {
-        self.submit_signed(SignedRecord::open(envelope.clone())?)
-    }
-
-    /// As [`Registry::submit`], of a record that was read at the edge.
-    ///
-    /// # Errors
-    /// As [`Registry::submit`].
-    pub fn submit_signed(&self, record: SignedRecord) -> Result<Receipt, RegistryError> {
+    pub fn submit(&self, record: SignedRecord) -> Result<Receipt, RegistryError> {
         commit::submit(&self.shared, record)
     }
 
@@ -309,23 +295,6 @@ impl Registry {
     /// [`RegistryError::Proof`] for an index or size that is not there; [`RegistryError::Inconsistent`] for a damaged tile.
     pub fn prove_inclusion(&self, index: u64, size: u64) -> Result<Vec<Digest>, RegistryError> {
         read::prove_inclusion(&self.shared, index, size)
-    }
-
-    /// The evidence that entry `index` is in the log, under the newest checkpoint, or the newest cosigned one where that
-    /// holds it.
-    ///
-    /// # Errors
-    /// [`RegistryError::Proof`] for an index that is not there.
-    pub fn tlog_proof(&self, index: u64) -> Result<TlogProof, RegistryError> {
-        read::tlog_proof(&self.shared, index)
-    }
-
-    /// Proof that the tree of `to` entries begins with the tree of `from` entries.
-    ///
-    /// # Errors
-    /// [`RegistryError::Proof`] for `from` 0 or beyond `to`, or a size that is not there.
-    pub fn prove_consistency(&self, from: u64, to: u64) -> Result<Vec<Digest>, RegistryError> {
-        read::prove_consistency(&self.shared, from, to)
     }
 
     /// Record `index`, its envelope re-verified.
@@ -345,30 +314,6 @@ impl Registry {
         read::entry(&self.shared, index)
     }
 
-    /// The records, of one scene or all, in the log's order; erased ones are left out.
-    ///
-    /// # Errors
-    /// As [`Registry::record`].
-    pub fn records(&self, scene: Option<&str>) -> Result<Vec<StoredRecord>, RegistryError> {
-        read::records(&self.shared, scene)
-    }
-
-    /// At most `limit` of the entries with index `from` or more: those about one scene (records, erased or not), or all.
-    ///
-    /// # Errors
-    /// As [`Registry::entry`].
-    pub fn page(&self, scene: Option<&str>, from: u64, limit: usize) -> Result<Vec<LogEntry>, RegistryError> {
-        read::page(&self.shared, scene, from, limit)
-    }
-
-    /// At most `limit` of a map key's entries with index `from` or more.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn listed(&self, key: &MapKey, from: u64, limit: usize) -> Result<Vec<MapEntry>, RegistryError> {
-        read::listed(&self.shared, key, from, limit)
-    }
-
     /// The bytes of a tile or of a bundle of entries (leaves), as monitors fetch them; none where the log does not
     /// hold all of it.
     ///
@@ -384,55 +329,6 @@ impl Registry {
     /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
     pub fn find(&self, record: &Digest) -> Result<Option<u64>, RegistryError> {
         read::find(&self.shared, record)
-    }
-
-    /// Index of the revocation or rotation that ended the key `owner`, if the log holds one.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn ended(&self, owner: &PublicKey) -> Result<Option<u64>, RegistryError> {
-        read::ended(&self.shared, owner)
-    }
-
-    /// As [`Registry::ended`], of the key with this id.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn ended_id(&self, owner: &Digest) -> Result<Option<u64>, RegistryError> {
-        read::ended_id(&self.shared, owner)
-    }
-
-    /// Who speaks for the key with this id today: itself, or what rotations put in its place.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn heir(&self, owner: &Digest) -> Result<Heir, RegistryError> {
-        read::heir(&self.shared, owner)
-    }
-
-    /// The leaf of the record at `index`, erased or not: its kind, its digest and its owner's key id.
-    ///
-    /// # Errors
-    /// [`RegistryError::NoSuchRecord`], [`RegistryError::NotARecord`], [`RegistryError::Inconsistent`].
-    pub fn leaf(&self, index: u64) -> Result<Leaf, RegistryError> {
-        read::leaf(&self.shared, index)
-    }
-
-    /// What names a record in `replaces`, in the log's order, erased or not: where it stands, and its kind.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn about(&self, record: &Digest) -> Result<Vec<(u64, RecordKind)>, RegistryError> {
-        read::about(&self.shared, record)
-    }
-
-    /// Re-reads everything: each leaf, its hash in the tree, its envelope, both signatures, its indices. Gives what is wrong,
-    /// nothing where all is well.
-    ///
-    /// # Errors
-    /// [`RegistryError::Store`] where the store cannot be read.
-    pub fn check(&self) -> Result<Vec<RegistryError>, RegistryError> {
-        read::check(&self.shared)
     }
 
     /// Erases the record that a signed request names; gives its index. That the request is for this log, names the record

@@ -11,7 +11,7 @@ use super::{
     error::{RegistryError, inconsistent},
     layout,
     nonce::NONCE_LIFETIME,
-    shared::{Publisher, State, Writer},
+    shared::{Published, Publisher, State, Writer},
     tiles::TileTree,
 };
 use crate::{
@@ -23,7 +23,7 @@ use crate::{
         map_leaf::Entry,
         merkle::{self, leaf_hash},
         note::{Note, NoteVerifier, check_name},
-        packs,
+        packs::{self, Slot},
         tile::{TILE_WIDTH, TileKind, TilePath, decode_entries},
     },
     log::{
@@ -91,7 +91,10 @@ pub(super) fn reload(
     Ok(Loaded {
         state: State { tree, map, size, root, checkpoint, cosigned },
         writer,
-        publisher: Publisher::new(filed, published.map(|(note, known)| (known.size, note))),
+        publisher: Publisher {
+            filed,
+            published: published.map(|(checkpoint, known)| Published { size: known.size, checkpoint }),
+        },
         nonces_from: number_at(store, layout::NONCES_FROM, || "first size of good nonces".into())?.unwrap_or(0),
         standing,
     })
@@ -102,13 +105,7 @@ fn create(store: &dyn Store, key: &OwnerKey, origin: &str) -> Result<(), Registr
         let what = format!("begins with {key:?}, but no format version is there");
         return Err(inconsistent("first entry", what));
     }
-    let put = |key: &[u8], value: Vec<u8>| (key.to_vec(), Some(value));
-    store.put(vec![
-        put(layout::FORMAT, layout::FORMAT_VERSION.into()),
-        put(layout::ORIGIN, origin.into()),
-        put(layout::REGISTRY_KEY, key.public().to_string().into()),
-        put(layout::SIGNED, layout::signed(0, &merkle::empty_root())),
-    ])?;
+    store.put(layout::identity(origin, &key.public(), 0, &merkle::empty_root()))?;
     store.flush()?;
     Ok(())
 }
@@ -265,16 +262,18 @@ fn read_nonces(store: &dyn Store, size: u64) -> Result<HashMap<Digest, u64>, Reg
 /// Bytes of the pack that the next entry goes into; what a crash left behind them is overwritten.
 fn pack_length(files: &Files, size: u64) -> Result<u64, RegistryError> {
     let (number, held) = (size / u64::from(TILE_WIDTH), (size % u64::from(TILE_WIDTH)) as usize);
-    if held == 0 {
-        return Ok(0);
-    }
+    if held == 0 { Ok(0) } else { Ok(held_slots(files, number, held)?.1 as u64) }
+}
+
+/// The first `held` slots of a pack, all of which have to be there, and how many bytes they take.
+pub(super) fn held_slots(files: &Files, number: u64, held: usize) -> Result<(Vec<Slot>, usize), RegistryError> {
     let path = layout::pack(number);
     let pack = files.read(&path, packs::MAX_PACK)?.ok_or_else(|| inconsistent(&path, "the file is missing".into()))?;
     let (slots, length) = packs::parse(&pack, held).map_err(|e| inconsistent(&path, e.to_string()))?;
     if slots.len() != held {
         return Err(inconsistent(&path, format!("{} entries, {held} expected", slots.len())));
     }
-    Ok(length as u64)
+    Ok((slots, length))
 }
 
 /// Takes away what a round left in packs that did not come to its end: somebody may want it erased when nobody

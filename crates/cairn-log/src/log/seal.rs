@@ -6,10 +6,9 @@
 //! seal before anything is written. Where there is none, the last stop was not a clean one.
 
 use std::{
-    fs::{self, File, TryLockError},
+    fs::{self, File},
     io,
     path::{Path, PathBuf},
-    time::Duration,
 };
 
 use super::layout;
@@ -18,7 +17,7 @@ use crate::{
         digest::Digest,
         manifest::{Manifest, ManifestFile, VERSION},
     },
-    log::store::{KnownFile, StoreError},
+    log::store::{KnownFile, StoreError, await_closed},
 };
 use cairn_durable::{Files, RealDisk, sync_folder};
 
@@ -69,19 +68,6 @@ impl Drop for Seal {
             let _ = self.write(&known);
         }
     }
-}
-
-/// Sled writes for a moment after its last handle is dropped, and holds its lock until then.
-pub(super) fn await_closed(db: &Path) -> io::Result<()> {
-    let file = File::open(db)?;
-    for _ in 0..250 {
-        match file.try_lock() {
-            Ok(()) => return file.unlock(),
-            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(20)),
-            Err(TryLockError::Error(e)) => return Err(e),
-        }
-    }
-    Err(io::Error::new(io::ErrorKind::TimedOut, "the store does not close"))
 }
 
 fn list(root: &Path, folder: &str, known: &[KnownFile], files: &mut Vec<ManifestFile>) -> io::Result<()> {

@@ -3,7 +3,7 @@
 use std::{
     collections::HashMap,
     sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use cairn_durable::Files;
@@ -89,12 +89,6 @@ impl Shared {
         lock(&self.publisher).published.clone()
     }
 
-    /// How long the round that is being written has been; `None` where none is. A disk that does not answer, or a store
-    /// that waits for itself, keeps its writer for ever: whoever finds that stops the writing ([`Shared::stop_writing`]).
-    pub(super) fn writing_for(&self) -> Option<Duration> {
-        lock(&self.queue).busy.map(|since| since.elapsed())
-    }
-
     /// The turn to write, taken for something that no submission waits for.
     ///
     /// # Errors
@@ -109,15 +103,6 @@ impl Shared {
         }
         queue.busy = Some(Instant::now());
         Ok(Turn { shared: self, batch: Vec::new() })
-    }
-
-    /// Stops all writing for good: somebody outside knows better what this log is. It goes on reading and proving.
-    /// Whoever waits for the round to come is refused at once; whose round is being written waits for that.
-    pub(super) fn stop_writing(&self, cause: &str) {
-        self.halt(cause);
-        // Under its lock: between a look and a wait nobody hears a call.
-        let _queue = lock(&self.queue);
-        self.wake.notify_all();
     }
 
     /// Stops all writing; the first cause stays.
@@ -203,12 +188,6 @@ pub(super) struct Publisher {
     /// Leaves that are in full tiles and bundles.
     pub(super) filed: u64,
     pub(super) published: Option<Published>,
-}
-
-impl Publisher {
-    pub(super) fn new(filed: u64, published: Option<(u64, String)>) -> Self {
-        Self { filed, published: published.map(|(size, checkpoint)| Published { size, checkpoint }) }
-    }
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -16,7 +16,7 @@ use crate::format::{
     heir::{Ending, Heir, heir},
     key::PublicKey,
     merkle,
-    record::{OwnerRecord, RecordError, RecordKind},
+    record::{self, OwnerRecord, RecordKind},
     signed::SignedRecord,
 };
 
@@ -100,7 +100,7 @@ fn consent_of(
         if *owner == candidate.leaf().owner {
             let expected = "for a rotation, another key than that of the record named in `replaces`";
             let got = record.owner_key.to_string();
-            return Err(RecordError::Field { field: "owner_key", expected, got }.into());
+            return Err(record::field("owner_key", expected, got).into());
         }
         let old = agreed(candidate, replaces, key_of(shared, replaces, planned)?)?;
         check_not_retired(shared, owner, &old.to_string(), planned)?;
@@ -159,7 +159,7 @@ fn countersigned(shared: &Shared, candidate: &SignedRecord, signers: &[PublicKey
     if length > MAX_ENVELOPE_BYTES {
         // It would be kept and could not be read again.
         let expected = "an envelope of at most 65536 bytes with the registry's signature; list fewer views";
-        return Err(RecordError::Field { field: "views", expected, got: format!("{length} bytes") }.into());
+        return Err(record::field("views", expected, format!("{length} bytes")).into());
     }
     Ok(kept)
 }

@@ -19,7 +19,7 @@ use super::{
 };
 use crate::format::{
     digest::Digest,
-    merkle::{ProofError, Subtrees, node_hash},
+    merkle::{self, ProofError, Subtrees},
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
 use cairn_durable::Files;
@@ -65,7 +65,7 @@ impl TileTree {
                 break;
             }
             let first = count - count % u64::from(TILE_WIDTH);
-            let below = (first..count).map(|index| Ok(root_of(&tree.read(level - 1, index)?)));
+            let below = (first..count).map(|index| Ok(merkle::root(&tree.read(level - 1, index)?)));
             let hashes = below.collect::<Result<_, RegistryError>>()?;
             tree.edge.resize(usize::from(level), Vec::new());
             tree.edge.push(hashes);
@@ -88,7 +88,7 @@ impl TileTree {
                 break;
             }
             let full: Hashes = std::mem::take(&mut self.edge[at]).into();
-            hash = root_of(&full);
+            hash = merkle::root(&full);
             count /= u64::from(TILE_WIDTH);
             self.fresh.insert((level, count - 1), full);
         }
@@ -177,17 +177,8 @@ impl Subtrees for TileTree {
         let tile = self.hashes(tiles as u8, first / u64::from(TILE_WIDTH))?;
         let at = (first % u64::from(TILE_WIDTH)) as usize;
         let hashes = tile.get(at..at + (1 << within)).ok_or_else(beyond)?;
-        Ok(root_of(hashes))
+        Ok(merkle::root(hashes))
     }
-}
-
-/// Root over a power of two of hashes.
-fn root_of(hashes: &[Digest]) -> Digest {
-    let mut row = hashes.to_vec();
-    while row.len() > 1 {
-        row = row.chunks_exact(2).map(|pair| node_hash(&pair[0], &pair[1])).collect();
-    }
-    row[0]
 }
 
 /// A tile's bytes: its hashes one after the other.
@@ -199,7 +190,10 @@ pub(super) fn bytes_of(hashes: &[Digest]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::{
-        format::merkle::{Tree, leaf_hash, prove_consistency, prove_inclusion, root_at},
+        format::{
+            merkle::{leaf_hash, prove_consistency, prove_inclusion, root_at},
+            testing::Tree,
+        },
         log::store::FaultyStore,
     };
 

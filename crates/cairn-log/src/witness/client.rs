@@ -16,12 +16,12 @@ use std::{
 use crate::format::{
     checkpoint::{Checkpoint, CheckpointError},
     cosignature::{Cosignature, CosignatureError, WitnessVerifier},
-    digest::Digest,
+    digest::{Digest, decimal},
     note::{Note, NoteSignature, NoteVerifier},
 };
 use ureq::{Agent, Body, http};
 
-use crate::witness::request::{AddCheckpoint, decimal};
+use crate::witness::request::AddCheckpoint;
 
 /// Longest that one request takes, connecting included.
 pub const TIMEOUT: Duration = Duration::from_secs(10);
@@ -201,8 +201,7 @@ impl WitnessClient {
     /// [`WitnessError`]; [`WitnessError::Conflict`] tells the size to ask again from, [`WitnessError::Ahead`] that it is
     /// beyond the checkpoint.
     pub fn add_checkpoint(&self, old: u64, proof: &[Digest], note: &str) -> Result<Cosignature, WitnessError> {
-        let read = Note::parse(note).map_err(|e| self.not_ours(e.into()))?;
-        let ours = Checkpoint::parse_text(&read.text).map_err(|e| self.not_ours(e))?.size;
+        let (read, Checkpoint { size: ours, .. }) = Checkpoint::read(note).map_err(|e| self.not_ours(e))?;
         let request = AddCheckpoint { old, proof: proof.to_vec(), note: note.to_owned() };
         let url = format!("{}/add-checkpoint", self.url);
         let sent = self.agent.post(&url).content_type("text/plain; charset=utf-8").send(request.to_body());
@@ -225,8 +224,7 @@ impl WitnessClient {
     /// # Errors
     /// [`WitnessError`].
     pub fn cosign(&self, note: &str, prove: &Prove<'_>) -> Result<Cosignature, WitnessError> {
-        let read = Note::parse(note).map_err(|e| self.not_ours(e.into()))?;
-        let to = Checkpoint::parse_text(&read.text).map_err(|e| self.not_ours(e))?.size;
+        let to = Checkpoint::read(note).map_err(|e| self.not_ours(e))?.1.size;
         let ask = |from: u64| {
             let proof = if from == 0 || from == to { Ok(Vec::new()) } else { prove(from, to) };
             let failed = |cause| WitnessError::Proof { witness: self.name(), from, to, cause };

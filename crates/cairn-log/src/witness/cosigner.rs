@@ -12,6 +12,8 @@ use std::{
     time::{SystemTime, UNIX_EPOCH},
 };
 
+use cairn_durable::{Disk, Files, LockFile, RealDisk, make_folders};
+
 use crate::format::{
     checkpoint::Checkpoint,
     cosignature::{CosignatureError, WitnessVerifier, cosign},
@@ -22,10 +24,9 @@ use crate::format::{
 };
 
 use crate::witness::{
-    evidence::{Contradiction, Evidence, Kind},
+    evidence::{Contradiction, EVIDENCE, Evidence, Kind},
     request::{AddCheckpoint, RequestError},
-    state::{Remembered, file_name},
-    storage::{FolderStorage, LOGS, Storage, replace},
+    state::{LOGS, Remembered, path_of},
 };
 
 /// Content type of an answer that is a size (409).
@@ -37,6 +38,9 @@ const MAX_TEXT: usize = 400;
 
 /// How far the clock may step back, seconds: it is then held at the last cosignature's time. Further, and nothing is cosigned.
 const MAX_STEP_BACK_S: u64 = 60;
+
+/// Largest file that is read, bytes; the files hold notes of limited size.
+const MAX_FILE_BYTES: u64 = 4 << 20;
 
 /// Tells the time, Unix seconds.
 pub type Clock = Box<dyn Fn() -> u64 + Send + Sync>;
@@ -95,8 +99,9 @@ pub struct Witness {
     verifier: WitnessVerifier,
     logs: BTreeMap<String, Log>,
     evidence: Evidence,
-    storage: Box<dyn Storage>,
+    storage: Files,
     clock: Clock,
+    _lock: Option<LockFile>,
 }
 
 impl Witness {
@@ -105,23 +110,40 @@ impl Witness {
     /// # Errors
     /// [`OpenError`]; a folder that is held, was another witness's or cannot be read is [`OpenError::Memory`].
     pub fn open(path: &Path, name: &str, key: OwnerKey, logs: Vec<NoteVerifier>) -> Result<Self, OpenError> {
-        let storage = FolderStorage::open(path)
-            .map_err(|e| OpenError::Memory { file: path.display().to_string(), what: e.to_string() })?;
         let clock = || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-        Self::open_storage(Box::new(storage), Box::new(clock), name, key, logs)
+        Self::open_timed(path, Box::new(clock), name, key, logs)
     }
 
-    /// A witness over a storage and a clock of the caller's.
+    /// As [`Witness::open`], with a clock of the caller's.
     ///
     /// # Errors
     /// As [`Witness::open`].
-    pub fn open_storage(
-        storage: Box<dyn Storage>,
+    pub fn open_timed(
+        path: &Path,
         clock: Clock,
         name: &str,
         key: OwnerKey,
         logs: Vec<NoteVerifier>,
     ) -> Result<Self, OpenError> {
+        let folders = [LOGS, EVIDENCE].iter().try_for_each(|folder| make_folders(&path.join(folder)));
+        let lock = folders.and_then(|()| LockFile::take(&path.join("LOCK")));
+        let lock = lock.map_err(|e| OpenError::Memory { file: path.display().to_string(), what: e.to_string() })?;
+        let witness = Self::open_on(Box::new(RealDisk::new(path)), clock, name, key, logs)?;
+        Ok(Self { _lock: Some(lock), ..witness })
+    }
+
+    /// A witness over a disk and a clock of the caller's, who sees to it that there is one.
+    ///
+    /// # Errors
+    /// As [`Witness::open`].
+    pub fn open_on(
+        disk: Box<dyn Disk>,
+        clock: Clock,
+        name: &str,
+        key: OwnerKey,
+        logs: Vec<NoteVerifier>,
+    ) -> Result<Self, OpenError> {
+        let storage = Files::new(disk);
         let verifier = WitnessVerifier::new(name, key.public())?;
         let mut by_origin: BTreeMap<String, Vec<NoteVerifier>> = BTreeMap::new();
         for log in logs {
@@ -135,13 +157,13 @@ impl Witness {
         }
         let mut logs = BTreeMap::new();
         for (origin, keys) in by_origin {
-            let newest = recall(storage.as_ref(), &origin, &verifier)
-                .map_err(|what| OpenError::Memory { file: format!("{LOGS}/{}", file_name(&origin)), what })?;
+            let newest = recall(&storage, &origin, &verifier)
+                .map_err(|what| OpenError::Memory { file: path_of(&origin), what })?;
             logs.insert(origin, Log { keys, memory: Mutex::new(Memory { newest, doubtful: false }) });
         }
-        let evidence = Evidence::open(storage.as_ref())
-            .map_err(|e| OpenError::Memory { file: "evidence".into(), what: e.to_string() })?;
-        Ok(Self { key, verifier, logs, evidence, storage, clock })
+        let evidence =
+            Evidence::open(&storage).map_err(|e| OpenError::Memory { file: "evidence".into(), what: e.to_string() })?;
+        Ok(Self { key, verifier, logs, evidence, storage, clock, _lock: None })
     }
 
     /// The vkey that verifiers pin.
@@ -173,8 +195,7 @@ impl Witness {
             RequestError::TooLarge { .. } => text(413, e),
             RequestError::Line { .. } => text(400, e),
         })?;
-        let mut note = Note::parse(&request.note).map_err(|e| text(400, e))?;
-        let checkpoint = Checkpoint::parse_text(&note.text).map_err(|e| text(400, e))?;
+        let (mut note, checkpoint) = Checkpoint::read(&request.note).map_err(|e| text(400, e))?;
         let Some(log) = self.logs.get(&checkpoint.origin) else {
             return Err(text(404, format!("no log {:?} is known here", checkpoint.origin)));
         };
@@ -202,7 +223,7 @@ impl Witness {
             tracing::error!(origin, what, "the witness's memory is in doubt; nothing is cosigned for this log");
             text(500, "the witness cannot read its memory; try later")
         };
-        let found = recall(self.storage.as_ref(), origin, &self.verifier).map_err(unsettled)?;
+        let found = recall(&self.storage, origin, &self.verifier).map_err(unsettled)?;
         let gone_back = match (&memory.newest, &found) {
             (None, _) => false,
             (Some(_), None) => true,
@@ -271,7 +292,7 @@ impl Witness {
             old: request.old,
             proof: request.proof.iter().map(Digest::to_base64).collect(),
         };
-        match self.evidence.keep(self.storage.as_ref(), &note.text, &contradiction) {
+        match self.evidence.keep(&self.storage, &note.text, &contradiction) {
             Ok(Some(file)) => tracing::warn!(origin, ?kind, file, "a signed checkpoint contradicts the cosigned one"),
             Ok(None) => {}
             Err(e) => tracing::error!(origin, ?kind, error = %e, "a contradiction could not be kept"),
@@ -298,7 +319,7 @@ impl Witness {
     fn remember(&self, memory: &mut Memory, newest: Remembered) -> Result<Response, Response> {
         let origin = &newest.checkpoint.origin;
         memory.doubtful = true;
-        replace(self.storage.as_ref(), LOGS, &file_name(origin), &newest.to_json()).map_err(|e| {
+        self.storage.replace(&[(path_of(origin), newest.to_json())]).map_err(|e| {
             tracing::error!(origin, error = %e, "the witness could not remember a checkpoint, and did not cosign it");
             text(500, "the witness could not remember the checkpoint, and does not cosign it; try again")
         })?;
@@ -315,8 +336,8 @@ impl Log {
     }
 }
 
-fn recall(storage: &dyn Storage, origin: &str, witness: &WitnessVerifier) -> Result<Option<Remembered>, String> {
-    let json = storage.read(&format!("{LOGS}/{}", file_name(origin))).map_err(|e| e.to_string())?;
+fn recall(storage: &Files, origin: &str, witness: &WitnessVerifier) -> Result<Option<Remembered>, String> {
+    let json = storage.read(&path_of(origin), MAX_FILE_BYTES).map_err(|e| e.to_string())?;
     json.map(|json| Remembered::from_json(&json, origin, witness)).transpose()
 }
 

@@ -12,9 +12,11 @@ use std::{
 };
 
 use crate::format::digest::Digest;
+use cairn_durable::{DurableError, Files};
 use serde::Serialize;
 
-use crate::witness::storage::{EVIDENCE, Storage, replace};
+/// Folder of the evidence of logs that contradict themselves.
+pub(crate) const EVIDENCE: &str = "evidence";
 
 const FORMAT_VERSION: u32 = 1;
 
@@ -60,7 +62,7 @@ pub(crate) struct Evidence {
 }
 
 impl Evidence {
-    pub(crate) fn open(storage: &dyn Storage) -> io::Result<Self> {
+    pub(crate) fn open(storage: &Files) -> Result<Self, DurableError> {
         let files = storage.list(EVIDENCE)?.into_iter().filter(|name| name.ends_with(".json")).collect();
         Ok(Self { files: Mutex::new(files) })
     }
@@ -68,7 +70,7 @@ impl Evidence {
     /// Keeps a contradiction; `text` is the submitted checkpoint's. Gives the file's name where it is new.
     pub(crate) fn keep(
         &self,
-        storage: &dyn Storage,
+        storage: &Files,
         text: &str,
         contradiction: &Contradiction<'_>,
     ) -> io::Result<Option<String>> {
@@ -85,7 +87,7 @@ impl Evidence {
         let file = File { format_version: FORMAT_VERSION, contradiction };
         let mut json = serde_json::to_vec_pretty(&file).map_err(io::Error::other)?;
         json.push(b'\n');
-        replace(storage, EVIDENCE, &name, &json)?;
+        storage.replace(&[(format!("{EVIDENCE}/{name}"), json)])?;
         files.insert(name.clone());
         Ok(Some(name))
     }

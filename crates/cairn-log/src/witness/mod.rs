@@ -18,10 +18,8 @@ pub mod request;
 #[cfg(feature = "witness-server")]
 pub mod server;
 mod state;
-pub mod storage;
 
 #[cfg(feature = "witness-client")]
 pub use client::{WitnessClient, WitnessError, collect};
 pub use cosigner::{Clock, OpenError, Response, Witness};
 pub use request::{AddCheckpoint, RequestError};
-pub use storage::{FolderStorage, Storage};

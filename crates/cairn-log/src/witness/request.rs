@@ -7,7 +7,7 @@
 //! <checkpoint>
 //! ```
 
-use crate::format::digest::Digest;
+use crate::format::digest::{Digest, decimal, lines};
 
 /// Largest body, bytes: a checkpoint with some tens of signatures, also of large kinds.
 pub const MAX_BODY_BYTES: usize = 256 << 10;
@@ -79,20 +79,8 @@ impl AddCheckpoint {
 
     /// The body.
     pub fn to_body(&self) -> String {
-        let mut body = format!("old {}\n", self.old);
-        for hash in &self.proof {
-            body.push_str(&hash.to_base64());
-            body.push('\n');
-        }
-        body.push('\n');
-        body.push_str(&self.note);
-        body
+        format!("old {}\n{}\n{}", self.old, lines(&self.proof), self.note)
     }
-}
-
-/// A decimal number in its one spelling.
-pub(crate) fn decimal(text: &str) -> Option<u64> {
-    text.parse::<u64>().ok().filter(|number| number.to_string() == text)
 }
 
 #[cfg(test)]

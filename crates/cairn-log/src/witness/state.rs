@@ -4,7 +4,7 @@
 //! monitors are given, and one side of the evidence if the log contradicts it. Size and root stand beside it for
 //! people; they must agree with it.
 
-use crate::format::{checkpoint::Checkpoint, cosignature::WitnessVerifier, digest::Digest, note::Note};
+use crate::format::{checkpoint::Checkpoint, cosignature::WitnessVerifier, digest::Digest};
 use serde::{Deserialize, Serialize};
 
 /// The version of the file that this release writes and reads.
@@ -36,9 +36,12 @@ pub(crate) struct Remembered {
     pub(crate) note: String,
 }
 
-/// Name of the file about a log: its origin's SHA-256 in hex, as monitors ask for it.
-pub(crate) fn file_name(origin: &str) -> String {
-    format!("{}.json", Digest::of(origin))
+/// Folder of the files that say what was cosigned last, one a log.
+pub(crate) const LOGS: &str = "logs";
+
+/// The file of a log.
+pub(crate) fn path_of(origin: &str) -> String {
+    format!("{LOGS}/{}.json", Digest::of(origin))
 }
 
 impl Remembered {
@@ -63,8 +66,7 @@ impl Remembered {
             return Err(format!("format version {}, this release reads {FORMAT_VERSION}", version.format_version));
         }
         let stored: Stored = serde_json::from_slice(json).map_err(|e| e.to_string())?;
-        let note = Note::parse(&stored.checkpoint).map_err(|e| e.to_string())?;
-        let checkpoint = Checkpoint::parse_text(&note.text).map_err(|e| e.to_string())?;
+        let (note, checkpoint) = Checkpoint::read(&stored.checkpoint).map_err(|e| e.to_string())?;
         let beside = (stored.origin.as_str(), stored.size, stored.root);
         let inside = (checkpoint.origin.as_str(), checkpoint.size, checkpoint.root);
         if beside != inside || stored.origin != origin {

@@ -1,7 +1,8 @@
 //! Records to submit to a log, and the verification of what it answers.
 
 use cairn_log::{
-    Checkpoint, Digest, Envelope, OwnerKey, OwnerRecord, Receipt, RecordKind, Registry, RegistryError,
+    Checkpoint, Digest, Envelope, LogEntry, OwnerKey, OwnerRecord, Receipt, RecordKind, Registry, RegistryError,
+    SignedRecord, StoredRecord,
     format::{
         merkle,
         record::{self, Digests, Identity, Seen},
@@ -40,8 +41,19 @@ pub fn sealed(registry: &Registry, owner: &OwnerKey, scene: &str, what: &str) ->
     record(registry, owner, scene, what).seal(owner).unwrap()
 }
 
+/// Submits what is sealed.
+pub fn take(registry: &Registry, envelope: &Envelope) -> Result<Receipt, RegistryError> {
+    registry.submit(SignedRecord::open(envelope.clone())?)
+}
+
+/// The records, of one scene or all, in the log's order; erased ones are left out.
+pub fn records(registry: &Registry, scene: Option<&str>) -> Vec<StoredRecord> {
+    let entries = registry.page(scene, 0, usize::MAX).unwrap().into_iter();
+    entries.filter_map(|entry| if let LogEntry::Record(stored) = entry { Some(*stored) } else { None }).collect()
+}
+
 pub fn submit(registry: &Registry, owner: &OwnerKey, scene: &str, what: &str) -> Result<Receipt, RegistryError> {
-    registry.submit(&sealed(registry, owner, scene, what))
+    take(registry, &sealed(registry, owner, scene, what))
 }
 
 /// Verifies a receipt the way a stranger would: from the registry's vkey alone.

@@ -163,12 +163,9 @@ fn leaves() -> Vec<Vec<u8>> {
 }
 
 fn packs_of_slots() -> Vec<Vec<u8>> {
-    let slots = [
-        Slot::Record(envelope().to_json().into_bytes()),
-        Slot::MapLeaf,
-        Slot::Erased(vec![MapKey::scene("a"), MapKey::scene("b")]),
-        Slot::MapLeaf,
-    ];
+    let mut keys = vec![MapKey::scene("a"), MapKey::scene("b")];
+    keys.sort_unstable();
+    let slots = [Slot::Record(envelope().to_json().into_bytes()), Slot::MapLeaf, Slot::Erased(keys), Slot::MapLeaf];
     vec![slots.iter().flat_map(Slot::to_frame).collect(), vec![0; 4 * 300]]
 }
 

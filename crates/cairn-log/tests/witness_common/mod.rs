@@ -8,10 +8,11 @@ use std::{
     },
 };
 
-use cairn_log::witness::{AddCheckpoint, FolderStorage, OpenError, Response, Storage, Witness};
+use cairn_durable::Disk;
+use cairn_log::witness::{AddCheckpoint, Clock, OpenError, Response, Witness};
 use cairn_log::{
     Checkpoint, Cosignature, Digest, Note, NoteVerifier, OwnerKey,
-    format::merkle::{Tree, leaf_hash},
+    format::{merkle::leaf_hash, testing::Tree},
 };
 
 pub const ORIGIN: &str = "log.example/owners";
@@ -75,13 +76,17 @@ impl Hands {
     }
 }
 
-pub fn over(storage: Box<dyn Storage>, hands: &Hands) -> Result<Witness, OpenError> {
+fn clock(hands: &Hands) -> Clock {
     let hands = hands.clone();
-    Witness::open_storage(storage, Box::new(move || hands.0.load(Ordering::SeqCst)), NAME, key(2), vec![log_verifier()])
+    Box::new(move || hands.0.load(Ordering::SeqCst))
 }
 
-pub fn open(path: &Path, hands: &Hands) -> Witness {
-    over(Box::new(FolderStorage::open(path).unwrap()), hands).unwrap()
+pub fn over(disk: Box<dyn Disk>, hands: &Hands) -> Result<Witness, OpenError> {
+    Witness::open_on(disk, clock(hands), NAME, key(2), vec![log_verifier()])
+}
+
+pub fn open(path: &Path, hands: &Hands) -> Result<Witness, OpenError> {
+    Witness::open_timed(path, clock(hands), NAME, key(2), vec![log_verifier()])
 }
 
 pub fn ask(witness: &Witness, request: &AddCheckpoint) -> Response {

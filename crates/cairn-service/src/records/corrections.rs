@@ -1,7 +1,7 @@
 //! What becomes of a record after it was entered: disputes, replacements and ends of keys as the log has them, and
 //! erasure at its owner's request.
 
-use cairn_log::{Envelope, Erasure, ErasureError, Heir, RecordKind, Registry, RegistryError, StoredRecord};
+use cairn_log::{Envelope, Erasure, Heir, RecordError, RecordKind, Registry, RegistryError, StoredRecord};
 
 use crate::error::EngineError;
 
@@ -41,7 +41,7 @@ pub fn standing(registry: &Registry, stored: &StoredRecord) -> Result<Standing, 
 /// # Errors
 /// [`EngineError::Erasure`], the registry's.
 pub fn erasure_asked(registry: &Registry, request: &[u8]) -> Result<(String, Envelope), EngineError> {
-    let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+    let envelope = Envelope::parse(request).map_err(RecordError::from)?;
     let index = Erasure::open(&envelope)?.request().index;
     Ok((registry.record(index)?.record.scene, envelope))
 }
@@ -51,7 +51,7 @@ pub fn erasure_asked(registry: &Registry, request: &[u8]) -> Result<(String, Env
 /// # Errors
 /// [`EngineError::Erasure`], [`EngineError::ErasesOther`], [`EngineError::NotYours`], the registry's.
 pub fn erase_record(registry: &Registry, request: &[u8]) -> Result<u64, EngineError> {
-    let envelope = Envelope::parse(request).map_err(ErasureError::from)?;
+    let envelope = Envelope::parse(request).map_err(RecordError::from)?;
     let erasure = Erasure::open(&envelope)?;
     let request = erasure.request();
     if request.origin != registry.origin() {

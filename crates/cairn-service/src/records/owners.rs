@@ -77,7 +77,7 @@ pub fn submit(
     if let Some(payer) = &payer {
         access.charge_record(payer)?;
     }
-    let submitted = registry.submit_signed(signed.clone());
+    let submitted = registry.submit(signed.clone());
     if let Some(payer) = payer.filter(|_| !matches!(&submitted, Ok(receipt) if !receipt.resubmitted)) {
         access.forgive_record(&payer);
     }

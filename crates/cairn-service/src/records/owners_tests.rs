@@ -61,7 +61,7 @@ fn enter(registry: &Registry, record: &OwnerRecord, by: u8, also: Option<u8>) ->
     if let Some(also) = also {
         envelope.sign(&key(also));
     }
-    let receipt = registry.submit(&envelope).unwrap();
+    let receipt = registry.submit(cairn_log::SignedRecord::open(envelope).unwrap()).unwrap();
     (receipt.index, receipt.envelope.digest())
 }
 

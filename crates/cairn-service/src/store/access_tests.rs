@@ -128,7 +128,7 @@ mod log {
         };
         let mut envelope = record.seal(&key(by)).unwrap();
         also.into_iter().for_each(|other| envelope.sign(&key(other)));
-        let receipt = registry.submit(&envelope).unwrap();
+        let receipt = registry.submit(cairn_log::SignedRecord::open(envelope).unwrap()).unwrap();
         (record, receipt.envelope.digest(), receipt.index)
     }
 }

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use cairn_log::format::{
-    Answer, Checkpoint, Digest, Envelope, Leaf, MapEntry, MapKey, OwnerRecord, PublicKey, RecordKind,
+    Answer, Checkpoint, Digest, Leaf, MapEntry, MapKey, PublicKey, RecordKind, SignedRecord,
     answer::{List, ListedRecord, key_after, keys_about},
     map::{keys_of, list_root},
     merkle::{self, verify_inclusion},
@@ -16,7 +16,7 @@ use crate::{code::Code, report::Findings};
 pub(super) struct Opened {
     pub(super) leaf: Leaf,
     /// None where it was erased.
-    pub(super) body: Option<(Envelope, OwnerRecord)>,
+    pub(super) body: Option<SignedRecord>,
 }
 
 /// What the answer holds, proven.
@@ -76,7 +76,8 @@ pub(super) fn check<'a>(
         findings.add(Code::AnswerRecordsProven, "records", "", got);
     }
     let lists = lists.into_iter().map(|(key, list)| (key, list.entries.as_slice())).collect();
-    let named = records.values().filter_map(|opened| Some((opened.leaf.owner, opened.body.as_ref()?.1.owner_key)));
+    let named =
+        records.values().filter_map(|opened| Some((opened.leaf.owner, opened.body.as_ref()?.record().owner_key)));
     let keys = named.collect();
     Some(Proven { lists, records, keys })
 }
@@ -154,8 +155,9 @@ fn open(record: &ListedRecord, checkpoint: &Checkpoint, findings: &mut Findings)
         findings.add(Code::AnswerRecordErased, place, "", "its leaf only");
         return Some(Opened { leaf, body: None });
     };
-    match Leaf::open(envelope) {
-        Ok((made, body)) if made == leaf => {
+    match SignedRecord::open(envelope.clone()) {
+        Ok(signed) if *signed.leaf() == leaf => {
+            let body = signed.record();
             if body.origin != checkpoint.origin {
                 findings.add(Code::RecordOriginMismatch, place.as_str(), &checkpoint.origin, &body.origin);
             }
@@ -163,11 +165,11 @@ fn open(record: &ListedRecord, checkpoint: &Checkpoint, findings: &mut Findings)
                 let expected = format!("at most {}, the record's own index", record.index);
                 findings.add(Code::RecordSeenContradiction, place, expected, body.seen.size);
             }
-            Some(Opened { leaf, body: Some((envelope.clone(), body)) })
+            Some(Opened { leaf, body: Some(signed) })
         }
-        Ok((made, _)) => {
+        Ok(signed) => {
             let expected = format!("the envelope of leaf {hash}");
-            findings.add(Code::AnswerRecordMismatch, place, expected, format!("one of leaf {}", made.hash()));
+            findings.add(Code::AnswerRecordMismatch, place, expected, format!("one of leaf {}", signed.leaf().hash()));
             None
         }
         Err(e) => {
@@ -210,7 +212,7 @@ fn owners<'a>(listed: impl Iterator<Item = &'a Opened>) -> Owners {
     for opened in listed {
         let id = opened.leaf.owner;
         let known = owners.entry(MapKey::ended(&id)).or_insert((id, None));
-        known.1 = known.1.or(opened.body.as_ref().map(|(_, record)| record.owner_key));
+        known.1 = known.1.or(opened.body.as_ref().map(|body| body.record().owner_key));
     }
     owners
 }
@@ -222,7 +224,7 @@ fn check_concern(answer: &Answer, records: &BTreeMap<u64, Opened>, owners: &Owne
             let Some(opened) = records.get(&entry.index) else { continue };
             if !concerns(opened, &list.key, owners.get(&list.key)) {
                 let place = format!("list of key {}, record at index {}", list.key, entry.index);
-                let scene = opened.body.as_ref().map_or("(erased)", |(_, record)| record.scene.as_str());
+                let scene = opened.body.as_ref().map_or("(erased)", |body| body.record().scene.as_str());
                 let got = format!("a {:?} about scene {scene:?}", opened.leaf.kind);
                 findings.add(Code::AnswerRecordForeign, place, "a record that concerns this key", got);
             }
@@ -234,11 +236,12 @@ fn check_concern(answer: &Answer, records: &BTreeMap<u64, Opened>, owners: &Owne
 fn concerns(opened: &Opened, key: &MapKey, owner: Option<&(Digest, Option<PublicKey>)>) -> bool {
     let kind = opened.leaf.kind;
     match (&opened.body, owner) {
-        (Some((envelope, record)), owner) => {
+        (Some(body), owner) => {
             // A rotation ends the old key by that key's own signature; where the key is not known, by the map's word.
             let replaced = owner.filter(|_| kind == RecordKind::Rotation);
-            let replaced = replaced.filter(|(_, key)| key.is_none_or(|key| envelope.signature_by(&key).is_some()));
-            keys_of(record, replaced.map(|(id, _)| *id)).contains(key)
+            let replaced =
+                replaced.filter(|(_, key)| key.is_none_or(|key| body.envelope().signature_by(&key).is_some()));
+            keys_of(body.record(), replaced.map(|(id, _)| *id)).contains(key)
         }
         (None, Some((id, _))) => {
             kind == RecordKind::Rotation || (kind == RecordKind::Revocation && opened.leaf.owner == *id)

@@ -16,7 +16,7 @@ pub use report::{AnswerReport, RecordWorth, Standing};
 use cairn_log::format::{
     Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier,
     answer::Format,
-    map, map_leaf,
+    map,
     merkle::{verify_consistency, verify_inclusion},
 };
 
@@ -98,11 +98,7 @@ struct Sizes {
 
 fn report(answer: Option<Answer>, sizes: Option<Sizes>, records: Vec<RecordWorth>, findings: Findings) -> AnswerReport {
     let anchored = findings.has(Code::CheckpointVerified);
-    let outcome = match (findings.failed(), anchored) {
-        (true, _) => Outcome::Invalid,
-        (false, true) => Outcome::Trusted,
-        (false, false) => Outcome::Valid,
-    };
+    let outcome = findings.outcome(anchored);
     // A checkpoint that nobody known signed tells nothing about what is known.
     let freshness = match &sizes {
         Some(sizes) if anchored && outcome != Outcome::Invalid => Freshness::AsOf(sizes.checkpoint.size),
@@ -192,19 +188,17 @@ fn check_map_leaf(
         return None;
     }
     let origin = &checkpoint.origin;
-    let wrong = match pinned {
-        Some(pinned) => leaf.verify(origin, index, pinned.key()).err().map(|e| e.to_string()),
+    let checked = match pinned {
+        Some(pinned) => leaf.verify(origin, index, pinned.key()),
         // Nobody's signature can be checked; that the sentence is the one for this place still can.
-        None => (Digest::of(map_leaf::statement(origin, index, &leaf.root)) != leaf.statement)
-            .then(|| "a statement made for another place".to_owned()),
+        None => leaf.verify_statement(origin, index),
     };
-    match (wrong, pinned) {
-        (Some(wrong), _) => {
-            findings.add(Code::MapLeafInvalid, place, format!("the registry's word on the map of size {index}"), wrong);
-            return None;
-        }
-        (None, Some(pinned)) => findings.add(Code::MapLeafValid, place, "", format!("root {} by {pinned}", leaf.root)),
-        (None, None) => {}
+    if let Err(wrong) = checked {
+        findings.add(Code::MapLeafInvalid, place, format!("the registry's word on the map of size {index}"), wrong);
+        return None;
+    }
+    if let Some(pinned) = pinned {
+        findings.add(Code::MapLeafValid, place, "", format!("root {} by {pinned}", leaf.root));
     }
     Some(leaf.root)
 }

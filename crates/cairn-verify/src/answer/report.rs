@@ -5,10 +5,7 @@ use std::fmt;
 use cairn_log::format::{Digest, RecordKind};
 use serde::Serialize;
 
-use crate::{
-    code::Code,
-    report::{Finding, Freshness, Outcome},
-};
+use crate::report::{Finding, Freshness, Outcome, lines, report};
 
 /// What a record of an answer is worth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -73,24 +70,12 @@ pub struct AnswerReport {
     pub findings: Vec<Finding>,
 }
 
+report!(AnswerReport);
+
 impl AnswerReport {
-    /// The version of the JSON form.
-    pub const VERSION: u32 = 1;
-
-    /// Whether a finding with this code is there.
-    pub fn has(&self, code: Code) -> bool {
-        self.findings.iter().any(|f| f.code == code)
-    }
-
     /// The records whose owners are to be credited.
     pub fn credited(&self) -> impl Iterator<Item = &RecordWorth> {
         self.records.iter().filter(|r| r.standing == Standing::Counts)
-    }
-
-    /// The report as indented JSON.
-    pub fn to_json(&self) -> String {
-        // Strings and numbers only: there is nothing that could fail to serialise.
-        serde_json::to_string_pretty(self).unwrap_or_default()
     }
 }
 
@@ -140,19 +125,13 @@ impl fmt::Display for AnswerReport {
                 None => writeln!(f)?,
             }
         }
-        match self.freshness {
-            Freshness::CannotTell => writeln!(f, "later revocations or disputes: cannot tell")?,
-            Freshness::AsOf(size) => writeln!(f, "later revocations or disputes: known up to log size {size}")?,
-        }
+        writeln!(f, "{}", self.freshness)?;
         if self.outcome != Outcome::Invalid {
             writeln!(f, "{} of {} records count", self.credited().count(), self.records.len())?;
         }
         for record in &self.records {
             writeln!(f, "{record}")?;
         }
-        for finding in &self.findings {
-            writeln!(f, "{finding}")?;
-        }
-        Ok(())
+        lines(&self.findings, f)
     }
 }

@@ -3,18 +3,13 @@
 //! Time is counted in log indices only. What lies behind the size that the question
 //! is about changes nothing in the answer, and is told besides.
 
-use std::convert::Infallible;
-
-use cairn_log::format::{
-    Answer, Digest, MapKey, PublicKey, RecordKind,
-    heir::{Ending, Heir, heir},
-};
+use cairn_log::format::{Answer, Digest, MapKey, PublicKey, RecordKind, heir::Ending};
 
 use super::{
     lists::{Opened, Proven},
     report::{RecordWorth, Standing},
 };
-use crate::{code::Code, report::Findings};
+use crate::{code::Code, heirs::may_speak, report::Findings};
 
 /// Weighs every record of the asked list, as of a log size.
 pub(super) fn weigh(answer: &Answer, proven: &Proven<'_>, as_of: u64, findings: &mut Findings) -> Vec<RecordWorth> {
@@ -53,8 +48,8 @@ impl One<'_> {
             record: leaf.record,
             kind: leaf.kind,
             owner: leaf.owner,
-            contributor: body.as_ref().map(|(_, record)| record.identity.contributor.clone()),
-            number: body.as_ref().map(|(_, record)| record.identity.number),
+            contributor: body.as_ref().map(|body| body.record().identity.contributor.clone()),
+            number: body.as_ref().map(|body| body.record().identity.number),
             standing,
             disputed_by,
         }
@@ -102,17 +97,9 @@ impl One<'_> {
     /// Whether the record at `index` is by who spoke for this one's owner then, or carries that key's signature; else what
     /// it would have to be. Whoever found a key that its owner had ended speaks for nobody, whatever a registry lets in.
     fn may_speak(&self, index: u64, other: &Opened) -> Result<(), String> {
-        let Ok(speaks) = heir(&self.opened.leaf.owner, index, |key| Ok::<_, Infallible>(self.ending(key)));
-        match speaks {
-            Heir::Key { id, .. } => {
-                let signed = |key: PublicKey| other.body.as_ref().is_some_and(|(e, _)| e.signature_by(&key).is_some());
-                let may = other.leaf.owner == id || self.proven.keys.get(&id).copied().is_some_and(signed);
-                may.then_some(()).ok_or_else(|| format!("a record by the owner's key (id {id}), or with its signature"))
-            }
-            Heir::Nobody { ended_by, .. } => {
-                Err(format!("a record before index {ended_by}, where the owner's key ended with none in its place"))
-            }
-        }
+        let signed = |key: &PublicKey| other.body.as_ref().is_some_and(|b| b.envelope().signature_by(key).is_some());
+        let spoke = |id: &Digest| other.leaf.owner == *id || self.proven.keys.get(id).is_some_and(signed);
+        may_speak(&self.opened.leaf.owner, index, |key| self.ending(key), spoke)
     }
 
     /// What ended a key first; that a rotation has the old key's signature was checked with the lists.

@@ -2,9 +2,9 @@
 //! root out of the old tree.
 
 use cairn_log::format::{
-    Digest, Leaf, NoteVerifier,
-    leaf::LEAF_LEN,
-    merkle::leaf_hash,
+    Digest, Leaf, MapLeaf, NoteVerifier,
+    leaf::{LEAF_LEN, MAP_KIND},
+    merkle::{Frontier, leaf_hash},
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
 
@@ -12,7 +12,7 @@ use super::{
     fetch::{Fetch, FollowError, MAX_NEW_ENTRIES, Signed},
     reader,
 };
-use crate::{code::Code, map::Frontier, report::Findings, store::check_map_leaf};
+use crate::{code::Code, report::Findings};
 
 const CHUNK: u64 = TILE_WIDTH as u64;
 const ENTRY: usize = 2 + LEAF_LEN;
@@ -45,10 +45,12 @@ pub(super) fn check(
                 findings.add(Code::FollowTiles, format!("entry {at}"), expected, format!("one of hash {leaf}"));
                 return Ok(());
             }
-            last_is_map = entry[3] == 7;
+            last_is_map = entry[3] == MAP_KIND;
             if last_is_map {
                 map_leaves += 1;
-                if let Err(cause) = check_map_leaf(&entry[2..], at, Some(pinned.name()), Some(pinned)) {
+                let checked = MapLeaf::decode(&entry[2..]).map_err(|e| e.to_string());
+                let verify = |leaf: MapLeaf| leaf.verify(pinned.name(), at, pinned.key()).map_err(|e| e.to_string());
+                if let Err(cause) = checked.and_then(verify) {
                     findings.add(Code::FollowMapLeaf, format!("entry {at}"), "a map leaf signed by the log", cause);
                 }
             } else if let Err(e) = Leaf::decode(&entry[2..]) {

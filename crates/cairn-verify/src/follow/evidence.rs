@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     code::Code,
-    report::{Finding, Findings, Outcome},
+    report::{Finding, Findings, Outcome, lines, report},
 };
 
 /// What a follower keeps when a log contradicts itself.
@@ -40,19 +40,9 @@ pub struct EvidenceReport {
 /// Checks the evidence of a contradiction anew, believing nobody but the key. `tiles`: those that were kept.
 pub fn audit_evidence(first: &str, second: &str, tiles: &dyn Fetch, pinned: &NoteVerifier) -> EvidenceReport {
     let mut findings = Findings::default();
-    let mut signed = |name: &str, note: &str| match Signed::verify(note, pinned) {
-        Ok(signed) => {
-            let got = format!("size {}, root {}", signed.checkpoint.size, signed.checkpoint.root);
-            findings.add(Code::CheckpointVerified, name, "", got);
-            Some(signed)
-        }
-        Err(cause) => {
-            findings.add(Code::CheckpointSignatureInvalid, name, format!("one signed by {pinned}"), cause);
-            None
-        }
-    };
-    let pair = (signed("first", first), signed("second", second));
-    if let (Some(a), Some(b)) = pair {
+    let pair = [("first", first), ("second", second)];
+    let pair = pair.map(|(name, note)| Signed::check(note, pinned, name, &mut findings));
+    if let [Some(a), Some(b)] = pair {
         let (small, large) = if a.checkpoint.size <= b.checkpoint.size {
             (a.checkpoint, b.checkpoint)
         } else {
@@ -92,31 +82,11 @@ pub fn audit_evidence(first: &str, second: &str, tiles: &dyn Fetch, pinned: &Not
             }
         }
     }
-    let outcome = if findings.failed() {
-        Outcome::Invalid
-    } else if findings.has(Code::EvidenceProven) {
-        Outcome::Trusted
-    } else {
-        Outcome::Valid
-    };
+    let outcome = findings.outcome(findings.has(Code::EvidenceProven));
     EvidenceReport { version: EvidenceReport::VERSION, outcome, findings: findings.0 }
 }
 
-impl EvidenceReport {
-    /// The version of the JSON form.
-    pub const VERSION: u32 = 1;
-
-    /// Whether a finding with this code is there.
-    pub fn has(&self, code: Code) -> bool {
-        self.findings.iter().any(|f| f.code == code)
-    }
-
-    /// The report as indented JSON.
-    pub fn to_json(&self) -> String {
-        // Strings and numbers only: there is nothing that could fail to serialise.
-        serde_json::to_string_pretty(self).unwrap_or_default()
-    }
-}
+report!(EvidenceReport);
 
 impl fmt::Display for EvidenceReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -126,9 +96,6 @@ impl fmt::Display for EvidenceReport {
             Outcome::Invalid => "invalid: this proves nothing",
         };
         writeln!(f, "{answer}")?;
-        for finding in &self.findings {
-            writeln!(f, "{finding}")?;
-        }
-        Ok(())
+        lines(&self.findings, f)
     }
 }

@@ -2,6 +2,8 @@
 
 use cairn_log::format::{Checkpoint, Note, NoteVerifier};
 
+use crate::{code::Code, report::Findings};
+
 /// A log's files, wherever they lie.
 pub trait Fetch {
     /// The file at a path below the log's prefix (`checkpoint`, `tile/...`), none where the log has no such file.
@@ -71,5 +73,20 @@ impl Signed {
         // Only what was verified is kept: lines that nobody known signed may be anything.
         let parsed = Note::parse(note).map_err(|e| e.to_string())?;
         Ok(Self { note: parsed.to_string(), checkpoint })
+    }
+
+    /// As [`Signed::verify`], told as a finding.
+    pub(super) fn check(note: &str, pinned: &NoteVerifier, place: &str, findings: &mut Findings) -> Option<Self> {
+        let signed = Self::verify(note, pinned);
+        match &signed {
+            Ok(Self { checkpoint, .. }) => {
+                let got = format!("size {}, root {}", checkpoint.size, checkpoint.root);
+                findings.add(Code::CheckpointVerified, place, "", got);
+            }
+            Err(cause) => {
+                findings.add(Code::CheckpointSignatureInvalid, place, format!("one signed by {pinned}"), cause);
+            }
+        }
+        signed.ok()
     }
 }

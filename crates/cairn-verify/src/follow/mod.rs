@@ -18,7 +18,7 @@ use serde::Serialize;
 use crate::{
     code::{Code, Severity},
     policy,
-    report::{Finding, Findings},
+    report::{Finding, Findings, lines, report},
     store::Class,
 };
 pub use evidence::{Contradiction, EvidenceReport, audit_evidence};
@@ -79,16 +79,8 @@ pub fn follow(log: &dyn Fetch, last: Option<&str>, options: &FollowOptions<'_>) 
     let bytes = bytes.ok_or_else(|| FollowError::Missing { path: "checkpoint".into() })?;
     let note = String::from_utf8_lossy(&bytes).into_owned();
     let mut look = Look { findings: Findings::default(), contradiction: None };
-    let now = match Signed::verify(&note, pinned) {
-        Ok(now) => Some(now),
-        Err(cause) => {
-            look.findings.add(Code::CheckpointSignatureInvalid, "checkpoint", format!("one signed by {pinned}"), cause);
-            None
-        }
-    };
+    let now = Signed::check(&note, pinned, "checkpoint", &mut look.findings);
     if let Some(now) = &now {
-        let got = format!("size {}, root {}", now.checkpoint.size, now.checkpoint.root);
-        look.findings.add(Code::CheckpointVerified, "checkpoint", "", got);
         if let Some(policy) = options.policy {
             policy::check(policy, pinned, &note, "checkpoint", &mut look.findings);
         }
@@ -168,15 +160,9 @@ impl Look {
     }
 }
 
+report!(FollowReport);
+
 impl FollowReport {
-    /// The version of the JSON form.
-    pub const VERSION: u32 = 1;
-
-    /// Whether a finding with this code is there.
-    pub fn has(&self, code: Code) -> bool {
-        self.findings.iter().any(|f| f.code == code)
-    }
-
     /// 0 where everything held, [`CONTRADICTION`], or as [`Class::exit_code`]: 10 for a checkpoint that the log or its
     /// witnesses did not sign, 11 for tiles or entries that are not those of the tree, 13 for a map leaf.
     pub fn exit_code(&self) -> u8 {
@@ -189,12 +175,6 @@ impl FollowReport {
         let errors: Vec<u8> = self.findings.iter().filter(|f| f.severity == Severity::Error).map(of).collect();
         if errors.contains(&CONTRADICTION) { CONTRADICTION } else { errors.into_iter().min().unwrap_or(0) }
     }
-
-    /// The report as indented JSON.
-    pub fn to_json(&self) -> String {
-        // Strings and numbers only: there is nothing that could fail to serialise.
-        serde_json::to_string_pretty(self).unwrap_or_default()
-    }
 }
 
 impl fmt::Display for FollowReport {
@@ -205,9 +185,6 @@ impl fmt::Display for FollowReport {
             _ => "invalid",
         };
         writeln!(f, "{answer}  {}", self.origin)?;
-        for finding in &self.findings {
-            writeln!(f, "{finding}")?;
-        }
-        Ok(())
+        lines(&self.findings, f)
     }
 }

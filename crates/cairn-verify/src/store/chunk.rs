@@ -10,23 +10,21 @@ use std::collections::HashMap;
 use cairn_log::format::{
     Digest, Leaf, NoteVerifier, RecordKind,
     leaf::LEAF_LEN,
-    merkle,
+    map::{MapKey, keys_of},
+    map_leaf::MapLeaf,
+    merkle::{self, Frontier},
+    packs::{self, Slot},
     record::Seen,
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
 
 use super::{
     files::{CHUNK, ENTRY, Files},
-    frames::{Frames, Slot},
     options::Stock,
     record::{self, Replacing, Sound},
     tiles,
 };
-use crate::{
-    code::Code,
-    map::{Frontier, Key, keys_of, statement},
-    report::Findings,
-};
+use crate::{code::Code, report::Findings};
 
 /// What every chunk is checked against.
 pub(super) struct Context<'a> {
@@ -63,7 +61,7 @@ pub(super) struct Chunk {
 /// What a leaf says to the map and to the log's rules.
 pub(super) enum Said {
     /// A record, erased or not.
-    Record { kind: RecordKind, keys: Vec<Key>, owner: Digest, seen: Option<Seen> },
+    Record { kind: RecordKind, keys: Vec<MapKey>, owner: Digest, seen: Option<Seen> },
     /// The map's root over all leaves before.
     Map { root: Digest },
     /// A record that cannot be read.
@@ -81,18 +79,18 @@ pub(super) fn check(context: &Context<'_>, index: u64) -> Chunk {
     let tile: Vec<Digest> =
         tile.iter().flat_map(|(_, bytes)| bytes.as_chunks::<32>().0).map(|h| Digest::from_bytes(*h)).collect();
     let bytes = envelope_file(context, index, width, &mut chunk.findings);
-    let frames = Frames::parse(&bytes);
-    if let Some(cause) = frames.broken.as_ref().filter(|_| frames.slots.len() < width || context.is_full(index)) {
+    let (slots, broken) = packs::parse_whole(&bytes);
+    if let Some(cause) = broken.as_ref().filter(|_| slots.len() < width || context.is_full(index)) {
         let place = context.files.name_envelopes(index);
         chunk.findings.add(Code::StoreEnvelopeFile, place, format!("{width} frames"), cause);
-    } else if frames.slots.len() < width && !bytes.is_empty() {
+    } else if slots.len() < width && !bytes.is_empty() {
         let place = context.files.name_envelopes(index);
-        chunk.findings.add(Code::StoreEnvelopeFile, place, format!("{width} frames"), frames.slots.len());
+        chunk.findings.add(Code::StoreEnvelopeFile, place, format!("{width} frames"), slots.len());
     }
     let mut leaves = Vec::with_capacity(width);
     for at in 0..width {
         let candidates = Candidates { entry: entries[at], tile: tile.get(at).copied() };
-        let (hash, leaf, said) = one(context, &mut chunk, at, frames.slots.get(at), &candidates, &tile);
+        let (hash, leaf, said) = one(context, &mut chunk, at, slots.get(at), &candidates, &tile);
         chunk.hashes.push(hash);
         chunk.said.push(said);
         leaves.push(leaf);
@@ -120,9 +118,15 @@ impl Candidates {
             (None, tile) => (tile.unwrap_or(Digest::from_bytes([0; 32])), None),
         }
     }
+
+    /// The leaf where the bundle is not believed: the tile's hash, else the bundle's.
+    fn tile_first(&self) -> (Digest, Option<Bytes>) {
+        self.tile.map_or_else(|| self.fallback(), |hash| (hash, None))
+    }
 }
 
 impl Context<'_> {
+    /// Whether all entries of the chunk are there.
     fn is_full(&self, index: u64) -> bool {
         (index + 1) * CHUNK <= self.extent
     }
@@ -133,7 +137,7 @@ fn one(
     context: &Context<'_>,
     chunk: &mut Chunk,
     at: usize,
-    slot: Option<&Slot<'_>>,
+    slot: Option<&Slot>,
     candidates: &Candidates,
     tile: &[Digest],
 ) -> (Digest, Option<Bytes>, Said) {
@@ -158,12 +162,9 @@ fn one(
                 let said = Said::Record { kind: leaf.kind, keys: keys.clone(), owner: leaf.owner, seen: None };
                 (leaf.hash(), candidates.entry, said)
             }
-            _ => match candidates.tile {
-                Some(hash) => (hash, None, Said::Unknown),
-                None => unknown(candidates.fallback()),
-            },
+            _ => unknown(candidates.tile_first()),
         },
-        Some(Slot::Map) | None => match map_leaf(context, index, candidates.entry.as_ref()) {
+        Some(Slot::MapLeaf) | None => match map_leaf(context, index, candidates.entry.as_ref()) {
             Ok(root) => (candidates.fallback().0, candidates.entry, Said::Map { root }),
             // A file that is short was named as a whole.
             Err(_) if slot.is_none() => unknown(candidates.fallback()),
@@ -179,10 +180,7 @@ fn one(
                 }
                 unknown(candidates.fallback())
             }
-            Err(_) => match candidates.tile {
-                Some(hash) => (hash, None, Said::Unknown),
-                None => unknown(candidates.fallback()),
-            },
+            Err(_) => unknown(candidates.tile_first()),
         },
     }
 }
@@ -212,7 +210,7 @@ fn tile_is_right(context: &Context<'_>, chunk: &Chunk, at: usize, candidates: &C
 /// What a sound record says.
 fn read(context: &Context<'_>, chunk: &mut Chunk, index: u64, sound: Sound) -> Said {
     let Sound { record, replacing, .. } = sound;
-    let replaced = record.replaces.and_then(|replaces| context.rotated.get(&replaces));
+    let replaced = record.replaces.and_then(|replaces| context.rotated.get(&replaces).copied());
     chunk.replacing.extend(replacing.map(|r| (index, r)));
     if let Some(stock) = context.stock.and_then(|stock| stock.scenes.get(&record.scene)) {
         let digests = &record.digests;
@@ -231,40 +229,18 @@ fn read(context: &Context<'_>, chunk: &mut Chunk, index: u64, sound: Sound) -> S
     Said::Record { kind, keys: keys_of(&record, replaced), owner, seen: Some(record.seen) }
 }
 
-/// The root in a map leaf that holds.
-fn map_leaf(context: &Context<'_>, index: u64, entry: Option<&Bytes>) -> Result<Digest, String> {
-    let entry = entry.ok_or("no entry")?;
-    check_map_leaf(entry, index, context.origin, context.key)
-}
-
-/// Checks a map leaf at `index`: its form, that its statement is about the `index` leaves before it, and the signature.
+/// The root in a map leaf that holds: its form, that its statement is about the leaves before it, and the signature.
 ///
 /// # Errors
 /// What is wrong.
-pub(crate) fn check_map_leaf(
-    entry: &[u8],
-    index: u64,
-    origin: Option<&str>,
-    key: Option<&NoteVerifier>,
-) -> Result<Digest, String> {
-    let entry: &Bytes = entry.try_into().map_err(|_| format!("{} bytes", entry.len()))?;
-    let part = |at: usize| Digest::try_from(&entry[at..at + 32]).map_err(|e| e.to_string());
-    if entry[..2] != [1, 7] {
-        return Err(format!("a leaf of version {} and kind {}", entry[0], entry[1]));
-    }
-    let root = part(66)?;
-    let Some(origin) = origin else { return Ok(root) };
-    let statement = statement(origin, index, &root);
-    if part(2)? != Digest::of(&statement) {
-        return Err(format!("a statement other than that about size {index} and root {root}"));
-    }
-    if let Some(key) = key {
-        if part(34)? != key.key().id() {
-            return Err(format!("a leaf by key {}", part(34)?));
-        }
-        key.key().verify(&statement, &entry[98..]).map_err(|e| e.to_string())?;
-    }
-    Ok(root)
+fn map_leaf(context: &Context<'_>, index: u64, entry: Option<&Bytes>) -> Result<Digest, String> {
+    let leaf = MapLeaf::decode(entry.ok_or("no entry")?).map_err(|e| e.to_string())?;
+    let checked = match (context.origin, context.key) {
+        (Some(origin), Some(key)) => leaf.verify(origin, index, key.key()),
+        (Some(origin), None) => leaf.verify_statement(origin, index),
+        (None, _) => Ok(()),
+    };
+    checked.map(|()| leaf.root).map_err(|e| e.to_string())
 }
 
 /// The entries of the widest bundle that can be read; each none where it is not 162 bytes long.
@@ -310,20 +286,12 @@ fn compare_entries(context: &Context<'_>, index: u64, leaves: &[Option<Bytes>], 
 
 /// The file of envelopes; empty, and named, where it cannot be read.
 fn envelope_file(context: &Context<'_>, index: u64, width: usize, findings: &mut Findings) -> Vec<u8> {
-    let name = context.files.name_envelopes(index);
-    match context.files.envelopes(index) {
-        Ok(Some(bytes)) if bytes.is_empty() && width > 0 => {
-            findings.add(Code::StoreEnvelopeFile, name, format!("{width} frames"), "an empty file");
-            bytes
-        }
-        Ok(Some(bytes)) => bytes,
-        Ok(None) => {
-            findings.add(Code::StoreEnvelopeFile, name, format!("{width} frames"), "no file");
-            Vec::new()
-        }
-        Err(cause) => {
-            findings.add(Code::StoreEnvelopeFile, name, format!("{width} frames"), cause);
-            Vec::new()
-        }
-    }
+    let (bytes, got) = match context.files.envelopes(index) {
+        Ok(Some(bytes)) if bytes.is_empty() && width > 0 => (bytes, "an empty file".to_owned()),
+        Ok(Some(bytes)) => return bytes,
+        Ok(None) => (Vec::new(), "no file".to_owned()),
+        Err(cause) => (Vec::new(), cause),
+    };
+    findings.add(Code::StoreEnvelopeFile, context.files.name_envelopes(index), format!("{width} frames"), got);
+    bytes
 }

@@ -1,24 +1,23 @@
 //! Where a registry's files lie, and reading them without believing their size.
 
 use std::{
-    fs::File,
-    io::{self, Read as _},
+    io,
     path::{Path, PathBuf},
 };
 
 use cairn_log::format::{
-    dsse::MAX_ENVELOPE_BYTES,
     leaf::LEAF_LEN,
     note::MAX_NOTE_BYTES,
+    packs::MAX_PACK,
     tile::{TILE_WIDTH, TileKind, TilePath},
 };
+
+use crate::bounded::read;
 
 /// Entries a chunk: a full tile, a full bundle, a file of envelopes.
 pub(super) const CHUNK: u64 = TILE_WIDTH as u64;
 /// Bytes of an entry in its bundle.
 pub(super) const ENTRY: usize = 2 + LEAF_LEN;
-/// Longest slot: a marker and an envelope.
-pub(super) const MAX_SLOT: usize = 1 + MAX_ENVELOPE_BYTES;
 
 /// A folder that cannot be audited at all.
 #[derive(Debug, thiserror::Error)]
@@ -91,7 +90,7 @@ impl Files {
     }
 
     pub(super) fn envelopes(&self, chunk: u64) -> Result<Option<Vec<u8>>, String> {
-        read(&self.registry.join(envelopes(chunk)), CHUNK as usize * (4 + MAX_SLOT))
+        read(&self.registry.join(envelopes(chunk)), MAX_PACK as usize)
     }
 
     /// Widths of the partial tiles of this kind and index, rising. Names that are no width are left to the walk over
@@ -113,22 +112,10 @@ pub(super) fn envelopes(chunk: u64) -> String {
     path.replacen("tile/entries", "envelopes", 1)
 }
 
-/// A file of at most `limit` bytes; none where there is no such file.
-pub(super) fn read(path: &Path, limit: usize) -> Result<Option<Vec<u8>>, String> {
-    let file = match File::open(path) {
-        Ok(file) => file,
-        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(e) => return Err(format!("cannot be read: {e}")),
-    };
-    let mut bytes = Vec::new();
-    file.take(limit as u64 + 1).read_to_end(&mut bytes).map_err(|e| format!("cannot be read: {e}"))?;
-    if bytes.len() > limit { Err(format!("more than {limit} bytes")) } else { Ok(Some(bytes)) }
-}
-
 /// Every file below `folder`, as paths from it with `/`, folder by folder in order of names. Links are files: what they lead to is not
 /// followed.
-pub(super) fn walk(folder: &Path, found: &mut dyn FnMut(&str, &Path)) -> Result<(), StoreError> {
-    fn below(folder: &Path, prefix: &str, depth: usize, found: &mut dyn FnMut(&str, &Path)) -> io::Result<()> {
+pub(super) fn walk(folder: &Path, found: &mut dyn FnMut(&str)) -> Result<(), StoreError> {
+    fn below(folder: &Path, prefix: &str, depth: usize, found: &mut dyn FnMut(&str)) -> io::Result<()> {
         let mut entries = std::fs::read_dir(folder)?.collect::<Result<Vec<_>, _>>()?;
         entries.sort_by_key(std::fs::DirEntry::file_name);
         for entry in entries {
@@ -137,7 +124,7 @@ pub(super) fn walk(folder: &Path, found: &mut dyn FnMut(&str, &Path)) -> Result<
             if entry.file_type()?.is_dir() && depth < 16 {
                 below(&entry.path(), &format!("{name}/"), depth + 1, found)?;
             } else {
-                found(&name, &entry.path());
+                found(&name);
             }
         }
         Ok(())

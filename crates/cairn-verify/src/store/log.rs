@@ -4,7 +4,9 @@
 use std::collections::{HashMap, HashSet};
 
 use cairn_log::format::{
-    Checkpoint, Digest, Envelope, OwnerRecord, RecordKind, merkle,
+    Checkpoint, Digest, Envelope, MapEntry, MapKey, MapTree, OwnerRecord, RecordKind,
+    merkle::{self, Frontier},
+    packs::{self, Slot},
     tile::{TILE_WIDTH, TileKind},
 };
 use rayon::prelude::*;
@@ -12,18 +14,13 @@ use rayon::prelude::*;
 use super::{
     chunk::{self, Chunk, Context, Said},
     files::{CHUNK, ENTRY, Files, StoreError},
-    frames::{Frames, Slot},
     options::StoreOptions,
     record::Replacing,
     replaced::{self, Endings, owners_of},
     report::Tally,
     tail, tiles,
 };
-use crate::{
-    code::Code,
-    map::{Frontier, Map, ended},
-    report::Findings,
-};
+use crate::{code::Code, report::Findings};
 
 /// Checks everything under `public/` but the checkpoint, and everything under `envelopes/`.
 pub(super) fn check(
@@ -50,7 +47,7 @@ pub(super) fn check(
     };
     context.rotated = owners_of(&context, &rotated(&context)).into_iter().map(|(r, (_, o))| (r, o)).collect();
     let mut pass = Pass { size, ..Pass::default() };
-    // Enough at a time to keep every core busy, few enough to fit: a chunk is 17 MB at the very most.
+    // Enough at a time to keep every core busy, few enough to fit: a chunk is 34 MB at the very most.
     let window = 2 * rayon::current_num_threads() as u64;
     let (chunks, mut first) = (extent.div_ceil(CHUNK), 0);
     // The chunk in which the published tree ends has a window of its own: the root decides what is right there.
@@ -104,10 +101,10 @@ fn rotated(context: &Context<'_>) -> HashSet<Digest> {
             return Vec::new();
         }
         let bytes = context.files.envelopes(index).ok().flatten().unwrap_or_default();
-        let frames = Frames::parse(&bytes);
-        let replaced = |at: usize| match frames.slots.get(at)? {
+        let (slots, _) = packs::parse_whole(&bytes);
+        let replaced = |at: usize| match slots.get(at)? {
             Slot::Record(json) => OwnerRecord::parse(&Envelope::parse(json).ok()?.payload).ok()?.replaces,
-            Slot::Erased(_) | Slot::Map => None,
+            Slot::Erased(_) | Slot::MapLeaf => None,
         };
         rotations.into_iter().filter_map(replaced).collect()
     };
@@ -122,7 +119,7 @@ struct Pass {
     tree: Frontier,
     /// The root at the published size.
     published: Option<Digest>,
-    map: Map,
+    map: MapTree,
     /// Sizes at which the log was signed, and half of each root: enough against accidents and
     /// 2^64 tries, at half the memory.
     sizes: Vec<(u64, [u8; 16])>,
@@ -163,7 +160,7 @@ impl Pass {
                 Said::Map { root } => self.map_leaf(context, index, &root, tally, findings),
                 Said::Record { kind, keys, owner, seen } => {
                     tally.records += 1;
-                    if self.map.holds(&ended(&owner)) {
+                    if self.map.get(&MapKey::ended(&owner)).is_some() {
                         let got = format!("one by key {owner}, which an earlier record ended");
                         findings.add(Code::StoreRecordRule, place(index), "a record by a key that is good", got);
                     } else {
@@ -183,8 +180,8 @@ impl Pass {
                             }
                         }
                     }
-                    for key in &keys {
-                        self.map.add(key, index, hash);
+                    for key in keys {
+                        self.map.append(key, &MapEntry { index, leaf_hash: *hash });
                     }
                 }
             }
@@ -247,7 +244,7 @@ impl Pass {
         tally: &mut Tally,
         findings: &mut Findings,
     ) {
-        tally.map_keys = self.map.len() as u64;
+        tally.map_keys = self.map.len();
         let place = context.files.name_public("checkpoint");
         if let MapState::Unknown(index) = self.state {
             let place = format!("{}, record {index}", context.files.name_envelopes(index / CHUNK));

@@ -15,7 +15,6 @@
 mod chunk;
 mod class;
 mod files;
-mod frames;
 mod log;
 mod options;
 mod record;
@@ -29,13 +28,11 @@ use std::path::Path;
 
 use cairn_log::format::{Checkpoint, Policy, merkle};
 
-pub(crate) use chunk::check_map_leaf;
 pub use class::Class;
 pub use files::StoreError;
 pub use options::{Stock, StoreOptions};
 pub use report::StoreReport;
-pub(crate) use seal::read_manifest;
-pub(crate) use seal::{compare, compare_listed, strangers};
+pub(crate) use seal::{Covered, compare, read_manifest, read_seal};
 
 use crate::{code::Code, policy, report::Findings};
 use files::Files;
@@ -71,10 +68,7 @@ fn published(files: &Files, options: &StoreOptions<'_>, findings: &mut Findings)
             return None;
         }
     };
-    let parsed = cairn_log::format::Note::parse(&text)
-        .map_err(cairn_log::format::CheckpointError::from)
-        .and_then(|note| Ok((Checkpoint::parse_text(&note.text)?, note)));
-    let (checkpoint, note) = match parsed {
+    let (note, checkpoint) = match Checkpoint::read(&text) {
         Ok(parsed) => parsed,
         Err(e) => {
             findings.add(Code::StoreCheckpointMalformed, place, "a signed checkpoint", e);

@@ -2,8 +2,8 @@
 //! signature on it.
 
 use cairn_log::format::{
-    Digest, DsseError, Envelope, Leaf, OwnerRecord, PublicKey, RecordError, RecordKind, dsse::EnvelopeSignature,
-    leaf::LEAF_LEN, record::scene_commitment,
+    Digest, DsseError, Envelope, OwnerRecord, PublicKey, RecordError, RecordKind, SignedRecord,
+    dsse::EnvelopeSignature, leaf::LEAF_LEN,
 };
 
 use crate::code::Code;
@@ -48,24 +48,17 @@ pub(super) fn check(json: &[u8], origin: Option<&str>, registry: Option<&PublicK
         let expected = "an envelope's JSON exactly as the registry writes it";
         return Err(fault(Code::StoreEnvelope, expected, "another spelling of it"));
     }
-    let (record, owner_signature) = OwnerRecord::open(&envelope).map_err(|e| match &e {
+    let signed = SignedRecord::open(envelope).map_err(|e| match &e {
         RecordError::OwnerSignature { .. } => fault(Code::StoreRecordSignature, "signed by the owner that it names", e),
         RecordError::Envelope(DsseError::PayloadType { .. }) => fault(Code::StoreEnvelope, "an owner record", e),
         _ => fault(Code::StoreEnvelope, "an owner record of version 1", e),
     })?;
-    if let Some(origin) = origin.filter(|origin| *origin != record.origin) {
-        return Err(fault(Code::StoreRecordRule, format!("a record for {origin}"), record.origin));
+    let named = &signed.record().origin;
+    if let Some(origin) = origin.filter(|origin| *origin != named) {
+        return Err(fault(Code::StoreRecordRule, format!("a record for {origin}"), named));
     }
-    let replacing = signatures(&envelope, &record, registry)?;
-    let signature = owner_signature.sig.as_slice().try_into();
-    let signature = signature.map_err(|_| fault(Code::StoreRecordSignature, "64 bytes", owner_signature.sig.len()))?;
-    let leaf = Leaf {
-        kind: record.kind,
-        record: envelope.digest(),
-        owner: record.owner_key.id(),
-        scene: scene_commitment(&record.scene_salt, &record.scene),
-        signature,
-    };
+    let replacing = signatures(signed.envelope(), signed.record(), registry)?;
+    let (_, record, leaf) = signed.into_parts();
     Ok(Sound { leaf: leaf.encode(), record, replacing })
 }
 
@@ -108,8 +101,8 @@ fn signatures(
 
 /// Whether the middle signature of `json` is by the owner of the record in `other`.
 pub(super) fn agreed_by(json: &[u8], other: &[u8]) -> bool {
-    let open = |json| Envelope::parse(json).ok().and_then(|e| Some((OwnerRecord::parse(&e.payload).ok()?, e)));
-    let (Some((_, envelope)), Some((other, _))) = (open(json), open(other)) else { return false };
+    let (Ok(envelope), Ok(other)) = (Envelope::parse(json), Envelope::parse(other)) else { return false };
+    let Ok(other) = OwnerRecord::parse(&other.payload) else { return false };
     let middle = envelope.signatures.get(1).filter(|_| envelope.signatures.len() == 3);
     let key = other.owner_key;
     middle.is_some_and(|s| s.keyid == key.id().to_string() && key.verify(&envelope.pae(), &s.sig).is_ok())

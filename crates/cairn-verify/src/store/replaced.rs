@@ -7,8 +7,9 @@ use std::{
 };
 
 use cairn_log::format::{
-    Digest, Leaf, RecordKind,
+    Digest, Leaf, MapKey, RecordKind,
     heir::{Ending, Heir, heir},
+    packs::{self, Slot},
     tile::TileKind,
 };
 
@@ -17,22 +18,17 @@ use rayon::prelude::*;
 use super::{
     chunk::Context,
     files::{CHUNK, ENTRY},
-    frames::{Frames, Slot},
     record::{self, Replacing},
     tiles,
 };
-use crate::{
-    code::Code,
-    map::{Key, ended},
-    report::Findings,
-};
+use crate::{code::Code, report::Findings};
 
 /// How keys ended, by the map keys under which their ends are listed ([`ended`]).
-pub(super) type Endings = HashMap<Key, Ending>;
+pub(super) type Endings = HashMap<MapKey, Ending>;
 
 /// Takes down what the record at `index`, by a key that is good, ends. Of an erased record only its map keys are known;
 /// then all of them are taken down, since none but a key's end is ever looked up.
-pub(super) fn note(endings: &mut Endings, kind: RecordKind, keys: &[Key], index: u64, owner: Digest) {
+pub(super) fn note(endings: &mut Endings, kind: RecordKind, keys: &[MapKey], index: u64, owner: Digest) {
     let to = match kind {
         RecordKind::Revocation => None,
         RecordKind::Rotation => Some(owner),
@@ -55,7 +51,7 @@ pub(super) fn check(context: &Context<'_>, found: &[(u64, Replacing)], endings: 
             findings.add(Code::StoreRecordRule, place, expected, one.replaces);
             continue;
         };
-        let known = |key: &Digest| endings.get(&ended(key)).copied();
+        let known = |key: &Digest| endings.get(&MapKey::ended(key)).copied();
         // Whose word there must be: the owner's of this record.
         let by = if one.kind == RecordKind::Rotation {
             if let Some(end) = known(owner).filter(|end| end.index < *index) {
@@ -109,9 +105,9 @@ fn agreement(context: &Context<'_>, index: u64, by: u64, place: String, findings
 
 fn record_at(context: &Context<'_>, index: u64) -> Option<Vec<u8>> {
     let bytes = context.files.envelopes(index / CHUNK).ok().flatten()?;
-    match Frames::parse(&bytes).slots.get((index % CHUNK) as usize)? {
-        Slot::Record(json) => Some(json.to_vec()),
-        Slot::Erased(_) | Slot::Map => None,
+    match packs::parse_whole(&bytes).0.into_iter().nth((index % CHUNK) as usize)? {
+        Slot::Record(json) => Some(json),
+        Slot::Erased(_) | Slot::MapLeaf => None,
     }
 }
 

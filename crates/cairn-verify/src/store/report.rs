@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::Class;
 use crate::{
     code::{Code, Severity},
-    report::{Finding, Findings, Outcome},
+    report::{Finding, Findings, Outcome, lines, report},
 };
 
 /// Most findings that a report carries; a store that is lost as a whole has one for each of its files.
@@ -57,10 +57,9 @@ pub struct StoreReport {
     pinned: bool,
 }
 
-impl StoreReport {
-    /// The version of the JSON form.
-    pub const VERSION: u32 = 1;
+report!(StoreReport);
 
+impl StoreReport {
     pub(super) fn new(checkpoint: Option<Checkpoint>, tally: Tally, findings: Findings, pinned: bool) -> Self {
         let mut report = Self {
             version: Self::VERSION,
@@ -102,20 +101,9 @@ impl StoreReport {
         };
     }
 
-    /// Whether a finding with this code is there.
-    pub fn has(&self, code: Code) -> bool {
-        self.findings.iter().any(|f| f.code == code)
-    }
-
     /// 0 where nothing is at fault, else the smallest of the classes' codes.
     pub fn exit_code(&self) -> u8 {
         self.classes.first().map_or(0, |class| class.exit_code())
-    }
-
-    /// The report as indented JSON.
-    pub fn to_json(&self) -> String {
-        // Strings and numbers only: there is nothing that could fail to serialise.
-        serde_json::to_string_pretty(self).unwrap_or_default()
     }
 }
 
@@ -126,9 +114,7 @@ impl fmt::Display for StoreReport {
         writeln!(f, "log of size {}, root {root}", self.size)?;
         let erased = if self.erased == 0 { String::new() } else { format!(" ({} erased)", self.erased) };
         writeln!(f, "{} records{erased}, {} map leaves, {} keys", self.records, self.map_leaves, self.map_keys)?;
-        for finding in &self.findings {
-            writeln!(f, "{finding}")?;
-        }
+        lines(&self.findings, f)?;
         if self.left_out > 0 {
             writeln!(f, "and {} findings more", self.left_out)?;
         }

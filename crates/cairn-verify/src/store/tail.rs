@@ -1,13 +1,16 @@
 //! What lies behind the last entry, and what does not belong: records that were
 //! accepted and not published yet, and files that nothing of the registry's is.
 
-use cairn_log::format::{NoteVerifier, tile::TilePath};
+use cairn_log::format::{
+    NoteVerifier,
+    packs::{self, Slot},
+    tile::TilePath,
+};
 
 use super::{
     StoreError,
     chunk::Context,
     files::{self, CHUNK},
-    frames::{Frames, Slot},
     record,
 };
 use crate::{code::Code, report::Findings};
@@ -23,7 +26,7 @@ pub(super) fn check(context: &Context<'_>, chunks: u64, findings: &mut Findings)
         findings.add(Code::StoreTail, files.name_public("tile"), "", got);
     }
     let mut unknown = Vec::new();
-    files::walk(&files.public(), &mut |name, _| {
+    files::walk(&files.public(), &mut |name| {
         let tile = || name.parse::<TilePath>().ok().filter(|tile| belongs(tile, context.extent));
         if name != "checkpoint" && tile().is_none() {
             unknown.push(files.name_public(name));
@@ -39,7 +42,7 @@ pub(super) fn check(context: &Context<'_>, chunks: u64, findings: &mut Findings)
     let last = context.extent / CHUNK;
     let mut tail = Vec::new();
     let mut strangers = Vec::new();
-    files::walk(&files.registry().join("envelopes"), &mut |name, _| {
+    files::walk(&files.registry().join("envelopes"), &mut |name| {
         // Paths of tiles, so that they are read in one way only.
         match format!("tile/entries/{name}").parse::<TilePath>() {
             Ok(path) if u64::from(path.width) < CHUNK => strangers.push(name.to_owned()),
@@ -69,15 +72,15 @@ fn belongs(tile: &TilePath, extent: u64) -> bool {
 /// Records that no entry speaks of yet: durable, and published when the registry starts.
 fn behind(context: &Context<'_>, index: u64, findings: &mut Findings) {
     let Ok(Some(bytes)) = context.files.envelopes(index) else { return };
-    let frames = Frames::parse(&bytes);
+    let (slots, broken) = packs::parse_whole(&bytes);
     let from = context.extent.saturating_sub(index * CHUNK).min(CHUNK) as usize;
     let place = context.files.name_envelopes(index);
-    let more = frames.slots.len().saturating_sub(from);
-    if more > 0 || (frames.broken.is_some() && from < CHUNK as usize && frames.slots.len() >= from) {
-        let torn = frames.broken.as_ref().map_or_else(String::new, |cause| format!("; {cause}"));
+    let more = slots.len().saturating_sub(from);
+    if more > 0 || (broken.is_some() && from < CHUNK as usize && slots.len() >= from) {
+        let torn = broken.as_ref().map_or_else(String::new, |cause| format!("; {cause}"));
         findings.add(Code::StoreTail, place.clone(), "", format!("{more} frames behind the last entry{torn}"));
     }
-    for (at, slot) in frames.slots.iter().enumerate().skip(from) {
+    for (at, slot) in slots.iter().enumerate().skip(from) {
         let Slot::Record(json) = slot else { continue };
         if let Err(fault) = record::check(json, context.origin, context.key.map(NoteVerifier::key)) {
             let place = format!("{place}, record {}", index * CHUNK + at as u64);

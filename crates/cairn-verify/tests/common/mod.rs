@@ -7,8 +7,9 @@ use cairn_log::format::{
     OwnerRecord, RecordKind,
     answer::{AnswerGap, Format, List, ListedRecord, MapPart, Source, asked_key, collect},
     map::keys_of,
-    merkle::{Tree, empty_root},
+    merkle::empty_root,
     record::{self, Digests, Identity, Seen, photographs_root},
+    testing::Tree,
 };
 use cairn_verify::{AnswerReport, Outcome, Severity, audit_answer};
 

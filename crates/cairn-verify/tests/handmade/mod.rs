@@ -11,8 +11,9 @@ use cairn_log::format::{
     Checkpoint, Digest, Envelope, Leaf, NoteVerifier, OwnerKey, OwnerRecord, RecordKind,
     dsse::pae,
     leaf::LEAF_LEN,
-    merkle::{self, Tree, leaf_hash},
+    merkle::{self, leaf_hash},
     record::{self, Digests, Identity, Seen, photographs_root},
+    testing::Tree,
     tile::{TileKind, TilePath, encode_entries},
 };
 

@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use cairn_log::{Registry, TlogProof};
+use cairn_log::{Registry, SignedRecord, TlogProof};
 use cairn_verify::{Evidence, Outcome};
 use serde::{Deserialize, Serialize};
 
@@ -130,7 +130,7 @@ fn serve(task: &Log) -> anyhow::Result<Served> {
     for i in 0..SUBMISSIONS {
         let (envelope, _) = made::record(&registry, task.seed + 1, task.records + i, task.views)?;
         let begun = Instant::now();
-        last = Some(registry.submit(&envelope)?);
+        last = Some(registry.submit(SignedRecord::open(envelope)?)?);
         waits.push(ms(begun));
     }
     registry.publish()?;

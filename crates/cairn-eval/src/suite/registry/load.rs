@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use cairn_log::{Envelope, Registry};
+use cairn_log::{Envelope, Registry, SignedRecord};
 use serde::{Deserialize, Serialize};
 
 use super::made::{self, ORIGIN};
@@ -127,7 +127,7 @@ fn submit(
         let Some(envelope) = envelopes.get(number) else { return Ok(acknowledged) };
         let due = task.rate.map_or_else(|| begun.elapsed(), |rate| Duration::from_secs_f64(number as f64 / rate));
         std::thread::sleep(due.saturating_sub(begun.elapsed()));
-        let receipt = registry.submit(envelope)?;
+        let receipt = registry.submit(SignedRecord::open(envelope.clone())?)?;
         publisher.wake();
         let at = begun.elapsed();
         acknowledged.push(Acknowledged { index: receipt.index, at, waited: at.saturating_sub(due) });

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use cairn_log::{Checkpoint, Digest, Registry, format::merkle};
+use cairn_log::{Checkpoint, Digest, Registry, SignedRecord, format::merkle};
 use serde::{Deserialize, Serialize};
 
 use super::made::{self, ORIGIN};
@@ -65,7 +65,8 @@ impl Work for Victim {
                     scope.spawn(|| -> anyhow::Result<()> {
                         loop {
                             let number = task.round * 1_000_000 + count.fetch_add(1, Ordering::Relaxed);
-                            let receipt = registry.submit(&made::record(&registry, task.seed, number, 1)?.0)?;
+                            let receipt = registry
+                                .submit(SignedRecord::open(made::record(&registry, task.seed, number, 1)?.0)?)?;
                             publisher.wake();
                             let checkpoint = Checkpoint::verify(&receipt.checkpoint, &log)?;
                             let (size, root) = (checkpoint.size, checkpoint.root);

@@ -5,7 +5,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::format::{digest::Digest, merkle, serial};
+use crate::format::{
+    digest::Digest,
+    merkle::{self, Frontier},
+    serial,
+};
 
 /// One record of a list, by its place in the log and its leaf.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -37,10 +41,7 @@ pub fn list_root(entries: &[MapEntry]) -> Digest {
 
 /// A list in compact form: how many entries, and the hashes of its full subtrees, largest first.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct ListState {
-    count: u64,
-    subtrees: Vec<Digest>,
-}
+pub struct ListState(Frontier);
 
 /// Why stored bytes are no list.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -55,33 +56,23 @@ pub struct ListError {
 impl ListState {
     /// How many entries.
     pub fn count(&self) -> u64 {
-        self.count
+        self.0.size()
     }
 
     /// Appends an entry, which MUST lie behind all others in the log.
     pub fn append(&mut self, entry: &MapEntry) {
-        let mut hash = entry.hash();
-        // Every trailing one of the count is a full subtree that the new entry completes to one twice as large.
-        for _ in 0..self.count.trailing_ones() {
-            if let Some(left) = self.subtrees.pop() {
-                hash = merkle::node_hash(&left, &hash);
-            }
-        }
-        self.subtrees.push(hash);
-        self.count += 1;
+        self.0.push(entry.hash());
     }
 
     /// Root over the entries; see [`list_root`].
     pub fn root(&self) -> Digest {
-        let mut smaller_first = self.subtrees.iter().rev();
-        let Some(last) = smaller_first.next() else { return merkle::empty_root() };
-        smaller_first.fold(*last, |right, left| merkle::node_hash(left, &right))
+        self.0.root()
     }
 
     /// Writes `count u64 BE | hashes` behind `out`.
     pub fn encode(&self, out: &mut Vec<u8>) {
-        out.extend_from_slice(&self.count.to_be_bytes());
-        for hash in &self.subtrees {
+        out.extend_from_slice(&self.count().to_be_bytes());
+        for hash in self.0.peaks() {
             out.extend_from_slice(hash.as_bytes());
         }
     }
@@ -97,8 +88,8 @@ impl ListState {
         let length = count.count_ones() as usize * Digest::LEN;
         let (hashes, rest) = rest.split_at_checked(length).ok_or_else(|| refuse(8 + length))?;
         let (hashes, _) = hashes.as_chunks::<{ Digest::LEN }>();
-        let subtrees = hashes.iter().map(|hash| Digest::from_bytes(*hash)).collect();
-        Ok((Self { count, subtrees }, rest))
+        let peaks = hashes.iter().map(|hash| Digest::from_bytes(*hash)).collect();
+        Ok((Self(Frontier::of(count, peaks)), rest))
     }
 }
 

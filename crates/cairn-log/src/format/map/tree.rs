@@ -125,3 +125,52 @@ impl Node {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::format::merkle;
+
+    /// The definition, word for word.
+    fn by_definition(map: &BTreeMap<MapKey, Vec<MapEntry>>, depth: usize) -> Digest {
+        match map.iter().collect::<Vec<_>>().as_slice() {
+            [] => EMPTY,
+            [(key, entries)] => {
+                let leaf = |e: &MapEntry| [&e.index.to_be_bytes()[..], e.leaf_hash.as_bytes()].concat();
+                let leaves: Vec<Digest> = entries.iter().map(|entry| merkle::leaf_hash(&leaf(entry))).collect();
+                Digest::of_parts(&[&[2], key.as_bytes(), merkle::root(&leaves).as_bytes()])
+            }
+            _ => {
+                let (left, right): (BTreeMap<_, _>, BTreeMap<_, _>) =
+                    map.clone().into_iter().partition(|(key, _)| key.as_bytes()[depth / 8] >> (7 - depth % 8) & 1 == 0);
+                let (left, right) = (by_definition(&left, depth + 1), by_definition(&right, depth + 1));
+                Digest::of_parts(&[&[3], left.as_bytes(), right.as_bytes()])
+            }
+        }
+    }
+
+    #[test]
+    fn roots_follow_the_definition_after_every_entry() {
+        let mut map = MapTree::new();
+        let mut reference = BTreeMap::<MapKey, Vec<MapEntry>>::new();
+        assert_eq!(map.root(), EMPTY);
+        for index in 0..120_u64 {
+            // Every third key comes again; two differ in the last bit alone.
+            let mut key = *Digest::of((index / 3).to_be_bytes()).as_bytes();
+            if index % 40 == 7 {
+                key = *Digest::of([0; 8]).as_bytes();
+                key[31] ^= 1;
+            }
+            let (key, entry) =
+                (MapKey::from_bytes(key), MapEntry { index, leaf_hash: Digest::of(index.to_le_bytes()) });
+            assert_eq!(map.get(&key).is_some(), reference.contains_key(&key));
+            map.append(key, &entry);
+            reference.entry(key).or_default().push(entry);
+            assert_eq!(map.root(), by_definition(&reference, 0), "after {index}");
+            assert!(map.get(&key).is_some());
+        }
+        assert_eq!(map.len(), reference.len() as u64);
+    }
+}

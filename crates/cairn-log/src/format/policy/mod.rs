@@ -19,7 +19,7 @@ use crate::format::{
     cosignature::{CosignatureError, WitnessVerifier},
     digest::clip,
     key::PublicKey,
-    note::{Note, NoteError, NoteVerifier},
+    note::{NoteError, NoteVerifier},
 };
 
 /// Largest policy that is read, in bytes: thousands of witnesses.
@@ -185,8 +185,7 @@ impl Policy {
     /// # Errors
     /// As [`Policy::check`].
     pub fn check_under(&self, note: &str, logs: &[NoteVerifier]) -> Result<PolicyVerdict, PolicyCheckError> {
-        let note = Note::parse(note).map_err(CheckpointError::from)?;
-        let checkpoint = Checkpoint::parse_text(&note.text)?;
+        let (note, checkpoint) = Checkpoint::read(note)?;
         let keys: Vec<NoteVerifier> = logs.iter().filter(|log| log.name() == checkpoint.origin).cloned().collect();
         if keys.is_empty() {
             let known = logs.iter().map(NoteVerifier::name).collect::<Vec<_>>();
@@ -270,10 +269,8 @@ impl Reader {
         match words.as_slice() {
             [] => Ok(()),
             [first, ..] if first.starts_with(b"#") => Ok(()),
-            [b"log", vkey] => self.log(vkey, None),
-            [b"log", vkey, url] => self.log(vkey, Some(url)),
-            [b"witness", name, vkey] => self.witness(name, vkey, None),
-            [b"witness", name, vkey, url] => self.witness(name, vkey, Some(url)),
+            [b"log", vkey, url @ ..] if url.len() <= 1 => self.log(vkey, url.first().copied()),
+            [b"witness", name, vkey, url @ ..] if url.len() <= 1 => self.witness(name, vkey, url.first().copied()),
             [b"group", name, threshold, members @ ..] if !members.is_empty() => self.group(name, threshold, members),
             [b"quorum", name] => self.quorum(name),
             [b"log", ..] => Err("expected `log <vkey> [<url>]`".into()),

@@ -1,6 +1,7 @@
 //! Policies: what is read, what is refused and on which line, and what quorums say of times.
 
 use super::*;
+use crate::format::note::Note;
 use crate::format::{cosignature::cosign, digest::Digest, key::OwnerKey};
 
 const ORIGIN: &str = "log.example/owners";

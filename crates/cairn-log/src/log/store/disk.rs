@@ -10,7 +10,7 @@
 use std::{
     collections::HashSet,
     ffi::OsString,
-    fs::{self, File},
+    fs::{self, File, TryLockError},
     io,
     ops::Bound,
     path::{Path, PathBuf},
@@ -57,22 +57,11 @@ impl DiskStore {
         let mut name = folder.as_os_str().to_owned();
         name.push(".new");
         let new = PathBuf::from(name);
-        let failed = |e: io::Error| error("make", &new, &e);
-        match fs::remove_dir_all(&new) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(failed(e)),
-            _ => {}
-        }
+        let failed = |e: io::Error| StoreError::new("make", new.display(), e);
+        cairn_durable::remove(&new)?;
         drop(Self::opened(Self::open_sled(&new)?, &new).map_err(failed)?);
         // Sled writes for a moment after the last handle is dropped, and by name: it must be through before the rename.
-        let log = File::open(new.join("db")).map_err(failed)?;
-        let mut tries = 1;
-        while let Err(e) = log.try_lock() {
-            if tries == OPEN_TRIES {
-                return Err(failed(io::Error::other(format!("sled does not let go of it: {e}"))));
-            }
-            tries += 1;
-            thread::sleep(OPEN_PAUSE);
-        }
+        await_closed(&new.join("db")).map_err(failed)?;
         Ok(cairn_durable::rename(&new, folder)?)
     }
 
@@ -130,6 +119,19 @@ impl DiskStore {
     }
 }
 
+/// Sled writes for a moment after its last handle is dropped, and holds its lock until then.
+pub(crate) fn await_closed(db: &Path) -> io::Result<()> {
+    let file = File::open(db)?;
+    for _ in 0..250 {
+        match file.try_lock() {
+            Ok(()) => return file.unlock(),
+            Err(TryLockError::WouldBlock) => thread::sleep(OPEN_PAUSE),
+            Err(TryLockError::Error(e)) => return Err(e),
+        }
+    }
+    Err(io::Error::new(io::ErrorKind::TimedOut, "the store does not close"))
+}
+
 /// Sled writes a snapshot of its page table at each start as `snap.<lsn>.generating`, and renames it once it is whole. One
 /// that was cut short it takes for a snapshot, finds it corrupt and never opens the database again (sled 0.34.7, config.rs,
 /// `get_snapshot_files`). Without it sled goes on from the one before, or from the log.
@@ -150,7 +152,7 @@ fn remove_half_snapshots(folder: &Path) -> io::Result<()> {
 }
 
 fn error(operation: &'static str, folder: &Path, cause: &dyn std::error::Error) -> StoreError {
-    StoreError { operation, place: folder.display().to_string(), cause: cause.to_string() }
+    StoreError::new(operation, folder.display(), cause)
 }
 
 impl Store for DiskStore {

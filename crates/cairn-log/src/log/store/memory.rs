@@ -124,8 +124,8 @@ impl Disk for FaultyStore {
         self.disk.read(path, limit)
     }
 
-    fn read_at(&self, path: &str, offset: u64, length: usize) -> Result<Option<Vec<u8>>, DurableError> {
-        self.disk.read_at(path, offset, length)
+    fn list(&self, folder: &str) -> Result<Vec<String>, DurableError> {
+        self.disk.list(folder)
     }
 
     fn open(&self, path: &str) -> Result<Option<Box<dyn OpenFile>>, DurableError> {

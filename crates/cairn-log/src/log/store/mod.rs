@@ -9,10 +9,13 @@
 //! [`DiskStore`] is sled. [`TieredStore`] keeps a store small by moving what only accumulates into sorted files.
 
 mod disk;
+#[cfg(any(test, feature = "testing"))]
 mod memory;
 mod tiered;
 
 pub use disk::DiskStore;
+pub(crate) use disk::await_closed;
+#[cfg(any(test, feature = "testing"))]
 pub use memory::FaultyStore;
 pub use tiered::{Cold, KnownFile, TieredStore};
 
@@ -31,7 +34,7 @@ impl From<DurableError> for StoreError {
             DurableError::TooLarge { ref path, .. } => ("read", path.clone(), error.to_string()),
             DurableError::Locked { ref path, .. } => ("lock", path.clone(), error.to_string()),
         };
-        Self { operation, place: path.display().to_string(), cause }
+        Self::new(operation, path.display(), cause)
     }
 }
 
@@ -103,4 +106,10 @@ pub struct StoreError {
     pub place: String,
     /// What was said.
     pub cause: String,
+}
+
+impl StoreError {
+    pub(crate) fn new(operation: &'static str, place: impl ToString, cause: impl ToString) -> Self {
+        Self { operation, place: place.to_string(), cause: cause.to_string() }
+    }
 }

@@ -12,6 +12,9 @@
 //! Numbers are big-endian. A separator is greater than every key before its block and not greater than the first key in it.
 //! Every byte is under a checksum, so that a disk that rots shows as an error with a place and not as a missing record.
 
+/// What to do where a run, or the list of them, is damaged.
+pub(super) const RESTORE: &str =
+    "restore the newest backup, or have the working state made again (`cairn registry rebuild`)";
 /// First bytes of the file, with the format's version.
 pub(super) const MAGIC: &[u8] = b"cairn-run/1\n";
 /// Bytes of rows after which a block is closed.
@@ -63,6 +66,14 @@ pub(super) fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
 pub(super) fn opened(bytes: &[u8]) -> Option<&[u8]> {
     let (bytes, crc) = bytes.split_last_chunk::<CRC>()?;
     (crc32fast::hash(bytes) == u32::from_be_bytes(*crc)).then_some(bytes)
+}
+
+/// Appends a row whose key and value are not too long for it.
+pub(super) fn push_row(rows: &mut Vec<u8>, key: &[u8], value: &[u8]) {
+    rows.extend_from_slice(&(key.len() as u16).to_be_bytes());
+    rows.extend_from_slice(&(value.len() as u32).to_be_bytes());
+    rows.extend_from_slice(key);
+    rows.extend_from_slice(value);
 }
 
 /// The row at the front of `rows`, and what lies behind it.

@@ -26,6 +26,7 @@ use std::{
 };
 
 use self::{
+    format::RESTORE,
     manifest::{Manifest, RunInfo},
     merge::{Merge, Sorted},
     reader::Run,
@@ -111,13 +112,9 @@ impl TieredStore {
     ) -> Result<Self, StoreError> {
         let manifest = match hot.get(MANIFEST)? {
             None => Manifest::default(),
-            Some(bytes) => Manifest::decode(&bytes).ok_or_else(|| StoreError {
-                operation: "open",
-                place: folder.into(),
-                cause:
-                    "the list of sorted runs is damaged or of another version; restore the newest backup, or have the \
-                        working state made again (`cairn registry rebuild`)"
-                        .into(),
+            Some(bytes) => Manifest::decode(&bytes).ok_or_else(|| {
+                let cause = format!("the list of sorted runs is damaged or of another version; {RESTORE}");
+                StoreError::new("open", folder, cause)
             })?,
         };
         let runs = manifest.runs.iter().map(|run| Ok(Arc::new(Run::open(&files, path_of(folder, run.number), *run)?)));
@@ -168,8 +165,7 @@ impl TieredStore {
     fn part(&self, batch: Vec<Change>) -> Result<(Vec<Entry>, Vec<Change>), StoreError> {
         let (mut cold, mut hot) = (Vec::new(), Vec::new());
         for (key, value) in batch {
-            let refuse =
-                |cause: &str| StoreError { operation: "put", place: format!("{key:02x?}"), cause: cause.into() };
+            let refuse = |cause| StoreError::new("put", format!("{key:02x?}"), cause);
             if self.cold_of(&key).is_none() {
                 hot.push((key, value));
                 continue;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{
     filter::Filter,
-    format::{CRC, FOOTER, Footer, MAGIC, opened, row},
+    format::{CRC, FOOTER, Footer, MAGIC, RESTORE, opened, row},
     manifest::RunInfo,
 };
 use crate::log::store::{Entry, StoreError};
@@ -30,17 +30,16 @@ struct Blocks {
 impl Run {
     /// Opens a run and holds it to what is known of it.
     pub(super) fn open(files: &Files, path: String, info: RunInfo) -> Result<Self, StoreError> {
-        let refuse = |cause: String| StoreError { operation: "open", place: path.clone(), cause };
-        let restore = "restore the newest backup, or have the working state made again (`cairn registry rebuild`)";
-        let file = files.open(&path)?.ok_or_else(|| refuse(format!("the file is missing; {restore}")))?;
+        let refuse = |cause: String| StoreError::new("open", &path, cause);
+        let file = files.open(&path)?.ok_or_else(|| refuse(format!("the file is missing; {RESTORE}")))?;
         let size = file.size()?;
         if size != info.size || size < (MAGIC.len() + FOOTER) as u64 {
-            return Err(refuse(format!("{size} bytes, {} were written; {restore}", info.size)));
+            return Err(refuse(format!("{size} bytes, {} were written; {RESTORE}", info.size)));
         }
         if file.read_at(0, MAGIC.len())? != MAGIC {
             return Err(refuse("not a sorted run of version 1 (`cairn-run/1`)".into()));
         }
-        let damaged = |what: &str| refuse(format!("its {what} is damaged; {restore}"));
+        let damaged = |what: &str| refuse(format!("its {what} is damaged; {RESTORE}"));
         let end = size - FOOTER as u64;
         let footer = Footer::decode(&file.read_at(end, FOOTER)?).ok_or_else(|| damaged("footer"))?;
         if (footer.rows, footer.filtered) != (info.rows, info.filtered) {
@@ -95,11 +94,7 @@ impl Run {
     }
 
     fn damaged(&self, block: usize) -> StoreError {
-        let cause = format!(
-            "block {block} is damaged; restore the newest backup, or have the working state made again (`cairn registry \
-             rebuild`)"
-        );
-        StoreError { operation: "read", place: self.path.clone(), cause }
+        StoreError::new("read", &self.path, format!("block {block} is damaged; {RESTORE}"))
     }
 }
 

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use super::format::row;
+use super::format::{RESTORE, push_row, row};
 use crate::log::store::{Change, Entry, Store, StoreError};
 
 /// What the keys of journal entries begin with; their number follows.
@@ -38,15 +38,8 @@ impl Recent {
                 return Ok((recent, next));
             }
             for (key, entry) in page {
-                let refuse = || {
-                    StoreError {
-                    operation: "open",
-                    place: format!("journal entry {key:02x?}"),
-                    cause: "damaged or of another version; restore the newest backup, or have the working state made again (`cairn \
-                            registry rebuild`)"
-                        .into(),
-                }
-                };
+                let place = format!("journal entry {key:02x?}");
+                let refuse = || StoreError::new("open", &place, format!("damaged or of another version; {RESTORE}"));
                 let number = key[JOURNAL.len()..].try_into().map(u64::from_be_bytes).map_err(|_| refuse())?;
                 let rows = decode(&entry).ok_or_else(refuse)?;
                 recent.add(rows, vec![number]);
@@ -72,10 +65,7 @@ pub(super) fn entries_of(rows: &[Entry], next: &mut u64) -> (Vec<Change>, Vec<u6
     let (mut entries, mut numbers, mut entry) = (Vec::new(), Vec::new(), vec![VERSION]);
     for (at, (key, value)) in rows.iter().enumerate() {
         // Longer ones were refused.
-        entry.extend_from_slice(&(key.len() as u16).to_be_bytes());
-        entry.extend_from_slice(&(value.len() as u32).to_be_bytes());
-        entry.extend_from_slice(key);
-        entry.extend_from_slice(value);
+        push_row(&mut entry, key, value);
         if entry.len() >= PIECE || at + 1 == rows.len() {
             entries.push((key_of(*next), Some(std::mem::replace(&mut entry, vec![VERSION]))));
             numbers.push(*next);

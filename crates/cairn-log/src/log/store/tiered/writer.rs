@@ -4,7 +4,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::{
     filter::Filter,
-    format::{BLOCK, Footer, MAGIC, sealed},
+    format::{BLOCK, Footer, MAGIC, push_row, sealed},
     manifest::RunInfo,
 };
 use crate::{format::digest::Digest, log::store::StoreError};
@@ -53,20 +53,16 @@ impl<'a> RunWriter<'a> {
 
     /// Appends a row, whose key must be greater than the last one's; `looked_up` keys go into the filter.
     pub(super) fn push(&mut self, key: &[u8], value: &[u8], looked_up: bool) -> Result<(), StoreError> {
-        let lengths = (u16::try_from(key.len()), u32::try_from(value.len()));
-        let (Ok(key_length), Ok(value_length)) = lengths else {
+        if u16::try_from(key.len()).is_err() || u32::try_from(value.len()).is_err() {
             return Err(self.refuse(format!("a row of {} and {} bytes is too long", key.len(), value.len())));
-        };
+        }
         if self.last_key.as_deref().is_some_and(|last| last >= key) {
             return Err(self.refuse(format!("key {key:02x?} is out of order")));
         }
         if self.block.is_empty() {
             self.separator = separator(self.last_key.as_deref().unwrap_or_default(), key).to_vec();
         }
-        self.block.extend_from_slice(&key_length.to_be_bytes());
-        self.block.extend_from_slice(&value_length.to_be_bytes());
-        self.block.extend_from_slice(key);
-        self.block.extend_from_slice(value);
+        push_row(&mut self.block, key, value);
         self.footer.rows += 1;
         if looked_up {
             self.filter.add(key);
@@ -117,7 +113,7 @@ impl<'a> RunWriter<'a> {
     }
 
     fn refuse(&self, cause: String) -> StoreError {
-        StoreError { operation: "write", place: self.path.clone(), cause }
+        StoreError::new("write", &self.path, cause)
     }
 }
 
