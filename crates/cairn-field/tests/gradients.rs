@@ -89,7 +89,7 @@ fn number(grid: &mut Grid<f64>, row: usize, k: usize) -> &mut f64 {
 }
 
 fn agree(frame: &SceneFrame, origin: DVec3, aims: &[DVec3], dims: [usize; 3]) {
-    let mut grid: Grid<f64> = random_grid(dims, 0.8, (-4.5, -1.5), 11);
+    let mut grid: Grid<f64> = random_grid(dims, 0.8, -4.5..-1.5, 11);
     let rays = rays(frame, origin, aims);
     let look = random_appearance(3);
     let found = gradient(&grid, &rays, &look, Roulette::NONE);
@@ -180,7 +180,7 @@ fn contracted_rays_that_turn_a_corner() {
 
 #[test]
 fn an_appearance_code() {
-    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, -4.5..-1.5, 11);
     let rays = rays(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1)]);
     let look = random_appearance(9);
     let mut patch = Patch::default();
@@ -208,7 +208,7 @@ fn an_appearance_code() {
 
 #[test]
 fn faint_vertices_left_to_chance_keep_the_mean() {
-    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, -4.5..-1.5, 11);
     let rays = rays(&ball_box(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 0.9, 0.4)]);
     let look = random_appearance(3);
     let exact = gradient(&grid, &rays, &look, Roulette::NONE);
@@ -232,7 +232,7 @@ fn faint_vertices_left_to_chance_keep_the_mean() {
 fn extreme_rays_have_finite_gradients() {
     let mut numbers = Numbers(1);
     for raw in [-1e8, -50.0, 0.0, 50.0, 1e4, 1e8] {
-        let mut grid: Grid<f32> = random_grid([6, 5, 7], 1.0, (0.0, 1.0), 2);
+        let mut grid: Grid<f32> = random_grid([6, 5, 7], 1.0, 0.0..1.0, 2);
         grid.set_raw_rows(&vec![raw as f32; grid.rows() - 1]);
         grid.refresh_occupancy(0.0);
         let d = DVec3::new(1.0, numbers.within(-0.2, 0.2), -0.5).normalize();
@@ -263,7 +263,7 @@ fn extreme_rays_have_finite_gradients() {
 
 #[test]
 fn rays_of_one_tile_add_up() {
-    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, -4.5..-1.5, 11);
     let aims = [DVec3::new(0.3, -0.2, 0.1), DVec3::new(0.35, -0.2, 0.1), DVec3::new(0.3, -0.1, 0.12)];
     let rays = rays(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &aims);
     let basis = rays[0].1;

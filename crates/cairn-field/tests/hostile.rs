@@ -80,7 +80,7 @@ fn one_view_and_a_lone_pixel_train() {
 fn cameras_inside_and_looking_away_render() {
     let look = Appearance::neutral([0.1, 0.2, 0.3]);
     for frame in [ball_box(), ball_in_the_open()] {
-        let field = field_of(&frame, &random_grid([12, 12, 12], 1.0, (-3.0, 0.0), 2), &look);
+        let field = field_of(&frame, &random_grid([12, 12, 12], 1.0, -3.0..0.0, 2), &look);
         let inside = field.render_maps(&camera(DVec3::new(0.1, 0.2, 0.0), DVec3::ONE, 8), &look);
         let away = field.render_maps(&camera(DVec3::new(0.0, 0.0, 3.0), DVec3::new(0.0, 0.5, 9.0), 8), &look);
         for maps in [&inside, &away] {
@@ -114,7 +114,7 @@ fn walls_and_nothing_are_exact() {
 #[test]
 fn unknown_formats_are_refused_by_name() {
     let look = Appearance::neutral([0.0; 3]);
-    let grid = random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1);
+    let grid = random_grid([4, 5, 6], 0.5, -1.0..0.0, 1);
     let header = |change: &dyn Fn(&mut serde_json::Value)| {
         let mut header = serde_json::json!({
             "format": "cairn.field/3", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
@@ -136,7 +136,7 @@ fn unknown_formats_are_refused_by_name() {
 #[test]
 fn damaged_files_are_errors() {
     let look = Appearance::neutral([0.0; 3]);
-    let field = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1), &look);
+    let field = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, -1.0..0.0, 1), &look);
     let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
     trainer.step().expect("finite numbers");
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
@@ -163,7 +163,7 @@ fn damaged_files_are_errors() {
 #[test]
 fn tensors_of_a_field_that_do_not_go_together_are_refused() {
     let look = Appearance::neutral([0.0; 3]);
-    let stored = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1), &look);
+    let stored = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, -1.0..0.0, 1), &look);
     let (_, metadata) = SafeTensors::read_metadata(&stored).expect("a field");
     let file = SafeTensors::deserialize(&stored).expect("a field");
     let parts = file.tensors();
