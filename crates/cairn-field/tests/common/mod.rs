@@ -117,6 +117,7 @@ pub fn capture(kind: SceneKind, cameras: Vec<Camera>, unit: f64, at: DVec3) -> C
             camera,
             contributor: "unknown".into(),
             photograph: "none".into(),
+            as_stored: false,
             held_out: false,
             mask: None,
             support: None,
