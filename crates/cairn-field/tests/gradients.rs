@@ -6,12 +6,12 @@ use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, random_appearanc
 use cairn_field::appearance::code::{CODE, FEATURES, features};
 use cairn_field::grid::lattice::{Grid, ROW};
 use cairn_field::grid::sh::{SH, basis};
-use cairn_field::render::composite::{Gathered, Regularise, Thresholds, gather, push_back};
+use cairn_field::render::composite::{Gathered, Thresholds, gather, push_back};
 use cairn_field::render::patch::{Debts, Patch, Roulette};
 use cairn_field::{Appearance, RayPath, SceneFrame};
 use glam::DVec3;
 
-const REGULARISE: Regularise<f64> = Regularise { distortion: 0.7, sparsity: 0.3 };
+const DISTORTION: f64 = 0.7;
 const TARGET: [f64; 3] = [0.2, 0.9, 0.4];
 const OFFSET: f64 = 0.37;
 
@@ -41,11 +41,9 @@ fn loss(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> f64 {
         let shade = look.shade(&features(&gathered, basis));
         sum += (0..3).map(|c| (shade[c] - TARGET[c]).powi(2)).sum::<f64>();
         for a in &tape {
-            // T_i alpha_i and T_{i+1} = T_i - T_i alpha_i give the opacity back.
-            sum += REGULARISE.sparsity * a.weight / (a.weight + a.behind);
-            sum += REGULARISE.distortion / 3.0 * a.weight * a.weight * a.length;
+            sum += DISTORTION / 3.0 * a.weight * a.weight * a.length;
             for b in &tape {
-                sum += REGULARISE.distortion * a.weight * b.weight * (a.along - b.along).abs();
+                sum += DISTORTION * a.weight * b.weight * (a.along - b.along).abs();
             }
         }
     }
@@ -61,7 +59,7 @@ fn gradient(grid: &Grid<f64>, rays: &[Ray], look: &Appearance, mut roulette: Rou
         let gathered = gather(grid, &mut patch, path, OFFSET, Thresholds::EXACT, &mut tape);
         let shade = look.shade(&features(&gathered, basis));
         let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), basis);
-        push_back(&mut patch, &tape, gathered.end, &slope, &REGULARISE);
+        push_back(&mut patch, &tape, gathered.end, &slope, DISTORTION);
         assert!(patch.settle(&mut roulette, &mut debts), "finite gradients");
     }
     by_row(grid, &debts)
@@ -249,8 +247,7 @@ fn extreme_rays_have_finite_gradients() {
                 assert_eq!(gathered.end, 1.0, "raw density {raw} stops nothing");
             }
             let slope = random_appearance(4).pull([1.0f32, -2.0, 0.5], &basis);
-            let regularise = Regularise { distortion: 0.1, sparsity: 0.1 };
-            push_back(&mut patch, &tape, gathered.end, &slope, &regularise);
+            push_back(&mut patch, &tape, gathered.end, &slope, 0.1);
             let mut debts = Debts::default();
             assert!(patch.settle(&mut Roulette::default(), &mut debts), "raw density {raw}");
             for debt in &debts.owed {
@@ -277,7 +274,7 @@ fn rays_of_one_tile_add_up() {
         let gathered = gather(&grid, &mut patch, path, OFFSET, Thresholds::EXACT, &mut tape);
         let shade = look.shade(&features(&gathered, &basis));
         let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), &basis);
-        push_back(&mut patch, &tape, gathered.end, &slope, &REGULARISE);
+        push_back(&mut patch, &tape, gathered.end, &slope, DISTORTION);
     }
     assert!(patch.settle(&mut Roulette::default(), &mut debts), "finite gradients");
     assert_eq!(debts.bases.len(), 1);
@@ -291,6 +288,6 @@ fn rays_of_one_tile_add_up() {
     }
     // A gradient beyond all measure is refused.
     let huge = Gathered { near: [f64::INFINITY; 3], far: [f64::NAN; 3], ..Gathered::default() };
-    push_back(&mut patch, &tape, 0.0, &huge, &REGULARISE);
+    push_back(&mut patch, &tape, 0.0, &huge, DISTORTION);
     assert!(!patch.settle(&mut Roulette::default(), &mut debts));
 }

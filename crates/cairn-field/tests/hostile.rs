@@ -52,7 +52,7 @@ fn settings_out_of_range_are_refused_by_key() {
         (FieldConfig { smooth_in_one_light: 1.5, ..sound() }, "field.smooth_in_one_light"),
         (FieldConfig { learning_rate_density: f64::NAN, ..sound() }, "field.learning_rate_density"),
         (FieldConfig { learning_rate_density: 1e39, ..sound() }, "field.learning_rate_density"),
-        (FieldConfig { sparsity: -1.0, ..sound() }, "field.sparsity"),
+        (FieldConfig { distortion: -1.0, ..sound() }, "field.distortion"),
         (FieldConfig { prune_weight: 2.0, ..sound() }, "field.prune_weight"),
         (FieldConfig { initial_opacity: 1.0, ..sound() }, "field.initial_opacity"),
     ] {

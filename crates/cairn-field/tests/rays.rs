@@ -2,7 +2,7 @@
 //! ray, in order, and stand for all of its length; and passing empty space over
 //! never adds, moves or loses one.
 
-use crate::common::{Ray, Numbers, ahead, ball_box, random_grid};
+use crate::common::{Numbers, Ray, ahead, ball_box, random_grid};
 use cairn_field::grid::lattice::Grid;
 use cairn_field::rays::march::{STEP_VOXELS, Sample, march};
 use cairn_field::{RayPath, Real, SceneFrame};

@@ -3,7 +3,9 @@
 //! nothing skipped, no ray ended early. They share the field and no rule of where
 //! to look at it; what steps of half a voxel leave of the integral is bounded.
 
-use crate::common::{Ray, Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
+use crate::common::{
+    Numbers, Ray, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid,
+};
 use cairn_field::appearance::code::features;
 use cairn_field::grid::lattice::{DENSITY_SCALE, EMPTY_RAW, Grid, ROW};
 use cairn_field::grid::sh::basis;

@@ -1,7 +1,7 @@
 //! Numbers at their ends: what has an exact answer gets exactly that, or as near as
 //! stated; what has none gets an error; and nothing is ever not a number.
 
-use crate::common::{Ray, Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
+use crate::common::{Numbers, Ray, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
 use cairn_field::appearance::code::features;
 use cairn_field::grid::lattice::Grid;
 use cairn_field::grid::sh::basis;
@@ -93,13 +93,7 @@ fn length(frame: &SceneFrame, ray: Ray) -> f64 {
 }
 
 /// Light that a constant medium leaves of a ray's, and how many samples it took.
-fn light_left<T: Real>(
-    frame: &SceneFrame,
-    density: f64,
-    step: f64,
-    side: usize,
-    ray: Ray,
-) -> (f64, f64) {
+fn light_left<T: Real>(frame: &SceneFrame, density: f64, step: f64, side: usize, ray: Ray) -> (f64, f64) {
     let grid: Grid<T> = Grid::full([side; 3], raw_for(density), 0.625);
     let (mut patch, mut tape) = (Patch::default(), Vec::<Kept<T>>::new());
     patch.begin(basis(ray.direction.to_array().map(T::of)));

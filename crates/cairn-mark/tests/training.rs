@@ -44,10 +44,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
         assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
         run(&mut second);
         let end = second.checkpoint().unwrap();
-        assert!(
-            bytes(second) == whole,
-            "the resumed run ended elsewhere ({view_refresh_steps}, {stop})"
-        );
+        assert!(bytes(second) == whole, "the resumed run ended elsewhere ({view_refresh_steps}, {stop})");
         // The marks of the last step: files hold the settings as well, and the state that is kept may be an early one.
         let file = SafeTensors::deserialize(&end).unwrap();
         let marks = ["carrier0.values", "carrier1.values"].map(|name| file.tensor(name).unwrap().data().to_vec());
@@ -119,12 +116,8 @@ fn with_setting(detector: &Detector, key: &str, was: &str, value: &str) -> Detec
 fn who_is_named_less_surely_than_has_to_be_is_not_named(marked: &MarkedField, detector: &Detector) {
     let sure = with_setting(detector, "min_confidence", "0.0", "0.9");
     // Where there is no closer look, whoever is likeliest is named.
-    let alone = with_setting(
-        &with_setting(detector, "center_crop_confidence", "0.9", "1.0"),
-        "min_confidence",
-        "0.0",
-        "0.9",
-    );
+    let alone =
+        with_setting(&with_setting(detector, "center_crop_confidence", "0.9", "1.0"), "min_confidence", "0.0", "0.9");
     let appearance = field().canonical_appearance().clone();
     let (mut unnamed, mut by_middle, mut named) = (0, 0, 0);
     for camera in cameras() {
