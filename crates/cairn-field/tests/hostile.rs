@@ -266,8 +266,8 @@ fn checkpoints_that_do_not_fit_are_refused() {
         |bytes: &[u8]| BaseTrainer::resume(bytes, named(views(2, 12, 1.0, DVec3::ZERO))).err().map(|e| e.to_string());
     assert_eq!(resume(&altered(&bytes, |_| (), "", None)), None);
     let text =
-        resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/10".into(), "", None)).expect("an error");
-    assert!(text.contains("checkpoint/10"), "{text}");
+        resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/11".into(), "", None)).expect("an error");
+    assert!(text.contains("checkpoint/11"), "{text}");
     // An older one has another header, too.
     let older = |h: &mut serde_json::Value| {
         h["format"] = "cairn.field.checkpoint/6".into();
