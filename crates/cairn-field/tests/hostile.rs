@@ -274,7 +274,7 @@ fn checkpoints_that_do_not_fit_are_refused() {
         h.as_object_mut().expect("a header").remove("averaged");
     };
     let text = resume(&altered(&bytes, older, "", None)).expect("an error");
-    assert!(text.contains("checkpoint/6") && text.contains("anew"), "{text}");
+    assert!(text.contains("checkpoint/6") && text.contains("train the scene again"), "{text}");
     for dims in [[0u64, 0, 0], [4, 4, 4], [1 << 40, 1 << 40, 1 << 40], [1 << 30, 2, 2]] {
         assert!(resume(&altered(&bytes, |h| h["dims"] = dims.to_vec().into(), "", None)).is_some(), "{dims:?}");
     }

@@ -231,7 +231,7 @@ fn damaged_checkpoints_are_refused_by_part() {
         h["format"] = "cairn.marked.checkpoint/1000".into();
         h["config"]["a setting of later"] = 1.into();
     };
-    refused(&header(&later), &["cairn.marked.checkpoint/1000", "start the training anew"]);
+    refused(&header(&later), &["cairn.marked.checkpoint/1000", "train the scene again"]);
     for steps in [vec![], vec![3u64], vec![3, 3, 3]] {
         refused(&header(&|h| h["carrier_steps"] = steps.clone().into()), &["carrier_steps", "2 carriers"]);
     }

@@ -229,7 +229,7 @@ fn header_of<H: DeserializeOwned>(metadata: &Metadata, what: &'static str, forma
     let wrong = |e: serde_json::Error| stored(what, format!("its header: {e}"));
     let Format { format: got } = serde_json::from_str(json).map_err(wrong)?;
     if got != format {
-        return Err(stored(what, format!("format `{got}`, this program reads `{format}`; start the training anew")));
+        return Err(stored(what, format!("format `{got}`, this program reads `{format}`")));
     }
     serde_json::from_str(json).map_err(wrong)
 }
