@@ -278,7 +278,7 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
             far,
             held_out: view.held_out,
             // A resampled copy is upright already, and has no EXIF.
-            as_stored: view.photograph.as_stored && matches!(photograph, Photograph::File(_)),
+            as_stored: view.as_stored && matches!(photograph, Photograph::File(_)),
             mask_bytes: mask.as_ref().map_or(0, |png| png.len() as u64),
             mask_sha256: mask.as_ref().map(|png| Sha256::digest(png).to_vec().into()).unwrap_or_default(),
             support: view

@@ -12,6 +12,7 @@ pub mod children;
 mod file;
 mod marked;
 mod marks;
+mod measures;
 mod memory;
 mod origin;
 pub mod page;

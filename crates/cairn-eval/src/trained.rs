@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use cairn_field::{BaseTrainer, Field, FieldConfig};
-use cairn_scene::metrics::{psnr_db, psnr_db_masked, ssim};
+use cairn_scene::metrics::{psnr_db, ssim};
 use cairn_scene::{Camera, Picture, encode_png};
 use cairn_service::export::sheet::{Tile, contact_sheet};
 use cairn_service::query::evaluate::{OFF, difference, eight_bits, half};
@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::baseline::stego::Stego;
 use crate::children::Work;
 use crate::file::{open, read, write};
+use crate::measures::psnr_db_masked;
 use crate::memory::peak_mib;
 use crate::progress::Progress;
 use crate::source::Source;

@@ -1,7 +1,7 @@
 //! Chance that hangs on a seed and a place alone: no generator whose state has to be kept.
 
 /// SplitMix64's finaliser: every bit of the result hangs on every bit of `x`.
-pub(crate) fn mixed(x: u64) -> u64 {
+pub fn mixed(x: u64) -> u64 {
     let mut z = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

@@ -23,7 +23,7 @@ pub enum FieldError {
     Views(String),
     /// A number that is not finite appeared; the state is the last good one.
     #[error(
-        "step {step}: {place} is not finite; the step was not taken and the state before it is kept. Lower the learning rates (`learning_rate_density`, `learning_rate_colour`) or look for a damaged photograph"
+        "step {step}: {place} is not finite; the step was not taken and the state before it is kept. Lower the learning rate (`learning_rate_density`) or look for a damaged photograph"
     )]
     NotFinite {
         /// The step that made it.

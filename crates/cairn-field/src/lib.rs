@@ -32,6 +32,7 @@ mod stats;
 pub mod train;
 
 pub use appearance::code::Appearance;
+pub use chance::mixed;
 pub use config::{AppearanceMode, FieldConfig};
 pub use error::FieldError;
 pub use field::basis::CarrierBasis;
@@ -40,7 +41,7 @@ pub use field::marched::MarchedView;
 pub use field::model::{CHANGE, FIELD_FORMAT, Field, Rendering};
 pub use field::survey::only_what_shows;
 pub use grid::real::Real;
-pub use io::tensors::TensorFile;
+pub use io::tensors::{Part, TensorFile, packed, read_header};
 pub use rays::frame::{RayPath, SceneFrame, contract};
 pub use register::{Registered, Registrar};
 pub use render::composite::Thresholds;

@@ -22,7 +22,7 @@ fn asked(work: impl FnOnce() + Send) -> usize {
 #[test]
 fn a_picture_of_many_rays_asks_for_memory_hardly_more_often_than_one_of_few() {
     assert!(asked(|| drop(std::hint::black_box(vec![1_u8; 64]))) > 0, "the counter does not count");
-    let grid = random_grid([24; 3], 0.3, (-2.0, 6.0), 3);
+    let grid = random_grid([24; 3], 0.3, -2.0..6.0, 3);
     let field = Field::from_bytes(&stored_field(&ball_box(), &grid, &random_appearance(4))).unwrap();
     let of = |size: usize| {
         let camera = camera(DVec3::new(0.4, 0.3, 3.0), DVec3::ZERO, size);
@@ -53,7 +53,7 @@ fn a_step_of_many_rays_asks_for_memory_hardly_more_often_than_one_of_few() {
 #[test]
 fn a_field_is_read_in_little_more_memory_than_it_takes() {
     // Several pieces of every tensor.
-    let grid = random_grid([56; 3], 0.6, (-2.0, 6.0), 5);
+    let grid = random_grid([56; 3], 0.6, -2.0..6.0, 5);
     let stored = stored_field(&ball_box(), &grid, &random_appearance(4));
     let (field, peak) = peak_of(|| Field::read_from(&mut Cursor::new(&stored)).unwrap());
     let rounded: Vec<f32> = grid.colour.iter().map(|v| f16::from_f32(*v).to_f32()).collect();

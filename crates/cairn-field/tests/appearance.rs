@@ -21,7 +21,7 @@ fn field(views: usize) -> Field {
 /// The field whose views had these appearances.
 fn field_lit(views: impl Iterator<Item = Appearance>) -> Field {
     let appearances: Vec<(String, Appearance)> = views.enumerate().map(|(n, a)| (format!("{n:03}.png"), a)).collect();
-    let grid = random_grid([12; 3], 0.6, (-6.0, 0.0), 7);
+    let grid = random_grid([12; 3], 0.6, -6.0..0.0, 7);
     let header = serde_json::json!({
         "format": cairn_field::FIELD_FORMAT, "frame": ball_box(), "dims": grid.dims, "canonical": lit(0.0),
         "appearances": appearances,

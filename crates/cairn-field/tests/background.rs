@@ -14,7 +14,6 @@ fn trained(clear_background: f64, background: Option<[f32; 3]>) -> Field {
 fn trained_in(frame: &SceneFrame, clear_background: f64, background: Option<[f32; 3]>) -> Field {
     let config = FieldConfig {
         clear_background,
-        sparsity: 0.0,
         distortion: 0.0,
         prune_weight: 0.0,
         appearance: AppearanceMode::Off,

@@ -12,11 +12,11 @@ const VOXELS: usize = 64_000;
 
 /// Forty places around a landmark, in one light or in each contributor's own.
 fn capture(light_variation: f32, seed: u64) -> LandmarkCapture {
-    photographed((60, 80), light_variation, seed)
+    photographed(60, 80, light_variation, seed)
 }
 
 /// The same in photographs of `width` by `height` pixels.
-fn photographed((width, height): (usize, usize), light_variation: f32, seed: u64) -> LandmarkCapture {
+fn photographed(width: usize, height: usize, light_variation: f32, seed: u64) -> LandmarkCapture {
     let config = LandmarkConfig {
         contributors: 2,
         photographs: 20,
@@ -73,7 +73,7 @@ fn detail_that_photographs_share_is_shown() {
 
 #[test]
 fn small_photographs_are_not_learnt_by_heart() {
-    let capture = photographed((24, 32), 0.0, 1);
+    let capture = photographed(24, 32, 0.0, 1);
     let trained = |min_voxel_px| {
         let config = FieldConfig { voxels: 8_000_000, levels: 4, voxel_px: 0.0, min_voxel_px, ..wild(400) };
         run(BaseTrainer::new(named(views(&capture)), frame(&capture), None, config, 1).expect("sound settings"))

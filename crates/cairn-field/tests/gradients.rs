@@ -6,12 +6,12 @@ use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, random_appearanc
 use cairn_field::appearance::code::{CODE, FEATURES, features};
 use cairn_field::grid::lattice::{Grid, ROW};
 use cairn_field::grid::sh::{SH, basis};
-use cairn_field::render::composite::{Gathered, Regularise, Thresholds, gather, push_back};
+use cairn_field::render::composite::{Gathered, Thresholds, gather, push_back};
 use cairn_field::render::patch::{Debts, Patch, Roulette};
 use cairn_field::{Appearance, RayPath, SceneFrame};
 use glam::DVec3;
 
-const REGULARISE: Regularise<f64> = Regularise { distortion: 0.7, sparsity: 0.3 };
+const DISTORTION: f64 = 0.7;
 const TARGET: [f64; 3] = [0.2, 0.9, 0.4];
 const OFFSET: f64 = 0.37;
 
@@ -41,11 +41,9 @@ fn loss(grid: &Grid<f64>, rays: &[Ray], look: &Appearance) -> f64 {
         let shade = look.shade(&features(&gathered, basis));
         sum += (0..3).map(|c| (shade[c] - TARGET[c]).powi(2)).sum::<f64>();
         for a in &tape {
-            // T_i alpha_i and T_{i+1} = T_i - T_i alpha_i give the opacity back.
-            sum += REGULARISE.sparsity * a.weight / (a.weight + a.behind);
-            sum += REGULARISE.distortion / 3.0 * a.weight * a.weight * a.length;
+            sum += DISTORTION / 3.0 * a.weight * a.weight * a.length;
             for b in &tape {
-                sum += REGULARISE.distortion * a.weight * b.weight * (a.along - b.along).abs();
+                sum += DISTORTION * a.weight * b.weight * (a.along - b.along).abs();
             }
         }
     }
@@ -61,7 +59,7 @@ fn gradient(grid: &Grid<f64>, rays: &[Ray], look: &Appearance, mut roulette: Rou
         let gathered = gather(grid, &mut patch, path, OFFSET, Thresholds::EXACT, &mut tape);
         let shade = look.shade(&features(&gathered, basis));
         let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), basis);
-        push_back(&mut patch, &tape, gathered.end, &slope, &REGULARISE);
+        push_back(&mut patch, &tape, gathered.end, &slope, DISTORTION);
         assert!(patch.settle(&mut roulette, &mut debts), "finite gradients");
     }
     by_row(grid, &debts)
@@ -89,7 +87,7 @@ fn number(grid: &mut Grid<f64>, row: usize, k: usize) -> &mut f64 {
 }
 
 fn agree(frame: &SceneFrame, origin: DVec3, aims: &[DVec3], dims: [usize; 3]) {
-    let mut grid: Grid<f64> = random_grid(dims, 0.8, (-4.5, -1.5), 11);
+    let mut grid: Grid<f64> = random_grid(dims, 0.8, -4.5..-1.5, 11);
     let rays = rays(frame, origin, aims);
     let look = random_appearance(3);
     let found = gradient(&grid, &rays, &look, Roulette::NONE);
@@ -180,7 +178,7 @@ fn contracted_rays_that_turn_a_corner() {
 
 #[test]
 fn an_appearance_code() {
-    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, -4.5..-1.5, 11);
     let rays = rays(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1)]);
     let look = random_appearance(9);
     let mut patch = Patch::default();
@@ -208,7 +206,7 @@ fn an_appearance_code() {
 
 #[test]
 fn faint_vertices_left_to_chance_keep_the_mean() {
-    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, -4.5..-1.5, 11);
     let rays = rays(&ball_box(), DVec3::new(-3.0, 0.7, 2.0), &[DVec3::new(0.3, -0.2, 0.1), DVec3::new(-0.7, 0.9, 0.4)]);
     let look = random_appearance(3);
     let exact = gradient(&grid, &rays, &look, Roulette::NONE);
@@ -232,7 +230,7 @@ fn faint_vertices_left_to_chance_keep_the_mean() {
 fn extreme_rays_have_finite_gradients() {
     let mut numbers = Numbers(1);
     for raw in [-1e8, -50.0, 0.0, 50.0, 1e4, 1e8] {
-        let mut grid: Grid<f32> = random_grid([6, 5, 7], 1.0, (0.0, 1.0), 2);
+        let mut grid: Grid<f32> = random_grid([6, 5, 7], 1.0, 0.0..1.0, 2);
         grid.set_raw_rows(&vec![raw as f32; grid.rows() - 1]);
         grid.refresh_occupancy(0.0);
         let d = DVec3::new(1.0, numbers.within(-0.2, 0.2), -0.5).normalize();
@@ -249,8 +247,7 @@ fn extreme_rays_have_finite_gradients() {
                 assert_eq!(gathered.end, 1.0, "raw density {raw} stops nothing");
             }
             let slope = random_appearance(4).pull([1.0f32, -2.0, 0.5], &basis);
-            let regularise = Regularise { distortion: 0.1, sparsity: 0.1 };
-            push_back(&mut patch, &tape, gathered.end, &slope, &regularise);
+            push_back(&mut patch, &tape, gathered.end, &slope, 0.1);
             let mut debts = Debts::default();
             assert!(patch.settle(&mut Roulette::default(), &mut debts), "raw density {raw}");
             for debt in &debts.owed {
@@ -263,7 +260,7 @@ fn extreme_rays_have_finite_gradients() {
 
 #[test]
 fn rays_of_one_tile_add_up() {
-    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, (-4.5, -1.5), 11);
+    let grid: Grid<f64> = random_grid([6, 5, 7], 0.8, -4.5..-1.5, 11);
     let aims = [DVec3::new(0.3, -0.2, 0.1), DVec3::new(0.35, -0.2, 0.1), DVec3::new(0.3, -0.1, 0.12)];
     let rays = rays(&ball_in_the_open(), DVec3::new(-3.0, 0.7, 2.0), &aims);
     let basis = rays[0].1;
@@ -277,7 +274,7 @@ fn rays_of_one_tile_add_up() {
         let gathered = gather(&grid, &mut patch, path, OFFSET, Thresholds::EXACT, &mut tape);
         let shade = look.shade(&features(&gathered, &basis));
         let slope: Gathered<f64> = look.pull(std::array::from_fn(|c| 2.0 * (shade[c] - TARGET[c])), &basis);
-        push_back(&mut patch, &tape, gathered.end, &slope, &REGULARISE);
+        push_back(&mut patch, &tape, gathered.end, &slope, DISTORTION);
     }
     assert!(patch.settle(&mut Roulette::default(), &mut debts), "finite gradients");
     assert_eq!(debts.bases.len(), 1);
@@ -291,6 +288,6 @@ fn rays_of_one_tile_add_up() {
     }
     // A gradient beyond all measure is refused.
     let huge = Gathered { near: [f64::INFINITY; 3], far: [f64::NAN; 3], ..Gathered::default() };
-    push_back(&mut patch, &tape, 0.0, &huge, &REGULARISE);
+    push_back(&mut patch, &tape, 0.0, &huge, DISTORTION);
     assert!(!patch.settle(&mut Roulette::default(), &mut debts));
 }

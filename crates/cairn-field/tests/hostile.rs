@@ -52,7 +52,7 @@ fn settings_out_of_range_are_refused_by_key() {
         (FieldConfig { smooth_in_one_light: 1.5, ..sound() }, "field.smooth_in_one_light"),
         (FieldConfig { learning_rate_density: f64::NAN, ..sound() }, "field.learning_rate_density"),
         (FieldConfig { learning_rate_density: 1e39, ..sound() }, "field.learning_rate_density"),
-        (FieldConfig { sparsity: -1.0, ..sound() }, "field.sparsity"),
+        (FieldConfig { distortion: -1.0, ..sound() }, "field.distortion"),
         (FieldConfig { prune_weight: 2.0, ..sound() }, "field.prune_weight"),
         (FieldConfig { initial_opacity: 1.0, ..sound() }, "field.initial_opacity"),
     ] {
@@ -80,7 +80,7 @@ fn one_view_and_a_lone_pixel_train() {
 fn cameras_inside_and_looking_away_render() {
     let look = Appearance::neutral([0.1, 0.2, 0.3]);
     for frame in [ball_box(), ball_in_the_open()] {
-        let field = field_of(&frame, &random_grid([12, 12, 12], 1.0, (-3.0, 0.0), 2), &look);
+        let field = field_of(&frame, &random_grid([12, 12, 12], 1.0, -3.0..0.0, 2), &look);
         let inside = field.render_maps(&camera(DVec3::new(0.1, 0.2, 0.0), DVec3::ONE, 8), &look);
         let away = field.render_maps(&camera(DVec3::new(0.0, 0.0, 3.0), DVec3::new(0.0, 0.5, 9.0), 8), &look);
         for maps in [&inside, &away] {
@@ -114,7 +114,7 @@ fn walls_and_nothing_are_exact() {
 #[test]
 fn unknown_formats_are_refused_by_name() {
     let look = Appearance::neutral([0.0; 3]);
-    let grid = random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1);
+    let grid = random_grid([4, 5, 6], 0.5, -1.0..0.0, 1);
     let header = |change: &dyn Fn(&mut serde_json::Value)| {
         let mut header = serde_json::json!({
             "format": "cairn.field/3", "frame": ball_box(), "dims": [4, 5, 6], "canonical": look, "appearances": [],
@@ -136,7 +136,7 @@ fn unknown_formats_are_refused_by_name() {
 #[test]
 fn damaged_files_are_errors() {
     let look = Appearance::neutral([0.0; 3]);
-    let field = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1), &look);
+    let field = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, -1.0..0.0, 1), &look);
     let mut trainer = start(views(2, 12, 1.0, DVec3::ZERO)).expect("sound settings");
     trainer.step().expect("finite numbers");
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
@@ -163,7 +163,7 @@ fn damaged_files_are_errors() {
 #[test]
 fn tensors_of_a_field_that_do_not_go_together_are_refused() {
     let look = Appearance::neutral([0.0; 3]);
-    let stored = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, (-1.0, 0.0), 1), &look);
+    let stored = stored_field(&ball_box(), &random_grid([4, 5, 6], 0.5, -1.0..0.0, 1), &look);
     let (_, metadata) = SafeTensors::read_metadata(&stored).expect("a field");
     let file = SafeTensors::deserialize(&stored).expect("a field");
     let parts = file.tensors();
@@ -266,15 +266,15 @@ fn checkpoints_that_do_not_fit_are_refused() {
         |bytes: &[u8]| BaseTrainer::resume(bytes, named(views(2, 12, 1.0, DVec3::ZERO))).err().map(|e| e.to_string());
     assert_eq!(resume(&altered(&bytes, |_| (), "", None)), None);
     let text =
-        resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/10".into(), "", None)).expect("an error");
-    assert!(text.contains("checkpoint/10"), "{text}");
+        resume(&altered(&bytes, |h| h["format"] = "cairn.field.checkpoint/11".into(), "", None)).expect("an error");
+    assert!(text.contains("checkpoint/11"), "{text}");
     // An older one has another header, too.
     let older = |h: &mut serde_json::Value| {
         h["format"] = "cairn.field.checkpoint/6".into();
         h.as_object_mut().expect("a header").remove("averaged");
     };
     let text = resume(&altered(&bytes, older, "", None)).expect("an error");
-    assert!(text.contains("checkpoint/6") && text.contains("anew"), "{text}");
+    assert!(text.contains("checkpoint/6") && text.contains("train the scene again"), "{text}");
     for dims in [[0u64, 0, 0], [4, 4, 4], [1 << 40, 1 << 40, 1 << 40], [1 << 30, 2, 2]] {
         assert!(resume(&altered(&bytes, |h| h["dims"] = dims.to_vec().into(), "", None)).is_some(), "{dims:?}");
     }

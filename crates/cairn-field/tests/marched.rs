@@ -23,7 +23,7 @@ fn cases() -> [(SceneFrame, DVec3); 3] {
 }
 
 fn field(frame: &SceneFrame) -> Field {
-    let grid: Grid<f32> = random_grid([16, 14, 18], 0.7, (-4.0, 0.5), 31);
+    let grid: Grid<f32> = random_grid([16, 14, 18], 0.7, -4.0..0.5, 31);
     field_of(frame, &grid, &random_appearance(6))
 }
 

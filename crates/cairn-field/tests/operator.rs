@@ -14,7 +14,7 @@ const BASES: [CarrierBasis; 2] = [CarrierBasis::Constant, CarrierBasis::Harmonic
 
 /// A field, the same with other colours, and the change as a carrier.
 fn pair(frame: &SceneFrame, basis: CarrierBasis) -> (Field, Field, Vec<f32>) {
-    let grid: Grid<f32> = random_grid([16, 14, 18], 0.7, (-5.0, 0.0), 31);
+    let grid: Grid<f32> = random_grid([16, 14, 18], 0.7, -5.0..0.0, 31);
     let look = random_appearance(6);
     let before = field_of(frame, &grid, &look);
     let mut numbers = Numbers(77);

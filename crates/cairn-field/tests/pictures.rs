@@ -13,7 +13,7 @@ use cairn_scene::Camera;
 use glam::DVec3;
 
 /// A camera of `across` x `down` pixels that sees `degrees` across.
-fn sees(position: DVec3, target: DVec3, (across, down): (usize, usize), degrees: f64) -> Camera {
+fn sees(position: DVec3, target: DVec3, [across, down]: [usize; 2], degrees: f64) -> Camera {
     let mut camera = camera(position, target, across);
     let focal = across as f64 / 2.0 / (degrees.to_radians() / 2.0).tan();
     let i = &mut camera.intrinsics;
@@ -34,11 +34,11 @@ fn ray_by_ray(field: &Field, camera: &Camera, limits: Thresholds) -> Vec<f32> {
 
 /// Sizes that tiles and groups of rays do not divide; a narrow angle, whose tiles are as large as they get,
 /// and wider ones, whose tiles are a ray or a few.
-const SHAPES: [((usize, usize), f64); 4] = [((67, 41), 40.0), ((33, 18), 3.0), ((1, 5), 10.0), ((13, 9), 110.0)];
+const SHAPES: [([usize; 2], f64); 4] = [([67, 41], 40.0), ([33, 18], 3.0), ([1, 5], 10.0), ([13, 9], 110.0)];
 
 fn check(frame: &SceneFrame, places: &[(DVec3, DVec3)]) {
     // Thin, so that rays meet many cells that lie far behind one another.
-    let grid: Grid<f32> = random_grid([57, 49, 66], 0.7, (-9.0, -3.0), 3);
+    let grid: Grid<f32> = random_grid([57, 49, 66], 0.7, -9.0..-3.0, 3);
     let field = field_of(frame, &grid, &random_appearance(5));
     for (position, target) in places {
         for (shape, degrees) in SHAPES {
@@ -50,7 +50,7 @@ fn check(frame: &SceneFrame, places: &[(DVec3, DVec3)]) {
                 // A twentieth of an 8-bit step, where colours turn with the direction far more than a real field's.
                 assert!(off < 0.05 / 255.0, "from {position}, {shape:?}, {degrees} degrees: {off} off");
                 let (low, high) = alone.iter().fold((f32::MAX, f32::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
-                assert!(shape.0 == 1 || high - low > 0.05, "it shows something: {low} to {high}");
+                assert!(shape[0] == 1 || high - low > 0.05, "it shows something: {low} to {high}");
             }
         }
     }
@@ -58,9 +58,9 @@ fn check(frame: &SceneFrame, places: &[(DVec3, DVec3)]) {
 
 #[test]
 fn a_lens_that_folds_its_rim_spoils_no_pixel_beside_it() {
-    let grid: Grid<f32> = random_grid([57, 49, 66], 0.7, (-9.0, -3.0), 3);
+    let grid: Grid<f32> = random_grid([57, 49, 66], 0.7, -9.0..-3.0, 3);
     let field = field_of(&ball_box(), &grid, &random_appearance(5));
-    let mut camera = sees(DVec3::new(-3.0, 0.7, 2.0), DVec3::ZERO, (400, 300), 71.0);
+    let mut camera = sees(DVec3::new(-3.0, 0.7, 2.0), DVec3::ZERO, [400, 300], 71.0);
     camera.intrinsics.distortion.k1 = -0.3;
     let shown = field.render(&camera, field.canonical_appearance());
     let off = apart(shown.rgb(), &ray_by_ray(&field, &camera, Thresholds::SHOWN));
@@ -73,12 +73,12 @@ fn a_lens_that_folds_its_rim_spoils_no_pixel_beside_it() {
 /// Pixels of several rays, in tiles of several pixels: a larger picture made smaller by area.
 #[test]
 fn pixels_of_several_rays_are_means_whatever_the_tile() {
-    let grid: Grid<f32> = random_grid([57, 49, 66], 0.7, (-9.0, -3.0), 3);
+    let grid: Grid<f32> = random_grid([57, 49, 66], 0.7, -9.0..-3.0, 3);
     for frame in [ball_box(), ball_in_the_open()] {
         let field = field_of(&frame, &grid, &random_appearance(5));
         let look = field.canonical_appearance();
         for (rays, degrees) in [(2, 3.0), (3, 3.0), (3, 25.0), (7, 3.0)] {
-            let camera = sees(DVec3::new(-3.0, 0.7, 2.0), DVec3::ZERO, (33, 18), degrees);
+            let camera = sees(DVec3::new(-3.0, 0.7, 2.0), DVec3::ZERO, [33, 18], degrees);
             let large = camera.resized(33 * rays, 18 * rays);
             let mean = cairn_scene::AreaFilter::new([33 * rays, 18 * rays], [33, 18]).apply(&ray_by_ray(
                 &field,

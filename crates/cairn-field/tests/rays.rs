@@ -2,7 +2,7 @@
 //! ray, in order, and stand for all of its length; and passing empty space over
 //! never adds, moves or loses one.
 
-use crate::common::{Numbers, ahead, ball_box, random_grid};
+use crate::common::{Numbers, Ray, ahead, ball_box, random_grid};
 use cairn_field::grid::lattice::Grid;
 use cairn_field::rays::march::{STEP_VOXELS, Sample, march};
 use cairn_field::{RayPath, Real, SceneFrame};
@@ -16,7 +16,7 @@ fn open() -> SceneFrame {
 }
 
 /// Rays of every kind, `far` of them from very far away as well.
-fn rays(frame: &SceneFrame, n: usize) -> Vec<(DVec3, DVec3)> {
+fn rays(frame: &SceneFrame, n: usize) -> Vec<Ray> {
     let mut numbers = Numbers(17);
     let mut cube = |size: f64| DVec3::from([0.0; 3].map(|_| numbers.within(-size, size)));
     let mut rays = Vec::new();
@@ -49,18 +49,32 @@ fn rays(frame: &SceneFrame, n: usize) -> Vec<(DVec3, DVec3)> {
             }
         }
     }
-    rays.into_iter().map(|(o, d)| (o, d.normalize())).filter(|(o, d)| frame.path(*o, *d) != RayPath::Miss).collect()
+    let ray = |(origin, direction): (DVec3, DVec3)| Ray { origin, direction: direction.normalize() };
+    rays.into_iter().map(ray).filter(|ray| ray.path(frame) != RayPath::Miss).collect()
 }
 
-/// Length of the curve `at` over [a, b]: chords, halved until they are straight.
-fn length(at: &impl Fn(f64) -> DVec3, (a, p): (f64, DVec3), (b, q): (f64, DVec3), depth: u32) -> f64 {
-    let m = 0.5 * (a + b);
-    let r = at(m);
+/// A point of a curve: its parameter and its place.
+#[derive(Clone, Copy)]
+struct Point {
+    at: f64,
+    place: DVec3,
+}
+
+impl Point {
+    fn of(curve: &impl Fn(f64) -> DVec3, at: f64) -> Self {
+        Self { at, place: curve(at) }
+    }
+}
+
+/// Length of `curve` from `a` to `b`: chords, halved until they are straight.
+fn length(curve: &impl Fn(f64) -> DVec3, a: Point, b: Point, depth: u32) -> f64 {
+    let m = Point::of(curve, 0.5 * (a.at + b.at));
+    let [p, q, r] = [a, b, m].map(|point| point.place);
     let (whole, halves) = ((q - p).length(), (r - p).length() + (q - r).length());
     if depth == 0 || depth < 40 && halves < 0.02 && halves - whole < 1e-6 * halves {
         return halves;
     }
-    length(at, (a, p), (m, r), depth - 1) + length(at, (m, r), (b, q), depth - 1)
+    length(curve, a, m, depth - 1) + length(curve, m, b, depth - 1)
 }
 
 /// Length of a ray in the grid, in unit-cube lengths of its longest side.
@@ -76,7 +90,7 @@ fn arc(frame: &SceneFrame, dims: [usize; 3], o: DVec3, d: DVec3) -> f64 {
             // To the nearest place, and on to infinity.
             let nearest = (CENTRE - o).dot(d).max(0.0);
             let beyond = |s: f64| unit(nearest + s / (1.0 - s).max(1e-12));
-            let piece = |at: &dyn Fn(f64) -> DVec3, b: f64| length(&at, (0.0, at(0.0)), (b, at(b)), 46);
+            let piece = |at: &dyn Fn(f64) -> DVec3, b: f64| length(&at, Point::of(&at, 0.0), Point::of(&at, b), 46);
             let to = if nearest > 0.0 { piece(&unit, nearest) } else { 0.0 };
             to + piece(&beyond, 1.0)
         }
@@ -122,8 +136,8 @@ fn world(frame: &SceneFrame, u: DVec3) -> DVec3 {
 /// contracted cube its path is a parabola only nearly.
 const OFF: f64 = 0.01;
 
-fn check<T: Real>(frame: &SceneFrame, grid: &Grid<T>, (o, d): (DVec3, DVec3), rounding: f64) {
-    let path = frame.path(o, d);
+fn check<T: Real>(frame: &SceneFrame, grid: &Grid<T>, ray: Ray, rounding: f64) {
+    let (path, Ray { origin: o, direction: d }) = (ray.path(frame), ray);
     let found = samples(grid, &path, 0.5, STEP_VOXELS);
     let voxels = DVec3::from(grid.dims.map(|n| (n - 1) as f64));
     let largest = voxels.max_element();
@@ -180,7 +194,7 @@ fn samples_lie_on_their_ray_in_order_and_cover_it() {
 fn skipping_is_only_skipping() {
     for (frame, dims) in [(ball_box(), [43, 39, 46]), (open(), [61, 54, 69]), (ahead(), [46, 48, 38])] {
         // Lumps, far apart: long strides between them. No density at all elsewhere.
-        let mut sparse: Grid<f32> = random_grid(dims, 1.0, (-3.0, 0.0), 3);
+        let mut sparse: Grid<f32> = random_grid(dims, 1.0, -3.0..0.0, 3);
         for (v, raw) in sparse.raw.iter_mut().enumerate() {
             let at = [v % dims[0], v / dims[0] % dims[1], v / (dims[0] * dims[1])];
             if at.iter().any(|k| k % 17 > 2) {
@@ -193,7 +207,7 @@ fn skipping_is_only_skipping() {
         sparse.refresh_occupancy(1e-30);
         assert!(sparse.occupancy.cells() * 20 < whole.occupancy.cells(), "most cells are empty");
         let mut met = 0;
-        for (o, d) in rays(&frame, 800) {
+        for Ray { origin: o, direction: d } in rays(&frame, 800) {
             let path = frame.path(o, d);
             for (offset, step) in [(0.5, STEP_VOXELS), (0.0, STEP_VOXELS), (0.37, 1.0), (0.0, 1.0), (0.9, 0.03)] {
                 let mut expected = samples(&whole, &path, offset, step);

@@ -3,7 +3,9 @@
 //! nothing skipped, no ray ended early. They share the field and no rule of where
 //! to look at it; what steps of half a voxel leave of the integral is bounded.
 
-use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
+use crate::common::{
+    Numbers, Ray, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid,
+};
 use cairn_field::appearance::code::features;
 use cairn_field::grid::lattice::{DENSITY_SCALE, EMPTY_RAW, Grid, ROW};
 use cairn_field::grid::sh::basis;
@@ -131,7 +133,8 @@ fn look_up(grid: &Grid<f32>, u: DVec3) -> (f64, [f64; 27]) {
 }
 
 /// One pixel: `code . (near, near weight, far, far weight, sky)`.
-fn pixel(frame: &SceneFrame, grid: &Grid<f32>, look: &Appearance, (o, d): (DVec3, DVec3), fine: f64) -> [f64; 3] {
+fn pixel(frame: &SceneFrame, grid: &Grid<f32>, look: &Appearance, ray: Ray, fine: f64) -> [f64; 3] {
+    let Ray { origin: o, direction: d } = ray;
     let y = harmonics(d);
     let voxels = DVec3::from(grid.dims.map(|n| (n - 1) as f64));
     let mut light = 1.0;
@@ -154,9 +157,10 @@ fn pixel(frame: &SceneFrame, grid: &Grid<f32>, look: &Appearance, (o, d): (DVec3
     std::array::from_fn(|c| (0..17).map(|k| f64::from(look.code()[c * 17 + k]) * f[k]).sum::<f64>())
 }
 
-fn rays(camera: &Camera) -> Vec<(DVec3, DVec3)> {
+fn rays(camera: &Camera) -> Vec<Ray> {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-    (0..w * h).map(|i| camera.ray((i % w) as f64 + 0.5, (i / w) as f64 + 0.5)).collect()
+    let of = |(origin, direction)| Ray { origin, direction };
+    (0..w * h).map(|i| of(camera.ray((i % w) as f64 + 0.5, (i / w) as f64 + 0.5))).collect()
 }
 
 /// The same field on a lattice `k` times as fine: piecewise trilinear as before.
@@ -176,7 +180,7 @@ fn refined(grid: &Grid<f32>, k: usize) -> Grid<f64> {
 
 /// A grid with empty regions wider than a block, and haze and walls elsewhere.
 fn patchy(dims: [usize; 3]) -> Grid<f32> {
-    let mut grid = random_grid(dims, 0.9, (-6.0, 0.5), 21);
+    let mut grid = random_grid(dims, 0.9, -6.0..0.5, 21);
     for row in 1..grid.rows() {
         let v = grid.vertex[row] as usize;
         let at = [v % dims[0], v / dims[0] % dims[1], v / (dims[0] * dims[1])];
@@ -221,11 +225,11 @@ fn wide(rgb: &[f32]) -> Vec<[f64; 3]> {
 /// What the f64 renderer makes of a camera's rays, leaving nothing out.
 fn rendered(frame: &SceneFrame, grid: &Grid<f64>, look: &Appearance, camera: &Camera, step: f64) -> Vec<[f64; 3]> {
     let limits = Thresholds { step, ..Thresholds::EXACT };
-    let shade = |(o, d): (DVec3, DVec3)| {
-        let basis = basis(d.to_array());
+    let shade = |ray: Ray| {
+        let basis = basis(ray.direction.to_array());
         let mut patch = Patch::default();
         patch.begin(basis);
-        let gathered = gather(grid, &mut patch, &frame.path(o, d), 0.5, limits, &mut Vec::new());
+        let gathered = gather(grid, &mut patch, &ray.path(frame), 0.5, limits, &mut Vec::new());
         look.shade(&features(&gathered, &basis))
     };
     rays(camera).into_iter().map(shade).collect()
@@ -234,7 +238,7 @@ fn rendered(frame: &SceneFrame, grid: &Grid<f64>, look: &Appearance, camera: &Ca
 /// Ever finer steps come ever closer to the integral, with the square of the step.
 fn converges(frame: &SceneFrame, cameras: &[Camera]) {
     let look = random_appearance(8);
-    let grid: Grid<f32> = random_grid([9, 8, 10], 0.9, (-6.0, -1.0), 21);
+    let grid: Grid<f32> = random_grid([9, 8, 10], 0.9, -6.0..-1.0, 21);
     let expected: Vec<_> = cameras
         .iter()
         .map(|camera| rays(camera).into_iter().map(|ray| pixel(frame, &grid, &look, ray, 128.0)).collect::<Vec<_>>())
@@ -255,7 +259,7 @@ fn converges(frame: &SceneFrame, cameras: &[Camera]) {
 
 /// Shipped pictures: `off` is how far (most, and root mean square) steps of half a
 /// voxel, a whole one beyond the inner box, may leave them from the integral.
-fn agree(frame: &SceneFrame, grid: &Grid<f32>, cameras: &[Camera], off: (f64, f64)) {
+fn agree(frame: &SceneFrame, grid: &Grid<f32>, cameras: &[Camera], off: [f64; 2]) {
     let look = random_appearance(8);
     let field = field_of(frame, grid, &look);
     let mut whole = field.grid().cast::<f64>();
@@ -267,7 +271,7 @@ fn agree(frame: &SceneFrame, grid: &Grid<f32>, cameras: &[Camera], off: (f64, f6
         assert!(spread > 0.1, "view {n} shows nothing");
         let shown = wide(field.render(camera, &look).rgb());
         let (most, mean) = differences(&shown, &expected);
-        assert!(most < off.0 && mean < off.1, "view {n}: {most} off, rms {mean}");
+        assert!(most < off[0] && mean < off[1], "view {n}: {most} off, rms {mean}");
         // The same samples in f64. Left out in a shown picture: light behind 1e-3, samples below 1e-5.
         let same = rendered(frame, &whole, &look, camera, STEP_VOXELS);
         let (most, mean) = differences(&shown, &same);
@@ -285,10 +289,10 @@ fn agree(frame: &SceneFrame, grid: &Grid<f32>, cameras: &[Camera], off: (f64, f6
 /// All of it, for a field whose neighbouring vertices have nothing in common (the
 /// worst there is for any step) and for one with shapes of several voxels.
 fn check(frame: &SceneFrame, dims: [usize; 3], cameras: &[Camera]) {
-    agree(frame, &patchy(dims), cameras, (0.2, 0.04));
+    agree(frame, &patchy(dims), cameras, [0.2, 0.04]);
     // Beyond an inner box steps are twice as long, and errors four times as large.
     let times = if frame.is_unbounded() { 4.0 } else { 1.0 };
-    agree(frame, &shapes(dims), cameras, (0.02 * times, 4e-3 * times));
+    agree(frame, &shapes(dims), cameras, [0.02 * times, 4e-3 * times]);
     converges(frame, cameras);
 }
 

@@ -1,7 +1,7 @@
 //! Numbers at their ends: what has an exact answer gets exactly that, or as near as
 //! stated; what has none gets an error; and nothing is ever not a number.
 
-use crate::common::{Numbers, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
+use crate::common::{Numbers, Ray, ahead, apart, ball_box, ball_in_the_open, camera, field_of, random_grid, raw_for};
 use cairn_field::appearance::code::features;
 use cairn_field::grid::lattice::Grid;
 use cairn_field::grid::sh::basis;
@@ -13,7 +13,7 @@ use glam::DVec3;
 const SKY: [f32; 3] = [0.1, 0.2, 0.3];
 
 /// Rays that meet the grid, from inside, outside and along axes.
-fn rays(frame: &SceneFrame) -> Vec<(DVec3, DVec3)> {
+fn rays(frame: &SceneFrame) -> Vec<Ray> {
     let mut numbers = Numbers(9);
     let mut cube = |size: f64| DVec3::from([0.0; 3].map(|_| numbers.within(-size, size)));
     let mut rays: Vec<_> = (0..100).map(|i| (cube(if i % 2 == 0 { 0.9 } else { 6.0 }), cube(0.9))).collect();
@@ -21,15 +21,15 @@ fn rays(frame: &SceneFrame) -> Vec<(DVec3, DVec3)> {
     rays.extend((0..40).map(|_| (cube(0.1), cube(1.0) + DVec3::new(0.0, 0.0, 4.0))));
     rays.extend([DVec3::X, -DVec3::Y, DVec3::Z].map(|d| (-3.0 * d, d)));
     rays.into_iter()
-        .map(|(o, p)| (o, (p - o).normalize()))
-        .filter(|(o, d)| frame.path(*o, *d) != RayPath::Miss)
+        .map(|(origin, target)| Ray::towards(origin, target))
+        .filter(|ray| ray.path(frame) != RayPath::Miss)
         .collect()
 }
 
-fn gathered<T: Real>(frame: &SceneFrame, grid: &Grid<T>, (o, d): (DVec3, DVec3), limits: Thresholds) -> Gathered<T> {
+fn gathered<T: Real>(frame: &SceneFrame, grid: &Grid<T>, ray: Ray, limits: Thresholds) -> Gathered<T> {
     let mut patch = Patch::default();
-    patch.begin(basis(d.to_array().map(T::of)));
-    gather(grid, &mut patch, &frame.path(o, d), 0.5, limits, &mut Vec::<Kept<T>>::new())
+    patch.begin(basis(ray.direction.to_array().map(T::of)));
+    gather(grid, &mut patch, &ray.path(frame), 0.5, limits, &mut Vec::<Kept<T>>::new())
 }
 
 fn frames() -> [SceneFrame; 3] {
@@ -76,8 +76,8 @@ fn nothing_and_walls_are_exact_along_whole_rays() {
 }
 
 /// How far a ray goes through the unit cube.
-fn length(frame: &SceneFrame, (o, d): (DVec3, DVec3)) -> f64 {
-    match frame.path(o, d) {
+fn length(frame: &SceneFrame, ray: Ray) -> f64 {
+    match ray.path(frame) {
         RayPath::Straight { direction, start, end, .. } => DVec3::from(direction).length() * (end - start),
         RayPath::Contracted { origin, direction } => {
             let (o, d) = (DVec3::from(origin), DVec3::from(direction));
@@ -93,39 +93,33 @@ fn length(frame: &SceneFrame, (o, d): (DVec3, DVec3)) -> f64 {
 }
 
 /// Light that a constant medium leaves of a ray's, and how many samples it took.
-fn light_left<T: Real>(
-    frame: &SceneFrame,
-    density: f64,
-    (step, side): (f64, usize),
-    (o, d): (DVec3, DVec3),
-) -> (f64, f64) {
+fn light_left<T: Real>(frame: &SceneFrame, density: f64, step: f64, side: usize, ray: Ray) -> (f64, f64) {
     let grid: Grid<T> = Grid::full([side; 3], raw_for(density), 0.625);
     let (mut patch, mut tape) = (Patch::default(), Vec::<Kept<T>>::new());
-    patch.begin(basis(d.to_array().map(T::of)));
+    patch.begin(basis(ray.direction.to_array().map(T::of)));
     let limits = Thresholds { step, ..Thresholds::EXACT };
-    let g = gather(&grid, &mut patch, &frame.path(o, d), 0.5, limits, &mut tape);
+    let g = gather(&grid, &mut patch, &ray.path(frame), 0.5, limits, &mut tape);
     let (all, samples) = (g.near_weight.wide() + g.far_weight.wide() + g.end.wide(), tape.len() as f64);
     assert!((all - 1.0).abs() < 1e-9 + samples * T::epsilon().wide(), "{all}: what is not stopped goes on");
     (g.end.wide(), samples)
 }
 
 /// A constant medium in a box whose unit cube is a cube: light left is exp(-density length).
-fn medium<T: Real>(density: f64, step: f64, side: usize, ray: (DVec3, DVec3)) -> (f64, f64) {
+fn medium<T: Real>(density: f64, step: f64, side: usize, ray: Ray) -> (f64, f64) {
     let frame = ball_box();
-    (light_left::<T>(&frame, density, (step, side), ray).0, (-density * length(&frame, ray)).exp())
+    (light_left::<T>(&frame, density, step, side, ray).0, (-density * length(&frame, ray)).exp())
 }
 
-const ACROSS: (DVec3, DVec3) = (DVec3::new(-3.0, 0.1, 0.2), DVec3::X);
+const ACROSS: Ray = Ray { origin: DVec3::new(-3.0, 0.1, 0.2), direction: DVec3::X };
 
 /// Two rays that cross the frame.
-fn crossing(frame: &SceneFrame) -> [(DVec3, DVec3); 2] {
-    let towards = |o: DVec3, p: DVec3| (o, (p - o).normalize());
+fn crossing(frame: &SceneFrame) -> [Ray; 2] {
     match frame {
         SceneFrame::ForwardFacing { .. } => [
-            towards(DVec3::new(0.1, 0.0, -0.5), DVec3::new(0.1, 0.0, 4.0)),
-            towards(DVec3::new(-0.3, 0.2, 0.0), DVec3::new(1.1, -0.9, 4.0)),
+            Ray::towards(DVec3::new(0.1, 0.0, -0.5), DVec3::new(0.1, 0.0, 4.0)),
+            Ray::towards(DVec3::new(-0.3, 0.2, 0.0), DVec3::new(1.1, -0.9, 4.0)),
         ],
-        _ => [ACROSS, towards(DVec3::new(-3.0, 0.7, 2.0), DVec3::new(0.0, 0.2, 0.2))],
+        _ => [ACROSS, Ray::towards(DVec3::new(-3.0, 0.7, 2.0), DVec3::new(0.0, 0.2, 0.2))],
     }
 }
 
@@ -142,9 +136,9 @@ fn steps_over_eight_orders_of_magnitude_give_the_closed_form() {
                     // Three million samples at the smallest.
                     let step = 10f64.powi(power);
                     let place = format!("{frame:?}, density {density}, step {step}");
-                    let (wide, _) = light_left::<f64>(&frame, density, (step, 4), ray);
+                    let (wide, _) = light_left::<f64>(&frame, density, step, 4, ray);
                     assert!((wide - expected).abs() < quadrature, "f64, {place}: {wide}, not {expected}");
-                    let (short, samples) = light_left::<f32>(&frame, density, (step, 4), ray);
+                    let (short, samples) = light_left::<f32>(&frame, density, step, 4, ray);
                     // Each sample rounds what it lets through and what is left, by a quarter of an epsilon
                     // each at most. For three million that would be 0.2; they come to 0.024.
                     let rounding = (1e-6 + samples * f64::from(f32::EPSILON) / 2.0).min(0.03);
@@ -162,8 +156,8 @@ fn contracted_space_gives_the_closed_form_on_finer_lattices() {
         let length = length(&frame, ray);
         for density in [1e-3, 1.0, 3.7] {
             let expected = (-density * length).exp();
-            let (wide, _) = light_left::<f64>(&frame, density, (0.5, 129), ray);
-            let (short, samples) = light_left::<f32>(&frame, density, (0.5, 129), ray);
+            let (wide, _) = light_left::<f64>(&frame, density, 0.5, 129, ray);
+            let (short, samples) = light_left::<f32>(&frame, density, 0.5, 129, ray);
             assert!((wide - expected).abs() < 1e-6, "f64, density {density}: {wide}, not {expected}");
             assert!((short - wide).abs() < 1e-6 + samples * f64::from(f32::EPSILON) / 2.0, "f32: {short}, not {wide}");
         }
@@ -219,7 +213,7 @@ fn cameras_in_the_grid_on_one_another_and_looking_away_show_what_is_there() {
         look.shade(&features(&Gathered { end: 1.0f32, ..Gathered::default() }, &basis))
     };
     for frame in frames() {
-        let field = field_of(&frame, &random_grid([12, 12, 12], 1.0, (-3.0, 0.0), 2), &look);
+        let field = field_of(&frame, &random_grid([12, 12, 12], 1.0, -3.0..0.0, 2), &look);
         let finite = |camera| {
             let maps = field.render_maps(&camera, &look);
             assert!(maps.picture.rgb().iter().chain(&maps.accumulation).chain(&maps.depth).all(|v| v.is_finite()));

@@ -8,7 +8,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 /// A ball of walls: nobody sees its inside.
 fn solid(dims: [usize; 3]) -> Grid<f32> {
-    let mut grid: Grid<f32> = random_grid(dims, 1.0, (-1.0, 1.0), 3);
+    let mut grid: Grid<f32> = random_grid(dims, 1.0, -1.0..1.0, 3);
     let raw: Vec<f32> = grid.vertex[1..]
         .iter()
         .map(|v| {
@@ -52,7 +52,7 @@ fn nothing_in_sight_leaves_nothing_and_no_threshold_changes_no_picture() {
     let look = random_appearance(2);
     let frame = ahead();
     let camera = ring(1, 20, 1.0, DVec3::ZERO)[0];
-    let field = field_of(&frame, &random_grid([8, 8, 8], 0.8, (-4.0, 0.0), 5), &look);
+    let field = field_of(&frame, &random_grid([8, 8, 8], 0.8, -4.0..0.0, 5), &look);
     let before = field.render(&camera, &look);
     assert_eq!(only_what_shows(field.clone(), &[camera], 0.0).render(&camera, &look), before);
     let none = only_what_shows(field, &[], 0.01);
@@ -62,7 +62,7 @@ fn nothing_in_sight_leaves_nothing_and_no_threshold_changes_no_picture() {
 
 #[test]
 fn cells_of_another_lattice_are_refused() {
-    let field = field_of(&ball_box(), &random_grid([8, 9, 10], 0.8, (-4.0, 0.0), 5), &random_appearance(2));
+    let field = field_of(&ball_box(), &random_grid([8, 9, 10], 0.8, -4.0..0.0, 5), &random_appearance(2));
     let bytes = field.to_bytes().expect("a file");
     let (_, metadata) = SafeTensors::read_metadata(&bytes).expect("a field");
     let file = SafeTensors::deserialize(&bytes).expect("a field");

@@ -5,13 +5,12 @@ use crate::error::MarkError;
 use crate::stega::recipe::{CarrierKind, DensityKind};
 use crate::stega::shape::CarrierShape;
 use cairn_field::MarkableField;
-use cairn_field::{Appearance, Field, FieldError, TensorFile};
+use cairn_field::{Appearance, Field, FieldError, Part, TensorFile, packed};
 use cairn_scene::cluster::Clusters;
 use cairn_scene::{Camera, Picture};
 use half::f16;
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 use std::io::{Cursor, Read, Seek};
 use std::sync::Arc;
 
@@ -204,16 +203,11 @@ impl MarkedField {
             clusters: self.clusters.clone(),
             carriers: self.carriers.len(),
         };
-        let bad = |e: safetensors::SafeTensorError| stored(WHAT, e.to_string());
         let base = self.base.to_bytes()?;
         let carriers: Vec<u8> = self.carriers.iter().flatten().flat_map(|v| f16::from_f32(*v).to_le_bytes()).collect();
         let shape = vec![self.carriers.len(), self.base.rows(), self.shape().width()];
-        let tensors = [
-            ("base", TensorView::new(Dtype::U8, vec![base.len()], &base).map_err(bad)?),
-            ("carriers", TensorView::new(Dtype::F16, shape, &carriers).map_err(bad)?),
-        ];
-        let json = serde_json::to_string(&header).map_err(|e| stored(WHAT, e.to_string()))?;
-        safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
+        let parts = [Part::row("base", Dtype::U8, &base), Part::new("carriers", Dtype::F16, shape, &carriers)];
+        Ok(packed(WHAT, &header, parts)?)
     }
 
     /// Reads what [`MarkedField::to_bytes`] wrote.
@@ -254,12 +248,7 @@ impl MarkedField {
         mut file: TensorFile<'_, R>,
         base_of: impl FnOnce(&mut TensorFile<'_, R>) -> Result<Arc<Field>, MarkError>,
     ) -> Result<Self, MarkError> {
-        let Format { format } = file.header()?;
-        if format != MARKED_FORMAT {
-            let why = format!("format `{format}`, this program reads `{MARKED_FORMAT}`; train the scene again");
-            return Err(stored(WHAT, why));
-        }
-        let header: Header = file.header()?;
+        let header: Header = file.header(MARKED_FORMAT)?;
         if header.density == DensityKind::Free && header.carrier == CarrierKind::PerCluster {
             return Err(stored(WHAT, "its densities moved for one identity alone".into()));
         }
@@ -287,23 +276,4 @@ fn read_base<R: Read + Seek>(file: &mut TensorFile<'_, R>) -> Result<Arc<Field>,
 /// A [`MarkError::Stored`].
 pub(crate) fn stored(what: &'static str, why: String) -> MarkError {
     MarkError::Stored { what, why }
-}
-
-/// The one key that every format's header has.
-#[derive(Deserialize)]
-struct Format {
-    format: String,
-}
-
-/// What format `bytes` are of: to be asked before the header is read, whose settings have other names in a later program's.
-pub(crate) fn read_format(bytes: &[u8], what: &'static str) -> Result<String, MarkError> {
-    Ok(read_header::<Format>(bytes, what)?.format)
-}
-
-/// Our JSON header in a safetensors file's metadata.
-pub(crate) fn read_header<H: serde::de::DeserializeOwned>(bytes: &[u8], what: &'static str) -> Result<H, MarkError> {
-    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| stored(what, e.to_string()))?;
-    let json = metadata.metadata().as_ref().and_then(|m| m.get("cairn"));
-    let json = json.ok_or_else(|| stored(what, "it has no Cairn header".into()))?;
-    serde_json::from_str(json).map_err(|e| stored(what, format!("its header: {e}")))
 }

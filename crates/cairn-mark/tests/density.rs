@@ -1,7 +1,7 @@
 //! Free density: theta's densities move with the mark, theta_0 stays what it was, and
 //! what is trained is stored and seen alike.
 
-use crate::common::{bytes, cameras, config, field, plan, run, start, trained};
+use crate::common::{bytes, cameras, config, field, plan, ran, run, start, trained};
 use cairn_field::Field;
 use cairn_field::grid::lattice::Grid;
 use cairn_mark::{CarrierKind, DensityKind, MarkError, MarkTrainer, MarkedField, MaskKind, Recipe};
@@ -50,7 +50,7 @@ fn what_was_trained_is_what_comes_back_and_renders() {
 fn threads_and_interruptions_do_not_change_the_bytes() {
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| bytes(trained(free(5))))
+        pool.install(|| bytes(ran(free(5))))
     };
     let whole = with(1);
     assert!(whole == with(3), "one thread and three differ");
@@ -61,7 +61,7 @@ fn threads_and_interruptions_do_not_change_the_bytes() {
     let stopped = first.checkpoint().unwrap();
     let mut second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
     run(&mut second);
-    assert!(bytes(second.finish().unwrap()) == whole, "the resumed run ended elsewhere");
+    assert!(bytes(second) == whole, "the resumed run ended elsewhere");
 }
 
 #[test]
@@ -72,7 +72,7 @@ fn harmonics_with_densities_as_they_are_resume_to_the_same_bytes() {
         // The last state as well as what is kept, which may be the state judged before the stop; on one thread.
         let ended = |mut trainer: MarkTrainer| {
             run(&mut trainer);
-            (trainer.checkpoint().unwrap(), bytes(trainer.finish().unwrap()))
+            (trainer.checkpoint().unwrap(), bytes(trainer))
         };
         let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let whole = one.install(|| ended(start(config.clone())));

@@ -1,7 +1,7 @@
 //! What must not go wrong on bad input: one clear error, never a panic, and the
 //! last good state.
 
-use crate::common::{bytes, cameras, config, field, photograph, plan, run, start, trained};
+use crate::common::{bytes, cameras, config, field, photograph, plan, ran, run, start, trained};
 use cairn_field::Field;
 use cairn_mark::{Detector, MarkError, MarkTrainer, MarkedField, Recipe};
 use safetensors::tensor::{SafeTensors, TensorView};
@@ -143,7 +143,7 @@ fn what_does_not_fit_is_refused_by_name() {
         assert!(matches!(error, MarkError::Setting { key: found, .. } if found == key), "{error}");
     }
 
-    let (marked, detector) = bytes(trained(config(1)));
+    let [marked, detector] = bytes(ran(config(1)));
     assert!(MarkedField::from_bytes(&detector).is_err(), "a detector is no marked field");
     assert!(Detector::from_bytes(&marked).is_err(), "a marked field is no detector");
     for cut in [0, 7, 100, marked.len() / 2, marked.len() - 1] {
@@ -231,7 +231,7 @@ fn damaged_checkpoints_are_refused_by_part() {
         h["format"] = "cairn.marked.checkpoint/1000".into();
         h["config"]["a setting of later"] = 1.into();
     };
-    refused(&header(&later), &["cairn.marked.checkpoint/1000", "start the training anew"]);
+    refused(&header(&later), &["cairn.marked.checkpoint/1000", "train the scene again"]);
     for steps in [vec![], vec![3u64], vec![3, 3, 3]] {
         refused(&header(&|h| h["carrier_steps"] = steps.clone().into()), &["carrier_steps", "2 carriers"]);
     }

@@ -1,7 +1,7 @@
 //! Marks that are trained to last: the same bytes from the same seed, and really
 //! read after what happens to pictures; and fields with changed weights.
 
-use crate::common::{bytes, cameras, config, field, plan, run, start, trained};
+use crate::common::{bytes, cameras, config, field, plan, ran, run, start, trained};
 use cairn_mark::{Detector, Distortion, MarkTrainer, MarkedField, Recipe, RobustConfig};
 
 fn robust(steps: u64) -> Recipe {
@@ -11,9 +11,9 @@ fn robust(steps: u64) -> Recipe {
 
 #[test]
 fn interrupted_and_on_any_number_of_threads_the_same_bytes() {
-    let whole = bytes(trained(robust(12)));
+    let whole = bytes(ran(robust(12)));
     let on_one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    assert!(on_one.install(|| bytes(trained(robust(12)))) == whole, "one thread and several differ");
+    assert!(on_one.install(|| bytes(ran(robust(12)))) == whole, "one thread and several differ");
     let mut first = start(robust(12));
     for _ in 0..7 {
         first.step().unwrap();
@@ -24,8 +24,8 @@ fn interrupted_and_on_any_number_of_threads_the_same_bytes() {
     let stopped = first.checkpoint().unwrap();
     let mut second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
     run(&mut second);
-    assert!(bytes(second.finish().unwrap()) == whole, "the resumed run ended elsewhere");
-    assert!(bytes(trained(config(12))) != whole, "attacks changed nothing");
+    assert!(bytes(second) == whole, "the resumed run ended elsewhere");
+    assert!(bytes(ran(config(12))) != whole, "attacks changed nothing");
 }
 
 /// Which attacks are drawn hangs on neither setting, so that what differs is what the mark was rounded to.
@@ -44,7 +44,7 @@ fn marks_in_half_precision_are_trained_on_where_they_are_to_last() {
     };
     let networks = |half_weights: bool, enabled: bool| {
         let robust = RobustConfig { half_weights, enabled, ..harmless.clone() };
-        let (_, detector) = bytes(trained(Recipe { robust, ..config(6) }));
+        let [_, detector] = bytes(ran(Recipe { robust, ..config(6) }));
         safetensors::SafeTensors::deserialize(&detector).unwrap().tensor("parameters").unwrap().data().to_vec()
     };
     assert!(networks(true, true) != networks(false, true), "no mark was rounded");

@@ -13,12 +13,12 @@ fn part(bytes: &[u8], name: &str) -> Vec<u8> {
 }
 
 /// All steps, never judged: which state is best is no business of these switches.
-fn unjudged(plan: MarkPlan, config: Recipe) -> (Vec<u8>, Vec<u8>) {
+fn unjudged(plan: MarkPlan, config: Recipe) -> [Vec<u8>; 2] {
     let mut trainer = MarkTrainer::new(field(), plan, config, 7, &mut |_, _| true).unwrap();
     while trainer.steps_done() < trainer.steps_total() {
         trainer.step().unwrap();
     }
-    bytes(trainer.finish().unwrap())
+    bytes(trainer)
 }
 
 #[test]
@@ -57,10 +57,10 @@ fn every_switch_trains_and_changes_its_own_part() {
 
 /// That all steps with `config` end in other networks than `usual`, and in other `marks` or the same, and that what
 /// comes of them answers.
-fn trains_otherwise(name: &str, usual: &(Vec<u8>, Vec<u8>), config: Recipe, marks: bool) {
-    let (marked, detector) = unjudged(plan(), config);
-    assert_eq!(part(&marked, "carriers") != part(&usual.0, "carriers"), marks, "{name}: the marks");
-    assert_ne!(part(&detector, "parameters"), part(&usual.1, "parameters"), "{name}: the networks");
+fn trains_otherwise(name: &str, usual: &[Vec<u8>; 2], config: Recipe, marks: bool) {
+    let [marked, detector] = unjudged(plan(), config);
+    assert_eq!(part(&marked, "carriers") != part(&usual[0], "carriers"), marks, "{name}: the marks");
+    assert_ne!(part(&detector, "parameters"), part(&usual[1], "parameters"), "{name}: the networks");
     let (marked, detector) = (MarkedField::from_bytes(&marked).unwrap(), Detector::from_bytes(&detector).unwrap());
     let found = detector.detect(&marked.render(&cameras()[0], field().canonical_appearance())).unwrap();
     assert!((found.probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-4, "{name}");
@@ -72,9 +72,9 @@ fn switches_that_count_beside_another_do_so_beside_it() {
     let usual = unjudged(plan(), binary.clone());
     trains_otherwise("the share that is locked", &usual, Recipe { mask_share: 0.9, ..binary.clone() }, true);
     // What a binary mask locks is locked whatever the paper's mask would be.
-    let (marked, detector) = unjudged(plan(), Recipe { mask_alpha: 1.0, min_mask: 0.0, ..binary });
-    assert!(part(&marked, "carriers") == part(&usual.0, "carriers"), "alpha counts in a binary mask");
-    assert!(part(&detector, "parameters") == part(&usual.1, "parameters"), "alpha counts in a binary mask");
+    let [marked, detector] = unjudged(plan(), Recipe { mask_alpha: 1.0, min_mask: 0.0, ..binary });
+    assert!(part(&marked, "carriers") == part(&usual[0], "carriers"), "alpha counts in a binary mask");
+    assert!(part(&detector, "parameters") == part(&usual[1], "parameters"), "alpha counts in a binary mask");
 
     let harmonics = Recipe { carrier: CarrierKind::Harmonics, ..config(6) };
     let usual = unjudged(plan(), harmonics.clone());
@@ -147,7 +147,7 @@ fn without_a_classifier_ease_comes_from_recovery_and_the_picture_counts() {
 fn a_detector_that_is_told_nothing_cannot_be_forced() {
     for (guidance, heeds) in [(Guidance::Guided, true), (Guidance::Unguided, false), (Guidance::NoClassifier, false)] {
         // Judged nowhere, so that what comes out is what training ended with.
-        let (marked, detector) = unjudged(plan(), Recipe { guidance, recover_moves_marks: true, ..config(8) });
+        let [marked, detector] = unjudged(plan(), Recipe { guidance, recover_moves_marks: true, ..config(8) });
         let (marked, detector) = (MarkedField::from_bytes(&marked).unwrap(), Detector::from_bytes(&detector).unwrap());
         let render = marked.render(&cameras()[0], field().canonical_appearance());
         let [one, two] = [1, 2].map(|class| detector.detect_forced(&render, class).unwrap().recovered);
@@ -159,8 +159,8 @@ fn a_detector_that_is_told_nothing_cannot_be_forced() {
 fn a_classifier_may_see_finer_pictures_than_the_detector() {
     // Whatever looks unlike its few renders would be doubted, and the classifier not heard.
     let heard = Recipe { finer: 2, max_feature_distance: 0.0, ..config(6) };
-    let (marked, detector) = unjudged(plan(), heard);
-    assert_ne!(part(&marked, "carriers"), part(&unjudged(plan(), config(6)).0, "carriers"));
+    let [marked, detector] = unjudged(plan(), heard);
+    assert_ne!(part(&marked, "carriers"), part(&unjudged(plan(), config(6))[0], "carriers"));
     let detector = Detector::from_bytes(&detector).unwrap();
     // Detail that the mean over two pixels each way does not see.
     let checked = |depth: f32| {
@@ -202,8 +202,8 @@ fn signals_move_marks_only_where_they_are_told_to() {
         config.detector.memory = memory;
         let (one, two) = (unjudged(plan(), config.clone()), unjudged(other.clone(), config));
         let told = format!("recover_moves_marks = {recover_moves_marks}, {memory:?}");
-        assert_eq!(part(&one.0, "carriers") != part(&two.0, "carriers"), recover_moves_marks, "{told}");
-        assert_ne!(part(&one.1, "parameters"), part(&two.1, "parameters"), "{told}: the detector");
+        assert_eq!(part(&one[0], "carriers") != part(&two[0], "carriers"), recover_moves_marks, "{told}");
+        assert_ne!(part(&one[1], "parameters"), part(&two[1], "parameters"), "{told}: the detector");
     }
 }
 
@@ -231,7 +231,7 @@ fn without_a_budget_nothing_scales_a_mark() {
     // Neither a picture loss nor a gradient worth the name: only the budget is left to move marks.
     let still = Recipe { learning_rate_carrier: 1e-9, pull: 0.0, ..config(4) };
     let strength = |config: &Recipe| {
-        let values = part(&unjudged(plan(), config.clone()).0, "carriers");
+        let values = part(&unjudged(plan(), config.clone())[0], "carriers");
         let values = values.chunks_exact(2).map(|b| half::f16::from_le_bytes([b[0], b[1]]).to_f64().abs());
         values.fold(0.0, f64::max)
     };

@@ -5,7 +5,7 @@
 use std::io::{Cursor, ErrorKind, Read};
 use std::sync::Arc;
 
-use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, run, start, trained};
+use crate::common::{bytes, cameras, config, field, photograph, plan, plan_of, ran, run, start, trained};
 use cairn_field::FieldError;
 use cairn_mark::{CarrierKind, Detector, MarkError, MarkTrainer, MarkedField, MaskKind, Recipe};
 use cairn_scene::Picture;
@@ -15,7 +15,7 @@ use safetensors::SafeTensors;
 fn any_number_of_threads_gives_the_same_bytes() {
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| bytes(trained(Recipe { view_refresh_steps: 2, ..config(8) })))
+        pool.install(|| bytes(ran(Recipe { view_refresh_steps: 2, ..config(8) })))
     };
     // One works a fresh view out when it comes, the others beside the steps, on one thread and on three.
     let one = with(1);
@@ -30,7 +30,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
     // Stopped where no views come and go, between two exchanges, right after one, and with one in every step.
     for (view_refresh_steps, stop) in [(0, 7), (3, 8), (2, 8), (1, 7)] {
         let config = || Recipe { view_refresh_steps, ..config(24) };
-        let whole = bytes(trained(config()));
+        let whole = bytes(ran(config()));
         let mut first = start(config());
         for _ in 0..stop {
             first.step().unwrap();
@@ -44,10 +44,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
         assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
         run(&mut second);
         let end = second.checkpoint().unwrap();
-        assert!(
-            bytes(second.finish().unwrap()) == whole,
-            "the resumed run ended elsewhere ({view_refresh_steps}, {stop})"
-        );
+        assert!(bytes(second) == whole, "the resumed run ended elsewhere ({view_refresh_steps}, {stop})");
         // The marks of the last step: files hold the settings as well, and the state that is kept may be an early one.
         let file = SafeTensors::deserialize(&end).unwrap();
         let marks = ["carrier0.values", "carrier1.values"].map(|name| file.tensor(name).unwrap().data().to_vec());
@@ -60,7 +57,7 @@ fn an_interrupted_run_ends_in_the_same_bytes() {
 fn a_run_interrupted_while_a_late_joined_budget_tightens_ends_in_the_same_bytes() {
     // The budget is half-way after four steps and waits there; from where the detector joins it takes four more.
     let config = || Recipe { classify_until: 0.9, budget_ramp: 0.1, ..config(80) };
-    let whole = bytes(trained(config()));
+    let whole = bytes(ran(config()));
     let mut first = start(config());
     let mut then = None;
     while first.steps_done() < then.unwrap_or(80) {
@@ -77,7 +74,7 @@ fn a_run_interrupted_while_a_late_joined_budget_tightens_ends_in_the_same_bytes(
     assert_eq!(second.joined_at(), Some(joined));
     assert!(second.checkpoint().unwrap() == stopped, "a checkpoint read and written again is another");
     run(&mut second);
-    assert!(bytes(second.finish().unwrap()) == whole, "the resumed run ended elsewhere");
+    assert!(bytes(second) == whole, "the resumed run ended elsewhere");
 }
 
 #[test]
@@ -106,8 +103,8 @@ fn marks_are_learnt_and_unmarked_pictures_stay_silent() {
     who_is_named_less_surely_than_has_to_be_is_not_named(&marked, &detector);
 }
 
-/// `detector` as it would be with `key` at `value` for `was`, each of three characters.
-fn with_setting(detector: &Detector, key: &str, (was, value): (&str, &str)) -> Detector {
+/// `detector` as it would be with `key` at `value` instead of `was`, each of three characters.
+fn with_setting(detector: &Detector, key: &str, was: &str, value: &str) -> Detector {
     let mut stored = detector.to_bytes().unwrap();
     let key = format!(r#"\"{key}\":{was}"#).into_bytes();
     let at = stored.windows(key.len()).position(|found| found == key).expect("it is among the settings");
@@ -117,13 +114,10 @@ fn with_setting(detector: &Detector, key: &str, (was, value): (&str, &str)) -> D
 
 /// Marks that are faded until the whole tells them less surely than asked for are named by their middle or not at all.
 fn who_is_named_less_surely_than_has_to_be_is_not_named(marked: &MarkedField, detector: &Detector) {
-    let sure = with_setting(detector, "min_confidence", ("0.0", "0.9"));
+    let sure = with_setting(detector, "min_confidence", "0.0", "0.9");
     // Where there is no closer look, whoever is likeliest is named.
-    let alone = with_setting(
-        &with_setting(detector, "center_crop_confidence", ("0.9", "1.0")),
-        "min_confidence",
-        ("0.0", "0.9"),
-    );
+    let alone =
+        with_setting(&with_setting(detector, "center_crop_confidence", "0.9", "1.0"), "min_confidence", "0.0", "0.9");
     let appearance = field().canonical_appearance().clone();
     let (mut unnamed, mut by_middle, mut named) = (0, 0, 0);
     for camera in cameras() {
@@ -171,7 +165,7 @@ fn closer_looks_tell_marks_amid_much_that_bears_none(marked: &MarkedField, detec
         picture
     };
     // The same detector as it would be that looks at the whole alone.
-    let whole = with_setting(detector, "center_crop_confidence", ("0.9", "1.0"));
+    let whole = with_setting(detector, "center_crop_confidence", "0.9", "1.0");
 
     let (mut closer, mut by_whole, mut silent, mut asked) = (0, 0, 0, 0);
     let appearance = field().canonical_appearance().clone();
@@ -249,7 +243,7 @@ fn training_ends_after_two_good_judgements_in_a_row_across_a_stop() {
     let mut second = MarkTrainer::resume(&stopped, field(), plan(), &mut |_, _| true).unwrap();
     go_on(&mut second, u64::MAX);
     assert_eq!(second.steps_done(), end);
-    assert!(bytes(second.finish().unwrap()) == bytes(whole.finish().unwrap()));
+    assert!(bytes(second) == bytes(whole));
 }
 
 #[test]

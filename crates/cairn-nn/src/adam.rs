@@ -11,11 +11,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{NnError, Result};
-use crate::params::{Params, Tensors, check_format, pack, unpack, values};
+use crate::params::{FileKind, Params, Tensors, pack, unpack, values};
 
-const FORMAT: &str = "cairn-nn adam";
-const VERSION: u32 = 1;
-const WHAT: &str = "optimiser state";
+const FILE: FileKind = FileKind { what: "optimiser state", format: "cairn-nn adam", version: 1 };
 
 /// A learning rate that falls exponentially: `initial * decay ^ steps done`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -73,7 +71,6 @@ impl Default for AdamConfig {
 pub struct Adam {
     config: AdamConfig,
     rate: Rate,
-    groups: BTreeMap<String, Rate>,
     steps: u64,
     moments: BTreeMap<String, Moments>,
 }
@@ -88,14 +85,12 @@ struct Moments {
 
 #[derive(Serialize, Deserialize)]
 struct Header {
-    format: String,
-    version: u32,
     steps: u64,
     parameter_steps: BTreeMap<String, u64>,
 }
 
 impl Adam {
-    /// A fresh optimiser; `rate` holds where no group does.
+    /// A fresh optimiser.
     ///
     /// # Errors
     /// [`NnError::Setting`] for numbers out of range.
@@ -109,29 +104,12 @@ impl Adam {
         if !(config.epsilon > 0.0 && config.epsilon.is_finite()) {
             return setting("epsilon", config.epsilon, "above 0");
         }
-        let (rate, groups, moments) = (rate.check()?, BTreeMap::new(), BTreeMap::new());
-        Ok(Self { config, rate, groups, steps: 0, moments })
-    }
-
-    /// Sets the rate of all parameters whose names start with `prefix`; the
-    /// longest prefix that fits a name wins.
-    ///
-    /// # Errors
-    /// [`NnError::Setting`] for a rate out of range.
-    pub fn set_group(&mut self, prefix: &str, rate: Rate) -> Result<()> {
-        self.groups.insert(prefix.to_owned(), rate.check()?);
-        Ok(())
+        Ok(Self { config, rate: rate.check()?, steps: 0, moments: BTreeMap::new() })
     }
 
     /// Steps done.
     pub fn steps(&self) -> u64 {
         self.steps
-    }
-
-    /// The rate that the next step takes for the parameter `name`.
-    pub fn rate(&self, name: &str) -> f64 {
-        let fitting = self.groups.iter().filter(|(prefix, _)| name.starts_with(prefix.as_str()));
-        fitting.max_by_key(|(prefix, _)| prefix.len()).map_or(self.rate, |(_, rate)| *rate).at(self.steps)
     }
 
     /// One step for every parameter that has a gradient in `grads`; those
@@ -147,8 +125,8 @@ impl Adam {
                 found.push((name, var, checked_gradient(name, var, grad)?));
             }
         }
+        let rate = self.rate.at(self.steps);
         for (name, var, grad) in found {
-            let rate = self.rate(name);
             let moments = self.moments.entry(name.to_owned()).or_insert_with(|| Moments {
                 steps: 0,
                 mean: vec![0.0; grad.len()],
@@ -170,13 +148,13 @@ impl Adam {
     /// [`NnError::Container`] when it cannot be written.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let parameter_steps = self.moments.iter().map(|(name, m)| (name.clone(), m.steps)).collect();
-        let header = Header { format: FORMAT.into(), version: VERSION, steps: self.steps, parameter_steps };
+        let header = Header { steps: self.steps, parameter_steps };
         let mut tensors = Tensors::new();
         for (name, m) in &self.moments {
             tensors.insert(format!("mean/{name}"), (vec![m.mean.len()], m.mean.clone()));
             tensors.insert(format!("square/{name}"), (vec![m.square.len()], m.square.clone()));
         }
-        pack(WHAT, &header, &tensors)
+        pack(&FILE, &header, &tensors)
     }
 
     /// Takes over the state of [`Self::to_bytes`] for `params`: training goes on
@@ -185,8 +163,7 @@ impl Adam {
     /// # Errors
     /// When the bytes are no such state or do not fit `params`.
     pub fn load(&mut self, params: &Params, bytes: &[u8]) -> Result<()> {
-        let (header, mut tensors): (Header, Tensors) = unpack(WHAT, bytes)?;
-        check_format(WHAT, &header.format, header.version, FORMAT, VERSION)?;
+        let (header, mut tensors): (Header, Tensors) = unpack(&FILE, bytes)?;
         let mut moments = BTreeMap::new();
         for (name, steps) in header.parameter_steps {
             let what = "in the optimiser state but not among the parameters";

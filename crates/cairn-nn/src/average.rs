@@ -8,10 +8,9 @@ use candle_core::{Device, Tensor};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{NnError, Result};
-use crate::params::{Params, Tensors, check_format, pack, unpack, values};
+use crate::params::{FileKind, Params, Tensors, pack, unpack, values};
 
-const FORMAT: &str = "cairn-nn average";
-const VERSION: u32 = 1;
+const FILE: FileKind = FileKind { what: "average", format: "cairn-nn average", version: 1 };
 
 /// The mean of [`Params`] over the steps so far, the latest counting most.
 #[derive(Debug)]
@@ -23,8 +22,6 @@ pub struct Average {
 
 #[derive(Serialize, Deserialize)]
 struct Header {
-    format: String,
-    version: u32,
     steps: u64,
 }
 
@@ -73,7 +70,7 @@ impl Average {
     /// # Errors
     /// [`NnError::Container`] when it cannot be written.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
-        pack("average", &Header { format: FORMAT.into(), version: VERSION, steps: self.steps }, &self.tensors)
+        pack(&FILE, &Header { steps: self.steps }, &self.tensors)
     }
 
     /// Takes up [`Self::to_bytes`] of the same parameters.
@@ -82,8 +79,7 @@ impl Average {
     /// [`NnError::Container`] or [`NnError::Format`] when the bytes are not such a file;
     /// [`NnError::ParameterName`], [`NnError::ParameterShape`] for other parameters.
     pub fn load(&mut self, bytes: &[u8]) -> Result<()> {
-        let (header, tensors): (Header, Tensors) = unpack("average", bytes)?;
-        check_format("average", &header.format, header.version, FORMAT, VERSION)?;
+        let (header, tensors): (Header, Tensors) = unpack(&FILE, bytes)?;
         for (name, (shape, _)) in &self.tensors {
             let (got, _) = tensors.get(name).ok_or_else(|| missing(name))?;
             if got != shape {

@@ -62,6 +62,6 @@ pub use loss::{binary_cross_entropy, cross_entropy, mean_absolute, mean_squared,
 pub use measure::{ConvShape, Pass};
 pub use norm::{group_norm_leaky, leaky_relu};
 pub use params::{Init, Params, Scope};
-pub use resample::{avg_pool, pool_moments, upsample, upsample_add};
+pub use resample::{avg_pool, pool_moments, upsample_add};
 pub use text::{TextConfig, TextHead, text_bits, text_bytes};
 pub use unet::{Features, Memory, UNet, UNetConfig};

@@ -11,14 +11,14 @@ use candle_core::{Device, Tensor, Var};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
+use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::error::{NnError, Result};
 use crate::raw::with_floats;
 
-const FORMAT: &str = "cairn-nn parameters";
-const VERSION: u32 = 1;
+const FILE: FileKind = FileKind { what: "parameters", format: "cairn-nn parameters", version: 1 };
 /// The one metadata key: with a single key the header's bytes cannot depend on
 /// a hash map's order.
 pub(crate) const METADATA_KEY: &str = "cairn";
@@ -50,8 +50,6 @@ pub struct Params {
 
 #[derive(Serialize, Deserialize)]
 struct Header {
-    format: String,
-    version: u32,
     seed: u64,
 }
 
@@ -102,13 +100,12 @@ impl Params {
     /// # Errors
     /// [`NnError::Tensor`] if a tensor cannot be read.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
-        let header = Header { format: FORMAT.into(), version: VERSION, seed: self.seed };
         let tensors = self
             .vars
             .iter()
             .map(|(name, var)| Ok((name.clone(), (var.dims().to_vec(), values(var)?))))
             .collect::<Result<BTreeMap<_, _>>>()?;
-        pack("parameters", &header, &tensors)
+        pack(&FILE, &Header { seed: self.seed }, &tensors)
     }
 
     /// Parameters from [`Self::to_bytes`]; networks built on them find theirs by name.
@@ -117,8 +114,7 @@ impl Params {
     /// [`NnError::Container`] or [`NnError::Format`] when the bytes are not such a file,
     /// or hold a number that is not finite.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let (header, tensors): (Header, _) = unpack("parameters", bytes)?;
-        check_format("parameters", &header.format, header.version, FORMAT, VERSION)?;
+        let (header, tensors): (Header, _) = unpack(&FILE, bytes)?;
         let vars = tensors
             .into_iter()
             .map(|(name, (shape, data))| Ok((name, Var::from_vec(data, shape, &Device::Cpu)?)))
@@ -273,8 +269,25 @@ pub(crate) fn values(t: &Tensor) -> Result<Vec<f32>> {
 /// Named tensors as read from a file: shape and numbers.
 pub(crate) type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
+/// A kind of file of tensors: what errors call it, and its one format and version.
+pub(crate) struct FileKind {
+    pub(crate) what: &'static str,
+    pub(crate) format: &'static str,
+    pub(crate) version: u32,
+}
+
+/// The header of every kind of file, its own part beside format and version.
+#[derive(Serialize, Deserialize)]
+struct Head<H> {
+    format: String,
+    version: u32,
+    #[serde(flatten)]
+    own: H,
+}
+
 /// `header` and `tensors` as one safetensors file.
-pub(crate) fn pack(what: &'static str, header: &impl Serialize, tensors: &Tensors) -> Result<Vec<u8>> {
+pub(crate) fn pack(kind: &FileKind, header: &impl Serialize, tensors: &Tensors) -> Result<Vec<u8>> {
+    let what = kind.what;
     let container = |source| NnError::Container { what, source };
     let bytes: BTreeMap<&String, (&Vec<usize>, Vec<u8>)> = tensors
         .iter()
@@ -285,7 +298,8 @@ pub(crate) fn pack(what: &'static str, header: &impl Serialize, tensors: &Tensor
         .map(|(name, (shape, data))| Ok((name.as_str(), TensorView::new(Dtype::F32, shape.to_vec(), data)?)))
         .collect::<std::result::Result<Vec<_>, _>>()
         .map_err(container)?;
-    let header = serde_json::to_string(header).map_err(|e| NnError::Format {
+    let header = Head { format: kind.format.into(), version: kind.version, own: header };
+    let header = serde_json::to_string(&header).map_err(|e| NnError::Format {
         what,
         expected: "a header".into(),
         got: e.to_string(),
@@ -293,15 +307,22 @@ pub(crate) fn pack(what: &'static str, header: &impl Serialize, tensors: &Tensor
     serialize(views, Some(HashMap::from([(METADATA_KEY.to_owned(), header)]))).map_err(container)
 }
 
-/// Header and tensors of [`pack`], every number finite.
-pub(crate) fn unpack<H: for<'a> Deserialize<'a>>(what: &'static str, bytes: &[u8]) -> Result<(H, Tensors)> {
+/// Header and tensors of [`pack`], every number finite; another format or version is refused by name.
+pub(crate) fn unpack<H: DeserializeOwned>(kind: &FileKind, bytes: &[u8]) -> Result<(H, Tensors)> {
+    let what = kind.what;
     let container = |source| NnError::Container { what, source };
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
     let expected = || format!("safetensors with a `{METADATA_KEY}` header");
     let header = metadata.metadata().as_ref().and_then(|m| m.get(METADATA_KEY));
     let header = header.ok_or_else(|| NnError::Format { what, expected: expected(), got: "none".into() })?;
-    let header =
-        serde_json::from_str(header).map_err(|e| NnError::Format { what, expected: expected(), got: e.to_string() })?;
+    let wrong = |e: serde_json::Error| NnError::Format { what, expected: expected(), got: e.to_string() };
+    let Head { format, version, own: IgnoredAny } = serde_json::from_str(header).map_err(wrong)?;
+    if format != kind.format || version != kind.version {
+        let say = |format: &str, version: u32| format!("`{format}` version {version}");
+        let (expected, got) = (say(kind.format, kind.version), say(&format, version));
+        return Err(NnError::Format { what, expected, got });
+    }
+    let Head { own: header, .. } = serde_json::from_str(header).map_err(wrong)?;
     let mut tensors = Tensors::new();
     for (name, view) in SafeTensors::deserialize(bytes).map_err(container)?.iter() {
         if view.dtype() != Dtype::F32 {
@@ -317,20 +338,4 @@ pub(crate) fn unpack<H: for<'a> Deserialize<'a>>(what: &'static str, bytes: &[u8
         tensors.insert(name.to_owned(), (view.shape().to_vec(), data));
     }
     Ok((header, tensors))
-}
-
-/// Refuses a file of another format, or of another version of it.
-pub(crate) fn check_format(
-    what: &'static str,
-    format: &str,
-    version: u32,
-    expected_format: &str,
-    expected_version: u32,
-) -> Result<()> {
-    if format != expected_format || version != expected_version {
-        let say = |format: &str, version: u32| format!("`{format}` version {version}");
-        let expected = say(expected_format, expected_version);
-        return Err(NnError::Format { what, expected, got: say(format, version) });
-    }
-    Ok(())
 }

@@ -9,20 +9,12 @@ use rayon::prelude::*;
 use crate::raw::{floats, tensor, with_floats};
 use crate::sum::{sum, sum_by};
 
-/// Repeats each pixel of `x`, N x C x H x W, `factor` = [down, across] times.
-///
-/// # Errors
-/// When a factor is 0 or `x` is not a f32 CPU tensor of rank 4.
-pub fn upsample(x: &Tensor, factor: [usize; 2]) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(Upsample { factor })
-}
-
-/// [`upsample`] by two both ways, plus `skip`, N x C x 2H x 2W.
+/// Repeats each pixel of `x`, N x C x H x W, twice down and across, plus `skip`, N x C x 2H x 2W.
 ///
 /// # Errors
 /// When shapes do not fit or a tensor is not f32 on the CPU.
 pub fn upsample_add(x: &Tensor, skip: &Tensor) -> Result<Tensor> {
-    x.contiguous()?.apply_op2(&skip.contiguous()?, Upsample { factor: [2, 2] })
+    x.contiguous()?.apply_op2(&skip.contiguous()?, UpsampleAdd)
 }
 
 /// Averages blocks of `factor` = [down, across] pixels of `x`, N x C x H x W.
@@ -41,9 +33,7 @@ pub fn pool_moments(x: &Tensor) -> Result<Tensor> {
     x.contiguous()?.apply_op1(PoolMoments)
 }
 
-struct Upsample {
-    factor: [usize; 2],
-}
+struct UpsampleAdd;
 
 struct AvgPool {
     factor: [usize; 2],
@@ -82,60 +72,28 @@ fn gather(large: &[f32], width: usize, [fy, fx]: [usize; 2], scale: f32) -> Vec<
     small
 }
 
-impl Upsample {
-    fn shape(&self, x: &Shape) -> Result<(usize, Shape)> {
-        let (n, c, h, w) = x.dims4()?;
-        let [fy, fx] = self.factor;
-        if fy * fx * x.elem_count() == 0 {
-            candle_core::bail!("cairn-upsample: factors {:?} and shape {x:?} must be at least 1", self.factor);
-        }
-        Ok((w, (n, c, h * fy, w * fx).into()))
-    }
+const TWICE: [usize; 2] = [2, 2];
 
-    fn forward(&self, x: &[f32], x_shape: &Shape, skip: Option<(&[f32], &Shape)>) -> Result<(CpuStorage, Shape)> {
-        let (width, shape) = self.shape(x_shape)?;
-        let mut out = match skip {
-            None => vec![0.0; shape.elem_count()],
-            Some((skip, s)) if *s == shape => skip.to_vec(),
-            Some((_, s)) => candle_core::bail!("cairn-upsample: {x_shape:?} doubled does not fit {s:?}"),
-        };
-        spread(x, width, self.factor, 1.0, &mut out);
-        Ok((CpuStorage::F32(out), shape))
-    }
-
-    fn backward(&self, x: &Tensor, grad: &Tensor) -> Result<Tensor> {
-        let width = x.dim(3)?;
-        let dx = with_floats("cairn-upsample", &grad.contiguous()?, |g| gather(g, width, self.factor, 1.0))?;
-        tensor(dx, x.shape())
-    }
-}
-
-impl CustomOp1 for Upsample {
-    fn name(&self) -> &'static str {
-        "cairn-upsample"
-    }
-
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        self.forward(floats("cairn-upsample", s, l)?, l.shape(), None)
-    }
-
-    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        self.backward(x, grad).map(Some)
-    }
-}
-
-impl CustomOp2 for Upsample {
+impl CustomOp2 for UpsampleAdd {
     fn name(&self) -> &'static str {
         "cairn-upsample-add"
     }
 
     fn cpu_fwd(&self, s1: &CpuStorage, l1: &Layout, s2: &CpuStorage, l2: &Layout) -> Result<(CpuStorage, Shape)> {
-        let name = "cairn-upsample-add";
-        self.forward(floats(name, s1, l1)?, l1.shape(), Some((floats(name, s2, l2)?, l2.shape())))
+        let (n, c, h, w) = l1.shape().dims4()?;
+        let shape = Shape::from((n, c, 2 * h, 2 * w));
+        if shape.elem_count() == 0 || *l2.shape() != shape {
+            candle_core::bail!("{}: {:?} doubled does not fit {:?}", self.name(), l1.shape(), l2.shape());
+        }
+        let mut out = floats(self.name(), s2, l2)?.to_vec();
+        spread(floats(self.name(), s1, l1)?, w, TWICE, 1.0, &mut out);
+        Ok((CpuStorage::F32(out), shape))
     }
 
     fn bwd(&self, x: &Tensor, _: &Tensor, _: &Tensor, grad: &Tensor) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        Ok((Some(self.backward(x, grad)?), Some(grad.clone())))
+        let width = x.dim(3)?;
+        let dx = with_floats(self.name(), &grad.contiguous()?, |g| gather(g, width, TWICE, 1.0))?;
+        Ok((Some(tensor(dx, x.shape())?), Some(grad.clone())))
     }
 }
 

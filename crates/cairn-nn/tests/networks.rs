@@ -74,25 +74,31 @@ fn detector_gradient_is_right_through_everything() -> Result<()> {
     Ok(())
 }
 
-fn small_networks(params: &mut Params) -> Result<(Classifier, UNet)> {
+/// A classifier and a detector.
+struct Networks {
+    classifier: Classifier,
+    detector: UNet,
+}
+
+fn small_networks(params: &mut Params) -> Result<Networks> {
     let config = ClassifierConfig { channels: vec![8, 8], ..ClassifierConfig::default() };
     let classifier = Classifier::new(&config, 2, params.scope("classifier"))?;
     let config = UNetConfig { channels: vec![8, 12], size: [32, 32], ..UNetConfig::default() };
-    Ok((classifier, UNet::new(&config, 2, params.scope("detector"))?))
+    Ok(Networks { classifier, detector: UNet::new(&config, 2, params.scope("detector"))? })
 }
 
 /// One step of both networks on a smooth picture (as renders are) and the same
 /// with a faint pattern.
-fn train_step(nets: &(Classifier, UNet), params: &Params, adam: &mut Adam) -> Result<[f32; 2]> {
+fn train_step(nets: &Networks, params: &Params, adam: &mut Adam) -> Result<[f32; 2]> {
     let smooth = (0..3072).map(|i| (i % 32 + i / 32 % 32) as f32 / 64.0).collect();
     let plain = Tensor::from_vec(smooth, (1, 3, 32, 32), &Device::Cpu)?;
     let pattern: Vec<f32> = (0..3072).map(|i| if (i + i / 32) % 2 == 0 { 0.005 } else { -0.005 }).collect();
     let marked = (&plain + Tensor::from_vec(pattern, (1, 3, 32, 32), &Device::Cpu)?)?;
     let images = Tensor::cat(&[&plain, &marked], 0)?;
     let target = Tensor::cat(&[&plain.zeros_like()?, &wave(&[1, 3, 32, 32], 2.0)], 0)?;
-    let logits = nets.0.forward(&images)?;
+    let logits = nets.classifier.forward(&images)?;
     let class = cross_entropy(&logits, &[0, 1])?;
-    let recover = mean_absolute(&nets.1.forward(&images, &softmax(&logits)?.detach())?, &target)?;
+    let recover = mean_absolute(&nets.detector.forward(&images, &softmax(&logits)?.detach())?, &target)?;
     adam.step(params, &(&class + &recover)?.backward()?)?;
     Ok([class.to_scalar()?, recover.to_scalar()?])
 }
@@ -216,10 +222,10 @@ fn wrong_settings_and_shapes_are_refused_by_name() -> Result<()> {
     let error = Classifier::new(&bad, 2, params.scope("c")).expect_err("no residual").to_string();
     assert!(error.contains("textured_only") && error.contains("high_pass_gain is 0"), "{error}");
     let nets = small_networks(&mut params)?;
-    let error = nets.0.forward(&wave(&[1, 3, 30, 32], 0.0)).expect_err("30 rows").to_string();
+    let error = nets.classifier.forward(&wave(&[1, 3, 30, 32], 0.0)).expect_err("30 rows").to_string();
     assert!(error.contains("multiples of 4"), "{error}");
     let p = Tensor::new(&[[1.0f32, 0.0, 0.0]], &Device::Cpu)?;
-    let error = nets.1.forward(&wave(&[1, 3, 32, 32], 0.0), &p).expect_err("three classes").to_string();
+    let error = nets.detector.forward(&wave(&[1, 3, 32, 32], 0.0), &p).expect_err("three classes").to_string();
     assert!(error.contains("1 x 2 class probabilities"), "{error}");
     Ok(())
 }

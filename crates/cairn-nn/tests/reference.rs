@@ -3,7 +3,7 @@
 
 use cairn_nn::{
     LEAKY_SLOPE, Window, avg_pool, conv_transpose1d, conv_transpose2d, conv1d, conv2d, front_end, group_norm_leaky,
-    leaky_relu, pool_moments, upsample, upsample_add,
+    leaky_relu, pool_moments, upsample_add,
 };
 use candle_core::{Device, Result, Tensor, Var};
 use serde::Deserialize;
@@ -38,7 +38,6 @@ fn apply(case: &Case, x: &[Var]) -> Result<Tensor> {
         "conv_transpose1d" => conv_transpose1d(&x[0], &x[1], Some(&x[2]), window(s), s[3]),
         "group_norm_leaky" => group_norm_leaky(&x[0], &x[1], &x[2], s[0], LEAKY_SLOPE),
         "leaky_relu" => leaky_relu(&x[0], LEAKY_SLOPE),
-        "upsample" => upsample(&x[0], [s[0], s[1]]),
         "upsample_add" => upsample_add(&x[0], &x[1]),
         "avg_pool" => avg_pool(&x[0], [s[0], s[1]]),
         "pool_moments" => pool_moments(&x[0]),

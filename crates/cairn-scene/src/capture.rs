@@ -1,7 +1,6 @@
 //! A capture: every view of one place with its camera, its photograph and who
 //! took it, read from whichever format the cameras came in.
 
-use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use cairn_durable::read_limited;
@@ -49,8 +48,11 @@ pub struct View {
     pub camera: Camera,
     /// Who took it; [`UNKNOWN_CONTRIBUTOR`] where no table was given.
     pub contributor: String,
-    /// Where the photograph lies, relative to [`Capture::root`], and which way its pixels are meant.
-    pub photograph: PhotographFile,
+    /// Where the photograph lies, relative to [`Capture::root`], or absolute.
+    pub photograph: PathBuf,
+    /// Whether the photograph's pixels are meant as they are stored, without EXIF orientation, where both ways have the
+    /// camera's size. Structure from motion that does not look at EXIF (COLMAP) computes its cameras on those.
+    pub as_stored: bool,
     /// Whether it is kept from training, to measure on.
     pub held_out: bool,
     /// Where its mask lies, relative to [`Capture::root`], or absolute; `None` uses all pixels.
@@ -60,43 +62,6 @@ pub struct View {
     /// Nearest and farthest depth of the scene here, in the capture's unit
     /// (LLFF brings it).
     pub bounds: Option<(f64, f64)>,
-}
-
-/// A photograph's file. It derefs to its path.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PhotographFile {
-    /// Relative to [`Capture::root`], or absolute.
-    pub path: PathBuf,
-    /// Whether the pixels are meant as they are stored, without EXIF orientation, where both ways have the camera's
-    /// size. Structure from motion that does not look at EXIF (COLMAP) computes its cameras on those.
-    pub as_stored: bool,
-}
-
-impl Deref for PhotographFile {
-    type Target = Path;
-
-    fn deref(&self) -> &Path {
-        &self.path
-    }
-}
-
-impl AsRef<Path> for PhotographFile {
-    fn as_ref(&self) -> &Path {
-        &self.path
-    }
-}
-
-impl From<PathBuf> for PhotographFile {
-    /// The photograph as it is looked at: EXIF orientation applied.
-    fn from(path: PathBuf) -> Self {
-        Self { path, as_stored: false }
-    }
-}
-
-impl From<&str> for PhotographFile {
-    fn from(path: &str) -> Self {
-        PathBuf::from(path).into()
-    }
 }
 
 /// Every view of one place.
@@ -220,7 +185,7 @@ impl Capture {
     pub(crate) fn decode(&self, view: usize, path: &Path, bytes: &[u8]) -> Result<Picture, CaptureError> {
         let view = &self.views[view];
         let camera = &view.camera.intrinsics;
-        photograph::decode_sized(path, bytes, &limits_for(view), self.background, camera, view.photograph.as_stored)
+        photograph::decode_sized(path, bytes, &limits_for(view), self.background, camera, view.as_stored)
     }
 }
 

@@ -20,13 +20,13 @@ mod sound;
 mod train_view;
 
 pub use cameras::{Camera, Distortion, Intrinsics, LensModel, Pose, PoseError};
-pub use capture::{Capture, PhotographFile, SceneKind, Support, UNKNOWN_CONTRIBUTOR, View};
+pub use capture::{Capture, SceneKind, Support, UNKNOWN_CONTRIBUTOR, View};
 pub use error::CaptureError;
 pub use images::{
     AreaFilter, Ground, ImageFormat, Limits, Mask, Picture, Picture8, PictureError, decode_emblem, decode_picture,
     encode_grey16, encode_png, save_png,
 };
 pub use import::ReadOptions;
-pub use scene::{MANIFEST, Mismatch, SceneFolder, write_manifest};
+pub use scene::{MANIFEST, SceneFolder, write_manifest};
 pub use sound::{SAMPLE_RATES_HZ, Sound, SoundLimits, decode_wav, encode_wav};
 pub use train_view::TrainView;

@@ -135,7 +135,7 @@ fn a_scene_keeps_masks_bound_to_their_bytes() {
     assert_eq!(scene.capture(), made.capture());
     let mask = scene.mask(1).unwrap().unwrap();
     assert_eq!(left_out(&mask), 4);
-    assert_eq!((scene.mask(0).unwrap(), scene.verify_photographs()), (None, Vec::new()));
+    assert_eq!(scene.mask(0).unwrap(), None);
     let view = scene.train_view(1).unwrap();
     assert_eq!((view.camera, view.mask.as_ref()), (scene.capture().views[1].camera, Some(&mask)));
     assert!(view.uses(3, 0) && !view.uses(4, 0));
@@ -151,6 +151,4 @@ fn a_scene_keeps_masks_bound_to_their_bytes() {
     let bytes = fs::read(&file).unwrap();
     fs::write(&file, &bytes[..bytes.len() - 1]).unwrap();
     refuses(scene.mask(1), &["masks/000001.png"]);
-    let wrong = scene.verify_photographs();
-    assert_eq!((wrong.len(), wrong[0].view, &wrong[0].photograph), (1, 1, &file));
 }

@@ -47,7 +47,7 @@ fn the_usual_folders_are_tried_in_order() {
     for i in 1..4 {
         fs::write(small.join(format!("{i}.png")), photograph()).unwrap();
     }
-    let first = |folder: &Path| read(folder).unwrap().views[0].photograph.path.clone();
+    let first = |folder: &Path| read(folder).unwrap().views[0].photograph.clone();
     assert_eq!(first(folder.path()), Path::new("images/1.png"));
     write_llff(folder.path(), [0.0; 3]);
     assert_eq!(first(folder.path()), Path::new("images_4/1.png"), "LLFF takes the smallest");

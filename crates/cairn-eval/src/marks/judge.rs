@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 use cairn_mark::{Detector, Distortion, MarkedField, Recipe, Signal};
-use cairn_scene::metrics::{expected_calibration_error, psnr_db, ssim};
+use cairn_scene::metrics::{psnr_db, ssim};
 use cairn_scene::{Picture, encode_png};
 use cairn_service::export::sheet::{Tile, contact_sheet};
 use cairn_service::query::evaluate::{difference, eight_bits, half, signal_tiles};
@@ -21,6 +21,7 @@ use super::{exchange, registered, unmarked};
 use crate::children::Work;
 use crate::file::{read, write};
 use crate::marked::{Files, signals};
+use crate::measures::expected_calibration_error;
 use crate::progress::Progress;
 use crate::source::{Opened, Source};
 

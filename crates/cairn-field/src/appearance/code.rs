@@ -9,7 +9,8 @@
 use crate::grid::real::Real;
 use crate::grid::sh::{SH, SH_DC};
 use crate::render::composite::Gathered;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Features a pixel's channel is a linear combination of: near colour (3), near
 /// weight, far colour (3), far weight, and the sky's basis (9) times what light
@@ -21,31 +22,18 @@ pub const CODE: usize = 3 * FEATURES;
 
 /// One appearance code: for each output channel the weights of the [`FEATURES`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Stored", into = "Stored")]
 pub struct Appearance {
     /// `3 x FEATURES`.
+    #[serde(deserialize_with = "sound_code")]
     code: Vec<f32>,
 }
 
-/// An appearance as a file has it, before its numbers are counted.
-#[derive(Serialize, Deserialize)]
-struct Stored {
-    code: Vec<f32>,
-}
-
-impl TryFrom<Stored> for Appearance {
-    type Error = String;
-
-    fn try_from(stored: Stored) -> Result<Self, String> {
-        let got = stored.code.len();
-        Self::from_code(stored.code).ok_or_else(|| format!("an appearance has {CODE} finite numbers, got {got}"))
-    }
-}
-
-impl From<Appearance> for Stored {
-    fn from(appearance: Appearance) -> Self {
-        Self { code: appearance.code }
-    }
+/// A code from a file, its numbers counted.
+fn sound_code<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<f32>, D::Error> {
+    let code = Vec::deserialize(from)?;
+    let got = code.len();
+    let sound = Appearance::from_code(code).map(|appearance| appearance.code);
+    sound.ok_or_else(|| D::Error::custom(format!("an appearance has {CODE} finite numbers, got {got}")))
 }
 
 /// An appearance's weights by feature, one of padding behind its channels': four are worked out at once.

@@ -6,7 +6,7 @@ use super::model::{CHANGE, Field};
 use crate::appearance::code::{Appearance, FEATURES, features};
 use crate::grid::sh::SH;
 use crate::rays::lens::{Eye, Lens};
-use crate::render::composite::{Kept, Regularise, Thresholds, gather, push_back};
+use crate::render::composite::{Kept, Thresholds, gather, push_back};
 use crate::render::patch::{Debts, Patch, Roulette};
 use crate::render::picture::{Seen, Tiling};
 use cairn_scene::Camera;
@@ -113,7 +113,7 @@ impl MarchedView {
             let (path, basis) = self.lens.ray(&self.fine, &field.frame, of);
             let gathered = gather(&field.grid, patch, &path, 0.5, Thresholds::SHOWN, tape);
             let pulled = appearance.pull(slope.map(|g| g * share), &basis);
-            push_back(patch, tape, gathered.end, &pulled, &Regularise::default());
+            push_back(patch, tape, gathered.end, &pulled, 0.0);
         }
         // What is not finite stays so in the sum, and whoever takes the step looks at that.
         let mut all = Roulette::NONE;

@@ -5,7 +5,7 @@ use crate::appearance::prior::Prior;
 use crate::error::FieldError;
 use crate::grid::lattice::{Grid, ROW, fits};
 use crate::grid::sh::SH;
-use crate::io::tensors::{TensorFile, stored};
+use crate::io::tensors::{Part, TensorFile, packed, stored};
 use crate::rays::frame::SceneFrame;
 use crate::rays::lens::{Eye, Lens};
 use crate::rays::march::empty_density;
@@ -14,7 +14,7 @@ use crate::render::picture::{Seen, Tiling};
 use cairn_scene::{Camera, Picture};
 use half::f16;
 use rayon::prelude::*;
-use safetensors::tensor::{Dtype, TensorView};
+use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
 use std::io::{Cursor, Read, Seek};
 
@@ -77,23 +77,6 @@ impl Field {
     pub fn with_stored_colours(mut self) -> Self {
         self.grid.colour.par_iter_mut().for_each(|v| *v = f16::from_f32(*v).to_f32());
         self
-    }
-
-    /// The field with each colour coefficient rounded to one of 256 even steps between
-    /// its smallest and its largest: what storing a byte each would do to pictures.
-    #[must_use]
-    pub fn with_colours_of_8_bits(&self) -> Self {
-        let mut field = self.clone();
-        for k in 0..3 * SH {
-            let of = field.grid.colour[ROW..].iter().skip(k).step_by(ROW);
-            let (low, high) = of.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-            let step = (high - low) / 255.0;
-            if step > 0.0 {
-                let of = field.grid.colour[ROW..].iter_mut().skip(k).step_by(ROW);
-                of.for_each(|v| *v = low + ((*v - low) / step).round() * step);
-            }
-        }
-        field
     }
 
     /// The field with its colour coefficients changed, `rows x 27` of them, red's first in
@@ -285,17 +268,13 @@ impl Field {
             .flat_map(|row| row[..3 * SH].iter().flat_map(|v| f16::from_f32(*v).to_le_bytes()))
             .collect();
         let cells: Vec<u8> = self.grid.occupancy.allowed().iter().flat_map(|v| v.to_le_bytes()).collect();
-        let bad = |e: safetensors::SafeTensorError| stored("field", e.to_string());
-        let tensors = [
-            ("cells", TensorView::new(Dtype::U64, vec![cells.len() / 8], &cells).map_err(bad)?),
-            ("colour", TensorView::new(Dtype::F16, vec![rows, SH, 3], &colour).map_err(bad)?),
-            ("density", TensorView::new(Dtype::F32, vec![rows], &raw).map_err(bad)?),
-            ("vertex", TensorView::new(Dtype::U32, vec![rows], &vertex).map_err(bad)?),
+        let parts = [
+            Part::row("cells", Dtype::U64, &cells),
+            Part::new("colour", Dtype::F16, vec![rows, SH, 3], &colour),
+            Part::row("density", Dtype::F32, &raw),
+            Part::row("vertex", Dtype::U32, &vertex),
         ];
-        let json = serde_json::to_string(&header).map_err(|e| stored("field", e.to_string()))?;
-        // One metadata entry only: a map of several would be written in random order.
-        let metadata = std::collections::HashMap::from([("cairn".to_owned(), json)]);
-        safetensors::serialize(tensors, Some(metadata)).map_err(bad)
+        packed("field", &header, parts)
     }
 
     /// Reads what [`Field::to_bytes`] wrote.
@@ -319,11 +298,7 @@ impl Field {
     /// # Errors
     /// As [`Field::read_from`].
     pub fn of_tensors<R: Read + Seek>(mut file: TensorFile<'_, R>) -> Result<Self, FieldError> {
-        let header: Header = file.header()?;
-        if header.format != FIELD_FORMAT {
-            let why = format!("format `{}`, this program reads `{FIELD_FORMAT}`", header.format);
-            return Err(stored("field", why));
-        }
+        let header: Header = file.header(FIELD_FORMAT)?;
         let grid = read_grid(&mut file, header.dims)?;
         Ok(Self::new(header.frame, grid, header.canonical, header.appearances))
     }

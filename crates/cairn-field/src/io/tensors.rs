@@ -2,11 +2,16 @@
 //! was a quarter of the most that serving took.
 
 use crate::error::FieldError;
-use safetensors::tensor::{Dtype, Metadata, SafeTensors};
+use safetensors::SafeTensorError;
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorView};
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 
+/// The one key of our metadata.
+const HEADER: &str = "cairn";
 /// Bytes of a header's length, with which a file starts.
 const LENGTH: u64 = 8;
 /// Largest header that is read, bytes: safetensors' own limit.
@@ -68,17 +73,12 @@ impl<'r, R: Read + Seek> TensorFile<'r, R> {
         Ok(Self { reader, what, data: place.start + LENGTH + length, metadata })
     }
 
-    /// Our JSON header.
+    /// Our JSON header, of a file of `format`.
     ///
     /// # Errors
-    /// [`FieldError::Stored`] where there is none, or another one.
-    pub fn header<H: DeserializeOwned>(&self) -> Result<H, FieldError> {
-        header_of(&self.metadata, self.what)
-    }
-
-    /// Whether there is a tensor `name`.
-    pub fn has(&self, name: &str) -> bool {
-        self.metadata.info(name).is_some()
+    /// [`FieldError::Stored`] where there is none, or another one; another format is refused by name.
+    pub fn header<H: DeserializeOwned>(&self, format: &str) -> Result<H, FieldError> {
+        header_of(&self.metadata, self.what, format)
     }
 
     /// Bytes of tensor `name`, whose numbers are to be of `dtype`.
@@ -170,23 +170,68 @@ pub(crate) fn stored(what: &'static str, why: String) -> FieldError {
     FieldError::Stored { what, why }
 }
 
-/// Our JSON header in a safetensors file's metadata.
-pub(crate) fn read_header<H: serde::de::DeserializeOwned>(bytes: &[u8], what: &'static str) -> Result<H, FieldError> {
-    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| stored(what, e.to_string()))?;
-    header_of(&metadata, what)
+/// A tensor of a file to be: its name, the kind of its numbers, its shape, and its numbers little-endian.
+pub struct Part<'a> {
+    name: &'a str,
+    dtype: Dtype,
+    shape: Vec<usize>,
+    data: &'a [u8],
 }
 
-/// Our JSON header in a safetensors file's metadata, read already.
-pub(crate) fn header_of<H: serde::de::DeserializeOwned>(
-    metadata: &Metadata,
+impl<'a> Part<'a> {
+    /// Numbers of `dtype` in an array of `shape`.
+    pub fn new(name: &'a str, dtype: Dtype, shape: Vec<usize>, data: &'a [u8]) -> Self {
+        Self { name, dtype, shape, data }
+    }
+
+    /// A row of numbers of `dtype`.
+    pub fn row(name: &'a str, dtype: Dtype, data: &'a [u8]) -> Self {
+        Self::new(name, dtype, vec![data.len() * 8 / dtype.bitsize()], data)
+    }
+}
+
+/// A safetensors file of `parts` and our JSON `header`. Equal parts give equal bytes.
+///
+/// # Errors
+/// [`FieldError::Stored`] where a shape is not that of its numbers, or the header is no JSON.
+pub fn packed<'a>(
     what: &'static str,
-) -> Result<H, FieldError> {
-    let json = metadata
-        .metadata()
-        .as_ref()
-        .and_then(|m| m.get("cairn"))
-        .ok_or_else(|| stored(what, "it has no Cairn header".into()))?;
-    serde_json::from_str(json).map_err(|e| stored(what, format!("its header: {e}")))
+    header: &impl Serialize,
+    parts: impl IntoIterator<Item = Part<'a>>,
+) -> Result<Vec<u8>, FieldError> {
+    let bad = |e: SafeTensorError| stored(what, e.to_string());
+    let view = |p: Part<'a>| Ok((p.name, TensorView::new(p.dtype, p.shape, p.data)?));
+    let tensors = parts.into_iter().map(view).collect::<Result<Vec<_>, _>>().map_err(bad)?;
+    let json = serde_json::to_string(header).map_err(|e| stored(what, e.to_string()))?;
+    // One metadata entry only: a map of several would be written in random order.
+    safetensors::serialize(tensors, Some(HashMap::from([(HEADER.to_owned(), json)]))).map_err(bad)
+}
+
+/// Our JSON header of a whole file of `format`.
+///
+/// # Errors
+/// As [`TensorFile::header`].
+pub fn read_header<H: DeserializeOwned>(bytes: &[u8], what: &'static str, format: &str) -> Result<H, FieldError> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| stored(what, e.to_string()))?;
+    header_of(&metadata, what, format)
+}
+
+/// The one key that every format's header has.
+#[derive(Deserialize)]
+struct Format {
+    format: String,
+}
+
+/// The format is asked before the rest is read, whose settings have other names in a later program's.
+fn header_of<H: DeserializeOwned>(metadata: &Metadata, what: &'static str, format: &str) -> Result<H, FieldError> {
+    let json = metadata.metadata().as_ref().and_then(|m| m.get(HEADER));
+    let json = json.ok_or_else(|| stored(what, "it has no Cairn header".into()))?;
+    let wrong = |e: serde_json::Error| stored(what, format!("its header: {e}"));
+    let Format { format: got } = serde_json::from_str(json).map_err(wrong)?;
+    if got != format {
+        return Err(stored(what, format!("format `{got}`, this program reads `{format}`")));
+    }
+    serde_json::from_str(json).map_err(wrong)
 }
 
 /// The numbers of a file's tensor, whatever its shape, each of `of` its `N` bytes.
@@ -206,18 +251,13 @@ pub(crate) fn numbers_of<T, const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use safetensors::tensor::TensorView;
-    use std::collections::HashMap;
     use std::io::Cursor;
 
     /// A file with `numbers`, another file within, and a header that says 7.
     fn file(numbers: &[u32], within: &[u8]) -> Vec<u8> {
         let bytes: Vec<u8> = numbers.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let tensors = [
-            ("numbers", TensorView::new(Dtype::U32, vec![numbers.len()], &bytes).unwrap()),
-            ("within", TensorView::new(Dtype::U8, vec![within.len()], within).unwrap()),
-        ];
-        safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), "7".to_owned())]))).unwrap()
+        let parts = [Part::row("numbers", Dtype::U32, &bytes), Part::row("within", Dtype::U8, within)];
+        packed("file", &serde_json::json!({ "format": "numbers/1", "seven": 7 }), parts).unwrap()
     }
 
     fn numbers(file: &mut TensorFile<'_, impl Read + Seek>) -> Vec<u32> {
@@ -231,7 +271,7 @@ mod tests {
         let bytes = file(&many, &file(&[1, 2, 3], &[9; 5]));
         let mut reader = Cursor::new(&bytes);
         let mut outer = TensorFile::open(&mut reader, "outer").unwrap();
-        assert_eq!(outer.header::<u32>().unwrap(), 7);
+        assert_eq!(outer.header::<serde_json::Value>("numbers/1").unwrap()["seven"], 7);
         for _ in 0..2 {
             let mut inner = outer.within("within", "inner").unwrap();
             assert_eq!(numbers(&mut inner), [1, 2, 3]);
@@ -269,11 +309,12 @@ mod tests {
         assert!(open(&long).is_some_and(|text| text.contains("100000001") && text.contains("100000000 at most")));
         let mut reader = Cursor::new(&bytes);
         let mut file = TensorFile::open(&mut reader, "thing").unwrap();
-        assert!(file.has("numbers") && !file.has("letters"));
         for (name, dtype, told) in [("letters", Dtype::U8, "no tensor `letters`"), ("numbers", Dtype::F32, "U32")] {
             assert!(file.size(name, dtype).unwrap_err().to_string().contains(told));
         }
-        assert!(file.header::<String>().unwrap_err().to_string().contains("its header"));
+        assert!(file.header::<String>("numbers/1").unwrap_err().to_string().contains("its header"));
+        let other = file.header::<String>("numbers/2").unwrap_err().to_string();
+        assert!(other.contains("format `numbers/1`, this program reads `numbers/2`"), "{other}");
         assert!(file.within("within", "inner").err().unwrap().to_string().starts_with("inner: "));
     }
 

@@ -362,6 +362,7 @@ mod tests {
                 camera: *camera,
                 contributor: String::new(),
                 photograph: "none".into(),
+                as_stored: false,
                 mask: None,
                 support: None,
                 held_out: false,

@@ -262,25 +262,10 @@ pub(crate) fn composite<T: Real, const N: usize>(
     transmittance
 }
 
-/// Losses on a ray's weights themselves.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Regularise<T> {
-    /// Weight of mip-NeRF 360's distortion loss (eq. 15): draws a ray's weight together.
-    pub distortion: T,
-    /// Weight of the sum of the ray's alphas: clears haze and leaves walls alone, but wears
-    /// away what is thin or seen at a glancing angle.
-    pub sparsity: T,
-}
-
 /// Walks the tape back. `slope` holds d(loss)/d(each field of [`Gathered`])
-/// (its `along` is ignored). Adds what the ray owes to `patch`, with which it was gathered.
-pub fn push_back<T: Real>(
-    patch: &mut Patch<T>,
-    tape: &[Kept<T>],
-    end: T,
-    slope: &Gathered<T>,
-    regularise: &Regularise<T>,
-) {
+/// (its `along` is ignored), and `distortion` the weight of mip-NeRF 360's distortion loss (eq. 15), which draws a
+/// ray's weight together. Adds what the ray owes to `patch`, with which it was gathered.
+pub fn push_back<T: Real>(patch: &mut Patch<T>, tape: &[Kept<T>], end: T, slope: &Gathered<T>, distortion: T) {
     // Sums over everything for the distortion's |u_i - u_j| in one pass.
     let (mut weight_all, mut moment_all) = (T::zero(), T::zero());
     for kept in tape {
@@ -296,17 +281,15 @@ pub fn push_back<T: Real>(
         let (mut raws, mut shares) = ([T::zero(); 8], [T::zero(); 8]);
         for kept in run.iter().rev() {
             let mut e = g[0] * kept.colour[0] + g[1] * kept.colour[1] + g[2] * kept.colour[2] + g_weight;
-            if regularise.distortion != T::zero() {
+            if distortion != T::zero() {
                 let weight_before = weight_all - weight_behind - kept.weight;
                 let moment_before = moment_all - moment_behind - kept.weight * kept.along;
                 let spread = kept.along * weight_before - moment_before + moment_behind - kept.along * weight_behind;
-                e += regularise.distortion * (two * spread + two / T::of(3.0) * kept.weight * kept.length);
+                e += distortion * (two * spread + two / T::of(3.0) * kept.weight * kept.length);
                 weight_behind += kept.weight;
                 moment_behind += kept.weight * kept.along;
             }
-            // d(alpha)/d(depth) = 1 - alpha: what is opaque has nothing more to pay.
-            let clear = kept.behind / (kept.behind + kept.weight).max(T::min_positive_value());
-            let raw = kept.slope * (kept.behind * e - later + regularise.sparsity * clear);
+            let raw = kept.slope * (kept.behind * e - later);
             for (k, corner) in trilinear(kept.frac).into_iter().enumerate() {
                 raws[k] += corner * raw;
                 shares[k] += corner * kept.weight;

@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 
 /// Format of a screening's checkpoint; another number is refused by name.
-const FORMAT: &str = "cairn.screening.checkpoint/7";
+const FORMAT: &str = "cairn.screening.checkpoint/8";
 /// Longest first line that is read, bytes: 10,000 views take about two million.
 const MAX_HEADER_BYTES: usize = 64 << 20;
 

@@ -5,7 +5,7 @@ use super::sampling::Tile;
 use super::shown::Shown;
 use crate::appearance::code::{FEATURES, features};
 use crate::chance::mixed;
-use crate::render::composite::{Kept, Regularise, Thresholds, gather, push_back};
+use crate::render::composite::{Kept, Thresholds, gather, push_back};
 use crate::render::patch::{Debts, Patch, Roulette};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -22,7 +22,7 @@ pub(crate) struct BatchSettings<'a> {
     pub(crate) huber: f32,
     /// The colour of pixels that show nothing, and the price of light stopped before one.
     pub(crate) nothing: Option<([u8; 3], f32)>,
-    pub(crate) regularise: Regularise<f32>,
+    pub(crate) distortion: f32,
     pub(crate) limits: Thresholds,
     /// Vertices that weigh less in their tile take their chance; see [`Roulette`].
     pub(crate) faint: f32,
@@ -148,7 +148,7 @@ impl Task {
         {
             pulled.end -= price;
         }
-        push_back(patch, &self.tape, gathered.end, &pulled, &s.regularise);
+        push_back(patch, &self.tape, gathered.end, &pulled, s.distortion);
         if !s.shown.appearances.is_empty() {
             self.shaded.push(Shaded { view: view as u32, slope, features: f });
         }

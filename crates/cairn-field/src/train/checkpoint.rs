@@ -11,15 +11,15 @@ use crate::appearance::code::Appearance;
 use crate::config::FieldConfig;
 use crate::error::FieldError;
 use crate::grid::lattice::{Grid, ROW, fits};
-use crate::io::tensors::{numbers_of, read_header, stored};
+use crate::io::tensors::{Part, numbers_of, packed, read_header, stored};
 use crate::rays::frame::SceneFrame;
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
 /// Format of a stage-1 checkpoint; another number is refused by name.
-const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/9";
+const CHECKPOINT_FORMAT: &str = "cairn.field.checkpoint/10";
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -42,22 +42,6 @@ struct Header {
     averaged: u64,
     /// SHA-256 of the rest of the file; see [`digest`].
     digest: String,
-}
-
-/// What any format's header says.
-#[derive(Deserialize)]
-struct Format {
-    format: String,
-}
-
-/// The header of a checkpoint whose format this program reads.
-fn read_known(bytes: &[u8]) -> Result<Header, FieldError> {
-    let Format { format } = read_header(bytes, "checkpoint")?;
-    if format != CHECKPOINT_FORMAT {
-        let why = format!("format `{format}`, this program reads `{CHECKPOINT_FORMAT}`; start the training anew");
-        return Err(stored("checkpoint", why));
-    }
-    read_header(bytes, "checkpoint")
 }
 
 impl BaseTrainer {
@@ -108,21 +92,14 @@ impl BaseTrainer {
         if let Some((name, _)) = float.iter().find(|(_, values)| values.iter().any(|v| !v.is_finite())) {
             return Err(FieldError::NotFinite { step: self.step, place: format!("`{name}`") });
         }
-        let bad = |e: safetensors::SafeTensorError| stored("checkpoint", e.to_string());
-        let bytes: Vec<(&str, Vec<u8>)> =
-            float.iter().map(|(name, values)| (*name, values.iter().flat_map(|v| v.to_le_bytes()).collect())).collect();
-        let mut tensors = Vec::new();
-        for (name, data) in &bytes {
-            tensors.push((*name, TensorView::new(Dtype::F32, vec![data.len() / 4], data).map_err(bad)?));
-        }
-        tensors.push(("vertex", TensorView::new(Dtype::U32, vec![vertex.len() / 4], &vertex).map_err(bad)?));
-        tensors.push(("occupancy", TensorView::new(Dtype::U64, vec![occupancy.len() / 8], &occupancy).map_err(bad)?));
-        let json = |header: &Header| serde_json::to_string(header).map_err(|e| stored("checkpoint", e.to_string()));
-        let contents = tensors.iter().map(|(name, tensor)| (*name, tensor.data())).collect();
-        header.digest = digest(&json(&header)?, contents);
-        let json = json(&header)?;
-        let metadata = std::collections::HashMap::from([("cairn".to_owned(), json)]);
-        safetensors::serialize(tensors, Some(metadata)).map_err(bad)
+        let bytes = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let mut tensors: Vec<(&str, Dtype, Vec<u8>)> =
+            float.iter().map(|(name, values)| (*name, Dtype::F32, bytes(values))).collect();
+        tensors.push(("vertex", Dtype::U32, vertex));
+        tensors.push(("occupancy", Dtype::U64, occupancy));
+        let json = serde_json::to_string(&header).map_err(|e| stored("checkpoint", e.to_string()))?;
+        header.digest = digest(&json, tensors.iter().map(|(name, _, data)| (*name, data.as_slice())).collect());
+        packed("checkpoint", &header, tensors.iter().map(|(name, dtype, data)| Part::row(name, *dtype, data)))
     }
 
     /// Takes training up where `bytes` left it. The views must be those the
@@ -132,7 +109,7 @@ impl BaseTrainer {
     /// [`FieldError::Stored`] for an unknown format or a damaged file;
     /// [`FieldError::Views`] for other views.
     pub fn resume(bytes: &[u8], views: Vec<NamedView>) -> Result<Self, FieldError> {
-        let header = read_known(bytes)?;
+        let header: Header = read_header(bytes, "checkpoint", CHECKPOINT_FORMAT)?;
         header.config.validate()?;
         Self::resume_with(bytes, prepare(views)?)
     }
@@ -140,7 +117,7 @@ impl BaseTrainer {
     /// As [`BaseTrainer::resume`], with views that were prepared.
     pub(crate) fn resume_with(bytes: &[u8], views: Vec<Arc<Prepared>>) -> Result<Self, FieldError> {
         let refuse = |why: String| Err(stored("checkpoint", why));
-        let header = read_known(bytes)?;
+        let header: Header = read_header(bytes, "checkpoint", CHECKPOINT_FORMAT)?;
         if !views.iter().map(|v| &v.name).eq(&header.views) {
             return Err(FieldError::Views(
                 "they are not the views this checkpoint was made with; start the training anew".into(),

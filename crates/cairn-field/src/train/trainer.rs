@@ -21,7 +21,7 @@ use crate::grid::lattice::{DENSITY_SCALE, Grid, Part, raw_of};
 use crate::rays::frame::SceneFrame;
 use crate::rays::lens::Eye;
 use crate::rays::march::empty_density;
-use crate::render::composite::{Regularise, Thresholds};
+use crate::render::composite::Thresholds;
 use cairn_scene::Camera;
 use glam::DVec3;
 use std::sync::Arc;
@@ -208,17 +208,9 @@ impl BaseTrainer {
             tiles: &tiles,
             huber: self.config.huber as f32,
             nothing: self.nothing(),
-            regularise: Regularise {
-                distortion: (self.config.distortion * begun) as f32,
-                sparsity: (self.config.sparsity * begun) as f32,
-            },
-            limits: Thresholds {
-                alpha: 1e-4,
-                transmittance: 2e-3,
-                weight: self.config.skip_weight,
-                step: self.config.step_voxels,
-            },
-            faint: self.config.faint_weight as f32,
+            distortion: (self.config.distortion * begun) as f32,
+            limits: Thresholds { alpha: 1e-4, transmittance: 2e-3, weight: SKIP_WEIGHT, step: self.config.step_voxels },
+            faint: FAINT_WEIGHT,
             stream: (self.seed, self.step),
         });
         if !batch.loss.is_finite() {
@@ -232,12 +224,12 @@ impl BaseTrainer {
         if !codes.is_finite() {
             return Err(self.not_finite("a gradient of an appearance"));
         }
-        let decay = self.config.final_rate.powf(progress) as f32;
+        let decay = FINAL_RATE.powf(progress) as f32;
         let smoothing = self.smoothing();
         let rates = Rates {
             density: self.config.learning_rate_density as f32 * decay,
-            colour: self.config.learning_rate_colour as f32 * decay,
-            view_dependence: (self.config.view_dependence / self.spacing.smoothing) as f32,
+            colour: RATE_COLOUR * decay,
+            view_dependence: (VIEW_DEPENDENCE / self.spacing.smoothing) as f32,
             smooth_density: (self.config.smooth_density * smoothing) as f32,
             smooth_colour: (self.config.smooth_colour * smoothing) as f32,
         };
@@ -245,7 +237,7 @@ impl BaseTrainer {
             return Err(self.not_finite("a gradient of the grid"));
         }
         let pull = if self.light == LightVerdict::Open { codes::PULL_OPEN } else { codes::PULL };
-        let rate = self.config.learning_rate_appearance as f32 * decay;
+        let rate = RATE_APPEARANCE * decay;
         codes::apply(codes, &mut self.appearances, &mut self.appearance_adam, &self.neutral, pull, rate);
         self.step += 1;
         self.drawn = drawn;
@@ -443,6 +435,18 @@ impl BaseTrainer {
     }
 }
 
+/// Learning rate of the constant colour coefficients.
+const RATE_COLOUR: f32 = 0.05;
+/// The direction-dependent coefficients' rate as a share of the constant ones'.
+const VIEW_DEPENDENCE: f64 = 0.2;
+/// Learning rate of the appearance codes.
+const RATE_APPEARANCE: f32 = 0.01;
+/// Learning rates fall to this share of themselves, exponentially.
+const FINAL_RATE: f64 = 0.3;
+/// In training, a sample that weighs less than this in its pixel is passed over.
+const SKIP_WEIGHT: f64 = 5e-4;
+/// A vertex that weighs less than this in its tile's pixels together moves only now and then, and then as much the more.
+const FAINT_WEIGHT: f32 = 0.003;
 /// A cell that never has this share of a pixel is not missed: dropping those changed
 /// held-out views by 0.02 dB, three times as much by 0.2 dB (fern).
 const SHOWS: f64 = 0.01;

@@ -7,12 +7,13 @@ pub mod landmark;
 
 use cairn_field::grid::lattice::{DENSITY_SCALE, Grid, ROW};
 use cairn_field::grid::sh::SH;
-use cairn_field::{Appearance, Field, FieldConfig, NamedView, Real, SceneFrame};
+use cairn_field::{Appearance, Field, FieldConfig, NamedView, RayPath, Real, SceneFrame};
 use cairn_scene::{Camera, Capture, Distortion, Intrinsics, Mask, Picture, Picture8, Pose, SceneKind, TrainView, View};
 use glam::{DMat3, DVec3};
 use half::f16;
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Numbers that only look random (SplitMix64).
@@ -116,6 +117,7 @@ pub fn capture(kind: SceneKind, cameras: Vec<Camera>, unit: f64, at: DVec3) -> C
             camera,
             contributor: "unknown".into(),
             photograph: "none".into(),
+            as_stored: false,
             held_out: false,
             mask: None,
             support: None,
@@ -173,15 +175,34 @@ pub fn tiny(steps: u64) -> FieldConfig {
     FieldConfig { steps, rays_per_step: 256, voxels: 12_000, levels: 2, ..FieldConfig::default() }
 }
 
+/// Where a ray begins and where it goes, in world units.
+#[derive(Clone, Copy, Debug)]
+pub struct Ray {
+    pub origin: DVec3,
+    pub direction: DVec3,
+}
+
+impl Ray {
+    /// From `origin` through `target`.
+    pub fn towards(origin: DVec3, target: DVec3) -> Self {
+        Self { origin, direction: (target - origin).normalize() }
+    }
+
+    /// Where it goes in `frame`.
+    pub fn path(&self, frame: &SceneFrame) -> RayPath {
+        frame.path(self.origin, self.direction)
+    }
+}
+
 /// A grid of random numbers in which about `filled` of the vertices have a row;
 /// raw densities lie in `raw`.
-pub fn random_grid<T: Real>(dims: [usize; 3], filled: f64, raw: (f64, f64), seed: u64) -> Grid<T> {
+pub fn random_grid<T: Real>(dims: [usize; 3], filled: f64, raw: Range<f64>, seed: u64) -> Grid<T> {
     let mut numbers = Numbers(seed);
     let vertex: Vec<u32> = (0..dims.iter().product::<usize>() as u32).filter(|_| numbers.share() < filled).collect();
     let mut grid = Grid::with_vertices(dims, vertex);
     for row in 1..grid.rows() {
         let vertex = grid.vertex[row] as usize;
-        grid.raw[vertex] = T::of(numbers.within(raw.0, raw.1));
+        grid.raw[vertex] = T::of(numbers.within(raw.start, raw.end));
         for k in 0..3 * SH {
             let level = if k < 3 { 1.7 } else { 0.0 };
             grid.colour[row * ROW + k] = T::of(level + numbers.within(-0.6, 0.6));

@@ -160,11 +160,11 @@ pub(super) fn made(width: usize, height: usize, rgb: Vec<f32>) -> Picture {
     Picture::new(width, height, rgb).expect("three numbers a pixel")
 }
 
-/// A rectangle of a picture.
-struct Cut {
-    whole: [usize; 2],
-    from: [usize; 2],
-    size: [usize; 2],
+/// A rectangle of a picture, `[across, down]`.
+pub(crate) struct Cut {
+    pub(crate) whole: [usize; 2],
+    pub(crate) from: [usize; 2],
+    pub(crate) size: [usize; 2],
 }
 
 impl Cut {
@@ -174,12 +174,12 @@ impl Cut {
         Self { whole, from, size }
     }
 
-    fn apply(&self, rgb: &[f32]) -> Vec<f32> {
+    pub(crate) fn apply(&self, rgb: &[f32]) -> Vec<f32> {
         let rows = rgb.chunks_exact(self.whole[0] * 3).skip(self.from[1]).take(self.size[1]);
         rows.flat_map(|row| &row[self.from[0] * 3..][..self.size[0] * 3]).copied().collect()
     }
 
-    fn transpose(&self, slope: &[f32]) -> Vec<f32> {
+    pub(crate) fn transpose(&self, slope: &[f32]) -> Vec<f32> {
         let mut all = vec![0.0; self.whole[0] * self.whole[1] * 3];
         let rows = all.chunks_exact_mut(self.whole[0] * 3).skip(self.from[1]);
         for (row, from) in rows.zip(slope.chunks_exact(self.size[0] * 3)) {

@@ -9,6 +9,6 @@ mod turn;
 
 pub(crate) use blur::Blur;
 pub use distortion::Distortion;
-pub(crate) use distortion::Gaussian;
+pub(crate) use distortion::{Cut, Gaussian};
 pub use robust::RobustConfig;
 pub(crate) use robust::{Attack, Attacked};

@@ -80,14 +80,9 @@ impl RobustConfig {
     /// # Errors
     /// [`MarkError::Setting`] naming the first key that is out of range.
     pub fn validate(&self) -> Result<(), MarkError> {
-        let check = |ok: bool, key, value: String, allowed| {
-            if ok { Ok(()) } else { Err(MarkError::Setting { key, value, allowed }) }
-        };
-        let native = self.native_px;
-        check((64..=16384).contains(&native), "mark.robust.native_px", native.to_string(), "64 to 16384")?;
-        let quality = self.jpeg_quality;
-        check((1..=100).contains(&quality), "mark.robust.jpeg_quality", quality.to_string(), "1 to 100")?;
         for (key, value, low, high, allowed) in [
+            ("mark.robust.native_px", self.native_px as f64, 64.0, 16384.0, "64 to 16384"),
+            ("mark.robust.jpeg_quality", f64::from(self.jpeg_quality), 1.0, 100.0, "1 to 100"),
             ("mark.robust.share", self.share, 0.0, 1.0, "0 to 1"),
             ("mark.robust.blur_px", self.blur_px, 0.0, 16.0, "0 to 16"),
             ("mark.robust.noise", self.noise, 0.0, 0.5, "0 to 0.5"),
@@ -95,7 +90,9 @@ impl RobustConfig {
             ("mark.robust.rotate_deg", self.rotate_deg, 0.0, 180.0, "0 to 180"),
             ("mark.robust.scale", self.scale, 0.1, 1.0, "0.1 to 1"),
         ] {
-            check((low..=high).contains(&value), key, value.to_string(), allowed)?;
+            if !(low..=high).contains(&value) {
+                return Err(MarkError::Setting { key, value: value.to_string(), allowed });
+            }
         }
         Ok(())
     }

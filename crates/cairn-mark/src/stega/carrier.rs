@@ -5,7 +5,7 @@ use crate::error::MarkError;
 use crate::stega::bank::BankView;
 use crate::stega::shape::CarrierShape;
 use cairn_field::MarkableField;
-use cairn_field::{Appearance, Field};
+use cairn_field::{Appearance, Field, mixed};
 use half::f16;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -64,7 +64,7 @@ impl Carrier {
             for k in 0..colours {
                 // One sign a coefficient of a channel's kind, shared by the channels.
                 let harmonic = (k % (colours / 3)) as u64;
-                let bits = scramble(key ^ scramble(seed ^ (which as u64) << 48 ^ harmonic << 56));
+                let bits = mixed(key ^ mixed(seed ^ (which as u64) << 48 ^ harmonic << 56));
                 let sign = if bits & 1 == 1 { amplitude } else { -amplitude };
                 values[row * width + k] = sign * colour[k / (colours / 3)];
             }
@@ -240,14 +240,6 @@ pub(crate) fn hue_of(values: &[f32]) -> f32 {
     }
     // The principal axis of a 2 x 2 covariance.
     (0.5 * (2.0 * xy).atan2(xx - yy)) as f32
-}
-
-/// SplitMix64's finaliser (Steele, Lea and Flood 2014): a hash of lattice places.
-pub(crate) fn scramble(mut x: u64) -> u64 {
-    x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! worked out anew: they follow from the field, the plan, and how many steps were taken.
 
 use crate::error::MarkError;
-use crate::marked::{read_format, read_header, stored};
+use crate::marked::stored;
 use crate::stega::carrier::Carrier;
 use crate::stega::growth::Restarted;
 use crate::stega::judgement::{Best, Judgement, Recovered, Weakest};
@@ -10,9 +10,9 @@ use crate::stega::plan::{MarkScene, fingerprint};
 use crate::stega::recipe::Recipe;
 use crate::stega::state::State;
 use crate::tensors::f32_bytes;
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use cairn_field::{Part, packed, read_header};
+use safetensors::tensor::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 
 /// Format of a stage-2 checkpoint; another version is refused by name.
 const CHECKPOINT_FORMAT: &str = "cairn.marked.checkpoint/8";
@@ -96,13 +96,7 @@ pub(crate) fn write(state: &State) -> Result<Vec<u8>, MarkError> {
             parts.push((format!("best.carrier{i}"), f32_bytes(values)));
         }
     }
-    let bad = |e: safetensors::SafeTensorError| stored("checkpoint", e.to_string());
-    let mut tensors = Vec::new();
-    for (name, bytes) in &parts {
-        tensors.push((name.as_str(), TensorView::new(Dtype::U8, vec![bytes.len()], bytes).map_err(bad)?));
-    }
-    let json = serde_json::to_string(&header).map_err(|e| stored("checkpoint", e.to_string()))?;
-    safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
+    Ok(packed("checkpoint", &header, parts.iter().map(|(name, bytes)| Part::row(name, Dtype::U8, bytes)))?)
 }
 
 /// What `bytes` hold of a training of `scenes`, in the order they were begun in. Ray weights are worked out anew.
@@ -114,12 +108,7 @@ pub(crate) fn read(
     mut scenes: Vec<MarkScene>,
     progress: &mut dyn FnMut(usize, usize) -> bool,
 ) -> Result<State, MarkError> {
-    let format = read_format(bytes, "checkpoint")?;
-    if format != CHECKPOINT_FORMAT {
-        let why = format!("format `{format}`, this program reads `{CHECKPOINT_FORMAT}`; start the training anew");
-        return Err(stored("checkpoint", why));
-    }
-    let header: Header = read_header(bytes, "checkpoint")?;
+    let header: Header = read_header(bytes, "checkpoint", CHECKPOINT_FORMAT)?;
     let fingerprint = fingerprint(&scenes)?;
     if header.plan != fingerprint {
         let why = "it was made with another base field, or other views, clusters, signals or photographs";

@@ -61,7 +61,7 @@ impl Tally {
         if let Some((said, truth)) = said.text.as_ref().zip(truth.text.as_ref()) {
             let bits: Vec<f32> = truth.iter().map(|bit| bit - 0.5).collect();
             let right = cairn_scene::metrics::text_accuracy(&text_bytes(said), &text_bytes(&bits))?;
-            self.characters.push((i, right.characters.share().unwrap_or(0.0)));
+            self.characters.push((i, right.characters));
         }
         Ok(())
     }

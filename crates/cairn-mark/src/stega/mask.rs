@@ -26,36 +26,32 @@ pub(crate) fn gradient_mask(
     field: &dyn MarkableField,
     basis: CarrierBasis,
 ) -> Vec<f32> {
-    let width = basis.width();
-    match (kind, basis) {
-        (MaskKind::Binary, CarrierBasis::Constant) => {
-            all_or_nothing(&field.row_magnitudes(), share).into_iter().flat_map(|m| [m; 3]).collect()
-        }
-        (MaskKind::Binary, CarrierBasis::Harmonics) => all_or_nothing(&field.coefficient_magnitudes(), share),
+    let magnitudes = match basis {
+        CarrierBasis::Constant => field.row_magnitudes(),
+        CarrierBasis::Harmonics => field.coefficient_magnitudes(),
+    };
+    let mask = match (kind, basis) {
+        (MaskKind::Binary, _) => all_or_nothing(&magnitudes, share),
+        (MaskKind::PerWeight, _) => from_magnitudes(&magnitudes, alpha, min_mask),
+        (MaskKind::PerCoefficientGroup, CarrierBasis::Harmonics) => by_group(&magnitudes, alpha, min_mask),
         // One coefficient a channel is one group, and nothing to be told apart by: `Recipe::validate` refuses it.
-        (MaskKind::None, _) | (MaskKind::PerCoefficientGroup, CarrierBasis::Constant) => {
-            vec![1.0; field.rows() * width]
-        }
-        (MaskKind::PerWeight, CarrierBasis::Constant) => {
-            let magnitudes = field.row_magnitudes();
-            from_magnitudes(&magnitudes, alpha, min_mask).into_iter().flat_map(|m| [m; 3]).collect()
-        }
-        (MaskKind::PerWeight, CarrierBasis::Harmonics) => {
-            from_magnitudes(&field.coefficient_magnitudes(), alpha, min_mask)
-        }
-        (MaskKind::PerCoefficientGroup, CarrierBasis::Harmonics) => {
-            let all = field.coefficient_magnitudes();
-            let mut groups = [0.0f64; SH];
-            for row in all.chunks_exact(3 * SH) {
-                for (k, v) in row.iter().enumerate() {
-                    groups[k % SH] += f64::from(*v);
-                }
-            }
-            let smallest = groups.iter().copied().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
-            let group = groups.map(|g| ((alpha * (smallest.ln() - g.max(smallest).ln())).exp().max(min_mask)) as f32);
-            (0..all.len()).map(|i| group[i % SH]).collect()
-        }
+        (MaskKind::None, _) | (MaskKind::PerCoefficientGroup, CarrierBasis::Constant) => vec![1.0; magnitudes.len()],
+    };
+    match basis {
+        CarrierBasis::Constant => mask.into_iter().flat_map(|m| [m; 3]).collect(),
+        CarrierBasis::Harmonics => mask,
     }
+}
+
+/// `(e_smallest / e)^alpha` of a coefficient's group, `e` the sum of the group's magnitudes, clipped below at `least`.
+fn by_group(magnitudes: &[f32], alpha: f64, least: f64) -> Vec<f32> {
+    let mut groups = [0.0f64; SH];
+    for (i, v) in magnitudes.iter().enumerate() {
+        groups[i % SH] += f64::from(*v);
+    }
+    let smallest = groups.iter().copied().fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
+    let group = groups.map(|g| ((alpha * (smallest.ln() - g.max(smallest).ln())).exp().max(least)) as f32);
+    (0..magnitudes.len()).map(|i| group[i % SH]).collect()
 }
 
 /// `(e_free / max(e, e_free))^alpha`, clipped below at `least`.

@@ -453,24 +453,17 @@ impl Recipe {
         let check = |ok: bool, key, value: String, allowed| {
             if ok { Ok(()) } else { Err(MarkError::Setting { key, value, allowed }) }
         };
-        check((1..=1_000_000).contains(&self.steps), "mark.steps", self.steps.to_string(), "1 to 1000000")?;
-        check((1..=64).contains(&self.batch), "mark.batch", self.batch.to_string(), "1 to 64")?;
-        check((1..=10_000).contains(&self.views), "mark.views", self.views.to_string(), "1 to 10000")?;
-        check(self.virtual_views <= 256, "mark.virtual_views", self.virtual_views.to_string(), "0 to 256")?;
-        check(self.others <= 16, "mark.others", self.others.to_string(), "0 (none) to 16")?;
-        check(
-            self.view_refresh_steps <= 1_000_000,
-            "mark.view_refresh_steps",
-            self.view_refresh_steps.to_string(),
-            "0 (never) to 1000000",
-        )?;
-        check(
-            (64..=4096).contains(&self.longest_side_px),
-            "mark.longest_side_px",
-            self.longest_side_px.to_string(),
-            "64 to 4096",
-        )?;
+        let (audio, text, named) = (&self.audio, &self.text, self.center_crop_confidence);
         for (key, value, low, high, allowed) in [
+            ("mark.steps", self.steps as f64, 1.0, 1e6, "1 to 1000000"),
+            ("mark.batch", self.batch as f64, 1.0, 64.0, "1 to 64"),
+            ("mark.views", self.views as f64, 1.0, 1e4, "1 to 10000"),
+            ("mark.virtual_views", self.virtual_views as f64, 0.0, 256.0, "0 to 256"),
+            ("mark.others", f64::from(self.others), 0.0, 16.0, "0 (none) to 16"),
+            ("mark.view_refresh_steps", self.view_refresh_steps as f64, 0.0, 1e6, "0 (never) to 1000000"),
+            ("mark.longest_side_px", self.longest_side_px as f64, 64.0, 4096.0, "64 to 4096"),
+            ("mark.audio.sample_rate_hz", f64::from(audio.sample_rate_hz), 4000.0, 48_000.0, "4000 to 48000"),
+            ("mark.text.longest_bytes", text.longest_bytes as f64, 1.0, 4096.0, "1 to 4096"),
             ("mark.grow_share", self.grow_share, 0.01, 1.0, "0.01 to 1"),
             ("mark.weight_classify", self.weight_classify, 0.0, 1e6, "0 to 1000000"),
             ("mark.weight_recover", self.weight_recover, 0.0, 1e6, "0 to 1000000"),
@@ -492,20 +485,14 @@ impl Recipe {
             ("mark.easy_view_share", self.easy_view_share, 0.01, 1.0, "0.01 to 1"),
             ("mark.others_cutout_share", self.others_cutout_share, 0.0, 1.0, "0 to 1"),
             ("mark.noisy_share", self.noisy_share, 0.0, 0.9, "0 to 0.9"),
-            (
-                "mark.min_confidence",
-                self.min_confidence,
-                0.0,
-                self.center_crop_confidence,
-                "0 to mark.center_crop_confidence",
-            ),
-            ("mark.center_crop_confidence", self.center_crop_confidence, 0.5, 1.0, "0.5 to 1"),
+            ("mark.min_confidence", self.min_confidence, 0.0, named, "0 to mark.center_crop_confidence"),
+            ("mark.center_crop_confidence", named, 0.5, 1.0, "0.5 to 1"),
             ("mark.average", self.average, 0.0, 0.9999, "0 to 0.9999"),
             ("mark.classify_until", self.classify_until, 1e-3, 10.0, "0.001 to 10"),
             ("mark.enough_ssim", self.enough_ssim, 0.0, 10.0, "0 to 10"),
             ("mark.enough_snr_db", self.enough_snr_db, 0.0, 1000.0, "0 to 1000"),
             ("mark.enough_characters", self.enough_characters, 0.0, 10.0, "0 to 10"),
-            ("mark.audio.longest_s", self.audio.longest_s, 0.1, 30.0, "0.1 to 30"),
+            ("mark.audio.longest_s", audio.longest_s, 0.1, 30.0, "0.1 to 30"),
         ] {
             check((low..=high).contains(&value), key, value.to_string(), allowed)?;
         }
@@ -552,13 +539,8 @@ impl Recipe {
         )?;
         let stages =
             |channels: &[usize]| (1..=4).contains(&channels.len()) && channels.iter().all(|c| (1..=256).contains(c));
-        let (audio, text) = (&self.audio, &self.text);
-        let rate = audio.sample_rate_hz;
-        check((4000..=48_000).contains(&rate), "mark.audio.sample_rate_hz", rate.to_string(), "4000 to 48000")?;
         let (got, allowed) = (format!("{:?}", audio.channels), "1 to 4 numbers of 1 to 256");
         check(stages(&audio.channels), "mark.audio.channels", got, allowed)?;
-        let longest = text.longest_bytes;
-        check((1..=4096).contains(&longest), "mark.text.longest_bytes", longest.to_string(), "1 to 4096")?;
         check(stages(&text.channels), "mark.text.channels", format!("{:?}", text.channels), allowed)
     }
 

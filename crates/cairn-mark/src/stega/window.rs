@@ -2,6 +2,7 @@
 //! transpose. People crop pictures and photograph from nearer by: training shows
 //! whole renders and parts of them alike.
 
+use crate::attack::Cut;
 use cairn_scene::AreaFilter;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -11,22 +12,19 @@ pub(crate) const LEAST: f64 = 0.6;
 
 /// A rectangle of a render, resized to the networks' square.
 pub(crate) struct Window {
-    /// Pixels of the whole render, across.
-    width: usize,
-    /// Pixels of the whole render, down.
-    height: usize,
-    left: usize,
-    top: usize,
-    across: usize,
-    down: usize,
+    cut: Cut,
     filter: AreaFilter,
 }
 
 impl Window {
+    fn of(cut: Cut, side: usize) -> Self {
+        Self { filter: AreaFilter::new(cut.size, [side, side]), cut }
+    }
+
     /// All of a `width x height` render.
     pub(crate) fn whole(width: usize, height: usize, side: usize) -> Self {
-        let filter = AreaFilter::new([width, height], [side, side]);
-        Self { width, height, left: 0, top: 0, across: width, down: height, filter }
+        let whole = [width, height];
+        Self::of(Cut { whole, from: [0, 0], size: whole }, side)
     }
 
     /// As often all of it as a part, its sides drawn apart from one another.
@@ -39,32 +37,22 @@ impl Window {
             (rng.random_range(0..=whole - kept), kept)
         };
         let ((left, across), (top, down)) = (part(width), part(height));
-        Self { width, height, left, top, across, down, filter: AreaFilter::new([across, down], [side, side]) }
+        Self::of(Cut { whole: [width, height], from: [left, top], size: [across, down] }, side)
+    }
+
+    fn is_whole(&self) -> bool {
+        self.cut.size == self.cut.whole
     }
 
     /// The window of `picture` (`height x width x 3`), `side x side x 3`.
     pub(crate) fn apply(&self, picture: &[f32]) -> Vec<f32> {
-        assert_eq!(picture.len(), self.width * self.height * 3, "a picture of the window's render");
-        if self.across * self.down == self.width * self.height {
-            return self.filter.apply(picture);
-        }
-        let rows = picture.chunks_exact(self.width * 3).skip(self.top).take(self.down);
-        let part: Vec<f32> = rows.flat_map(|row| &row[self.left * 3..(self.left + self.across) * 3]).copied().collect();
-        self.filter.apply(&part)
+        if self.is_whole() { self.filter.apply(picture) } else { self.filter.apply(&self.cut.apply(picture)) }
     }
 
     /// The transpose: from d(loss)/d(window) to d(loss)/d(picture).
     pub(crate) fn transpose(&self, slope: &[f32]) -> Vec<f32> {
         let part = self.filter.transpose(slope);
-        if self.across * self.down == self.width * self.height {
-            return part;
-        }
-        let mut all = vec![0.0; self.width * self.height * 3];
-        let rows = all.chunks_exact_mut(self.width * 3).skip(self.top);
-        for (row, from) in rows.zip(part.chunks_exact(self.across * 3)) {
-            row[self.left * 3..(self.left + self.across) * 3].copy_from_slice(from);
-        }
-        all
+        if self.is_whole() { part } else { self.cut.transpose(&part) }
     }
 }
 
@@ -83,7 +71,7 @@ mod tests {
         let mut parts = 0;
         for _ in 0..20 {
             let window = Window::draw(23, 17, 8, &mut rng);
-            parts += usize::from(window.across * window.down < 23 * 17);
+            parts += usize::from(!window.is_whole());
             let (x, y) = (numbers(23 * 17, &mut rng), numbers(64, &mut rng));
             let (there, back) = (dot(&window.apply(&x), &y), dot(&x, &window.transpose(&y)));
             assert!((there - back).abs() < 1e-4, "{there} and {back}");
@@ -94,14 +82,15 @@ mod tests {
     #[test]
     fn a_part_is_cut_where_it_says() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let window = std::iter::repeat_with(|| Window::draw(30, 20, 10, &mut rng)).find(|w| w.left * w.top > 0);
+        let window =
+            std::iter::repeat_with(|| Window::draw(30, 20, 10, &mut rng)).find(|w| w.cut.from.iter().all(|at| *at > 0));
         let window = window.expect("some window starts inside");
         let ramp: Vec<f32> = (0..600).flat_map(|i| [(i % 30) as f32, (i / 30) as f32, 1.0]).collect();
         let seen = window.apply(&ramp);
         let centre = |from: usize, count: usize| from as f32 + (count as f32 - 1.0) / 2.0;
         let mean = |c: usize| seen.chunks_exact(3).map(|p| p[c]).sum::<f32>() / 100.0;
-        assert!((mean(0) - centre(window.left, window.across)).abs() < 1e-3, "across");
-        assert!((mean(1) - centre(window.top, window.down)).abs() < 1e-3, "down");
+        assert!((mean(0) - centre(window.cut.from[0], window.cut.size[0])).abs() < 1e-3, "across");
+        assert!((mean(1) - centre(window.cut.from[1], window.cut.size[1])).abs() < 1e-3, "down");
         assert!((mean(2) - 1.0).abs() < 1e-5, "shares sum to one");
     }
 }

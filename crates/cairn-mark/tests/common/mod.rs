@@ -121,12 +121,19 @@ pub fn run(trainer: &mut MarkTrainer) {
     }
 }
 
-pub fn trained(config: Recipe) -> (MarkedField, Detector) {
+/// A trainer over [`plan`] that has taken all its steps.
+pub fn ran(config: Recipe) -> MarkTrainer {
     let mut trainer = start(config);
     run(&mut trainer);
-    trainer.finish().unwrap()
+    trainer
 }
 
-pub fn bytes(result: (MarkedField, Detector)) -> (Vec<u8>, Vec<u8>) {
-    (result.0.to_bytes().unwrap(), result.1.to_bytes().unwrap())
+pub fn trained(config: Recipe) -> (MarkedField, Detector) {
+    ran(config).finish().unwrap()
+}
+
+/// The files of the marked field and of the detector that a training ends in.
+pub fn bytes(trainer: MarkTrainer) -> [Vec<u8>; 2] {
+    let (marked, detector) = trainer.finish().unwrap();
+    [marked.to_bytes().unwrap(), detector.to_bytes().unwrap()]
 }

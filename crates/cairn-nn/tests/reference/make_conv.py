@@ -56,7 +56,6 @@ def main():
     cases.append(entry("group_norm_leaky", [2], [[2, 4, 3, 5], [4], [4]],
                        lambda x, g, b: F.leaky_relu(F.group_norm(x, 2, g, b), 0.1)))
     cases.append(entry("leaky_relu", [], [[2, 3, 4]], lambda x: F.leaky_relu(x, 0.1)))
-    cases.append(entry("upsample", [3, 2], [[1, 2, 2, 3]], lambda x: F.interpolate(x, scale_factor=(3, 2))))
     cases.append(entry("upsample_add", [], [[1, 2, 2, 3], [1, 2, 4, 6]],
                        lambda x, y: F.interpolate(x, scale_factor=2) + y))
     cases.append(entry("avg_pool", [2, 3], [[1, 2, 4, 6]], lambda x: F.avg_pool2d(x, (2, 3))))

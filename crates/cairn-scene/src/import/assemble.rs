@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::cameras::camera::Camera;
 use crate::cameras::facing;
 use crate::cameras::intrinsics::{Intrinsics, check_intrinsics};
-use crate::capture::{Capture, PhotographFile, SceneKind, UNKNOWN_CONTRIBUTOR, View};
+use crate::capture::{Capture, SceneKind, UNKNOWN_CONTRIBUTOR, View};
 use crate::error::CaptureError;
 use crate::images::photograph::{self, Header, WHITE};
 use crate::import::model::{Entry, Guess, Model, check_count};
@@ -54,7 +54,8 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
             name: entry.name.clone(),
             camera: Camera { intrinsics: entry.intrinsics.resized(width, height), pose: entry.pose },
             contributor,
-            photograph: PhotographFile { path: entry.photograph.clone(), as_stored },
+            photograph: entry.photograph.clone(),
+            as_stored,
             mask: None,
             support: entry.support,
             held_out,

@@ -57,7 +57,7 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
     let rows = matrix.values.chunks_exact(17).enumerate().zip(names);
     let entries = rows.map(|((i, row), name)| entry(&file, &images, i, row, name)).collect::<Result<Vec<_>, _>>()?;
     let kind = if face_one_way(entries.iter().map(|e| &e.pose)) { Guess::ForwardFacing } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), masks: None, missing: Vec::new() }))
+    Ok(Some(Model::new(file, kind, entries)))
 }
 
 fn entry(file: &Path, images: &Path, index: usize, row: &[f64], name: String) -> Result<Entry, CaptureError> {

@@ -55,6 +55,13 @@ pub(crate) struct Model {
     pub missing: Vec<String>,
 }
 
+impl Model {
+    /// Cameras alone, of pixels that are as they are looked at.
+    pub(crate) fn new(file: PathBuf, kind: Guess, entries: Vec<Entry>) -> Self {
+        Self { file, kind, as_stored: false, entries, points: Vec::new(), masks: None, missing: Vec::new() }
+    }
+}
+
 /// Refuses a file that states no views, or more than are allowed.
 pub(crate) fn check_count(file: &Path, views: u64, max_views: usize) -> Result<(), CaptureError> {
     if views == 0 {

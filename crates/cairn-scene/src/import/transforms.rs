@@ -137,15 +137,7 @@ pub(crate) fn read(folder: &Path, named: Option<&str>, options: &ReadOptions) ->
             entries.iter_mut().for_each(|e| e.held_out = None);
         }
         let missing = names_of(missing, &entries)?;
-        return Ok(Some(Model {
-            file: train,
-            kind: Guess::Bounded,
-            as_stored: false,
-            entries,
-            points: Vec::new(),
-            masks: None,
-            missing,
-        }));
+        return Ok(Some(Model { missing, ..Model::new(train, Guess::Bounded, entries) }));
     }
     let file = folder.join("transforms.json");
     if !file.is_file() {
@@ -154,7 +146,7 @@ pub(crate) fn read(folder: &Path, named: Option<&str>, options: &ReadOptions) ->
     let Read { bounded, entries, missing } = read_file(folder, &file, options, None)?;
     let missing = names_of(missing, &entries)?;
     let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
-    Ok(Some(Model { file, kind, as_stored: false, entries, points: Vec::new(), masks: None, missing }))
+    Ok(Some(Model { missing, ..Model::new(file, kind, entries) }))
 }
 
 /// The names of what is missing, where something is there.

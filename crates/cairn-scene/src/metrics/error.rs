@@ -20,20 +20,6 @@ pub enum MetricError {
         /// Pixels down of the second picture.
         got_height: usize,
     },
-    /// The mask does not have one entry a pixel.
-    #[error("the mask needs one entry for each of {expected} pixels, got {got}")]
-    MaskLength {
-        /// `width * height`.
-        expected: usize,
-        /// Entries given.
-        got: usize,
-    },
-    /// The mask leaves nothing to measure.
-    #[error("the mask selects nothing that can be measured ({what}); mark at least one")]
-    MaskEmpty {
-        /// What would have been selected.
-        what: &'static str,
-    },
     /// SSIM's window does not fit.
     #[error("SSIM needs at least {window} x {window} pixels, got {width} x {height}; enlarge both pictures")]
     TooSmall {
@@ -67,28 +53,6 @@ pub enum MetricError {
         index: usize,
         /// The number.
         value: f64,
-    },
-    /// A class is beyond the table.
-    #[error("class {got} does not exist; this table has classes 0 to {largest}")]
-    Class {
-        /// The largest class there is.
-        largest: usize,
-        /// The class given.
-        got: usize,
-    },
-    /// A confidence is no probability.
-    #[error("the confidence at entry {index} is {value}; a probability in 0 to 1 is needed")]
-    Confidence {
-        /// Where, counted from 0.
-        index: usize,
-        /// The number.
-        value: f64,
-    },
-    /// Zero bins or classes.
-    #[error("at least one {what} is needed, got none")]
-    NoneAskedFor {
-        /// Of what.
-        what: &'static str,
     },
 }
 

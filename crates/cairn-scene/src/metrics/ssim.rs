@@ -11,7 +11,7 @@ use crate::images::picture::Picture;
 use rayon::prelude::*;
 
 use crate::metrics::error::MetricError;
-use crate::metrics::picture::{checked_mask, comparable};
+use crate::metrics::picture::comparable;
 
 /// Side of the Gaussian window, px; no picture may be smaller.
 pub const SSIM_WINDOW: usize = 11;
@@ -36,31 +36,6 @@ pub fn ssim(a: &Picture, b: &Picture) -> Result<f64, MetricError> {
     let rows = window_values(a, b)?;
     let windows: usize = rows.iter().map(Vec::len).sum();
     Ok(rows.iter().map(|row| row.iter().sum::<f64>()).sum::<f64>() / windows as f64)
-}
-
-/// [`ssim`] over the windows whose centre pixel is true in `mask` (row-major,
-/// `height * width`). Pixels within half a window of the border are no centre.
-///
-/// # Errors
-/// As [`ssim`]; also for a mask of the wrong length or one that selects no
-/// window's centre.
-pub fn ssim_masked(a: &Picture, b: &Picture, mask: &[bool]) -> Result<f64, MetricError> {
-    comparable(a, b)?;
-    checked_mask(a, mask)?;
-    let rows = window_values(a, b)?;
-    let half = SSIM_WINDOW / 2;
-    let (mut sum, mut selected) = (0.0, 0usize);
-    for (y, row) in rows.iter().enumerate() {
-        let at = (y + half) * a.width() + half;
-        for (value, _) in row.iter().zip(&mask[at..]).filter(|(_, m)| **m) {
-            sum += value;
-            selected += 1;
-        }
-    }
-    if selected == 0 {
-        return Err(MetricError::MaskEmpty { what: "window centres" });
-    }
-    Ok(sum / selected as f64)
 }
 
 /// SSIM of every window, mean over channels: `height - 10` rows of `width - 10`.
@@ -155,22 +130,5 @@ mod tests {
     fn a_picture_under_the_window_is_refused() {
         let a = ramp(10, 40);
         assert_eq!(ssim(&a, &a), Err(MetricError::TooSmall { window: 11, width: 10, height: 40 }));
-    }
-
-    #[test]
-    fn the_mask_picks_windows_by_their_centre() {
-        let a = ramp(30, 24);
-        let mut b = a.clone();
-        for y in 0..24 {
-            for x in 0..8 {
-                b.rgb_mut()[(y * 30 + x) * 3] += 0.3;
-            }
-        }
-        let right: Vec<bool> = (0..30 * 24).map(|i| i % 30 >= 13).collect();
-        assert!((ssim_masked(&a, &b, &right).unwrap() - 1.0).abs() < 1e-12);
-        let all = vec![true; 30 * 24];
-        assert!((ssim_masked(&a, &b, &all).unwrap() - ssim(&a, &b).unwrap()).abs() < 1e-12);
-        let border: Vec<bool> = (0..30 * 24).map(|i| i % 30 < 5).collect();
-        assert_eq!(ssim_masked(&a, &b, &border), Err(MetricError::MaskEmpty { what: "window centres" }));
     }
 }

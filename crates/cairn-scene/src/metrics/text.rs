@@ -2,18 +2,15 @@
 //! is one bit off in every character has no right character and 7/8 right bits,
 //! and only the two figures together tell noise from nonsense.
 
-use serde::{Deserialize, Serialize};
-
-use crate::metrics::answers::Accuracy;
 use crate::metrics::error::MetricError;
 
-/// What [`text_accuracy`] counted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// What [`text_accuracy`] found, in shares from 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextAccuracy {
     /// Right bytes of the text (a character of ASCII is one byte).
-    pub characters: Accuracy,
+    pub characters: f64,
     /// Right bits, eight a byte.
-    pub bits: Accuracy,
+    pub bits: f64,
 }
 
 /// Compares a recovered text with the true one, byte by byte in place (no
@@ -26,14 +23,11 @@ pub fn text_accuracy(recovered: &[u8], truth: &[u8]) -> Result<TextAccuracy, Met
     if truth.is_empty() {
         return Err(MetricError::Empty { what: "the true text" });
     }
-    let asked = recovered.len().max(truth.len()) as u64;
+    let asked = recovered.len().max(truth.len()) as f64;
     let pairs = || recovered.iter().zip(truth);
-    let right = pairs().filter(|(r, t)| r == t).count() as u64;
-    let right_bits = pairs().map(|(r, t)| u64::from((r ^ t).count_zeros())).sum();
-    Ok(TextAccuracy {
-        characters: Accuracy { right, asked },
-        bits: Accuracy { right: right_bits, asked: asked * u64::from(u8::BITS) },
-    })
+    let characters = pairs().filter(|(r, t)| r == t).count() as f64;
+    let bits: u32 = pairs().map(|(r, t)| (r ^ t).count_zeros()).sum();
+    Ok(TextAccuracy { characters: characters / asked, bits: f64::from(bits) / (asked * f64::from(u8::BITS)) })
 }
 
 #[cfg(test)]
@@ -43,18 +37,18 @@ mod tests {
     #[test]
     fn counts_characters_and_bits() {
         let same = text_accuracy(b"cairn", b"cairn").unwrap();
-        assert_eq!((same.characters.share(), same.bits.share()), (Some(1.0), Some(1.0)));
+        assert_eq!((same.characters, same.bits), (1.0, 1.0));
         // 'n' is 0x6e and 'o' 0x6f: one bit apart.
         let near = text_accuracy(b"cairo", b"cairn").unwrap();
-        assert_eq!((near.characters.right, near.bits.right, near.bits.asked), (4, 39, 40));
+        assert_eq!((near.characters, near.bits), (4.0 / 5.0, 39.0 / 40.0));
     }
 
     #[test]
     fn length_is_part_of_being_right() {
         let short = text_accuracy(b"cai", b"cairn").unwrap();
-        assert_eq!((short.characters.right, short.characters.asked, short.bits.right), (3, 5, 24));
+        assert_eq!((short.characters, short.bits), (3.0 / 5.0, 24.0 / 40.0));
         let long = text_accuracy(b"cairns", b"cairn").unwrap();
-        assert_eq!((long.characters.right, long.characters.asked), (5, 6));
+        assert_eq!(long.characters, 5.0 / 6.0);
         assert_eq!(text_accuracy(b"", b""), Err(MetricError::Empty { what: "the true text" }));
     }
 }

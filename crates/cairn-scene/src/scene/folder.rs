@@ -23,7 +23,7 @@ use crate::images::picture::{Picture, Picture8};
 use crate::scene::manifest::write_manifest;
 use crate::scene::table::{
     FORMAT, MASKS, MAX_TABLE_BYTES, MaskRow, PHOTOGRAPHS, PointsRow, SceneFile, TABLE, VERSION, ViewRow,
-    digest_from_hex, hex,
+    digest_from_hex,
 };
 use crate::train_view::TrainView;
 
@@ -41,19 +41,6 @@ pub struct SceneFolder {
     mask_digests: Vec<Option<[u8; 32]>>,
     /// Views that are not to be trained on.
     left_out: BTreeSet<usize>,
-}
-
-/// A photograph or a mask that is no longer what was imported.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Mismatch {
-    /// Index of the view.
-    pub view: usize,
-    /// The photograph's or the mask's file.
-    pub photograph: PathBuf,
-    /// Its SHA-256 at import.
-    pub expected: [u8; 32],
-    /// Its SHA-256 now, or why it cannot be read.
-    pub got: Result<[u8; 32], String>,
 }
 
 impl SceneFolder {
@@ -193,24 +180,6 @@ impl SceneFolder {
         let rgb8 = Picture8::from(&self.photograph(view)?);
         Ok(TrainView { camera: self.capture.views[view].camera, rgb8, mask: self.mask(view)? })
     }
-
-    /// Every photograph and mask whose bytes are not those that were imported, by view; empty for a sound scene.
-    pub fn verify_photographs(&self) -> Vec<Mismatch> {
-        let mut wrong = Vec::new();
-        for (view, digest) in self.digests.iter().enumerate() {
-            let photograph = self.capture.photograph_path(view).ok().map(|place| (place, *digest));
-            let mask = self.capture.mask_path(view).ok().flatten().zip(self.mask_digests[view]);
-            for ((photograph, limits), expected) in photograph.into_iter().chain(mask) {
-                let got = read_limited(&photograph, limits.max_file_bytes)
-                    .map(|bytes| Sha256::digest(&bytes).into())
-                    .map_err(|e| CaptureError::from(e).to_string());
-                if got.as_ref() != Ok(&expected) {
-                    wrong.push(Mismatch { view, photograph, expected, got });
-                }
-            }
-        }
-        wrong
-    }
 }
 
 /// The bytes of the file at `path`, whose SHA-256 must be `expected`.
@@ -218,7 +187,11 @@ fn read_held_to(path: &Path, limit: u64, expected: &[u8; 32]) -> Result<Vec<u8>,
     let bytes = read_limited(path, limit)?;
     let got: [u8; 32] = Sha256::digest(&bytes).into();
     if got != *expected {
-        return Err(CaptureError::Altered { file: path.to_path_buf(), expected: hex(expected), got: hex(&got) });
+        return Err(CaptureError::Altered {
+            file: path.to_path_buf(),
+            expected: hex::encode(expected),
+            got: hex::encode(got),
+        });
     }
     Ok(bytes)
 }
@@ -277,7 +250,7 @@ fn fill(folder: &Path, capture: &Capture) -> Result<(), CaptureError> {
         version: VERSION,
         kind: capture.kind,
         background: capture.background,
-        points: PointsRow { count: capture.points.len() as u64, sha256: hex(&Sha256::digest(&points)) },
+        points: PointsRow { count: capture.points.len() as u64, sha256: hex::encode(Sha256::digest(&points)) },
         views,
     };
     let path = folder.join(TABLE);
@@ -302,7 +275,7 @@ fn copy_view(folder: &Path, capture: &Capture, index: usize) -> Result<ViewRow, 
         Some(mask) => {
             let (file, png) = (format!("{index:06}.png"), mask.to_png());
             write_synced(&folder.join(MASKS).join(&file), &png)?;
-            Some(MaskRow { file, sha256: hex(&Sha256::digest(&png)) })
+            Some(MaskRow { file, sha256: hex::encode(Sha256::digest(&png)) })
         }
     };
     let view = &capture.views[index];
@@ -313,8 +286,8 @@ fn copy_view(folder: &Path, capture: &Capture, index: usize) -> Result<ViewRow, 
         bounds: view.bounds,
         camera: view.camera,
         photograph,
-        as_stored: view.photograph.as_stored,
-        sha256: hex(&Sha256::digest(&bytes)),
+        as_stored: view.as_stored,
+        sha256: hex::encode(Sha256::digest(&bytes)),
         mask,
         support: view.support,
     })

@@ -13,7 +13,6 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::error::CaptureError;
-use crate::scene::table::hex;
 
 /// The manifest's name in its folder.
 pub const MANIFEST: &str = "manifest.json";
@@ -70,7 +69,7 @@ fn digest(path: &Path) -> io::Result<(u64, String)> {
     loop {
         let count = file.read(&mut piece)?;
         if count == 0 {
-            return Ok((size, hex(&hasher.finalize())));
+            return Ok((size, hex::encode(hasher.finalize())));
         }
         hasher.update(&piece[..count]);
         size += count as u64;

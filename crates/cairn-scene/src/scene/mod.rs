@@ -4,5 +4,5 @@ mod folder;
 mod manifest;
 mod table;
 
-pub use folder::{Mismatch, SceneFolder};
+pub use folder::SceneFolder;
 pub use manifest::{MANIFEST, write_manifest};

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::cameras::camera::Camera;
 use crate::cameras::intrinsics::check_intrinsics;
 use crate::cameras::pose::Pose;
-use crate::capture::{PhotographFile, SceneKind, Support, View};
+use crate::capture::{SceneKind, Support, View};
 use crate::error::CaptureError;
 
 /// The table's name in its folder.
@@ -159,10 +159,8 @@ impl ViewRow {
             name: self.name,
             camera: self.camera,
             contributor: self.contributor,
-            photograph: PhotographFile {
-                path: PathBuf::from(PHOTOGRAPHS).join(self.photograph),
-                as_stored: self.as_stored,
-            },
+            photograph: PathBuf::from(PHOTOGRAPHS).join(self.photograph),
+            as_stored: self.as_stored,
             mask: self.mask.map(|mask| PathBuf::from(MASKS).join(mask.file)),
             support: self.support,
             held_out: self.held_out,
@@ -176,32 +174,17 @@ fn is_file_name(name: &str) -> bool {
     matches!((parts.next(), parts.next()), (Some(Component::Normal(part)), None) if part == name)
 }
 
-/// Bytes as lower-case hexadecimal.
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
-}
-
 /// A SHA-256 from 64 hexadecimal digits.
 ///
 /// # Errors
 /// For anything else, naming `entry` of `file`.
 pub(crate) fn digest_from_hex(file: &Path, entry: &str, text: &str) -> Result<[u8; 32], CaptureError> {
     let mut digest = [0; 32];
-    let well_formed = text.len() == 64 && text.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b));
-    let parsed = well_formed.then(|| {
-        digest.iter_mut().zip(text.as_bytes().as_chunks::<2>().0).try_for_each(|(byte, pair)| {
-            *byte = std::str::from_utf8(pair).ok().and_then(|p| u8::from_str_radix(p, 16).ok())?;
-            Some(())
-        })
-    });
-    match parsed.flatten() {
-        Some(()) => Ok(digest),
-        None => Err(CaptureError::malformed(
-            file,
-            entry,
-            "a SHA-256 of 64 lower-case hexadecimal digits",
-            format!("{text:?}"),
-            REMEDY,
-        )),
+    match hex::decode_to_slice(text, &mut digest) {
+        Ok(()) if hex::encode(digest) == text => Ok(digest),
+        _ => {
+            let expected = "a SHA-256 of 64 lower-case hexadecimal digits";
+            Err(CaptureError::malformed(file, entry, expected, format!("{text:?}"), REMEDY))
+        }
     }
 }

@@ -29,7 +29,7 @@ pub struct Colmap {
     pub cameras: Vec<ColmapCamera>,
     pub images: Vec<Image>,
     pub points: Vec<[f64; 3]>,
-    /// Observations for each image and track elements for each point.
+    /// Observations of each image but every other one, which has none, and track elements of each point.
     pub tracks: usize,
 }
 
@@ -51,6 +51,18 @@ impl Colmap {
         }
     }
 
+    /// What the `i`th image observes: where, px, and which point, -1 for none.
+    fn observations(&self, i: usize) -> Vec<(f64, f64, i64)> {
+        let count = if i % 2 == 0 { 0 } else { self.tracks };
+        let point = |k: usize| if k % 3 == 1 { -1 } else { ((i + k) % self.points.len().max(1)) as i64 };
+        (0..count).map(|k| (1.5 + k as f64, 2.5, point(k))).collect()
+    }
+
+    /// How far off a point's observations are on average, px.
+    fn error_px(point: usize) -> f64 {
+        0.5 + point as f64 / 8.0
+    }
+
     pub fn cameras_bin(&self) -> Vec<u8> {
         let mut out = (self.cameras.len() as u64).to_le_bytes().to_vec();
         for (id, model, _, size, parameters) in &self.cameras {
@@ -64,14 +76,18 @@ impl Colmap {
 
     pub fn images_bin(&self) -> Vec<u8> {
         let mut out = (self.images.len() as u64).to_le_bytes().to_vec();
-        for image in &self.images {
+        for (i, image) in self.images.iter().enumerate() {
             out.extend(image.id.to_le_bytes());
             out.extend(image.quaternion.iter().chain(&image.translation).flat_map(|v| v.to_le_bytes()));
             out.extend(image.camera.to_le_bytes());
             out.extend(image.name.as_bytes());
             out.push(0);
-            out.extend((self.tracks as u64).to_le_bytes());
-            out.extend(vec![7; 24 * self.tracks]);
+            let seen = self.observations(i);
+            out.extend((seen.len() as u64).to_le_bytes());
+            for (x, y, point) in seen {
+                out.extend([x, y].iter().flat_map(|v| v.to_le_bytes()));
+                out.extend(point.to_le_bytes());
+            }
         }
         out
     }
@@ -82,9 +98,9 @@ impl Colmap {
             out.extend((id as u64).to_le_bytes());
             out.extend(point.iter().flat_map(|v| v.to_le_bytes()));
             out.extend([1, 2, 3]);
-            out.extend(0.5f64.to_le_bytes());
+            out.extend(Self::error_px(id).to_le_bytes());
             out.extend((self.tracks as u64).to_le_bytes());
-            out.extend(vec![9; 8 * self.tracks]);
+            out.extend((0..2 * self.tracks as u32).flat_map(|v| v.to_le_bytes()));
         }
         out
     }
@@ -112,11 +128,13 @@ impl Colmap {
             let Image { id, quaternion, translation, camera, name } = image;
             images += &format!("{id} {} {} {camera} {name}\n", joined(quaternion), joined(translation));
             // An image without observations has an empty second line.
-            images += if i % 2 == 0 { "\n" } else { "1.5 2.5 -1 3.5 4.5 0\n" };
+            let seen = self.observations(i).into_iter().map(|(x, y, point)| format!("{x} {y} {point}"));
+            images += &format!("{}\n", seen.collect::<Vec<_>>().join(" "));
         }
         let mut points = String::new();
         for (id, point) in self.points.iter().enumerate() {
-            points += &format!("{id} {} 1 2 3 0.5 1 0 2 1\n", joined(point));
+            let track: Vec<String> = (0..2 * self.tracks).map(|v| v.to_string()).collect();
+            points += &format!("{id} {} 1 2 3 {} {}\n", joined(point), Self::error_px(id), track.join(" "));
         }
         fs::write(place.join("cameras.txt"), cameras).unwrap();
         fs::write(place.join("images.txt"), images).unwrap();

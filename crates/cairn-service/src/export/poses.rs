@@ -319,6 +319,7 @@ mod tests {
             camera: Camera { intrinsics, pose },
             contributor: format!("person-{:02}", (i * i) % 15),
             photograph: "none".into(),
+            as_stored: false,
             held_out: i % 8 == 0,
             mask: None,
             support: None,

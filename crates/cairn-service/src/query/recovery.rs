@@ -91,12 +91,12 @@ fn padded(truth: &Sound, said: &Sound) -> Vec<f32> {
 
 fn text_characters(truth: &Signal, said: &Detection) -> Result<Option<f64>, EngineError> {
     let Some((truth, said)) = truth.text.as_ref().zip(said.text_bytes.as_ref()) else { return Ok(None) };
-    Ok(text_accuracy(said, truth.as_bytes())?.characters.share())
+    Ok(Some(text_accuracy(said, truth.as_bytes())?.characters))
 }
 
 fn text_bits(truth: &Signal, said: &Detection) -> Result<Option<f64>, EngineError> {
     let Some((truth, said)) = truth.text.as_ref().zip(said.text_bytes.as_ref()) else { return Ok(None) };
-    Ok(text_accuracy(said, truth.as_bytes())?.bits.share())
+    Ok(Some(text_accuracy(said, truth.as_bytes())?.bits))
 }
 
 /// Uniform noise, the same in every evaluation (SplitMix64).

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use cairn_log::Digest;
-use cairn_scene::{Camera, Capture, PhotographFile, SceneFolder, SceneKind, Support, View};
+use cairn_scene::{Camera, Capture, SceneFolder, SceneKind, Support, View};
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
 
@@ -42,7 +42,7 @@ pub struct PlannedView {
     pub contributor: String,
     /// Whether it is kept from training.
     pub held_out: bool,
-    /// Whether its pixels are meant without EXIF orientation ([`PhotographFile::as_stored`]).
+    /// Whether its pixels are meant without EXIF orientation ([`View::as_stored`]).
     pub as_stored: bool,
     /// Nearest and farthest depth, capture's unit.
     pub bounds: Option<(f64, f64)>,
@@ -201,7 +201,8 @@ impl Import {
                 name: view.name,
                 camera: view.camera,
                 contributor: view.contributor,
-                photograph: PhotographFile { path: file_path(Path::new(""), index, false), as_stored: view.as_stored },
+                photograph: file_path(Path::new(""), index, false),
+                as_stored: view.as_stored,
                 mask: view.mask.map(|_| file_path(Path::new(""), index, true)),
                 support: view.support,
                 held_out: view.held_out,

@@ -85,7 +85,7 @@ pub fn takes(scene: &SceneFolder) -> Result<Charge, EngineError> {
     let capture = scene.capture();
     let mut charge = Charge { bytes: 0, views: capture.views.len() as u64 };
     for view in &capture.views {
-        for file in [Some(view.photograph.path.as_path()), view.mask.as_deref()].into_iter().flatten() {
+        for file in [Some(view.photograph.as_path()), view.mask.as_deref()].into_iter().flatten() {
             let path = capture.root.join(file);
             charge.bytes += path.metadata().map_err(EngineError::io("measure", &path))?.len();
         }

@@ -4,16 +4,16 @@ use crate::attack::Distortion;
 use crate::detect::blind::networks::Networks;
 use crate::detect::blind::out_of_distribution::OutOfDistribution;
 use crate::error::MarkError;
-use crate::marked::{read_format, read_header, stored};
+use crate::marked::stored;
 use crate::payload::{HeadSizes, Signal};
 use crate::stega::recipe::Recipe;
 use crate::stega::window::LEAST;
 use crate::tensors::{shrunk, to_tensor, winner};
+use cairn_field::{Part, packed, read_header};
 use cairn_nn::Params;
 use cairn_scene::Picture;
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 
 /// Format of a stored detector; another version is refused by name.
 pub const DETECTOR_FORMAT: &str = "cairn.detector/8";
@@ -177,16 +177,9 @@ impl Detector {
             heads: *self.heads(),
             config: self.config.clone(),
         };
-        let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
-        let params = self.networks.params.to_bytes()?;
-        let mut parts = vec![("parameters".to_owned(), params)];
+        let mut parts = vec![("parameters".to_owned(), self.networks.params.to_bytes()?)];
         parts.extend(self.networks.out_of_distribution.iter().flat_map(OutOfDistribution::parts));
-        let mut tensors = Vec::with_capacity(parts.len());
-        for (name, bytes) in &parts {
-            tensors.push((name.as_str(), TensorView::new(Dtype::U8, vec![bytes.len()], bytes).map_err(bad)?));
-        }
-        let json = serde_json::to_string(&header).map_err(|e| stored("detector", e.to_string()))?;
-        safetensors::serialize(tensors, Some(HashMap::from([("cairn".to_owned(), json)]))).map_err(bad)
+        Ok(packed("detector", &header, parts.iter().map(|(name, bytes)| Part::row(name, Dtype::U8, bytes)))?)
     }
 
     /// Reads what [`Detector::to_bytes`] wrote.
@@ -194,12 +187,7 @@ impl Detector {
     /// # Errors
     /// [`MarkError::Stored`] for an unknown format or a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
-        let format = read_format(bytes, "detector")?;
-        if format != DETECTOR_FORMAT {
-            let why = format!("format `{format}`, this program reads `{DETECTOR_FORMAT}`");
-            return Err(stored("detector", why));
-        }
-        let header: Header = read_header(bytes, "detector")?;
+        let header: Header = read_header(bytes, "detector", DETECTOR_FORMAT)?;
         header.config.validate()?;
         header.heads.check(&header.config)?;
         let bad = |e: safetensors::SafeTensorError| stored("detector", e.to_string());
