@@ -19,7 +19,7 @@ pub struct DisputeArgs {
     /// The record that is contested (see `cairn owners list`)
     #[arg(long, value_name = "INDEX")]
     pub record: u64,
-    /// The key of whoever contests it (see `cairn keys new`)
+    /// The key of the owner who contests it (see `cairn keys new`)
     #[arg(long, value_name = "FILE")]
     pub key: PathBuf,
     #[command(flatten)]
@@ -83,13 +83,13 @@ pub async fn erase(line: &Connection, args: &EraseArgs) -> anyhow::Result<()> {
 pub async fn show(line: &Connection, index: u64) -> anyhow::Result<()> {
     let Some(stored) = Stored::find(line, index).await? else {
         println!("record {index}");
-        println!("  state          erased; its leaf is in the log, and says nothing about anybody");
+        println!("  state          erased; its leaf is in the log, and says nothing about any person");
         return Ok(());
     };
     let record = &stored.record;
     let kind = serde_json::to_value(record.kind)?;
     println!("record {index}: {}, scene {}", kind.as_str().context("the record's kind has no name")?, record.scene);
-    // Whom a dispute names is mostly not whoever contests: that is its key.
+    // A dispute mostly names another than its own owner, whom its key tells.
     let whose = if record.kind == RecordKind::Dispute { "names" } else { "identity" };
     let mut facts = vec![
         ("state", state(&stored.standing)),

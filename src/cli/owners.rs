@@ -1,8 +1,8 @@
 //! `cairn owners`: signing records at the owner's side, correcting and listing
 //! them. Verifying them is `cairn audit`'s.
 //!
-//! An auditor pins the key that `vkey` prints, not the bundle's copy: whoever
-//! forges a bundle forges that too.
+//! An auditor pins the key that `vkey` prints, not the bundle's copy: a forger
+//! of a bundle forges that, too.
 
 use std::path::PathBuf;
 
@@ -25,14 +25,14 @@ use super::sign::{SignArgs, sign};
 pub enum Command {
     /// Sign a record about an identity of a scene, and enter it into the log
     Sign(SignArgs),
-    /// Who contributed to a scene or a view, as a file that proves that nobody is left out
+    /// Who contributed to a scene or a view, as a file that proves that no contributor is left out
     Answer(AnswerArgs),
     /// Send again what was signed into DIR and got no answer; nothing is entered twice
     Submit {
         /// The folder that `--out` named
         dir: PathBuf,
     },
-    /// Contest somebody's record: a record that says so
+    /// Contest another owner's record: a record that says so
     Dispute(DisputeArgs),
     /// Have a record's envelope erased, and with it all that is personal; its place in the log stays
     Erase(EraseArgs),

@@ -20,7 +20,7 @@ use crate::export::tour::{self, PathRequest, Tour};
 use crate::query::check::{self, Checked};
 use crate::query::evaluate;
 use crate::query::light::{Light, appearance};
-use crate::query::look::{self, Identified, Over, Who};
+use crate::query::look::{self, FieldRegistration, Identified, Who};
 use crate::query::maps::Maps;
 use crate::query::report::Report;
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
@@ -336,8 +336,7 @@ impl Engine {
     /// # Errors
     /// As [`tour::plan`]; [`EngineError::NotTrained`].
     pub fn tour(&self, request: &PathRequest) -> Result<Tour, EngineError> {
-        let (model, snapshot) = (self.model(&request.scene)?, self.snapshot(&request.scene)?);
-        tour::plan(&model, &snapshot, request, &self.limits)
+        tour::plan(&*self.snapshot(&request.scene)?, request, &self.limits, || self.model(&request.scene))
     }
 
     /// Renders frame `i` of a path, clamped to [0, 1].
@@ -366,14 +365,14 @@ impl Engine {
         self.with_records(&snapshot, look::contributors(&snapshot, viewpoint, &self.limits)?)
     }
 
-    /// Whose mark a picture carries, as the classifier reads it; or, with `over`, as registration with the field tells it.
+    /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as registration with the field tells it.
     ///
     /// # Errors
     /// For a picture that does not decode, and [`look::read_picture`]'s.
-    pub fn identify(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Identified, EngineError> {
+    pub fn identify(&self, scene: &str, bytes: &[u8], register: Option<FieldRegistration>) -> Result<Identified, EngineError> {
         let picture = decode(bytes, &self.limits)?;
         let (model, snapshot) = (self.model(scene)?, self.snapshot(scene)?);
-        let found = look::read_picture(&model, &snapshot, &picture, over, &self.limits)?;
+        let found = look::read_picture(&model, &snapshot, &picture, register, &self.limits)?;
         let who = Who::of(&snapshot, found.identity, found.confidence.into())?;
         Ok(Identified { who: self.with_records(&snapshot, who)?, found })
     }

@@ -2,6 +2,7 @@
 //! frame, so that whoever asked can stop between two of them.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use cairn_field::{Appearance, SceneFrame};
 use cairn_scene::{Camera, Capture, Intrinsics, Picture, Pose, SceneKind, View};
@@ -79,16 +80,16 @@ impl Tour {
     }
 }
 
-/// Plans a camera path; renders nothing yet.
+/// Plans a camera path; renders nothing yet. `model` loads the scene's model once nothing speaks against the path without it.
 ///
 /// # Errors
 /// [`EngineError::Path`] for a path that the scene's cameras do not carry,
-/// [`EngineError::OverLimit`], [`EngineError::NotFound`]; [`Light::Photograph`]'s.
+/// [`EngineError::OverLimit`], [`EngineError::NotFound`]; `model`'s; [`Light::Photograph`]'s.
 pub fn plan(
-    model: &Model,
     snapshot: &SceneSnapshot,
     request: &PathRequest,
     limits: &Limits,
+    model: impl FnOnce() -> Result<Arc<Model>, EngineError>,
 ) -> Result<Tour, EngineError> {
     let most = limits.max_path_frames;
     if request.frames < 2 {
@@ -102,6 +103,7 @@ pub fn plan(
     let route = Route::new(snapshot, &request.kind)?;
     let (width, height) = size(request.size.into(), route.usual_size().into());
     check_size("a frame", width, height, limits)?;
+    let model = &*model()?;
     if request.field == FieldKind::Marked {
         model.marked_field()?;
     }

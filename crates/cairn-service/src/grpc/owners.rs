@@ -146,11 +146,10 @@ impl OwnerService for Shared {
 
     async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
         let asked = request.get_ref().request.clone();
-        let (scene, asked) = self.run(move |engine| corrections::erasure_asked(engine.registry(), &asked)).await?;
-        self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
-        let request = request.into_inner().request;
+        let asked = self.run(move |engine| corrections::erasure_asked(engine.registry(), &asked)).await?;
+        self.authorise(request.extensions(), About::Signed(&asked.stored.record.scene, &asked.envelope))?;
         let index =
-            while_the_disk_answers(self, move |engine| corrections::erase_record(engine.registry(), &request)).await?;
+            while_the_disk_answers(self, move |engine| corrections::erase_record(engine.registry(), &asked)).await?;
         Ok(Response::new(v1::EraseRecordResponse { index }))
     }
 }

@@ -8,7 +8,7 @@ use tonic::codegen::Bytes;
 use crate::query::check::{Checked, CheckedView};
 use crate::query::look::{Identified, Who};
 use crate::records::corrections::Standing;
-use crate::store::classes::{Elsewhere, LaidOver};
+use crate::store::classes::{Elsewhere, Registered};
 use crate::store::exclusions::{Entries, Entry, State};
 use crate::store::hidden::encoded;
 use crate::store::model::{IdentityInfo, MarkInfo, ModelInfo};
@@ -225,14 +225,14 @@ pub fn identified(Identified { who, found }: Identified, payload: bool) -> v1::I
         answer: Some(answer),
         confidence,
         probabilities: detection.probabilities,
-        registered: found.laid_over.map(registered),
+        registered: found.registered.map(registered),
         center_crop: detection.is_center_crop,
         payload,
     }
 }
 
 /// What a registered picture says.
-fn registered(LaidOver { explained, scores, believed }: LaidOver) -> v1::RegisteredReading {
+fn registered(Registered { explained, scores, believed }: Registered) -> v1::RegisteredReading {
     v1::RegisteredReading { explained, scores, believed: believed.unwrap_or(0), believed_from: cairn_mark::BELIEVED }
 }
 

@@ -51,9 +51,9 @@ impl Who {
     }
 }
 
-/// Laying a picture over the field.
+/// How a picture is to be registered with the field.
 #[derive(Clone, Debug)]
-pub struct Over {
+pub struct FieldRegistration {
     /// From where the picture was rendered, where that is known.
     pub from: Option<Viewpoint>,
     /// Says so once nobody waits for the answer any more.
@@ -115,23 +115,23 @@ pub fn contributors(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Li
     Who::of(snapshot, found.identity, confidence)
 }
 
-/// What the model reads from a picture; with `over` the picture is registered with the field as well.
+/// What the model reads from a picture; with `register` the picture is registered with the field as well.
 ///
 /// # Errors
-/// For a picture that `over`'s camera cannot have taken whole; [`Model::mark`]'s and the detector's.
+/// For a picture that `register`'s camera cannot have taken whole; [`Model::mark`]'s and the detector's.
 pub fn read_picture(
     model: &Model,
     snapshot: &SceneSnapshot,
     picture: &Picture,
-    over: Option<Over>,
+    register: Option<FieldRegistration>,
     limits: &Limits,
 ) -> Result<Found, EngineError> {
     let mark = model.mark()?;
-    let Some(Over { from, given_up }) = over else { return mark.detect(picture) };
+    let Some(FieldRegistration { from, given_up }) = register else { return mark.detect(picture) };
     let from = from.map(|viewpoint| camera_of("the render", snapshot, &viewpoint, limits)).transpose()?;
     if let Some(camera) = &from {
         check_whole(picture, camera)?;
     }
     // Where a view that is left out says that it was taken is what is doubted.
-    mark.detect_laid_over(picture, || snapshot.cameras(), from.as_ref(), &|| !given_up.load(Ordering::Relaxed))
+    mark.detect_registered(picture, || snapshot.cameras(), from.as_ref(), &|| !given_up.load(Ordering::Relaxed))
 }

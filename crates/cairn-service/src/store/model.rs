@@ -145,7 +145,7 @@ pub struct Mark {
     pub signals: Vec<Signal>,
     /// Which of the detector's classes are the scene's.
     pub classes: Classes,
-    /// What lays pictures over the field: made when first asked for, `None` where that cannot be.
+    /// What registers pictures with the field: made when first asked for, `None` where that cannot be.
     pub reader: OnceLock<Option<RegisteredReader>>,
 }
 
