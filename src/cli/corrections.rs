@@ -8,7 +8,6 @@ use cairn_log::{ErasureRequest, RecordKind, format::erasure};
 
 use super::connect::Connection;
 use super::records::{Bundle, Ground, Stored};
-use super::refused::refused;
 use super::unlock::UnlockArgs;
 
 /// `cairn owners dispute`.
@@ -72,7 +71,7 @@ pub async fn erase(line: &Connection, args: &EraseArgs) -> anyhow::Result<()> {
     };
     let request = request.seal(&key)?.to_json().into_bytes().into();
     let request = v1::EraseRecordRequest { request };
-    let index = line.about(&args.name).owners().erase(request).await.map_err(refused)?.into_inner().index;
+    let index = line.about(&args.name).owners().erase(request).await?.into_inner().index;
     anyhow::ensure!(index == stored.index, "the daemon says that it erased record {index}, not {}", stored.index);
     println!("record {index} is erased: its envelope is gone, its leaf stays, and every proof goes on verifying");
     println!("copies in bundles and backups are their holders' to delete");

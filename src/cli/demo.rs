@@ -2,6 +2,7 @@
 //! photographs. Everything goes through the same services as any other client's
 //! calls; what it prints is measured then and there.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -13,7 +14,6 @@ use serde::Serialize;
 
 use super::connect::{Connection, Where};
 use super::files::write;
-use super::refused::refused;
 use super::{audit, evaluate, scene, sign, train};
 use cairn_service::query::report::{Report, Right};
 
@@ -150,40 +150,24 @@ async fn through(
 }
 
 async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
-    let import = scene::ImportArgs {
-        name: SCENE.to_owned(),
-        from: capture.to_path_buf(),
-        contributors: Some(capture.join("contributors.csv")),
-        kind: None,
-        hold_every: 8,
-        masks: None,
-        images: None,
-        skip_missing: false,
-        width: None,
-        height: None,
-        scale: None,
-    };
-    scene::import(line, &import).await.map(drop)
+    let table = capture.join("contributors.csv");
+    let words = [SCENE.as_ref(), "--from".as_ref(), capture.as_os_str(), "--contributors".as_ref(), table.as_os_str()];
+    scene::import(line, &typed(&words)?).await.map(drop)
 }
 
 async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
-    let train = train::Args {
-        name: SCENE.to_owned(),
-        anchors: 0,
-        neighbours: None,
-        by_contributor: true,
-        min_views: 2,
-        seed: args.seed,
-        signals: None,
-        options: train::Options { quality: Some(args.quality), ..train::Options::default() },
-        base_only: args.base_only,
-        with: Vec::new(),
-        grow: false,
-        resume: None,
-        detach: false,
-        keys: None,
-    };
+    let seed = args.seed.to_string();
+    let mut words: Vec<&OsStr> = [SCENE, "--by-contributor", "--seed", &seed].map(OsStr::new).to_vec();
+    words.extend(args.base_only.then_some(OsStr::new("--base-only")));
+    let mut train: train::Args = typed(&words)?;
+    train.options.quality = Some(args.quality);
     train::run_to_end(line, &train).await
+}
+
+/// The arguments of another command, as a person would type them.
+fn typed<T: clap::Args>(words: &[&OsStr]) -> anyhow::Result<T> {
+    let command = T::augment_args(clap::Command::new("demo").no_binary_name(true));
+    Ok(T::from_arg_matches(&command.try_get_matches_from(words)?)?)
 }
 
 /// Verifies each record from its bundle's files.
@@ -212,7 +196,7 @@ async fn found(line: &Connection, signed: &[sign::Signed]) -> anyhow::Result<Rig
             let from = Some(v1::viewpoint::From::ViewName(name.clone()));
             let viewpoint = Some(v1::Viewpoint { from });
             let request = v1::ContributorsRequest { scene: SCENE.into(), viewpoint };
-            let answer = line.query().contributors(request).await.map_err(refused)?.into_inner().answer;
+            let answer = line.query().contributors(request).await?.into_inner().answer;
             let right = matches!(answer, Some(v1::contributors_response::Answer::Identity(who))
                 if who.number == identity.number && !records.is_empty() && who.record_indices == records);
             found.count(right);

@@ -154,7 +154,9 @@ fn new(file: &Path, plain: bool, seal: &UnlockArgs) -> anyhow::Result<()> {
     save_key(file, &key, &seal)?;
     println!("new key in {}; keep it safe, since it cannot be made again", file.display());
     match seal {
-        Seal::Plain => println!("it is not sealed: every reader of the file has the key (`cairn keys seal` mends that)"),
+        Seal::Plain => {
+            println!("it is not sealed: every reader of the file has the key (`cairn keys seal` mends that)")
+        }
         Seal::Passphrase(_) => println!("it is sealed by its passphrase, without which it is lost"),
         Seal::KeyFile(_) => println!("it is sealed by the key file, without which it is lost"),
     }

@@ -18,7 +18,6 @@ mod path;
 mod poses;
 mod progress;
 mod records;
-mod refused;
 mod registry;
 mod render;
 mod scene;

@@ -17,7 +17,6 @@ use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::files::write;
 use super::records;
 use super::records::vkey;
-use super::refused::refused;
 use super::sign::{SignArgs, sign};
 
 /// What to do with owner records.
@@ -111,7 +110,7 @@ pub(super) struct LogEntry {
 
 async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let checkpoint = line.owners().checkpoint(v1::CheckpointRequest {}).await;
-    let note = Note::parse(&checkpoint.map_err(refused)?.into_inner().checkpoint)?;
+    let note = Note::parse(&checkpoint?.into_inner().checkpoint)?;
     let size = Checkpoint::parse_text(&note.text)?.size;
     let records = records::list(line, &name.unwrap_or_default()).await?;
     for r in &records {

@@ -16,7 +16,6 @@ use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, PublicKey, Reco
 use tonic::{Code, Status};
 
 use super::connect::Connection;
-use super::refused::refused;
 use cairn_durable::{write_atomic, write_secret};
 
 /// What the registry gives a signer to sign.
@@ -34,7 +33,7 @@ pub async fn list(line: &Connection, scene: &str) -> anyhow::Result<Vec<v1::Reco
     let (mut records, mut from) = (Vec::new(), 0);
     loop {
         let request = v1::ListRecordsRequest { scene: scene.to_owned(), from, limit: 0 };
-        let page = line.owners().list(request).await.map_err(refused)?.into_inner();
+        let page = line.owners().list(request).await?.into_inner();
         records.extend(page.records);
         match page.next {
             Some(next) if next > from => from = next,
@@ -49,7 +48,7 @@ impl Ground {
     pub async fn ask(line: &Connection, scene: &str, key: &PublicKey) -> anyhow::Result<Self> {
         let owner_key = key.to_bytes().to_vec().into();
         let request = v1::NonceRequest { scene: scene.to_owned(), owner_key };
-        let nonce = line.about(scene).owners().nonce(request).await.map_err(refused)?.into_inner();
+        let nonce = line.about(scene).owners().nonce(request).await?.into_inner();
         let checkpoint = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint)?.text)?;
         Ok(Self {
             origin: nonce.origin,
@@ -106,7 +105,7 @@ impl Stored {
     /// Fetches one; `None` where it was erased.
     pub async fn find(line: &Connection, index: u64) -> anyhow::Result<Option<Self>> {
         let request = v1::GetRecordRequest { index };
-        let answer = line.owners().get(request).await.map_err(refused)?.into_inner();
+        let answer = line.owners().get(request).await?.into_inner();
         let found = answer.record.context("the daemon's answer names no record")?;
         if found.envelope.is_empty() {
             return Ok(None);
@@ -234,8 +233,8 @@ impl Bundle {
             )
         };
         let answer = match sent {
-            Err(status) if is_open(&status) => return Err(refused(status)).with_context(lost),
-            Err(status) => return Err(refused(status)),
+            Err(status) if is_open(&status) => return Err(status).with_context(lost),
+            Err(status) => return Err(status.into()),
             Ok(answer) => answer,
         };
         let entered = answer.record.context("the daemon's answer names no record")?;
@@ -266,7 +265,7 @@ impl Bundle {
             Err(status) => {
                 let problem = "is in the log; its proof was not given";
                 let again = format!("`cairn owners submit {}` asks again", self.name());
-                return Err(refused(status)).with_context(|| format!("record {} {problem}, {again}", entered.index));
+                return Err(status).with_context(|| format!("record {} {problem}, {again}", entered.index));
             }
         };
         self.add("record.tlog-proof", proof.as_bytes())?;
@@ -313,5 +312,5 @@ fn is_refused_caller(status: &Status) -> bool {
 /// The log's verifier key, one line without its end.
 pub async fn vkey(line: &Connection) -> anyhow::Result<String> {
     let request = v1::CheckpointRequest {};
-    Ok(line.owners().checkpoint(request).await.map_err(refused)?.into_inner().vkey)
+    Ok(line.owners().checkpoint(request).await?.into_inner().vkey)
 }

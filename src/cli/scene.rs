@@ -11,7 +11,6 @@ use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
 use sha2::{Digest, Sha256};
 
 use super::connect::Connection;
-use super::refused::refused;
 use cairn_service::grpc::to_proto;
 
 /// Bytes of photograph a message.
@@ -105,7 +104,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         }
         Command::List => {
             let request = v1::ListScenesRequest {};
-            let scenes = line.scenes().list(request).await.map_err(refused)?.into_inner().scenes;
+            let scenes = line.scenes().list(request).await?.into_inner().scenes;
             scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
             Ok(())
         }
@@ -118,7 +117,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Include(args) => super::check::include(line, args).await,
         Command::Delete { name } => {
             let request = v1::DeleteSceneRequest { scene: name.clone() };
-            line.about(&name).scenes().delete(request).await.map_err(refused)?;
+            line.about(&name).scenes().delete(request).await?;
             println!("deleted {name}");
             Ok(())
         }
@@ -179,7 +178,7 @@ async fn show(line: &Connection, name: &str) -> anyhow::Result<()> {
 /// One scene.
 pub async fn get(line: &Connection, name: &str) -> anyhow::Result<v1::GetSceneResponse> {
     let request = v1::GetSceneRequest { scene: name.to_owned() };
-    Ok(line.scenes().get(request).await.map_err(refused)?.into_inner())
+    Ok(line.scenes().get(request).await?.into_inner())
 }
 
 /// What is sent of a view: its photograph and, where it has one, its mask.
@@ -232,7 +231,7 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     if let Some(error) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }
-    answer.map_err(refused)?.into_inner().scene.context("the daemon's answer names no scene")
+    answer?.into_inner().scene.context("the daemon's answer names no scene")
 }
 
 /// The same error, in the words of the command line where it speaks of a setting.

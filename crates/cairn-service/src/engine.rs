@@ -176,17 +176,6 @@ impl Engine {
         scenes::open(&self.folder.scenes(), name)
     }
 
-    /// Refuses what must not be done while a job trains on a scene.
-    fn refuse_in_training(&self, scene: &str, what: String, operation: &'static str) -> Result<(), EngineError> {
-        match self.jobs.list().iter().find(|j| j.spec.is_of(scene) && !j.state.has_ended()) {
-            Some(job) => {
-                let why = format!("{} is {} on it; cancel that first", job.id, job.state.name());
-                Err(EngineError::WrongState { what, operation, why })
-            }
-            None => Ok(()),
-        }
-    }
-
     /// What the scene's newest model says of itself; `None` before the first.
     ///
     /// # Errors
@@ -206,7 +195,10 @@ impl Engine {
         if !path.is_dir() {
             self.scene(name)?;
         }
-        self.refuse_in_training(name, format!("scene {name:?}"), "deleted")?;
+        if let Some(job) = self.jobs.list().iter().find(|j| j.spec.is_of(name) && !j.state.has_ended()) {
+            let why = format!("{} is {} on it; cancel that first", job.id, job.state);
+            return Err(EngineError::wrong_state(format!("scene {name:?}"), "deleted", why));
+        }
         // Out of the way at once, so that no half of it can be read.
         let gone = self.folder.staging().join(format!("deleted-{name}"));
         cairn_durable::remove(&gone)?;
@@ -344,7 +336,7 @@ impl Engine {
     /// # Errors
     /// As [`tour::frame`]; [`Engine::model`]'s.
     pub fn frame(&self, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
-        tour::frame(&*self.model(tour.scene())?, tour, i)
+        tour::frame(&*self.model(&tour.scene)?, tour, i)
     }
 
     /// Draws the scene's cameras, as [`poses::draw_poses`] does.
@@ -369,7 +361,12 @@ impl Engine {
     ///
     /// # Errors
     /// For a picture that does not decode, and [`look::read_picture`]'s.
-    pub fn identify(&self, scene: &str, bytes: &[u8], register: Option<FieldRegistration>) -> Result<Identified, EngineError> {
+    pub fn identify(
+        &self,
+        scene: &str,
+        bytes: &[u8],
+        register: Option<FieldRegistration>,
+    ) -> Result<Identified, EngineError> {
         let picture = decode(bytes, &self.limits)?;
         let (model, snapshot) = (self.model(scene)?, self.snapshot(scene)?);
         let found = look::read_picture(&model, &snapshot, &picture, register, &self.limits)?;

@@ -207,6 +207,19 @@ impl EngineError {
         move |source| Self::Io { operation, path, source }
     }
 
+    /// What the state does not allow now.
+    pub fn wrong_state(what: impl Into<String>, operation: &'static str, why: impl Into<String>) -> Self {
+        Self::WrongState { what: what.into(), operation, why: why.into() }
+    }
+
+    /// Holds `what`, of which there is `got`, to the setting `key`.
+    ///
+    /// # Errors
+    /// [`EngineError::OverLimit`] for more than its value, `limit`.
+    pub fn within(what: impl Into<String>, key: &'static str, limit: u64, got: u64) -> Result<(), Self> {
+        if got <= limit { Ok(()) } else { Err(Self::OverLimit { what: what.into(), key, limit, got }) }
+    }
+
     /// A file of more than `limit` bytes.
     pub fn too_large(path: PathBuf, limit: u64) -> Self {
         Self::Stored { path, problem: format!("more than {limit} bytes, the most that such a file may have") }

@@ -182,7 +182,7 @@ pub enum AccountError {
         /// Its name.
         name: String,
         /// Where it stands.
-        standing: &'static str,
+        standing: String,
     },
     /// Nobody could undo it from afar.
     #[error("{name:?} is the last active operator; make another one first")]
@@ -370,24 +370,4 @@ pub struct QuotaError {
     pub needed: u64,
     /// When there is room again.
     pub frees: Frees,
-}
-
-/// What can go wrong when something is charged.
-#[derive(Debug, thiserror::Error)]
-pub enum ChargeError {
-    /// Over the quota.
-    #[error(transparent)]
-    Quota(#[from] QuotaError),
-    /// It cannot be written down.
-    #[error(transparent)]
-    File(#[from] FileError),
-}
-
-impl From<ChargeError> for AccessError {
-    fn from(error: ChargeError) -> Self {
-        match error {
-            ChargeError::Quota(error) => Self::Quota(error),
-            ChargeError::File(error) => Self::File(error),
-        }
-    }
 }

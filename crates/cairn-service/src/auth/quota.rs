@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use cairn_log::Digest;
 use serde::{Deserialize, Serialize};
 
-use crate::auth::error::{ChargeError, FileError, Frees, Kind, QuotaError};
+use crate::auth::error::{AccessError, FileError, Frees, Kind, QuotaError};
 use crate::auth::file;
 
 const HOUR_S: u64 = 3600;
@@ -109,7 +109,7 @@ impl Quotas {
     ///
     /// # Errors
     /// [`QuotaError`] of the first quota that does not allow it; [`FileError`].
-    pub fn charge(&self, owner: &Digest, limits: &Limits, item: &str, charge: Charge) -> Result<(), ChargeError> {
+    pub fn charge(&self, owner: &Digest, limits: &Limits, item: &str, charge: Charge) -> Result<(), AccessError> {
         self.change(|all| {
             let owner = all.entry(owner.to_string()).or_default();
             owner.stored.remove(item);
@@ -218,7 +218,7 @@ impl Quotas {
     ///
     /// # Errors
     /// [`QuotaError`] of the first quota that does not allow it; [`FileError`].
-    pub fn charge_record(&self, owner: &Digest, limits: &Limits, now: u64) -> Result<(), ChargeError> {
+    pub fn charge_record(&self, owner: &Digest, limits: &Limits, now: u64) -> Result<(), AccessError> {
         if limits.records == 0 && limits.records_per_day == 0 {
             return Ok(());
         }
@@ -350,7 +350,7 @@ impl Reserved {
         limits: &Limits,
         item: String,
         charge: Charge,
-    ) -> Result<Self, ChargeError> {
+    ) -> Result<Self, AccessError> {
         quotas.charge(&owner, limits, &item, charge)?;
         Ok(Self { quotas: quotas.clone(), owner, item: Some(item) })
     }

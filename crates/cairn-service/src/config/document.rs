@@ -80,7 +80,7 @@ fn preset_file(group: &Group) -> String {
         let chosen = Chosen { preset, quality: Quality::Balanced, robust: false };
         let mut settings = preset::settings(chosen);
         (group.apply)(&mut settings);
-        (preset.name(), Table::try_from(&settings).expect("settings are TOML"))
+        (preset.to_string(), Table::try_from(&settings).expect("settings are TOML"))
     });
     let [first, ..] = &on;
     let differs =
@@ -90,7 +90,7 @@ fn preset_file(group: &Group) -> String {
         let mut table = None;
         for set in group.sets {
             let (key, path) = set.path.split_last().expect("a set value has a key");
-            let within = if differs { [&[*name], path].concat().join(".") } else { path.join(".") };
+            let within = if differs { [&[name.as_str()], path].concat().join(".") } else { path.join(".") };
             if table.as_ref() != Some(&within) {
                 let header = if within.is_empty() { String::new() } else { format!("[{within}]\n") };
                 write!(text, "\n{header}").expect("a string takes all");

@@ -1,5 +1,7 @@
 //! What a training runs with: the choice that a user made, and the settings of both stages that it stands for.
 
+use std::fmt;
+
 use cairn_field::{FieldConfig, FieldError};
 use cairn_mark::{MarkError, Recipe};
 use cairn_scene::SceneKind;
@@ -19,14 +21,9 @@ pub enum Preset {
     Outdoor,
 }
 
-impl Preset {
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Forward => "forward",
-            Self::Object => "object",
-            Self::Outdoor => "outdoor",
-        }
+impl fmt::Display for Preset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

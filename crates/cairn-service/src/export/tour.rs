@@ -54,30 +54,15 @@ pub struct PathRequest {
 /// A path that was planned. It holds no model: whoever takes its frames slowly must not
 /// keep a large field in memory.
 pub struct Tour {
-    scene: String,
+    /// The scene's name.
+    pub scene: String,
     /// The job whose model it was planned for.
-    job: String,
+    pub job: String,
     field: FieldKind,
-    cameras: Vec<Camera>,
+    /// The frames' cameras.
+    pub cameras: Vec<Camera>,
     /// At the path's beginning and end.
     light: (Appearance, Appearance),
-}
-
-impl Tour {
-    /// The scene's name.
-    pub fn scene(&self) -> &str {
-        &self.scene
-    }
-
-    /// The frames' cameras.
-    pub fn cameras(&self) -> &[Camera] {
-        &self.cameras
-    }
-
-    /// The job that trained what is seen.
-    pub fn job(&self) -> &str {
-        &self.job
-    }
 }
 
 /// Plans a camera path; renders nothing yet. `model` loads the scene's model once nothing speaks against the path without it.
@@ -95,11 +80,8 @@ pub fn plan(
     if request.frames < 2 {
         return Err(EngineError::invalid("the number of frames", request.frames, format!("2 to {most}")));
     }
-    if request.frames > most {
-        let (what, key) = ("the number of frames".to_owned(), "limits.max_path_frames");
-        return Err(EngineError::OverLimit { what, key, limit: most as u64, got: request.frames as u64 });
-    }
-    let capture = snapshot.scene().capture();
+    EngineError::within("the number of frames", "limits.max_path_frames", most as u64, request.frames as u64)?;
+    let capture = snapshot.scene.capture();
     let route = Route::new(snapshot, &request.kind)?;
     let (width, height) = size(request.size.into(), route.usual_size().into());
     check_size("a frame", width, height, limits)?;
@@ -127,11 +109,8 @@ pub fn plan(
 /// planned.
 pub fn frame(model: &Model, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
     if model.info.job != tour.job {
-        return Err(EngineError::WrongState {
-            what: format!("the path through scene {:?}", tour.scene),
-            operation: "gone on with",
-            why: format!("it began in the model of {}, and the newest is {}'s; begin again", tour.job, model.info.job),
-        });
+        let why = format!("it began in the model of {}, and the newest is {}'s; begin again", tour.job, model.info.job);
+        return Err(EngineError::wrong_state(format!("the path through scene {:?}", tour.scene), "gone on with", why));
     }
     let share = paths::through(i, tour.cameras.len()) as f32;
     model.look(tour.field, &tour.cameras[i], &tour.light.0.mixed(&tour.light.1, share))
@@ -150,7 +129,7 @@ enum Route<'a> {
 
 impl<'a> Route<'a> {
     fn new(snapshot: &'a SceneSnapshot, kind: &PathKind) -> Result<Self, EngineError> {
-        let capture = snapshot.scene().capture();
+        let capture = snapshot.scene.capture();
         let training = || capture.training().map(|i| &capture.views[i]).filter(|v| !snapshot.is_out(&v.name)).collect();
         Ok(match kind {
             PathKind::Orbit { .. } if capture.kind == SceneKind::ForwardFacing => {

@@ -7,7 +7,6 @@ use cairn_log::{LogEntry, RegistryError, SignedRecord};
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
-use super::status::status;
 use super::{Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
@@ -32,7 +31,7 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl OwnerService for Shared {
     async fn nonce(&self, request: Request<v1::NonceRequest>) -> Answer<v1::NonceResponse> {
-        let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key).map_err(status)?;
+        let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key)?;
         self.authorise(request.extensions(), About::Place(&request.get_ref().scene))?;
         let (scene, owner) = (request.into_inner().scene, owner.to_bytes());
         let answer = self
@@ -70,8 +69,8 @@ impl OwnerService for Shared {
 
     async fn submit(&self, request: Request<v1::SubmitRecordRequest>) -> Answer<v1::SubmitRecordResponse> {
         // Read once, here; whether the log takes it is the registry's to say.
-        let signed = SignedRecord::parse(&request.get_ref().envelope);
-        let signed = signed.map_err(|e| status(RegistryError::from(e).into()))?;
+        let signed = SignedRecord::parse(&request.get_ref().envelope).map_err(RegistryError::from);
+        let signed = signed.map_err(EngineError::from)?;
         let about = About::Signed(&signed.record().scene, signed.envelope());
         let payer = self.authorise(request.extensions(), about)?;
         let answer = while_the_disk_answers(self, move |engine| {
@@ -122,7 +121,7 @@ impl OwnerService for Shared {
 
     async fn answer(&self, request: Request<v1::AnswerRequest>) -> Answer<v1::AnswerResponse> {
         let v1::AnswerRequest { scene, of, as_of, .. } = request.into_inner();
-        let view = from_proto::asked_view(of).map_err(status)?;
+        let view = from_proto::asked_view(of)?;
         let most = self.most_bytes;
         let answer = self
             .compute(move |engine| {

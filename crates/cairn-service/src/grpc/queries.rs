@@ -9,7 +9,6 @@ use tokio::sync::OwnedSemaphorePermit;
 use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
-use super::status::status;
 use super::waiting::Waiting;
 use super::{Shared, from_proto, to_proto};
 use crate::query::look::FieldRegistration;
@@ -32,7 +31,7 @@ impl QueryService for Shared {
 
     async fn contributors(&self, request: Request<v1::ContributorsRequest>) -> Answer<v1::ContributorsResponse> {
         let v1::ContributorsRequest { scene, viewpoint } = request.into_inner();
-        let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
+        let viewpoint = from_proto::viewpoint(viewpoint)?;
         let who = self.run(move |engine| engine.contributors(&scene, &viewpoint)).await?;
         Ok(Response::new(to_proto::contributors(who)))
     }
@@ -63,7 +62,7 @@ fn registration(
     if !request.register && request.camera.is_none() {
         return Ok(None);
     }
-    let from = request.camera.clone().map(|v| from_proto::viewpoint(Some(v))).transpose().map_err(status)?;
+    let from = request.camera.clone().map(|v| from_proto::viewpoint(Some(v))).transpose()?;
     shared.authorise_as(caller, Need::Inspect, About::Scene(&request.scene))?;
     Ok(Some(FieldRegistration { from, given_up: Arc::default() }))
 }

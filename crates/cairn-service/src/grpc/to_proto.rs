@@ -1,7 +1,7 @@
 //! From the engine's own types to messages. Nothing here can fail.
 
 use cairn_api::v1;
-use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
+use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind};
 use cairn_scene::{Camera, SceneFolder, SceneKind, encode_png};
 use tonic::codegen::Bytes;
 
@@ -252,7 +252,7 @@ pub fn record(index: u64, leaf_hash: &cairn_log::Digest, envelope: &Envelope, re
 /// A log entry as a record, `scene` being what it was asked for under; none for a map leaf.
 pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
     match entry {
-        LogEntry::Record(stored) => Some(stored_record(stored)),
+        LogEntry::Record(stored) => Some(record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)),
         LogEntry::Erased { index, leaf, .. } => Some(v1::Record {
             index: *index,
             envelope: Default::default(),
@@ -269,11 +269,6 @@ pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
 fn kind(kind: RecordKind) -> String {
     let name = serde_json::to_value(kind).ok().and_then(|v| v.as_str().map(str::to_owned));
     name.unwrap_or_default()
-}
-
-/// A record as the log keeps it.
-pub fn stored_record(stored: &StoredRecord) -> v1::Record {
-    record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)
 }
 
 /// A role.

@@ -41,12 +41,10 @@ impl Mark {
             let views: Vec<(Camera, &str)> = views.iter().map(|(camera, name)| (*camera, name.as_str())).collect();
             RegisteredReader::new(&self.field, &views)
         };
-        let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| EngineError::WrongState {
-            what: "the picture".into(),
-            operation: "registered with the scene's field",
-            why: "the field's densities moved with the marks (mark.density), or the scene has no views to train on; ask without \
-                  registration, and the classifier answers"
-                .into(),
+        let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| {
+            let why = "the field's densities moved with the marks (mark.density), or the scene has no views to train on; ask \
+                       without registration, and the classifier answers";
+            EngineError::wrong_state("the picture", "registered with the scene's field", why)
         })?;
         let Some(reading) = reader.read(&self.field, picture, from, wanted) else {
             return self.detect(picture);

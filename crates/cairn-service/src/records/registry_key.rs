@@ -8,6 +8,7 @@ use cairn_log::{
     keys::{KeyFileError, Seal, Unlock, load_key, load_sealing_key, save_key},
 };
 
+use crate::config::Config;
 use crate::error::EngineError;
 use crate::store::folder::DataFolder;
 
@@ -29,6 +30,27 @@ pub fn open(folder: &DataFolder, key_file: Option<&Path>) -> Result<OwnerKey, En
     }
     let unlock = sealing.map_or(Unlock::Nothing, Unlock::KeyFile);
     Ok(load_key(&path, &unlock)?)
+}
+
+/// Opens the data folder `data`, in which `file` lies already, and its registry key; `missing` says what a folder without
+/// that file lacks.
+///
+/// # Errors
+/// [`EngineError::Stored`] where the file is not there; [`DataFolder::open`]'s and [`open`]'s.
+pub fn open_begun(
+    data: &Path,
+    config: &Config,
+    file: &str,
+    missing: &str,
+) -> Result<(DataFolder, OwnerKey), EngineError> {
+    // Before anything is made there: a path that is misspelt must not become a folder with a new key.
+    let path = data.join(file);
+    if !path.exists() {
+        return Err(EngineError::Stored { path, problem: format!("is missing: {missing}") });
+    }
+    let folder = DataFolder::open(data)?;
+    let key = open(&folder, config.registry_key_file.as_deref())?;
+    Ok((folder, key))
 }
 
 fn sealing_key(path: &Path) -> Result<SealingKey, EngineError> {

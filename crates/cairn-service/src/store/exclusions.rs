@@ -304,8 +304,8 @@ impl Exclusions {
         let excluded = entries.excluded();
         if capture.training().all(|view| excluded.contains(&capture.views[view].name)) {
             let what = format!("{} views of scene {name:?}", views.len());
-            let why = "no view to train on would be left; delete the scene instead".to_owned();
-            return Err(EngineError::WrongState { what, operation: "excluded", why });
+            let why = "no view to train on would be left; delete the scene instead";
+            return Err(EngineError::wrong_state(what, "excluded", why));
         }
         self.write(name, entries)?;
         Ok(decided)

@@ -263,10 +263,9 @@ impl Model {
     /// # Errors
     /// [`EngineError::WrongState`] where only the base field was trained.
     pub fn mark(&self) -> Result<&Mark, EngineError> {
-        self.mark.as_ref().ok_or_else(|| EngineError::WrongState {
-            what: format!("scene {:?}", self.info.scene),
-            operation: "asked for marks",
-            why: "its newest model is a base field alone; train it with marks".into(),
+        self.mark.as_ref().ok_or_else(|| {
+            let why = "its newest model is a base field alone; train it with marks";
+            EngineError::wrong_state(format!("scene {:?}", self.info.scene), "asked for marks", why)
         })
     }
 
@@ -277,8 +276,7 @@ impl Model {
     pub fn marked_field(&self) -> Result<&MarkedField, EngineError> {
         let none = || {
             let why = "its newest model is a base field alone; ask for that (--base, or FIELD_KIND_BASE), or train it with marks";
-            let what = format!("scene {:?}", self.info.scene);
-            EngineError::WrongState { what, operation: "rendered with marks", why: why.into() }
+            EngineError::wrong_state(format!("scene {:?}", self.info.scene), "rendered with marks", why)
         };
         self.mark.as_ref().map(|mark| &mark.field).ok_or_else(none)
     }

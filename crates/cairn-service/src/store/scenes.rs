@@ -28,21 +28,10 @@ pub fn check_scene_name(name: &str) -> Result<(), EngineError> {
 /// [`EngineError::OverLimit`] with the size and the limit.
 pub fn check_size(what: &str, width: usize, height: usize, limits: &Limits) -> Result<(), EngineError> {
     let side = width.max(height) as u64;
-    if side > limits.max_side_px as u64 {
-        let what = format!("the longest side of {what} in px");
-        return Err(EngineError::OverLimit {
-            what,
-            key: "limits.max_side_px",
-            limit: limits.max_side_px as u64,
-            got: side,
-        });
-    }
+    let what_side = format!("the longest side of {what} in px");
+    EngineError::within(what_side, "limits.max_side_px", limits.max_side_px as u64, side)?;
     let pixels = (width as u64).saturating_mul(height as u64);
-    if pixels > limits.max_pixels {
-        let what = format!("the number of pixels of {what}");
-        return Err(EngineError::OverLimit { what, key: "limits.max_pixels", limit: limits.max_pixels, got: pixels });
-    }
-    Ok(())
+    EngineError::within(format!("the number of pixels of {what}"), "limits.max_pixels", limits.max_pixels, pixels)
 }
 
 /// Names of the scenes in `folder`, sorted.

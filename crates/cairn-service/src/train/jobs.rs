@@ -262,8 +262,8 @@ impl Jobs {
         let entry = inner.jobs.get(id).ok_or_else(|| self.unknown(&inner, id))?;
         let mut job = entry.sender.borrow().clone();
         if !matches!(job.state, JobState::Cancelled | JobState::Failed) {
-            let why = format!("it is {}; only a cancelled or failed one can", job.state.name());
-            return Err(EngineError::WrongState { what: format!("job {id}"), operation: "resumed", why });
+            let why = format!("it is {}; only a cancelled or failed one can", job.state);
+            return Err(EngineError::wrong_state(format!("job {id}"), "resumed", why));
         }
         self.check_owner(&inner, job.owner)?;
         job.state = JobState::Accepted;
@@ -432,7 +432,7 @@ impl Shared {
                 Ok(Outcome::Stopped) => (JobState::Cancelled, String::new()),
                 Err(error) => (JobState::Failed, error.to_string()),
             };
-            tracing::info!(job = id, state = state.name(), error, "training ended");
+            tracing::info!(job = id, %state, error, "training ended");
             if let Err(error) = self.end(entry, &id, state, error) {
                 tracing::error!(job = id, %error, "the job's end could not be written; the next start runs it again");
             }
