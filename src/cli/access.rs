@@ -9,6 +9,7 @@ use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
 
 use super::connect::{Connection, Where};
+use super::word;
 
 /// What to do with accounts.
 #[derive(Debug, clap::Subcommand)]
@@ -143,15 +144,11 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
 }
 
 fn one_line(account: &v1::Account) -> String {
-    let standing = match account.standing() {
-        v1::AccountStanding::Unspecified => "in an unknown state",
-        v1::AccountStanding::Waiting => "waiting",
-        v1::AccountStanding::Active => "active",
-        v1::AccountStanding::Disabled => "disabled",
-    };
+    let standing = word(account.standing().as_str_name(), "ACCOUNT_STANDING_");
+    let role = |role: v1::Role| word(role.as_str_name(), "ROLE_");
     let asked = match account.asked() {
         asked if asked == account.role() => String::new(),
-        asked => format!(", asked for {}", word(asked)),
+        asked => format!(", asked for {}", role(asked)),
     };
     let key = |bytes: &[u8]| {
         <[u8; 32]>::try_from(bytes).map_or_else(
@@ -161,7 +158,7 @@ fn one_line(account: &v1::Account) -> String {
         )
     };
     let mut line =
-        format!("{}  {}  {}{asked}  {standing}", key(&account.public_key), account.name, word(account.role()));
+        format!("{}  {}  {}{asked}  {standing}", key(&account.public_key), account.name, role(account.role()));
     if !account.heir.is_empty() {
         line.push_str(&format!(", signed for by {}", key(&account.heir)));
     }
@@ -169,16 +166,6 @@ fn one_line(account: &v1::Account) -> String {
         line.push_str(&format!(", its key ended by record {index}"));
     }
     line
-}
-
-fn word(role: v1::Role) -> &'static str {
-    match role {
-        v1::Role::Unspecified => "no role",
-        v1::Role::Contributor => "contributor",
-        v1::Role::Curator => "curator",
-        v1::Role::Auditor => "auditor",
-        v1::Role::Operator => "operator",
-    }
 }
 
 async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result<()> {

@@ -122,8 +122,7 @@ impl Connection {
     ///
     /// # Errors
     /// When there is no daemon at the address, the data folder is taken, or a file of the credentials is no good.
-    pub async fn open(place: &Where) -> anyhow::Result<Self> {
-        let config = Config::load(place.config.as_deref())?;
+    pub async fn open(place: &Where, config: &Config) -> anyhow::Result<Self> {
         let (passphrase_file, key_file) = (place.account_passphrase_file.clone(), place.account_key_file.clone());
         let unlock = UnlockArgs { passphrase_file, key_file };
         let account = place.account.as_deref().map(|path| unlock.load(path)).transpose()?;
@@ -134,7 +133,7 @@ impl Connection {
                 (channel.with_context(|| format!("no daemon answers at {url}; start one with `cairn serve`"))?, None)
             }
             None => {
-                let services = InProcess::start(&config, &place.data).await?;
+                let services = InProcess::start(config, &place.data).await?;
                 (in_process(&services).await?, Some(services))
             }
         };

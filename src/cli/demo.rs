@@ -15,6 +15,7 @@ use serde::Serialize;
 use super::connect::{Connection, Where};
 use super::files::write;
 use super::{audit, evaluate, scene, sign, train};
+use cairn_service::config::Config;
 use cairn_service::query::report::{Report, Right};
 
 /// The demo's scene.
@@ -67,8 +68,8 @@ pub struct Results {
 pub const WHOLE: &str = "whole demo";
 
 /// Answers `cairn demo`.
-pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
-    let results = measure(place, &args).await?;
+pub async fn run(place: &Where, config: &Config, args: Args) -> anyhow::Result<()> {
+    let results = measure(place, config, &args).await?;
     print!("{}", results.evaluation);
     println!("  owner records trusted      {}", results.records_trusted);
     println!("  records found by pose      {}", results.records_found);
@@ -84,20 +85,20 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
 }
 
 /// Runs the demo in its folder.
-pub async fn measure(place: &Where, args: &Args) -> anyhow::Result<Results> {
+async fn measure(place: &Where, config: &Config, args: &Args) -> anyhow::Result<Results> {
     std::fs::create_dir(&args.out).with_context(|| {
         format!("cannot make the folder {}; the demo wants a new one (--out DIR)", args.out.display())
     })?;
-    let (begun, mut clock) = (Instant::now(), Clock::default());
-    clock.start();
-    let config =
+    let begun = Instant::now();
+    let mut clock = Clock { laps: Vec::new(), since: begun };
+    let landmark =
         LandmarkConfig { contributors: args.contributors, photographs: args.photographs, ..LandmarkConfig::default() };
     let capture = args.out.join("capture");
-    Landmark::generate(&config, args.seed)?.write(&capture)?;
+    Landmark::generate(&landmark, args.seed)?.write(&capture)?;
     clock.lap("photographing");
 
     let data = args.out.join("data");
-    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }).await?;
+    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }, config).await?;
     let results = through(&line, args, &capture, &data, &mut clock).await;
     line.close().await;
     let mut results = results?;
@@ -106,23 +107,16 @@ pub async fn measure(place: &Where, args: &Args) -> anyhow::Result<Results> {
     Ok(results)
 }
 
-#[derive(Default)]
 struct Clock {
     laps: Vec<(String, f64)>,
-    since: Option<Instant>,
+    since: Instant,
 }
 
 impl Clock {
-    fn start(&mut self) {
-        self.since = Some(Instant::now());
-    }
-
     /// Ends a lap; the next one begins.
     fn lap(&mut self, name: &str) {
-        if let Some(since) = self.since {
-            self.laps.push((name.to_owned(), since.elapsed().as_secs_f64()));
-        }
-        self.start();
+        self.laps.push((name.to_owned(), self.since.elapsed().as_secs_f64()));
+        self.since = Instant::now();
     }
 }
 
@@ -133,12 +127,12 @@ async fn through(
     data: &Path,
     clock: &mut Clock,
 ) -> anyhow::Result<Results> {
-    clock.start();
+    clock.since = Instant::now();
     import(line, capture).await?;
     clock.lap("importing");
     let job = training(line, args).await?;
     clock.laps.extend(job.stages.iter().map(|s| (s.stage.clone(), s.seconds)));
-    clock.start();
+    clock.since = Instant::now();
     let signed = sign::sign_all(line, SCENE, &args.out.join("owners")).await?;
     let records_trusted = trusted(&signed, data)?;
     clock.lap("signing and verifying");

@@ -111,10 +111,10 @@ impl Cli {
             Command::Witness(command) => witness::run(&command).await?,
             Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
             Command::Registry(command) => registry::run(&place, &config, &command)?,
-            Command::Demo(args) => demo::run(&place, args).await?,
+            Command::Demo(args) => demo::run(&place, &config, args).await?,
             Command::Audit(command) => return audit::run(&command),
             command => {
-                let line = Connection::open(&place).await?;
+                let line = Connection::open(&place, &config).await?;
                 let answer = over(&line, command).await;
                 line.close().await;
                 answer?;
@@ -139,6 +139,11 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Keys(command) => keys::run(line, &command).await,
         Command::Serve | Command::Audit(_) | Command::Witness(_) | Command::Demo(_) | Command::Registry(_) => Ok(()),
     }
+}
+
+/// A value of the wire's enums in a word: `JOB_STATE_DONE` without its `prefix` is `done`.
+fn word(name: &str, prefix: &str) -> String {
+    name.trim_start_matches(prefix).to_ascii_lowercase().replace('_', "-")
 }
 
 /// Logs go to standard error: standard output belongs to answers. Commands other

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
 use cairn_api::v1::{self, import_scene_request::Part};
+use cairn_log::Digest;
 use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
-use sha2::{Digest, Sha256};
 
 use super::connect::Connection;
 use cairn_service::grpc::to_proto;
@@ -140,12 +140,7 @@ fn one_line(s: &v1::SceneSummary, guessed: bool) -> String {
 
 /// How a scene lies, and what is behind it where that is known.
 pub fn lies(s: &v1::SceneSummary, guessed: bool) -> String {
-    let kind = match s.kind() {
-        v1::SceneKind::Unspecified => "of a kind that is not said",
-        v1::SceneKind::ForwardFacing => "forward-facing",
-        v1::SceneKind::Bounded => "bounded",
-        v1::SceneKind::Unbounded => "unbounded",
-    };
+    let kind = super::word(s.kind().as_str_name(), "SCENE_KIND_");
     let guessed = if guessed { " (guessed; --kind says otherwise)" } else { "" };
     let background = match s.background[..] {
         [] => String::new(),
@@ -250,17 +245,16 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
     for (index, view) in capture.views.iter().enumerate() {
         let mut camera = view.camera;
         let path = capture.root.join(&view.photograph);
-        let (photograph, bytes, sha256): (_, u64, [u8; 32]) = match new_size(args, &camera)? {
+        let (photograph, bytes, sha256) = match new_size(args, &camera)? {
             None => {
-                let mut hash = Sha256::new();
-                let mut file = File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
-                let bytes = std::io::copy(&mut file, &mut HashWriter(&mut hash))?;
-                (Photograph::File(path), bytes, hash.finalize().into())
+                let hashed = File::open(&path).and_then(|mut file| Digest::of_all(&mut file));
+                let (sha256, bytes) = hashed.with_context(|| format!("cannot read {}", path.display()))?;
+                (Photograph::File(path), bytes, sha256)
             }
             Some((width, height)) => {
                 camera = camera.resized(width, height);
                 let copy = encode_png(&capture.photograph(index)?.resized(width, height));
-                let (bytes, sha256) = (copy.len() as u64, Sha256::digest(&copy).into());
+                let (bytes, sha256) = (copy.len() as u64, Digest::of(&copy));
                 (Photograph::Copy(copy), bytes, sha256)
             }
         };
@@ -272,14 +266,14 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
             camera: Some(to_proto::camera(&camera)),
             contributor: view.contributor.clone(),
             photograph_bytes: bytes,
-            photograph_sha256: sha256.to_vec().into(),
+            photograph_sha256: sha256.as_bytes().to_vec().into(),
             near,
             far,
             held_out: view.held_out,
             // A resampled copy is upright already, and has no EXIF.
             as_stored: view.photograph.as_stored && matches!(photograph, Photograph::File(_)),
             mask_bytes: mask.as_ref().map_or(0, |png| png.len() as u64),
-            mask_sha256: mask.as_ref().map(|png| Sha256::digest(png).to_vec().into()).unwrap_or_default(),
+            mask_sha256: mask.as_ref().map(|png| Digest::of(png).as_bytes().to_vec().into()).unwrap_or_default(),
             support: view
                 .support
                 .map(|s| v1::Support { points: s.points, reprojection_error_px: s.reprojection_error_px }),
@@ -303,19 +297,6 @@ fn new_size(args: &ImportArgs, camera: &cairn_scene::Camera) -> anyhow::Result<O
     anyhow::ensure!(scale > 0.0 && scale <= 1.0, "--scale {scale}: allowed is above 0, to 1");
     let side = |px: usize| ((px as f64 * scale).round() as usize).max(1);
     Ok(Some((side(camera.intrinsics.width), side(camera.intrinsics.height))))
-}
-
-struct HashWriter<'a>(&'a mut Sha256);
-
-impl std::io::Write for HashWriter<'_> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.update(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
 }
 
 /// The photographs' and masks' bytes, read as they are sent. Ends early where a file cannot

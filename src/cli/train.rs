@@ -8,8 +8,8 @@ use clap::builder::ArgPredicate;
 
 use super::connect::Connection;
 use super::progress::Progress;
-use super::scene;
 use super::signals::{fit_one_message, signals};
+use super::{scene, word};
 
 /// `cairn train`.
 #[derive(Clone, Debug, clap::Args)]
@@ -311,15 +311,8 @@ fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
 }
 
 /// A state in a word.
-pub fn state_name(state: JobState) -> &'static str {
-    match state {
-        JobState::Unspecified => "in an unknown state",
-        JobState::Accepted => "accepted",
-        JobState::Running => "running",
-        JobState::Done => "done",
-        JobState::Failed => "failed",
-        JobState::Cancelled => "cancelled",
-    }
+fn state_name(state: JobState) -> String {
+    word(state.as_str_name(), "JOB_STATE_")
 }
 
 /// Answers `cairn jobs`.

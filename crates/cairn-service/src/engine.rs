@@ -11,7 +11,7 @@ use cairn_log::witness::WitnessClient;
 use cairn_log::{Digest, PublicKey, Registry, RegistryError};
 use cairn_log::{Receipt, SignedRecord};
 use cairn_scene::cluster::Grouping;
-use cairn_scene::{Camera, Capture, Picture, SceneFolder};
+use cairn_scene::{Capture, Picture, SceneFolder};
 
 use crate::config::{Config, Limits, TrainingOptions};
 use crate::error::EngineError;
@@ -28,7 +28,7 @@ use crate::records::owners::{self, AskedView, Material};
 use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
-use crate::store::exclusions::{Decision, Entries, Exclusions, leaving_out};
+use crate::store::exclusions::{Decision, Exclusions, leaving_out};
 use crate::store::folder::DataFolder;
 use crate::store::import::{Import, ImportPlan};
 use crate::store::model::{self, Model, ModelInfo};
@@ -63,7 +63,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`EngineError::Locked`] while another process has the folder;
-    /// [`EngineError::KeyMissing`], [`EngineError::SealingKeyMissing`]; what the stored files say.
+    /// [`EngineError::WrongState`] where the registry's key is missing; what the stored files say.
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
@@ -248,15 +248,6 @@ impl Engine {
         Ok(read)
     }
 
-    /// What was decided about a scene's views, and what was measured of them.
-    ///
-    /// # Errors
-    /// As [`Engine::scene`]; [`EngineError::Stored`].
-    pub fn entries(&self, scene: &str) -> Result<Entries, EngineError> {
-        self.scene(scene)?;
-        self.exclusions.of(scene)
-    }
-
     /// Excludes or includes views of a scene; see [`Exclusions::decide`]. How many are excluded then.
     ///
     /// # Errors
@@ -294,14 +285,6 @@ impl Engine {
         let views = check::views(&folder, &entries);
         let picture = model.map(|model| check::picture(&folder, &model, &views)).transpose()?;
         Ok(Checked { views, measured: entries.measured, picture })
-    }
-
-    /// The camera of a viewpoint.
-    ///
-    /// # Errors
-    /// [`EngineError::NotFound`] for a view that is not there, [`EngineError::OverLimit`].
-    pub fn camera(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Camera, EngineError> {
-        camera_of("the render", &*self.snapshot(scene)?, viewpoint, &self.limits)
     }
 
     /// Renders a view, clamped to [0, 1]; with accumulation and depth where `maps` asks for them.
@@ -351,7 +334,7 @@ impl Engine {
     /// Whose cluster a viewpoint belongs to.
     ///
     /// # Errors
-    /// As [`Engine::camera`]; [`EngineError::NotTrained`].
+    /// As [`camera_of`]; [`EngineError::NotTrained`].
     pub fn contributors(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Who, EngineError> {
         let snapshot = self.snapshot(scene)?;
         self.with_records(&snapshot, look::contributors(&snapshot, viewpoint, &self.limits)?)

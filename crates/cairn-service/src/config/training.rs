@@ -1,7 +1,5 @@
 //! What a training runs with: the choice that a user made, and the settings of both stages that it stands for.
 
-use std::fmt;
-
 use cairn_field::{FieldConfig, FieldError};
 use cairn_mark::{MarkError, Recipe};
 use cairn_scene::SceneKind;
@@ -19,12 +17,6 @@ pub enum Preset {
     Object,
     /// A landmark in the open.
     Outdoor,
-}
-
-impl fmt::Display for Preset {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.serialize(f)
-    }
 }
 
 impl From<SceneKind> for Preset {

@@ -204,11 +204,17 @@ fn centre(frame: &SceneFrame) -> Option<DVec3> {
     }
 }
 
-/// The point that the views look at where there is no box: `depth` ahead of their mean pose.
-fn focus(capture: &Capture, frame: &SceneFrame, views: &[&View]) -> Result<DVec3, PathError> {
+/// The mean pose of views: where they stand, and which way they look (unit length, or zero where that cancels out).
+fn gaze(views: &[&View]) -> Result<(DVec3, DVec3), PathError> {
     let middle = crowd::mean(views.iter().map(|v| v.camera.pose.position)).ok_or(PathError::NoViews)?;
     let forward = crowd::mean(views.iter().map(|v| v.camera.pose.forward())).ok_or(PathError::NoViews)?;
-    Ok(middle + forward.normalize_or_zero() * depth(capture, frame, views)?)
+    Ok((middle, forward.normalize_or_zero()))
+}
+
+/// The point that the views look at where there is no box: `depth` ahead of their mean pose.
+fn focus(capture: &Capture, frame: &SceneFrame, views: &[&View]) -> Result<DVec3, PathError> {
+    let (middle, forward) = gaze(views)?;
+    Ok(middle + forward * depth(capture, frame, views)?)
 }
 
 /// How far ahead of the mean pose the views look, capture units: the harmonic mean
@@ -219,9 +225,7 @@ fn depth(capture: &Capture, frame: &SceneFrame, views: &[&View]) -> Result<f64, 
     if let (Some(near), Some(far)) = (median(|b| b.0), median(|b| b.1)) {
         return Ok(2.0 * near * far / (near + far));
     }
-    let middle = crowd::mean(views.iter().map(|v| v.camera.pose.position)).ok_or(PathError::NoViews)?;
-    let forward = crowd::mean(views.iter().map(|v| v.camera.pose.forward())).ok_or(PathError::NoViews)?;
-    let forward = forward.normalize_or_zero();
+    let (middle, forward) = gaze(views)?;
     if let Some(centre) = centre(frame) {
         return Ok((centre - middle).dot(forward));
     }

@@ -10,12 +10,10 @@ use tonic::{Request, Response, Status};
 
 use super::gate::About;
 use super::status::refuse;
-use super::{Shared, from_proto, to_proto};
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::config::Mode;
 use crate::error::EngineError;
 use crate::store::access::unix_s;
-
-type Answer<T> = Result<Response<T>, Status>;
 
 /// Longest signature that is looked at, bytes; one of Ed25519 has 64.
 const MAX_SIGNATURE_BYTES: usize = 64;

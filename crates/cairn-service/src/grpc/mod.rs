@@ -35,6 +35,9 @@ use crate::config::{Access, Config, Mode, Token};
 use crate::engine::Engine;
 use crate::error::EngineError;
 
+/// What a handler answers with.
+type Answer<T> = Result<tonic::Response<T>, Status>;
+
 /// What all services share. Cheap to clone.
 #[derive(Clone)]
 pub struct Shared {

@@ -7,7 +7,7 @@ use cairn_log::{LogEntry, RegistryError, SignedRecord};
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
-use super::{Shared, from_proto, to_proto};
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::records::{corrections, owners as records};
@@ -26,25 +26,22 @@ struct Patience {
 
 const PATIENCE: Patience = Patience { longest: Duration::from_secs(60), look: Duration::from_secs(5) };
 
-type Answer<T> = Result<Response<T>, Status>;
-
 #[tonic::async_trait]
 impl OwnerService for Shared {
     async fn nonce(&self, request: Request<v1::NonceRequest>) -> Answer<v1::NonceResponse> {
         let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key)?;
         self.authorise(request.extensions(), About::Place(&request.get_ref().scene))?;
         let (scene, owner) = (request.into_inner().scene, owner.to_bytes());
-        let answer = self
-            .run(move |engine| {
-                Ok(v1::NonceResponse {
-                    nonce: engine.nonce(&scene, &owner)?,
-                    origin: engine.registry().origin().to_owned(),
-                    checkpoint: engine.registry().checkpoint(),
-                    good_for_records: cairn_log::log::NONCE_LIFETIME,
-                })
+        self.run(move |engine| {
+            Ok(v1::NonceResponse {
+                nonce: engine.nonce(&scene, &owner)?,
+                origin: engine.registry().origin().to_owned(),
+                checkpoint: engine.registry().checkpoint(),
+                good_for_records: cairn_log::log::NONCE_LIFETIME,
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn material(&self, request: Request<v1::MaterialRequest>) -> Answer<v1::MaterialResponse> {
@@ -73,7 +70,7 @@ impl OwnerService for Shared {
         let signed = signed.map_err(EngineError::from)?;
         let about = About::Signed(&signed.record().scene, signed.envelope());
         let payer = self.authorise(request.extensions(), about)?;
-        let answer = while_the_disk_answers(self, move |engine| {
+        while_the_disk_answers(self, move |engine| {
             let receipt = engine.submit_record(&signed, payer)?;
             let tlog_proof = receipt.tlog_proof().to_text();
             Ok(v1::SubmitRecordResponse {
@@ -83,8 +80,8 @@ impl OwnerService for Shared {
                 vkey: engine.registry().verifier()?.to_string(),
             })
         })
-        .await?;
-        Ok(Response::new(answer))
+        .await
+        .map(Response::new)
     }
 
     async fn list(&self, request: Request<v1::ListRecordsRequest>) -> Answer<v1::ListRecordsResponse> {
@@ -102,21 +99,18 @@ impl OwnerService for Shared {
 
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
         let v1::GetRecordRequest { index } = request.into_inner();
-        let answer = self
-            .run(move |engine| {
-                let entry = engine.registry().entry(index)?;
-                let standing = match &entry {
-                    LogEntry::Record(stored) => {
-                        Some(to_proto::standing(corrections::standing(engine.registry(), stored)?))
-                    }
-                    LogEntry::Erased { .. } => None,
-                    LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
-                };
-                let record = to_proto::entry(&entry, "");
-                Ok(v1::GetRecordResponse { record, standing })
-            })
-            .await?;
-        Ok(Response::new(answer))
+        self.run(move |engine| {
+            let entry = engine.registry().entry(index)?;
+            let standing = match &entry {
+                LogEntry::Record(stored) => Some(to_proto::standing(corrections::standing(engine.registry(), stored)?)),
+                LogEntry::Erased { .. } => None,
+                LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
+            };
+            let record = to_proto::entry(&entry, "");
+            Ok(v1::GetRecordResponse { record, standing })
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn answer(&self, request: Request<v1::AnswerRequest>) -> Answer<v1::AnswerResponse> {

@@ -10,16 +10,14 @@ use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
 use super::waiting::Waiting;
-use super::{Shared, from_proto, to_proto};
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::query::look::FieldRegistration;
-
-type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
 impl QueryService for Shared {
     async fn identify(&self, request: Request<v1::IdentifyRequest>) -> Answer<v1::IdentifyResponse> {
         let register = registration(self, request.extensions(), request.get_ref())?;
-        let _waiting = register.as_ref().map(|register| Waiting::of(register.given_up.clone()));
+        let _waiting = register.as_ref().map(|register| Waiting(register.given_up.clone()));
         let searching = searching(self, register.as_ref()).await;
         let v1::IdentifyRequest { scene, picture, payload, .. } = request.into_inner();
         let found = self.compute(move |engine| {
@@ -39,16 +37,15 @@ impl QueryService for Shared {
     async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::EvaluateRequest { scene, contact_sheet, .. } = request.into_inner();
-        let answer = self
-            .compute(move |engine| {
-                let (report, sheet) = engine.evaluate(&scene, contact_sheet)?;
-                Ok(v1::EvaluateResponse {
-                    report_json: report.to_json()?,
-                    contact_sheet_png: sheet.map(|s| encode_png(&s)).unwrap_or_default().into(),
-                })
+        self.compute(move |engine| {
+            let (report, sheet) = engine.evaluate(&scene, contact_sheet)?;
+            Ok(v1::EvaluateResponse {
+                report_json: report.to_json()?,
+                contact_sheet_png: sheet.map(|s| encode_png(&s)).unwrap_or_default().into(),
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 }
 

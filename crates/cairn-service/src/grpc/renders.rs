@@ -10,13 +10,11 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
-use super::{Shared, from_proto, to_proto};
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::tour::Tour;
 use crate::query::viewpoint::FieldKind;
-
-type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
 impl RenderService for Shared {
@@ -27,31 +25,30 @@ impl RenderService for Shared {
             request.into_inner();
         let viewpoint = from_proto::viewpoint(viewpoint)?;
         let light = from_proto::light(appearance)?;
-        let answer = self
-            .compute(move |engine| {
-                let wants_maps = accumulation || depth || depth_colours;
-                let (picture, maps) = engine.render(&scene, &viewpoint, field, &light, wants_maps)?;
-                let mut answer = v1::RenderResponse {
-                    width: picture.width() as u32,
-                    height: picture.height() as u32,
-                    png: encode_png(&picture).into(),
-                    ..v1::RenderResponse::default()
-                };
-                let Some(maps) = maps else { return Ok(answer) };
-                if accumulation {
-                    answer.accumulation_png = maps.accumulation_png().into();
-                }
-                if depth {
-                    let written = maps.depth_png();
-                    (answer.depth_png, answer.depth_unit) = (written.png.into(), written.unit);
-                }
-                if depth_colours {
-                    answer.depth_colours_png = encode_png(&maps.depth_in_colours()).into();
-                }
-                Ok(answer)
-            })
-            .await?;
-        Ok(Response::new(answer))
+        self.compute(move |engine| {
+            let wants_maps = accumulation || depth || depth_colours;
+            let (picture, maps) = engine.render(&scene, &viewpoint, field, &light, wants_maps)?;
+            let mut answer = v1::RenderResponse {
+                width: picture.width() as u32,
+                height: picture.height() as u32,
+                png: encode_png(&picture).into(),
+                ..v1::RenderResponse::default()
+            };
+            let Some(maps) = maps else { return Ok(answer) };
+            if accumulation {
+                answer.accumulation_png = maps.accumulation_png().into();
+            }
+            if depth {
+                let written = maps.depth_png();
+                (answer.depth_png, answer.depth_unit) = (written.png.into(), written.unit);
+            }
+            if depth_colours {
+                answer.depth_colours_png = encode_png(&maps.depth_in_colours()).into();
+            }
+            Ok(answer)
+        })
+        .await
+        .map(Response::new)
     }
 
     type RenderPathStream = ReceiverStream<Result<v1::RenderPathResponse, Status>>;

@@ -4,17 +4,15 @@ use std::sync::atomic::Ordering;
 
 use cairn_api::v1::{self, import_scene_request::Part, scene_service_server::SceneService};
 use cairn_scene::encode_png;
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Request, Response, Streaming};
 
 use super::gate::About;
 use super::waiting::Waiting;
-use super::{Shared, from_proto, to_proto};
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::poses::PoseSheet;
 use crate::store::exclusions::{Decision, State};
-
-type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
 impl SceneService for Shared {
@@ -62,45 +60,43 @@ impl SceneService for Shared {
 
     async fn get(&self, request: Request<v1::GetSceneRequest>) -> Answer<v1::GetSceneResponse> {
         let v1::GetSceneRequest { scene } = request.into_inner();
-        let answer = self
-            .run(move |engine| {
-                let snapshot = engine.snapshot(&scene)?;
-                let (folder, model) = (&snapshot.scene, snapshot.newest.as_ref());
-                Ok(v1::GetSceneResponse {
-                    summary: Some(to_proto::scene_summary(&scene, folder, model.is_some())),
-                    views: to_proto::scene_views(folder, &snapshot.entries),
-                    model: model.map(to_proto::model),
-                })
+        self.run(move |engine| {
+            let snapshot = engine.snapshot(&scene)?;
+            let (folder, model) = (&snapshot.scene, snapshot.newest.as_ref());
+            Ok(v1::GetSceneResponse {
+                summary: Some(to_proto::scene_summary(&scene, folder, model.is_some())),
+                views: to_proto::scene_views(folder, &snapshot.entries),
+                model: model.map(to_proto::model),
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn draw_poses(&self, request: Request<v1::DrawPosesRequest>) -> Answer<v1::DrawPosesResponse> {
         let request = request.into_inner();
         let svg = from_proto::is_svg(request.format)?;
         let clusters = from_proto::drawn_clusters(&request)?;
-        let answer = self
-            .compute(move |engine| {
-                let PoseSheet { drawing, views, clusters } = engine.draw_poses(&request.scene, clusters)?;
-                let picture = if svg { drawing.svg().into_bytes() } else { encode_png(&drawing.picture()) };
-                Ok(v1::DrawPosesResponse {
-                    picture: picture.into(),
-                    width: drawing.width as u32,
-                    height: drawing.height as u32,
-                    views: views as u32,
-                    clusters: clusters as u32,
-                })
+        self.compute(move |engine| {
+            let PoseSheet { drawing, views, clusters } = engine.draw_poses(&request.scene, clusters)?;
+            let picture = if svg { drawing.svg().into_bytes() } else { encode_png(&drawing.picture()) };
+            Ok(v1::DrawPosesResponse {
+                picture: picture.into(),
+                width: drawing.width as u32,
+                height: drawing.height as u32,
+                views: views as u32,
+                clusters: clusters as u32,
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn check(&self, request: Request<v1::CheckSceneRequest>) -> Answer<v1::CheckSceneResponse> {
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::CheckSceneRequest { scene, anew, picture } = request.into_inner();
         let waiting = Waiting::default();
-        let given_up = waiting.given_up();
+        let given_up = waiting.0.clone();
         let answer = self
             .compute(move |engine| {
                 let checked = engine.check(&scene, anew, picture, &|| !given_up.load(Ordering::Relaxed))?;

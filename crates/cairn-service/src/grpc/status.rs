@@ -41,10 +41,7 @@ fn code(error: &EngineError) -> Code {
         EngineError::NotFound { .. } => Code::NotFound,
         EngineError::NotTrained { .. }
         | EngineError::WrongState { .. }
-        | EngineError::KeyMissing { .. }
         | EngineError::Witness(_)
-        | EngineError::SealingKeyMissing { .. }
-        | EngineError::ErasesOther { .. }
         | EngineError::Path(_) => Code::FailedPrecondition,
         EngineError::QueueFull { .. } => Code::ResourceExhausted,
         EngineError::ShuttingDown | EngineError::Locked { .. } => Code::Unavailable,

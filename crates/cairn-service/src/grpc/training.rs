@@ -6,9 +6,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
-use super::{Shared, from_proto, to_proto};
-
-type Answer<T> = Result<Response<T>, Status>;
+use super::{Answer, Shared, from_proto, to_proto};
 
 #[tonic::async_trait]
 impl TrainingService for Shared {

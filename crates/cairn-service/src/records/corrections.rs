@@ -60,7 +60,7 @@ pub fn erasure_asked(registry: &Registry, request: &[u8]) -> Result<AskedErasure
 /// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
 ///
 /// # Errors
-/// [`EngineError::ErasesOther`], [`EngineError::NotYours`], the registry's.
+/// [`EngineError::WrongState`] where another record lies there, [`EngineError::NotYours`], the registry's.
 pub fn erase_record(registry: &Registry, asked: &AskedErasure) -> Result<u64, EngineError> {
     let AskedErasure { erasure, stored, .. } = asked;
     let request = erasure.request();
@@ -71,7 +71,8 @@ pub fn erase_record(registry: &Registry, asked: &AskedErasure) -> Result<u64, En
     let (index, key) = (request.index, request.owner_key);
     if stored.leaf.record != request.record {
         let (expected, got) = (stored.leaf.record, request.record);
-        return Err(EngineError::ErasesOther { index, expected, got });
+        let why = format!("it is {expected}, the request is to erase {got}; fetch the record and sign again");
+        return Err(EngineError::wrong_state(format!("record {index}"), "erased", why));
     }
     match registry.heir(&stored.leaf.owner)? {
         Heir::Key { id, .. } if id == key.id() => Ok(registry.erase(erasure)?),

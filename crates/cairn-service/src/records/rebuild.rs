@@ -14,7 +14,7 @@ use crate::records::registry_key;
 ///
 /// # Errors
 /// [`EngineError::Stored`] where no log was published; [`EngineError::Locked`] while another process has the folder;
-/// [`EngineError::KeyMissing`]; the registry's.
+/// [`EngineError::WrongState`] without its key; the registry's.
 pub fn rebuild_registry(
     data: &Path,
     config: &Config,

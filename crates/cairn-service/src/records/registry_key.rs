@@ -15,7 +15,7 @@ use crate::store::folder::DataFolder;
 /// Opens the folder's registry key; makes it where the log is still empty.
 ///
 /// # Errors
-/// [`EngineError::KeyMissing`], [`EngineError::SealingKeyMissing`]; a key that is sealed where `key_file` says
+/// [`EngineError::WrongState`] where the key, or what it is sealed with, is missing; a key that is sealed where `key_file` says
 /// nothing, or plain where it does.
 pub fn open(folder: &DataFolder, key_file: Option<&Path>) -> Result<OwnerKey, EngineError> {
     let path = folder.registry_key();
@@ -23,7 +23,11 @@ pub fn open(folder: &DataFolder, key_file: Option<&Path>) -> Result<OwnerKey, En
     if !path.exists() {
         // A new key cannot go on with an old log; made all the same, it would only hide that the old one is lost.
         if !folder.registry_is_empty()? {
-            return Err(EngineError::KeyMissing { key: path, log: folder.registry() });
+            let why = format!(
+                "its key {} is missing, and no other can sign that log; restore the key's file from the backup",
+                path.display()
+            );
+            return Err(EngineError::wrong_state(format!("the log in {}", folder.registry().display()), "opened", why));
         }
         let seal = sealing.clone().map_or(Seal::Plain, Seal::KeyFile);
         save_key(&path, &OwnerKey::generate().map_err(KeyFileError::from)?, &seal)?;
@@ -57,7 +61,12 @@ fn sealing_key(path: &Path) -> Result<SealingKey, EngineError> {
     // Never made here: a path that is misspelt must not seal the log's key with what nobody keeps.
     load_sealing_key(path).map_err(|e| match e {
         KeyFileError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
-            EngineError::SealingKeyMissing { path: path.into() }
+            let (what, path) = ("the registry's key", path.display());
+            let why = format!(
+                "the key file {path} (registry.key_file) is missing; restore it from its backup, or for a new log make \
+                 one with `cairn keys new-key-file {path}`"
+            );
+            EngineError::wrong_state(what, "opened", why)
         }
         other => other.into(),
     })

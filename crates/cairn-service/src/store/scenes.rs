@@ -1,10 +1,9 @@
-//! Scenes as they lie in the data folder: listing, opening and measuring them.
+//! Scenes as they lie in the data folder: listing and opening them.
 
 use std::path::Path;
 
 use cairn_scene::{Capture, SceneFolder};
 
-use crate::auth::Charge;
 use crate::config::Limits;
 use crate::error::EngineError;
 
@@ -64,22 +63,6 @@ pub fn open(folder: &Path, name: &str) -> Result<SceneFolder, EngineError> {
         return Err(EngineError::not_found("scene", name, there.iter().map(String::as_str)));
     }
     Ok(SceneFolder::open(folder, name)?)
-}
-
-/// What a scene takes of its owner's quotas as it is now.
-///
-/// # Errors
-/// The file system's, naming the file.
-pub fn takes(scene: &SceneFolder) -> Result<Charge, EngineError> {
-    let capture = scene.capture();
-    let mut charge = Charge { bytes: 0, views: capture.views.len() as u64 };
-    for view in &capture.views {
-        for file in [Some(view.photograph.path.as_path()), view.mask.as_deref()].into_iter().flatten() {
-            let path = capture.root.join(file);
-            charge.bytes += path.metadata().map_err(EngineError::io("measure", &path))?.len();
-        }
-    }
-    Ok(charge)
 }
 
 /// Index of view `name`.
