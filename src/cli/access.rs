@@ -169,7 +169,7 @@ fn one_line(account: &v1::Account) -> String {
 }
 
 async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result<()> {
-    let key = line.account_key().context("say whose account it is to be: --account FILE (see `cairn keys new`)")?;
+    let key = line.account.as_ref().context("say whose account it is to be: --account FILE (see `cairn keys new`)")?;
     let mut client = line.access();
     let public_key = key.public().to_bytes().to_vec();
     let request = v1::RegistrationNonceRequest { public_key: public_key.clone().into() };

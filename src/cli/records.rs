@@ -136,16 +136,6 @@ impl Stored {
     }
 }
 
-/// A record that was entered.
-struct Entered {
-    /// Its place in the log.
-    index: u64,
-    envelope: Vec<u8>,
-    /// As of its acknowledgement.
-    proof: String,
-    vkey: String,
-}
-
 /// What became of a record that was entered, in words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
@@ -241,12 +231,18 @@ impl Bundle {
         // What came back must be what was signed, or the bundle would speak for another owner.
         let returned = SignedRecord::parse(&entered.envelope)?;
         anyhow::ensure!(returned.record() == record, "the daemon returned another record than was signed");
-        let (index, envelope) = (entered.index, entered.envelope.to_vec());
-        self.write(line, &Entered { index, envelope, proof: answer.tlog_proof, vkey: answer.vkey }).await
+        self.write(line, &entered, &answer.tlog_proof, &answer.vkey).await
     }
 
-    /// Fetches the record's proof, and writes what an auditor needs.
-    async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<Place> {
+    /// Fetches the record's newest proof, and writes what an auditor needs; `acknowledged` is the proof that came with the
+    /// acknowledgement.
+    async fn write(
+        &self,
+        line: &Connection,
+        entered: &v1::Record,
+        acknowledged: &str,
+        vkey: &str,
+    ) -> anyhow::Result<Place> {
         // First: with the record in hand its proof can be fetched by every caller, also where its key was just ended.
         self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { index: entered.index };
@@ -254,13 +250,13 @@ impl Bundle {
             Ok(newest) => (newest.into_inner().tlog_proof, true),
             // Where reading is closed, a key that this very record ended reads no more: what came with the
             // acknowledgement proves it as well, if without witnesses.
-            Err(status) if is_refused_caller(&status) && !entered.proof.is_empty() => {
+            Err(status) if is_refused_caller(&status) && !acknowledged.is_empty() => {
                 eprintln!(
                     "note: reading is closed to this key, so the proof of record {} is the acknowledgement's, without witnesses; \
                      for a cosigned one ask a caller who may read, or the operator",
                     entered.index
                 );
-                (entered.proof.clone(), false)
+                (acknowledged.to_owned(), false)
             }
             Err(status) => {
                 let problem = "is in the log; its proof was not given";
@@ -269,7 +265,7 @@ impl Bundle {
             }
         };
         self.add("record.tlog-proof", proof.as_bytes())?;
-        self.add("log.vkey", format!("{}\n", entered.vkey).as_bytes())?;
+        self.add("log.vkey", format!("{vkey}\n").as_bytes())?;
         let signed = self.folder.join(SIGNED);
         std::fs::remove_file(&signed).with_context(|| format!("cannot remove {}", signed.display()))?;
         Ok(Place { index: entered.index, published })

@@ -217,6 +217,10 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         background: capture.background.map(Vec::from).unwrap_or_default(),
     };
     let first = v1::ImportSceneRequest { part: Some(Part::Header(header)) };
+    let point_chunk = |points: &[glam::DVec3]| {
+        let chunk = v1::PointChunk { xyz: points.iter().flat_map(|p| p.to_array()).collect() };
+        v1::ImportSceneRequest { part: Some(Part::Points(chunk)) }
+    };
     let points: Vec<_> = capture.points.chunks(POINTS_A_CHUNK).map(point_chunk).collect();
     let trouble = Arc::new(Mutex::new(None));
     let chunks = chunks(photographs, trouble.clone());
@@ -281,11 +285,6 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
         files.push(Files { photograph, mask });
     }
     Ok((views, files))
-}
-
-fn point_chunk(points: &[glam::DVec3]) -> v1::ImportSceneRequest {
-    let chunk = v1::PointChunk { xyz: points.iter().flat_map(|p| p.to_array()).collect() };
-    v1::ImportSceneRequest { part: Some(Part::Points(chunk)) }
 }
 
 fn new_size(args: &ImportArgs, camera: &cairn_scene::Camera) -> anyhow::Result<Option<(usize, usize)>> {

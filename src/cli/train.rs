@@ -189,7 +189,7 @@ pub async fn run_to_end(line: &Connection, args: &Args) -> anyhow::Result<v1::Jo
 /// Has a training accepted.
 async fn start(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
     let request = request(args)?;
-    fit_one_message(&request.signals, line.max_message_bytes())?;
+    fit_one_message(&request.signals, line.max_message_bytes)?;
     let answer = line.about(&args.name).training().start(request).await?.into_inner();
     answer.job.context("the daemon's answer names no job")
 }

@@ -253,8 +253,7 @@ impl Engine {
     /// # Errors
     /// As there, and [`Engine::scene`]'s.
     pub fn decide(&self, scene: &str, views: &[String], decision: &Decision) -> Result<usize, EngineError> {
-        self.exclusions.decide(scene, &self.scene(scene)?, views, decision)?;
-        Ok(self.exclusions.of(scene)?.excluded().len())
+        self.exclusions.decide(scene, &self.scene(scene)?, views, decision)
     }
 
     /// How far each view of a scene is to be trusted. Reads what was measured last; measures where there is nothing, and

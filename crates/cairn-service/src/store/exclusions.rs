@@ -269,7 +269,7 @@ impl Exclusions {
         Ok(excluded)
     }
 
-    /// Carries out a person's decision about views. Durable on return; what holds of them then.
+    /// Carries out a person's decision about views. Durable on return; how many views of the scene are excluded then.
     ///
     /// # Errors
     /// [`EngineError::NotFound`] for a view that the scene has not, [`EngineError::Invalid`] for a reason that is too
@@ -280,7 +280,7 @@ impl Exclusions {
         scene: &SceneFolder,
         views: &[String],
         decision: &Decision,
-    ) -> Result<Vec<Entry>, EngineError> {
+    ) -> Result<usize, EngineError> {
         let why = &decision.why;
         if why.len() > MAX_WHY_BYTES || why.chars().any(char::is_control) {
             let expected = format!("{MAX_WHY_BYTES} bytes at most, without control characters");
@@ -292,9 +292,7 @@ impl Exclusions {
             views.iter().map(|view| scenes::view_index(capture, view)).collect::<Result<_, _>>()?;
         let mut entries = self.of(name)?;
         entries.views.retain(|e| !views.contains(&e.view));
-        let decided = indices.iter().map(|index| Entry::by_person(&capture.views[*index], decision));
-        let decided: Vec<Entry> = decided.collect();
-        entries.views.extend(decided.iter().cloned());
+        entries.views.extend(indices.iter().map(|index| Entry::by_person(&capture.views[*index], decision)));
         let excluded = entries.excluded();
         if capture.training().all(|view| excluded.contains(&capture.views[view].name)) {
             let what = format!("{} views of scene {name:?}", views.len());
@@ -302,7 +300,7 @@ impl Exclusions {
             return Err(EngineError::wrong_state(what, "excluded", why));
         }
         self.write(name, entries)?;
-        Ok(decided)
+        Ok(excluded.len())
     }
 
     /// The scene is gone.

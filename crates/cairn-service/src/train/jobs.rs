@@ -394,7 +394,8 @@ impl Shared {
         (job.state, job.error, job.ended_unix_s) = (state, error, unix_s());
         let file = self.file(id);
         // The manifest comes last: a crash in between leaves a job without one, which only cannot be told from rot.
-        let written = write_json(&file, &job).and_then(|()| seal(&file));
+        let written = write_json(&file, &job)
+            .and_then(|()| cairn_scene::write_manifest(&self.folder.join(id)).map(drop).map_err(EngineError::from));
         entry.sender.send_replace(job);
         written
     }
@@ -455,14 +456,6 @@ impl Shared {
             }
             inner = self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner);
         }
-    }
-}
-
-/// Writes the manifest of an ended job's folder; `file`: its `job.json`.
-fn seal(file: &std::path::Path) -> Result<(), EngineError> {
-    match file.parent() {
-        Some(folder) => cairn_scene::write_manifest(folder).map(drop).map_err(EngineError::from),
-        None => Ok(()),
     }
 }
 
