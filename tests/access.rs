@@ -313,7 +313,8 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
         "{}",
         last.error
     );
-    // The seconds end while the scene is still screened, or in stage 1 where the machine is quick: both are resumed from theirs.
+    // The seconds end while the scene is still screened, or in stage 1 where the machine is quick:
+    // both are resumed from theirs.
     let folder = world.place.path("data/jobs").join(&job.id);
     let kept = ["screening.checkpoint", "base.checkpoint"].map(|name| folder.join(name).exists());
     assert!(kept[0] != kept[1], "one checkpoint, of the stage that was put down: {kept:?}");

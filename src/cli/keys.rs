@@ -32,7 +32,8 @@ pub enum Command {
         /// The key's file
         file: PathBuf,
     },
-    /// Make a key file: 32 random bytes to seal keys with where no person is there to type a passphrase
+    /// Make a key file: 32 random bytes to seal keys with where no person is there to type a
+    /// passphrase
     NewKeyFile {
         /// Where it goes; keep it apart from the keys that it seals
         file: PathBuf,

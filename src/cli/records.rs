@@ -1,10 +1,10 @@
 //! What every command that enters a record shares: what the registry gives to sign, sealing and submitting, the check of
 //! what came back, and the bundle.
 //!
-//! A bundle is a folder of files that their holder can verify without a daemon: `record.json` (DSSE envelope),
-//! `record.tlog-proof`, `log.vkey`, and for a claim `signal.png`, `signal.wav` and `signal.txt` (what there is of them) with
-//! `signal.salt`, which are the owner's secret until they choose to show them. `record.signed.json` is there for as long as
-//! there is no answer.
+//! A bundle is a folder of files that their holder can verify without a daemon: `record.json` (DSSE
+//! envelope), `record.tlog-proof`, `log.vkey`, and for a claim `signal.png`, `signal.wav` and
+//! `signal.txt` (what there is of them) with `signal.salt`, which are the owner's secret until they
+//! choose to show them. `record.signed.json` is there for as long as there is no answer.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -166,9 +166,9 @@ impl Bundle {
         Ok(Self { folder: folder.to_path_buf() })
     }
 
-    /// Signs a record with its owner's key and any other that must sign, enters it, and writes what an auditor needs and
-    /// `secrets`, the owner's, which no other user may read. What is written before it is sent, an answer that is lost loses
-    /// not; what cannot be written is not sent.
+    /// Signs a record with its owner's key and any other that must sign, enters it, and writes what
+    /// an auditor needs and `secrets`, the owner's, which no other user may read. What is written
+    /// before it is sent, an answer that is lost loses not; what cannot be written is not sent.
     pub async fn enter(
         &self,
         line: &Connection,
@@ -234,8 +234,8 @@ impl Bundle {
         self.write(line, &entered, &answer.tlog_proof, &answer.vkey).await
     }
 
-    /// Fetches the record's newest proof, and writes what an auditor needs; `acknowledged` is the proof that came with the
-    /// acknowledgement.
+    /// Fetches the record's newest proof, and writes what an auditor needs; `acknowledged` is the
+    /// proof that came with the acknowledgement.
     async fn write(
         &self,
         line: &Connection,
@@ -243,7 +243,8 @@ impl Bundle {
         acknowledged: &str,
         vkey: &str,
     ) -> anyhow::Result<Place> {
-        // First: with the record in hand its proof can be fetched by every caller, also where its key was just ended.
+        // First: with the record in hand its proof can be fetched by every caller, also where its
+        // key was just ended.
         self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { index: entered.index };
         let (proof, published) = match line.owners().proof(request).await {

@@ -339,7 +339,8 @@ impl Engine {
         self.with_records(&snapshot, look::contributors(&snapshot, viewpoint, &self.limits)?)
     }
 
-    /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as registration with the field tells it.
+    /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as
+    /// registration with the field tells it.
     ///
     /// # Errors
     /// For a picture that does not decode, and [`look::read_picture`]'s.

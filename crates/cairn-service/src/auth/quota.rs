@@ -322,8 +322,8 @@ fn count(by_hour: &mut BTreeMap<u64, u64>, amount: u64, now: u64) {
     *hour = hour.saturating_add(amount);
 }
 
-/// The sum within the rolling day, and when the oldest hour of it is forgiven, seconds since 1970; 0 where there is none.
-/// Hours that a clock set back put into the future count.
+/// The sum within the rolling day, and when the oldest hour of it is forgiven, seconds since 1970;
+/// 0 where there is none. Hours that a clock set back put into the future count.
 fn of_the_day(by_hour: &BTreeMap<u64, u64>, now: u64) -> (u64, u64) {
     let counted = || by_hour.iter().filter(|(hour, amount)| *hour + WINDOW_H > now / HOUR_S && **amount > 0);
     let sum = counted().fold(0_u64, |sum, (_, amount)| sum.saturating_add(*amount));

@@ -1,5 +1,5 @@
-//! The documents that are made from the declarations: `configs/daemon.toml`, the reference page, and a file a preset. A
-//! test writes and compares them; the program does not carry this.
+//! The documents that are made from the declarations: `configs/daemon.toml`, the reference page,
+//! and a file a preset. A test writes and compares them; the program does not carry this.
 
 use std::fmt::Write as _;
 

@@ -65,7 +65,8 @@ pub struct Tour {
     light: (Appearance, Appearance),
 }
 
-/// Plans a camera path; renders nothing yet. `model` loads the scene's model once nothing speaks against the path without it.
+/// Plans a camera path; renders nothing yet. `model` loads the scene's model once nothing speaks
+/// against the path without it.
 ///
 /// # Errors
 /// [`EngineError::Path`] for a path that the scene's cameras do not carry,
@@ -204,7 +205,8 @@ fn centre(frame: &SceneFrame) -> Option<DVec3> {
     }
 }
 
-/// The mean pose of views: where they stand, and which way they look (unit length, or zero where that cancels out).
+/// The mean pose of views: where they stand, and which way they look (unit length, or zero where
+/// that cancels out).
 fn gaze(views: &[&View]) -> Result<(DVec3, DVec3), PathError> {
     let middle = crowd::mean(views.iter().map(|v| v.camera.pose.position)).ok_or(PathError::NoViews)?;
     let forward = crowd::mean(views.iter().map(|v| v.camera.pose.forward())).ok_or(PathError::NoViews)?;

@@ -31,7 +31,8 @@ const MAX_SCENES: usize = 16;
 /// Cameras wider than this are a broken message, px.
 const MAX_CAMERA_SIDE_PX: u32 = 1 << 20;
 
-/// The variant of `$own` that a number of the wire's enum `$wire` names; `None` where it is unspecified.
+/// The variant of `$own` that a number of the wire's enum `$wire` names; `None` where it is
+/// unspecified.
 macro_rules! named {
     ($what:literal, $number:expr, $wire:ident => $own:ident { $($variant:ident),+ }) => {
         match v1::$wire::try_from($number) {

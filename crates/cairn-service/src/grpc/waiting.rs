@@ -3,7 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A caller who waits, and whether it is gone: where it goes without its answer, this is dropped, and the work for it ends.
+/// A caller who waits, and whether it is gone: where it goes without its answer, this is dropped,
+/// and the work for it ends.
 #[derive(Default)]
 pub struct Waiting(pub Arc<AtomicBool>);
 

@@ -16,14 +16,15 @@ impl Mark {
         Ok(self.classes.found(self.detector.detect(picture)?))
     }
 
-    /// As [`Mark::detect`], with the picture registered with the field as well, at `from` where that is known: a mark that stands
-    /// out there is believed, and where none does, or no place is found, the classifier answers. What is hidden
-    /// comes from the detector, told that answer. `views` are asked for when the first picture comes: cameras and
-    /// names of photographs, where a search begins; it is given up, and the classifier answers, once it is no longer `wanted`.
+    /// As [`Mark::detect`], with the picture registered with the field as well, at `from` where
+    /// that is known: a mark that stands out there is believed, and where none does, or no place is
+    /// found, the classifier answers. What is hidden comes from the detector, told that answer.
+    /// `views` are asked for when the first picture comes: cameras and names of photographs, where
+    /// a search begins; it is given up, and the classifier answers, once it is no longer `wanted`.
     ///
     /// # Errors
-    /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`] where nothing can be registered
-    /// with this field; as [`cairn_mark::Detector::detect`].
+    /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`]
+    /// where nothing can be registered with this field; as [`cairn_mark::Detector::detect`].
     pub fn detect_registered(
         &self,
         picture: &Picture,

@@ -105,10 +105,12 @@ pub fn contributors(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Li
     Who::of(snapshot, found.identity, confidence)
 }
 
-/// What the model reads from a picture; with `register` the picture is registered with the field as well.
+/// What the model reads from a picture; with `register` the picture is registered with the field as
+/// well.
 ///
 /// # Errors
-/// For a picture that `register`'s camera cannot have taken whole; [`Model::mark`]'s and the detector's.
+/// For a picture that `register`'s camera cannot have taken whole; [`Model::mark`]'s and the
+/// detector's.
 pub fn read_picture(
     model: &Model,
     snapshot: &SceneSnapshot,

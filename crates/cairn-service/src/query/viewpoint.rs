@@ -53,8 +53,8 @@ pub(crate) fn same_proportions(picture: &Picture, camera: &Camera) -> bool {
     (w * down / across - h).abs() <= 1.0 || (h * across / down - w).abs() <= 1.0
 }
 
-/// Refuses `what`, a picture that `camera`, which is called `of`, cannot have taken whole, at whatever size; `remedy` ends
-/// what is allowed.
+/// Refuses `what`, a picture that `camera`, which is called `of`, cannot have taken whole, at
+/// whatever size; `remedy` ends what is allowed.
 pub(crate) fn must_be_whole(
     what: &str,
     picture: &Picture,

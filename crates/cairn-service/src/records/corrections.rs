@@ -60,7 +60,8 @@ pub fn erasure_asked(registry: &Registry, request: &[u8]) -> Result<AskedErasure
 /// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
 ///
 /// # Errors
-/// [`EngineError::WrongState`] where another record lies there, [`EngineError::NotYours`], the registry's.
+/// [`EngineError::WrongState`] where another record lies there, [`EngineError::NotYours`], the
+/// registry's.
 pub fn erase_record(registry: &Registry, asked: &AskedErasure) -> Result<u64, EngineError> {
     let AskedErasure { erasure, stored, .. } = asked;
     let request = erasure.request();

@@ -15,8 +15,8 @@ use crate::store::folder::DataFolder;
 /// Opens the folder's registry key; makes it where the log is still empty.
 ///
 /// # Errors
-/// [`EngineError::WrongState`] where the key, or what it is sealed with, is missing; a key that is sealed where `key_file` says
-/// nothing, or plain where it does.
+/// [`EngineError::WrongState`] where the key, or what it is sealed with, is missing; a key that is
+/// sealed where `key_file` says nothing, or plain where it does.
 pub fn open(folder: &DataFolder, key_file: Option<&Path>) -> Result<OwnerKey, EngineError> {
     let path = folder.registry_key();
     let sealing = key_file.map(sealing_key).transpose()?;
@@ -36,8 +36,8 @@ pub fn open(folder: &DataFolder, key_file: Option<&Path>) -> Result<OwnerKey, En
     Ok(load_key(&path, &unlock)?)
 }
 
-/// Opens the data folder `data`, in which `file` lies already, and its registry key; `missing` says what a folder without
-/// that file lacks.
+/// Opens the data folder `data`, in which `file` lies already, and its registry key; `missing` says
+/// what a folder without that file lacks.
 ///
 /// # Errors
 /// [`EngineError::Stored`] where the file is not there; [`DataFolder::open`]'s and [`open`]'s.
@@ -47,7 +47,8 @@ pub fn open_begun(
     file: &str,
     missing: &str,
 ) -> Result<(DataFolder, OwnerKey), EngineError> {
-    // Before anything is made there: a path that is misspelt must not become a folder with a new key.
+    // Before anything is made there: a path that is misspelt must not become a folder with a new
+    // key.
     let path = data.join(file);
     if !path.exists() {
         return Err(EngineError::Stored { path, problem: format!("is missing: {missing}") });

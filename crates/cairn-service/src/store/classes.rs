@@ -53,7 +53,8 @@ pub struct Found {
     pub elsewhere: Option<Elsewhere>,
     /// Probability of the answer, 0 to 1.
     pub confidence: f32,
-    /// What registering the picture with the field said, where that was asked for and a place was found.
+    /// What registering the picture with the field said, where that was asked for and a place was
+    /// found.
     pub registered: Option<Registered>,
     /// What the detector said, with the scene's classes alone: `unmarked`, then its identities; what is
     /// missing to 1 is other scenes'.

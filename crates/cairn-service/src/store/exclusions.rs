@@ -269,7 +269,8 @@ impl Exclusions {
         Ok(excluded)
     }
 
-    /// Carries out a person's decision about views. Durable on return; how many views of the scene are excluded then.
+    /// Carries out a person's decision about views. Durable on return; how many views of the scene
+    /// are excluded then.
     ///
     /// # Errors
     /// [`EngineError::NotFound`] for a view that the scene has not, [`EngineError::Invalid`] for a reason that is too

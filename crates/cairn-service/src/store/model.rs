@@ -135,7 +135,8 @@ pub struct Mark {
     pub signals: Vec<Signal>,
     /// Which of the detector's classes are the scene's.
     pub classes: Classes,
-    /// What registers pictures with the field: made when first asked for, `None` where that cannot be.
+    /// What registers pictures with the field: made when first asked for, `None` where that cannot
+    /// be.
     pub reader: OnceLock<Option<RegisteredReader>>,
 }
 
@@ -148,8 +149,8 @@ struct Current {
     manifest: Digest,
 }
 
-/// Puts a model in its place and makes it the scene's newest: the `base` field's bytes, the `settings`, and what stage 2
-/// made. Durable on return.
+/// Puts a model in its place and makes it the scene's newest: the `base` field's bytes, the
+/// `settings`, and what stage 2 made. Durable on return.
 ///
 /// # Errors
 /// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
