@@ -9,7 +9,7 @@ use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
 
 use super::connect::{Connection, Where};
-use super::word;
+use super::words::word;
 
 /// What to do with accounts.
 #[derive(Debug, clap::Subcommand)]

@@ -27,6 +27,7 @@ mod train;
 mod unlock;
 mod viewpoint;
 mod witness;
+mod words;
 
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
@@ -139,11 +140,6 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Keys(command) => keys::run(line, &command).await,
         Command::Serve | Command::Audit(_) | Command::Witness(_) | Command::Demo(_) | Command::Registry(_) => Ok(()),
     }
-}
-
-/// A value of the wire's enums in a word: `JOB_STATE_DONE` without its `prefix` is `done`.
-fn word(name: &str, prefix: &str) -> String {
-    name.trim_start_matches(prefix).to_ascii_lowercase().replace('_', "-")
 }
 
 /// Logs go to standard error: standard output belongs to answers. Commands other

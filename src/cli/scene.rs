@@ -140,7 +140,7 @@ fn one_line(s: &v1::SceneSummary, guessed: bool) -> String {
 
 /// How a scene lies, and what is behind it where that is known.
 pub fn lies(s: &v1::SceneSummary, guessed: bool) -> String {
-    let kind = super::word(s.kind().as_str_name(), "SCENE_KIND_");
+    let kind = super::words::word(s.kind().as_str_name(), "SCENE_KIND_");
     let guessed = if guessed { " (guessed; --kind says otherwise)" } else { "" };
     let background = match s.background[..] {
         [] => String::new(),

@@ -8,8 +8,9 @@ use clap::builder::ArgPredicate;
 
 use super::connect::Connection;
 use super::progress::Progress;
+use super::scene;
 use super::signals::{fit_one_message, signals};
-use super::{scene, word};
+use super::words::word;
 
 /// `cairn train`.
 #[derive(Clone, Debug, clap::Args)]
