@@ -209,7 +209,8 @@ fn bad_requests_are_refused_by_name_and_change_nothing() {
     let world = World::new(&[], None);
     let error = world.decide(State::Excluded, &["images/ada_004.png", "x"]).unwrap_err().to_string();
     assert!(error.contains("no view \"x\""), "{error}");
-    assert!(world.engine.exclusions.of("nowhere").unwrap_err().to_string().contains("no scene \"nowhere\""));
+    let nowhere = world.engine.snapshot("nowhere").err().unwrap().to_string();
+    assert!(nowhere.contains("no scene \"nowhere\""), "{nowhere}");
     let scene = world.engine.scene("town").unwrap();
     let all: Vec<&str> = scene.capture().views.iter().map(|v| v.name.as_str()).collect();
     let error = world.decide(State::Excluded, &all).unwrap_err().to_string();
