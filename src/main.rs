@@ -9,6 +9,7 @@ mod cli;
 use std::process::ExitCode;
 
 use clap::Parser;
+use tonic::Status;
 
 /// How many threads candle's element-wise operations take.
 const CANDLE_THREADS: &str = "CANDLE_NUM_THREADS";
@@ -18,11 +19,25 @@ fn main() -> ExitCode {
     match cli::Cli::parse().run() {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", in_words(&error));
             // 1 is the answer `invalid` of a verification; 2 is everything that went wrong.
             ExitCode::from(2)
         }
     }
+}
+
+/// An error with its causes; a daemon's refusal in its own words, with its code.
+fn in_words(error: &anyhow::Error) -> String {
+    let mut words = Vec::new();
+    for cause in error.chain() {
+        if let Some(refused) = cause.downcast_ref::<Status>() {
+            // What lies behind it is the line's own business.
+            words.push(format!("{} ({:?})", refused.message(), refused.code()));
+            break;
+        }
+        words.push(cause.to_string());
+    }
+    words.join(": ")
 }
 
 /// Gives candle's element-wise operations half of the threads, if nobody has said how many: the others are for what is begun ahead of a

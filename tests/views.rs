@@ -149,7 +149,7 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
         assert_eq!(refused.code(), code, "{refused}");
         assert!(refused.message().contains(says), "{refused} does not say {says}");
     }
-    // What is not trained cannot be flown through.
+    // A scene seen from one side has no orbit; it says so before it is trained.
     let (capture, to) = (place.text("capture"), ["--connect", daemon.url.as_str()]);
     let import = ["scene", "import", "wall", "--from", &capture, "--kind", "forward-facing"];
     let without_bounds = place.cairn(&[&import[..], &to].concat());
@@ -160,9 +160,18 @@ async fn paths_beyond_the_limits_or_the_cameras_are_refused() {
     let imported = place.cairn(&[&import[..], &["--images", "images"], &to].concat());
     let said = String::from_utf8_lossy(&imported.stderr);
     assert!(imported.status.success() && said.contains("those in images; there is images_2, too"), "{said}");
-    let refused = render.render_path(v1::RenderPathRequest { scene: "wall".into(), ..orbit(9) }).await.unwrap_err();
-    assert_eq!(refused.code(), Code::FailedPrecondition);
-    assert!(refused.message().contains("train it first"), "{refused}");
+    let wall = |frames| v1::RenderPathRequest { scene: "wall".into(), ..orbit(frames) };
+    let spiral = Some(Way::Spiral(v1::SpiralPath {}));
+    for (request, code, says) in [
+        (wall(9), Code::FailedPrecondition, "--path spiral"),
+        (wall(1), Code::InvalidArgument, "number of frames is 1"),
+        (v1::RenderPathRequest { path: between(FIRST, "none"), ..wall(9) }, Code::NotFound, "no view"),
+        (v1::RenderPathRequest { path: spiral, ..wall(9) }, Code::FailedPrecondition, "train it first"),
+    ] {
+        let refused = render.render_path(request).await.unwrap_err();
+        assert_eq!(refused.code(), code, "{refused}");
+        assert!(refused.message().contains(says), "{refused} does not say {says}");
+    }
 
     // Who stops reading frees the only place for others.
     let mut stream = render.render_path(orbit(50)).await.unwrap().into_inner();

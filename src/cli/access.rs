@@ -9,7 +9,7 @@ use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
 
 use super::connect::{Connection, Where};
-use super::refused::refused;
+use super::words::word;
 
 /// What to do with accounts.
 #[derive(Debug, clap::Subcommand)]
@@ -108,8 +108,8 @@ pub fn add(place: &Where, args: &AddArgs) -> anyhow::Result<()> {
         place.connect.is_none(),
         "accounts are added on the daemon's machine, without --connect; over the network they register"
     );
-    let name = args.name.as_deref().unwrap_or(args.role.name());
-    let account = cairn_service::store::access::add_account(&place.data, args.key, name, args.role)?;
+    let name = args.name.clone().unwrap_or_else(|| args.role.to_string());
+    let account = cairn_service::store::access::add_account(&place.data, args.key, &name, args.role)?;
     println!("added {}, {}", account.name, account.role);
     Ok(())
 }
@@ -125,7 +125,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         }
         Command::List => {
             let request = v1::ListAccountsRequest {};
-            let accounts = client.list(request).await.map_err(refused)?.into_inner().accounts;
+            let accounts = client.list(request).await?.into_inner().accounts;
             accounts.iter().for_each(|account| println!("{}", one_line(account)));
             return Ok(());
         }
@@ -138,21 +138,17 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Add(_) => return Ok(()),
     };
     let request = v1::ChangeAccountRequest { public_key: key.to_bytes().to_vec().into(), change: Some(change) };
-    let changed = client.change(request).await.map_err(refused)?.into_inner().account;
+    let changed = client.change(request).await?.into_inner().account;
     println!("{}", one_line(&changed.context("the daemon's answer names no account")?));
     Ok(())
 }
 
 fn one_line(account: &v1::Account) -> String {
-    let standing = match account.standing() {
-        v1::AccountStanding::Unspecified => "in an unknown state",
-        v1::AccountStanding::Waiting => "waiting",
-        v1::AccountStanding::Active => "active",
-        v1::AccountStanding::Disabled => "disabled",
-    };
+    let standing = word(account.standing().as_str_name(), "ACCOUNT_STANDING_");
+    let role = |role: v1::Role| word(role.as_str_name(), "ROLE_");
     let asked = match account.asked() {
         asked if asked == account.role() => String::new(),
-        asked => format!(", asked for {}", word(asked)),
+        asked => format!(", asked for {}", role(asked)),
     };
     let key = |bytes: &[u8]| {
         <[u8; 32]>::try_from(bytes).map_or_else(
@@ -162,7 +158,7 @@ fn one_line(account: &v1::Account) -> String {
         )
     };
     let mut line =
-        format!("{}  {}  {}{asked}  {standing}", key(&account.public_key), account.name, word(account.role()));
+        format!("{}  {}  {}{asked}  {standing}", key(&account.public_key), account.name, role(account.role()));
     if !account.heir.is_empty() {
         line.push_str(&format!(", signed for by {}", key(&account.heir)));
     }
@@ -172,22 +168,12 @@ fn one_line(account: &v1::Account) -> String {
     line
 }
 
-fn word(role: v1::Role) -> &'static str {
-    match role {
-        v1::Role::Unspecified => "no role",
-        v1::Role::Contributor => "contributor",
-        v1::Role::Curator => "curator",
-        v1::Role::Auditor => "auditor",
-        v1::Role::Operator => "operator",
-    }
-}
-
 async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result<()> {
-    let key = line.account_key().context("say whose account it is to be: --account FILE (see `cairn keys new`)")?;
+    let key = line.account.as_ref().context("say whose account it is to be: --account FILE (see `cairn keys new`)")?;
     let mut client = line.access();
     let public_key = key.public().to_bytes().to_vec();
     let request = v1::RegistrationNonceRequest { public_key: public_key.clone().into() };
-    let given = client.nonce(request).await.map_err(refused)?.into_inner();
+    let given = client.nonce(request).await?.into_inner();
     let nonce: [u8; 32] = given.nonce.as_ref().try_into().context("the daemon's nonce is not 32 bytes")?;
     let nonce = Digest::from_bytes(nonce);
     let registration = Registration { nonce, origin: given.origin, key: key.public(), name, role };
@@ -198,7 +184,7 @@ async fn register(line: &Connection, name: String, role: Role) -> anyhow::Result
         role: cairn_service::grpc::to_proto::role(role).into(),
         nonce: given.nonce,
     };
-    let account = client.register(request).await.map_err(refused)?.into_inner().account;
+    let account = client.register(request).await?.into_inner().account;
     println!("{}", one_line(&account.context("the daemon's answer names no account")?));
     Ok(())
 }
@@ -207,7 +193,7 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
     let mut client = line.access();
     let public_key = || args.key.map(|key| key.to_bytes().to_vec()).unwrap_or_default().into();
     let ask = || v1::QuotaRequest { public_key: public_key() };
-    let mut now = client.quota(ask()).await.map_err(refused)?.into_inner();
+    let mut now = client.quota(ask()).await?.into_inner();
     let given = [args.bytes, args.views, args.training_seconds, args.queued_jobs, args.records, args.records_per_day];
     if args.default || given.iter().any(Option::is_some) {
         let old = now.limits.unwrap_or_default();
@@ -221,8 +207,8 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
         };
         let change = if args.default { Change::DaemonQuota(v1::DaemonQuota {}) } else { Change::Quota(quota) };
         let request = v1::ChangeAccountRequest { public_key: public_key(), change: Some(change) };
-        client.change(request).await.map_err(refused)?;
-        now = client.quota(ask()).await.map_err(refused)?.into_inner();
+        client.change(request).await?;
+        now = client.quota(ask()).await?.into_inner();
     }
     let (limits, used) = (now.limits.unwrap_or_default(), now.used.unwrap_or_default());
     let of = |limit: u64| if limit == 0 { "no limit".to_owned() } else { format!("of {limit}") };

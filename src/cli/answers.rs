@@ -8,7 +8,6 @@ use cairn_log::Answer;
 
 use super::connect::Connection;
 use super::files::{read, write};
-use super::refused::refused;
 
 /// `cairn owners answer`.
 #[derive(Clone, Debug, clap::Args)]
@@ -37,7 +36,7 @@ pub async fn run(line: &Connection, args: &AnswerArgs) -> anyhow::Result<()> {
         of: args.view.clone().map(v1::answer_request::Of::ViewName),
         as_of,
     };
-    let json = line.owners().answer(request).await.map_err(refused)?.into_inner().answer;
+    let json = line.owners().answer(request).await?.into_inner().answer;
     let answer = Answer::parse(&json).context("the daemon's answer")?;
     let asked = answer.lists.iter().find(|list| list.key == answer.asked());
     let named = asked.map_or(0, |list| list.entries.len());

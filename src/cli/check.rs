@@ -6,7 +6,6 @@ use cairn_api::v1;
 
 use super::connect::Connection;
 use super::files::write;
-use super::refused::refused;
 
 /// `cairn scene check`.
 #[derive(Clone, Debug, clap::Args)]
@@ -47,7 +46,7 @@ pub struct IncludeArgs {
 /// Answers `cairn scene check`: a table of the views, the most suspicious first.
 pub async fn check(line: &Connection, args: CheckArgs) -> anyhow::Result<()> {
     let request = v1::CheckSceneRequest { scene: args.name.clone(), anew: args.anew, picture: args.picture.is_some() };
-    let answer = line.about(&args.name).scenes().check(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&args.name).scenes().check(request).await?.into_inner();
     let heading = ["view", "contributor", "sigmas", "fit dB", "points", "error px", "state"].map(str::to_owned);
     let rows: Vec<[String; 7]> = std::iter::once(heading).chain(answer.views.iter().map(row)).collect();
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
@@ -111,7 +110,7 @@ pub fn decision(decision: &v1::ViewDecision) -> String {
 pub async fn exclude(line: &Connection, args: ExcludeArgs) -> anyhow::Result<()> {
     let ExcludeArgs { name, views, why } = args;
     let request = v1::ExcludeViewsRequest { scene: name.clone(), view_names: views, why };
-    let answer = line.about(&name).scenes().exclude(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&name).scenes().exclude(request).await?.into_inner();
     println!("{} views of {name} are excluded; train it again to have them out", answer.excluded);
     Ok(())
 }
@@ -120,7 +119,7 @@ pub async fn exclude(line: &Connection, args: ExcludeArgs) -> anyhow::Result<()>
 pub async fn include(line: &Connection, args: IncludeArgs) -> anyhow::Result<()> {
     let IncludeArgs { name, views } = args;
     let request = v1::IncludeViewsRequest { scene: name.clone(), view_names: views };
-    let answer = line.about(&name).scenes().include(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&name).scenes().include(request).await?.into_inner();
     println!("{} views of {name} are excluded; train it again to have the others in", answer.excluded);
     Ok(())
 }

@@ -67,8 +67,10 @@ pub struct Where {
 pub struct Connection {
     channel: Channel,
     credential: Credential,
-    account: Option<OwnerKey>,
-    most: usize,
+    /// The key of --account.
+    pub account: Option<OwnerKey>,
+    /// Largest message that is sent or taken, bytes.
+    pub max_message_bytes: usize,
     in_process: Option<InProcess>,
 }
 
@@ -83,7 +85,7 @@ macro_rules! clients {
         impl Line<'_> {
             $($(#[$doc])*
             pub fn $name(&self) -> $client<Speaking> {
-                let Connection { channel, credential, most, .. } = self.connection;
+                let Connection { channel, credential, max_message_bytes: most, .. } = self.connection;
                 $client::new(Speaking::new(channel.clone(), credential.clone(), self.scene))
                     .max_decoding_message_size(*most)
                     .max_encoding_message_size(*most)
@@ -122,19 +124,18 @@ impl Connection {
     ///
     /// # Errors
     /// When there is no daemon at the address, the data folder is taken, or a file of the credentials is no good.
-    pub async fn open(place: &Where) -> anyhow::Result<Self> {
-        let config = Config::load(place.config.as_deref())?;
+    pub async fn open(place: &Where, config: &Config) -> anyhow::Result<Self> {
         let (passphrase_file, key_file) = (place.account_passphrase_file.clone(), place.account_key_file.clone());
         let unlock = UnlockArgs { passphrase_file, key_file };
         let account = place.account.as_deref().map(|path| unlock.load(path)).transpose()?;
-        let most = config.limits.max_message_bytes;
+        let max_message_bytes = config.limits.max_message_bytes;
         let (channel, in_process) = match &place.connect {
             Some(url) => {
                 let channel = endpoint(url, place)?.connect().await;
                 (channel.with_context(|| format!("no daemon answers at {url}; start one with `cairn serve`"))?, None)
             }
             None => {
-                let services = InProcess::start(&config, &place.data).await?;
+                let services = InProcess::start(config, &place.data).await?;
                 (in_process(&services).await?, Some(services))
             }
         };
@@ -145,22 +146,12 @@ impl Connection {
             (None, Some(key)) => Credential::account(key.clone(), &channel, pinned(place)?.as_ref()).await?,
             (None, None) => Credential::Nothing,
         };
-        Ok(Self { channel, credential, account, most, in_process })
+        Ok(Self { channel, credential, account, max_message_bytes, in_process })
     }
 
     /// The same line for calls about `scene`.
     pub fn about<'a>(&'a self, scene: &'a str) -> Line<'a> {
         Line { connection: self, scene }
-    }
-
-    /// Largest message that is sent or taken, bytes.
-    pub fn max_message_bytes(&self) -> usize {
-        self.most
-    }
-
-    /// The key of --account.
-    pub fn account_key(&self) -> Option<&OwnerKey> {
-        self.account.as_ref()
     }
 
     /// Ends cleanly: a training in this process reaches its checkpoint.

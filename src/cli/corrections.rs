@@ -8,7 +8,6 @@ use cairn_log::{ErasureRequest, RecordKind, format::erasure};
 
 use super::connect::Connection;
 use super::records::{Bundle, Ground, Stored};
-use super::refused::refused;
 use super::unlock::UnlockArgs;
 
 /// `cairn owners dispute`.
@@ -19,7 +18,7 @@ pub struct DisputeArgs {
     /// The record that is contested (see `cairn owners list`)
     #[arg(long, value_name = "INDEX")]
     pub record: u64,
-    /// The key of whoever contests it (see `cairn keys new`)
+    /// The key of the owner who contests it (see `cairn keys new`)
     #[arg(long, value_name = "FILE")]
     pub key: PathBuf,
     #[command(flatten)]
@@ -72,7 +71,7 @@ pub async fn erase(line: &Connection, args: &EraseArgs) -> anyhow::Result<()> {
     };
     let request = request.seal(&key)?.to_json().into_bytes().into();
     let request = v1::EraseRecordRequest { request };
-    let index = line.about(&args.name).owners().erase(request).await.map_err(refused)?.into_inner().index;
+    let index = line.about(&args.name).owners().erase(request).await?.into_inner().index;
     anyhow::ensure!(index == stored.index, "the daemon says that it erased record {index}, not {}", stored.index);
     println!("record {index} is erased: its envelope is gone, its leaf stays, and every proof goes on verifying");
     println!("copies in bundles and backups are their holders' to delete");
@@ -83,13 +82,13 @@ pub async fn erase(line: &Connection, args: &EraseArgs) -> anyhow::Result<()> {
 pub async fn show(line: &Connection, index: u64) -> anyhow::Result<()> {
     let Some(stored) = Stored::find(line, index).await? else {
         println!("record {index}");
-        println!("  state          erased; its leaf is in the log, and says nothing about anybody");
+        println!("  state          erased; its leaf is in the log, and says nothing about any person");
         return Ok(());
     };
     let record = &stored.record;
     let kind = serde_json::to_value(record.kind)?;
     println!("record {index}: {}, scene {}", kind.as_str().context("the record's kind has no name")?, record.scene);
-    // Whom a dispute names is mostly not whoever contests: that is its key.
+    // A dispute mostly names another than its own owner, whom its key tells.
     let whose = if record.kind == RecordKind::Dispute { "names" } else { "identity" };
     let mut facts = vec![
         ("state", state(&stored.standing)),

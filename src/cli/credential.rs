@@ -19,7 +19,6 @@ use tonic::body::Body;
 use tonic::codegen::http::{HeaderValue, Request, Response};
 use tonic::transport::Channel;
 
-use super::refused::refused;
 use cairn_service::store::access::unix_s;
 
 /// Life of a signed token, seconds, where the daemon allows as much: it is used at once.
@@ -61,7 +60,7 @@ impl Credential {
     /// For a daemon that is another than the pinned one, or asks for another credential.
     pub async fn account(key: OwnerKey, channel: &Channel, pinned: Option<&NoteVerifier>) -> anyhow::Result<Self> {
         let request = v1::AboutRequest {};
-        let about = AccessServiceClient::new(channel.clone()).about(request).await.map_err(refused)?.into_inner();
+        let about = AccessServiceClient::new(channel.clone()).about(request).await?.into_inner();
         match about.mode() {
             v1::AccessMode::Accounts => {}
             v1::AccessMode::Token => {

@@ -2,6 +2,7 @@
 //! photographs. Everything goes through the same services as any other client's
 //! calls; what it prints is measured then and there.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -13,8 +14,8 @@ use serde::Serialize;
 
 use super::connect::{Connection, Where};
 use super::files::write;
-use super::refused::refused;
 use super::{audit, evaluate, scene, sign, train};
+use cairn_service::config::Config;
 use cairn_service::query::report::{Report, Right};
 
 /// The demo's scene.
@@ -67,8 +68,8 @@ pub struct Results {
 pub const WHOLE: &str = "whole demo";
 
 /// Answers `cairn demo`.
-pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
-    let results = measure(place, &args).await?;
+pub async fn run(place: &Where, config: &Config, args: Args) -> anyhow::Result<()> {
+    let results = measure(place, config, &args).await?;
     print!("{}", results.evaluation);
     println!("  owner records trusted      {}", results.records_trusted);
     println!("  records found by pose      {}", results.records_found);
@@ -84,20 +85,20 @@ pub async fn run(place: &Where, args: Args) -> anyhow::Result<()> {
 }
 
 /// Runs the demo in its folder.
-pub async fn measure(place: &Where, args: &Args) -> anyhow::Result<Results> {
+async fn measure(place: &Where, config: &Config, args: &Args) -> anyhow::Result<Results> {
     std::fs::create_dir(&args.out).with_context(|| {
         format!("cannot make the folder {}; the demo wants a new one (--out DIR)", args.out.display())
     })?;
-    let (begun, mut clock) = (Instant::now(), Clock::default());
-    clock.start();
-    let config =
+    let begun = Instant::now();
+    let mut clock = Clock { laps: Vec::new(), since: begun };
+    let landmark =
         LandmarkConfig { contributors: args.contributors, photographs: args.photographs, ..LandmarkConfig::default() };
     let capture = args.out.join("capture");
-    Landmark::generate(&config, args.seed)?.write(&capture)?;
+    Landmark::generate(&landmark, args.seed)?.write(&capture)?;
     clock.lap("photographing");
 
     let data = args.out.join("data");
-    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }).await?;
+    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }, config).await?;
     let results = through(&line, args, &capture, &data, &mut clock).await;
     line.close().await;
     let mut results = results?;
@@ -106,23 +107,16 @@ pub async fn measure(place: &Where, args: &Args) -> anyhow::Result<Results> {
     Ok(results)
 }
 
-#[derive(Default)]
 struct Clock {
     laps: Vec<(String, f64)>,
-    since: Option<Instant>,
+    since: Instant,
 }
 
 impl Clock {
-    fn start(&mut self) {
-        self.since = Some(Instant::now());
-    }
-
     /// Ends a lap; the next one begins.
     fn lap(&mut self, name: &str) {
-        if let Some(since) = self.since {
-            self.laps.push((name.to_owned(), since.elapsed().as_secs_f64()));
-        }
-        self.start();
+        self.laps.push((name.to_owned(), self.since.elapsed().as_secs_f64()));
+        self.since = Instant::now();
     }
 }
 
@@ -133,12 +127,12 @@ async fn through(
     data: &Path,
     clock: &mut Clock,
 ) -> anyhow::Result<Results> {
-    clock.start();
+    clock.since = Instant::now();
     import(line, capture).await?;
     clock.lap("importing");
     let job = training(line, args).await?;
     clock.laps.extend(job.stages.iter().map(|s| (s.stage.clone(), s.seconds)));
-    clock.start();
+    clock.since = Instant::now();
     let signed = sign::sign_all(line, SCENE, &args.out.join("owners")).await?;
     let records_trusted = trusted(&signed, data)?;
     clock.lap("signing and verifying");
@@ -150,40 +144,24 @@ async fn through(
 }
 
 async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
-    let import = scene::ImportArgs {
-        name: SCENE.to_owned(),
-        from: capture.to_path_buf(),
-        contributors: Some(capture.join("contributors.csv")),
-        kind: None,
-        hold_every: 8,
-        masks: None,
-        images: None,
-        skip_missing: false,
-        width: None,
-        height: None,
-        scale: None,
-    };
-    scene::import(line, &import).await.map(drop)
+    let table = capture.join("contributors.csv");
+    let words = [SCENE.as_ref(), "--from".as_ref(), capture.as_os_str(), "--contributors".as_ref(), table.as_os_str()];
+    scene::import(line, &typed(&words)?).await.map(drop)
 }
 
 async fn training(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
-    let train = train::Args {
-        name: SCENE.to_owned(),
-        anchors: 0,
-        neighbours: None,
-        by_contributor: true,
-        min_views: 2,
-        seed: args.seed,
-        signals: None,
-        options: train::Options { quality: Some(args.quality), ..train::Options::default() },
-        base_only: args.base_only,
-        with: Vec::new(),
-        grow: false,
-        resume: None,
-        detach: false,
-        keys: None,
-    };
+    let seed = args.seed.to_string();
+    let mut words: Vec<&OsStr> = [SCENE, "--by-contributor", "--seed", &seed].map(OsStr::new).to_vec();
+    words.extend(args.base_only.then_some(OsStr::new("--base-only")));
+    let mut train: train::Args = typed(&words)?;
+    train.options.quality = Some(args.quality);
     train::run_to_end(line, &train).await
+}
+
+/// The arguments of another command, as a person would type them.
+fn typed<T: clap::Args>(words: &[&OsStr]) -> anyhow::Result<T> {
+    let command = T::augment_args(clap::Command::new("demo").no_binary_name(true));
+    Ok(T::from_arg_matches(&command.try_get_matches_from(words)?)?)
 }
 
 /// Verifies each record from its bundle's files.
@@ -212,7 +190,7 @@ async fn found(line: &Connection, signed: &[sign::Signed]) -> anyhow::Result<Rig
             let from = Some(v1::viewpoint::From::ViewName(name.clone()));
             let viewpoint = Some(v1::Viewpoint { from });
             let request = v1::ContributorsRequest { scene: SCENE.into(), viewpoint };
-            let answer = line.query().contributors(request).await.map_err(refused)?.into_inner().answer;
+            let answer = line.query().contributors(request).await?.into_inner().answer;
             let right = matches!(answer, Some(v1::contributors_response::Answer::Identity(who))
                 if who.number == identity.number && !records.is_empty() && who.record_indices == records);
             found.count(right);

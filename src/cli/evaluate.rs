@@ -7,7 +7,6 @@ use cairn_api::v1;
 
 use super::connect::Connection;
 use super::files::write;
-use super::refused::refused;
 
 /// `cairn evaluate`.
 #[derive(Debug, clap::Args)]
@@ -38,7 +37,7 @@ pub async fn report(
 ) -> anyhow::Result<cairn_service::query::report::Report> {
     let contact_sheet = sheet.is_some();
     let request = v1::EvaluateRequest { scene: scene.to_owned(), contact_sheet };
-    let answer = line.about(scene).query().evaluate(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(scene).query().evaluate(request).await?.into_inner();
     if let Some(path) = json {
         write(path, answer.report_json.as_bytes())?;
     }

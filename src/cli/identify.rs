@@ -7,7 +7,6 @@ use cairn_api::v1::{self, contributors_response, identify_response};
 
 use super::connect::Connection;
 use super::files::{read, write};
-use super::refused::refused;
 use super::viewpoint::{FromWhere, viewpoint};
 
 /// Contributors named in one line.
@@ -58,7 +57,7 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
         camera,
         payload: true,
     };
-    let answer = line.about(&args.name).query().identify(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&args.name).query().identify(request).await?.into_inner();
     match &answer.answer {
         Some(identify_response::Answer::Identity(found)) => show(found, answer.confidence),
         Some(identify_response::Answer::Foreign(there)) => {
@@ -85,7 +84,7 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
 pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     let viewpoint = Some(viewpoint(args.from.view, args.from.pose.as_deref())?);
     let request = v1::ContributorsRequest { scene: args.name, viewpoint };
-    let answer = line.query().contributors(request).await.map_err(refused)?.into_inner();
+    let answer = line.query().contributors(request).await?.into_inner();
     match &answer.answer {
         Some(contributors_response::Answer::Identity(found)) => show(found, answer.confidence),
         Some(contributors_response::Answer::Unmarked(_)) | None => {

@@ -21,7 +21,7 @@ pub enum Command {
     New {
         /// Where it goes; a file that is there is never replaced
         file: PathBuf,
-        /// Leave it unsealed: whoever reads the file has the key
+        /// Leave it unsealed: every reader of the file has the key
         #[arg(long, conflicts_with_all = ["passphrase_file", "key_file"])]
         plain: bool,
         #[command(flatten)]
@@ -32,7 +32,8 @@ pub enum Command {
         /// The key's file
         file: PathBuf,
     },
-    /// Make a key file: 32 random bytes to seal keys with where nobody is there to type a passphrase
+    /// Make a key file: 32 random bytes to seal keys with where no person is there to type a
+    /// passphrase
     NewKeyFile {
         /// Where it goes; keep it apart from the keys that it seals
         file: PathBuf,
@@ -147,14 +148,16 @@ pub async fn run(line: &Connection, command: &Command) -> anyhow::Result<()> {
 }
 
 fn new(file: &Path, plain: bool, seal: &UnlockArgs) -> anyhow::Result<()> {
-    // Before anybody types a passphrase for nothing.
+    // Before a passphrase is typed for nothing.
     anyhow::ensure!(!file.exists(), "{}: exists already and is not overwritten; move it away first", file.display());
     let seal = if plain { Seal::Plain } else { seal.seal(file)? };
     let key = OwnerKey::generate()?;
     save_key(file, &key, &seal)?;
-    println!("new key in {}; keep it safe, nobody can make it again", file.display());
+    println!("new key in {}; keep it safe, since it cannot be made again", file.display());
     match seal {
-        Seal::Plain => println!("it is not sealed: whoever reads the file has the key (`cairn keys seal` mends that)"),
+        Seal::Plain => {
+            println!("it is not sealed: every reader of the file has the key (`cairn keys seal` mends that)")
+        }
         Seal::Passphrase(_) => println!("it is sealed by its passphrase, without which it is lost"),
         Seal::KeyFile(_) => println!("it is sealed by the key file, without which it is lost"),
     }

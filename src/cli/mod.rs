@@ -18,7 +18,6 @@ mod path;
 mod poses;
 mod progress;
 mod records;
-mod refused;
 mod registry;
 mod render;
 mod scene;
@@ -28,6 +27,7 @@ mod train;
 mod unlock;
 mod viewpoint;
 mod witness;
+mod words;
 
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
@@ -112,10 +112,10 @@ impl Cli {
             Command::Witness(command) => witness::run(&command).await?,
             Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
             Command::Registry(command) => registry::run(&place, &config, &command)?,
-            Command::Demo(args) => demo::run(&place, args).await?,
+            Command::Demo(args) => demo::run(&place, &config, args).await?,
             Command::Audit(command) => return audit::run(&command),
             command => {
-                let line = Connection::open(&place).await?;
+                let line = Connection::open(&place, &config).await?;
                 let answer = over(&line, command).await;
                 line.close().await;
                 answer?;

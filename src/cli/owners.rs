@@ -1,8 +1,8 @@
 //! `cairn owners`: signing records at the owner's side, correcting and listing
 //! them. Verifying them is `cairn audit`'s.
 //!
-//! An auditor pins the key that `vkey` prints, not the bundle's copy: whoever
-//! forges a bundle forges that too.
+//! An auditor pins the key that `vkey` prints, not the bundle's copy: a forger
+//! of a bundle forges that, too.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,6 @@ use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::files::write;
 use super::records;
 use super::records::vkey;
-use super::refused::refused;
 use super::sign::{SignArgs, sign};
 
 /// What to do with owner records.
@@ -25,14 +24,14 @@ use super::sign::{SignArgs, sign};
 pub enum Command {
     /// Sign a record about an identity of a scene, and enter it into the log
     Sign(SignArgs),
-    /// Who contributed to a scene or a view, as a file that proves that nobody is left out
+    /// Who contributed to a scene or a view, as a file that proves that no contributor is left out
     Answer(AnswerArgs),
     /// Send again what was signed into DIR and got no answer; nothing is entered twice
     Submit {
         /// The folder that `--out` named
         dir: PathBuf,
     },
-    /// Contest somebody's record: a record that says so
+    /// Contest another owner's record: a record that says so
     Dispute(DisputeArgs),
     /// Have a record's envelope erased, and with it all that is personal; its place in the log stays
     Erase(EraseArgs),
@@ -111,7 +110,7 @@ pub(super) struct LogEntry {
 
 async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) -> anyhow::Result<()> {
     let checkpoint = line.owners().checkpoint(v1::CheckpointRequest {}).await;
-    let note = Note::parse(&checkpoint.map_err(refused)?.into_inner().checkpoint)?;
+    let note = Note::parse(&checkpoint?.into_inner().checkpoint)?;
     let size = Checkpoint::parse_text(&note.text)?.size;
     let records = records::list(line, &name.unwrap_or_default()).await?;
     for r in &records {

@@ -13,7 +13,6 @@ use tempfile::NamedTempFile;
 use super::connect::Connection;
 use super::files::write;
 use super::progress::Progress;
-use super::refused::refused;
 
 /// How thoroughly a GIF frame's colours are chosen, 1 (best) to 30.
 const GIF_SPEED: i32 = 10;
@@ -124,13 +123,13 @@ pub async fn run(line: &Connection, shape: Shape, args: &PathArgs, seen: Seen, o
     };
     // Listens from now on, whatever is being done when it comes.
     let mut interrupt = tokio::spawn(tokio::signal::ctrl_c());
-    let mut stream = line.about(&seen.scene).render().render_path(request).await.map_err(refused)?.into_inner();
+    let mut stream = line.about(&seen.scene).render().render_path(request).await?.into_inner();
     let (mut shown, begun, total) = (Progress::new(true), Instant::now(), args.frames);
     shown.draw("frames", 0, total.into(), "", -1.0);
     let mut done = 0;
     loop {
         let message = tokio::select! {
-            message = stream.message() => message.map_err(refused)?,
+            message = stream.message() => message?,
             interrupt = &mut interrupt => {
                 interrupt??;
                 shown.end();

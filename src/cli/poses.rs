@@ -6,7 +6,6 @@ use cairn_api::v1::{self, draw_poses_request::Clusters};
 
 use super::connect::Connection;
 use super::files::write;
-use super::refused::refused;
 
 /// What to draw of a scene.
 #[derive(Clone, Debug, clap::Args)]
@@ -44,7 +43,7 @@ pub async fn draw(line: &Connection, name: String, args: Args) -> anyhow::Result
         None => None,
     };
     let request = v1::DrawPosesRequest { scene: name, clusters, seed: args.seed, format: format.into() };
-    let answer = line.scenes().draw_poses(request).await.map_err(refused)?.into_inner();
+    let answer = line.scenes().draw_poses(request).await?.into_inner();
     write(out, &answer.picture)?;
     let (views, path) = (answer.views, out.display());
     match answer.clusters {

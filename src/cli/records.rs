@@ -1,10 +1,10 @@
 //! What every command that enters a record shares: what the registry gives to sign, sealing and submitting, the check of
 //! what came back, and the bundle.
 //!
-//! A bundle is a folder of files that whoever has them can verify without a daemon: `record.json` (DSSE envelope),
-//! `record.tlog-proof`, `log.vkey`, and for a claim `signal.png`, `signal.wav` and `signal.txt` (what there is of them) with
-//! `signal.salt`, which are the owner's secret until they choose to show them. `record.signed.json` is there for as long as
-//! there is no answer.
+//! A bundle is a folder of files that their holder can verify without a daemon: `record.json` (DSSE
+//! envelope), `record.tlog-proof`, `log.vkey`, and for a claim `signal.png`, `signal.wav` and
+//! `signal.txt` (what there is of them) with `signal.salt`, which are the owner's secret until they
+//! choose to show them. `record.signed.json` is there for as long as there is no answer.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -12,11 +12,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_log::format::record::{Digests, Seen, random_salt};
-use cairn_log::{Checkpoint, Digest, Envelope, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind};
+use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind, SignedRecord};
 use tonic::{Code, Status};
 
 use super::connect::Connection;
-use super::refused::refused;
 use cairn_durable::{write_atomic, write_secret};
 
 /// What the registry gives a signer to sign.
@@ -34,7 +33,7 @@ pub async fn list(line: &Connection, scene: &str) -> anyhow::Result<Vec<v1::Reco
     let (mut records, mut from) = (Vec::new(), 0);
     loop {
         let request = v1::ListRecordsRequest { scene: scene.to_owned(), from, limit: 0 };
-        let page = line.owners().list(request).await.map_err(refused)?.into_inner();
+        let page = line.owners().list(request).await?.into_inner();
         records.extend(page.records);
         match page.next {
             Some(next) if next > from => from = next,
@@ -49,7 +48,7 @@ impl Ground {
     pub async fn ask(line: &Connection, scene: &str, key: &PublicKey) -> anyhow::Result<Self> {
         let owner_key = key.to_bytes().to_vec().into();
         let request = v1::NonceRequest { scene: scene.to_owned(), owner_key };
-        let nonce = line.about(scene).owners().nonce(request).await.map_err(refused)?.into_inner();
+        let nonce = line.about(scene).owners().nonce(request).await?.into_inner();
         let checkpoint = Checkpoint::parse_text(&Note::parse(&nonce.checkpoint)?.text)?;
         Ok(Self {
             origin: nonce.origin,
@@ -106,15 +105,13 @@ impl Stored {
     /// Fetches one; `None` where it was erased.
     pub async fn find(line: &Connection, index: u64) -> anyhow::Result<Option<Self>> {
         let request = v1::GetRecordRequest { index };
-        let answer = line.owners().get(request).await.map_err(refused)?.into_inner();
+        let answer = line.owners().get(request).await?.into_inner();
         let found = answer.record.context("the daemon's answer names no record")?;
         if found.envelope.is_empty() {
             return Ok(None);
         }
-        let envelope = Envelope::parse(&found.envelope)?;
-        let (record, _) = OwnerRecord::open(&envelope)?;
-        let standing = answer.standing.unwrap_or_default();
-        Ok(Some(Self { index, digest: envelope.digest(), record, standing }))
+        let (_, record, leaf) = SignedRecord::parse(&found.envelope)?.into_parts();
+        Ok(Some(Self { index, digest: leaf.record, record, standing: answer.standing.unwrap_or_default() }))
     }
 
     /// Fetches one about `scene`.
@@ -137,16 +134,6 @@ impl Stored {
         anyhow::ensure!(owner == key.public(), "record {index} belongs to key {owner}, not to {}", key.public());
         Ok(())
     }
-}
-
-/// A record that was entered.
-struct Entered {
-    /// Its place in the log.
-    index: u64,
-    envelope: Vec<u8>,
-    /// As of its acknowledgement.
-    proof: String,
-    vkey: String,
 }
 
 /// What became of a record that was entered, in words.
@@ -179,9 +166,9 @@ impl Bundle {
         Ok(Self { folder: folder.to_path_buf() })
     }
 
-    /// Signs a record with its owner's key and any other that must sign, enters it, and writes what an auditor needs and
-    /// `secrets`, the owner's, which nobody else may read. What is written before it is sent, an answer that is lost loses
-    /// not; what cannot be written is not sent.
+    /// Signs a record with its owner's key and any other that must sign, enters it, and writes what
+    /// an auditor needs and `secrets`, the owner's, which no other user may read. What is written
+    /// before it is sent, an answer that is lost loses not; what cannot be written is not sent.
     pub async fn enter(
         &self,
         line: &Connection,
@@ -189,7 +176,7 @@ impl Bundle {
         keys: &[&OwnerKey],
         secrets: &[(&str, &[u8])],
     ) -> anyhow::Result<Place> {
-        let (owner, others) = keys.split_first().context("nobody signs")?;
+        let (owner, others) = keys.split_first().context("no key signs")?;
         let mut envelope = record.seal(owner)?;
         others.iter().for_each(|key| envelope.sign(key));
         let signed = envelope.to_json().into_bytes();
@@ -210,12 +197,11 @@ impl Bundle {
         let path = folder.join(SIGNED);
         let signed = std::fs::read(&path)
             .with_context(|| format!("{} waits for no answer: cannot read {}", folder.display(), path.display()))?;
-        let of = || format!("{} is no signed record", path.display());
-        let envelope = Envelope::parse(&signed).with_context(of)?;
-        let (record, _) = OwnerRecord::open(&envelope).with_context(of)?;
-        let sent = send(line, &record, signed).await;
+        let read = SignedRecord::parse(&signed).with_context(|| format!("{} is no signed record", path.display()))?;
+        let record = read.record();
+        let sent = send(line, record, signed).await;
         let is_refused = matches!(&sent, Err(status) if !is_open(status));
-        let done = Self { folder: folder.to_path_buf() }.finish(line, &record, sent).await;
+        let done = Self { folder: folder.to_path_buf() }.finish(line, record, sent).await;
         // Another account, or another daemon, may answer.
         let kept =
             || format!("refused; what was signed stays in {}: delete it where it is not wanted", folder.display());
@@ -237,46 +223,50 @@ impl Bundle {
             )
         };
         let answer = match sent {
-            Err(status) if is_open(&status) => return Err(refused(status)).with_context(lost),
-            Err(status) => return Err(refused(status)),
+            Err(status) if is_open(&status) => return Err(status).with_context(lost),
+            Err(status) => return Err(status.into()),
             Ok(answer) => answer,
         };
         let entered = answer.record.context("the daemon's answer names no record")?;
-        // What came back must be what was signed, or the bundle would speak for somebody else.
-        let returned = Envelope::parse(&entered.envelope)?;
-        anyhow::ensure!(
-            &OwnerRecord::open(&returned)?.0 == record,
-            "the daemon returned another record than was signed"
-        );
-        let (index, envelope) = (entered.index, entered.envelope.to_vec());
-        self.write(line, &Entered { index, envelope, proof: answer.tlog_proof, vkey: answer.vkey }).await
+        // What came back must be what was signed, or the bundle would speak for another owner.
+        let returned = SignedRecord::parse(&entered.envelope)?;
+        anyhow::ensure!(returned.record() == record, "the daemon returned another record than was signed");
+        self.write(line, &entered, &answer.tlog_proof, &answer.vkey).await
     }
 
-    /// Fetches the record's proof, and writes what an auditor needs.
-    async fn write(&self, line: &Connection, entered: &Entered) -> anyhow::Result<Place> {
-        // First: with the record in hand its proof can be fetched by anybody, also where its key was just ended.
+    /// Fetches the record's newest proof, and writes what an auditor needs; `acknowledged` is the
+    /// proof that came with the acknowledgement.
+    async fn write(
+        &self,
+        line: &Connection,
+        entered: &v1::Record,
+        acknowledged: &str,
+        vkey: &str,
+    ) -> anyhow::Result<Place> {
+        // First: with the record in hand its proof can be fetched by every caller, also where its
+        // key was just ended.
         self.add("record.json", &entered.envelope)?;
         let request = v1::ProofRequest { index: entered.index };
         let (proof, published) = match line.owners().proof(request).await {
             Ok(newest) => (newest.into_inner().tlog_proof, true),
             // Where reading is closed, a key that this very record ended reads no more: what came with the
             // acknowledgement proves it as well, if without witnesses.
-            Err(status) if is_nobodys(&status) && !entered.proof.is_empty() => {
+            Err(status) if is_refused_caller(&status) && !acknowledged.is_empty() => {
                 eprintln!(
                     "note: reading is closed to this key, so the proof of record {} is the acknowledgement's, without witnesses; \
-                     for a cosigned one ask somebody who may read, or the operator",
+                     for a cosigned one ask a caller who may read, or the operator",
                     entered.index
                 );
-                (entered.proof.clone(), false)
+                (acknowledged.to_owned(), false)
             }
             Err(status) => {
                 let problem = "is in the log; its proof was not given";
                 let again = format!("`cairn owners submit {}` asks again", self.name());
-                return Err(refused(status)).with_context(|| format!("record {} {problem}, {again}", entered.index));
+                return Err(status).with_context(|| format!("record {} {problem}, {again}", entered.index));
             }
         };
         self.add("record.tlog-proof", proof.as_bytes())?;
-        self.add("log.vkey", format!("{}\n", entered.vkey).as_bytes())?;
+        self.add("log.vkey", format!("{vkey}\n").as_bytes())?;
         let signed = self.folder.join(SIGNED);
         std::fs::remove_file(&signed).with_context(|| format!("cannot remove {}", signed.display()))?;
         Ok(Place { index: entered.index, published })
@@ -312,12 +302,12 @@ fn is_open(status: &Status) -> bool {
 }
 
 /// Whether a call was refused because of who calls.
-fn is_nobodys(status: &Status) -> bool {
+fn is_refused_caller(status: &Status) -> bool {
     matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied)
 }
 
 /// The log's verifier key, one line without its end.
 pub async fn vkey(line: &Connection) -> anyhow::Result<String> {
     let request = v1::CheckpointRequest {};
-    Ok(line.owners().checkpoint(request).await.map_err(refused)?.into_inner().vkey)
+    Ok(line.owners().checkpoint(request).await?.into_inner().vkey)
 }

@@ -8,7 +8,6 @@ use super::connect::Connection;
 use super::files::write;
 use super::light::{InLight, LightTo};
 use super::path::{self, PathArgs, Seen, Shape};
-use super::refused::refused;
 use super::viewpoint::viewpoint;
 
 /// `cairn render`.
@@ -75,7 +74,7 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
         depth: args.depth.is_some(),
         depth_colours: args.depth_colours.is_some(),
     };
-    let answer = line.about(&args.name).render().render(request).await.map_err(refused)?.into_inner();
+    let answer = line.about(&args.name).render().render(request).await?.into_inner();
     write(&args.out, &answer.png)?;
     println!("{} x {} px in {}", answer.width, answer.height, args.out.display());
     if let Some(path) = &args.depth {

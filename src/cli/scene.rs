@@ -7,11 +7,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
 use cairn_api::v1::{self, import_scene_request::Part};
+use cairn_log::Digest;
 use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
-use sha2::{Digest, Sha256};
 
 use super::connect::Connection;
-use super::refused::refused;
 use cairn_service::grpc::to_proto;
 
 /// Bytes of photograph a message.
@@ -105,7 +104,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         }
         Command::List => {
             let request = v1::ListScenesRequest {};
-            let scenes = line.scenes().list(request).await.map_err(refused)?.into_inner().scenes;
+            let scenes = line.scenes().list(request).await?.into_inner().scenes;
             scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
             Ok(())
         }
@@ -118,7 +117,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Include(args) => super::check::include(line, args).await,
         Command::Delete { name } => {
             let request = v1::DeleteSceneRequest { scene: name.clone() };
-            line.about(&name).scenes().delete(request).await.map_err(refused)?;
+            line.about(&name).scenes().delete(request).await?;
             println!("deleted {name}");
             Ok(())
         }
@@ -141,12 +140,7 @@ fn one_line(s: &v1::SceneSummary, guessed: bool) -> String {
 
 /// How a scene lies, and what is behind it where that is known.
 pub fn lies(s: &v1::SceneSummary, guessed: bool) -> String {
-    let kind = match s.kind() {
-        v1::SceneKind::Unspecified => "of a kind that is not said",
-        v1::SceneKind::ForwardFacing => "forward-facing",
-        v1::SceneKind::Bounded => "bounded",
-        v1::SceneKind::Unbounded => "unbounded",
-    };
+    let kind = super::words::word(s.kind().as_str_name(), "SCENE_KIND_");
     let guessed = if guessed { " (guessed; --kind says otherwise)" } else { "" };
     let background = match s.background[..] {
         [] => String::new(),
@@ -179,7 +173,7 @@ async fn show(line: &Connection, name: &str) -> anyhow::Result<()> {
 /// One scene.
 pub async fn get(line: &Connection, name: &str) -> anyhow::Result<v1::GetSceneResponse> {
     let request = v1::GetSceneRequest { scene: name.to_owned() };
-    Ok(line.scenes().get(request).await.map_err(refused)?.into_inner())
+    Ok(line.scenes().get(request).await?.into_inner())
 }
 
 /// What is sent of a view: its photograph and, where it has one, its mask.
@@ -223,6 +217,10 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         background: capture.background.map(Vec::from).unwrap_or_default(),
     };
     let first = v1::ImportSceneRequest { part: Some(Part::Header(header)) };
+    let point_chunk = |points: &[glam::DVec3]| {
+        let chunk = v1::PointChunk { xyz: points.iter().flat_map(|p| p.to_array()).collect() };
+        v1::ImportSceneRequest { part: Some(Part::Points(chunk)) }
+    };
     let points: Vec<_> = capture.points.chunks(POINTS_A_CHUNK).map(point_chunk).collect();
     let trouble = Arc::new(Mutex::new(None));
     let chunks = chunks(photographs, trouble.clone());
@@ -232,7 +230,7 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     if let Some(error) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }
-    answer.map_err(refused)?.into_inner().scene.context("the daemon's answer names no scene")
+    answer?.into_inner().scene.context("the daemon's answer names no scene")
 }
 
 /// The same error, in the words of the command line where it speaks of a setting.
@@ -251,17 +249,16 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
     for (index, view) in capture.views.iter().enumerate() {
         let mut camera = view.camera;
         let path = capture.root.join(&view.photograph);
-        let (photograph, bytes, sha256): (_, u64, [u8; 32]) = match new_size(args, &camera)? {
+        let (photograph, bytes, sha256) = match new_size(args, &camera)? {
             None => {
-                let mut hash = Sha256::new();
-                let mut file = File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
-                let bytes = std::io::copy(&mut file, &mut HashWriter(&mut hash))?;
-                (Photograph::File(path), bytes, hash.finalize().into())
+                let hashed = File::open(&path).and_then(|mut file| Digest::of_all(&mut file));
+                let (sha256, bytes) = hashed.with_context(|| format!("cannot read {}", path.display()))?;
+                (Photograph::File(path), bytes, sha256)
             }
             Some((width, height)) => {
                 camera = camera.resized(width, height);
                 let copy = encode_png(&capture.photograph(index)?.resized(width, height));
-                let (bytes, sha256) = (copy.len() as u64, Sha256::digest(&copy).into());
+                let (bytes, sha256) = (copy.len() as u64, Digest::of(&copy));
                 (Photograph::Copy(copy), bytes, sha256)
             }
         };
@@ -273,14 +270,14 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
             camera: Some(to_proto::camera(&camera)),
             contributor: view.contributor.clone(),
             photograph_bytes: bytes,
-            photograph_sha256: sha256.to_vec().into(),
+            photograph_sha256: sha256.as_bytes().to_vec().into(),
             near,
             far,
             held_out: view.held_out,
             // A resampled copy is upright already, and has no EXIF.
             as_stored: view.as_stored && matches!(photograph, Photograph::File(_)),
             mask_bytes: mask.as_ref().map_or(0, |png| png.len() as u64),
-            mask_sha256: mask.as_ref().map(|png| Sha256::digest(png).to_vec().into()).unwrap_or_default(),
+            mask_sha256: mask.as_ref().map(|png| Digest::of(png).as_bytes().to_vec().into()).unwrap_or_default(),
             support: view
                 .support
                 .map(|s| v1::Support { points: s.points, reprojection_error_px: s.reprojection_error_px }),
@@ -288,11 +285,6 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
         files.push(Files { photograph, mask });
     }
     Ok((views, files))
-}
-
-fn point_chunk(points: &[glam::DVec3]) -> v1::ImportSceneRequest {
-    let chunk = v1::PointChunk { xyz: points.iter().flat_map(|p| p.to_array()).collect() };
-    v1::ImportSceneRequest { part: Some(Part::Points(chunk)) }
 }
 
 fn new_size(args: &ImportArgs, camera: &cairn_scene::Camera) -> anyhow::Result<Option<(usize, usize)>> {
@@ -304,19 +296,6 @@ fn new_size(args: &ImportArgs, camera: &cairn_scene::Camera) -> anyhow::Result<O
     anyhow::ensure!(scale > 0.0 && scale <= 1.0, "--scale {scale}: allowed is above 0, to 1");
     let side = |px: usize| ((px as f64 * scale).round() as usize).max(1);
     Ok(Some((side(camera.intrinsics.width), side(camera.intrinsics.height))))
-}
-
-struct HashWriter<'a>(&'a mut Sha256);
-
-impl std::io::Write for HashWriter<'_> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.update(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
 }
 
 /// The photographs' and masks' bytes, read as they are sent. Ends early where a file cannot

@@ -12,7 +12,6 @@ use cairn_log::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::connect::Connection;
 use super::records::{Bundle, Ground, Place, Stored};
-use super::refused::refused;
 use super::unlock::UnlockArgs;
 
 /// `cairn owners sign`.
@@ -68,7 +67,7 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<Place> {
         }
     };
     let request = v1::MaterialRequest { scene: args.name.clone(), identity: args.identity };
-    let material = line.about(&args.name).owners().material(request).await.map_err(refused)?.into_inner();
+    let material = line.about(&args.name).owners().material(request).await?.into_inner();
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let salt = random_salt()?;
     let record = OwnerRecord { replaces: replaced, ..record(args, &key, &material, ground, &salt)? };

@@ -8,9 +8,9 @@ use clap::builder::ArgPredicate;
 
 use super::connect::Connection;
 use super::progress::Progress;
-use super::refused::refused;
 use super::scene;
 use super::signals::{fit_one_message, signals};
+use super::words::word;
 
 /// `cairn train`.
 #[derive(Clone, Debug, clap::Args)]
@@ -102,62 +102,48 @@ pub struct Options {
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub enum Preset {
     /// The scene's own kind
-    Auto,
+    Auto = v1::Preset::Auto as isize,
     /// All cameras look the same way from about the same place
-    Forward,
+    Forward = v1::Preset::Forward as isize,
     /// An object within a box, nothing behind it
-    Object,
+    Object = v1::Preset::Object as isize,
     /// A landmark in the open
-    Outdoor,
+    Outdoor = v1::Preset::Outdoor as isize,
 }
 
 /// How long a training takes, and how good it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Quality {
     /// Seconds: for integration tests and trying an installation, good for nothing else
-    Smoke,
+    Smoke = v1::Quality::Smoke as isize,
     /// Minutes: for trying things out
-    Draft,
+    Draft = v1::Quality::Draft as isize,
     /// What the measurements are of
-    Balanced,
+    Balanced = v1::Quality::Balanced as isize,
     /// Twice the work; not measured yet
-    Archival,
+    Archival = v1::Quality::Archival as isize,
 }
 
 /// Whether views get appearances of their own.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub enum Appearance {
     /// Where the photographs turn out to differ in light
-    Auto,
+    Auto = v1::AppearanceMode::Auto as isize,
     /// Always
-    On,
+    On = v1::AppearanceMode::On as isize,
     /// Never
-    Off,
+    Off = v1::AppearanceMode::Off as isize,
 }
 
 impl Options {
     /// As the request has them.
     fn to_proto(&self) -> v1::TrainingOptions {
         v1::TrainingOptions {
-            preset: self.preset.map_or(v1::Preset::Unspecified, |preset| match preset {
-                Preset::Auto => v1::Preset::Auto,
-                Preset::Forward => v1::Preset::Forward,
-                Preset::Object => v1::Preset::Object,
-                Preset::Outdoor => v1::Preset::Outdoor,
-            }) as i32,
-            quality: self.quality.map_or(v1::Quality::Unspecified, |quality| match quality {
-                Quality::Smoke => v1::Quality::Smoke,
-                Quality::Draft => v1::Quality::Draft,
-                Quality::Balanced => v1::Quality::Balanced,
-                Quality::Archival => v1::Quality::Archival,
-            }) as i32,
+            preset: self.preset.map_or(0, |preset| preset as i32),
+            quality: self.quality.map_or(0, |quality| quality as i32),
             robust: self.robust,
             max_voxels: self.max_voxels,
-            appearance: self.appearance.map_or(v1::AppearanceMode::Unspecified, |mode| match mode {
-                Appearance::Auto => v1::AppearanceMode::Auto,
-                Appearance::On => v1::AppearanceMode::On,
-                Appearance::Off => v1::AppearanceMode::Off,
-            }) as i32,
+            appearance: self.appearance.map_or(0, |appearance| appearance as i32),
             payload_picture_px: self.payload_picture_px,
             payload_sound_s: self.payload_sound_s,
             payload_sound_hz: self.payload_sound_hz,
@@ -171,7 +157,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     let job = match &args.resume {
         Some(id) => {
             let request = v1::ResumeTrainingRequest { job_id: id.clone() };
-            let job = line.about(&args.name).training().resume(request).await.map_err(refused)?.into_inner().job;
+            let job = line.about(&args.name).training().resume(request).await?.into_inner().job;
             job.context("the daemon's answer names no job")?
         }
         None => start(line, &args).await?,
@@ -204,8 +190,8 @@ pub async fn run_to_end(line: &Connection, args: &Args) -> anyhow::Result<v1::Jo
 /// Has a training accepted.
 async fn start(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
     let request = request(args)?;
-    fit_one_message(&request.signals, line.max_message_bytes())?;
-    let answer = line.about(&args.name).training().start(request).await.map_err(refused)?.into_inner();
+    fit_one_message(&request.signals, line.max_message_bytes)?;
+    let answer = line.about(&args.name).training().start(request).await?.into_inner();
     answer.job.context("the daemon's answer names no job")
 }
 
@@ -264,12 +250,12 @@ async fn scenes_as_they_lie(line: &Connection, job: &v1::Job) -> String {
 /// Watches a job to its end, with a bar. The first Ctrl-C cancels it.
 pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1::Job> {
     let request = v1::WatchTrainingRequest { job_id: id.to_owned() };
-    let mut stream = line.training().watch(request).await.map_err(refused)?.into_inner();
+    let mut stream = line.training().watch(request).await?.into_inner();
     let mut shown = Progress::new(bar);
     let mut last: Option<v1::Job> = None;
     loop {
         tokio::select! {
-            message = stream.message() => match message.map_err(refused)? {
+            message = stream.message() => match message? {
                 Some(message) => {
                     if let Some(job) = message.job {
                         draw(&mut shown, &job);
@@ -283,7 +269,7 @@ pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1:
                 shown.say("cancelling after this step");
                 let request = v1::CancelTrainingRequest { job_id: id.to_owned() };
                 let scene = last.as_ref().map_or("", |job| job.scene.as_str());
-                line.about(scene).training().cancel(request).await.map_err(refused)?;
+                line.about(scene).training().cancel(request).await?;
             }
         }
     }
@@ -326,21 +312,14 @@ fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
 }
 
 /// A state in a word.
-pub fn state_name(state: JobState) -> &'static str {
-    match state {
-        JobState::Unspecified => "in an unknown state",
-        JobState::Accepted => "accepted",
-        JobState::Running => "running",
-        JobState::Done => "done",
-        JobState::Failed => "failed",
-        JobState::Cancelled => "cancelled",
-    }
+fn state_name(state: JobState) -> String {
+    word(state.as_str_name(), "JOB_STATE_")
 }
 
 /// Answers `cairn jobs`.
 pub async fn jobs(line: &Connection) -> anyhow::Result<()> {
     let request = v1::ListTrainingRequest { scene: String::new() };
-    for job in line.training().list(request).await.map_err(refused)?.into_inner().jobs {
+    for job in line.training().list(request).await?.into_inner().jobs {
         let p = job.progress.clone().unwrap_or_default();
         let place = if p.total > 0 { format!(", {} {}/{}", p.stage, p.step, p.total) } else { String::new() };
         let error = if job.error.is_empty() { String::new() } else { format!(": {}", job.error) };

@@ -11,7 +11,7 @@ use cairn_log::witness::WitnessClient;
 use cairn_log::{Digest, PublicKey, Registry, RegistryError};
 use cairn_log::{Receipt, SignedRecord};
 use cairn_scene::cluster::Grouping;
-use cairn_scene::{Camera, Capture, Picture, SceneFolder};
+use cairn_scene::{Capture, Picture, SceneFolder};
 
 use crate::config::{Config, Limits, TrainingOptions};
 use crate::error::EngineError;
@@ -20,7 +20,7 @@ use crate::export::tour::{self, PathRequest, Tour};
 use crate::query::check::{self, Checked};
 use crate::query::evaluate;
 use crate::query::light::{Light, appearance};
-use crate::query::look::{self, Identified, Over, Who};
+use crate::query::look::{self, FieldRegistration, Identified, Who};
 use crate::query::maps::Maps;
 use crate::query::report::Report;
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
@@ -28,7 +28,7 @@ use crate::records::owners::{self, AskedView, Material};
 use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
-use crate::store::exclusions::{Decision, Entries, Exclusions, leaving_out};
+use crate::store::exclusions::{Decision, Exclusions, leaving_out};
 use crate::store::folder::DataFolder;
 use crate::store::import::{Import, ImportPlan};
 use crate::store::model::{self, Model, ModelInfo};
@@ -63,7 +63,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`EngineError::Locked`] while another process has the folder;
-    /// [`EngineError::KeyMissing`], [`EngineError::SealingKeyMissing`]; what the stored files say.
+    /// [`EngineError::WrongState`] where the registry's key is missing; what the stored files say.
     pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
         let folder = DataFolder::open(data)?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
@@ -176,17 +176,6 @@ impl Engine {
         scenes::open(&self.folder.scenes(), name)
     }
 
-    /// Refuses what must not be done while a job trains on a scene.
-    fn refuse_in_training(&self, scene: &str, what: String, operation: &'static str) -> Result<(), EngineError> {
-        match self.jobs.list().iter().find(|j| j.spec.is_of(scene) && !j.state.has_ended()) {
-            Some(job) => {
-                let why = format!("{} is {} on it; cancel that first", job.id, job.state.name());
-                Err(EngineError::WrongState { what, operation, why })
-            }
-            None => Ok(()),
-        }
-    }
-
     /// What the scene's newest model says of itself; `None` before the first.
     ///
     /// # Errors
@@ -206,7 +195,10 @@ impl Engine {
         if !path.is_dir() {
             self.scene(name)?;
         }
-        self.refuse_in_training(name, format!("scene {name:?}"), "deleted")?;
+        if let Some(job) = self.jobs.list().iter().find(|j| j.spec.is_of(name) && !j.state.has_ended()) {
+            let why = format!("{} is {} on it; cancel that first", job.id, job.state);
+            return Err(EngineError::wrong_state(format!("scene {name:?}"), "deleted", why));
+        }
         // Out of the way at once, so that no half of it can be read.
         let gone = self.folder.staging().join(format!("deleted-{name}"));
         cairn_durable::remove(&gone)?;
@@ -256,22 +248,12 @@ impl Engine {
         Ok(read)
     }
 
-    /// What was decided about a scene's views, and what was measured of them.
-    ///
-    /// # Errors
-    /// As [`Engine::scene`]; [`EngineError::Stored`].
-    pub fn entries(&self, scene: &str) -> Result<Entries, EngineError> {
-        self.scene(scene)?;
-        self.exclusions.of(scene)
-    }
-
     /// Excludes or includes views of a scene; see [`Exclusions::decide`]. How many are excluded then.
     ///
     /// # Errors
     /// As there, and [`Engine::scene`]'s.
     pub fn decide(&self, scene: &str, views: &[String], decision: &Decision) -> Result<usize, EngineError> {
-        self.exclusions.decide(scene, &self.scene(scene)?, views, decision)?;
-        Ok(self.exclusions.of(scene)?.excluded().len())
+        self.exclusions.decide(scene, &self.scene(scene)?, views, decision)
     }
 
     /// How far each view of a scene is to be trusted. Reads what was measured last; measures where there is nothing, and
@@ -304,14 +286,6 @@ impl Engine {
         Ok(Checked { views, measured: entries.measured, picture })
     }
 
-    /// The camera of a viewpoint.
-    ///
-    /// # Errors
-    /// [`EngineError::NotFound`] for a view that is not there, [`EngineError::OverLimit`].
-    pub fn camera(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Camera, EngineError> {
-        camera_of("the render", &*self.snapshot(scene)?, viewpoint, &self.limits)
-    }
-
     /// Renders a view, clamped to [0, 1]; with accumulation and depth where `maps` asks for them.
     ///
     /// # Errors
@@ -336,8 +310,7 @@ impl Engine {
     /// # Errors
     /// As [`tour::plan`]; [`EngineError::NotTrained`].
     pub fn tour(&self, request: &PathRequest) -> Result<Tour, EngineError> {
-        let (model, snapshot) = (self.model(&request.scene)?, self.snapshot(&request.scene)?);
-        tour::plan(&model, &snapshot, request, &self.limits)
+        tour::plan(&*self.snapshot(&request.scene)?, request, &self.limits, || self.model(&request.scene))
     }
 
     /// Renders frame `i` of a path, clamped to [0, 1].
@@ -345,7 +318,7 @@ impl Engine {
     /// # Errors
     /// As [`tour::frame`]; [`Engine::model`]'s.
     pub fn frame(&self, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
-        tour::frame(&*self.model(tour.scene())?, tour, i)
+        tour::frame(&*self.model(&tour.scene)?, tour, i)
     }
 
     /// Draws the scene's cameras, as [`poses::draw_poses`] does.
@@ -360,20 +333,26 @@ impl Engine {
     /// Whose cluster a viewpoint belongs to.
     ///
     /// # Errors
-    /// As [`Engine::camera`]; [`EngineError::NotTrained`].
+    /// As [`camera_of`]; [`EngineError::NotTrained`].
     pub fn contributors(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Who, EngineError> {
         let snapshot = self.snapshot(scene)?;
         self.with_records(&snapshot, look::contributors(&snapshot, viewpoint, &self.limits)?)
     }
 
-    /// Whose mark a picture carries, as the classifier reads it; or, with `over`, as registration with the field tells it.
+    /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as
+    /// registration with the field tells it.
     ///
     /// # Errors
     /// For a picture that does not decode, and [`look::read_picture`]'s.
-    pub fn identify(&self, scene: &str, bytes: &[u8], over: Option<Over>) -> Result<Identified, EngineError> {
+    pub fn identify(
+        &self,
+        scene: &str,
+        bytes: &[u8],
+        register: Option<FieldRegistration>,
+    ) -> Result<Identified, EngineError> {
         let picture = decode(bytes, &self.limits)?;
         let (model, snapshot) = (self.model(scene)?, self.snapshot(scene)?);
-        let found = look::read_picture(&model, &snapshot, &picture, over, &self.limits)?;
+        let found = look::read_picture(&model, &snapshot, &picture, register, &self.limits)?;
         let who = Who::of(&snapshot, found.identity, found.confidence.into())?;
         Ok(Identified { who: self.with_records(&snapshot, who)?, found })
     }

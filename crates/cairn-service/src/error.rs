@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::auth::AccessError;
 use cairn_durable::DurableError;
 use cairn_field::FieldError;
-use cairn_log::{Digest, PublicKey, RecordError, RegistryError};
+use cairn_log::{PublicKey, RecordError, RegistryError};
 use cairn_mark::MarkError;
 use cairn_scene::CaptureError;
 use cairn_scene::cluster::ClusterError;
@@ -87,41 +87,9 @@ pub enum EngineError {
         /// Who has it; `unknown` where its lock file does not say.
         pid: String,
     },
-    /// The log of owner records is there and the key that signs it is not.
-    #[error(
-        "the registry's key {} is missing, and the log in {} can be signed by no other; restore the key's file from the \
-         backup",
-        key.display(), log.display()
-    )]
-    KeyMissing {
-        /// The key's file.
-        key: PathBuf,
-        /// The log's folder.
-        log: PathBuf,
-    },
-    /// The file that seals the registry's key is not there.
-    #[error(
-        "the key file {} (registry.key_file) is missing; restore it from its backup, or for a new log make one with \
-         `cairn keys new-key-file {}`",
-        path.display(), path.display()
-    )]
-    SealingKeyMissing {
-        /// The file.
-        path: PathBuf,
-    },
     /// An erasure request that is none, or not for this log.
     #[error(transparent)]
     Erasure(#[from] RecordError),
-    /// An erasure request for another record than is there.
-    #[error("record {index} is {expected}, the request is to erase {got}; fetch the record and sign again")]
-    ErasesOther {
-        /// The record's place in the log.
-        index: u64,
-        /// The digest of the record there.
-        expected: Digest,
-        /// The digest that the request names.
-        got: Digest,
-    },
     /// An erasure request by a key that the record does not belong to.
     #[error("record {index} is not key {key}'s to erase: {why}")]
     NotYours {
@@ -205,6 +173,19 @@ impl EngineError {
     pub fn io(operation: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_path_buf();
         move |source| Self::Io { operation, path, source }
+    }
+
+    /// What the state does not allow now.
+    pub fn wrong_state(what: impl Into<String>, operation: &'static str, why: impl Into<String>) -> Self {
+        Self::WrongState { what: what.into(), operation, why: why.into() }
+    }
+
+    /// Holds `what`, of which there is `got`, to the setting `key`.
+    ///
+    /// # Errors
+    /// [`EngineError::OverLimit`] for more than its value, `limit`.
+    pub fn within(what: impl Into<String>, key: &'static str, limit: u64, got: u64) -> Result<(), Self> {
+        if got <= limit { Ok(()) } else { Err(Self::OverLimit { what: what.into(), key, limit, got }) }
     }
 
     /// A file of more than `limit` bytes.

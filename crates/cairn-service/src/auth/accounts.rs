@@ -2,6 +2,7 @@
 //! anew, durably, at every change.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -31,14 +32,9 @@ pub enum Standing {
     Disabled,
 }
 
-impl Standing {
-    /// Its word.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Waiting => "waiting",
-            Self::Active => "active",
-            Self::Disabled => "disabled",
-        }
+impl fmt::Display for Standing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 
@@ -70,6 +66,12 @@ pub struct Account {
 }
 
 impl Account {
+    /// An active one.
+    fn new(key: PublicKey, name: &str, role: Role, since: u64) -> Self {
+        let (name, standing) = (name.to_owned(), Standing::Active);
+        Self { key, name, role, asked: role, standing, since, quota: None, heir: None, ended_by: None }
+    }
+
     /// What quotas and scenes know it by: the key that it was registered under, whatever signs for it today.
     pub fn id(&self) -> Digest {
         self.key.id()
@@ -103,6 +105,19 @@ pub enum Policy {
 struct Stored {
     format_version: u64,
     accounts: Vec<Account>,
+}
+
+/// What an operator changes of an account.
+#[derive(Clone, Copy, Debug)]
+pub enum Change {
+    /// Approves it, with this role or the one that it asked for.
+    Approve(Option<Role>),
+    /// Gives it another role.
+    Role(Role),
+    /// Shuts it out, or lets it in again.
+    Disabled(bool),
+    /// Gives it quotas of its own, or (`None`) the daemon's again.
+    Quota(Option<Limits>),
 }
 
 /// All accounts of a daemon.
@@ -155,7 +170,7 @@ impl Accounts {
     /// # Errors
     /// [`AccountError`], [`FileError`].
     pub fn register(&self, asked: &Registration, policy: Policy, now: u64) -> Result<Account, AccessError> {
-        self.change(|all| {
+        self.edit(|all| {
             if let Some(known) = place_of(all, &asked.key.id()).and_then(|place| all.get(&place)) {
                 return Ok(known.clone());
             }
@@ -169,22 +184,8 @@ impl Accounts {
                 return Err(AccountError::TooMany { what: "wait for approval", got: waiting });
             }
             // Whatever was asked for: more than a contributor is an operator's to give.
-            let (name, role) = (asked.name.clone(), Role::Contributor);
-            let (heir, ended_by) = (None, None);
-            insert(
-                all,
-                Account {
-                    key: asked.key,
-                    name,
-                    role,
-                    asked: asked.role,
-                    standing,
-                    since: now,
-                    quota: None,
-                    heir,
-                    ended_by,
-                },
-            )
+            let account = Account::new(asked.key, &asked.name, Role::Contributor, now);
+            insert(all, Account { asked: asked.role, standing, ..account })
         })
     }
 
@@ -193,70 +194,46 @@ impl Accounts {
     /// # Errors
     /// [`AccountError`], [`FileError`].
     pub fn add(&self, key: PublicKey, name: &str, role: Role, now: u64) -> Result<Account, AccessError> {
-        self.change(|all| {
+        self.edit(|all| {
             if let Some(known) = all.get(&key.id()) {
                 return Err(AccountError::Exists { key, name: known.name.clone(), role: known.role });
             }
-            let (name, standing) = (name.to_owned(), Standing::Active);
-            let (quota, heir, ended_by) = (None, None, None);
-            insert(all, Account { key, name, role, asked: role, standing, since: now, quota, heir, ended_by })
+            insert(all, Account::new(key, name, role, now))
         })
     }
 
-    /// Approves a waiting account, with `role` or the one that was asked for.
+    /// Changes the account of `key`.
     ///
     /// # Errors
     /// [`AccountError`], [`FileError`].
-    pub fn approve(&self, key: &PublicKey, role: Option<Role>) -> Result<Account, AccessError> {
-        self.edit(key, |account, _| {
-            if account.standing != Standing::Waiting {
-                let standing = account.standing.name();
-                return Err(AccountError::NotWaiting { name: account.name.clone(), standing });
+    pub fn change(&self, key: &PublicKey, change: Change) -> Result<Account, AccessError> {
+        self.edit(|all| {
+            let operators = all.values().filter(|a| a.role == Role::Operator && a.is_usable()).count();
+            let place = place_of(all, &key.id()).ok_or(AccountError::NoSuch { key: *key })?;
+            let account = all.get_mut(&place).ok_or(AccountError::NoSuch { key: *key })?;
+            let loses_operator = matches!(change, Change::Disabled(true))
+                || matches!(change, Change::Role(role) if role != Role::Operator);
+            if loses_operator && account.role == Role::Operator && account.is_usable() && operators == 1 {
+                return Err(AccountError::LastOperator { name: account.name.clone() });
             }
-            account.standing = Standing::Active;
-            account.role = role.unwrap_or(account.asked);
-            Ok(())
-        })
-    }
-
-    /// Gives an account another role.
-    ///
-    /// # Errors
-    /// [`AccountError`], [`FileError`].
-    pub fn set_role(&self, key: &PublicKey, role: Role) -> Result<Account, AccessError> {
-        self.edit(key, |account, operators| {
-            if role != Role::Operator {
-                not_the_last(account, operators)?;
+            match (change, account.standing) {
+                (Change::Approve(role), Standing::Waiting) => {
+                    account.standing = Standing::Active;
+                    account.role = role.unwrap_or(account.asked);
+                }
+                (Change::Approve(_), standing) => {
+                    let standing = standing.to_string();
+                    return Err(AccountError::NotWaiting { name: account.name.clone(), standing });
+                }
+                (Change::Disabled(false), Standing::Waiting) => {
+                    return Err(AccountError::Waiting { name: account.name.clone() });
+                }
+                (Change::Disabled(true), _) => account.standing = Standing::Disabled,
+                (Change::Disabled(false), _) => account.standing = Standing::Active,
+                (Change::Role(role), _) => account.role = role,
+                (Change::Quota(quota), _) => account.quota = quota,
             }
-            account.role = role;
-            Ok(())
-        })
-    }
-
-    /// Shuts an account out, or lets it in again.
-    ///
-    /// # Errors
-    /// [`AccountError`], [`FileError`].
-    pub fn set_disabled(&self, key: &PublicKey, disabled: bool) -> Result<Account, AccessError> {
-        self.edit(key, |account, operators| {
-            if disabled {
-                not_the_last(account, operators)?;
-            } else if account.standing == Standing::Waiting {
-                return Err(AccountError::Waiting { name: account.name.clone() });
-            }
-            account.standing = if disabled { Standing::Disabled } else { Standing::Active };
-            Ok(())
-        })
-    }
-
-    /// Gives an account quotas of its own, or (`None`) the daemon's again.
-    ///
-    /// # Errors
-    /// [`AccountError`], [`FileError`].
-    pub fn set_quota(&self, key: &PublicKey, quota: Option<Limits>) -> Result<Account, AccessError> {
-        self.edit(key, |account, _| {
-            account.quota = quota;
-            Ok(())
+            Ok(account.clone())
         })
     }
 
@@ -273,25 +250,11 @@ impl Accounts {
         self.replace(&mut by_id, next)
     }
 
-    fn edit(
-        &self,
-        key: &PublicKey,
-        edit: impl FnOnce(&mut Account, usize) -> Result<(), AccountError>,
-    ) -> Result<Account, AccessError> {
-        self.change(|all| {
-            let operators = all.values().filter(|a| a.role == Role::Operator && a.is_usable()).count();
-            let place = place_of(all, &key.id()).ok_or(AccountError::NoSuch { key: *key })?;
-            let account = all.get_mut(&place).ok_or(AccountError::NoSuch { key: *key })?;
-            edit(account, operators)?;
-            Ok(account.clone())
-        })
-    }
-
     /// Changes a copy, writes that down, and only then lets it count.
-    fn change(&self, change: impl FnOnce(&mut Map) -> Result<Account, AccountError>) -> Result<Account, AccessError> {
+    fn edit(&self, edit: impl FnOnce(&mut Map) -> Result<Account, AccountError>) -> Result<Account, AccessError> {
         let mut by_id = self.lock();
         let mut next = by_id.clone();
-        let changed = change(&mut next)?;
+        let changed = edit(&mut next)?;
         self.replace(&mut by_id, next)?;
         Ok(changed)
     }
@@ -330,13 +293,6 @@ fn insert(all: &mut Map, account: Account) -> Result<Account, AccountError> {
     }
     all.insert(account.id(), account.clone());
     Ok(account)
-}
-
-fn not_the_last(account: &Account, operators: usize) -> Result<(), AccountError> {
-    if account.role == Role::Operator && account.is_usable() && operators == 1 {
-        return Err(AccountError::LastOperator { name: account.name.clone() });
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -35,10 +35,10 @@ fn policies_decide_and_nobody_makes_themselves_more_than_a_contributor() {
     // Again, under any name and policy: it stays what it was.
     assert_eq!(accounts.register(&asking(2, "robert", Role::Operator), Policy::Open, 9).unwrap(), bob);
 
-    let bob = accounts.approve(&bob.key, None).unwrap();
+    let bob = accounts.change(&bob.key, Change::Approve(None)).unwrap();
     assert_eq!((bob.role, bob.standing), (Role::Curator, Standing::Active));
-    assert!(matches!(refused(accounts.approve(&bob.key, None)), AccountError::NotWaiting { .. }));
-    assert!(matches!(refused(accounts.approve(&key(3), None)), AccountError::NoSuch { .. }));
+    assert!(matches!(refused(accounts.change(&bob.key, Change::Approve(None))), AccountError::NotWaiting { .. }));
+    assert!(matches!(refused(accounts.change(&key(3), Change::Approve(None))), AccountError::NoSuch { .. }));
     assert_eq!(open(&dir).list(), accounts.list(), "it is all in the file");
     assert_eq!(accounts.list(), [ada, bob]);
 }
@@ -49,16 +49,16 @@ fn the_last_operator_stays() {
     let accounts = open(&dir);
     accounts.add(key(1), "root", Role::Operator, 1).unwrap();
     let last = AccountError::LastOperator { name: "root".into() };
-    assert_eq!(refused(accounts.set_disabled(&key(1), true)), last);
-    assert_eq!(refused(accounts.set_role(&key(1), Role::Auditor)), last);
+    assert_eq!(refused(accounts.change(&key(1), Change::Disabled(true))), last);
+    assert_eq!(refused(accounts.change(&key(1), Change::Role(Role::Auditor))), last);
     assert!(matches!(refused(accounts.add(key(1), "again", Role::Curator, 2)), AccountError::Exists { .. }));
     accounts.add(key(2), "second", Role::Operator, 2).unwrap();
-    assert_eq!(accounts.set_disabled(&key(1), true).unwrap().standing, Standing::Disabled);
+    assert_eq!(accounts.change(&key(1), Change::Disabled(true)).unwrap().standing, Standing::Disabled);
     assert_eq!(
-        refused(accounts.set_role(&key(2), Role::Curator)),
+        refused(accounts.change(&key(2), Change::Role(Role::Curator))),
         AccountError::LastOperator { name: "second".into() }
     );
-    assert_eq!(accounts.set_disabled(&key(1), false).unwrap().standing, Standing::Active);
+    assert_eq!(accounts.change(&key(1), Change::Disabled(false)).unwrap().standing, Standing::Active);
 }
 
 #[test]
@@ -71,13 +71,13 @@ fn an_account_continues_under_the_key_in_its_keys_place() {
     let now = accounts.of_signer(&key(2).id()).unwrap();
     assert_eq!((now.id(), now.signer(), now.role), (ada.id(), &key(2), Role::Operator));
     // Whoever names the new key means this account; registering it makes no second one.
-    assert_eq!(accounts.set_role(&key(2), Role::Curator).unwrap().id(), ada.id());
+    assert_eq!(accounts.change(&key(2), Change::Role(Role::Curator)).unwrap().id(), ada.id());
     assert_eq!(accounts.register(&asking(2, "again", Role::Auditor), Policy::Open, 3).unwrap().id(), ada.id());
     assert_eq!(open(&dir).of_signer(&key(2).id()), accounts.of_signer(&key(2).id()), "it is all in the file");
     // Ended for good: an operator who is left does not count it among those who can act.
-    accounts.set_role(&key(2), Role::Operator).unwrap();
+    accounts.change(&key(2), Change::Role(Role::Operator)).unwrap();
     accounts.follow(&ada.id(), Some(key(2)), Some(7)).unwrap();
-    assert!(matches!(refused(accounts.set_disabled(&key(9), true)), AccountError::LastOperator { .. }));
+    assert!(matches!(refused(accounts.change(&key(9), Change::Disabled(true))), AccountError::LastOperator { .. }));
     accounts.follow(&Digest::of("nobody"), None, Some(1)).unwrap();
     // A key with an account of its own keeps it, whatever else continues under it.
     accounts.follow(&ada.id(), Some(key(9)), None).unwrap();

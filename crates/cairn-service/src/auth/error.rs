@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use cairn_durable::DurableError;
 use cairn_log::{Digest, PublicKey};
+use serde::Serialize;
 
 use crate::auth::registration::RegistrationError;
 use crate::auth::roles::Role;
@@ -182,7 +183,7 @@ pub enum AccountError {
         /// Its name.
         name: String,
         /// Where it stands.
-        standing: &'static str,
+        standing: String,
     },
     /// Nobody could undo it from afar.
     #[error("{name:?} is the last active operator; make another one first")]
@@ -301,8 +302,9 @@ pub enum TokenError {
     },
 }
 
-/// Kinds of quotas.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Kinds of quotas, which are written as their settings' keys.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Kind {
     /// Bytes of photographs stored.
     Bytes,
@@ -318,17 +320,9 @@ pub enum Kind {
     RecordsPerDay,
 }
 
-impl Kind {
-    /// Its setting's key.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Bytes => "bytes",
-            Self::Views => "views",
-            Self::TrainingSeconds => "training_seconds",
-            Self::QueuedJobs => "queued_jobs",
-            Self::Records => "records",
-            Self::RecordsPerDay => "records_per_day",
-        }
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 
@@ -358,7 +352,7 @@ impl fmt::Display for Frees {
 
 /// A quota that does not allow it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the owner's quota `{}` is {limit}: {used} used, {needed} more asked for; {frees}", kind.key())]
+#[error("the owner's quota `{kind}` is {limit}: {used} used, {needed} more asked for; {frees}")]
 pub struct QuotaError {
     /// Which.
     pub kind: Kind,
@@ -370,24 +364,4 @@ pub struct QuotaError {
     pub needed: u64,
     /// When there is room again.
     pub frees: Frees,
-}
-
-/// What can go wrong when something is charged.
-#[derive(Debug, thiserror::Error)]
-pub enum ChargeError {
-    /// Over the quota.
-    #[error(transparent)]
-    Quota(#[from] QuotaError),
-    /// It cannot be written down.
-    #[error(transparent)]
-    File(#[from] FileError),
-}
-
-impl From<ChargeError> for AccessError {
-    fn from(error: ChargeError) -> Self {
-        match error {
-            ChargeError::Quota(error) => Self::Quota(error),
-            ChargeError::File(error) => Self::File(error),
-        }
-    }
 }

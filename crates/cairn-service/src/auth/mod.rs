@@ -16,8 +16,8 @@ pub mod roles;
 pub mod token;
 mod wire;
 
-pub use accounts::{Account, Accounts, Policy, Standing};
-pub use error::{AccessError, AccountError, ChargeError, Denied, FileError, Frees, Kind, QuotaError, TokenError};
+pub use accounts::{Account, Accounts, Change, Policy, Standing};
+pub use error::{AccessError, AccountError, Denied, FileError, Frees, Kind, QuotaError, TokenError};
 pub use quota::{Charge, Limits, Quotas, Reserved, Usage};
 pub use registration::{Nonces, Registration, RegistrationError};
 pub use roles::{Need, Reach, Role};

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use cairn_log::Digest;
 use serde::{Deserialize, Serialize};
 
-use crate::auth::error::{ChargeError, FileError, Frees, Kind, QuotaError};
+use crate::auth::error::{AccessError, FileError, Frees, Kind, QuotaError};
 use crate::auth::file;
 
 const HOUR_S: u64 = 3600;
@@ -109,7 +109,7 @@ impl Quotas {
     ///
     /// # Errors
     /// [`QuotaError`] of the first quota that does not allow it; [`FileError`].
-    pub fn charge(&self, owner: &Digest, limits: &Limits, item: &str, charge: Charge) -> Result<(), ChargeError> {
+    pub fn charge(&self, owner: &Digest, limits: &Limits, item: &str, charge: Charge) -> Result<(), AccessError> {
         self.change(|all| {
             let owner = all.entry(owner.to_string()).or_default();
             owner.stored.remove(item);
@@ -179,9 +179,7 @@ impl Quotas {
         let ms = (seconds.max(0.0) * 1000.0).ceil() as u64;
         self.change(|all| {
             let owner = all.entry(owner.to_string()).or_default();
-            owner.trained_ms.retain(|hour, _| hour + WINDOW_H > now / HOUR_S);
-            let hour = owner.trained_ms.entry(now / HOUR_S).or_default();
-            *hour = hour.saturating_add(ms);
+            count(&mut owner.trained_ms, ms, now);
             Ok(())
         })
     }
@@ -191,7 +189,7 @@ impl Quotas {
         if limits.training_seconds == 0 {
             return None;
         }
-        let used = self.lock().owners.get(&owner.to_string()).map_or(0, |o| o.trained_ms(now));
+        let used = self.lock().owners.get(&owner.to_string()).map_or(0, |o| of_the_day(&o.trained_ms, now).0);
         Some(limits.training_seconds.saturating_mul(1000).saturating_sub(used) as f64 / 1000.0)
     }
 
@@ -218,7 +216,7 @@ impl Quotas {
     ///
     /// # Errors
     /// [`QuotaError`] of the first quota that does not allow it; [`FileError`].
-    pub fn charge_record(&self, owner: &Digest, limits: &Limits, now: u64) -> Result<(), ChargeError> {
+    pub fn charge_record(&self, owner: &Digest, limits: &Limits, now: u64) -> Result<(), AccessError> {
         if limits.records == 0 && limits.records_per_day == 0 {
             return Ok(());
         }
@@ -228,13 +226,12 @@ impl Quotas {
             if limits.records != 0 && owner.records >= limits.records {
                 return refused(Kind::Records, limits.records, owner.records, Frees::OnRaise);
             }
-            let (today, frees_at) = owner.records_today(now);
+            let (today, frees_at) = of_the_day(&owner.records_by_hour, now);
             if limits.records_per_day != 0 && today >= limits.records_per_day {
                 return refused(Kind::RecordsPerDay, limits.records_per_day, today, Frees::At(frees_at));
             }
             owner.records = owner.records.saturating_add(1);
-            owner.records_by_hour.retain(|hour, _| hour + WINDOW_H > now / HOUR_S);
-            *owner.records_by_hour.entry(now / HOUR_S).or_default() += 1;
+            count(&mut owner.records_by_hour, 1, now);
             Ok(())
         })
     }
@@ -265,14 +262,14 @@ impl Quotas {
         let used = self.lock();
         let Some(owner) = used.owners.get(&owner.to_string()) else { return Usage::default() };
         let Charge { bytes, views } = owner.sum();
-        let first = owner.trained_ms.iter().find(|(hour, ms)| *hour + WINDOW_H > now / HOUR_S && **ms > 0);
+        let (trained_ms, training_frees_at) = of_the_day(&owner.trained_ms, now);
         Usage {
             bytes,
             views,
-            training_seconds: owner.trained_ms(now).div_ceil(1000),
-            training_frees_at: first.map_or(0, |(hour, _)| (hour + WINDOW_H) * HOUR_S),
+            training_seconds: trained_ms.div_ceil(1000),
+            training_frees_at,
             records: owner.records,
-            records_per_day: owner.records_today(now).0,
+            records_per_day: of_the_day(&owner.records_by_hour, now).0,
         }
     }
 
@@ -316,19 +313,21 @@ impl Owner {
             views: sum.views.saturating_add(c.views),
         })
     }
+}
 
-    /// Records within the rolling day, and when the oldest hour of them is forgiven, seconds since 1970.
-    fn records_today(&self, now: u64) -> (u64, u64) {
-        let counted = || self.records_by_hour.iter().filter(|(hour, _)| *hour + WINDOW_H > now / HOUR_S);
-        let sum = counted().fold(0_u64, |sum, (_, records)| sum.saturating_add(*records));
-        (sum, counted().next().map_or(0, |(hour, _)| (hour + WINDOW_H) * HOUR_S))
-    }
+/// Counts `amount` in the present hour, and forgets hours before the rolling day.
+fn count(by_hour: &mut BTreeMap<u64, u64>, amount: u64, now: u64) {
+    by_hour.retain(|hour, _| hour + WINDOW_H > now / HOUR_S);
+    let hour = by_hour.entry(now / HOUR_S).or_default();
+    *hour = hour.saturating_add(amount);
+}
 
-    /// Milliseconds within the rolling day. Hours that a clock set back put into the future count.
-    fn trained_ms(&self, now: u64) -> u64 {
-        let counted = self.trained_ms.iter().filter(|(hour, _)| *hour + WINDOW_H > now / HOUR_S);
-        counted.fold(0, |sum, (_, ms)| sum.saturating_add(*ms))
-    }
+/// The sum within the rolling day, and when the oldest hour of it is forgiven, seconds since 1970;
+/// 0 where there is none. Hours that a clock set back put into the future count.
+fn of_the_day(by_hour: &BTreeMap<u64, u64>, now: u64) -> (u64, u64) {
+    let counted = || by_hour.iter().filter(|(hour, amount)| *hour + WINDOW_H > now / HOUR_S && **amount > 0);
+    let sum = counted().fold(0_u64, |sum, (_, amount)| sum.saturating_add(*amount));
+    (sum, counted().next().map_or(0, |(hour, _)| (hour + WINDOW_H) * HOUR_S))
 }
 
 /// A charge for an import under way: taken back when dropped, unless the import became something.
@@ -350,7 +349,7 @@ impl Reserved {
         limits: &Limits,
         item: String,
         charge: Charge,
-    ) -> Result<Self, ChargeError> {
+    ) -> Result<Self, AccessError> {
         quotas.charge(&owner, limits, &item, charge)?;
         Ok(Self { quotas: quotas.clone(), owner, item: Some(item) })
     }

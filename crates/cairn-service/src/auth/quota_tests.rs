@@ -13,9 +13,9 @@ fn charge(bytes: u64, views: u64) -> Charge {
     Charge { bytes, views }
 }
 
-fn refused(result: Result<(), ChargeError>) -> QuotaError {
+fn refused(result: Result<(), AccessError>) -> QuotaError {
     match result {
-        Err(ChargeError::Quota(error)) => error,
+        Err(AccessError::Quota(error)) => error,
         other => panic!("{other:?}"),
     }
 }
@@ -140,7 +140,7 @@ fn what_cannot_be_written_does_not_count() {
     std::fs::rename(&path, &aside).unwrap();
     // A folder in the file's place: no write succeeds, whoever runs the test.
     std::fs::create_dir_all(path.join("in the way")).unwrap();
-    assert!(matches!(quotas.charge(&ada, &LIMITS, "well", charge(10, 1)), Err(ChargeError::File(_))));
+    assert!(matches!(quotas.charge(&ada, &LIMITS, "well", charge(10, 1)), Err(AccessError::File(_))));
     assert!(quotas.release(&ada, "town").is_err());
     assert_eq!(quotas.usage(&ada, 0).bytes, 10);
     std::fs::remove_dir_all(&path).unwrap();

@@ -67,10 +67,8 @@ impl Registration {
     /// The bytes that are signed: every field after its length, u64 big-endian.
     fn bytes(&self) -> Vec<u8> {
         let mut out = DOMAIN.to_vec();
-        let key = self.key.to_bytes();
-        for part in
-            [self.nonce.as_bytes(), self.origin.as_bytes(), &key, self.name.as_bytes(), self.role.name().as_bytes()]
-        {
+        let (key, role) = (self.key.to_bytes(), self.role.to_string());
+        for part in [self.nonce.as_bytes(), self.origin.as_bytes(), &key, self.name.as_bytes(), role.as_bytes()] {
             out.extend_from_slice(&(part.len() as u64).to_be_bytes());
             out.extend_from_slice(part);
         }

@@ -7,16 +7,7 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 
 use cairn_log::Digest;
 
-/// Why a token was not remembered.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Full {
-    /// It is remembered already.
-    Seen,
-    /// Its account has as many as one account may.
-    OfOne { limit: usize, frees: u64 },
-    /// There is no more room.
-    OfAll { limit: usize, frees: u64 },
-}
+use crate::auth::error::TokenError;
 
 /// The used tokens.
 #[derive(Debug)]
@@ -35,18 +26,20 @@ impl Replays {
     }
 
     /// Remembers `token` of `account` until after `until`, once.
-    pub(crate) fn remember(&mut self, token: Digest, account: Digest, until: u64, now: u64) -> Result<(), Full> {
+    pub(crate) fn remember(&mut self, token: Digest, account: Digest, until: u64, now: u64) -> Result<(), TokenError> {
         self.forget(now);
         if self.seen.contains(&token) {
-            return Err(Full::Seen);
+            return Err(TokenError::Replayed);
         }
         let count = self.counts.get(&account).copied().unwrap_or(0);
         if count >= self.of_one {
             let first = self.by_time.iter().find(|(_, _, whose)| *whose == account);
-            return Err(Full::OfOne { limit: self.of_one, frees: first.map_or(now, |f| f.0 + 1) });
+            let (whose, limit) = ("this account", self.of_one);
+            return Err(TokenError::MemoryFull { whose, limit, frees: first.map_or(now, |f| f.0 + 1) });
         }
         if self.seen.len() >= self.limit {
-            return Err(Full::OfAll { limit: self.limit, frees: self.by_time.first().map_or(now, |f| f.0 + 1) });
+            let frees = self.by_time.first().map_or(now, |f| f.0 + 1);
+            return Err(TokenError::MemoryFull { whose: "all accounts", limit: self.limit, frees });
         }
         self.seen.insert(token);
         self.by_time.insert((until, token, account));
@@ -81,14 +74,15 @@ mod tests {
     fn a_full_memory_refuses_and_says_when_there_is_room() {
         let mut replays = Replays::new(3, 2);
         let (ada, bob) = (digest(200), digest(201));
+        let full = |whose, limit| TokenError::MemoryFull { whose, limit, frees: 51 };
         assert_eq!(replays.remember(digest(1), ada, 100, 10), Ok(()));
-        assert_eq!(replays.remember(digest(1), ada, 100, 10), Err(Full::Seen));
+        assert_eq!(replays.remember(digest(1), ada, 100, 10), Err(TokenError::Replayed));
         assert_eq!(replays.remember(digest(2), ada, 50, 10), Ok(()));
-        assert_eq!(replays.remember(digest(3), ada, 60, 10), Err(Full::OfOne { limit: 2, frees: 51 }));
+        assert_eq!(replays.remember(digest(3), ada, 60, 10), Err(full("this account", 2)));
         assert_eq!(replays.remember(digest(3), bob, 60, 10), Ok(()));
-        assert_eq!(replays.remember(digest(4), bob, 60, 10), Err(Full::OfAll { limit: 3, frees: 51 }));
+        assert_eq!(replays.remember(digest(4), bob, 60, 10), Err(full("all accounts", 3)));
         // Still good at 50, so still remembered; forgotten a second later.
-        assert_eq!(replays.remember(digest(2), bob, 50, 50), Err(Full::Seen));
+        assert_eq!(replays.remember(digest(2), bob, 50, 50), Err(TokenError::Replayed));
         assert_eq!(replays.remember(digest(4), bob, 60, 51), Ok(()));
         assert_eq!(replays.seen.len(), 3);
         assert_eq!(replays.counts[&ada], 1);

@@ -6,6 +6,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::de::IntoDeserializer as _;
+use serde::de::value::{self, StrDeserializer};
 use serde::{Deserialize, Serialize};
 
 /// What an account is for.
@@ -25,16 +27,6 @@ pub enum Role {
 impl Role {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Contributor, Self::Curator, Self::Auditor, Self::Operator];
-
-    /// Its word.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Contributor => "contributor",
-            Self::Curator => "curator",
-            Self::Auditor => "auditor",
-            Self::Operator => "operator",
-        }
-    }
 
     /// How far the role reaches in methods of this need.
     pub fn reach(self, need: Need) -> Reach {
@@ -59,7 +51,7 @@ impl Role {
 
 impl fmt::Display for Role {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        self.serialize(f)
     }
 }
 
@@ -67,7 +59,8 @@ impl FromStr for Role {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|r| r.name() == text).ok_or_else(|| {
+        let word: StrDeserializer<'_, value::Error> = text.into_deserializer();
+        Self::deserialize(word).map_err(|_| {
             let shown: String = text.chars().take(32).collect();
             format!("there is no role {shown:?}; allowed is contributor, curator, auditor, operator")
         })
@@ -117,8 +110,8 @@ impl Need {
 
     /// The roles that reach anything here, for people.
     pub fn roles(self) -> String {
-        let names: Vec<&str> = Role::ALL.into_iter().filter(|r| r.reach(self) != Reach::None).map(Role::name).collect();
-        names.join(" or ")
+        let reaching = Role::ALL.into_iter().filter(|r| r.reach(self) != Reach::None);
+        reaching.map(|role| role.to_string()).collect::<Vec<_>>().join(" or ")
     }
 }
 

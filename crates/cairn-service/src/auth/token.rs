@@ -23,7 +23,7 @@ use cairn_log::{Digest, OwnerKey, PublicKey};
 
 use crate::auth::accounts::{Account, Accounts, Standing};
 use crate::auth::error::{AccessError, AccountError, Denied, TokenError};
-use crate::auth::replay::{Full, Replays};
+use crate::auth::replay::Replays;
 use crate::auth::roles::{Need, Reach};
 use crate::auth::wire::{MAX_METHOD, MAX_ORIGIN, MAX_SCENE, MAX_TEXT, Reader, SKEW_S, VERSION, put_text};
 
@@ -128,7 +128,7 @@ impl Claims {
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, TokenError> {
-        let mut reader = Reader::new(bytes);
+        let mut reader = Reader { rest: bytes };
         let malformed = |field| TokenError::Malformed { field };
         let [version] = reader.array("its version").map_err(malformed)?;
         if version != VERSION {
@@ -150,7 +150,7 @@ impl Claims {
             })
         };
         let claims = rest().map_err(malformed)?;
-        if reader.left() != 0 {
+        if !reader.rest.is_empty() {
             return Err(malformed("bytes too many"));
         }
         Ok(claims)
@@ -187,8 +187,10 @@ pub struct Call<'a> {
 /// Verifies tokens, each once.
 #[derive(Debug)]
 pub struct Verifier {
-    daemon: Daemon,
-    longest_s: u64,
+    /// Whom tokens are to be for.
+    pub daemon: Daemon,
+    /// Longest life of a token, seconds.
+    pub longest_s: u64,
     replays: Mutex<Replays>,
 }
 
@@ -203,16 +205,6 @@ impl Verifier {
     pub fn with_memory(daemon: Daemon, longest_s: u64, memory: usize, of_one: usize) -> Self {
         let replays = Mutex::new(Replays::new(memory, of_one));
         Self { daemon, longest_s: longest_s.min(MAX_LIFETIME_S), replays }
-    }
-
-    /// Whom tokens are to be for.
-    pub fn daemon(&self) -> &Daemon {
-        &self.daemon
-    }
-
-    /// Longest life of a token, seconds.
-    pub fn longest_s(&self) -> u64 {
-        self.longest_s
     }
 
     /// Verifies a token for a call, uses it up, and tells whose it is. What it is about remains
@@ -243,11 +235,7 @@ impl Verifier {
         }
         let forget = claims.expires.saturating_add(SKEW_S);
         let mut replays = self.replays.lock().unwrap_or_else(PoisonError::into_inner);
-        replays.remember(id, claims.key, forget, call.now).map_err(|full| match full {
-            Full::Seen => TokenError::Replayed,
-            Full::OfOne { limit, frees } => TokenError::MemoryFull { whose: "this account", limit, frees },
-            Full::OfAll { limit, frees } => TokenError::MemoryFull { whose: "all accounts", limit, frees },
-        })?;
+        replays.remember(id, claims.key, forget, call.now)?;
         Ok((account, claims))
     }
 

@@ -25,7 +25,7 @@ impl Fixture {
     }
 
     fn sign(&self) -> String {
-        sign(&self.key, self.verifier.daemon(), METHOD, "town", NOW, 60).unwrap()
+        sign(&self.key, &self.verifier.daemon, METHOD, "town", NOW, 60).unwrap()
     }
 
     fn verify_at(&self, token: &str, now: u64) -> Result<(Account, Claims), AccessError> {
@@ -100,7 +100,7 @@ fn every_shorter_and_longer_token_is_refused() {
 #[test]
 fn another_method_daemon_or_run_is_refused() {
     let f = Fixture::new();
-    let here = f.verifier.daemon().clone();
+    let here = f.verifier.daemon.clone();
     let signed = |daemon: &Daemon, method: &str| sign(&f.key, daemon, method, "town", NOW, 60).unwrap();
     let import = signed(&here, "/cairn.v1.SceneService/Import");
     assert!(matches!(f.refused(&import, NOW), TokenError::WrongMethod { .. }));
@@ -122,22 +122,22 @@ fn the_window_is_exact_and_clocks_may_be_thirty_seconds_apart() {
     assert!(f.verify_at(&f.sign(), NOW + 60 + SKEW_S).is_ok());
     let late = NOW + 61 + SKEW_S;
     assert_eq!(f.refused(&f.sign(), late), TokenError::Expired { expires: NOW + 60, now: late });
-    let living = |s| sign(&f.key, f.verifier.daemon(), METHOD, "town", NOW, s).unwrap();
+    let living = |s| sign(&f.key, &f.verifier.daemon, METHOD, "town", NOW, s).unwrap();
     assert!(f.verify_at(&living(300), NOW).is_ok());
     assert!(matches!(f.refused(&living(301), NOW), TokenError::Lifetime { longest_s: 300, .. }));
     assert!(matches!(f.refused(&living(u64::MAX), NOW), TokenError::Lifetime { .. }));
-    let shorter = Verifier::new(f.verifier.daemon().clone(), 59);
+    let shorter = Verifier::new(f.verifier.daemon.clone(), 59);
     let call = Call { method: METHOD, need: Need::Change, now: NOW, ended_too: false };
     let refused = shorter.verify(&f.sign(), call, &f.accounts);
     assert!(matches!(refused, Err(AccessError::Token(TokenError::Lifetime { longest_s: 59, .. }))));
-    assert_eq!(Verifier::new(f.verifier.daemon().clone(), 9_999).longest_s(), MAX_LIFETIME_S);
+    assert_eq!(Verifier::new(f.verifier.daemon.clone(), 9_999).longest_s, MAX_LIFETIME_S);
 }
 
 #[test]
 fn strangers_and_those_who_may_not_are_told_apart() {
     let f = Fixture::new();
     let stranger = OwnerKey::from_seed(&[2; 32]);
-    let token = sign(&stranger, f.verifier.daemon(), METHOD, "town", NOW, 60).unwrap();
+    let token = sign(&stranger, &f.verifier.daemon, METHOD, "town", NOW, 60).unwrap();
     assert!(matches!(f.verify_at(&token, NOW), Err(AccessError::Account(AccountError::Unknown { .. }))));
     // Ada's id over a stranger's signature.
     let mut bytes = URL_SAFE_NO_PAD.decode(&token).unwrap();
@@ -155,14 +155,14 @@ fn strangers_and_those_who_may_not_are_told_apart() {
     assert!(denied.to_string().contains("needs the role operator; \"ada\" is contributor"), "{denied}");
     assert!(f.verify_at(&token, NOW).is_ok(), "what was refused was not used up");
 
-    f.accounts.set_disabled(&f.key.public(), true).unwrap();
+    f.accounts.change(&f.key.public(), crate::auth::Change::Disabled(true)).unwrap();
     assert!(matches!(f.verify_at(&f.sign(), NOW), Err(AccessError::Account(AccountError::Disabled { .. }))));
 }
 
 #[test]
 fn a_full_memory_refuses_and_forgets_nothing_early() {
     let mut f = Fixture::new();
-    f.verifier = Verifier::with_memory(f.verifier.daemon().clone(), 300, 2, 2);
+    f.verifier = Verifier::with_memory(f.verifier.daemon.clone(), 300, 2, 2);
     let first = f.sign();
     f.verify_at(&first, NOW).unwrap();
     f.verify_at(&f.sign(), NOW).unwrap();
@@ -170,16 +170,16 @@ fn a_full_memory_refuses_and_forgets_nothing_early() {
     assert_eq!(full, TokenError::MemoryFull { whose: "this account", limit: 2, frees: NOW + 60 + SKEW_S + 1 });
     assert_eq!(f.refused(&first, NOW), TokenError::Replayed);
     assert!(matches!(f.verify_at(&first, NOW + 100), Err(AccessError::Token(TokenError::Expired { .. }))));
-    let later = sign(&f.key, f.verifier.daemon(), METHOD, "town", NOW + 91, 60).unwrap();
+    let later = sign(&f.key, &f.verifier.daemon, METHOD, "town", NOW + 91, 60).unwrap();
     assert!(f.verify_at(&later, NOW + 91).is_ok());
 }
 
 #[test]
 fn what_is_too_long_is_not_signed() {
     let f = Fixture::new();
-    let long = sign(&f.key, f.verifier.daemon(), METHOD, &"x".repeat(65), NOW, 60);
+    let long = sign(&f.key, &f.verifier.daemon, METHOD, &"x".repeat(65), NOW, 60);
     assert_eq!(long, Err(TokenError::TooLong { field: "the scene's name" }));
-    let daemon = Daemon { origin: "o".repeat(256), ..f.verifier.daemon().clone() };
+    let daemon = Daemon { origin: "o".repeat(256), ..f.verifier.daemon.clone() };
     let longest = sign(&f.key, &daemon, &"m".repeat(128), &"x".repeat(64), NOW, 60).unwrap();
     assert!(longest.len() <= MAX_TEXT, "{} characters", longest.len());
 }
@@ -196,7 +196,7 @@ fn an_unknown_version_is_refused_by_number() {
 fn only_the_key_that_the_log_has_in_its_place_signs_for_an_account() {
     let f = Fixture::new();
     let (next, last) = (OwnerKey::from_seed(&[2; 32]), OwnerKey::from_seed(&[3; 32]));
-    let by = |key: &OwnerKey| sign(key, f.verifier.daemon(), METHOD, "town", NOW, 60).unwrap();
+    let by = |key: &OwnerKey| sign(key, &f.verifier.daemon, METHOD, "town", NOW, 60).unwrap();
     let account = |refused: Result<(Account, Claims), AccessError>| match refused {
         Err(AccessError::Account(error)) => error,
         other => panic!("{other:?}"),

@@ -15,14 +15,11 @@ pub(crate) const MAX_TEXT: usize = MAX_BYTES.div_ceil(3) * 4;
 
 /// Reads fields one after the other.
 pub(crate) struct Reader<'a> {
-    rest: &'a [u8],
+    /// What was not read yet.
+    pub(crate) rest: &'a [u8],
 }
 
 impl<'a> Reader<'a> {
-    pub(crate) fn new(bytes: &'a [u8]) -> Self {
-        Self { rest: bytes }
-    }
-
     /// The next `count` bytes; the field's name where there are fewer.
     pub(crate) fn take(&mut self, what: &'static str, count: usize) -> Result<&'a [u8], &'static str> {
         let (taken, rest) = self.rest.split_at_checked(count).ok_or(what)?;
@@ -45,11 +42,6 @@ impl<'a> Reader<'a> {
             return Err(what);
         }
         std::str::from_utf8(self.take(what, length)?).map_err(|_| what)
-    }
-
-    /// How many bytes are left.
-    pub(crate) fn left(&self) -> usize {
-        self.rest.len()
     }
 }
 

@@ -12,7 +12,7 @@ use crate::auth::{Limits, Policy};
 /// How callers are let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Whoever reaches the daemon.
+    /// Every caller that reaches the daemon.
     Open,
     /// Who brings the daemon's one token.
     Token,
@@ -68,7 +68,7 @@ pub(super) fn checked(raw: &settings::Access, quota: &Quota) -> Result<(Access, 
     };
     let read_closed = raw.read == Reading::Closed;
     if read_closed && mode == Mode::Open {
-        return Err(out_of_range("access.read", "closed", "open while access.mode is \"open\": nobody has a token"));
+        return Err(out_of_range("access.read", "closed", "open while access.mode is \"open\": no caller has a token"));
     }
     let Quota { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *quota;
     let quota = Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day };

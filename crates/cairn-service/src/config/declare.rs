@@ -77,18 +77,6 @@ impl Allowed {
             Self::Text(words) | Self::Texts(words) => words.into(),
         }
     }
-
-    /// The value's type in words.
-    pub fn type_name(&self) -> &'static str {
-        match self {
-            Self::Whole(..) | Self::WholeOrPreset(..) | Self::MultipleOrPreset(..) => "whole number",
-            Self::NumberOrPreset(..) => "number",
-            Self::Switch => "switch",
-            Self::OneOf(_) => "word",
-            Self::Text(_) => "text",
-            Self::Texts(_) => "list of texts",
-        }
-    }
 }
 
 /// Declares all settings once: a typed struct a table with its defaults, `Settings` over them, and [`Table`]s for the

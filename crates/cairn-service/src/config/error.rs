@@ -1,20 +1,14 @@
 //! Why settings are refused.
 
-use std::path::PathBuf;
-
+use cairn_durable::DurableError;
 use thiserror::Error;
 
 /// Why settings are refused.
 #[derive(Debug, Error)]
 pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read the settings in {}: {source}; check the path and its permissions", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    /// The file cannot be read, or is too large.
+    #[error("the settings are not read: {0}; check the path, the permissions and the size of the file")]
+    Read(#[from] DurableError),
     /// The file is no TOML, or a value has the wrong type.
     #[error("{place}: {cause}")]
     Toml {

@@ -3,8 +3,10 @@
 
 mod access;
 mod daemon;
-mod declare;
-pub mod document;
+pub mod declare;
+#[cfg(test)]
+#[path = "document_tests.rs"]
+mod document;
 mod error;
 mod options;
 pub mod preset;
@@ -21,6 +23,6 @@ pub use daemon::Config;
 pub use error::ConfigError;
 pub use options::TrainingOptions;
 pub use registry::{PublicHttp, WitnessSetting};
-pub use settings::{Limits, LogFormat, Training};
+pub use settings::{Limits, LogFormat, TABLES, Training};
 pub use token::Token;
 pub use training::{Chosen, Preset, PresetChoice, Quality, TrainingSettings};

@@ -2,6 +2,7 @@
 
 use cairn_field::AppearanceMode;
 use cairn_scene::SceneKind;
+use serde::Serialize;
 
 use super::error::ConfigError;
 use super::preset;
@@ -10,7 +11,7 @@ use super::settings::Training;
 use super::training::{Chosen, PresetChoice, Quality, TrainingSettings};
 
 /// What a request sets of `[training]`; `None` leaves it to the daemon's file. Ranges are the file's.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TrainingOptions {
     /// The preset.
     pub preset: Option<PresetChoice>,
@@ -38,20 +39,12 @@ impl TrainingOptions {
     /// # Errors
     /// [`ConfigError::OutOfRange`] for a value that is not allowed.
     pub fn settings(&self, file: &Training, kind: SceneKind) -> Result<TrainingSettings, ConfigError> {
-        let asked = Training {
-            preset: self.preset.unwrap_or(file.preset),
-            quality: self.quality.unwrap_or(file.quality),
-            robust: self.robust.unwrap_or(file.robust),
-            checkpoint_every_s: file.checkpoint_every_s,
-            max_voxels: self.max_voxels.unwrap_or(file.max_voxels),
-            appearance: self.appearance.unwrap_or(file.appearance),
-            payload_picture_px: self.payload_picture_px.unwrap_or(file.payload_picture_px),
-            payload_sound_s: self.payload_sound_s.unwrap_or(file.payload_sound_s),
-            payload_sound_hz: self.payload_sound_hz.unwrap_or(file.payload_sound_hz),
-            payload_text_bytes: self.payload_text_bytes.unwrap_or(file.payload_text_bytes),
-        };
-        let unwritten = |e: toml::ser::Error| ConfigError::Toml { place: "the options".into(), cause: e.to_string() };
-        read::check("training", &toml::Table::try_from(&asked).map_err(unwritten)?)?;
+        let of = |cause: String| ConfigError::Toml { place: "the options".into(), cause };
+        let written = toml::Table::try_from(file).and_then(|file| Ok((file, toml::Table::try_from(self)?)));
+        let (mut table, own) = written.map_err(|e| of(e.to_string()))?;
+        table.extend(own);
+        read::check("training", &table)?;
+        let asked: Training = table.try_into().map_err(|e: toml::de::Error| of(e.to_string()))?;
         let (quality, robust) = (asked.quality, asked.robust);
         let mut settings = preset::settings(Chosen { preset: asked.preset.of(kind), quality, robust });
         let TrainingSettings { field, mark, .. } = &mut settings;

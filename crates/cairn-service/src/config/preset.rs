@@ -2,7 +2,7 @@
 //!
 //! A preset says how a kind of scene is trained, a quality how long, and `robust` lays marks on top
 //! that outlast what happens to pictures. Each value stands here once, with its reason above it;
-//! `configs/` holds the same values as files, which [`super::document`] writes.
+//! `configs/` holds the same values as files, which a test writes.
 
 use cairn_field::FieldConfig;
 use cairn_mark::{OtherColours, Recipe};

@@ -18,7 +18,7 @@ const LARGEST: u64 = i64::MAX as u64;
 pub enum AccessMode {
     /// `token` where there is a token file, else `open`.
     Auto,
-    /// Everybody.
+    /// Every caller.
     Open,
     /// Who brings the daemon's one token.
     Token,
@@ -32,7 +32,7 @@ pub enum AccessMode {
 pub enum Reading {
     /// It needs none.
     Open,
-    /// It needs one, anybody's.
+    /// It needs one, of any account.
     Closed,
 }
 
@@ -82,7 +82,7 @@ settings! {
         /// `auto`: `token` where `token_file` is set, else `open`.
         mode: AccessMode = AccessMode::Auto, Allowed::OneOf(&["auto", "open", "token", "accounts"]),
             "More than one person uses the daemon.";
-        /// Whether everybody may read (`open`), or reading needs a token too (`closed`). Health, reflection and
+        /// Whether every caller may read (`open`), or reading needs a token too (`closed`). Health, reflection and
         /// registration never need one.
         read: Reading = Reading::Open, Allowed::OneOf(&["open", "closed"]),
             "Photographs, renders and owners are not for the public.";
@@ -90,10 +90,10 @@ settings! {
         /// `authorization: Bearer <token>`.
         token_file: String = String::new(), Allowed::Text("the path of a token's file, or empty"),
             "One secret is enough: a single team, or programs of your own.";
-        /// Who gets an account. `open`: everybody, as contributor. `approval`: those that an operator approves.
-        /// `closed`: nobody new. `cairn access add` on this machine makes the first operator.
+        /// Who gets an account. `open`: every caller, as contributor. `approval`: those that an operator approves.
+        /// `closed`: no new accounts. `cairn access add` on this machine makes the first operator.
         registration: Policy = Policy::Approval, Allowed::OneOf(&["open", "approval", "closed"]),
-            "Visitors are to contribute without waiting, or nobody new is.";
+            "Visitors are to contribute without waiting, or no new ones are.";
         /// The longest life of a signed token, seconds. Clocks may differ by 30 s.
         token_lifetime_s: u64 = MAX_LIFETIME_S, Allowed::Whole(10, MAX_LIFETIME_S),
             "A token that leaks is to be worth less time.";
@@ -116,7 +116,7 @@ settings! {
         /// Owner records submitted, in all. The log keeps them, so they never free up again; revocations do not count.
         /// With this or the next limit, each record of an account costs one more small file flushed to the disk.
         records: u64 = 0, Allowed::Whole(0, LARGEST),
-            "The public log is to stay small, whoever writes to it.";
+            "The public log is to stay small, however many write to it.";
         /// Owner records submitted within a rolling day.
         records_per_day: u64 = 10_000, Allowed::Whole(0, LARGEST),
             "A stolen key is not to flood the log.";
@@ -210,7 +210,7 @@ settings! {
         anchor_file: String = String::new(), Allowed::Text("an absolute path outside the data folder, or empty"),
             "Whole disks are restored from backups.";
         /// Where the log's public files (checkpoint and tiles, C2SP tlog-tiles) are served over plain HTTP: any IP
-        /// address, and a port, 0 for a free one. Read-only and for everybody. Empty: not served.
+        /// address, and a port, 0 for a free one. Read-only and public. Empty: not served.
         http_bind: String = String::new(), Allowed::Text("an IP address and a port, or empty"),
             "Auditors and witnesses are to read the log.";
         /// What precedes their paths, as /log. Empty: nothing.
@@ -219,7 +219,7 @@ settings! {
         /// Witnesses that cosign every checkpoint, each as "VKEY URL": `cairn witness vkey` shows the first, the second
         /// is its submission prefix. At most 32, no two with one key.
         witnesses: Vec<String> = Vec::new(), Allowed::Texts("a list of 0 to 32 texts \"VKEY URL\""),
-            "Others are to vouch that everybody sees the same log.";
+            "Others are to vouch that all readers see the same log.";
     }
 
     /// What the daemon says of itself, on standard error.

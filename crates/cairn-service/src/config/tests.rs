@@ -129,7 +129,7 @@ fn refusals_name_key_value_and_what_is_allowed() {
         ),
         ("[access]\nmode = \"token\"", ["`access.token_file`", "a token's file"]),
         ("[access]\nmode = \"all\"", ["`access.mode` = all", "accounts"]),
-        ("[access]\nread = \"closed\"", ["`access.read` = closed", "nobody has a token"]),
+        ("[access]\nread = \"closed\"", ["`access.read` = closed", "no caller has a token"]),
         ("[access]\nmode = \"accounts\"\ntoken_file = \"t\"", ["`access.token_file` = t", "no other mode"]),
         ("[access]\ntoken_lifetime_s = 301", ["`access.token_lifetime_s` = 301", "10 to 300"]),
         ("[access.quota]\nviews = -1", ["`access.quota.views` = -1", "0 to"]),

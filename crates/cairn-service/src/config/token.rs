@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use cairn_durable::read_limited;
+
 use super::error::{ConfigError, out_of_range};
 
 /// Largest settings or token file, bytes.
@@ -41,11 +43,7 @@ impl std::fmt::Debug for Token {
 
 /// The text of a settings or token file.
 pub(super) fn read(path: &Path) -> Result<String, ConfigError> {
-    let io = |source| ConfigError::Io { path: path.to_path_buf(), source };
-    let length = std::fs::metadata(path).map_err(io)?.len();
-    if length > MAX_FILE_BYTES {
-        let cause = format!("{length} bytes; a settings or token file has at most {MAX_FILE_BYTES}");
-        return Err(ConfigError::Toml { place: path.display().to_string(), cause });
-    }
-    std::fs::read_to_string(path).map_err(io)
+    let bytes = read_limited(path, MAX_FILE_BYTES)?;
+    let no_text = |e| ConfigError::Toml { place: path.display().to_string(), cause: format!("not UTF-8: {e}") };
+    String::from_utf8(bytes).map_err(no_text)
 }

@@ -19,17 +19,6 @@ pub enum Preset {
     Outdoor,
 }
 
-impl Preset {
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Forward => "forward",
-            Self::Object => "object",
-            Self::Outdoor => "outdoor",
-        }
-    }
-}
-
 impl From<SceneKind> for Preset {
     fn from(kind: SceneKind) -> Self {
         match kind {

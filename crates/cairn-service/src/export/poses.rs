@@ -245,19 +245,20 @@ fn legend(shapes: &mut Vec<Shape>, groups: &Groups, layout: &Layout, points: boo
     words(shapes, at, "views (+ held out)", INK);
     at.y += TITLE;
     let shown = groups.names.len().min(MAX_COLOURS);
-    for (i, (name, counts)) in groups.names[..shown].iter().enumerate() {
-        entry(shapes, at, layout, COLOURS[i], false, &short(name), &count(*counts));
-        at.y += ROW;
-    }
+    let named = groups.names[..shown].iter().zip(COLOURS);
+    let mut lines: Vec<(Colour, String, String)> =
+        named.map(|((name, counts), colour)| (colour, short(name), count(*counts))).collect();
     let rest = &groups.names[shown..];
     if !rest.is_empty() {
         let sum = rest.iter().fold([0, 0], |s, (_, c)| [s[0] + c[0], s[1] + c[1]]);
-        entry(shapes, at, layout, OTHERS, false, &format!("{} others", rest.len()), &count(sum));
-        at.y += ROW;
+        lines.push((OTHERS, format!("{} others", rest.len()), count(sum)));
     }
-    if groups.of.iter().any(Option::is_none) {
-        let nobodys = groups.of.iter().filter(|g| g.is_none()).count();
-        entry(shapes, at, layout, NOBODY, false, "in no cluster", &nobodys.to_string());
+    let nobodys = groups.of.iter().filter(|g| g.is_none()).count();
+    if nobodys > 0 {
+        lines.push((NOBODY, "in no cluster".to_owned(), nobodys.to_string()));
+    }
+    for (colour, name, count) in lines {
+        entry(shapes, at, layout, colour, false, &name, &count);
         at.y += ROW;
     }
     at.y += ROW * 0.4;

@@ -2,6 +2,7 @@
 //! frame, so that whoever asked can stop between two of them.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use cairn_field::{Appearance, SceneFrame};
 use cairn_scene::{Camera, Capture, Intrinsics, Picture, Pose, SceneKind, View};
@@ -53,55 +54,39 @@ pub struct PathRequest {
 /// A path that was planned. It holds no model: whoever takes its frames slowly must not
 /// keep a large field in memory.
 pub struct Tour {
-    scene: String,
+    /// The scene's name.
+    pub scene: String,
     /// The job whose model it was planned for.
-    job: String,
+    pub job: String,
     field: FieldKind,
-    cameras: Vec<Camera>,
+    /// The frames' cameras.
+    pub cameras: Vec<Camera>,
     /// At the path's beginning and end.
     light: (Appearance, Appearance),
 }
 
-impl Tour {
-    /// The scene's name.
-    pub fn scene(&self) -> &str {
-        &self.scene
-    }
-
-    /// The frames' cameras.
-    pub fn cameras(&self) -> &[Camera] {
-        &self.cameras
-    }
-
-    /// The job that trained what is seen.
-    pub fn job(&self) -> &str {
-        &self.job
-    }
-}
-
-/// Plans a camera path; renders nothing yet.
+/// Plans a camera path; renders nothing yet. `model` loads the scene's model once nothing speaks
+/// against the path without it.
 ///
 /// # Errors
 /// [`EngineError::Path`] for a path that the scene's cameras do not carry,
-/// [`EngineError::OverLimit`], [`EngineError::NotFound`]; [`Light::Photograph`]'s.
+/// [`EngineError::OverLimit`], [`EngineError::NotFound`]; `model`'s; [`Light::Photograph`]'s.
 pub fn plan(
-    model: &Model,
     snapshot: &SceneSnapshot,
     request: &PathRequest,
     limits: &Limits,
+    model: impl FnOnce() -> Result<Arc<Model>, EngineError>,
 ) -> Result<Tour, EngineError> {
     let most = limits.max_path_frames;
     if request.frames < 2 {
         return Err(EngineError::invalid("the number of frames", request.frames, format!("2 to {most}")));
     }
-    if request.frames > most {
-        let (what, key) = ("the number of frames".to_owned(), "limits.max_path_frames");
-        return Err(EngineError::OverLimit { what, key, limit: most as u64, got: request.frames as u64 });
-    }
-    let capture = snapshot.scene().capture();
+    EngineError::within("the number of frames", "limits.max_path_frames", most as u64, request.frames as u64)?;
+    let capture = snapshot.scene.capture();
     let route = Route::new(snapshot, &request.kind)?;
     let (width, height) = size(request.size.into(), route.usual_size().into());
     check_size("a frame", width, height, limits)?;
+    let model = &*model()?;
     if request.field == FieldKind::Marked {
         model.marked_field()?;
     }
@@ -125,11 +110,8 @@ pub fn plan(
 /// planned.
 pub fn frame(model: &Model, tour: &Tour, i: usize) -> Result<Picture, EngineError> {
     if model.info.job != tour.job {
-        return Err(EngineError::WrongState {
-            what: format!("the path through scene {:?}", tour.scene),
-            operation: "gone on with",
-            why: format!("it began in the model of {}, and the newest is {}'s; begin again", tour.job, model.info.job),
-        });
+        let why = format!("it began in the model of {}, and the newest is {}'s; begin again", tour.job, model.info.job);
+        return Err(EngineError::wrong_state(format!("the path through scene {:?}", tour.scene), "gone on with", why));
     }
     let share = paths::through(i, tour.cameras.len()) as f32;
     model.look(tour.field, &tour.cameras[i], &tour.light.0.mixed(&tour.light.1, share))
@@ -148,7 +130,7 @@ enum Route<'a> {
 
 impl<'a> Route<'a> {
     fn new(snapshot: &'a SceneSnapshot, kind: &PathKind) -> Result<Self, EngineError> {
-        let capture = snapshot.scene().capture();
+        let capture = snapshot.scene.capture();
         let training = || capture.training().map(|i| &capture.views[i]).filter(|v| !snapshot.is_out(&v.name)).collect();
         Ok(match kind {
             PathKind::Orbit { .. } if capture.kind == SceneKind::ForwardFacing => {
@@ -223,11 +205,18 @@ fn centre(frame: &SceneFrame) -> Option<DVec3> {
     }
 }
 
-/// The point that the views look at where there is no box: `depth` ahead of their mean pose.
-fn focus(capture: &Capture, frame: &SceneFrame, views: &[&View]) -> Result<DVec3, PathError> {
+/// The mean pose of views: where they stand, and which way they look (unit length, or zero where
+/// that cancels out).
+fn gaze(views: &[&View]) -> Result<(DVec3, DVec3), PathError> {
     let middle = crowd::mean(views.iter().map(|v| v.camera.pose.position)).ok_or(PathError::NoViews)?;
     let forward = crowd::mean(views.iter().map(|v| v.camera.pose.forward())).ok_or(PathError::NoViews)?;
-    Ok(middle + forward.normalize_or_zero() * depth(capture, frame, views)?)
+    Ok((middle, forward.normalize_or_zero()))
+}
+
+/// The point that the views look at where there is no box: `depth` ahead of their mean pose.
+fn focus(capture: &Capture, frame: &SceneFrame, views: &[&View]) -> Result<DVec3, PathError> {
+    let (middle, forward) = gaze(views)?;
+    Ok(middle + forward * depth(capture, frame, views)?)
 }
 
 /// How far ahead of the mean pose the views look, capture units: the harmonic mean
@@ -238,9 +227,7 @@ fn depth(capture: &Capture, frame: &SceneFrame, views: &[&View]) -> Result<f64, 
     if let (Some(near), Some(far)) = (median(|b| b.0), median(|b| b.1)) {
         return Ok(2.0 * near * far / (near + far));
     }
-    let middle = crowd::mean(views.iter().map(|v| v.camera.pose.position)).ok_or(PathError::NoViews)?;
-    let forward = crowd::mean(views.iter().map(|v| v.camera.pose.forward())).ok_or(PathError::NoViews)?;
-    let forward = forward.normalize_or_zero();
+    let (middle, forward) = gaze(views)?;
     if let Some(centre) = centre(frame) {
         return Ok((centre - middle).dot(forward));
     }

@@ -1,18 +1,19 @@
 //! `AccessService`: who is known here, and what they may use.
 
-use crate::auth::{AccountError, Limits, Need, Registration, Role, registration::NONCE_LIFETIME_S};
+use crate::auth::{
+    AccessError, AccountError, Change as AccountChange, Limits, Need, Registration, Role,
+    registration::NONCE_LIFETIME_S,
+};
 use cairn_api::v1::{self, access_service_server::AccessService};
 use cairn_log::{Digest, Heir};
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
-use super::status::status;
-use super::{Shared, from_proto, to_proto};
+use super::status::refuse;
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::config::Mode;
 use crate::error::EngineError;
 use crate::store::access::unix_s;
-
-type Answer<T> = Result<Response<T>, Status>;
 
 /// Longest signature that is looked at, bytes; one of Ed25519 has 64.
 const MAX_SIGNATURE_BYTES: usize = 64;
@@ -23,27 +24,15 @@ fn accounts_count(shared: &Shared) -> Result<(), Status> {
     if shared.in_process || shared.access.mode == Mode::Accounts {
         return Ok(());
     }
-    let why = "the daemon runs without them; set access.mode = \"accounts\"".to_owned();
-    Err(status(EngineError::WrongState { what: "accounts".into(), operation: "used", why }))
-}
-
-/// What to change of an account.
-enum AccountChange {
-    /// Approve it, with this role or the one that it asked for.
-    Approve(Option<Role>),
-    /// Its role.
-    Role(Role),
-    /// Whether it is shut out.
-    Disabled(bool),
-    /// Quotas of its own; `None` for the daemon's.
-    Quota(Option<Limits>),
+    let why = "the daemon runs without them; set access.mode = \"accounts\"";
+    Err(EngineError::wrong_state("accounts", "used", why).into())
 }
 
 #[tonic::async_trait]
 impl AccessService for Shared {
     async fn about(&self, _: Request<v1::AboutRequest>) -> Answer<v1::AboutResponse> {
         let verifier = &self.at_work()?.verifier;
-        let daemon = verifier.daemon();
+        let daemon = &verifier.daemon;
         let mode = match self.access.mode {
             Mode::Open => v1::AccessMode::Open,
             Mode::Token => v1::AccessMode::Token,
@@ -55,7 +44,7 @@ impl AccessService for Shared {
             run: daemon.run.to_vec().into(),
             mode: mode.into(),
             read_closed: self.access.read_closed,
-            token_lifetime_s: verifier.longest_s(),
+            token_lifetime_s: verifier.longest_s,
             now_unix_s: unix_s(),
         }))
     }
@@ -63,9 +52,9 @@ impl AccessService for Shared {
     async fn nonce(&self, request: Request<v1::RegistrationNonceRequest>) -> Answer<v1::RegistrationNonceResponse> {
         let v1::RegistrationNonceRequest { public_key } = request.into_inner();
         accounts_count(self)?;
-        let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
+        let key = from_proto::public_key("public_key", &public_key)?;
         let loaded = self.at_work()?;
-        let nonce = loaded.nonces.issue(&key, unix_s()).map_err(access)?;
+        let nonce = loaded.nonces.issue(&key, unix_s()).map_err(refuse)?;
         Ok(Response::new(v1::RegistrationNonceResponse {
             nonce: nonce.as_bytes().to_vec().into(),
             origin: loaded.engine.registry().origin().to_owned(),
@@ -76,17 +65,17 @@ impl AccessService for Shared {
     async fn register(&self, request: Request<v1::RegisterRequest>) -> Answer<v1::RegisterResponse> {
         let v1::RegisterRequest { public_key, name, role, nonce, signature } = request.into_inner();
         accounts_count(self)?;
-        let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
-        let nonce = Digest::from_bytes(from_proto::bytes32("nonce", &nonce).map_err(status)?);
+        let key = from_proto::public_key("public_key", &public_key)?;
+        let nonce = Digest::from_bytes(from_proto::bytes32("nonce", &nonce)?);
         if signature.len() > MAX_SIGNATURE_BYTES {
             let got = format!("{} bytes", signature.len());
-            return Err(status(EngineError::invalid("signature", got, format!("{MAX_SIGNATURE_BYTES} bytes"))));
+            return Err(EngineError::invalid("signature", got, format!("{MAX_SIGNATURE_BYTES} bytes")).into());
         }
-        let role = from_proto::role(role).map_err(status)?.unwrap_or(Role::Contributor);
+        let role = from_proto::role(role)?.unwrap_or(Role::Contributor);
         let loaded = self.at_work()?;
         let origin = loaded.engine.registry().origin().to_owned();
         let registration = Registration { nonce, origin, key, name, role };
-        loaded.nonces.verify(&registration, &signature, unix_s()).map_err(access)?;
+        loaded.nonces.verify(&registration, &signature, unix_s()).map_err(refuse)?;
         let policy = self.access.registration;
         let account = self
             .run(move |engine| {
@@ -95,12 +84,12 @@ impl AccessService for Shared {
                 if let Heir::Key { since: Some(index), .. } | Heir::Nobody { ended_by: index, .. } =
                     engine.registry().heir(&id)?
                 {
-                    return Err(crate::auth::AccessError::from(AccountError::Ended { key: id, index }).into());
+                    return Err(AccessError::from(AccountError::Ended { key: id, index }).into());
                 }
                 Ok(engine.access().accounts().register(&registration, policy, unix_s())?)
             })
             .await?;
-        tracing::info!(account = account.name, key = %account.key, standing = account.standing.name(), "registered");
+        tracing::info!(account = account.name, key = %account.key, standing = %account.standing, "registered");
         let account = Some(to_proto::account(&account));
         Ok(Response::new(v1::RegisterResponse { account }))
     }
@@ -117,17 +106,14 @@ impl AccessService for Shared {
         accounts_count(self)?;
         self.authorise(request.extensions(), About::Nothing)?;
         let v1::ChangeAccountRequest { public_key, change } = request.into_inner();
-        let key = from_proto::public_key("public_key", &public_key).map_err(status)?;
-        let role = |role: i32| from_proto::role(role).map_err(status);
+        let key = from_proto::public_key("public_key", &public_key)?;
         let change = match change {
-            Some(Change::Approve(asked)) => AccountChange::Approve(role(asked)?),
-            Some(Change::Role(wanted)) => match role(wanted)? {
-                Some(role) => AccountChange::Role(role),
-                None => {
-                    let expected = "contributor, curator, auditor or operator";
-                    return Err(status(EngineError::invalid("role", "not set", expected)));
-                }
-            },
+            Some(Change::Approve(asked)) => AccountChange::Approve(from_proto::role(asked)?),
+            Some(Change::Role(wanted)) => {
+                AccountChange::Role(from_proto::role(wanted)?.ok_or_else(|| {
+                    EngineError::invalid("role", "not set", "contributor, curator, auditor or operator")
+                })?)
+            }
             Some(Change::Disabled(disabled)) => AccountChange::Disabled(disabled),
             Some(Change::Quota(q)) => {
                 let v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = q;
@@ -136,25 +122,15 @@ impl AccessService for Shared {
             }
             Some(Change::DaemonQuota(_)) => AccountChange::Quota(None),
             None => {
-                return Err(status(EngineError::invalid("what to change", "not set", "one of the request's changes")));
+                return Err(EngineError::invalid("what to change", "not set", "one of the request's changes").into());
             }
         };
-        let account = self
-            .run(move |engine| {
-                let accounts = engine.access().accounts();
-                Ok(match change {
-                    AccountChange::Approve(role) => accounts.approve(&key, role)?,
-                    AccountChange::Role(role) => accounts.set_role(&key, role)?,
-                    AccountChange::Disabled(disabled) => accounts.set_disabled(&key, disabled)?,
-                    AccountChange::Quota(quota) => accounts.set_quota(&key, quota)?,
-                })
-            })
-            .await?;
+        let account = self.run(move |engine| Ok(engine.access().accounts().change(&key, change)?)).await?;
         tracing::info!(
             account = account.name,
             key = %account.key,
-            role = account.role.name(),
-            standing = account.standing.name(),
+            role = %account.role,
+            standing = %account.standing,
             "account changed"
         );
         Ok(Response::new(v1::ChangeAccountResponse { account: Some(to_proto::account(&account)) }))
@@ -167,7 +143,7 @@ impl AccessService for Shared {
         let asked = match public_key.is_empty() {
             true => None,
             false => {
-                let key = from_proto::public_key("public_key", public_key).map_err(status)?;
+                let key = from_proto::public_key("public_key", public_key)?;
                 Some(self.engine()?.access().payer(&key.id()))
             }
         };
@@ -175,7 +151,7 @@ impl AccessService for Shared {
             self.authorise_as(request.extensions(), Need::Oversee, About::Nothing)?;
         }
         let Some(owner) = asked.or(own) else {
-            return Err(status(EngineError::invalid("public_key", "empty", "an account's, where no account calls")));
+            return Err(EngineError::invalid("public_key", "empty", "an account's, where no account calls").into());
         };
         let engine = self.engine()?;
         let (limits, used) = (engine.access().limits(&owner), engine.access().usage(&owner));
@@ -192,8 +168,4 @@ impl AccessService for Shared {
             training_frees_unix_s: used.training_frees_at,
         }))
     }
-}
-
-fn access(error: impl Into<crate::auth::AccessError>) -> Status {
-    status(error.into().into())
 }

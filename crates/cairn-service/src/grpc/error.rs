@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use cairn_durable::DurableError;
 use thiserror::Error;
 
 use crate::auth::AccessError;
@@ -47,24 +48,9 @@ pub enum ServeError {
 /// Why TLS does not start.
 #[derive(Debug, Error)]
 pub enum TlsError {
-    /// A file cannot be read.
-    #[error("cannot read the TLS file {}; check its path and its permissions", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// A file is too large.
-    #[error("the TLS file {} has {length} bytes; at most {limit} are read", path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// Its length, bytes.
-        length: u64,
-        /// Longest that is read, bytes.
-        limit: u64,
-    },
+    /// A file cannot be read, or is too large.
+    #[error("a file of TLS is not read: {0}; check its path, its permissions and that it is a PEM file")]
+    Read(#[from] DurableError),
     /// A file holds something else.
     #[error("the TLS file {} holds no PEM section {kind}; give a file with `-----BEGIN {kind}-----`", path.display())]
     NoSection {

@@ -1,12 +1,14 @@
 //! From messages to the engine's own types: the only place where a message's
 //! fields are believed, and only after they were checked.
 
+use std::path::PathBuf;
+
 use crate::auth::Role;
 use cairn_api::v1;
 use cairn_field::AppearanceMode;
 use cairn_log::{Digest, PublicKey, RegistryError};
 use cairn_scene::cluster::{ClusterConfig, Grouping};
-use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind, Support};
+use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind, Support, View};
 use glam::{DMat3, DVec3};
 
 use crate::config::{PresetChoice, Quality, TrainingOptions};
@@ -28,6 +30,18 @@ const MAX_VIEW_NAMES: usize = 10_000;
 const MAX_SCENES: usize = 16;
 /// Cameras wider than this are a broken message, px.
 const MAX_CAMERA_SIDE_PX: u32 = 1 << 20;
+
+/// The variant of `$own` that a number of the wire's enum `$wire` names; `None` where it is
+/// unspecified.
+macro_rules! named {
+    ($what:literal, $number:expr, $wire:ident => $own:ident { $($variant:ident),+ }) => {
+        match v1::$wire::try_from($number) {
+            Ok(v1::$wire::Unspecified) => Ok(None),
+            $(Ok(v1::$wire::$variant) => Ok(Some($own::$variant)),)+
+            Err(_) => Err(EngineError::invalid($what, $number, ["unset", $(stringify!($variant)),+].join(", "))),
+        }
+    };
+}
 
 fn missing(what: &str) -> EngineError {
     EngineError::invalid(what, "not set", "a value")
@@ -94,14 +108,7 @@ pub fn asked_view(of: Option<v1::answer_request::Of>) -> Result<Option<AskedView
 /// # Errors
 /// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn role(number: i32) -> Result<Option<Role>, EngineError> {
-    match v1::Role::try_from(number) {
-        Ok(v1::Role::Unspecified) => Ok(None),
-        Ok(v1::Role::Contributor) => Ok(Some(Role::Contributor)),
-        Ok(v1::Role::Curator) => Ok(Some(Role::Curator)),
-        Ok(v1::Role::Auditor) => Ok(Some(Role::Auditor)),
-        Ok(v1::Role::Operator) => Ok(Some(Role::Operator)),
-        Err(_) => Err(EngineError::invalid("role", number, "a Role that this release knows")),
-    }
+    named!("role", number, Role => Role { Contributor, Curator, Auditor, Operator })
 }
 
 fn intrinsics(what: &str, i: &v1::Intrinsics) -> Result<Intrinsics, EngineError> {
@@ -173,14 +180,9 @@ fn viewpoint_of(what: &str, viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoin
 /// # Errors
 /// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn scene_kind(kind: i32) -> Result<SceneKind, EngineError> {
-    match v1::SceneKind::try_from(kind) {
-        Ok(v1::SceneKind::ForwardFacing) => Ok(SceneKind::ForwardFacing),
-        Ok(v1::SceneKind::Bounded) => Ok(SceneKind::Bounded),
-        Ok(v1::SceneKind::Unbounded) => Ok(SceneKind::Unbounded),
-        Ok(v1::SceneKind::Unspecified) | Err(_) => {
-            Err(EngineError::invalid("the scene's kind", kind, "forward facing (1), bounded (2) or unbounded (3)"))
-        }
-    }
+    let named = named!("the scene's kind", kind, SceneKind => SceneKind { ForwardFacing, Bounded, Unbounded })?;
+    let allowed = "forward facing (1), bounded (2) or unbounded (3)";
+    named.ok_or_else(|| EngineError::invalid("the scene's kind", kind, allowed))
 }
 
 /// An import's header.
@@ -241,20 +243,22 @@ fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
         let what = format!("view {name}: reprojection_error_px");
         return Err(EngineError::invalid(what, error, "a finite number, at least 0"));
     }
-    Ok(PlannedView {
+    let photograph = PlannedFile {
+        bytes: view.photograph_bytes,
+        sha256: bytes32(&format!("view {name}: photograph_sha256"), &view.photograph_sha256)?,
+    };
+    let view = View {
         camera: camera(&format!("view {name}: camera"), view.camera.as_ref())?,
         contributor: text(&format!("view {name}: contributor"), view.contributor)?,
-        held_out: view.held_out,
+        photograph: PathBuf::new(),
         as_stored: view.as_stored,
+        mask: None,
+        held_out: view.held_out,
         bounds,
-        photograph: PlannedFile {
-            bytes: view.photograph_bytes,
-            sha256: bytes32(&format!("view {name}: photograph_sha256"), &view.photograph_sha256)?,
-        },
-        mask,
         support,
         name,
-    })
+    };
+    Ok(PlannedView { view, photograph, mask })
 }
 
 /// What to train.
@@ -286,33 +290,13 @@ pub fn training(request: v1::StartTrainingRequest) -> Result<TrainingRequest, En
 
 /// What a request says of its training; what is not there is the daemon's to say.
 fn options(options: v1::TrainingOptions) -> Result<TrainingOptions, EngineError> {
-    let (preset, quality, appearance) = (options.preset, options.quality, options.appearance);
-    let unknown = |what, got: i32| EngineError::invalid(what, got.to_string(), "a value of its enum");
+    let o = &options;
     Ok(TrainingOptions {
-        preset: match v1::Preset::try_from(preset).map_err(|_| unknown("options.preset", preset))? {
-            v1::Preset::Unspecified => None,
-            v1::Preset::Auto => Some(PresetChoice::Auto),
-            v1::Preset::Forward => Some(PresetChoice::Forward),
-            v1::Preset::Object => Some(PresetChoice::Object),
-            v1::Preset::Outdoor => Some(PresetChoice::Outdoor),
-        },
-        quality: match v1::Quality::try_from(quality).map_err(|_| unknown("options.quality", quality))? {
-            v1::Quality::Unspecified => None,
-            v1::Quality::Smoke => Some(Quality::Smoke),
-            v1::Quality::Draft => Some(Quality::Draft),
-            v1::Quality::Balanced => Some(Quality::Balanced),
-            v1::Quality::Archival => Some(Quality::Archival),
-        },
+        preset: named!("options.preset", o.preset, Preset => PresetChoice { Auto, Forward, Object, Outdoor })?,
+        quality: named!("options.quality", o.quality, Quality => Quality { Smoke, Draft, Balanced, Archival })?,
         robust: options.robust,
         max_voxels: options.max_voxels.map(|voxels| usize::try_from(voxels).unwrap_or(usize::MAX)),
-        appearance: match v1::AppearanceMode::try_from(appearance)
-            .map_err(|_| unknown("options.appearance", appearance))?
-        {
-            v1::AppearanceMode::Unspecified => None,
-            v1::AppearanceMode::Auto => Some(AppearanceMode::Auto),
-            v1::AppearanceMode::On => Some(AppearanceMode::On),
-            v1::AppearanceMode::Off => Some(AppearanceMode::Off),
-        },
+        appearance: named!("options.appearance", o.appearance, AppearanceMode => AppearanceMode { Auto, On, Off })?,
         payload_picture_px: options.payload_picture_px.map(|px| px as usize),
         payload_sound_s: options.payload_sound_s,
         payload_sound_hz: options.payload_sound_hz,
@@ -420,11 +404,7 @@ pub fn path(request: v1::RenderPathRequest) -> Result<PathRequest, EngineError> 
 /// # Errors
 /// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn field_kind(kind: i32) -> Result<FieldKind, EngineError> {
-    match v1::FieldKind::try_from(kind) {
-        Ok(v1::FieldKind::Base) => Ok(FieldKind::Base),
-        Ok(v1::FieldKind::Marked | v1::FieldKind::Unspecified) => Ok(FieldKind::Marked),
-        Err(_) => Err(EngineError::invalid("field", kind, "marked (1) or base (2)")),
-    }
+    Ok(named!("field", kind, FieldKind => FieldKind { Marked, Base })?.unwrap_or(FieldKind::Marked))
 }
 
 /// In whose light.

@@ -10,14 +10,15 @@ use std::task::{Context, Poll};
 
 use crate::auth::AccountError;
 use crate::auth::{AccessError, Account, Call, Claims, Denied, Need, Reach, Role, TokenError, roles};
-use cairn_log::{Digest, Envelope, RegistryError};
+use cairn_log::{Digest, Envelope};
 use sha2::{Digest as _, Sha256};
 use tonic::codegen::http::{self, HeaderMap};
 use tonic::{Extensions, Status};
 
-use super::status::status;
+use super::status::refuse;
 use super::{Loaded, Shared};
 use crate::config::Mode;
+use crate::error::EngineError;
 use crate::store::access::unix_s;
 
 /// The one call that a key makes which the log ended: to be told again what became of its last record.
@@ -141,7 +142,7 @@ impl Shared {
         };
         let engine = self.engine()?;
         let job = match about {
-            About::Job(id) => Some(engine.jobs().get(id).map_err(status)?),
+            About::Job(id) => Some(engine.jobs().get(id)?),
             _ => None,
         };
         let scene = match about {
@@ -174,7 +175,7 @@ impl Shared {
                 None => false,
             },
             // What is not there is nobody's: its handler says so.
-            About::Scene(scene) | About::Beside(scene) => match engine.access().owner_of(scene).map_err(status)? {
+            About::Scene(scene) | About::Beside(scene) => match engine.access().owner_of(scene)? {
                 Some(owner) => owner == id || self.speaks_for(account, &owner)?,
                 None => engine.scene(scene).is_err(),
             },
@@ -197,20 +198,19 @@ impl Shared {
         let About::Signed(_, envelope) = about else { return Ok(false) };
         let (engine, key) = (self.engine()?, account.signer());
         let registry = engine.registry();
-        let of = |e: RegistryError| status(e.into());
-        let Some(index) = registry.find(&envelope.digest()).map_err(of)? else { return Ok(false) };
+        let Some(index) = registry.find(&envelope.digest()).map_err(EngineError::from)? else { return Ok(false) };
         if envelope.signature_by(key).is_some() {
             return Ok(true);
         }
-        let owner = registry.leaf(index).map_err(of)?.owner;
+        let owner = registry.leaf(index).map_err(EngineError::from)?.owner;
         // Where that key ended, too, it hears still what it asks about.
-        Ok(registry.heir(&owner).map_err(of)?.id() == key.id())
+        Ok(registry.heir(&owner).map_err(EngineError::from)?.id() == key.id())
     }
 
     /// Whether an account's key took the place of the key with this id, whose account may be another: then what is that
     /// one's is this one's.
     fn speaks_for(&self, account: &Account, owner: &Digest) -> Result<bool, Status> {
-        let heir = self.engine()?.registry().heir(owner).map_err(|e| status(e.into()))?;
+        let heir = self.engine()?.registry().heir(owner).map_err(EngineError::from)?;
         Ok(heir.is(&account.signer().id()))
     }
 }
@@ -231,10 +231,6 @@ fn what(about: About<'_>) -> String {
 
 fn missing(method: &str) -> Status {
     refuse(TokenError::Missing { method: method.to_owned() })
-}
-
-fn refuse(error: impl Into<crate::auth::AccessError>) -> Status {
-    status(error.into().into())
 }
 
 /// Puts [`Gate`] before services.

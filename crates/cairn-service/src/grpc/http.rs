@@ -5,7 +5,7 @@
 //! the daemon's other services stay where they are.
 
 use std::future::Future;
-use std::io::{self, ErrorKind, Read as _};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -14,6 +14,7 @@ use axum::extract::State;
 use axum::http::{StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use cairn_durable::read_limited_if_there;
 use cairn_log::Digest;
 use cairn_log::format::tile::{TILE_WIDTH, TileKind, TilePath, decode_entries};
 use cairn_log::witness::plain_http::{self, Limits};
@@ -114,21 +115,8 @@ fn cut(bytes: &[u8], tile: TilePath, width: u16) -> io::Result<Vec<u8>> {
 
 /// A file's bytes, if there is such a file.
 fn read(path: &Path, most: u64) -> io::Result<Option<Vec<u8>>> {
-    let file = match std::fs::File::open(path) {
-        Ok(file) => file,
-        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
-        Err(e) => return Err(e),
-    };
     // A full tile and the folder of a larger index may share a name's beginning, never a name.
-    if !file.metadata()?.is_file() {
-        return Ok(None);
-    }
-    let mut bytes = Vec::new();
-    file.take(most + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most {
-        return Err(io::Error::new(ErrorKind::InvalidData, format!("{}: beyond {most} bytes", path.display())));
-    }
-    Ok(Some(bytes))
+    if path.is_file() { Ok(read_limited_if_there(path, most)?) } else { Ok(None) }
 }
 
 #[cfg(test)]

@@ -34,7 +34,9 @@ use tonic::Status;
 use crate::config::{Access, Config, Mode, Token};
 use crate::engine::Engine;
 use crate::error::EngineError;
-use status::status;
+
+/// What a handler answers with.
+type Answer<T> = Result<tonic::Response<T>, Status>;
 
 /// What all services share. Cheap to clone.
 #[derive(Clone)]
@@ -109,7 +111,7 @@ impl Shared {
         let engine = self.engine()?;
         let done = tokio::task::spawn_blocking(move || what(&engine)).await;
         done.unwrap_or_else(|e| Err(EngineError::Internal(format!("a request's thread ended early: {e}"))))
-            .map_err(status)
+            .map_err(Status::from)
     }
 
     /// As [`Shared::run`], for what keeps all processors busy: waits for a place.

@@ -7,8 +7,7 @@ use cairn_log::{LogEntry, RegistryError, SignedRecord};
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
-use super::status::status;
-use super::{Shared, from_proto, to_proto};
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::records::{corrections, owners as records};
@@ -27,25 +26,22 @@ struct Patience {
 
 const PATIENCE: Patience = Patience { longest: Duration::from_secs(60), look: Duration::from_secs(5) };
 
-type Answer<T> = Result<Response<T>, Status>;
-
 #[tonic::async_trait]
 impl OwnerService for Shared {
     async fn nonce(&self, request: Request<v1::NonceRequest>) -> Answer<v1::NonceResponse> {
-        let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key).map_err(status)?;
+        let owner = from_proto::public_key("owner_key", &request.get_ref().owner_key)?;
         self.authorise(request.extensions(), About::Place(&request.get_ref().scene))?;
         let (scene, owner) = (request.into_inner().scene, owner.to_bytes());
-        let answer = self
-            .run(move |engine| {
-                Ok(v1::NonceResponse {
-                    nonce: engine.nonce(&scene, &owner)?,
-                    origin: engine.registry().origin().to_owned(),
-                    checkpoint: engine.registry().checkpoint(),
-                    good_for_records: cairn_log::log::NONCE_LIFETIME,
-                })
+        self.run(move |engine| {
+            Ok(v1::NonceResponse {
+                nonce: engine.nonce(&scene, &owner)?,
+                origin: engine.registry().origin().to_owned(),
+                checkpoint: engine.registry().checkpoint(),
+                good_for_records: cairn_log::log::NONCE_LIFETIME,
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn material(&self, request: Request<v1::MaterialRequest>) -> Answer<v1::MaterialResponse> {
@@ -70,11 +66,11 @@ impl OwnerService for Shared {
 
     async fn submit(&self, request: Request<v1::SubmitRecordRequest>) -> Answer<v1::SubmitRecordResponse> {
         // Read once, here; whether the log takes it is the registry's to say.
-        let signed = SignedRecord::parse(&request.get_ref().envelope);
-        let signed = signed.map_err(|e| status(RegistryError::from(e).into()))?;
+        let signed = SignedRecord::parse(&request.get_ref().envelope).map_err(RegistryError::from);
+        let signed = signed.map_err(EngineError::from)?;
         let about = About::Signed(&signed.record().scene, signed.envelope());
         let payer = self.authorise(request.extensions(), about)?;
-        let answer = while_the_disk_answers(self, move |engine| {
+        while_the_disk_answers(self, move |engine| {
             let receipt = engine.submit_record(&signed, payer)?;
             let tlog_proof = receipt.tlog_proof().to_text();
             Ok(v1::SubmitRecordResponse {
@@ -84,8 +80,8 @@ impl OwnerService for Shared {
                 vkey: engine.registry().verifier()?.to_string(),
             })
         })
-        .await?;
-        Ok(Response::new(answer))
+        .await
+        .map(Response::new)
     }
 
     async fn list(&self, request: Request<v1::ListRecordsRequest>) -> Answer<v1::ListRecordsResponse> {
@@ -103,26 +99,23 @@ impl OwnerService for Shared {
 
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
         let v1::GetRecordRequest { index } = request.into_inner();
-        let answer = self
-            .run(move |engine| {
-                let entry = engine.registry().entry(index)?;
-                let standing = match &entry {
-                    LogEntry::Record(stored) => {
-                        Some(to_proto::standing(corrections::standing(engine.registry(), stored)?))
-                    }
-                    LogEntry::Erased { .. } => None,
-                    LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
-                };
-                let record = to_proto::entry(&entry, "");
-                Ok(v1::GetRecordResponse { record, standing })
-            })
-            .await?;
-        Ok(Response::new(answer))
+        self.run(move |engine| {
+            let entry = engine.registry().entry(index)?;
+            let standing = match &entry {
+                LogEntry::Record(stored) => Some(to_proto::standing(corrections::standing(engine.registry(), stored)?)),
+                LogEntry::Erased { .. } => None,
+                LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
+            };
+            let record = to_proto::entry(&entry, "");
+            Ok(v1::GetRecordResponse { record, standing })
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn answer(&self, request: Request<v1::AnswerRequest>) -> Answer<v1::AnswerResponse> {
         let v1::AnswerRequest { scene, of, as_of, .. } = request.into_inner();
-        let view = from_proto::asked_view(of).map_err(status)?;
+        let view = from_proto::asked_view(of)?;
         let most = self.most_bytes;
         let answer = self
             .compute(move |engine| {
@@ -146,11 +139,10 @@ impl OwnerService for Shared {
 
     async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
         let asked = request.get_ref().request.clone();
-        let (scene, asked) = self.run(move |engine| corrections::erasure_asked(engine.registry(), &asked)).await?;
-        self.authorise(request.extensions(), About::Signed(&scene, &asked))?;
-        let request = request.into_inner().request;
+        let asked = self.run(move |engine| corrections::erasure_asked(engine.registry(), &asked)).await?;
+        self.authorise(request.extensions(), About::Signed(&asked.stored.record.scene, &asked.envelope))?;
         let index =
-            while_the_disk_answers(self, move |engine| corrections::erase_record(engine.registry(), &request)).await?;
+            while_the_disk_answers(self, move |engine| corrections::erase_record(engine.registry(), &asked)).await?;
         Ok(Response::new(v1::EraseRecordResponse { index }))
     }
 }

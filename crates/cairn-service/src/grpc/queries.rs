@@ -9,30 +9,27 @@ use tokio::sync::OwnedSemaphorePermit;
 use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
-use super::status::status;
 use super::waiting::Waiting;
-use super::{Shared, from_proto, to_proto};
-use crate::query::look::Over;
-
-type Answer<T> = Result<Response<T>, Status>;
+use super::{Answer, Shared, from_proto, to_proto};
+use crate::query::look::FieldRegistration;
 
 #[tonic::async_trait]
 impl QueryService for Shared {
     async fn identify(&self, request: Request<v1::IdentifyRequest>) -> Answer<v1::IdentifyResponse> {
-        let over = over(self, request.extensions(), request.get_ref())?;
-        let _waiting = over.as_ref().map(|over| Waiting::of(over.given_up.clone()));
-        let searching = searching(self, over.as_ref()).await;
+        let register = registration(self, request.extensions(), request.get_ref())?;
+        let _waiting = register.as_ref().map(|register| Waiting(register.given_up.clone()));
+        let searching = searching(self, register.as_ref()).await;
         let v1::IdentifyRequest { scene, picture, payload, .. } = request.into_inner();
         let found = self.compute(move |engine| {
             let _searching = searching;
-            engine.identify(&scene, &picture, over)
+            engine.identify(&scene, &picture, register)
         });
         Ok(Response::new(to_proto::identified(found.await?, payload)))
     }
 
     async fn contributors(&self, request: Request<v1::ContributorsRequest>) -> Answer<v1::ContributorsResponse> {
         let v1::ContributorsRequest { scene, viewpoint } = request.into_inner();
-        let viewpoint = from_proto::viewpoint(viewpoint).map_err(status)?;
+        let viewpoint = from_proto::viewpoint(viewpoint)?;
         let who = self.run(move |engine| engine.contributors(&scene, &viewpoint)).await?;
         Ok(Response::new(to_proto::contributors(who)))
     }
@@ -40,35 +37,38 @@ impl QueryService for Shared {
     async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::EvaluateRequest { scene, contact_sheet, .. } = request.into_inner();
-        let answer = self
-            .compute(move |engine| {
-                let (report, sheet) = engine.evaluate(&scene, contact_sheet)?;
-                Ok(v1::EvaluateResponse {
-                    report_json: report.to_json()?,
-                    contact_sheet_png: sheet.map(|s| encode_png(&s)).unwrap_or_default().into(),
-                })
+        self.compute(move |engine| {
+            let (report, sheet) = engine.evaluate(&scene, contact_sheet)?;
+            Ok(v1::EvaluateResponse {
+                report_json: report.to_json()?,
+                contact_sheet_png: sheet.map(|s| encode_png(&s)).unwrap_or_default().into(),
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 }
 
 /// How a picture is to be registered with the scene's field. It asks for a token as base renders do: it takes the daemon
 /// seconds, and its scores are what someone would watch who wants a mark to go.
-fn over(shared: &Shared, caller: &Extensions, request: &v1::IdentifyRequest) -> Result<Option<Over>, Status> {
+fn registration(
+    shared: &Shared,
+    caller: &Extensions,
+    request: &v1::IdentifyRequest,
+) -> Result<Option<FieldRegistration>, Status> {
     if !request.register && request.camera.is_none() {
         return Ok(None);
     }
-    let from = request.camera.clone().map(|v| from_proto::viewpoint(Some(v))).transpose().map_err(status)?;
+    let from = request.camera.clone().map(|v| from_proto::viewpoint(Some(v))).transpose()?;
     shared.authorise_as(caller, Need::Inspect, About::Scene(&request.scene))?;
-    Ok(Some(Over { from, given_up: Arc::default() }))
+    Ok(Some(FieldRegistration { from, given_up: Arc::default() }))
 }
 
 /// Waits for the one place that searches for a camera have, of those that renders share: a search keeps its own for
 /// many seconds. It goes with the work.
-async fn searching(shared: &Shared, over: Option<&Over>) -> Option<OwnedSemaphorePermit> {
-    match over {
-        Some(Over { from: None, .. }) => shared.searches.clone().acquire_owned().await.ok(),
+async fn searching(shared: &Shared, register: Option<&FieldRegistration>) -> Option<OwnedSemaphorePermit> {
+    match register {
+        Some(FieldRegistration { from: None, .. }) => shared.searches.clone().acquire_owned().await.ok(),
         _ => None,
     }
 }

@@ -4,18 +4,15 @@ use std::sync::atomic::Ordering;
 
 use cairn_api::v1::{self, import_scene_request::Part, scene_service_server::SceneService};
 use cairn_scene::encode_png;
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Request, Response, Streaming};
 
 use super::gate::About;
-use super::status::status;
 use super::waiting::Waiting;
-use super::{Shared, from_proto, to_proto};
+use super::{Answer, Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::poses::PoseSheet;
 use crate::store::exclusions::{Decision, State};
-
-type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
 impl SceneService for Shared {
@@ -23,22 +20,22 @@ impl SceneService for Shared {
         let (_, extensions, mut stream) = request.into_parts();
         let first = stream.message().await?.unwrap_or_default();
         let Some(Part::Header(header)) = first.part else {
-            return Err(status(EngineError::invalid("the stream's first message", "no header", "the header")));
+            return Err(EngineError::invalid("the stream's first message", "no header", "the header").into());
         };
         let name = header.scene.clone();
         let owner = self.authorise(&extensions, About::Scene(&name))?;
-        let plan = from_proto::import_plan(header).map_err(status)?;
+        let plan = from_proto::import_plan(header)?;
         let mut import = self.run(move |engine| engine.begin_import(plan, owner)).await?;
         // A stream that breaks off drops the import, and with it what it had written.
         while let Some(message) = stream.message().await? {
             let chunk = match message.part {
                 Some(Part::Chunk(chunk)) => chunk,
                 Some(Part::Points(chunk)) => {
-                    import.add_points(from_proto::points(&chunk).map_err(status)?).map_err(status)?;
+                    import.add_points(from_proto::points(&chunk)?)?;
                     continue;
                 }
                 Some(Part::Header(_)) | None => {
-                    return Err(status(EngineError::invalid("the stream's next message", "no chunk", "a chunk")));
+                    return Err(EngineError::invalid("the stream's next message", "no chunk", "a chunk").into());
                 }
             };
             import = self
@@ -63,45 +60,43 @@ impl SceneService for Shared {
 
     async fn get(&self, request: Request<v1::GetSceneRequest>) -> Answer<v1::GetSceneResponse> {
         let v1::GetSceneRequest { scene } = request.into_inner();
-        let answer = self
-            .run(move |engine| {
-                let snapshot = engine.snapshot(&scene)?;
-                let (folder, model) = (snapshot.scene(), snapshot.newest());
-                Ok(v1::GetSceneResponse {
-                    summary: Some(to_proto::scene_summary(&scene, folder, model.is_some())),
-                    views: to_proto::scene_views(folder, snapshot.entries()),
-                    model: model.map(to_proto::model),
-                })
+        self.run(move |engine| {
+            let snapshot = engine.snapshot(&scene)?;
+            let (folder, model) = (&snapshot.scene, snapshot.newest.as_ref());
+            Ok(v1::GetSceneResponse {
+                summary: Some(to_proto::scene_summary(&scene, folder, model.is_some())),
+                views: to_proto::scene_views(folder, &snapshot.entries),
+                model: model.map(to_proto::model),
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn draw_poses(&self, request: Request<v1::DrawPosesRequest>) -> Answer<v1::DrawPosesResponse> {
         let request = request.into_inner();
-        let svg = from_proto::is_svg(request.format).map_err(status)?;
-        let clusters = from_proto::drawn_clusters(&request).map_err(status)?;
-        let answer = self
-            .compute(move |engine| {
-                let PoseSheet { drawing, views, clusters } = engine.draw_poses(&request.scene, clusters)?;
-                let picture = if svg { drawing.svg().into_bytes() } else { encode_png(&drawing.picture()) };
-                Ok(v1::DrawPosesResponse {
-                    picture: picture.into(),
-                    width: drawing.width as u32,
-                    height: drawing.height as u32,
-                    views: views as u32,
-                    clusters: clusters as u32,
-                })
+        let svg = from_proto::is_svg(request.format)?;
+        let clusters = from_proto::drawn_clusters(&request)?;
+        self.compute(move |engine| {
+            let PoseSheet { drawing, views, clusters } = engine.draw_poses(&request.scene, clusters)?;
+            let picture = if svg { drawing.svg().into_bytes() } else { encode_png(&drawing.picture()) };
+            Ok(v1::DrawPosesResponse {
+                picture: picture.into(),
+                width: drawing.width as u32,
+                height: drawing.height as u32,
+                views: views as u32,
+                clusters: clusters as u32,
             })
-            .await?;
-        Ok(Response::new(answer))
+        })
+        .await
+        .map(Response::new)
     }
 
     async fn check(&self, request: Request<v1::CheckSceneRequest>) -> Answer<v1::CheckSceneResponse> {
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::CheckSceneRequest { scene, anew, picture } = request.into_inner();
         let waiting = Waiting::default();
-        let given_up = waiting.given_up();
+        let given_up = waiting.0.clone();
         let answer = self
             .compute(move |engine| {
                 let checked = engine.check(&scene, anew, picture, &|| !given_up.load(Ordering::Relaxed))?;
@@ -115,7 +110,7 @@ impl SceneService for Shared {
     async fn exclude(&self, request: Request<v1::ExcludeViewsRequest>) -> Answer<v1::ExcludeViewsResponse> {
         let by = self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::ExcludeViewsRequest { scene, view_names, why } = request.into_inner();
-        let names = from_proto::view_names(view_names).map_err(status)?;
+        let names = from_proto::view_names(view_names)?;
         let decision = Decision { state: State::Excluded, why, by };
         let excluded = self.run(move |engine| engine.decide(&scene, &names, &decision)).await?;
         Ok(Response::new(v1::ExcludeViewsResponse { excluded: excluded as u32 }))
@@ -124,7 +119,7 @@ impl SceneService for Shared {
     async fn include(&self, request: Request<v1::IncludeViewsRequest>) -> Answer<v1::IncludeViewsResponse> {
         let by = self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::IncludeViewsRequest { scene, view_names } = request.into_inner();
-        let names = from_proto::view_names(view_names).map_err(status)?;
+        let names = from_proto::view_names(view_names)?;
         let decision = Decision { state: State::Included, why: String::new(), by };
         let excluded = self.run(move |engine| engine.decide(&scene, &names, &decision)).await?;
         Ok(Response::new(v1::IncludeViewsResponse { excluded: excluded as u32 }))

@@ -5,6 +5,7 @@
 //! the running training MUST reach its checkpoint before the process ends; requests
 //! under way get the configured grace.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,7 +21,6 @@ use tokio::io::DuplexStream;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio_stream::wrappers::{TcpListenerStream, UnboundedReceiverStream};
-use tonic::server::NamedService;
 use tonic::service::Routes;
 use tonic::transport::Server;
 use tonic_health::ServingStatus;
@@ -60,15 +60,8 @@ fn routes(shared: &Shared, limits: &Limits) -> Routes {
 
 /// Tells health's askers about the daemon as a whole (the empty name) and about every service.
 async fn tell(health: &HealthReporter, status: ServingStatus) {
-    let services = [
-        "",
-        SceneServiceServer::<Shared>::NAME,
-        TrainingServiceServer::<Shared>::NAME,
-        RenderServiceServer::<Shared>::NAME,
-        QueryServiceServer::<Shared>::NAME,
-        OwnerServiceServer::<Shared>::NAME,
-        AccessServiceServer::<Shared>::NAME,
-    ];
+    let services = v1::METHODS.iter().filter_map(|path| path.strip_prefix('/')?.split_once('/'));
+    let services: BTreeSet<&str> = services.map(|(service, _)| service).chain([""]).collect();
     for service in services {
         health.set_service_status(service, status).await;
     }

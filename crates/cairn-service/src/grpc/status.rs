@@ -14,14 +14,20 @@ use tonic::{Code, Status};
 
 use crate::error::EngineError;
 
-/// The status that a client sees. What went wrong inside is logged, not sent:
-/// it may hold paths of the daemon's machine.
-pub fn status(error: EngineError) -> Status {
-    let code = code(&error);
-    if matches!(code, Code::Internal | Code::DataLoss) {
-        tracing::error!(%error, ?code, "a request failed inside");
+/// The status that a client sees. What went wrong inside is logged as well.
+impl From<EngineError> for Status {
+    fn from(error: EngineError) -> Self {
+        let code = code(&error);
+        if matches!(code, Code::Internal | Code::DataLoss) {
+            tracing::error!(%error, ?code, "a request failed inside");
+        }
+        Self::new(code, error.to_string())
     }
-    Status::new(code, error.to_string())
+}
+
+/// The status of a caller who is not let in, or not let do it.
+pub fn refuse(error: impl Into<AccessError>) -> Status {
+    EngineError::from(error.into()).into()
 }
 
 fn code(error: &EngineError) -> Code {
@@ -35,10 +41,7 @@ fn code(error: &EngineError) -> Code {
         EngineError::NotFound { .. } => Code::NotFound,
         EngineError::NotTrained { .. }
         | EngineError::WrongState { .. }
-        | EngineError::KeyMissing { .. }
         | EngineError::Witness(_)
-        | EngineError::SealingKeyMissing { .. }
-        | EngineError::ErasesOther { .. }
         | EngineError::Path(_) => Code::FailedPrecondition,
         EngineError::QueueFull { .. } => Code::ResourceExhausted,
         EngineError::ShuttingDown | EngineError::Locked { .. } => Code::Unavailable,
@@ -185,14 +188,14 @@ mod tests {
     #[test]
     fn codes_say_whose_turn_it_is() {
         let not_found = EngineError::not_found("scene", "x", ["a", "b"].into_iter());
-        let answer = status(not_found);
+        let answer = Status::from(not_found);
         assert_eq!(answer.code(), Code::NotFound);
         assert_eq!(answer.message(), "there is no scene \"x\"; there is: a, b");
-        assert_eq!(status(EngineError::QueueFull { limit: 3 }).code(), Code::ResourceExhausted);
-        assert_eq!(status(EngineError::ShuttingDown).code(), Code::Unavailable);
+        assert_eq!(Status::from(EngineError::QueueFull { limit: 3 }).code(), Code::ResourceExhausted);
+        assert_eq!(Status::from(EngineError::ShuttingDown).code(), Code::Unavailable);
         let taken = CaptureError::SceneExists { path: "x".into() };
-        assert_eq!(status(taken.into()).code(), Code::AlreadyExists);
+        assert_eq!(Status::from(EngineError::from(taken)).code(), Code::AlreadyExists);
         let record = RegistryError::NoSuchRecord { index: 1, size: 0 };
-        assert_eq!(status(record.into()).code(), Code::NotFound);
+        assert_eq!(Status::from(EngineError::from(record)).code(), Code::NotFound);
     }
 }

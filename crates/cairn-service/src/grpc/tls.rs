@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use cairn_durable::read_limited;
 use tonic::transport::{Certificate, Identity, Server, ServerTlsConfig};
 
 use super::error::TlsError;
@@ -15,12 +16,7 @@ const MAX_PEM_BYTES: u64 = 1 << 20;
 /// # Errors
 /// With the file's name, and what should be in it.
 pub fn pem(path: &Path, kind: &str) -> Result<Vec<u8>, TlsError> {
-    let read = |source| TlsError::Read { path: path.to_path_buf(), source };
-    let length = std::fs::metadata(path).map_err(read)?.len();
-    if length > MAX_PEM_BYTES {
-        return Err(TlsError::TooLarge { path: path.to_path_buf(), length, limit: MAX_PEM_BYTES });
-    }
-    let bytes = std::fs::read(path).map_err(read)?;
+    let bytes = read_limited(path, MAX_PEM_BYTES)?;
     // `RSA PRIVATE KEY` and `EC PRIVATE KEY` end the same way.
     let there = String::from_utf8_lossy(&bytes)
         .lines()

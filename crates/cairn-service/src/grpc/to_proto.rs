@@ -1,18 +1,28 @@
 //! From the engine's own types to messages. Nothing here can fail.
 
 use cairn_api::v1;
-use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind, StoredRecord};
+use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind};
 use cairn_scene::{Camera, SceneFolder, SceneKind, encode_png};
 use tonic::codegen::Bytes;
 
+use crate::auth::{Account, Limits, Role, Standing as AccountStanding};
 use crate::query::check::{Checked, CheckedView};
 use crate::query::look::{Identified, Who};
 use crate::records::corrections::Standing;
-use crate::store::classes::{Elsewhere, LaidOver};
+use crate::store::classes::{Elsewhere, Registered};
 use crate::store::exclusions::{Entries, Entry, State};
 use crate::store::hidden::encoded;
 use crate::store::model::{IdentityInfo, MarkInfo, ModelInfo};
 use crate::train::job::{Job, JobState};
+
+/// The variant of the wire's enum `$wire` that is called as one of ours is.
+macro_rules! of_wire {
+    ($value:expr, $own:ident => $wire:ident { $($variant:ident),+ }) => {
+        match $value {
+            $($own::$variant => v1::$wire::$variant,)+
+        }
+    };
+}
 
 /// A camera.
 pub fn camera(camera: &Camera) -> v1::Camera {
@@ -46,11 +56,7 @@ pub fn standing(standing: Standing) -> v1::Standing {
 
 /// A scene kind.
 pub fn scene_kind(kind: SceneKind) -> v1::SceneKind {
-    match kind {
-        SceneKind::ForwardFacing => v1::SceneKind::ForwardFacing,
-        SceneKind::Bounded => v1::SceneKind::Bounded,
-        SceneKind::Unbounded => v1::SceneKind::Unbounded,
-    }
+    of_wire!(kind, SceneKind => SceneKind { ForwardFacing, Bounded, Unbounded })
 }
 
 /// A scene in one line.
@@ -159,14 +165,7 @@ pub fn job(job: &Job) -> v1::Job {
     v1::Job {
         id: job.id.clone(),
         scene: job.spec.scene.clone(),
-        state: match job.state {
-            JobState::Accepted => v1::JobState::Accepted,
-            JobState::Running => v1::JobState::Running,
-            JobState::Done => v1::JobState::Done,
-            JobState::Failed => v1::JobState::Failed,
-            JobState::Cancelled => v1::JobState::Cancelled,
-        }
-        .into(),
+        state: of_wire!(job.state, JobState => JobState { Accepted, Running, Done, Failed, Cancelled }).into(),
         progress: Some(v1::Progress {
             stage: p.stage.clone(),
             step: p.step,
@@ -225,14 +224,14 @@ pub fn identified(Identified { who, found }: Identified, payload: bool) -> v1::I
         answer: Some(answer),
         confidence,
         probabilities: detection.probabilities,
-        registered: found.laid_over.map(registered),
+        registered: found.registered.map(registered),
         center_crop: detection.is_center_crop,
         payload,
     }
 }
 
 /// What a registered picture says.
-fn registered(LaidOver { explained, scores, believed }: LaidOver) -> v1::RegisteredReading {
+fn registered(Registered { explained, scores, believed }: Registered) -> v1::RegisteredReading {
     v1::RegisteredReading { explained, scores, believed: believed.unwrap_or(0), believed_from: cairn_mark::BELIEVED }
 }
 
@@ -252,7 +251,7 @@ pub fn record(index: u64, leaf_hash: &cairn_log::Digest, envelope: &Envelope, re
 /// A log entry as a record, `scene` being what it was asked for under; none for a map leaf.
 pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
     match entry {
-        LogEntry::Record(stored) => Some(stored_record(stored)),
+        LogEntry::Record(stored) => Some(record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)),
         LogEntry::Erased { index, leaf, .. } => Some(v1::Record {
             index: *index,
             envelope: Default::default(),
@@ -271,34 +270,20 @@ fn kind(kind: RecordKind) -> String {
     name.unwrap_or_default()
 }
 
-/// A record as the log keeps it.
-pub fn stored_record(stored: &StoredRecord) -> v1::Record {
-    record(stored.index, &stored.leaf.hash(), &stored.envelope, &stored.record)
-}
-
 /// A role.
-pub fn role(role: crate::auth::Role) -> v1::Role {
-    match role {
-        crate::auth::Role::Contributor => v1::Role::Contributor,
-        crate::auth::Role::Curator => v1::Role::Curator,
-        crate::auth::Role::Auditor => v1::Role::Auditor,
-        crate::auth::Role::Operator => v1::Role::Operator,
-    }
+pub fn role(role: Role) -> v1::Role {
+    of_wire!(role, Role => Role { Contributor, Curator, Auditor, Operator })
 }
 
 /// Quotas.
-pub fn quota(limits: &crate::auth::Limits) -> v1::QuotaLimits {
-    let crate::auth::Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *limits;
+pub fn quota(limits: &Limits) -> v1::QuotaLimits {
+    let Limits { bytes, views, training_seconds, queued_jobs, records, records_per_day } = *limits;
     v1::QuotaLimits { bytes, views, training_seconds, queued_jobs, records, records_per_day }
 }
 
 /// An account.
-pub fn account(account: &crate::auth::Account) -> v1::Account {
-    let standing = match account.standing {
-        crate::auth::Standing::Waiting => v1::AccountStanding::Waiting,
-        crate::auth::Standing::Active => v1::AccountStanding::Active,
-        crate::auth::Standing::Disabled => v1::AccountStanding::Disabled,
-    };
+pub fn account(account: &Account) -> v1::Account {
+    let standing = of_wire!(account.standing, AccountStanding => AccountStanding { Waiting, Active, Disabled });
     v1::Account {
         public_key: account.key.to_bytes().to_vec().into(),
         name: account.name.clone(),

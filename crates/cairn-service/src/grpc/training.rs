@@ -6,10 +6,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
-use super::status::status;
-use super::{Shared, from_proto, to_proto};
-
-type Answer<T> = Result<Response<T>, Status>;
+use super::{Answer, Shared, from_proto, to_proto};
 
 #[tonic::async_trait]
 impl TrainingService for Shared {
@@ -18,7 +15,7 @@ impl TrainingService for Shared {
         for scene in &request.get_ref().also {
             self.authorise(request.extensions(), About::Beside(scene))?;
         }
-        let mut wanted = from_proto::training(request.into_inner()).map_err(status)?;
+        let mut wanted = from_proto::training(request.into_inner())?;
         wanted.owner = owner;
         let job = self.run(move |engine| engine.train(wanted)).await?;
         tracing::info!(job = job.id, scene = job.spec.scene, "training accepted");
@@ -29,7 +26,7 @@ impl TrainingService for Shared {
 
     async fn watch(&self, request: Request<v1::WatchTrainingRequest>) -> Answer<Self::WatchStream> {
         let v1::WatchTrainingRequest { job_id } = request.into_inner();
-        let mut jobs = self.engine()?.jobs().watch(&job_id).map_err(status)?;
+        let mut jobs = self.engine()?.jobs().watch(&job_id)?;
         // One place: who reads slowly misses messages, but never the last one.
         let (sender, receiver) = mpsc::channel(1);
         tokio::spawn(async move {
@@ -48,7 +45,7 @@ impl TrainingService for Shared {
     async fn cancel(&self, request: Request<v1::CancelTrainingRequest>) -> Answer<v1::CancelTrainingResponse> {
         self.authorise(request.extensions(), About::Job(&request.get_ref().job_id))?;
         let id = request.into_inner().job_id;
-        let mut watch = self.engine()?.jobs().watch(&id).map_err(status)?;
+        let mut watch = self.engine()?.jobs().watch(&id)?;
         self.run(move |engine| engine.jobs().cancel(&id)).await?;
         // The worker lets go at its next step, after its checkpoint.
         let job = watch.wait_for(|job| job.state.has_ended()).await.map(|job| to_proto::job(&job));

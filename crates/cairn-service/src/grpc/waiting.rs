@@ -3,21 +3,10 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A caller who waits: where it goes without its answer, this is dropped, and the work for it ends.
+/// A caller who waits, and whether it is gone: where it goes without its answer, this is dropped,
+/// and the work for it ends.
 #[derive(Default)]
-pub struct Waiting(Arc<AtomicBool>);
-
-impl Waiting {
-    /// A caller whose work looks at `given_up`.
-    pub fn of(given_up: Arc<AtomicBool>) -> Self {
-        Self(given_up)
-    }
-
-    /// Says so once the caller is gone.
-    pub fn given_up(&self) -> Arc<AtomicBool> {
-        self.0.clone()
-    }
-}
+pub struct Waiting(pub Arc<AtomicBool>);
 
 impl Drop for Waiting {
     fn drop(&mut self) {

@@ -4,7 +4,7 @@ use cairn_mark::RegisteredReader;
 use cairn_scene::{Camera, Picture};
 
 use crate::error::EngineError;
-use crate::store::classes::{Found, LaidOver};
+use crate::store::classes::{Found, Registered};
 use crate::store::model::Mark;
 
 impl Mark {
@@ -16,15 +16,16 @@ impl Mark {
         Ok(self.classes.found(self.detector.detect(picture)?))
     }
 
-    /// As [`Mark::detect`], with the picture laid over the field as well, at `from` where that is known: a mark that stands
-    /// out there is believed, and where none does, or no place is found, the classifier answers. What is hidden
-    /// comes from the detector, told that answer. `views` are asked for when the first picture comes: cameras and
-    /// names of photographs, where a search begins; it is given up, and the classifier answers, once it is no longer `wanted`.
+    /// As [`Mark::detect`], with the picture registered with the field as well, at `from` where
+    /// that is known: a mark that stands out there is believed, and where none does, or no place is
+    /// found, the classifier answers. What is hidden comes from the detector, told that answer.
+    /// `views` are asked for when the first picture comes: cameras and names of photographs, where
+    /// a search begins; it is given up, and the classifier answers, once it is no longer `wanted`.
     ///
     /// # Errors
-    /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`] where nothing can be laid over
-    /// this field; as [`cairn_mark::Detector::detect`].
-    pub fn detect_laid_over(
+    /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`]
+    /// where nothing can be registered with this field; as [`cairn_mark::Detector::detect`].
+    pub fn detect_registered(
         &self,
         picture: &Picture,
         views: impl FnOnce() -> Vec<(Camera, String)>,
@@ -33,7 +34,7 @@ impl Mark {
     ) -> Result<Found, EngineError> {
         let (width, height) = (picture.width(), picture.height());
         if !RegisteredReader::can_tell(width, height) {
-            let allowed = "64 x 64 px or more, to be laid over a field";
+            let allowed = "64 x 64 px or more, to be registered with a field";
             return Err(EngineError::invalid("the picture", format!("{width} x {height} px"), allowed));
         }
         let made = || {
@@ -41,26 +42,24 @@ impl Mark {
             let views: Vec<(Camera, &str)> = views.iter().map(|(camera, name)| (*camera, name.as_str())).collect();
             RegisteredReader::new(&self.field, &views)
         };
-        let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| EngineError::WrongState {
-            what: "the scene".into(),
-            operation: "laid a picture over",
-            why: "its densities moved with the marks (mark.density) or it \
-                  has no views to train on; ask without, and the classifier answers"
-                .into(),
+        let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| {
+            let why = "the field's densities moved with the marks (mark.density), or the scene has no views to train on; ask \
+                       without registration, and the classifier answers";
+            EngineError::wrong_state("the picture", "registered with the scene's field", why)
         })?;
         let Some(reading) = reader.read(&self.field, picture, from, wanted) else {
             return self.detect(picture);
         };
         let (explained, believed) = (reading.registered.explained, reading.identity());
-        let laid_over = Some(LaidOver { explained, scores: reading.scores.clone(), believed });
+        let registered = Some(Registered { explained, scores: reading.scores.clone(), believed });
         let Some(number) = believed else {
-            return Ok(Found { laid_over, ..self.detect(picture)? });
+            return Ok(Found { registered, ..self.detect(picture)? });
         };
         let mut detection = self.detector.detect_forced(picture, self.classes.of(number))?;
         detection.identity = Some(number);
         detection.probabilities = reading.probabilities();
         let confidence = detection.probabilities[number as usize];
-        Ok(Found { identity: Some(number), elsewhere: None, confidence, laid_over, detection })
+        Ok(Found { identity: Some(number), elsewhere: None, confidence, registered, detection })
     }
 
     /// As [`Mark::detect`], with the scene's identity `number` told to the detector in place of the

@@ -60,16 +60,16 @@ pub fn evaluate(
     snapshot: &SceneSnapshot,
     sheet: bool,
 ) -> Result<(Report, Option<Picture>), EngineError> {
-    let scene = snapshot.name();
-    let scored = look(model, snapshot.scene(), snapshot.out_of_clusters())?;
+    let scene = &snapshot.name;
+    let scored = look(model, &snapshot.scene, &snapshot.out_of_clusters)?;
     if scored.is_empty() {
-        let (what, why) = (format!("scene {scene:?}"), "it holds no view out of training".to_owned());
-        return Err(EngineError::WrongState { what, operation: "scored", why });
+        let why = "it holds no view out of training";
+        return Err(EngineError::wrong_state(format!("scene {scene:?}"), "scored", why));
     }
     let right_half = !model.base.appearances().is_empty();
     let report = Report {
         format_version: report::VERSION,
-        scene: scene.to_owned(),
+        scene: scene.clone(),
         job: model.info.job.clone(),
         held_out_views: scored.len(),
         base: score(scored.iter().map(|s| (&s.photograph, &s.base)), right_half)?,

@@ -6,7 +6,7 @@ use cairn_scene::{Camera, Picture};
 
 use crate::config::Limits;
 use crate::error::EngineError;
-use crate::query::viewpoint::{Viewpoint, camera_of, decode_on, same_proportions};
+use crate::query::viewpoint::{Viewpoint, camera_of, decode_on, must_be_whole};
 use crate::store::model::Model;
 use crate::store::scenes::view_index;
 use crate::store::snapshot::SceneSnapshot;
@@ -54,7 +54,7 @@ pub fn appearance(
 fn of_view(model: &Model, snapshot: &SceneSnapshot, name: &str) -> Result<Appearance, EngineError> {
     let known = model.base.appearances();
     if known.is_empty() {
-        view_index(snapshot.scene().capture(), name)?;
+        view_index(snapshot.scene.capture(), name)?;
         return Ok(model.base.canonical_appearance().clone());
     }
     let found = known.iter().find(|(n, _)| n == name);
@@ -73,21 +73,15 @@ fn of_photograph(
 ) -> Result<Appearance, EngineError> {
     let scene = &model.info.scene;
     if model.base.appearances().is_empty() {
-        let (what, operation) = (format!("scene {scene:?}"), "rendered in a photograph's light");
         let why = "its field was trained as of one light, and knows no other; render it without, or train it on \
                    photographs in several lights (with --appearance on where `auto` did not find that out)";
-        return Err(EngineError::WrongState { what, operation, why: why.to_owned() });
+        return Err(EngineError::wrong_state(format!("scene {scene:?}"), "rendered in a photograph's light", why));
     }
-    let background = snapshot.scene().capture().background;
+    let background = snapshot.scene.capture().background;
     let photograph = decode_on(bytes, limits, background)?;
     let camera = camera_of("the photograph's camera", snapshot, taken, limits)?;
-    if !same_proportions(&photograph, &camera) {
-        let got = format!("{} x {} px", photograph.width(), photograph.height());
-        let (across, down) = (camera.intrinsics.width, camera.intrinsics.height);
-        let allowed =
-            format!("the proportions of the camera that took it, {across} x {down} px, neither cut nor turned");
-        return Err(EngineError::invalid("the photograph", got, allowed));
-    }
+    let (of, remedy) = ("the camera that took it", "neither cut nor turned");
+    must_be_whole("the photograph", &photograph, &camera, of, remedy)?;
     let (width, height) = compared_at(&photograph, &camera);
     Ok(model.base.fit_appearance(&camera.resized(width, height), &photograph.resized(width, height))?)
 }
@@ -104,6 +98,7 @@ fn compared_at(photograph: &Picture, camera: &Camera) -> (usize, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::query::viewpoint::same_proportions;
     use cairn_scene::{Distortion, Intrinsics, Pose};
     use glam::DVec3;
 

@@ -9,7 +9,7 @@ use cairn_scene::{Camera, Picture};
 use crate::config::Limits;
 use crate::error::EngineError;
 use crate::query::maps::Maps;
-use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, same_proportions};
+use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, must_be_whole};
 use crate::store::classes::Found;
 use crate::store::model::Model;
 use crate::store::snapshot::SceneSnapshot;
@@ -51,23 +51,13 @@ impl Who {
     }
 }
 
-/// Laying a picture over the field.
+/// How a picture is to be registered with the field.
 #[derive(Clone, Debug)]
-pub struct Over {
+pub struct FieldRegistration {
     /// From where the picture was rendered, where that is known.
     pub from: Option<Viewpoint>,
     /// Says so once nobody waits for the answer any more.
     pub given_up: Arc<AtomicBool>,
-}
-
-/// Refuses a picture that `camera` cannot have taken whole, at whatever size.
-fn check_whole(picture: &Picture, camera: &Camera) -> Result<(), EngineError> {
-    if same_proportions(picture, camera) {
-        return Ok(());
-    }
-    let (across, down) = (camera.intrinsics.width, camera.intrinsics.height);
-    let allowed = format!("the proportions of what it was rendered at, {across} x {down} px, or no viewpoint at all");
-    Err(EngineError::invalid("the picture", format!("{} x {} px", picture.width(), picture.height()), allowed))
 }
 
 /// Renders a view, clamped to [0, 1]; with accumulation and depth where `maps` asks for them.
@@ -104,7 +94,7 @@ pub fn render(
 /// As [`camera_of`]; [`EngineError::NotTrained`].
 pub fn contributors(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Limits) -> Result<Who, EngineError> {
     let camera = camera_of("the render", snapshot, viewpoint, limits)?;
-    let found = snapshot.info()?.clusters.identity_of_without(&camera.pose, snapshot.out_of_clusters());
+    let found = snapshot.info()?.clusters.identity_of_without(&camera.pose, &snapshot.out_of_clusters);
     // Nobody is credited with a view that is left out, wherever it says that it was taken.
     if matches!(viewpoint, Viewpoint::View(name) if snapshot.is_out(name)) {
         return Ok(Who::nobody(1.0));
@@ -115,23 +105,25 @@ pub fn contributors(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Li
     Who::of(snapshot, found.identity, confidence)
 }
 
-/// What the model reads from a picture; with `over` the picture is registered with the field as well.
+/// What the model reads from a picture; with `register` the picture is registered with the field as
+/// well.
 ///
 /// # Errors
-/// For a picture that `over`'s camera cannot have taken whole; [`Model::mark`]'s and the detector's.
+/// For a picture that `register`'s camera cannot have taken whole; [`Model::mark`]'s and the
+/// detector's.
 pub fn read_picture(
     model: &Model,
     snapshot: &SceneSnapshot,
     picture: &Picture,
-    over: Option<Over>,
+    register: Option<FieldRegistration>,
     limits: &Limits,
 ) -> Result<Found, EngineError> {
     let mark = model.mark()?;
-    let Some(Over { from, given_up }) = over else { return mark.detect(picture) };
+    let Some(FieldRegistration { from, given_up }) = register else { return mark.detect(picture) };
     let from = from.map(|viewpoint| camera_of("the render", snapshot, &viewpoint, limits)).transpose()?;
     if let Some(camera) = &from {
-        check_whole(picture, camera)?;
+        must_be_whole("the picture", picture, camera, "what it was rendered at", "or no viewpoint at all")?;
     }
     // Where a view that is left out says that it was taken is what is doubted.
-    mark.detect_laid_over(picture, || snapshot.cameras(), from.as_ref(), &|| !given_up.load(Ordering::Relaxed))
+    mark.detect_registered(picture, || snapshot.cameras(), from.as_ref(), &|| !given_up.load(Ordering::Relaxed))
 }

@@ -40,11 +40,8 @@ pub fn decode(bytes: &[u8], limits: &Limits) -> Result<Picture, EngineError> {
 /// # Errors
 /// As [`decode`].
 pub fn decode_on(bytes: &[u8], limits: &Limits, background: Option<[f32; 3]>) -> Result<Picture, EngineError> {
-    let got = bytes.len() as u64;
-    if got > limits.max_photograph_bytes {
-        let (what, key) = ("the picture in bytes".to_owned(), "limits.max_photograph_bytes");
-        return Err(EngineError::OverLimit { what, key, limit: limits.max_photograph_bytes, got });
-    }
+    let (key, most) = ("limits.max_photograph_bytes", limits.max_photograph_bytes);
+    EngineError::within("the picture in bytes", key, most, bytes.len() as u64)?;
     Ok(cairn_scene::decode_picture(bytes, &limits.of_pictures(), background)?)
 }
 
@@ -54,6 +51,23 @@ pub(crate) fn same_proportions(picture: &Picture, camera: &Camera) -> bool {
     let (across, down) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
     // A side may have been rounded.
     (w * down / across - h).abs() <= 1.0 || (h * across / down - w).abs() <= 1.0
+}
+
+/// Refuses `what`, a picture that `camera`, which is called `of`, cannot have taken whole, at
+/// whatever size; `remedy` ends what is allowed.
+pub(crate) fn must_be_whole(
+    what: &str,
+    picture: &Picture,
+    camera: &Camera,
+    of: &str,
+    remedy: &str,
+) -> Result<(), EngineError> {
+    if same_proportions(picture, camera) {
+        return Ok(());
+    }
+    let (across, down) = (camera.intrinsics.width, camera.intrinsics.height);
+    let got = format!("{} x {} px", picture.width(), picture.height());
+    Err(EngineError::invalid(what, got, format!("the proportions of {of}, {across} x {down} px, {remedy}")))
 }
 
 impl Model {

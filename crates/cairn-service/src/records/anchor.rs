@@ -12,7 +12,6 @@ use cairn_log::{Anchor, Checkpoint, PublicKey, Registry, RegistryError};
 use crate::config::Config;
 use crate::error::EngineError;
 use crate::records::registry_key;
-use crate::store::folder::DataFolder;
 
 /// Hexadecimal digits of the key id in the name beside the data folder.
 const KEY_DIGITS: usize = 8;
@@ -81,14 +80,8 @@ fn warn_of_mount(data: &Path) {
 /// [`EngineError::Stored`] where no log was begun; [`EngineError::Locked`]; [`EngineError::Invalid`] as [`of`]; the
 /// registry's: [`RegistryError::RolledBack`], [`RegistryError::AnchorMissing`].
 pub fn hold(data: &Path, config: &Config, accept: bool) -> Result<Checkpoint, EngineError> {
-    // Before anything is made there: a path that is misspelt must not become a folder with a new key.
-    let log = data.join("registry");
-    if !log.is_dir() {
-        let problem = "is missing: no log was begun here, to write an anchor from".into();
-        return Err(EngineError::Stored { path: log, problem });
-    }
-    let folder = DataFolder::open(data)?;
-    let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
+    let missing = "no log was begun here, to write an anchor from";
+    let (folder, key) = registry_key::open_begun(data, config, "registry", missing)?;
     let anchor = of(data, &key.public(), config.anchor_file.as_deref())?;
     let anchor = if accept { anchor.made_where_missing() } else { anchor };
     let registry = Registry::open_anchored(&folder.registry(), key, &config.origin, Some(anchor))?;

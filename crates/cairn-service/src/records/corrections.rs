@@ -36,36 +36,47 @@ pub fn standing(registry: &Registry, stored: &StoredRecord) -> Result<Standing, 
     Ok(standing)
 }
 
-/// The scene of the record that a request to erase names, and the request as it was signed.
+/// A request to erase, its own signature verified, and the record that it names.
+pub struct AskedErasure {
+    /// The request as it was signed.
+    pub envelope: Envelope,
+    /// What it asks for.
+    pub erasure: Erasure,
+    /// The record, as it is in the log.
+    pub stored: StoredRecord,
+}
+
+/// Reads a request to erase, once, with the record that it names.
 ///
 /// # Errors
 /// [`EngineError::Erasure`], the registry's.
-pub fn erasure_asked(registry: &Registry, request: &[u8]) -> Result<(String, Envelope), EngineError> {
+pub fn erasure_asked(registry: &Registry, request: &[u8]) -> Result<AskedErasure, EngineError> {
     let envelope = Envelope::parse(request).map_err(RecordError::from)?;
-    let index = Erasure::open(&envelope)?.request().index;
-    Ok((registry.record(index)?.record.scene, envelope))
+    let erasure = Erasure::open(&envelope)?;
+    let stored = registry.record(erasure.request().index)?;
+    Ok(AskedErasure { envelope, erasure, stored })
 }
 
 /// Erases a record's envelope at its owner's signed request; its place in the log, whose leaf stays.
 ///
 /// # Errors
-/// [`EngineError::Erasure`], [`EngineError::ErasesOther`], [`EngineError::NotYours`], the registry's.
-pub fn erase_record(registry: &Registry, request: &[u8]) -> Result<u64, EngineError> {
-    let envelope = Envelope::parse(request).map_err(RecordError::from)?;
-    let erasure = Erasure::open(&envelope)?;
+/// [`EngineError::WrongState`] where another record lies there, [`EngineError::NotYours`], the
+/// registry's.
+pub fn erase_record(registry: &Registry, asked: &AskedErasure) -> Result<u64, EngineError> {
+    let AskedErasure { erasure, stored, .. } = asked;
     let request = erasure.request();
     if request.origin != registry.origin() {
         let (expected, got) = (registry.origin().to_owned(), request.origin.clone());
         return Err(RegistryError::WrongOrigin { expected, got }.into());
     }
     let (index, key) = (request.index, request.owner_key);
-    let stored = registry.record(index)?;
     if stored.leaf.record != request.record {
         let (expected, got) = (stored.leaf.record, request.record);
-        return Err(EngineError::ErasesOther { index, expected, got });
+        let why = format!("it is {expected}, the request is to erase {got}; fetch the record and sign again");
+        return Err(EngineError::wrong_state(format!("record {index}"), "erased", why));
     }
     match registry.heir(&stored.leaf.owner)? {
-        Heir::Key { id, .. } if id == key.id() => Ok(registry.erase(&erasure)?),
+        Heir::Key { id, .. } if id == key.id() => Ok(registry.erase(erasure)?),
         Heir::Key { id, .. } => {
             Err(EngineError::NotYours { index, key, why: format!("it belongs to the key with id {id}") })
         }

@@ -43,15 +43,13 @@ pub enum AskedView {
 pub fn material(snapshot: &SceneSnapshot, models: &Path, identity: u32) -> Result<Material, EngineError> {
     let info = snapshot.info()?;
     let known = info.identity(identity)?.clone();
-    let out = snapshot.out_of_clusters();
+    let out = &snapshot.out_of_clusters;
     let members = info.clusters.clusters.iter().find(|c| c.identity == identity).map_or(&[][..], |c| &c.members);
     if let Some(at) = members.iter().position(|m| out.contains(m)) {
         let view = known.views.get(at).map_or("", String::as_str);
-        return Err(EngineError::WrongState {
-            what: format!("identity {identity} of scene {:?}", snapshot.name()),
-            operation: "signed for",
-            why: format!("its view {view:?} is excluded; train the scene again, or include the view"),
-        });
+        let what = format!("identity {identity} of scene {:?}", snapshot.name);
+        let why = format!("its view {view:?} is excluded; train the scene again, or include the view");
+        return Err(EngineError::wrong_state(what, "signed for", why));
     }
     let signal = if info.mark.is_some() { info.signal(models, identity)? } else { Parts::default() };
     Ok(Material { info: info.clone(), identity: known, signal })
@@ -129,10 +127,9 @@ pub fn photograph_of(snapshot: &SceneSnapshot, name: &str) -> Result<Digest, Eng
     let photograph = snapshot.photograph_of(name)?;
     if snapshot.is_out(name) {
         let why = "it is excluded, and nobody is credited with it; what the log says of its photograph is there to \
-                   ask by its SHA-256"
-            .to_owned();
-        let what = format!("view {name:?} of scene {:?}", snapshot.name());
-        return Err(EngineError::WrongState { what, operation: "asked about", why });
+                   ask by its SHA-256";
+        let what = format!("view {name:?} of scene {:?}", snapshot.name);
+        return Err(EngineError::wrong_state(what, "asked about", why));
     }
     Ok(photograph)
 }
@@ -150,10 +147,8 @@ pub fn complete_answer(
 ) -> Result<Vec<u8>, EngineError> {
     let limit = most.min(cairn_log::format::answer::MAX_ANSWER_BYTES);
     let answer = registry.answer(scene, photograph, as_of, limit)?.to_json();
-    if answer.len() > limit {
-        let (what, key) = ("the complete answer in bytes (ask about a view)".into(), "limits.max_message_bytes");
-        return Err(EngineError::OverLimit { what, key, limit: limit as u64, got: answer.len() as u64 });
-    }
+    let what = "the complete answer in bytes (ask about a view)";
+    EngineError::within(what, "limits.max_message_bytes", limit as u64, answer.len() as u64)?;
     Ok(answer.into_bytes())
 }
 

@@ -8,26 +8,19 @@ use cairn_log::log::Rebuilt;
 use crate::config::Config;
 use crate::error::EngineError;
 use crate::records::registry_key;
-use crate::store::folder::DataFolder;
 
 /// As [`Registry::rebuild`], in the data folder `data`. That the log goes on from what it published last, and from what its
 /// witnesses saw, is checked by the next start.
 ///
 /// # Errors
 /// [`EngineError::Stored`] where no log was published; [`EngineError::Locked`] while another process has the folder;
-/// [`EngineError::KeyMissing`]; the registry's.
+/// [`EngineError::WrongState`] without its key; the registry's.
 pub fn rebuild_registry(
     data: &Path,
     config: &Config,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<Rebuilt, EngineError> {
-    // Before anything is made there: a path that is misspelt must not become a folder with a new key.
-    let published = data.join("registry/public/checkpoint");
-    if !published.is_file() {
-        let problem = "is missing: no log was published here, to make its working state from".into();
-        return Err(EngineError::Stored { path: published, problem });
-    }
-    let folder = DataFolder::open(data)?;
-    let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
+    let missing = "no log was published here, to make its working state from";
+    let (folder, key) = registry_key::open_begun(data, config, "registry/public/checkpoint", missing)?;
     Ok(Registry::rebuild(&folder.registry(), &key, &config.origin, progress)?)
 }

@@ -164,7 +164,7 @@ impl Access {
     /// # Errors
     /// The quota's.
     pub fn charge_record(&self, owner: &Digest) -> Result<(), EngineError> {
-        Ok(self.quotas.charge_record(owner, &self.limits(owner), unix_s()).map_err(AccessError::from)?)
+        Ok(self.quotas.charge_record(owner, &self.limits(owner), unix_s())?)
     }
 
     /// Gives back what a record was charged with that did not get into the log, or was in it before.
@@ -206,8 +206,7 @@ impl Access {
     pub fn reserve(&self, owner: Digest, import: &str, charge: Charge) -> Result<Owned, EngineError> {
         // The blank keeps it apart from every scene's name.
         let item = format!("import {import}");
-        let reserved = Reserved::new(&self.quotas, owner, &self.limits(&owner), item, charge);
-        Ok(Owned { owner, charge, reserved: reserved.map_err(AccessError::from)? })
+        Ok(Owned { owner, charge, reserved: Reserved::new(&self.quotas, owner, &self.limits(&owner), item, charge)? })
     }
 
     /// Takes the name of a scene whose import is about to be finished.

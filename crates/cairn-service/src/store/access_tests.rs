@@ -74,7 +74,7 @@ fn accounts_may_have_quotas_of_their_own() {
     assert_eq!(access.limits(&key.id()), LIMITS);
     assert!(add_account(dir.path(), key, "ada", Role::Curator).unwrap_err().to_string().contains("in use"));
     let own = Limits { bytes: 7, ..LIMITS };
-    access.accounts().set_quota(&key, Some(own)).unwrap();
+    access.accounts().change(&key, crate::auth::Change::Quota(Some(own))).unwrap();
     assert_eq!(access.limits(&key.id()), own);
     access.check_training(&key.id(), 0).unwrap();
     assert!(access.check_training(&key.id(), 1).is_err());

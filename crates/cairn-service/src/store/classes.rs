@@ -33,9 +33,9 @@ pub struct Elsewhere {
     pub label: String,
 }
 
-/// What laying a picture over the scene's field says.
+/// What registering a picture with the scene's field says.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LaidOver {
+pub struct Registered {
     /// Share of the picture that the field explains, 1 at most.
     pub explained: f64,
     /// How far each identity's mark stands out, identity 1 first, standard deviations.
@@ -53,8 +53,9 @@ pub struct Found {
     pub elsewhere: Option<Elsewhere>,
     /// Probability of the answer, 0 to 1.
     pub confidence: f32,
-    /// What laying the picture over the field said, where that was asked for and a place was found.
-    pub laid_over: Option<LaidOver>,
+    /// What registering the picture with the field said, where that was asked for and a place was
+    /// found.
+    pub registered: Option<Registered>,
     /// What the detector said, with the scene's classes alone: `unmarked`, then its identities; what is
     /// missing to 1 is other scenes'.
     pub detection: Detection,
@@ -112,7 +113,7 @@ impl Classes {
         let (unmarked, owners) = detection.probabilities.split_at(1);
         let own = owners.iter().skip(self.before()).take(self.shares[self.own].labels.len());
         detection.probabilities = unmarked.iter().chain(own).copied().collect();
-        Found { identity, elsewhere, confidence, laid_over: None, detection }
+        Found { identity, elsewhere, confidence, registered: None, detection }
     }
 }
 

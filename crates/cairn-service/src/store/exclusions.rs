@@ -11,7 +11,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use cairn_durable::{remove, sync_folder};
 use cairn_log::Digest;
-use cairn_scene::SceneFolder;
+use cairn_scene::{SceneFolder, View};
 use serde::{Deserialize, Serialize};
 
 use crate::error::EngineError;
@@ -102,6 +102,15 @@ pub struct Decision {
     pub why: String,
     /// The account's id, where there are accounts.
     pub by: Option<Digest>,
+}
+
+impl Entry {
+    /// What a person decides now about a view.
+    fn by_person(view: &View, Decision { state, why, by }: &Decision) -> Self {
+        let (name, contributor) = (view.name.clone(), view.contributor.clone());
+        let (state, why, by) = (*state, why.clone(), *by);
+        Self { view: name, contributor, state, why, automatic: false, by, unix_s: unix_s() }
+    }
 }
 
 /// Contributors with how many photographs each took, most first, then by name.
@@ -252,22 +261,16 @@ impl Exclusions {
                 continue;
             }
             excluded.push(view.name.clone());
-            entries.views.push(Entry {
-                view: view.name.clone(),
-                contributor: view.contributor.clone(),
-                state: State::Excluded,
-                why: why.clone(),
-                automatic: true,
-                by: None,
-                unix_s: unix_s(),
-            });
+            let decision = Decision { state: State::Excluded, why: why.clone(), by: None };
+            entries.views.push(Entry { automatic: true, ..Entry::by_person(view, &decision) });
         }
         entries.measured = Some(measured);
         self.write(name, entries)?;
         Ok(excluded)
     }
 
-    /// Carries out a person's decision about views. Durable on return; what holds of them then.
+    /// Carries out a person's decision about views. Durable on return; how many views of the scene
+    /// are excluded then.
     ///
     /// # Errors
     /// [`EngineError::NotFound`] for a view that the scene has not, [`EngineError::Invalid`] for a reason that is too
@@ -278,8 +281,8 @@ impl Exclusions {
         scene: &SceneFolder,
         views: &[String],
         decision: &Decision,
-    ) -> Result<Vec<Entry>, EngineError> {
-        let Decision { state, why, by } = decision;
+    ) -> Result<usize, EngineError> {
+        let why = &decision.why;
         if why.len() > MAX_WHY_BYTES || why.chars().any(char::is_control) {
             let expected = format!("{MAX_WHY_BYTES} bytes at most, without control characters");
             return Err(EngineError::invalid("the reason", format!("{} bytes", why.len()), expected));
@@ -290,25 +293,15 @@ impl Exclusions {
             views.iter().map(|view| scenes::view_index(capture, view)).collect::<Result<_, _>>()?;
         let mut entries = self.of(name)?;
         entries.views.retain(|e| !views.contains(&e.view));
-        let decided = indices.iter().map(|index| Entry {
-            view: capture.views[*index].name.clone(),
-            contributor: capture.views[*index].contributor.clone(),
-            state: *state,
-            why: why.clone(),
-            automatic: false,
-            by: *by,
-            unix_s: unix_s(),
-        });
-        let decided: Vec<Entry> = decided.collect();
-        entries.views.extend(decided.iter().cloned());
+        entries.views.extend(indices.iter().map(|index| Entry::by_person(&capture.views[*index], decision)));
         let excluded = entries.excluded();
         if capture.training().all(|view| excluded.contains(&capture.views[view].name)) {
             let what = format!("{} views of scene {name:?}", views.len());
-            let why = "no view to train on would be left; delete the scene instead".to_owned();
-            return Err(EngineError::WrongState { what, operation: "excluded", why });
+            let why = "no view to train on would be left; delete the scene instead";
+            return Err(EngineError::wrong_state(what, "excluded", why));
         }
         self.write(name, entries)?;
-        Ok(decided)
+        Ok(excluded.len())
     }
 
     /// The scene is gone.

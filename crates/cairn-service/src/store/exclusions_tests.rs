@@ -93,7 +93,7 @@ impl World {
     }
 
     fn excluded(&self) -> Vec<String> {
-        self.engine.entries("town").unwrap().excluded().into_iter().collect()
+        self.engine.exclusions.of("town").unwrap().excluded().into_iter().collect()
     }
 
     fn decide(&self, state: State, views: &[&str]) -> Result<usize, EngineError> {
@@ -116,7 +116,7 @@ fn what_is_doubly_doubted_is_excluded_until_a_person_includes_it() {
     let world = World::new(&BAD, Some(Support { points: 5, reprojection_error_px: 0.5 }));
     let (job, first) = world.train();
     assert_eq!(world.excluded(), BAD);
-    let entries = world.engine.entries("town").unwrap();
+    let entries = world.engine.exclusions.of("town").unwrap();
     assert!(entries.views.iter().all(|e| e.automatic && e.contributor == "ada" && e.why.contains("5 reconstructed")));
     let note = job.notes.iter().find(|n| n.contains("excluded")).unwrap();
     assert!(note.contains(BAD[0]) && note.contains("by ada"), "{note}");
@@ -144,7 +144,7 @@ fn a_residual_alone_excludes_nobody_and_a_person_does() {
     let world = World::new(&BAD, None);
     let (job, whole) = world.train();
     assert_eq!(world.excluded(), [""; 0]);
-    let measured = world.engine.entries("town").unwrap().measured.unwrap();
+    let measured = world.engine.exclusions.of("town").unwrap().measured.unwrap();
     let outliers = measured.scores.iter().filter(|s| s.is_outlier).map(|s| s.view.as_str());
     assert_eq!(outliers.collect::<Vec<_>>(), BAD);
     assert_eq!(measured.job, job.id);
@@ -209,7 +209,8 @@ fn bad_requests_are_refused_by_name_and_change_nothing() {
     let world = World::new(&[], None);
     let error = world.decide(State::Excluded, &["images/ada_004.png", "x"]).unwrap_err().to_string();
     assert!(error.contains("no view \"x\""), "{error}");
-    assert!(world.engine.entries("nowhere").unwrap_err().to_string().contains("no scene \"nowhere\""));
+    let nowhere = world.engine.snapshot("nowhere").err().unwrap().to_string();
+    assert!(nowhere.contains("no scene \"nowhere\""), "{nowhere}");
     let scene = world.engine.scene("town").unwrap();
     let all: Vec<&str> = scene.capture().views.iter().map(|v| v.name.as_str()).collect();
     let error = world.decide(State::Excluded, &all).unwrap_err().to_string();

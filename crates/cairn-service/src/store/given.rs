@@ -87,11 +87,8 @@ fn picture(
     side: usize,
     limits: &Limits,
 ) -> Result<(cairn_scene::Picture, Option<&'static str>), EngineError> {
-    let got = bytes.len() as u64;
-    if got > limits.max_photograph_bytes {
-        let (what, key) = (format!("{what} in bytes"), "limits.max_photograph_bytes");
-        return Err(EngineError::OverLimit { what, key, limit: limits.max_photograph_bytes, got });
-    }
+    let (key, most) = ("limits.max_photograph_bytes", limits.max_photograph_bytes);
+    EngineError::within(format!("{what} in bytes"), key, most, bytes.len() as u64)?;
     let (picture, ground) = decode_emblem(bytes, &limits.of_pictures(), side)
         .map_err(|e| EngineError::invalid(what, format!("not read ({e})"), "a PNG or JPEG within the limits"))?;
     let ground = match ground {

@@ -50,12 +50,16 @@ impl<T> Parts<T> {
         }
     }
 
-    /// Each that is there with the name of its file.
-    fn files(&self, number: usize) -> impl Iterator<Item = (String, &T)> {
-        let endings = [("png", &self.picture), ("wav", &self.audio), ("txt", &self.text)];
-        endings
-            .into_iter()
-            .filter_map(move |(ending, part)| Some((format!("signal-{number}.{ending}"), part.as_ref()?)))
+    /// What `of` makes of each that is there and the name of its file, as signal `number`'s.
+    fn files<U, E>(&self, number: usize, of: impl Fn(&str, &T) -> Result<U, E>) -> Result<Parts<U>, E> {
+        let file = |ending: &str, part: &Option<T>| {
+            part.as_ref().map(|part| of(&format!("signal-{number}.{ending}"), part)).transpose()
+        };
+        Ok(Parts {
+            picture: file("png", &self.picture)?,
+            audio: file("wav", &self.audio)?,
+            text: file("txt", &self.text)?,
+        })
     }
 }
 
@@ -107,7 +111,7 @@ pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &Recipe) -> Result
         audio: kinds.audio.then_some(()),
         text: kinds.text.then_some(()),
     };
-    let files = read_parts(&wanted, number, |name, ()| Ok(read_limited(&folder.join(name), MAX_GIVEN_BYTES)?))?;
+    let files = wanted.files(number, |name, ()| read_limited(&folder.join(name), MAX_GIVEN_BYTES))?;
     let mut signal = decoded_within(&files, MAX_GIVEN_BYTES)?;
     let side = mark.side_px();
     signal.picture = signal.picture.map(|p| p.resized(side, side));
@@ -119,7 +123,8 @@ pub fn kept(folder: &Path, number: usize, kinds: Kinds, mark: &Recipe) -> Result
 /// # Errors
 /// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
 pub fn write(folder: &Path, number: usize, files: &Parts<Vec<u8>>) -> Result<(), EngineError> {
-    Ok(files.files(number).try_for_each(|(name, bytes)| write_atomic(&folder.join(name), bytes))?)
+    files.files(number, |name, bytes| write_atomic(&folder.join(name), bytes))?;
+    Ok(())
 }
 
 /// The files of signal `number` in a model's folder, each held to its digest.
@@ -127,7 +132,7 @@ pub fn write(folder: &Path, number: usize, files: &Parts<Vec<u8>>) -> Result<(),
 /// # Errors
 /// [`EngineError::Stored`] for one that was altered.
 pub fn read(folder: &Path, number: usize, digests: &Parts<Digest>) -> Result<Parts<Vec<u8>>, EngineError> {
-    read_parts(digests, number, |name, digest| read_checked(&folder.join(name), digest, MAX_PART_BYTES))
+    digests.files(number, |name, digest| read_checked(&folder.join(name), digest, MAX_PART_BYTES))
 }
 
 /// What published files hold.
@@ -153,18 +158,6 @@ fn decoded_within(files: &Parts<Vec<u8>>, max_file_bytes: u64) -> Result<Signal,
         audio: files.audio.as_ref().map(|bytes| decode_wav("the hidden sound", bytes, &limits)).transpose()?,
         text: files.text.as_ref().map(text).transpose()?,
     })
-}
-
-/// Reads the file of each part that is there.
-fn read_parts<T>(
-    parts: &Parts<T>,
-    number: usize,
-    read: impl Fn(&str, &T) -> Result<Vec<u8>, EngineError>,
-) -> Result<Parts<Vec<u8>>, EngineError> {
-    let of = |ending: &str, part: &Option<T>| {
-        part.as_ref().map(|part| read(&format!("signal-{number}.{ending}"), part)).transpose()
-    };
-    Ok(Parts { picture: of("png", &parts.picture)?, audio: of("wav", &parts.audio)?, text: of("txt", &parts.text)? })
 }
 
 #[cfg(test)]

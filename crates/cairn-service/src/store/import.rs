@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use cairn_log::Digest;
-use cairn_scene::{Camera, Capture, SceneFolder, SceneKind, Support, View};
+use cairn_scene::{Capture, SceneFolder, SceneKind, View};
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
 
@@ -34,24 +34,12 @@ pub struct ImportPlan {
 /// A view that is going to be brought.
 #[derive(Clone, Debug)]
 pub struct PlannedView {
-    /// Its name, distinct.
-    pub name: String,
-    /// Its camera, at the photograph's size.
-    pub camera: Camera,
-    /// Who took it.
-    pub contributor: String,
-    /// Whether it is kept from training.
-    pub held_out: bool,
-    /// Whether its pixels are meant without EXIF orientation ([`View::as_stored`]).
-    pub as_stored: bool,
-    /// Nearest and farthest depth, capture's unit.
-    pub bounds: Option<(f64, f64)>,
+    /// The view; the paths of its files are the import's to choose.
+    pub view: View,
     /// The photograph's file.
     pub photograph: PlannedFile,
     /// The mask's file, if it has one.
     pub mask: Option<PlannedFile>,
-    /// What structure from motion says for it.
-    pub support: Option<Support>,
 }
 
 impl PlannedView {
@@ -152,12 +140,12 @@ impl Import {
             _ if is_mask != self.mask_is_next => {
                 let expected = if self.mask_is_next { "its mask's" } else { "its photograph's" };
                 let got = if is_mask { "its mask's" } else { "its photograph's" };
-                return Err(EngineError::invalid(format!("the chunk's bytes for {}", view.name), got, expected));
+                return Err(EngineError::invalid(format!("the chunk's bytes for {}", view.view.name), got, expected));
             }
             (Some(mask), true) => *mask,
             _ => view.photograph,
         };
-        let what = format!("the {} of {}", if is_mask { "mask" } else { "photograph" }, view.name);
+        let what = format!("the {} of {}", if is_mask { "mask" } else { "photograph" }, view.view.name);
         let path = file_path(self.folder.path(), index, is_mask);
         if self.current.is_none() {
             let file = File::create_new(&path).map_err(EngineError::io("create", &path))?;
@@ -195,20 +183,13 @@ impl Import {
             let expected = format!("{} views, whole", self.plan.views.len());
             return Err(EngineError::invalid("the import", format!("{} whole views", self.next), expected));
         }
-        let mut views: Vec<View> = Vec::with_capacity(self.plan.views.len());
-        for (index, view) in self.plan.views.into_iter().enumerate() {
-            views.push(View {
-                name: view.name,
-                camera: view.camera,
-                contributor: view.contributor,
-                photograph: file_path(Path::new(""), index, false),
-                as_stored: view.as_stored,
-                mask: view.mask.map(|_| file_path(Path::new(""), index, true)),
-                support: view.support,
-                held_out: view.held_out,
-                bounds: view.bounds,
-            });
-        }
+        let placed = |(index, planned): (usize, PlannedView)| {
+            let mut view = planned.view;
+            view.photograph = file_path(Path::new(""), index, false);
+            view.mask = planned.mask.map(|_| file_path(Path::new(""), index, true));
+            view
+        };
+        let mut views: Vec<View> = self.plan.views.into_iter().enumerate().map(placed).collect();
         // A capture's views are sorted by name: who sent them in another order gets the same scene.
         views.sort_by(|a, b| a.name.cmp(&b.name));
         let capture = Capture {
@@ -228,44 +209,31 @@ fn file_path(folder: &Path, index: usize, is_mask: bool) -> PathBuf {
 }
 
 fn check_plan(plan: &ImportPlan, limits: &Limits) -> Result<(), EngineError> {
-    let over = |what: String, key, limit: u64, got: u64| Err(EngineError::OverLimit { what, key, limit, got });
     let count = plan.views.len();
     if count < 1 {
         return Err(EngineError::invalid("the number of views", count, "1 or more"));
     }
-    if count > limits.max_views {
-        return over("the number of views".into(), "limits.max_views", limits.max_views as u64, count as u64);
-    }
-    if plan.views.iter().all(|v| v.held_out) {
+    EngineError::within("the number of views", "limits.max_views", limits.max_views as u64, count as u64)?;
+    if plan.views.iter().all(|v| v.view.held_out) {
         return Err(EngineError::invalid("the split", "all views held out", "at least one view to train on"));
     }
-    let mut names: Vec<&str> = plan.views.iter().map(|v| v.name.as_str()).collect();
+    let mut names: Vec<&str> = plan.views.iter().map(|v| v.view.name.as_str()).collect();
     names.sort_unstable();
     if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
         return Err(EngineError::invalid("the views' names", format!("{:?} twice", twice[0]), "distinct names"));
     }
     let mut total = 0u64;
     for view in &plan.views {
-        let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        check_size(&format!("view {}", view.name), w, h, limits)?;
+        let (name, i) = (&view.view.name, &view.view.camera.intrinsics);
+        check_size(&format!("view {name}"), i.width, i.height, limits)?;
         if view.photograph.bytes == 0 {
-            return Err(EngineError::invalid(format!("the photograph of {}", view.name), "0 bytes", "1 byte or more"));
+            return Err(EngineError::invalid(format!("the photograph of {name}"), "0 bytes", "1 byte or more"));
         }
         for (what, file) in ["photograph", "mask"].into_iter().zip(view.files()) {
-            if file.bytes > limits.max_photograph_bytes {
-                let what = format!("the {what} of {} in bytes", view.name);
-                return over(what, "limits.max_photograph_bytes", limits.max_photograph_bytes, file.bytes);
-            }
+            let what = format!("the {what} of {name} in bytes");
+            EngineError::within(what, "limits.max_photograph_bytes", limits.max_photograph_bytes, file.bytes)?;
         }
         total = total.saturating_add(view.bytes());
     }
-    if total > limits.max_scene_bytes {
-        return over(
-            "the bytes of photographs and masks".into(),
-            "limits.max_scene_bytes",
-            limits.max_scene_bytes,
-            total,
-        );
-    }
-    Ok(())
+    EngineError::within("the bytes of photographs and masks", "limits.max_scene_bytes", limits.max_scene_bytes, total)
 }

@@ -14,4 +14,5 @@ pub(crate) mod seal;
 pub mod snapshot;
 pub mod support;
 #[cfg(test)]
+#[path = "folder_tests.rs"]
 pub mod test_folder;

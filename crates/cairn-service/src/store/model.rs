@@ -4,7 +4,7 @@
 //! `current.json`.
 
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use cairn_durable::{remove, rename, sync_folder, write_atomic};
@@ -93,16 +93,6 @@ impl IdentityInfo {
     }
 }
 
-/// A model's files before they are in their place.
-pub struct ModelFiles<'a> {
-    /// The base field's bytes.
-    pub base: &'a [u8],
-    /// The settings.
-    pub settings: &'a str,
-    /// Stage 2's.
-    pub mark: Option<&'a MarkFiles>,
-}
-
 /// Stage 2's files before they are in their place.
 pub struct MarkFiles {
     /// The marked field's bytes.
@@ -145,7 +135,8 @@ pub struct Mark {
     pub signals: Vec<Signal>,
     /// Which of the detector's classes are the scene's.
     pub classes: Classes,
-    /// What lays pictures over the field: made when first asked for, `None` where that cannot be.
+    /// What registers pictures with the field: made when first asked for, `None` where that cannot
+    /// be.
     pub reader: OnceLock<Option<RegisteredReader>>,
 }
 
@@ -158,20 +149,27 @@ struct Current {
     manifest: Digest,
 }
 
-/// Puts a model in its place and makes it the scene's newest. Durable on return.
+/// Puts a model in its place and makes it the scene's newest: the `base` field's bytes, the
+/// `settings`, and what stage 2 made. Durable on return.
 ///
 /// # Errors
 /// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
-pub fn publish(models: &Path, info: &ModelInfo, files: &ModelFiles<'_>) -> Result<(), EngineError> {
+pub fn publish(
+    models: &Path,
+    info: &ModelInfo,
+    base: &[u8],
+    settings: &str,
+    mark: Option<&MarkFiles>,
+) -> Result<(), EngineError> {
     let of_scene = models.join(&info.scene);
     let (filling, folder) = (of_scene.join(format!(".{}", info.job)), of_scene.join(&info.job));
     remove(&filling)?;
     // A run that was cut off between the rename and the end of the job left it: the same bytes come again.
     remove(&folder)?;
     std::fs::create_dir_all(&filling).map_err(EngineError::io("create", &filling))?;
-    write_atomic(&filling.join("base.field"), files.base)?;
-    write_atomic(&filling.join("settings.toml"), files.settings.as_bytes())?;
-    if let Some(mark) = files.mark {
+    write_atomic(&filling.join("base.field"), base)?;
+    write_atomic(&filling.join("settings.toml"), settings.as_bytes())?;
+    if let Some(mark) = mark {
         write_atomic(&filling.join("marked.field"), &mark.field)?;
         write_atomic(&filling.join("detector"), &mark.detector)?;
         for (i, signal) in mark.signals.iter().enumerate() {
@@ -198,7 +196,7 @@ pub fn newest(models: &Path, scene: &str) -> Result<Option<ModelInfo>, EngineErr
         return Ok(None);
     }
     let Current { job, .. } = read_json(&current, CURRENT_VERSION)?;
-    read_json(&models.join(scene).join(job).join("model.json"), VERSION).map(Some)
+    of_job(models, scene, &job).map(Some)
 }
 
 /// What the model of `scene` that `job` made says of itself.
@@ -247,7 +245,7 @@ impl Model {
     /// # Errors
     /// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
     pub fn load(models: &Path, info: ModelInfo) -> Result<Self, EngineError> {
-        let folder = models.join(&info.scene).join(&info.job);
+        let folder = info.folder(models);
         let path = folder.join("base.field");
         let mut file = open_checked(&path, &info.base_field, MAX_FIELD_BYTES)?;
         let base = Arc::new(Field::read_from(&mut file).map_err(|e| of_file(&path, e))?);
@@ -263,10 +261,9 @@ impl Model {
     /// # Errors
     /// [`EngineError::WrongState`] where only the base field was trained.
     pub fn mark(&self) -> Result<&Mark, EngineError> {
-        self.mark.as_ref().ok_or_else(|| EngineError::WrongState {
-            what: format!("scene {:?}", self.info.scene),
-            operation: "asked for marks",
-            why: "its newest model is a base field alone; train it with marks".into(),
+        self.mark.as_ref().ok_or_else(|| {
+            let why = "its newest model is a base field alone; train it with marks";
+            EngineError::wrong_state(format!("scene {:?}", self.info.scene), "asked for marks", why)
         })
     }
 
@@ -277,8 +274,7 @@ impl Model {
     pub fn marked_field(&self) -> Result<&MarkedField, EngineError> {
         let none = || {
             let why = "its newest model is a base field alone; ask for that (--base, or FIELD_KIND_BASE), or train it with marks";
-            let what = format!("scene {:?}", self.info.scene);
-            EngineError::WrongState { what, operation: "rendered with marks", why: why.into() }
+            EngineError::wrong_state(format!("scene {:?}", self.info.scene), "rendered with marks", why)
         };
         self.mark.as_ref().map(|mark| &mark.field).ok_or_else(none)
     }
@@ -314,6 +310,11 @@ fn load_mark(
 }
 
 impl ModelInfo {
+    /// Where its files lie in `models`.
+    fn folder(&self, models: &Path) -> PathBuf {
+        models.join(&self.scene).join(&self.job)
+    }
+
     /// Which of the detector's classes are the scene's.
     ///
     /// # Errors
@@ -335,7 +336,7 @@ impl ModelInfo {
     /// # Errors
     /// [`EngineError::Stored`] for one that was altered.
     pub fn base_field_bytes(&self, models: &Path) -> Result<Vec<u8>, EngineError> {
-        let path = models.join(&self.scene).join(&self.job).join("base.field");
+        let path = self.folder(models).join("base.field");
         read_checked(&path, &self.base_field, MAX_FIELD_BYTES)
     }
 
@@ -344,7 +345,7 @@ impl ModelInfo {
     /// # Errors
     /// [`EngineError::Stored`] for a file that was altered or is of another release.
     pub fn settings(&self, models: &Path) -> Result<TrainingSettings, EngineError> {
-        let path = models.join(&self.scene).join(&self.job).join("settings.toml");
+        let path = self.folder(models).join("settings.toml");
         let bytes = read_checked(&path, &self.settings, MAX_SETTINGS_BYTES)?;
         toml::from_slice(&bytes)
             .map_err(|e| EngineError::Stored { path, problem: format!("it holds no training's settings: {e}") })
@@ -370,8 +371,7 @@ impl ModelInfo {
         let Some(digest) = (number as usize).checked_sub(1).and_then(|at| digests.get(at)) else {
             return Err(EngineError::not_found("hidden signal", &number.to_string(), std::iter::empty()));
         };
-        let folder = models.join(&self.scene).join(&self.job);
-        hidden::read(&folder, number as usize, digest)
+        hidden::read(&self.folder(models), number as usize, digest)
     }
 }
 

@@ -1,10 +1,9 @@
-//! Scenes as they lie in the data folder: listing, opening and measuring them.
+//! Scenes as they lie in the data folder: listing and opening them.
 
 use std::path::Path;
 
 use cairn_scene::{Capture, SceneFolder};
 
-use crate::auth::Charge;
 use crate::config::Limits;
 use crate::error::EngineError;
 
@@ -28,21 +27,10 @@ pub fn check_scene_name(name: &str) -> Result<(), EngineError> {
 /// [`EngineError::OverLimit`] with the size and the limit.
 pub fn check_size(what: &str, width: usize, height: usize, limits: &Limits) -> Result<(), EngineError> {
     let side = width.max(height) as u64;
-    if side > limits.max_side_px as u64 {
-        let what = format!("the longest side of {what} in px");
-        return Err(EngineError::OverLimit {
-            what,
-            key: "limits.max_side_px",
-            limit: limits.max_side_px as u64,
-            got: side,
-        });
-    }
+    let what_side = format!("the longest side of {what} in px");
+    EngineError::within(what_side, "limits.max_side_px", limits.max_side_px as u64, side)?;
     let pixels = (width as u64).saturating_mul(height as u64);
-    if pixels > limits.max_pixels {
-        let what = format!("the number of pixels of {what}");
-        return Err(EngineError::OverLimit { what, key: "limits.max_pixels", limit: limits.max_pixels, got: pixels });
-    }
-    Ok(())
+    EngineError::within(format!("the number of pixels of {what}"), "limits.max_pixels", limits.max_pixels, pixels)
 }
 
 /// Names of the scenes in `folder`, sorted.
@@ -75,22 +63,6 @@ pub fn open(folder: &Path, name: &str) -> Result<SceneFolder, EngineError> {
         return Err(EngineError::not_found("scene", name, there.iter().map(String::as_str)));
     }
     Ok(SceneFolder::open(folder, name)?)
-}
-
-/// What a scene takes of its owner's quotas as it is now.
-///
-/// # Errors
-/// The file system's, naming the file.
-pub fn takes(scene: &SceneFolder) -> Result<Charge, EngineError> {
-    let capture = scene.capture();
-    let mut charge = Charge { bytes: 0, views: capture.views.len() as u64 };
-    for view in &capture.views {
-        for file in [Some(view.photograph.as_path()), view.mask.as_deref()].into_iter().flatten() {
-            let path = capture.root.join(file);
-            charge.bytes += path.metadata().map_err(EngineError::io("measure", &path))?.len();
-        }
-    }
-    Ok(charge)
 }
 
 /// Index of view `name`.

@@ -14,15 +14,18 @@ use crate::store::scenes;
 
 /// A scene, its newest model, and the views that are left out.
 pub struct SceneSnapshot {
-    name: String,
-    scene: SceneFolder,
-    info: Option<ModelInfo>,
-    /// What was decided about its views.
-    entries: Entries,
+    /// The scene's name.
+    pub name: String,
+    /// The scene, with all its views.
+    pub scene: SceneFolder,
+    /// What the newest model says of itself; `None` before the first.
+    pub newest: Option<ModelInfo>,
+    /// What was decided about the views, and what was measured of them.
+    pub entries: Entries,
     /// Names of views that are excluded.
     out: BTreeSet<String>,
     /// Those of the model's identities, by their index in its clusters.
-    out_of_clusters: BTreeSet<usize>,
+    pub out_of_clusters: BTreeSet<usize>,
     /// Whose photographs are left of each identity, in the model's order; `None` where all are left out.
     credited: Vec<Option<Credited>>,
     /// [`Exclusions::changes`] before it was read.
@@ -47,22 +50,12 @@ impl SceneSnapshot {
         let out_of_clusters = info.as_ref().map(|info| entries.out_of(info)).unwrap_or_default();
         let identities = info.iter().flat_map(|info| &info.identities);
         let credited = identities.map(|identity| entries.credited(identity)).collect();
-        Ok(Self { name: name.to_owned(), scene, info, entries, out, out_of_clusters, credited, changes })
+        Ok(Self { name: name.to_owned(), scene, newest: info, entries, out, out_of_clusters, credited, changes })
     }
 
     /// Whether it still says what reading the scene `name` again would say.
     pub fn is_current(&self, exclusions: &Exclusions, name: &str, newest: Option<&ModelInfo>) -> bool {
-        self.name == name && self.info.as_ref() == newest && self.changes == exclusions.changes()
-    }
-
-    /// The scene's name.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// The scene, with all its views.
-    pub fn scene(&self) -> &SceneFolder {
-        &self.scene
+        self.name == name && self.newest.as_ref() == newest && self.changes == exclusions.changes()
     }
 
     /// What the newest model says of itself.
@@ -70,32 +63,12 @@ impl SceneSnapshot {
     /// # Errors
     /// [`EngineError::NotTrained`].
     pub fn info(&self) -> Result<&ModelInfo, EngineError> {
-        self.info.as_ref().ok_or_else(|| EngineError::NotTrained { scene: self.name.clone() })
-    }
-
-    /// The same; `None` before the first.
-    pub fn newest(&self) -> Option<&ModelInfo> {
-        self.info.as_ref()
-    }
-
-    /// What was decided about the views, and what was measured of them.
-    pub fn entries(&self) -> &Entries {
-        &self.entries
-    }
-
-    /// Names of the views that are left out.
-    pub fn out(&self) -> &BTreeSet<String> {
-        &self.out
+        self.newest.as_ref().ok_or_else(|| EngineError::NotTrained { scene: self.name.clone() })
     }
 
     /// Whether the view `name` is left out.
     pub fn is_out(&self, name: &str) -> bool {
         self.out.contains(name)
-    }
-
-    /// Which views of the model's clusters are left out, by their index there.
-    pub fn out_of_clusters(&self) -> &BTreeSet<usize> {
-        &self.out_of_clusters
     }
 
     /// The camera of view `name`.

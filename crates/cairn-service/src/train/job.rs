@@ -1,5 +1,7 @@
 //! What a training job is, as it is kept in `job.json`.
 
+use std::fmt;
+
 use cairn_field::FieldConfig;
 use cairn_log::Digest;
 use cairn_mark::Recipe;
@@ -151,16 +153,11 @@ impl JobState {
     pub fn has_ended(self) -> bool {
         matches!(self, Self::Done | Self::Failed | Self::Cancelled)
     }
+}
 
-    /// Its word.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Accepted => "accepted",
-            Self::Running => "running",
-            Self::Done => "done",
-            Self::Failed => "failed",
-            Self::Cancelled => "cancelled",
-        }
+impl fmt::Display for JobState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
     }
 }
 

@@ -262,8 +262,8 @@ impl Jobs {
         let entry = inner.jobs.get(id).ok_or_else(|| self.unknown(&inner, id))?;
         let mut job = entry.sender.borrow().clone();
         if !matches!(job.state, JobState::Cancelled | JobState::Failed) {
-            let why = format!("it is {}; only a cancelled or failed one can", job.state.name());
-            return Err(EngineError::WrongState { what: format!("job {id}"), operation: "resumed", why });
+            let why = format!("it is {}; only a cancelled or failed one can", job.state);
+            return Err(EngineError::wrong_state(format!("job {id}"), "resumed", why));
         }
         self.check_owner(&inner, job.owner)?;
         job.state = JobState::Accepted;
@@ -394,7 +394,8 @@ impl Shared {
         (job.state, job.error, job.ended_unix_s) = (state, error, unix_s());
         let file = self.file(id);
         // The manifest comes last: a crash in between leaves a job without one, which only cannot be told from rot.
-        let written = write_json(&file, &job).and_then(|()| seal(&file));
+        let written = write_json(&file, &job)
+            .and_then(|()| cairn_scene::write_manifest(&self.folder.join(id)).map(drop).map_err(EngineError::from));
         entry.sender.send_replace(job);
         written
     }
@@ -432,7 +433,7 @@ impl Shared {
                 Ok(Outcome::Stopped) => (JobState::Cancelled, String::new()),
                 Err(error) => (JobState::Failed, error.to_string()),
             };
-            tracing::info!(job = id, state = state.name(), error, "training ended");
+            tracing::info!(job = id, %state, error, "training ended");
             if let Err(error) = self.end(entry, &id, state, error) {
                 tracing::error!(job = id, %error, "the job's end could not be written; the next start runs it again");
             }
@@ -455,14 +456,6 @@ impl Shared {
             }
             inner = self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner);
         }
-    }
-}
-
-/// Writes the manifest of an ended job's folder; `file`: its `job.json`.
-fn seal(file: &std::path::Path) -> Result<(), EngineError> {
-    match file.parent() {
-        Some(folder) => cairn_scene::write_manifest(folder).map(drop).map_err(EngineError::from),
-        None => Ok(()),
     }
 }
 

@@ -13,7 +13,7 @@ use cairn_scene::cluster::Clusters;
 use crate::error::EngineError;
 use crate::store::classes::Share;
 use crate::store::hidden;
-use crate::store::model::{self, MarkFiles, Model, ModelFiles, ModelInfo};
+use crate::store::model::{self, MarkFiles, Model, ModelInfo};
 use crate::store::scenes;
 use crate::train::clusters::{all_are_kept, clusters_if_any, identities};
 use crate::train::job::Job;
@@ -102,7 +102,7 @@ pub(crate) fn publish(
         settings: Digest::of(&settings),
         mark: mark.map(|files| files.info(shares)),
     };
-    model::publish(models, &info, &ModelFiles { base, settings: &settings, mark })
+    model::publish(models, &info, base, &settings, mark)
 }
 
 /// What the parts go on from; `None` where all begin.

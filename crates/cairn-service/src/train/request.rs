@@ -156,8 +156,8 @@ impl Engine {
             Some(mark) => Ok(mark.detector),
             None => {
                 self.scene(scene)?;
-                let (what, why) = (format!("scene {scene:?}"), "it has no marks yet; train it without --grow".into());
-                Err(EngineError::WrongState { what, operation: "grown", why })
+                let why = "it has no marks yet; train it without --grow";
+                Err(EngineError::wrong_state(format!("scene {scene:?}"), "grown", why))
             }
         }
     }

@@ -1,10 +1,11 @@
-//! The documents that are made from the declarations: `configs/daemon.toml`, the reference page, and a file a preset.
+//! The documents that are made from the declarations: `configs/daemon.toml`, the reference page,
+//! and a file a preset. A test writes and compares them; the program does not carry this.
 
 use std::fmt::Write as _;
 
 use toml::{Table, Value};
 
-use super::declare::Setting;
+use super::declare::{Allowed, Setting};
 use super::preset::{self, GROUPS, Group};
 use super::settings::{Settings, TABLES};
 use super::training::{Chosen, Preset, Quality};
@@ -55,7 +56,7 @@ fn reference() -> String {
     for (table, values) in TABLES.iter().zip(defaults()) {
         write!(text, "\n## [{}]\n\n{}\n", table.path, flowing(table.about)).expect("a string takes all");
         for setting in table.settings {
-            let (kind, allowed) = (setting.allowed.type_name(), setting.allowed.words());
+            let (kind, allowed) = (type_name(setting.allowed), setting.allowed.words());
             let Setting { key, about, reason, .. } = setting;
             let (default, about) = (literal(&values, setting), flowing(about));
             write!(
@@ -69,6 +70,18 @@ fn reference() -> String {
     text
 }
 
+/// A setting's type in words.
+fn type_name(allowed: Allowed) -> &'static str {
+    match allowed {
+        Allowed::Whole(..) | Allowed::WholeOrPreset(..) | Allowed::MultipleOrPreset(..) => "whole number",
+        Allowed::NumberOrPreset(..) => "number",
+        Allowed::Switch => "switch",
+        Allowed::OneOf(_) => "word",
+        Allowed::Text(_) => "text",
+        Allowed::Texts(_) => "list of texts",
+    }
+}
+
 /// A group's file: its values with their reasons. What differs between presets stands in a table a preset.
 fn preset_file(group: &Group) -> String {
     let mut text = comment(&format!(
@@ -80,7 +93,7 @@ fn preset_file(group: &Group) -> String {
         let chosen = Chosen { preset, quality: Quality::Balanced, robust: false };
         let mut settings = preset::settings(chosen);
         (group.apply)(&mut settings);
-        (preset.name(), Table::try_from(&settings).expect("settings are TOML"))
+        (format!("{preset:?}").to_lowercase(), Table::try_from(&settings).expect("settings are TOML"))
     });
     let [first, ..] = &on;
     let differs =
@@ -90,7 +103,7 @@ fn preset_file(group: &Group) -> String {
         let mut table = None;
         for set in group.sets {
             let (key, path) = set.path.split_last().expect("a set value has a key");
-            let within = if differs { [&[*name], path].concat().join(".") } else { path.join(".") };
+            let within = if differs { [&[name.as_str()], path].concat().join(".") } else { path.join(".") };
             if table.as_ref() != Some(&within) {
                 let header = if within.is_empty() { String::new() } else { format!("[{within}]\n") };
                 write!(text, "\n{header}").expect("a string takes all");
