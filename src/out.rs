@@ -2,7 +2,7 @@
 //! then.
 //!
 //! The macros here stand before the standard ones in every module of this binary. Once the reader is gone nothing
-//! more is written there, and the command goes on to its end and its ordinary exit code: a training that somebody
+//! more is written there, and the command goes on to its end and its ordinary exit code: a training that a person
 //! glanced at is not lost. What runs until it is stopped asks [`is_closed`].
 
 use std::fmt::Arguments;

@@ -1,7 +1,7 @@
 //! `cairn access`: accounts, their roles and quotas.
 //!
 //! Without --connect these commands work on a data folder that no daemon has open, as
-//! its operator: whoever can write there needs no account.
+//! its operator: a user who can write there needs no account.
 
 use anyhow::Context as _;
 use cairn_api::v1::{self, change_account_request::Change};

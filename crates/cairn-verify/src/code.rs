@@ -79,7 +79,7 @@ codes! {
     /// The owner named in the record signed it.
     OwnerSignatureValid = "signature.owner.valid", Passed, "";
     /// The owner named in the record did not sign these bytes.
-    OwnerSignatureInvalid = "signature.owner.invalid", Error, "get the envelope again; somebody changed it, or the owner never signed";
+    OwnerSignatureInvalid = "signature.owner.invalid", Error, "get the envelope again; it was changed, or the owner never signed";
     /// The pinned registry signed.
     RegistrySignatureValid = "signature.registry.valid", Passed, "";
     /// There is a signature besides the owner's, and none is by the pinned registry.
@@ -91,7 +91,7 @@ codes! {
     /// A signature by nobody known.
     SignatureUnknown = "signature.unknown", Warning, "do not count it as anybody's";
     /// A signature that holds, labelled as another key's, or unlabelled.
-    SignatureKeyidMismatch = "signature.keyid.mismatch", Warning, "nothing rests on the label; tell whoever wrote it";
+    SignatureKeyidMismatch = "signature.keyid.mismatch", Warning, "nothing rests on the label; tell the one who wrote it";
     /// The marked field in hand is the record's.
     MarkedFieldMatch = "digest.marked_field.match", Passed, "";
     /// The marked field in hand is another.
@@ -275,7 +275,7 @@ codes! {
     /// The answer is to another question.
     AnswerQuestionMismatch = "answer.question.mismatch", Error, "ask the registry again, and audit the answer to your own question";
     /// The answer names another log than its checkpoint.
-    AnswerOriginMismatch = "answer.origin.mismatch", Error, "get the answer again; somebody put it together from two logs";
+    AnswerOriginMismatch = "answer.origin.mismatch", Error, "get the answer again; it was put together from two logs";
     /// The log of the answer begins with the one of the older checkpoint asked for.
     AnswerAsOfProven = "answer.as_of.proven", Passed, "";
     /// The log of the answer does not begin with the one of the older checkpoint.

@@ -1,4 +1,4 @@
-//! `cairn audit evidence`: what a follower kept of a contradiction, checked by somebody
+//! `cairn audit evidence`: what a follower kept of a contradiction, checked by a person
 //! who was not there.
 
 use std::path::PathBuf;

@@ -10,7 +10,7 @@ const TIMEOUT: Duration = Duration::from_secs(30);
 /// Largest head of an answer, bytes.
 const MAX_HEAD_BYTES: usize = 16 << 10;
 
-/// A log at an address. Follows no redirect: whoever was named answers, or nobody does.
+/// A log at an address. Follows no redirect: the host that was named answers, or none does.
 pub struct HttpLog {
     agent: Agent,
     url: String,

@@ -1,4 +1,4 @@
-//! `cairn audit`: everything that whoever trusts nobody runs. No daemon is needed,
+//! `cairn audit`: what an auditor runs who trusts nobody. No daemon is needed,
 //! and none is asked: the files, or a log's public tiles, speak for themselves.
 //!
 //! Every verb answers with coded findings and an exit code; 2 is always "could not

@@ -45,7 +45,7 @@ pub enum RecordError {
         got: String,
     },
     /// The key named in the body did not sign these bytes.
-    #[error("no signature of the envelope is by the key {owner} that the {what} names; sign it with that key")]
+    #[error("no signature of the envelope is by the key {owner} that the {what} names")]
     OwnerSignature {
         /// Owner record or erasure request.
         what: &'static str,

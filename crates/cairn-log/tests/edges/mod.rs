@@ -14,8 +14,17 @@ pub struct Edge {
     pub key: [u8; 32],
     pub message: [u8; 32],
     pub signature: [u8; 64],
-    /// Whether the equation holds without and with cofactor, encodings and orders aside.
-    pub holds: (bool, bool),
+    /// Encodings and orders aside.
+    pub holds: Holds,
+}
+
+/// Whether a signature's equation holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Holds {
+    /// As it stands.
+    pub without_cofactor: bool,
+    /// Times 8.
+    pub with_cofactor: bool,
 }
 
 /// What a strict verifier says to each of [`edges`], in order: V takes it, X does not. Only the fourth is taken, whose key
@@ -60,14 +69,15 @@ fn defect(r: Written, a: Written, message: &[u8; 32], s: Scalar) -> EdwardsPoint
 fn search(
     name: &'static str,
     a: Written,
-    wanted: (bool, bool),
+    wanted: Holds,
     make: impl Fn(&[u8; 32]) -> Option<(Written, Scalar)>,
 ) -> Edge {
     let messages = (0..10_000_u32).map(|n| <[u8; 32]>::from(sha2::Sha256::digest(n.to_be_bytes())));
     let found =
         messages.filter_map(|message| make(&message).map(|(r, s)| (message, r, s))).find_map(|(message, r, s)| {
             let defect = defect(r, a, &message, s);
-            let holds = (defect == EdwardsPoint::default(), defect.mul_by_cofactor() == EdwardsPoint::default());
+            let is_zero = |point: EdwardsPoint| point == EdwardsPoint::default();
+            let holds = Holds { without_cofactor: is_zero(defect), with_cofactor: is_zero(defect.mul_by_cofactor()) };
             (holds == wanted).then(|| {
                 let mut signature = [0; 64];
                 signature[..32].copy_from_slice(&r.bytes);
@@ -102,7 +112,8 @@ pub fn edges() -> Vec<Edge> {
     let mixed_r = |n: usize| written(prime_r.point + EIGHT_TORSION[n]);
     let zero = Scalar::ZERO;
     let own = |r: Written, a_: Written, m: &[u8; 32], secret: Scalar| secret + challenge(&r.bytes, &a_.bytes, m) * a;
-    let (both, with, never) = ((true, true), (false, true), (false, false));
+    let with = Holds { without_cofactor: false, with_cofactor: true };
+    let (both, never) = (Holds { without_cofactor: true, ..with }, Holds { with_cofactor: false, ..with });
     let again = Written { point: EdwardsPoint::default(), bytes: IDENTITY_AGAIN };
     let canonical = |w: Written| written(w.point);
     let plain = search("S below L", prime_a, both, |m| Some((prime_r, own(prime_r, prime_a, m, r))));

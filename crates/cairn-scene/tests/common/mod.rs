@@ -53,7 +53,7 @@ impl Colmap {
 
     /// What the `i`th image observes: where, px, and which point, -1 for none.
     fn observations(&self, i: usize) -> Vec<(f64, f64, i64)> {
-        let count = if i % 2 == 0 { 0 } else { self.tracks };
+        let count = if i.is_multiple_of(2) { 0 } else { self.tracks };
         let point = |k: usize| if k % 3 == 1 { -1 } else { ((i + k) % self.points.len().max(1)) as i64 };
         (0..count).map(|k| (1.5 + k as f64, 2.5, point(k))).collect()
     }
