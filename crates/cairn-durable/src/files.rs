@@ -25,7 +25,7 @@ impl Files {
         self.disk.read(path, limit)
     }
 
-    /// As [`Disk::read_at`].
+    /// `length` bytes of a file from `offset` on; `None` where there is no such file.
     ///
     /// # Errors
     /// [`DurableError`].

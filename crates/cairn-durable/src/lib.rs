@@ -3,7 +3,8 @@
 //!
 //! Two ways in. The functions on paths ([`write_atomic`], [`read_limited`], [`rename`], ...) and [`LockFile`]
 //! are for single files. [`Files`] on a [`Disk`] is for those who must show in tests what each failed step
-//! leaves behind: [`RealDisk`] is the operating system's, [`FaultyDisk`] one in memory that fails on demand.
+//! leaves behind: [`RealDisk`] is the operating system's; with the feature `testing`, `FaultyDisk` is one
+//! in memory that fails on demand.
 
 mod disk;
 mod error;

@@ -128,7 +128,7 @@ impl Capture {
     /// EXIF orientation applied, alpha composited on the background. Orientation
     /// is left out where only the stored pixels fit the camera, which then was
     /// computed on those, and where both ways fit and the camera's format says
-    /// so ([`PhotographFile::as_stored`]).
+    /// so ([`View::as_stored`]).
     ///
     /// # Errors
     /// [`CaptureError`] for a view that is not there, a photograph that is

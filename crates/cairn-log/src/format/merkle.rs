@@ -5,7 +5,7 @@
 //!
 //! Roots at any past size and proofs are made from the hashes of full subtrees, so they cost a logarithm, not a walk
 //! over the log. Where those hashes are kept is the source's business ([`Subtrees`]): a registry has them in tiles on
-//! disk; [`Tree`] has them in memory, 64 bytes a leaf.
+//! disk; for tests, `Tree` has them in memory, 64 bytes a leaf.
 
 use crate::format::digest::{Digest, DigestError};
 

@@ -80,7 +80,7 @@ impl SceneFolder {
     }
 
     /// Opens the scene `dir/name`: its table and points are read and checked,
-    /// its photographs are not ([`SceneFolder::verify_photographs`] does that).
+    /// its photographs as each is decoded.
     ///
     /// # Errors
     /// [`CaptureError`] for a scene that is missing, of another format version,

@@ -1,4 +1,4 @@
-//! What a declared setting is, and what may stand there. [`super::settings`] declares them.
+//! What a declared setting is, and what may stand there. `settings.rs` declares them.
 
 use toml::Value;
 
