@@ -199,7 +199,7 @@ impl Answer {
             return Err(AnswerError::Format { got: clip(&stated.format) });
         }
         let answer: Self = serde_json::from_slice(json).map_err(refuse)?;
-        check_text("scene", &answer.scene).map_err(AnswerError::Scene)?;
+        check_text("answer", "scene", &answer.scene).map_err(AnswerError::Scene)?;
         answer.check_order()?;
         Ok(answer)
     }

@@ -134,7 +134,7 @@ impl WitnessVerifier {
     }
 }
 
-/// The vkey.
+/// The bytes that a cosignature signs (C2SP tlog-cosignature).
 fn message(note_text: &str, time: u64) -> Vec<u8> {
     format!("cosignature/v1\ntime {time}\n{note_text}").into_bytes()
 }

@@ -56,7 +56,7 @@ impl Statement for ErasureRequest {
             let (what, expected) = (Self::NAME, "less than 2^53");
             return Err(RecordError::Field { what, field: "index", expected, got: self.index.to_string() });
         }
-        check_text("origin", &self.origin)
+        check_text(Self::NAME, "origin", &self.origin)
     }
 }
 

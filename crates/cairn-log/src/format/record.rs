@@ -209,10 +209,10 @@ impl OwnerRecord {
         if self.version != VERSION {
             return Err(statement::version::<Self>(self.version.into()));
         }
-        check_text("origin", &self.origin)?;
-        check_text("scene", &self.scene)?;
-        check_text("identity.contributor", &self.identity.contributor)?;
-        check_text("purpose", &self.purpose)?;
+        check_text(Self::NAME, "origin", &self.origin)?;
+        check_text(Self::NAME, "scene", &self.scene)?;
+        check_text(Self::NAME, "identity.contributor", &self.identity.contributor)?;
+        check_text(Self::NAME, "purpose", &self.purpose)?;
         if self.identity.number == 0 {
             return Err(field("identity.number", "1 or more (0 is `unmarked`)", "0"));
         }
@@ -332,10 +332,12 @@ pub(crate) fn field(field: &'static str, expected: &'static str, got: impl ToStr
     RecordError::Field { what: OwnerRecord::NAME, field, expected, got: got.to_string() }
 }
 
-pub(crate) fn check_text(name: &'static str, text: &str) -> Result<(), RecordError> {
+/// `what` is the body whose field `field` holds `text`.
+pub(crate) fn check_text(what: &'static str, field: &'static str, text: &str) -> Result<(), RecordError> {
     if text.is_empty() || text.len() > MAX_TEXT_BYTES || text.trim() != text || text.chars().any(char::is_control) {
         let expected = "1 to 256 bytes without control characters or outer blanks";
-        return Err(field(name, expected, format!("{:?} ({} bytes)", clip(text), text.len())));
+        let got = format!("{:?} ({} bytes)", clip(text), text.len());
+        return Err(RecordError::Field { what, field, expected, got });
     }
     Ok(())
 }

@@ -138,7 +138,7 @@ pub(super) fn find(shared: &Shared, record: &Digest) -> Result<Option<u64>, Regi
     Ok(index_of(shared, record)?.filter(|index| *index < size))
 }
 
-/// As [`super::Registry::ended_id`].
+/// Index of the revocation or rotation that ended the key with this id, as far as the log is written.
 pub(super) fn ended_id(shared: &Shared, owner: &Digest) -> Result<Option<u64>, RegistryError> {
     let size = shared.size();
     let index = reload::number_at(shared.store.as_ref(), &layout::retired(owner), || format!("end of key {owner}"))?;

@@ -12,7 +12,7 @@ use std::{
     time::{SystemTime, UNIX_EPOCH},
 };
 
-use cairn_durable::{Disk, Files, LockFile, RealDisk, make_folders};
+use cairn_durable::{Disk, Files, LockFile, RealDisk, make_folders, sync_folder};
 
 use crate::format::{
     checkpoint::Checkpoint,
@@ -125,8 +125,11 @@ impl Witness {
         key: OwnerKey,
         logs: Vec<NoteVerifier>,
     ) -> Result<Self, OpenError> {
-        let folders = [LOGS, EVIDENCE].iter().try_for_each(|folder| make_folders(&path.join(folder)));
-        let lock = folders.and_then(|()| LockFile::take(&path.join("LOCK")));
+        let made = [LOGS, EVIDENCE].iter().try_for_each(|folder| make_folders(&path.join(folder)));
+        // Also where the folders were there: a start that died may have made them and flushed nothing.
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let durable = made.and_then(|()| [path, parent].into_iter().try_for_each(sync_folder));
+        let lock = durable.and_then(|()| LockFile::take(&path.join("LOCK")));
         let lock = lock.map_err(|e| OpenError::Memory { file: path.display().to_string(), what: e.to_string() })?;
         let witness = Self::open_on(Box::new(RealDisk::new(path)), clock, name, key, logs)?;
         Ok(Self { _lock: Some(lock), ..witness })

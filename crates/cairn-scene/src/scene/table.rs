@@ -67,7 +67,7 @@ pub(crate) struct ViewRow {
     pub camera: Camera,
     /// File name within `photographs/`.
     pub photograph: String,
-    /// [`PhotographFile::as_stored`].
+    /// `View::as_stored`.
     pub as_stored: bool,
     /// Hexadecimal SHA-256 of the photograph's bytes.
     pub sha256: String,

@@ -115,8 +115,13 @@ fn cut(bytes: &[u8], tile: TilePath, width: u16) -> io::Result<Vec<u8>> {
 
 /// A file's bytes, if there is such a file.
 fn read(path: &Path, most: u64) -> io::Result<Option<Vec<u8>>> {
-    // A full tile and the folder of a larger index may share a name's beginning, never a name.
-    if path.is_file() { Ok(read_limited_if_there(path, most)?) } else { Ok(None) }
+    match std::fs::metadata(path) {
+        Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+        Err(e) => Err(e),
+        // A full tile and the folder of a larger index may share a name's beginning, never a name.
+        Ok(there) if !there.is_file() => Ok(None),
+        Ok(_) => Ok(read_limited_if_there(path, most)?),
+    }
 }
 
 #[cfg(test)]

@@ -26,8 +26,8 @@ use crate::store::hidden::{self, Parts};
 const MAX_FIELD_BYTES: u64 = 64 << 30;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
-/// Format version of `model.json`.
-pub const VERSION: u32 = 1;
+/// Format version of `model.json`, and of the settings beside it.
+pub const VERSION: u32 = 2;
 /// Format version of `current.json`.
 const CURRENT_VERSION: u32 = 1;
 

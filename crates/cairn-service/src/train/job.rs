@@ -12,7 +12,7 @@ use crate::config::TrainingSettings;
 use crate::store::hidden::Kinds;
 
 /// Format version of `job.json`.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// What to train. Never changes after the job was accepted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -169,7 +169,7 @@ impl Detector {
     /// As safetensors. Equal detectors give equal bytes.
     ///
     /// # Errors
-    /// [`MarkError::Stored`] when it cannot be written out.
+    /// [`MarkError::Field`] when it cannot be written out.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MarkError> {
         let header = Header {
             format: DETECTOR_FORMAT.into(),
@@ -185,7 +185,7 @@ impl Detector {
     /// Reads what [`Detector::to_bytes`] wrote.
     ///
     /// # Errors
-    /// [`MarkError::Stored`] for an unknown format or a damaged file.
+    /// [`MarkError::Field`] for an unknown format, [`MarkError::Stored`] for a damaged file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MarkError> {
         let header: Header = read_header(bytes, "detector", DETECTOR_FORMAT)?;
         header.config.validate()?;
