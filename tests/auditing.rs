@@ -143,7 +143,7 @@ impl World {
         let (said, code) = cairn("cairn owners vkey --data data --config cairn.toml", folder);
         assert!(said.starts_with(&format!("{vkey}\n")) && code == 0, "{said}");
         for copy in ["damaged", "fork", "running"] {
-            cairn_testkit::daemon::copy(&world.path("data"), &world.path(copy));
+            cairn_testkit::copy(&world.path("data"), &world.path(copy));
         }
         // The anchor stays beside the folder that was copied.
         let (said, code) = cairn("cairn registry anchor --accept --data running --config cairn.toml", folder);

@@ -9,7 +9,8 @@ use cairn_api::v1;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
 use cairn_log::format::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
 use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, Policy, RecordKind};
-use cairn_testkit::daemon::{Daemon, Place, copy};
+use cairn_testkit::copy;
+use cairn_testkit::daemon::{Daemon, Place};
 use tonic::transport::Channel;
 
 /// A running `cairn witness serve`; ends with the test.

@@ -39,7 +39,7 @@ fn attacked_pairs(rows: &[Row], case: &str, views: f64) -> f64 {
 fn a_detector_is_asked_about_everything_that_has_no_mark() {
     let place = Place::new();
     // There to be asked about, and not measured, so that there is no field of it.
-    copy(&place.path("captures/lego"), &place.path("captures/trex"));
+    cairn_testkit::copy(&place.path("captures/lego"), &place.path("captures/trex"));
     let said = place.eval_ok(&["mark", "--case", "lego", "--case", "liberty"]);
     assert!(said.contains("SKIPPED renders of trex") && said.contains("--case trex"), "{said}");
     assert!(!said.contains("SKIPPED renders of l"), "{said}");
@@ -82,17 +82,4 @@ fn what_training_skips_is_compared_with_the_same_not_skipped() {
     let share = value(&rows, "lego, quick, skips", &format!("{what}: share of the time saved"));
     assert!(share < 1.0 && share.is_finite());
     assert!(!place.path("results/ablation.jsonl").exists(), "no row of it has a target");
-}
-
-fn copy(from: &std::path::Path, to: &std::path::Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let to = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy(&entry.path(), &to);
-        } else {
-            std::fs::copy(entry.path(), &to).unwrap();
-        }
-    }
 }

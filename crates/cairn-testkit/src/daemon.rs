@@ -247,17 +247,3 @@ fn given(scene: &str, settings: TrainingSettings, base_only: bool) -> TrainingRe
 pub fn smoke_settings() -> TrainingSettings {
     preset::settings(Chosen { preset: Preset::Outdoor, quality: Quality::Smoke, robust: false })
 }
-
-/// Copies a folder whole.
-pub fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let to = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy(&entry.path(), &to);
-        } else {
-            std::fs::copy(entry.path(), &to).unwrap();
-        }
-    }
-}

@@ -108,3 +108,20 @@ pub fn attack_with(name: &str, good: &[&[u8]], cases: u32, bound: impl Fn(usize)
         panic!("{name}: {broken}");
     }
 }
+
+/// Copies a folder whole.
+///
+/// # Panics
+/// Where a file cannot be read or written.
+pub fn copy(from: &std::path::Path, to: &std::path::Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let to = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy(&entry.path(), &to);
+        } else {
+            std::fs::copy(entry.path(), &to).unwrap();
+        }
+    }
+}

@@ -223,7 +223,7 @@ codes! {
     /// A manifest cannot be read, or is not as it is written.
     ManifestMalformed = "manifest.malformed", Error, "restore the folder from a copy";
     /// A folder without a manifest: files that no digest names were not compared.
-    ManifestMissing = "manifest.missing", Info, "it is still being worked on; where nobody works on it, restore the folder from a copy";
+    ManifestMissing = "manifest.missing", Info, "it is still being worked on; where no process does, restore the folder from a copy";
     /// A file is missing, or is not the one that its manifest, record or table names.
     FileMismatch = "file.mismatch", Error, "restore the file from a copy";
     /// A file that no manifest names.

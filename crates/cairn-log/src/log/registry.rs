@@ -253,7 +253,7 @@ impl Registry {
     /// Whoever waits for the round to come is refused at once; whose round is being written waits for that.
     pub fn stop_writing(&self, cause: &str) {
         self.shared.halt(cause);
-        // Under its lock: between a look and a wait nobody hears a call.
+        // Under its lock: a call between a look and a wait would not be heard.
         let _queue = lock(&self.shared.queue);
         self.shared.wake.notify_all();
     }

@@ -1,7 +1,7 @@
 //! Camera paths: an orbit around the scene's centre, a spiral in front of it, a
 //! flight between two views. Poses from poses; nothing here renders or reads.
 //!
-//! A path that would show what nobody photographed is refused with the path that
+//! A path that would show what no photograph shows is refused with the path that
 //! would do instead.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -41,7 +41,7 @@ pub enum PathError {
     OneSided,
     /// An orbit of a scene whose cameras look outwards.
     #[error(
-        "{away} of {views} views look away from the scene's centre: an orbit would show what nobody photographed; use a path between two views (--path between)"
+        "{away} of {views} views look away from the scene's centre: an orbit would show what no photograph shows; use a path between two views (--path between)"
     )]
     LookingAway {
         /// How many do.

@@ -33,7 +33,7 @@ const COLOURS: [Colour; MAX_COLOURS] = [
     [0, 90, 70],
 ];
 const OTHERS: Colour = [128, 128, 126];
-const NOBODY: Colour = [178, 178, 172];
+const NO_CLUSTER: Colour = [178, 178, 172];
 const PAPER: Colour = [252, 252, 250];
 const INK: Colour = [30, 30, 36];
 const FRAME: Colour = [190, 190, 186];
@@ -149,7 +149,7 @@ impl Groups {
     }
 
     fn colour(&self, view: usize) -> Colour {
-        self.of[view].map_or(NOBODY, |group| COLOURS.get(group).copied().unwrap_or(OTHERS))
+        self.of[view].map_or(NO_CLUSTER, |group| COLOURS.get(group).copied().unwrap_or(OTHERS))
     }
 
     /// Views in the order in which they are drawn: nobody's and the others' below.
@@ -253,9 +253,9 @@ fn legend(shapes: &mut Vec<Shape>, groups: &Groups, layout: &Layout, points: boo
         let sum = rest.iter().fold([0, 0], |s, (_, c)| [s[0] + c[0], s[1] + c[1]]);
         lines.push((OTHERS, format!("{} others", rest.len()), count(sum)));
     }
-    let nobodys = groups.of.iter().filter(|g| g.is_none()).count();
-    if nobodys > 0 {
-        lines.push((NOBODY, "in no cluster".to_owned(), nobodys.to_string()));
+    let without_cluster = groups.of.iter().filter(|g| g.is_none()).count();
+    if without_cluster > 0 {
+        lines.push((NO_CLUSTER, "in no cluster".to_owned(), without_cluster.to_string()));
     }
     for (colour, name, count) in lines {
         entry(shapes, at, layout, colour, false, &name, &count);
