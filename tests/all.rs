@@ -11,6 +11,7 @@ mod auditing;
 mod base_only;
 mod chosen_light;
 mod fuzz_requests;
+mod hands;
 mod keys;
 mod log;
 mod lost;

@@ -85,9 +85,8 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
         assert!(String::from_utf8_lossy(&refused.stderr).contains(why), "{refused:?}");
     }
 
-    let (json, sheet) = (place.text("report.json"), place.text("sheet.png"));
-    place.cairn_ok(&["evaluate", "town", "--json", &json, "--sheet", &sheet, to[0], to[1]]);
-    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    let sheet = place.text("sheet.png");
+    let report = place.cairn_json(&["evaluate", "town", "--json", "--sheet", &sheet, to[0], to[1]]);
     assert_eq!(report["mark"]["classes"]["asked"], 4, "{report}");
     assert_eq!(report["mark"]["identities"].as_array().unwrap().len(), 2);
     assert!(std::fs::read(sheet).unwrap().starts_with(b"\x89PNG"));
@@ -201,15 +200,24 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
 #[test]
 fn the_demo_goes_the_whole_way() {
     let place = Place::new();
-    let (out, json) = (place.text("demo"), place.text("demo.json"));
-    let said = place.cairn_ok(&["demo", "--photographs", "6", "--quality", "smoke", "--out", &out, "--json", &json]);
+    let out = place.text("demo");
+    let demo = ["demo", "--photographs", "6", "--quality", "smoke", "--out", &out];
+    let said = place.cairn_ok(&demo);
     for line in ["pictures, base field", "pictures, marked field", "classes, marked and base", "hidden SSIM"] {
         assert!(said.contains(line), "no line {line:?} in {said}");
     }
     for line in ["who contributed, by pose", "photographs unmarked", "owner records trusted      3 of 3 right"] {
         assert!(said.contains(line), "no line {line:?} in {said}");
     }
-    let results: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    // What it says to try next works, after another demo in the same place.
+    std::fs::write(place.path("demo/notes.txt"), "of the person who looked").unwrap();
+    let results = place.cairn_json(&[&demo[..], &["--json"]].concat());
+    assert!(place.path("demo/notes.txt").exists());
+    let next: Vec<&str> = said.lines().filter_map(|line| line.strip_prefix("  cairn ")).collect();
+    assert!(next.len() > 4, "{said}");
+    for command in next.iter().filter(|command| !command.contains("--path")) {
+        place.cairn_ok(&command.split_whitespace().collect::<Vec<_>>());
+    }
     assert_eq!((results["format_version"].as_u64(), results["seed"].as_u64()), (Some(1), Some(1)));
     assert_eq!(results["records_trusted"], serde_json::json!({ "right": 3, "asked": 3 }));
     assert_eq!(results["evaluation"]["mark"]["identities"].as_array().unwrap().len(), 3);
@@ -264,10 +272,10 @@ fn a_picture_with_a_text_and_a_spoken_credit_go_all_the_way() {
     assert_eq!((sound.sample_rate_hz(), sound.samples().len()), (16_000, 6_400));
     assert!(place.path("said/text.txt").exists() && place.path("said/picture.png").exists());
 
-    let (json, sheet) = (place.text("report.json"), place.text("sheet.png"));
-    let said = place.cairn_ok(&["evaluate", "town", "--json", &json, "--sheet", &sheet, "--data", &data]);
+    let sheet = place.text("sheet.png");
+    let said = place.cairn_ok(&["evaluate", "town", "--data", &data]);
     assert!(said.contains("hidden sound, SNR in dB") && said.contains("hidden text, characters"), "{said}");
-    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    let report = place.cairn_json(&["evaluate", "town", "--json", "--sheet", &sheet, "--data", &data]);
     let [one, two] = [0, 1].map(|at| &report["mark"]["identities"][at]);
     assert!(one["text_bits"]["forced_grey"].is_f64() && one["audio_snr_db"].is_null(), "{report}");
     assert!(two["audio_lsd_db"]["forced_noise"].is_f64() && two["picture_ssim"].is_null(), "{report}");

@@ -188,7 +188,7 @@ fn ctrl_c_cancels_and_keeps_the_checkpoint() {
         .args(["train", "one", "--by-contributor", "--base-only", "--preset", "object", "--quality", "archival"])
         .args(["--max-voxels", "4096", "--data", &data, "--config", &config])
         .stdout(Stdio::piped())
-        .stderr(Stdio::null())
+        .stderr(Stdio::piped())
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
@@ -201,9 +201,10 @@ fn ctrl_c_cancels_and_keeps_the_checkpoint() {
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    let said: Vec<String> = lines.map(Result::unwrap).collect();
-    assert!(child.wait().unwrap().success());
-    assert!(said.iter().any(|line| line.contains("cancelled; its checkpoint is kept")), "{said:?}");
+    let ended = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(130), "{said}");
+    assert!(said.contains("cancelled; its checkpoint is kept"), "{said}");
     assert!(checkpoint.join("base.checkpoint").exists());
     assert!(place.cairn_ok(&["jobs", "--data", &data]).contains("cancelled"));
 }

@@ -27,6 +27,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     std::fs::write(out.join("cairn_methods.rs"), format!("&{methods:?}"))?;
-    tonic_prost_build::configure().bytes(".").compile_fds(descriptors)?;
+    let mut config = prost_build::Config::new();
+    // A message knows its name: answers in JSON look its fields up by it.
+    config.enable_type_names();
+    tonic_prost_build::configure().bytes(".").compile_fds_with_config(descriptors, config)?;
     Ok(())
 }

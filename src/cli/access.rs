@@ -9,12 +9,16 @@ use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
 
 use super::connect::{Connection, Where};
+use super::json::{self, Json};
 use super::words::word;
 
 /// What to do with accounts.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Ask a daemon for an account with the key of --account
+    #[command(
+        after_help = "Example:\n  cairn access register --name ada --connect https://cairn.example:7341 --tls-ca ca.pem --account ada.key"
+    )]
     Register {
         /// What to call it
         #[arg(long, value_name = "NAME")]
@@ -24,6 +28,9 @@ pub enum Command {
         role: Role,
     },
     /// Approve an account that waits (operators)
+    #[command(
+        after_help = "Example:\n  cairn access approve d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a --role curator --account grace.key"
+    )]
     Approve {
         /// Its public key, 64 hexadecimal digits
         key: PublicKey,
@@ -32,12 +39,25 @@ pub enum Command {
         role: Option<Role>,
     },
     /// All accounts, oldest first (auditors and operators)
-    List,
+    #[command(after_help = "Example:\n  cairn access list")]
+    List {
+        #[command(flatten)]
+        json: Json,
+    },
     /// Give an account another role, shut it out, or let it in again (operators)
+    #[command(
+        after_help = "Example:\n  cairn access set d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a --disable"
+    )]
     Set(SetArgs),
     /// What an account uses and may use: your own, or anybody's; with limits, set them (operators)
+    #[command(
+        after_help = "Example:\n  cairn access quota d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a --views 500"
+    )]
     Quota(QuotaArgs),
     /// Add an account to the data folder of a daemon that is not running: how the first operator is made
+    #[command(
+        after_help = "Example:\n  cairn access add --name grace --role operator --key d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a"
+    )]
     Add(AddArgs),
 }
 
@@ -86,6 +106,8 @@ pub struct QuotaArgs {
     #[arg(long, requires = "key", conflicts_with_all = ["bytes", "views", "training_seconds", "queued_jobs", "records",
         "records_per_day"])]
     pub default: bool,
+    #[command(flatten)]
+    pub json: Json,
 }
 
 /// `cairn access add`.
@@ -100,6 +122,26 @@ pub struct AddArgs {
     /// What to call it; its role where not given
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+}
+
+impl QuotaArgs {
+    /// Whether it sets limits.
+    fn changes(&self) -> bool {
+        let given =
+            [self.bytes, self.views, self.training_seconds, self.queued_jobs, self.records, self.records_per_day];
+        self.default || given.iter().any(Option::is_some)
+    }
+}
+
+impl Command {
+    /// Whether it only reads.
+    pub fn reads(&self) -> bool {
+        match self {
+            Self::List { .. } => true,
+            Self::Quota(args) => !args.changes(),
+            Self::Register { .. } | Self::Approve { .. } | Self::Set(_) | Self::Add(_) => false,
+        }
+    }
 }
 
 /// Answers `cairn access add`.
@@ -123,10 +165,16 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             let role = role.map_or(v1::Role::Unspecified, cairn_service::grpc::to_proto::role);
             (key, Change::Approve(role.into()))
         }
-        Command::List => {
+        Command::List { json } => {
             let request = v1::ListAccountsRequest {};
-            let accounts = client.list(request).await?.into_inner().accounts;
-            accounts.iter().for_each(|account| println!("{}", one_line(account)));
+            let answer = client.list(request).await?.into_inner();
+            if json.json {
+                return json::print(&answer);
+            }
+            if answer.accounts.is_empty() {
+                println!("no accounts yet; the first operator is made with `cairn access add` on the daemon's machine");
+            }
+            answer.accounts.iter().for_each(|account| println!("{}", one_line(account)));
             return Ok(());
         }
         Command::Set(SetArgs { key, role: Some(role), .. }) => {
@@ -194,8 +242,7 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
     let public_key = || args.key.map(|key| key.to_bytes().to_vec()).unwrap_or_default().into();
     let ask = || v1::QuotaRequest { public_key: public_key() };
     let mut now = client.quota(ask()).await?.into_inner();
-    let given = [args.bytes, args.views, args.training_seconds, args.queued_jobs, args.records, args.records_per_day];
-    if args.default || given.iter().any(Option::is_some) {
+    if args.changes() {
         let old = now.limits.unwrap_or_default();
         let quota = v1::QuotaLimits {
             bytes: args.bytes.unwrap_or(old.bytes),
@@ -209,6 +256,9 @@ async fn quota(line: &Connection, args: &QuotaArgs) -> anyhow::Result<()> {
         let request = v1::ChangeAccountRequest { public_key: public_key(), change: Some(change) };
         client.change(request).await?;
         now = client.quota(ask()).await?.into_inner();
+    }
+    if args.json.json {
+        return json::print(&now);
     }
     let (limits, used) = (now.limits.unwrap_or_default(), now.used.unwrap_or_default());
     let of = |limit: u64| if limit == 0 { "no limit".to_owned() } else { format!("of {limit}") };

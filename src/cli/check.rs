@@ -6,6 +6,7 @@ use cairn_api::v1;
 
 use super::connect::Connection;
 use super::files::write;
+use super::json::{self, Json};
 
 /// `cairn scene check`.
 #[derive(Clone, Debug, clap::Args)]
@@ -18,6 +19,8 @@ pub struct CheckArgs {
     /// Also draw the most suspicious photographs beside their renders
     #[arg(long, value_name = "PNG")]
     picture: Option<PathBuf>,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// `cairn scene exclude`.
@@ -46,7 +49,12 @@ pub struct IncludeArgs {
 /// Answers `cairn scene check`: a table of the views, the most suspicious first.
 pub async fn check(line: &Connection, args: CheckArgs) -> anyhow::Result<()> {
     let request = v1::CheckSceneRequest { scene: args.name.clone(), anew: args.anew, picture: args.picture.is_some() };
-    let answer = line.about(&args.name).scenes().check(request).await?.into_inner();
+    let mut answer = line.about(&args.name).scenes().check(request).await?.into_inner();
+    if args.json.json {
+        let png = std::mem::take(&mut answer.picture_png);
+        args.picture.iter().try_for_each(|path| write(path, &png))?;
+        return json::print(&answer);
+    }
     let heading = ["view", "contributor", "sigmas", "fit dB", "points", "error px", "state"].map(str::to_owned);
     let rows: Vec<[String; 7]> = std::iter::once(heading).chain(answer.views.iter().map(row)).collect();
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);

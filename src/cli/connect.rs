@@ -1,10 +1,13 @@
-//! How a command reaches the services: over the network with `--connect`, or in
-//! this process on `--data`. Either way it is the same services behind the same
-//! generated clients, so there is one code path to get right.
+//! How a command reaches the services: over the network with `--connect`, in this process on `--data`, or in the
+//! process that holds that folder. Each way it is the same services behind the same generated clients, so there is one
+//! code path to get right.
 
+use std::error::Error;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::Context as _;
+use cairn_api::v1::AboutRequest;
 use cairn_api::v1::access_service_client::AccessServiceClient;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
 use cairn_api::v1::query_service_client::QueryServiceClient;
@@ -13,35 +16,59 @@ use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_log::{NoteVerifier, OwnerKey};
 use hyper_util::rt::TokioIo;
+use tonic::Code;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
+
+use crate::last;
 
 use super::credential::{Credential, Speaking};
 use super::files::read;
 use super::unlock::UnlockArgs;
 use cairn_service::config::{Config, Token};
+use cairn_service::engine::{Engine, Opening};
+use cairn_service::error::EngineError;
+use cairn_service::grpc::error::ServeError;
+#[cfg(unix)]
+use cairn_service::grpc::local;
 use cairn_service::grpc::serve::InProcess;
 use cairn_service::grpc::tls::pem;
+use cairn_service::train::job::JobState;
 
-/// Bytes of pipe between client and services in this process.
-const PIPE_BYTES: usize = 1 << 20;
+/// How long a daemon may take to answer for the first time. What does not by then is no daemon, or out of reach.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Where the services are.
 #[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Connection")]
 pub struct Where {
-    /// A daemon to talk to, as http://127.0.0.1:7341; without it the command works on --data itself
-    #[arg(long, global = true, value_name = "URL")]
+    /// A daemon to talk to, as 127.0.0.1:7341 or https://cairn.example; without it the command works on --data
+    #[arg(long, global = true, value_name = "URL", env = "CAIRN_CONNECT", hide_env_values = true)]
     pub connect: Option<String>,
     /// The data folder to work on where there is no --connect
-    #[arg(long, global = true, value_name = "DIR", default_value = "cairn-data")]
+    #[arg(
+        long,
+        global = true,
+        value_name = "DIR",
+        default_value = "cairn-data",
+        env = "CAIRN_DATA_DIR",
+        hide_env_values = true
+    )]
     pub data: PathBuf,
     /// Settings that change the defaults (see configs/daemon.toml)
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE", env = "CAIRN_CONFIG", hide_env_values = true)]
     pub config: Option<PathBuf>,
     /// The file with the daemon's token, where it asks for one
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE", env = "CAIRN_TOKEN_FILE", hide_env_values = true)]
     pub token_file: Option<PathBuf>,
     /// The key file of your account with the daemon; every call is signed with it (see `cairn access`)
-    #[arg(long, global = true, value_name = "FILE", conflicts_with = "token_file")]
+    #[arg(
+        long,
+        global = true,
+        value_name = "FILE",
+        conflicts_with = "token_file",
+        env = "CAIRN_ACCOUNT",
+        hide_env_values = true
+    )]
     pub account: Option<PathBuf>,
     /// The key file that --account is sealed with
     #[arg(long, global = true, value_name = "FILE", requires = "account", conflicts_with = "account_passphrase_file")]
@@ -120,33 +147,39 @@ clients! {
 }
 
 impl Connection {
-    /// Connects, or opens the data folder in this process.
+    /// Connects; or opens the data folder in this process; or, where another holds it, connects to that one.
     ///
     /// # Errors
-    /// When there is no daemon at the address, the data folder is taken, or a file of the credentials is no good.
-    pub async fn open(place: &Where, config: &Config) -> anyhow::Result<Self> {
+    /// When there is no daemon at the address, the data folder cannot be had, or a file of the credentials is no good.
+    pub async fn open(place: &Where, config: &Config, opening: Opening) -> anyhow::Result<Self> {
         let (passphrase_file, key_file) = (place.account_passphrase_file.clone(), place.account_key_file.clone());
         let unlock = UnlockArgs { passphrase_file, key_file };
         let account = place.account.as_deref().map(|path| unlock.load(path)).transpose()?;
         let max_message_bytes = config.limits.max_message_bytes;
         let (channel, in_process) = match &place.connect {
-            Some(url) => {
-                let channel = endpoint(url, place)?.connect().await;
-                (channel.with_context(|| format!("no daemon answers at {url}; start one with `cairn serve`"))?, None)
-            }
-            None => {
-                let services = InProcess::start(config, &place.data).await?;
-                (in_process(&services).await?, Some(services))
-            }
+            Some(url) => (remote(url, place).await?, None),
+            None => match InProcess::start(config, &place.data, opening).await {
+                Ok(services) => {
+                    say_what_was_interrupted(services.engine());
+                    (in_process(&services).await?, Some(services))
+                }
+                Err(ServeError::Engine(taken @ EngineError::Locked { .. })) => (of_holder(place, taken).await?, None),
+                Err(refused) => return Err(refused.into()),
+            },
         };
         let credential = match (&place.token_file, &account) {
             // Whoever has the data folder in hand needs none.
-            _ if in_process.is_some() => Credential::Nothing,
+            _ if place.connect.is_none() => Credential::Nothing,
             (Some(path), _) => Credential::bearer(Token::load(path)?.secret())?,
             (None, Some(key)) => Credential::account(key.clone(), &channel, pinned(place)?.as_ref()).await?,
             (None, None) => Credential::Nothing,
         };
         Ok(Self { channel, credential, account, max_message_bytes, in_process })
+    }
+
+    /// Whether the services end with this command.
+    pub const fn is_in_process(&self) -> bool {
+        self.in_process.is_some()
     }
 
     /// The same line for calls about `scene`.
@@ -169,9 +202,78 @@ fn pinned(place: &Where) -> anyhow::Result<Option<NoteVerifier>> {
     Ok(Some(text.trim().parse().with_context(|| format!("{} is no vkey", path.display()))?))
 }
 
+/// Names the trainings whose process ended before they did. None goes on unasked.
+fn say_what_was_interrupted(engine: &Engine) {
+    for job in engine.jobs().list().into_iter().filter(|job| job.state == JobState::Interrupted) {
+        let (id, scene) = (&job.id, &job.spec.scene);
+        eprintln!(
+            "{id} ({scene}) was cut off with its process; `cairn train {scene} --resume {id}` goes on with it, \
+             `cairn jobs cancel {id}` ends it"
+        );
+    }
+}
+
+/// Connects to a daemon, which must answer at once.
+async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
+    let url = with_scheme(url, place);
+    let endpoint = endpoint(&url, place)?.connect_timeout(PATIENCE);
+    let channel = match tokio::time::timeout(PATIENCE, endpoint.connect()).await {
+        Ok(Ok(channel)) => channel,
+        Ok(Err(error)) => anyhow::bail!(
+            "nothing answers at {url} ({}); start a daemon there with `cairn serve`, or leave --connect away to work on --data",
+            last(&error)
+        ),
+        Err(_) => anyhow::bail!("{url} does not answer within {} s; is the address right?", PATIENCE.as_secs()),
+    };
+    let mut access = AccessServiceClient::new(channel.clone());
+    match tokio::time::timeout(PATIENCE, access.about(AboutRequest {})).await {
+        Ok(Ok(_)) => Ok(channel),
+        // A daemon that still reads its data folder says so itself.
+        Ok(Err(status)) if status.code() == Code::Unavailable && status.source().is_none() => Err(status.into()),
+        Ok(Err(_)) | Err(_) => anyhow::bail!(
+            "what answers at {url} is no Cairn daemon; a daemon says where it listens when it starts (server.bind, by \
+             default 127.0.0.1:7341), and its public log has another address"
+        ),
+    }
+}
+
+/// The address with the scheme that the other options mean.
+fn with_scheme(url: &str, place: &Where) -> String {
+    match (url.contains("://"), &place.tls_ca) {
+        (true, _) => url.to_owned(),
+        (false, Some(_)) => format!("https://{url}"),
+        (false, None) => format!("http://{url}"),
+    }
+}
+
+/// Connects to the process that holds the data folder.
+#[cfg(unix)]
+async fn of_holder(place: &Where, taken: EngineError) -> anyhow::Result<Channel> {
+    let Ok(stream) = local::connect(&place.data).await else { return Err(taken.into()) };
+    let mut first = Some(TokioIo::new(stream));
+    let data = place.data.clone();
+    let connector = tower::service_fn(move |_: Uri| {
+        let (first, data) = (first.take(), data.clone());
+        async move {
+            match first {
+                Some(stream) => Ok(stream),
+                None => local::connect(&data).await.map(TokioIo::new),
+            }
+        }
+    });
+    Ok(Endpoint::from_static("http://data-folder.invalid").connect_with_connector(connector).await?)
+}
+
+/// Connects to the process that holds the data folder.
+#[cfg(not(unix))]
+async fn of_holder(_: &Where, taken: EngineError) -> anyhow::Result<Channel> {
+    Err(taken.into())
+}
+
 /// Where the daemon is, and how the line to it is secured.
 fn endpoint(url: &str, place: &Where) -> anyhow::Result<Endpoint> {
-    let endpoint = Endpoint::from_shared(url.to_owned()).with_context(|| format!("--connect {url} is no URL"))?;
+    let endpoint = Endpoint::from_shared(url.to_owned())
+        .with_context(|| format!("--connect {url} is no URL; write HOST:PORT, http://HOST:PORT or https://HOST"))?;
     let secured = endpoint.uri().scheme_str() == Some("https");
     let Some(ca) = &place.tls_ca else {
         anyhow::ensure!(!secured, "--connect {url} needs --tls-ca FILE: the certificates that vouch for the daemon");
@@ -189,7 +291,7 @@ fn endpoint(url: &str, place: &Where) -> anyhow::Result<Endpoint> {
 async fn in_process(services: &InProcess) -> anyhow::Result<Channel> {
     let connections = services.connections.clone();
     let connector = tower::service_fn(move |_: Uri| {
-        let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
+        let (ours, theirs) = cairn_service::grpc::pipe();
         let sent = connections.send(Ok(theirs)).map_err(std::io::Error::other);
         async move { sent.map(|()| TokioIo::new(ours)) }
     });

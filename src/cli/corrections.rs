@@ -7,7 +7,8 @@ use cairn_api::v1;
 use cairn_log::{ErasureRequest, RecordKind, format::erasure};
 
 use super::connect::Connection;
-use super::records::{Bundle, Ground, Stored};
+use super::json::{self, Json};
+use super::records::{self, Bundle, Ground, Stored};
 use super::unlock::UnlockArgs;
 
 /// `cairn owners dispute`.
@@ -79,7 +80,14 @@ pub async fn erase(line: &Connection, args: &EraseArgs) -> anyhow::Result<()> {
 }
 
 /// Prints a record and its state.
-pub async fn show(line: &Connection, index: u64) -> anyhow::Result<()> {
+pub async fn show(line: &Connection, index: u64, json: Json) -> anyhow::Result<()> {
+    if json.json {
+        let answer = line.owners().get(v1::GetRecordRequest { index }).await?.into_inner();
+        let record = answer.record.context("the daemon's answer names no record")?;
+        let standing = json::of(&answer.standing.unwrap_or_default())?;
+        let record = records::as_json(&record)?;
+        return json::print_value(&serde_json::json!({ "record": record, "standing": standing }));
+    }
     let Some(stored) = Stored::find(line, index).await? else {
         println!("record {index}");
         println!("  state          erased; its leaf is in the log, and says nothing about any person");

@@ -14,20 +14,28 @@ use serde::Serialize;
 
 use super::connect::{Connection, Where};
 use super::files::write;
+use super::json::{self, Json};
 use super::{audit, evaluate, scene, sign, train};
 use cairn_service::config::Config;
+use cairn_service::engine::Opening;
 use cairn_service::query::report::{Report, Right};
+use cairn_service::store::folder::must_be_free;
 
 /// The demo's scene.
 const SCENE: &str = "demo";
+/// One of its views.
+const VIEW: &str = "ada_001.png";
+/// The file that says whose a folder is.
+const MARKER: &str = "made-by-cairn-demo.txt";
+/// What a demo leaves in its folder.
+const LEFT: [&str; 4] = ["capture", "data", "owners", "contact-sheet.png"];
 
 /// `cairn demo`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
-    /// Also write the results as JSON
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-    /// Where everything goes: capture, data, bundles, contact sheet. A new folder
+    #[command(flatten)]
+    pub json: Json,
+    /// Where everything goes: capture, data, bundles, contact sheet. What an earlier demo left there is replaced
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     pub out: PathBuf,
     /// Every random number of landmark and training comes from it
@@ -70,25 +78,57 @@ pub const WHOLE: &str = "whole demo";
 /// Answers `cairn demo`.
 pub async fn run(place: &Where, config: &Config, args: Args) -> anyhow::Result<()> {
     let results = measure(place, config, &args).await?;
+    if args.json.json {
+        return json::print_value(&serde_json::to_value(&results)?);
+    }
     print!("{}", results.evaluation);
     println!("  owner records trusted      {}", results.records_trusted);
     println!("  records found by pose      {}", results.records_found);
     for (step, seconds) in &results.seconds {
         println!("  {step:26} {seconds:6.1} s");
     }
-    println!("the owners' keys in {} are plain files, for trying things out", args.out.join("owners").display());
-    println!("contact sheet in {}", args.out.join("contact-sheet.png").display());
-    if let Some(path) = &args.json {
-        write(path, &serde_json::to_vec_pretty(&results)?)?;
-    }
+    println!("{}", what_next(&args));
     Ok(())
+}
+
+/// What was shown, and what a person may try with it.
+fn what_next(args: &Args) -> String {
+    let (out, data) = (args.out.display(), args.out.join("data"));
+    let data = data.display();
+    let mut text = format!(
+        "\nWhat this was: {} people photographed a made-up lighthouse, each in a light of their own. A radiance field learnt \
+         it from {} photographs.\n",
+        args.contributors,
+        args.contributors * args.photographs
+    );
+    if args.base_only {
+        text.push_str("It has no marks, since --base-only stopped before them.\n");
+    } else {
+        text.push_str(
+            "Every render now carries a faint mark of the person whose part of the scene it shows, and an owner record of each \
+             stands in a log. The owners' keys are plain files here, for trying things out.\n",
+        );
+    }
+    text.push_str(&format!(
+        "Look at {out}/contact-sheet.png: photograph, render, difference times 20, and whose mark is read.\n\nTry next:\n  \
+         cairn scene show {SCENE} --poses {out}/cameras.png --data {data}\n  \
+         cairn render {SCENE} --path orbit --frames 60 --out {out}/orbit.gif --data {data}\n"
+    ));
+    if !args.base_only {
+        text.push_str(&format!(
+            "  cairn render {SCENE} --view {VIEW} --out {out}/render.png --data {data}\n  \
+             cairn identify {SCENE} {out}/render.png --data {data}\n  \
+             cairn who {SCENE} --view {VIEW} --data {data}\n  \
+             cairn audit store {data}\n"
+        ));
+    }
+    text.push_str("Then your own photographs: the README, or `cairn scene import --help`.");
+    text
 }
 
 /// Runs the demo in its folder.
 async fn measure(place: &Where, config: &Config, args: &Args) -> anyhow::Result<Results> {
-    std::fs::create_dir(&args.out).with_context(|| {
-        format!("cannot make the folder {}; the demo wants a new one (--out DIR)", args.out.display())
-    })?;
+    begin(&args.out)?;
     let begun = Instant::now();
     let mut clock = Clock { laps: Vec::new(), since: begun };
     let landmark =
@@ -98,13 +138,39 @@ async fn measure(place: &Where, config: &Config, args: &Args) -> anyhow::Result<
     clock.lap("photographing");
 
     let data = args.out.join("data");
-    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }, config).await?;
+    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }, config, Opening::Change)
+        .await?;
     let results = through(&line, args, &capture, &data, &mut clock).await;
     line.close().await;
     let mut results = results?;
     // Not the sum of the steps: what lies between them counts, too.
     results.seconds.push((WHOLE.to_owned(), begun.elapsed().as_secs_f64()));
     Ok(results)
+}
+
+/// Makes the folder `out`, or empties it of what an earlier demo left there. Nothing else is ever deleted.
+fn begin(out: &Path) -> anyhow::Result<()> {
+    let failed = |what: &str| format!("cannot {what} the folder {}", out.display());
+    let marker = out.join(MARKER);
+    if out.exists() && !marker.exists() {
+        let mut entries = std::fs::read_dir(out).with_context(|| failed("read"))?;
+        let name = out.display();
+        anyhow::ensure!(
+            entries.next().is_none(),
+            "{name} holds something else than a demo's files, which stay; name another folder with --out"
+        );
+    }
+    must_be_free(&out.join("data"))?;
+    std::fs::create_dir_all(out).with_context(|| failed("make"))?;
+    for entry in std::fs::read_dir(out).with_context(|| failed("read"))? {
+        let path = entry?.path();
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        // The log's anchor lies beside its data folder, and belongs to that log.
+        if LEFT.contains(&name.as_str()) || (name.starts_with("data.") && name.ends_with(".anchor")) {
+            cairn_durable::remove(&path)?;
+        }
+    }
+    write(&marker, b"Made by `cairn demo`, which replaces its files here when it runs again.\n")
 }
 
 struct Clock {
@@ -137,7 +203,7 @@ async fn through(
     let records_trusted = trusted(&signed, data)?;
     clock.lap("signing and verifying");
     let records_found = found(line, &signed).await?;
-    let evaluation = evaluate::report(line, SCENE, None, Some(&args.out.join("contact-sheet.png"))).await?;
+    let evaluation = evaluate::report(line, SCENE, Some(&args.out.join("contact-sheet.png"))).await?;
     clock.lap("scoring");
     let seconds = std::mem::take(&mut clock.laps);
     Ok(Results { format_version: 1, seed: args.seed, evaluation, records_trusted, records_found, seconds })

@@ -7,15 +7,15 @@ use cairn_api::v1;
 
 use super::connect::Connection;
 use super::files::write;
+use super::json::{self, Json};
 
 /// `cairn evaluate`.
 #[derive(Debug, clap::Args)]
 pub struct EvaluateArgs {
     /// The scene
     name: String,
-    /// Also write the report as JSON
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    json: Json,
     /// Also draw the contact sheet
     #[arg(long, value_name = "PNG")]
     sheet: Option<PathBuf>,
@@ -23,24 +23,23 @@ pub struct EvaluateArgs {
 
 /// Answers `cairn evaluate`.
 pub async fn evaluate(line: &Connection, args: EvaluateArgs) -> anyhow::Result<()> {
-    let report = report(line, &args.name, args.json.as_ref(), args.sheet.as_ref()).await?;
-    print!("{report}");
+    let report = report(line, &args.name, args.sheet.as_ref()).await?;
+    match args.json.json {
+        true => json::print_value(&serde_json::to_value(report)?)?,
+        false => print!("{report}"),
+    }
     Ok(())
 }
 
-/// Scores a scene; writes the report and the contact sheet where asked.
+/// Scores a scene; writes the contact sheet where asked.
 pub async fn report(
     line: &Connection,
     scene: &str,
-    json: Option<&PathBuf>,
     sheet: Option<&PathBuf>,
 ) -> anyhow::Result<cairn_service::query::report::Report> {
     let contact_sheet = sheet.is_some();
     let request = v1::EvaluateRequest { scene: scene.to_owned(), contact_sheet };
     let answer = line.about(scene).query().evaluate(request).await?.into_inner();
-    if let Some(path) = json {
-        write(path, answer.report_json.as_bytes())?;
-    }
     if let Some(path) = sheet {
         write(path, &answer.contact_sheet_png)?;
     }

@@ -7,6 +7,7 @@ use cairn_api::v1::{self, contributors_response, identify_response};
 
 use super::connect::Connection;
 use super::files::{read, write};
+use super::json::{self, Json};
 use super::viewpoint::{FromWhere, viewpoint};
 
 /// Contributors named in one line.
@@ -32,6 +33,8 @@ pub struct IdentifyArgs {
     /// Write what the mark hides into this folder: picture.png, sound.wav and text.txt, those that the scene hides
     #[arg(long, value_name = "DIR")]
     payload_out: Option<PathBuf>,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// `cairn who`.
@@ -41,10 +44,14 @@ pub struct WhoArgs {
     name: String,
     #[command(flatten)]
     from: FromWhere,
+    #[command(flatten)]
+    json: Json,
 }
 
 /// Answers `cairn identify`.
 pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<()> {
+    let swapped = !args.picture.exists() && Path::new(&args.name).is_file();
+    anyhow::ensure!(!swapped, "the scene comes first: cairn identify {} {}", args.picture.display(), args.name);
     let camera = match args.view.is_some() || args.pose.is_some() {
         true => Some(viewpoint(args.view, args.pose.as_deref())?),
         false => None,
@@ -57,7 +64,14 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
         camera,
         payload: true,
     };
-    let answer = line.about(&args.name).query().identify(request).await?.into_inner();
+    let mut answer = line.about(&args.name).query().identify(request).await?.into_inner();
+    if args.json.json {
+        let payload = answer.payload.get_or_insert_default();
+        args.payload_out.iter().try_for_each(|folder| keep(payload, folder).map(drop))?;
+        // Files are for these.
+        (payload.picture_png, payload.sound_wav) = Default::default();
+        return json::print(&answer);
+    }
     match &answer.answer {
         Some(identify_response::Answer::Identity(found)) => show(found, answer.confidence),
         Some(identify_response::Answer::Foreign(there)) => {
@@ -85,6 +99,9 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     let viewpoint = Some(viewpoint(args.from.view, args.from.pose.as_deref())?);
     let request = v1::ContributorsRequest { scene: args.name, viewpoint };
     let answer = line.query().contributors(request).await?.into_inner();
+    if args.json.json {
+        return json::print(&answer);
+    }
     match &answer.answer {
         Some(contributors_response::Answer::Identity(found)) => show(found, answer.confidence),
         Some(contributors_response::Answer::Unmarked(_)) | None => {
@@ -135,25 +152,50 @@ fn show_payload(payload: &v1::Payload, folder: Option<&Path>) -> anyhow::Result<
         // Quoted and escaped: it comes out of a picture, and may say anything to a terminal.
         println!("recovered text: {text:?}");
     }
-    if let Some(folder) = folder {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    }
-    for (part, name, bytes) in [
-        ("picture", "picture.png", (!payload.picture_png.is_empty()).then_some(&payload.picture_png[..])),
-        ("sound", "sound.wav", (!payload.sound_wav.is_empty()).then_some(&payload.sound_wav[..])),
-        ("text", "text.txt", payload.text.as_deref().map(str::as_bytes)),
-    ] {
+    let kept = folder.map(|folder| keep(payload, folder)).transpose()?.unwrap_or_default();
+    for Part { name, file, bytes } in parts(payload) {
         match (folder, bytes) {
-            (Some(folder), Some(bytes)) => {
-                write(&folder.join(name), bytes)?;
-                println!("recovered {part} in {}", folder.join(name).display());
+            (Some(_), Some(_)) => {
+                kept.iter()
+                    .filter(|path| path.ends_with(file))
+                    .for_each(|p| println!("recovered {name} in {}", p.display()));
             }
-            (Some(_), None) => println!("no {part}: no identity of the scene hides one"),
-            (None, Some(_)) if part != "text" => println!("recovered {part} not kept; --payload-out DIR keeps it"),
+            (Some(_), None) => println!("no {name}: no identity of the scene hides one"),
+            (None, Some(_)) if name != "text" => println!("recovered {name} not kept; --payload-out DIR keeps it"),
             (None, _) => {}
         }
     }
     Ok(())
+}
+
+/// A part of a payload, and the file that it goes to.
+struct Part<'a> {
+    name: &'static str,
+    file: &'static str,
+    bytes: Option<&'a [u8]>,
+}
+
+fn parts(payload: &v1::Payload) -> [Part<'_>; 3] {
+    let there = |bytes: &'_ [u8]| !bytes.is_empty();
+    let (picture, sound) = (&payload.picture_png[..], &payload.sound_wav[..]);
+    [
+        Part { name: "picture", file: "picture.png", bytes: Some(picture).filter(|bytes| there(bytes)) },
+        Part { name: "sound", file: "sound.wav", bytes: Some(sound).filter(|bytes| there(bytes)) },
+        Part { name: "text", file: "text.txt", bytes: payload.text.as_deref().map(str::as_bytes) },
+    ]
+}
+
+/// Writes what is there of a payload into `folder`; the files.
+fn keep(payload: &v1::Payload, folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let mut kept = Vec::new();
+    for Part { file, bytes, .. } in parts(payload) {
+        if let Some(bytes) = bytes {
+            write(&folder.join(file), bytes)?;
+            kept.push(folder.join(file));
+        }
+    }
+    Ok(kept)
 }
 
 /// The first contributors by name, each with a count; how many more there are.

@@ -11,6 +11,7 @@ use cairn_log::{
 };
 
 use super::connect::Connection;
+use super::json::{self, Json};
 use super::records::{self, Bundle, Ground, Stored};
 use super::unlock::UnlockArgs;
 
@@ -18,6 +19,7 @@ use super::unlock::UnlockArgs;
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Make a new Ed25519 key, sealed by a passphrase (asked for) unless told otherwise
+    #[command(after_help = "Example:\n  cairn keys new ada.key")]
     New {
         /// Where it goes; a file that is there is never replaced
         file: PathBuf,
@@ -28,21 +30,30 @@ pub enum Command {
         seal: UnlockArgs,
     },
     /// Show the public half; needs no passphrase
+    #[command(after_help = "Example:\n  cairn keys show ada.key")]
     Show {
         /// The key's file
         file: PathBuf,
+        #[command(flatten)]
+        json: Json,
     },
     /// Make a key file: 32 random bytes to seal keys with where no person is there to type a
     /// passphrase
+    #[command(after_help = "Example:\n  cairn keys new-key-file sealing.key")]
     NewKeyFile {
         /// Where it goes; keep it apart from the keys that it seals
         file: PathBuf,
     },
     /// Seal a plain key, or give a sealed one another passphrase or key file
+    #[command(after_help = "Example:\n  cairn keys seal ada.key")]
     Seal(SealArgs),
     /// Go on under a new key: a record signed by both says so, and ends the old one
+    #[command(
+        after_help = "Example:\n  cairn keys rotate liberty --record 2 --key ada.key --new-key ada-2.key --out rotation"
+    )]
     Rotate(RotateArgs),
     /// End a key, because it may be in other hands; records before this stay good
+    #[command(after_help = "Example:\n  cairn keys revoke liberty --key ada-2.key --purpose stolen --out revocation")]
     Revoke(RevokeArgs),
 }
 
@@ -123,8 +134,15 @@ impl Command {
 pub fn local(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::New { file, plain, seal } => new(file, *plain, seal),
-        Command::Show { file } => {
+        Command::Show { file, json } => {
             let key = StoredKey::read(file)?;
+            if json.json {
+                return json::print_value(&serde_json::json!({
+                    "public_key": key.public().to_string(),
+                    "key_id": key.public().id().to_string(),
+                    "sealed_by": key.sealed_by().map(|by| by.to_string()),
+                }));
+            }
             show(&key);
             Ok(())
         }

@@ -11,6 +11,8 @@ mod demo;
 mod evaluate;
 mod files;
 mod identify;
+mod jobs;
+mod json;
 mod keys;
 mod light;
 mod owners;
@@ -18,9 +20,12 @@ mod path;
 mod poses;
 mod progress;
 mod records;
+#[cfg(test)]
+mod reference;
 mod registry;
 mod render;
 mod scene;
+mod shell;
 mod sign;
 mod signals;
 mod train;
@@ -36,11 +41,36 @@ use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 
 use cairn_service::config::{Config, LogFormat};
+use cairn_service::engine::Opening;
 use connect::{Connection, Where};
+
+/// The exit code of what went wrong. 1 is a verdict: an audit's `invalid`.
+pub const FAILED: u8 = 2;
+/// The exit code of what a person cancelled: 128 and the number of the signal, as shells have it.
+pub const CANCELLED: u8 = 130;
+
+/// What every `--help` ends in.
+const EXIT_CODES: &str = "\
+Exit codes:
+  0    done
+  1    an audit says invalid; audits have more, from 10 on (see `cairn audit --help`)
+  2    refused or failed; the message says why and what helps
+  130  cancelled with Ctrl-C
+
+Examples:
+  cairn demo
+  cairn scene import liberty --from liberty --contributors contributors.csv
+  cairn train liberty --anchors 3 --neighbours 20
+  cairn who liberty --view view_056.jpg --json";
+
+/// A person cancelled it; what was kept, in words.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct Cancelled(pub String);
 
 /// Credits the photographers of a landmark: radiance fields with hidden, recoverable owner marks.
 #[derive(Debug, Parser)]
-#[command(name = "cairn", version, max_term_width = 100)]
+#[command(name = "cairn", version, max_term_width = 100, after_long_help = EXIT_CODES)]
 pub struct Cli {
     #[command(flatten)]
     place: Where,
@@ -48,52 +78,93 @@ pub struct Cli {
     command: Command,
 }
 
+/// In the order in which a person needs them.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the daemon on --data with --config, until SIGINT or SIGTERM
-    Serve,
+    /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
+    #[command(after_help = "Example:\n  cairn demo --out demo-out")]
+    Demo(demo::Args),
     /// Import, list, show, check and delete scenes
     #[command(subcommand)]
     Scene(scene::Command),
     /// Train a scene: base field, then marked field and detector
-    Train(train::Args),
-    /// List the training jobs, newest first
-    Jobs,
-    /// Render a trained scene to a PNG, or a camera path through it to a GIF or PNG frames
+    #[command(after_help = "Examples:
+  cairn train liberty --anchors 3 --neighbours 20
+  cairn train liberty --by-contributor --quality draft --signals signals
+  cairn train liberty --resume job-000001")]
+    Train(Box<train::Args>),
+    /// List, show, watch and cancel trainings
+    #[command(after_help = "Examples:
+  cairn jobs
+  cairn jobs watch job-000001
+  cairn jobs cancel job-000001")]
+    Jobs(jobs::Args),
+    /// Render a trained scene to a picture, or a camera path through it to a GIF or PNG frames
+    #[command(after_help = "Examples:
+  cairn render liberty --view view_056.jpg --out view_056.png
+  cairn render liberty --path orbit --frames 60 --width 150 --out orbit.gif")]
     Render(Box<render::RenderArgs>),
-    /// Find whose mark a picture carries, and recover what it hides
-    Identify(identify::IdentifyArgs),
     /// Ask who contributed what a view or a camera sees
+    #[command(after_help = "Examples:
+  cairn who liberty --view view_056.jpg
+  cairn who liberty --pose camera.json --json")]
     Who(identify::WhoArgs),
+    /// Find whose mark a picture carries, and recover what it hides
+    #[command(after_help = "Examples:
+  cairn identify liberty picture.png
+  cairn identify liberty picture.png --register --payload-out recovered")]
+    Identify(identify::IdentifyArgs),
     /// Score a trained scene on the views it never saw
+    #[command(after_help = "Example:\n  cairn evaluate liberty --sheet contact-sheet.png")]
     Evaluate(evaluate::EvaluateArgs),
     /// Make, seal, show, rotate and revoke owners' keys (they stay on this machine)
     #[command(subcommand)]
     Keys(keys::Command),
-    /// Who may do what on a daemon: register, approve, roles, quotas
-    #[command(subcommand)]
-    Access(access::Command),
     /// Sign, correct and list owner records
     #[command(subcommand)]
     Owners(owners::Command),
     /// Verify bundles, stores and logs, trusting nobody
     #[command(subcommand)]
     Audit(audit::Command),
+    /// Run the daemon on --data with --config, until SIGINT or SIGTERM
+    #[command(after_help = "Example:\n  cairn serve --config daemon.toml --data cairn-data")]
+    Serve,
+    /// Who may do what on a daemon: register, approve, roles, quotas
+    #[command(subcommand)]
+    Access(access::Command),
     /// Repair the log of a daemon that is not running
     #[command(subcommand)]
     Registry(registry::Command),
     /// Cosign the checkpoints of logs, as a witness
     #[command(subcommand)]
     Witness(witness::Command),
-    /// Everything once, on a made-up landmark: import, train, mark, sign, ask, verify
-    Demo(demo::Args),
+    /// Print completions for a shell
+    #[command(after_help = "Example:\n  cairn completions bash")]
+    Completions(shell::CompletionsArgs),
+    /// Write manual pages, one for each command
+    #[command(after_help = "Example:\n  cairn man --out man1")]
+    Man(shell::ManArgs),
+}
+
+impl Command {
+    /// Whether it only reads: then it makes no data folder, and reads one that cannot be written.
+    fn reads(&self) -> bool {
+        match self {
+            Self::Scene(command) => command.reads(),
+            Self::Jobs(args) => args.reads(),
+            Self::Owners(command) => command.reads(),
+            Self::Access(command) => command.reads(),
+            Self::Render(_) | Self::Who(_) | Self::Identify(_) | Self::Evaluate(_) => true,
+            _ => false,
+        }
+    }
 }
 
 impl Cli {
     /// Runs the command. The exit code is 1 where a verification says `invalid`, and `cairn audit` has more.
     ///
     /// # Errors
-    /// Whatever went wrong, for people to read.
+    /// What went wrong, for people to read; [`Cancelled`].
     pub fn run(self) -> anyhow::Result<ExitCode> {
         // Whatever opens a data folder reads the registry's key.
         cairn_service::secrets::keep_out_of_dumps()
@@ -113,9 +184,12 @@ impl Cli {
             Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
             Command::Registry(command) => registry::run(&place, &config, &command)?,
             Command::Demo(args) => demo::run(&place, &config, args).await?,
+            Command::Completions(args) => shell::completions(&args),
+            Command::Man(args) => shell::man(&args)?,
             Command::Audit(command) => return audit::run(&command),
             command => {
-                let line = Connection::open(&place, &config).await?;
+                let opening = if command.reads() { Opening::Read } else { Opening::Change };
+                let line = Connection::open(&place, &config, opening).await?;
                 let answer = over(&line, command).await;
                 line.close().await;
                 answer?;
@@ -129,8 +203,8 @@ impl Cli {
 async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Scene(command) => scene::run(line, command).await,
-        Command::Train(args) => train::run(line, args).await,
-        Command::Jobs => train::jobs(line).await,
+        Command::Train(args) => train::run(line, *args).await,
+        Command::Jobs(args) => jobs::run(line, args).await,
         Command::Render(args) => render::render(line, *args).await,
         Command::Identify(args) => identify::identify(line, args).await,
         Command::Who(args) => identify::who(line, args).await,
@@ -138,7 +212,14 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Access(command) => access::run(line, command).await,
         Command::Owners(command) => owners::run(line, command).await,
         Command::Keys(command) => keys::run(line, &command).await,
-        Command::Serve | Command::Audit(_) | Command::Witness(_) | Command::Demo(_) | Command::Registry(_) => Ok(()),
+        // They were answered before there was a line.
+        Command::Serve
+        | Command::Audit(_)
+        | Command::Witness(_)
+        | Command::Demo(_)
+        | Command::Registry(_)
+        | Command::Completions(_)
+        | Command::Man(_) => Ok(()),
     }
 }
 

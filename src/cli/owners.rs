@@ -15,6 +15,7 @@ use super::answers::{self, AnswerArgs};
 use super::connect::Connection;
 use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::files::write;
+use super::json::{self, Json};
 use super::records;
 use super::records::vkey;
 use super::sign::{SignArgs, sign};
@@ -23,37 +24,58 @@ use super::sign::{SignArgs, sign};
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Sign a record about an identity of a scene, and enter it into the log
+    #[command(after_help = "Example:\n  cairn owners sign liberty --identity 1 --key ada.key --out bundle")]
     Sign(SignArgs),
     /// Who contributed to a scene or a view, as a file that proves that no contributor is left out
+    #[command(after_help = "Example:\n  cairn owners answer liberty --view view_056.jpg --out answer.json")]
     Answer(AnswerArgs),
     /// Send again what was signed into DIR and got no answer; nothing is entered twice
+    #[command(after_help = "Example:\n  cairn owners submit bundle")]
     Submit {
         /// The folder that `--out` named
         dir: PathBuf,
     },
     /// Contest another owner's record: a record that says so
+    #[command(
+        after_help = "Example:\n  cairn owners dispute liberty --record 0 --key eve.key --purpose mine --out dispute"
+    )]
     Dispute(DisputeArgs),
     /// Have a record's envelope erased, and with it all that is personal; its place in the log stays
+    #[command(after_help = "Example:\n  cairn owners erase liberty --record 4 --key eve.key")]
     Erase(EraseArgs),
     /// Show one record, and whether it stands
+    #[command(after_help = "Example:\n  cairn owners show 0")]
     Show {
         /// Its place in the log (see `cairn owners list`)
         index: u64,
+        #[command(flatten)]
+        json: Json,
     },
     /// The records of a scene, or all
+    #[command(after_help = "Example:\n  cairn owners list liberty")]
     List {
         /// The scene
         name: Option<String>,
         /// Also keep them in a file, for `cairn audit bundle --log`
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+        #[command(flatten)]
+        json: Json,
     },
     /// Print the log's public key (vkey), for auditors to pin: a key that comes with a bundle proves nothing
+    #[command(after_help = "Example:\n  cairn owners vkey --out log.vkey")]
     Vkey {
         /// Write it into a file instead
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
+}
+
+impl Command {
+    /// Whether it only reads.
+    pub const fn reads(&self) -> bool {
+        matches!(self, Self::Answer(_) | Self::Show { .. } | Self::List { .. } | Self::Vkey { .. })
+    }
 }
 
 /// Answers `cairn owners`.
@@ -75,9 +97,9 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             Ok(())
         }
         Command::Erase(args) => corrections::erase(line, &args).await,
-        Command::Show { index } => corrections::show(line, index).await,
+        Command::Show { index, json } => corrections::show(line, index, json).await,
         Command::Answer(args) => answers::run(line, &args).await,
-        Command::List { name, out } => list(line, name, out.as_ref()).await,
+        Command::List { name, out, json } => list(line, name, out.as_ref(), json).await,
         Command::Vkey { out } => {
             let vkey = vkey(line).await?;
             match out {
@@ -108,12 +130,18 @@ pub(super) struct LogEntry {
     pub(super) envelope: String,
 }
 
-async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>) -> anyhow::Result<()> {
+async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, json: Json) -> anyhow::Result<()> {
     let checkpoint = line.owners().checkpoint(v1::CheckpointRequest {}).await;
     let note = Note::parse(&checkpoint?.into_inner().checkpoint)?;
     let size = Checkpoint::parse_text(&note.text)?.size;
     let records = records::list(line, &name.unwrap_or_default()).await?;
-    for r in &records {
+    if json.json {
+        let records = records.iter().map(records::as_json).collect::<anyhow::Result<Vec<_>>>()?;
+        json::print_value(&serde_json::json!({ "size": size, "records": records }))?;
+    } else if records.is_empty() {
+        println!("no owner records yet; sign one with `cairn owners sign`");
+    }
+    for r in records.iter().filter(|_| !json.json) {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;
         let about =
             if r.envelope.is_empty() { "erased".to_owned() } else { format!("{}  identity {}", r.scene, r.identity) };

@@ -10,6 +10,7 @@ use cairn_api::v1::{self, render_path_request as to};
 use cairn_scene::{Limits, Picture, decode_picture};
 use tempfile::NamedTempFile;
 
+use super::Cancelled;
 use super::connect::Connection;
 use super::files::write;
 use super::progress::Progress;
@@ -134,7 +135,7 @@ pub async fn run(line: &Connection, shape: Shape, args: &PathArgs, seen: Seen, o
                 interrupt??;
                 shown.end();
                 // Dropping the stream stops the services.
-                anyhow::bail!("cut off after {done} of {total} frames");
+                return Err(Cancelled(format!("cancelled after {done} of {total} frames")).into());
             }
         };
         let Some(frame) = message else { break };

@@ -6,6 +6,7 @@ use cairn_api::v1::{self, draw_poses_request::Clusters};
 
 use super::connect::Connection;
 use super::files::write;
+use super::json::Json;
 
 /// What to draw of a scene.
 #[derive(Clone, Debug, clap::Args)]
@@ -34,7 +35,7 @@ pub struct Args {
 ///
 /// # Errors
 /// For a file that ends neither in `.png` nor in `.svg`, the services' refusals, and the file system's.
-pub async fn draw(line: &Connection, name: String, args: Args) -> anyhow::Result<()> {
+pub async fn draw(line: &Connection, name: String, args: Args, json: Json) -> anyhow::Result<()> {
     let Some(out) = &args.poses else { return Ok(()) };
     let format = format(out)?;
     let clusters = match args.anchors {
@@ -45,6 +46,9 @@ pub async fn draw(line: &Connection, name: String, args: Args) -> anyhow::Result
     let request = v1::DrawPosesRequest { scene: name, clusters, seed: args.seed, format: format.into() };
     let answer = line.scenes().draw_poses(request).await?.into_inner();
     write(out, &answer.picture)?;
+    if json.json {
+        return Ok(());
+    }
     let (views, path) = (answer.views, out.display());
     match answer.clusters {
         0 => println!("{views} cameras by contributor in {path}"),

@@ -38,8 +38,12 @@ impl Progress {
         self.bar.set_prefix(what.to_owned());
         self.bar.set_length(of);
         self.bar.set_position(done);
-        let left = if seconds_left >= 0.0 { clock(seconds_left) } else { "?".into() };
-        let message = format!("{detail}{left} left");
+        let left = if seconds_left >= 0.0 {
+            format!("about {} left", clock(seconds_left))
+        } else {
+            "time left unknown".into()
+        };
+        let message = format!("{detail}{left}");
         if self.lines.is_some_and(|last| last.elapsed() >= LINE_EVERY) {
             eprintln!("{what} {done}/{of} {message}");
             self.lines = Some(Instant::now());
@@ -58,8 +62,9 @@ impl Progress {
     }
 }
 
-/// Seconds as m:ss.
+/// Seconds as m:ss, or as h:mm:ss from an hour on.
 pub fn clock(seconds: f64) -> String {
     let seconds = seconds.round() as u64;
-    format!("{}:{:02}", seconds / 60, seconds % 60)
+    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    if hours == 0 { format!("{minutes}:{seconds:02}") } else { format!("{hours}:{minutes:02}:{seconds:02}") }
 }

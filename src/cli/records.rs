@@ -16,6 +16,7 @@ use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, PublicKey, Reco
 use tonic::{Code, Status};
 
 use super::connect::Connection;
+use super::json;
 use cairn_durable::{write_atomic, write_secret};
 
 /// What the registry gives a signer to sign.
@@ -304,6 +305,15 @@ fn is_open(status: &Status) -> bool {
 /// Whether a call was refused because of who calls.
 fn is_refused_caller(status: &Status) -> bool {
     matches!(status.code(), Code::Unauthenticated | Code::PermissionDenied)
+}
+
+/// A record as JSON, its envelope not as bytes but as the JSON that it is.
+pub fn as_json(record: &v1::Record) -> anyhow::Result<serde_json::Value> {
+    let mut value = json::of(record)?;
+    if !record.envelope.is_empty() {
+        value["envelope"] = serde_json::from_slice(&record.envelope).context("the record's envelope is no JSON")?;
+    }
+    Ok(value)
 }
 
 /// The log's verifier key, one line without its end.

@@ -15,11 +15,13 @@ pub enum Command {
     ///
     /// Move DIR/registry/working away first, with the seal beside it. Nothing acknowledged is lost: what was not
     /// published yet follows from the envelopes.
+    #[command(after_help = "Example:\n  cairn registry rebuild --data cairn-data")]
     Rebuild,
     /// Hold the log to its anchor (`registry.anchor_file` of --config) and say where it is
     ///
     /// A log that is not empty does not start without its anchor, since nobody could tell a new setting from a file that was
     /// taken away.
+    #[command(after_help = "Example:\n  cairn registry anchor --accept")]
     Anchor {
         /// Write the anchor from the log as it is where the file is missing; compare the log's size with what a witness, a
         /// follower or a receipt says first

@@ -1,7 +1,7 @@
 //! `cairn scene`: import, list, show, check, exclude, include, delete.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{IsTerminal as _, Read};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,6 +11,7 @@ use cairn_log::Digest;
 use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
 
 use super::connect::Connection;
+use super::json::{self, Json};
 use cairn_service::grpc::to_proto;
 
 /// Bytes of photograph a message.
@@ -22,27 +23,51 @@ const POINTS_A_CHUNK: usize = 10_000;
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Bring a capture in: COLMAP, LLFF, NeRF-Synthetic or transforms.json
+    #[command(
+        after_help = "Example:\n  cairn scene import liberty --from liberty --contributors contributors.csv --scale 0.5"
+    )]
     Import(ImportArgs),
     /// All scenes
-    List,
+    #[command(after_help = "Example:\n  cairn scene list")]
+    List {
+        #[command(flatten)]
+        json: Json,
+    },
     /// One scene, its views and its model
+    #[command(after_help = "Example:\n  cairn scene show liberty --poses cameras.png")]
     Show {
         /// The scene
         name: String,
         #[command(flatten)]
+        json: Json,
+        #[command(flatten)]
         poses: super::poses::Args,
     },
     /// How far each view is to be trusted: how the other views explain it, how structure from motion supports it
+    #[command(after_help = "Example:\n  cairn scene check liberty --picture check.png")]
     Check(super::check::CheckArgs),
     /// Exclude views: the next training learns nothing from them, and nobody is credited with them
+    #[command(after_help = "Example:\n  cairn scene exclude liberty view_098.jpg --why mirrored")]
     Exclude(super::check::ExcludeArgs),
     /// Include views: the next training learns from them, and none excludes them by itself
+    #[command(after_help = "Example:\n  cairn scene include liberty view_098.jpg")]
     Include(super::check::IncludeArgs),
     /// Delete a scene and its models (owner records stay in the log)
+    #[command(after_help = "Example:\n  cairn scene delete liberty")]
     Delete {
         /// The scene
         name: String,
+        /// Do not ask
+        #[arg(long)]
+        yes: bool,
     },
+}
+
+impl Command {
+    /// Whether it only reads.
+    pub const fn reads(&self) -> bool {
+        matches!(self, Self::List { .. } | Self::Show { .. } | Self::Check(_))
+    }
 }
 
 /// `cairn scene import`.
@@ -102,20 +127,30 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             println!("imported {}", one_line(&summary, args.kind.is_none()));
             Ok(())
         }
-        Command::List => {
+        Command::List { json } => {
             let request = v1::ListScenesRequest {};
-            let scenes = line.scenes().list(request).await?.into_inner().scenes;
-            scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
+            let answer = line.scenes().list(request).await?.into_inner();
+            if json.json {
+                return json::print(&answer);
+            }
+            if answer.scenes.is_empty() {
+                println!("no scenes yet; bring one in with `cairn scene import NAME --from DIR`");
+            }
+            answer.scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
             Ok(())
         }
-        Command::Show { name, poses } => {
-            show(line, &name).await?;
-            super::poses::draw(line, name, poses).await
+        Command::Show { name, json, poses } => {
+            show(line, &name, json).await?;
+            super::poses::draw(line, name, poses, json).await
         }
         Command::Check(args) => super::check::check(line, args).await,
         Command::Exclude(args) => super::check::exclude(line, args).await,
         Command::Include(args) => super::check::include(line, args).await,
-        Command::Delete { name } => {
+        Command::Delete { name, yes } => {
+            if !yes {
+                let summary = get(line, &name).await?.summary.unwrap_or_default();
+                sure(&format!("delete scene {name} with its {} photographs and its models?", summary.views))?;
+            }
             let request = v1::DeleteSceneRequest { scene: name.clone() };
             line.about(&name).scenes().delete(request).await?;
             println!("deleted {name}");
@@ -151,8 +186,21 @@ pub fn lies(s: &v1::SceneSummary, guessed: bool) -> String {
     format!("{kind}{guessed}{background}")
 }
 
-async fn show(line: &Connection, name: &str) -> anyhow::Result<()> {
+/// Asks the person at the terminal, who has to say yes.
+fn sure(question: &str) -> anyhow::Result<()> {
+    anyhow::ensure!(std::io::stdin().is_terminal(), "{question} Nobody is there to ask; give --yes");
+    eprintln!("{question} [y/N]");
+    let mut answer = String::new();
+    std::io::stdin().read_line(&mut answer)?;
+    anyhow::ensure!(matches!(answer.trim(), "y" | "Y" | "yes"), "nothing was deleted");
+    Ok(())
+}
+
+async fn show(line: &Connection, name: &str, json: Json) -> anyhow::Result<()> {
     let scene = get(line, name).await?;
+    if json.json {
+        return json::print(&scene);
+    }
     if let Some(summary) = &scene.summary {
         println!("{}", one_line(summary, false));
     }

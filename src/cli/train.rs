@@ -1,4 +1,4 @@
-//! `cairn train` and `cairn jobs`: start or take up a training and watch it.
+//! `cairn train`: start or take up a training and watch it.
 
 use std::path::PathBuf;
 
@@ -6,6 +6,7 @@ use anyhow::Context as _;
 use cairn_api::v1::{self, JobState, start_training_request::Clusters};
 use clap::builder::ArgPredicate;
 
+use super::Cancelled;
 use super::connect::Connection;
 use super::progress::Progress;
 use super::scene;
@@ -55,10 +56,10 @@ pub struct Args {
     /// added ones
     #[arg(long, conflicts_with_all = ["base_only", "Options"])]
     pub grow: bool,
-    /// Take up a cancelled or failed job of this scene instead
+    /// Go on with a training of this scene that was cancelled or cut off, or failed
     #[arg(long, value_name = "JOB")]
     pub resume: Option<String>,
-    /// Do not wait for the end (with --connect)
+    /// Do not wait for the end; a daemon has to be running, with --connect or on --data
     #[arg(long, conflicts_with = "keys")]
     pub detach: bool,
     /// Then make a key for every identity in this new folder, and sign a record with each (for trying things out)
@@ -154,6 +155,10 @@ impl Options {
 
 /// Answers `cairn train`.
 pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        !(args.detach && line.is_in_process()),
+        "--detach leaves the training to a daemon, and none is running; start one with `cairn serve`, or leave --detach away"
+    );
     let job = match &args.resume {
         Some(id) => {
             let request = v1::ResumeTrainingRequest { job_id: id.clone() };
@@ -170,7 +175,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     if args.detach {
         return Ok(());
     }
-    let job = watch(line, &job.id, true).await?;
+    let job = watch(line, &job.id, OnInterrupt::Cancel).await?;
     report(&job, &told)?;
     if let Some(folder) = args.keys.filter(|_| job.state() == JobState::Done) {
         let signed = super::sign::sign_all(line, &args.name, &folder).await?;
@@ -182,7 +187,10 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
 
 /// Starts a training and watches it to its good end.
 pub async fn run_to_end(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
-    let job = watch(line, &start(line, args).await?.id, true).await?;
+    let job = watch(line, &start(line, args).await?.id, OnInterrupt::Cancel).await?;
+    if job.state() == JobState::Cancelled {
+        return Err(Cancelled(format!("{} was cancelled", job.id)).into());
+    }
     anyhow::ensure!(job.state() == JobState::Done, "{} {} {}", job.id, state_name(job.state()), job.error);
     Ok(job)
 }
@@ -233,7 +241,7 @@ async fn say_what_is_ahead(line: &Connection, job: &v1::Job) {
 }
 
 /// The names of a job's scenes.
-fn scenes(job: &v1::Job) -> String {
+pub fn scenes(job: &v1::Job) -> String {
     std::iter::once(job.scene.as_str()).chain(job.also.iter().map(String::as_str)).collect::<Vec<_>>().join(", ")
 }
 
@@ -247,11 +255,20 @@ async fn scenes_as_they_lie(line: &Connection, job: &v1::Job) -> String {
     told.join(", ")
 }
 
-/// Watches a job to its end, with a bar. The first Ctrl-C cancels it.
-pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1::Job> {
+/// What Ctrl-C does to a training that is watched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OnInterrupt {
+    /// It cancels the training.
+    Cancel,
+    /// It stops the watching.
+    Leave,
+}
+
+/// Watches a job to its end, with a bar.
+pub async fn watch(line: &Connection, id: &str, on_interrupt: OnInterrupt) -> anyhow::Result<v1::Job> {
     let request = v1::WatchTrainingRequest { job_id: id.to_owned() };
     let mut stream = line.training().watch(request).await?.into_inner();
-    let mut shown = Progress::new(bar);
+    let mut shown = Progress::new(true);
     let mut last: Option<v1::Job> = None;
     loop {
         tokio::select! {
@@ -266,6 +283,10 @@ pub async fn watch(line: &Connection, id: &str, bar: bool) -> anyhow::Result<v1:
             },
             interrupt = tokio::signal::ctrl_c() => {
                 interrupt?;
+                if on_interrupt == OnInterrupt::Leave {
+                    shown.end();
+                    return Err(Cancelled(format!("{id} goes on; `cairn jobs watch {id}` watches it again")).into());
+                }
                 shown.say("cancelling after this step");
                 let request = v1::CancelTrainingRequest { job_id: id.to_owned() };
                 let scene = last.as_ref().map_or("", |job| job.scene.as_str());
@@ -289,7 +310,7 @@ fn draw(shown: &mut Progress, job: &v1::Job) {
 }
 
 /// How a job ended, with its notes but those that were `told` when it began.
-fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
+pub fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
     let resume = format!("go on with `cairn train {} --resume {}`", job.scene, job.id);
     match job.state() {
         JobState::Done => {
@@ -298,9 +319,9 @@ fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
             job.notes.iter().filter(|note| !told.contains(note)).for_each(|note| println!("  {note}"));
             Ok(())
         }
-        JobState::Cancelled => {
-            println!("{} cancelled; its checkpoint is kept: {resume}", job.id);
-            Ok(())
+        JobState::Cancelled => Err(Cancelled(format!("{} cancelled; its checkpoint is kept: {resume}", job.id)).into()),
+        JobState::Interrupted => {
+            anyhow::bail!("{} was cut off with its process; its checkpoint is kept: {resume}", job.id)
         }
         JobState::Failed => anyhow::bail!(
             "{} failed: {}; where settings or photographs are at fault, train anew with others; where the machine was, {resume}",
@@ -312,20 +333,8 @@ fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
 }
 
 /// A state in a word.
-fn state_name(state: JobState) -> String {
+pub fn state_name(state: JobState) -> String {
     word(state.as_str_name(), "JOB_STATE_")
-}
-
-/// Answers `cairn jobs`.
-pub async fn jobs(line: &Connection) -> anyhow::Result<()> {
-    let request = v1::ListTrainingRequest { scene: String::new() };
-    for job in line.training().list(request).await?.into_inner().jobs {
-        let p = job.progress.clone().unwrap_or_default();
-        let place = if p.total > 0 { format!(", {} {}/{}", p.stage, p.step, p.total) } else { String::new() };
-        let error = if job.error.is_empty() { String::new() } else { format!(": {}", job.error) };
-        println!("{}  {}  {}{place}{error}", job.id, scenes(&job), state_name(job.state()));
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -17,8 +17,12 @@ use cairn_service::grpc::serve::signal;
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Cosign logs over HTTP (C2SP tlog-witness), until SIGINT or SIGTERM
+    #[command(
+        after_help = "Example:\n  cairn witness serve --key witness.key --name witness.example/w1 --folder witness --log log.vkey"
+    )]
     Serve(ServeArgs),
     /// Show the verifier key that others pin
+    #[command(after_help = "Example:\n  cairn witness vkey --key witness.key --name witness.example/w1")]
     Vkey(Who),
 }
 

@@ -33,6 +33,16 @@ pub enum CaptureError {
         /// Where it was looked for.
         folder: PathBuf,
     },
+    /// Photographs without cameras: what a person has before structure from motion.
+    #[error("{}", without_cameras(folder, images, *photographs))]
+    NoCameras {
+        /// Where a capture was looked for.
+        folder: PathBuf,
+        /// The folder that the photographs lie in.
+        images: PathBuf,
+        /// How many there are.
+        photographs: usize,
+    },
     /// A camera file, table or scene file says something that cannot be.
     #[error("{}, {entry}: expected {expected}, got {got}; {remedy}", file.display())]
     Malformed {
@@ -233,6 +243,25 @@ impl From<DurableError> for CaptureError {
             }
         }
     }
+}
+
+/// What helps where there are photographs and no cameras.
+fn without_cameras(folder: &Path, images: &Path, photographs: usize) -> String {
+    let shown = |path: &Path| {
+        let path = path.display().to_string();
+        let plain = path.chars().all(|c| c.is_alphanumeric() || "/._-+@,:".contains(c));
+        if plain { path } else { format!("'{}'", path.replace('\'', "'\\''")) }
+    };
+    let (database, sparse) = (shown(&folder.join("database.db")), shown(&folder.join("sparse")));
+    format!(
+        "{} holds {photographs} photographs and no cameras; COLMAP works out where each was taken (https://colmap.github.io):\n  \
+         colmap feature_extractor --image_path {images} --database_path {database}\n  \
+         colmap exhaustive_matcher --database_path {database}\n  \
+         mkdir -p {sparse} && colmap mapper --image_path {images} --database_path {database} --output_path {sparse}\n\
+         then import the same folder again",
+        folder.display(),
+        images = shown(images),
+    )
 }
 
 impl CaptureError {

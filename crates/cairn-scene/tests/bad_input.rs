@@ -36,6 +36,29 @@ fn nothing_there() {
 }
 
 #[test]
+fn photographs_without_cameras_are_answered_with_the_way_to_cameras() {
+    let place = tempfile::tempdir().unwrap();
+    for (folder, images) in [("plain", "plain"), ("with images", "with images/images")] {
+        let (folder, images) = (place.path().join(folder), place.path().join(images));
+        fs::create_dir_all(&images).unwrap();
+        for name in ["a.JPG", "b.png"] {
+            fs::write(images.join(name), b"").unwrap();
+        }
+        let error = read(&folder).unwrap_err().to_string();
+        assert!(error.contains("holds 2 photographs and no cameras"), "{error}");
+        let lines: Vec<&str> = error.lines().map(str::trim).collect();
+        let image_path = match folder == images {
+            true => format!("--image_path {}", images.display()),
+            // A path with blanks is quoted, so that the line can be copied.
+            false => format!("--image_path '{}'", images.display()),
+        };
+        assert!(lines[1].starts_with("colmap feature_extractor") && lines[1].contains(&image_path), "{error}");
+        assert!(lines[2].starts_with("colmap exhaustive_matcher"), "{error}");
+        assert!(lines[3].contains("&& colmap mapper") && lines[3].contains("/sparse"), "{error}");
+    }
+}
+
+#[test]
 fn poses_that_are_none() {
     refuses(colmap(|m| m.images[1].quaternion[2] = f64::NAN), &["images.bin", "image 2 (2.png)", "quaternion", "NaN"]);
     refuses(colmap(|m| m.images[1].quaternion = [0.0; 4]), &["image 2 (2.png)", "quaternion of length 1", "length 0"]);

@@ -9,7 +9,7 @@ use cairn_scene::cluster::Grouping;
 use cairn_scene::{Capture, ReadOptions};
 use cairn_service::config::preset::settings;
 use cairn_service::config::{Chosen, Config, Preset, Quality};
-use cairn_service::engine::Engine;
+use cairn_service::engine::{Engine, Opening};
 use cairn_service::query::viewpoint::Viewpoint;
 use cairn_service::train::request::{Plan, TrainingRequest};
 
@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Landmark::generate(&size, 3)?.write(&photographs)?;
     let table = ReadOptions { contributors: Some(photographs.join("contributors.csv")), ..ReadOptions::default() };
 
-    let engine = Engine::open(&place.path().join("data"), &Config::from_toml("", "the defaults")?)?;
+    let engine = Engine::open(&place.path().join("data"), &Config::from_toml("", "the defaults")?, Opening::Serve)?;
     engine.import_capture("tower", &Capture::read(&photographs, &table)?)?;
     let chosen = Chosen { preset: Preset::Outdoor, quality: Quality::Smoke, robust: false };
     let job = engine.train(TrainingRequest {

@@ -33,16 +33,31 @@ use crate::store::folder::DataFolder;
 use crate::store::import::{Import, ImportPlan};
 use crate::store::model::{self, Model, ModelInfo};
 use crate::store::scenes;
+use crate::store::shadow;
 use crate::store::snapshot::SceneSnapshot;
 use crate::train::jobs::Jobs;
 use crate::train::screen;
 use crate::train::training::Training;
 
+/// What a data folder is opened for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Opening {
+    /// To serve: it is made where absent, and trainings that were cut off go on.
+    Serve,
+    /// For one command that may change it: it is made where absent. Trainings that were cut off wait for
+    /// somebody to resume them.
+    Change,
+    /// For one command that reads: nothing is made, and a folder that cannot be written is read through a
+    /// shadow ([`shadow`]).
+    Read,
+}
+
 /// One data folder at work.
 pub struct Engine {
     pub(crate) jobs: Jobs,
     /// Before the registry: it publishes a last time when it is dropped.
-    publisher: Publisher,
+    /// None where nothing can be written.
+    publisher: Option<Publisher>,
     registry: Arc<Registry>,
     access: Arc<Access>,
     pub(crate) exclusions: Arc<Exclusions>,
@@ -55,26 +70,45 @@ pub struct Engine {
     snapshot: Mutex<Option<Arc<SceneSnapshot>>>,
     // Last, so that the folder is let go when all else in it is closed.
     pub(crate) folder: DataFolder,
+    /// What stands for a folder that cannot be written.
+    shadow: Option<tempfile::TempDir>,
 }
 
 impl Engine {
-    /// Opens the data folder, re-reads the log of owner records, and goes on with
-    /// the trainings that were cut off.
+    /// Opens the data folder and re-reads the log of owner records.
     ///
     /// # Errors
-    /// [`EngineError::Locked`] while another process has the folder;
-    /// [`EngineError::WrongState`] where the registry's key is missing; what the stored files say.
-    pub fn open(data: &Path, config: &Config) -> Result<Self, EngineError> {
-        let folder = DataFolder::open(data)?;
+    /// [`EngineError::Locked`] while another process has the folder; [`EngineError::NoFolder`] where there is none to
+    /// read; [`EngineError::WrongState`] where the registry's key is missing; what the stored files say.
+    pub fn open(data: &Path, config: &Config, opening: Opening) -> Result<Self, EngineError> {
+        let shadow = if opening == Opening::Read { shadow::of(data)? } else { None };
+        Self::open_in(data, config, opening, shadow)
+    }
+
+    /// As [`Engine::open`], through `shadow` where there is one.
+    pub(crate) fn open_in(
+        data: &Path,
+        config: &Config,
+        opening: Opening,
+        shadow: Option<tempfile::TempDir>,
+    ) -> Result<Self, EngineError> {
+        let folder = DataFolder::open(shadow.as_ref().map_or(data, tempfile::TempDir::path))?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
-        let anchor = anchor::of(data, &key.public(), config.anchor_file.as_deref())?;
-        let registry = Arc::new(Registry::open_anchored(&folder.registry(), key, &config.origin, Some(anchor))?);
+        // Nothing is signed through a shadow: there is nothing for the anchor to hold it to.
+        let anchor = match shadow {
+            None => Some(anchor::of(data, &key.public(), config.anchor_file.as_deref())?),
+            Some(_) => None,
+        };
+        let registry = Arc::new(Registry::open_anchored(&folder.registry(), key, &config.origin, anchor)?);
         let witnesses = config
             .witnesses
             .iter()
             .map(|w| WitnessClient::new(w.verifier.clone(), &w.url))
             .collect::<Result<_, _>>()?;
-        let publisher = Publisher::start(registry.clone(), witnesses)?;
+        let publisher = match shadow {
+            None => Some(Publisher::start(registry.clone(), witnesses)?),
+            Some(_) => None,
+        };
         let exclusions = Arc::new(Exclusions::open(folder.exclusions(), &folder.scenes())?);
         let work = Training {
             exclusions: exclusions.clone(),
@@ -85,7 +119,13 @@ impl Engine {
         };
         let access = Arc::new(Access::open(&folder, config.access.quota)?);
         access.follow_all(&registry)?;
-        let jobs = Jobs::open(folder.jobs(), config.limits.queue_length, Some(access.clone()), work)?;
+        let jobs = Jobs::open(
+            folder.jobs(),
+            config.limits.queue_length,
+            Some(access.clone()),
+            opening == Opening::Serve,
+            work,
+        )?;
         folder.seal_at_end();
         Ok(Self {
             folder,
@@ -98,7 +138,13 @@ impl Engine {
             training: config.training.clone(),
             cache: Mutex::new(None),
             snapshot: Mutex::new(None),
+            shadow,
         })
+    }
+
+    /// Whether it holds the data folder itself, and not a shadow of it.
+    pub fn holds_the_folder(&self) -> bool {
+        self.shadow.is_none()
     }
 
     /// The training jobs.
@@ -195,7 +241,7 @@ impl Engine {
         if !path.is_dir() {
             self.scene(name)?;
         }
-        if let Some(job) = self.jobs.list().iter().find(|j| j.spec.is_of(name) && !j.state.has_ended()) {
+        if let Some(job) = self.jobs.list().iter().find(|j| j.spec.is_of(name) && !j.state.is_over()) {
             let why = format!("{} is {} on it; cancel that first", job.id, job.state);
             return Err(EngineError::wrong_state(format!("scene {name:?}"), "deleted", why));
         }
@@ -387,7 +433,10 @@ impl Engine {
     /// # Errors
     /// As there.
     pub fn submit_record(&self, signed: &SignedRecord, payer: Option<Digest>) -> Result<Receipt, EngineError> {
-        owners::submit(&self.registry, &self.access, &self.publisher, signed, payer)
+        let publisher = self.publisher.as_ref().ok_or_else(|| {
+            EngineError::wrong_state("the record", "entered", "the data folder cannot be written; ask its owner")
+        })?;
+        owners::submit(&self.registry, &self.access, publisher, signed, payer)
     }
 
     /// A nonce for a record of `owner` about `scene`, in hexadecimal.
@@ -428,7 +477,9 @@ impl Engine {
         if index >= size {
             return Err(RegistryError::NoSuchRecord { index, size }.into());
         }
-        self.publisher.await_cosigned(&self.registry, index);
+        if let Some(publisher) = &self.publisher {
+            publisher.await_cosigned(&self.registry, index);
+        }
         Ok(self.registry.tlog_proof(index)?.to_text())
     }
 
@@ -439,6 +490,8 @@ impl Engine {
 
     /// Publishes what is left. After the last request: what comes in later is published at the next start.
     pub fn close(&self) {
-        self.publisher.stop();
+        if let Some(publisher) = &self.publisher {
+            publisher.stop();
+        }
     }
 }

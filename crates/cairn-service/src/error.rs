@@ -76,9 +76,19 @@ pub enum EngineError {
     /// The daemon is going down.
     #[error("the daemon is shutting down; try again when it is back")]
     ShuttingDown,
+    /// There is nothing to read.
+    #[error(
+        "there is no data folder {}; name another with --data, or begin one with `cairn scene import`",
+        path.display()
+    )]
+    NoFolder {
+        /// What was named.
+        path: PathBuf,
+    },
     /// Another process has the data folder.
     #[error(
-        "the data folder {} is in use by process {pid}; stop that daemon, talk to it with --connect, or use another folder",
+        "the data folder {} is in use by process {pid}, which does not answer; stop that process, talk to its daemon with \
+         --connect, or use another folder",
         path.display()
     )]
     Locked {

@@ -16,7 +16,7 @@ use cairn_api::v1;
 use cairn_landmark::{Landmark, LandmarkCapture, LandmarkConfig};
 use cairn_scene::cluster::Grouping;
 use cairn_service::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
-use cairn_service::engine::Engine;
+use cairn_service::engine::{Engine, Opening};
 use cairn_service::train::job::JobState;
 use cairn_service::train::request::{Plan, TrainingRequest};
 use tempfile::TempDir;
@@ -102,6 +102,20 @@ impl Place {
         let output = self.cairn(arguments);
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(output.status.success(), "cairn {arguments:?}: {said}{}", String::from_utf8_lossy(&output.stderr));
+        said
+    }
+
+    /// As [`Place::cairn_ok`], of a command that prints JSON.
+    pub fn cairn_json(&self, arguments: &[&str]) -> serde_json::Value {
+        let said = self.cairn_ok(arguments);
+        serde_json::from_str(&said).unwrap_or_else(|e| panic!("cairn {arguments:?}: {e} in {said}"))
+    }
+
+    /// What `cairn` is refused with, which is exit code 2.
+    pub fn cairn_refused(&self, arguments: &[&str]) -> String {
+        let output = self.cairn(arguments);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "cairn {arguments:?}: {said}");
         said
     }
 
@@ -213,13 +227,15 @@ pub fn base_only(scene: &str, seed: u64, options: v1::TrainingOptions) -> v1::St
 /// Accepts a training of `scene` in the data folder `data`, which no daemon has, with settings that are no preset's; the
 /// job's id. The daemon that opens the folder next trains it.
 pub fn accept(data: &Path, scene: &str, settings: TrainingSettings) -> String {
-    let engine = Engine::open(data, &Config::from_toml("[training]\ncheckpoint_every_s = 0", "test").unwrap()).unwrap();
+    let engine =
+        Engine::open(data, &Config::from_toml("[training]\ncheckpoint_every_s = 0", "test").unwrap(), Opening::Serve)
+            .unwrap();
     engine.train(given(scene, settings, false)).unwrap().id
 }
 
 /// As [`accept`], trained to its end without a break; `base_only` stops after stage 1.
 pub fn train_to_end(data: &Path, scene: &str, settings: TrainingSettings, base_only: bool) {
-    let engine = Engine::open(data, &Config::from_toml("", "test").unwrap()).unwrap();
+    let engine = Engine::open(data, &Config::from_toml("", "test").unwrap(), Opening::Serve).unwrap();
     let id = engine.train(given(scene, settings, base_only)).unwrap().id;
     let job = engine.jobs().watch(&id).unwrap();
     while !job.borrow().state.has_ended() {

@@ -20,15 +20,20 @@ use std::process::ExitCode;
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
     /// Verify a bundle from its files; exit code 0 for valid and trusted, 1 for invalid
+    #[command(after_help = "Example:\n  cairn audit bundle bundle --vkey log.vkey")]
     Bundle(bundle::Args),
     /// Verify a complete answer (who contributed, and nobody left out); exit codes as for a bundle
+    #[command(after_help = "Example:\n  cairn audit answer answer.json --vkey log.vkey")]
     Answer(answer::Args),
     /// Hash a whole data folder again; exit code 0 clean, 10 checkpoint, 11 log or tile, 12 record, 13 map, 14 working
     /// state, 15 scene, model or render (the smallest, where several are at fault)
+    #[command(after_help = "Example:\n  cairn audit store cairn-data --vkey log.vkey")]
     Store(store::Args),
     /// Hold a log, over HTTP, to what it signed before; exit code 20 where it contradicts itself, else as for a store
+    #[command(after_help = "Example:\n  cairn audit follow http://log.example --vkey log.vkey --state seen --once")]
     Follow(follow::Args),
     /// Check what `follow` kept of a contradiction; exit code 0 where it proves two histories, 1 where it does not
+    #[command(after_help = "Example:\n  cairn audit evidence seen/evidence.json --vkey log.vkey")]
     Evidence(evidence::Args),
 }
 

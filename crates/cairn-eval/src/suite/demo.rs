@@ -1,6 +1,6 @@
 //! Suite `demo`: `cairn demo` on the made-up landmark.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use anyhow::Context as _;
 use cairn_service::query::report::{Report, Right};
@@ -31,13 +31,12 @@ struct Results {
 /// For a demo that fails, and results that do not read.
 pub fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
     file::make_folder(&args.out)?;
-    let json = args.out.join("demo.json");
     let mut demo = Command::new(args.cairn()?);
-    demo.arg("demo").arg("--json").arg(&json).arg("--out").arg(args.out.join("demo"));
+    demo.arg("demo").arg("--json").arg("--out").arg(args.out.join("demo"));
     demo.arg("--seed").arg(args.seed.to_string());
-    let status = demo.status().context("cannot start cairn")?;
-    anyhow::ensure!(status.success(), "`cairn demo` ended with {status}; its error is above");
-    let results: Results = serde_json::from_slice(&file::read(&json)?).context("the demo's results")?;
+    let output = demo.stderr(Stdio::inherit()).output().context("cannot start cairn")?;
+    anyhow::ensure!(output.status.success(), "`cairn demo` ended with {}; its error is above", output.status);
+    let results: Results = serde_json::from_slice(&output.stdout).context("the demo's results")?;
     let case = args.case_name("made-up landmark");
     rows.of_report(&case, &results.evaluation);
     rows.share(&case, "owner records trusted", results.records_trusted, Some(1.0));

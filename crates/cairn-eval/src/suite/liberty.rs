@@ -1,12 +1,11 @@
 //! Suite `liberty`: a real landmark through the program `cairn`, both stages.
 
 use std::ffi::OsStr;
-use std::process::Command;
+use std::process::{Command, Output, Stdio};
 
 use anyhow::Context as _;
 
 use crate::args::Args;
-use crate::file;
 use crate::rows::Rows;
 
 /// Photographs are resampled by this factor.
@@ -21,13 +20,14 @@ pub fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
     std::fs::create_dir(&args.out)
         .with_context(|| format!("cannot make the folder {}; choose a new one (--out)", args.out.display()))?;
     let (data, contributors) = (args.out.join("data"), from.join("contributors.csv"));
-    let (report, sheet) = (args.out.join("report.json"), args.out.join("contact-sheet.png"));
+    let sheet = args.out.join("contact-sheet.png");
     let program = args.cairn()?;
-    let cairn = |arguments: &[&OsStr]| -> anyhow::Result<()> {
-        let status = Command::new(&program).args(arguments).arg("--data").arg(&data).status();
-        let status = status.with_context(|| format!("cannot start {}", program.display()))?;
+    let cairn = |arguments: &[&OsStr]| -> anyhow::Result<Vec<u8>> {
+        let mut command = Command::new(&program);
+        let output = command.args(arguments).arg("--data").arg(&data).stderr(Stdio::inherit()).output();
+        let Output { status, stdout, .. } = output.with_context(|| format!("cannot start {}", program.display()))?;
         anyhow::ensure!(status.success(), "`cairn {}` ended with {status}", arguments.join(OsStr::new(" ")).display());
-        Ok(())
+        Ok(stdout)
     };
     let text = OsStr::new;
     let import = ["scene", "import", "liberty", "--scale", SCALE, "--from"].map(text);
@@ -45,9 +45,9 @@ pub fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
         train.extend(["--quality", "draft"].map(text));
     }
     cairn(&train)?;
-    let evaluate = ["evaluate", "liberty", "--json"].map(text);
-    cairn(&[&evaluate[..], &[report.as_os_str(), text("--sheet"), sheet.as_os_str()]].concat())?;
-    let report = serde_json::from_slice(&file::read(&report)?).context("the report of `cairn evaluate`")?;
+    let evaluate = ["evaluate", "liberty", "--json", "--sheet"].map(text);
+    let report = cairn(&[&evaluate[..], &[sheet.as_os_str()]].concat())?;
+    let report = serde_json::from_slice(&report).context("the report of `cairn evaluate`")?;
     let of = args.neighbours.map_or(String::new(), |k| format!(" of {k} views"));
     let clusters = args.anchors.map_or(String::new(), |m| format!(", {m} anchors{of}"));
     rows.of_report(&args.case_name(&format!("liberty{clusters}")), &report);

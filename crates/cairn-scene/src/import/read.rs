@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::capture::Capture;
 use crate::error::CaptureError;
+use crate::images::format::ImageFormat;
 use crate::import::options::ReadOptions;
 use crate::import::{assemble, colmap, llff, model::Guess, transforms};
 
@@ -46,10 +47,7 @@ impl Capture {
     pub fn read(folder: &Path, options: &ReadOptions) -> Result<Self, CaptureError> {
         let (folder, named) = (Self::folder_of(folder), camera_file(folder));
         std::fs::read_dir(folder).map_err(CaptureError::io("open", folder))?;
-        let transforms = || {
-            transforms::read(folder, named, options)?
-                .ok_or_else(|| CaptureError::NotACapture { folder: folder.to_path_buf() })
-        };
+        let transforms = || transforms::read(folder, named, options)?.ok_or_else(|| no_cameras(folder, options));
         if named.is_some_and(|name| name != LLFF) {
             return assemble::assemble(folder, transforms()?, options);
         }
@@ -73,6 +71,19 @@ impl Capture {
             None => from,
         }
     }
+}
+
+/// Why `folder` is no capture: it has photographs alone, or nothing that is known.
+fn no_cameras(folder: &Path, options: &ReadOptions) -> CaptureError {
+    let named = options.images.iter().map(|images| folder.join(images));
+    for images in named.chain([folder.join("images"), folder.to_path_buf()]) {
+        let Ok(entries) = std::fs::read_dir(&images) else { continue };
+        let photographs = entries.flatten().filter(|entry| ImageFormat::of_path(&entry.path()).is_some()).count();
+        if photographs > 0 {
+            return CaptureError::NoCameras { folder: folder.to_path_buf(), images, photographs };
+        }
+    }
+    CaptureError::NotACapture { folder: folder.to_path_buf() }
 }
 
 const LLFF: &str = "poses_bounds.npy";

@@ -290,8 +290,11 @@ mod tests {
         let methods: BTreeSet<&str> = cairn_api::v1::METHODS.iter().copied().collect();
         assert!(methods.len() > 20, "{methods:?}");
         let missing: Vec<_> = methods.difference(&rows).collect();
-        assert!(missing.is_empty(), "crates/cairn-service/src/roles.rs has no row for {missing:?}");
+        assert!(missing.is_empty(), "crates/cairn-service/src/auth/roles.rs has no row for {missing:?}");
         let stale: Vec<_> = rows.difference(&methods).collect();
-        assert!(stale.is_empty(), "crates/cairn-service/src/roles.rs has rows for methods that are gone: {stale:?}");
+        assert!(
+            stale.is_empty(),
+            "crates/cairn-service/src/auth/roles.rs has rows for methods that are gone: {stale:?}"
+        );
     }
 }

@@ -10,10 +10,14 @@
 //! that; renders and the like queue for a limited number of places.
 
 mod access;
+#[cfg(test)]
+mod contract_tests;
 pub mod error;
 pub mod from_proto;
 mod gate;
 pub mod http;
+#[cfg(unix)]
+pub mod local;
 mod owners;
 mod queries;
 mod renders;
@@ -28,12 +32,16 @@ mod waiting;
 use std::sync::{Arc, OnceLock};
 
 use crate::auth::{AccessError, Daemon, Nonces, Verifier};
+use tokio::io::DuplexStream;
 use tokio::sync::Semaphore;
 use tonic::Status;
 
 use crate::config::{Access, Config, Mode, Token};
 use crate::engine::Engine;
 use crate::error::EngineError;
+
+/// Bytes of pipe between a client and the services in one process.
+const PIPE_BYTES: usize = 1 << 20;
 
 /// What a handler answers with.
 type Answer<T> = Result<tonic::Response<T>, Status>;
@@ -128,4 +136,10 @@ impl Shared {
         })
         .await
     }
+}
+
+/// Both ends of a connection within this process: the client's and the services'.
+#[must_use]
+pub fn pipe() -> (DuplexStream, DuplexStream) {
+    tokio::io::duplex(PIPE_BYTES)
 }

@@ -18,6 +18,7 @@ use cairn_api::v1::render_service_server::RenderServiceServer;
 use cairn_api::v1::scene_service_server::SceneServiceServer;
 use cairn_api::v1::training_service_server::TrainingServiceServer;
 use tokio::io::DuplexStream;
+use tokio::sync::mpsc::UnboundedSender;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio_stream::wrappers::{TcpListenerStream, UnboundedReceiverStream};
@@ -28,9 +29,11 @@ use tonic_health::server::HealthReporter;
 
 use super::error::ServeError;
 use super::gate::GateLayer;
+#[cfg(unix)]
+use super::local;
 use super::{Shared, http, tls};
 use crate::config::{Config, Limits};
-use crate::engine::Engine;
+use crate::engine::{Engine, Opening};
 use crate::store::folder;
 
 /// Requests answered at the same time on one connection.
@@ -135,12 +138,13 @@ pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
         });
     let mut server = tokio::spawn(server);
 
-    let engine = load(&config, data).await?;
+    let engine = load(&config, data, Opening::Serve).await?;
     let public = PublicFiles::start(&config, data).await?;
     for witness in &config.witnesses {
         tracing::info!(witness = %witness.verifier, url = witness.url, "configured witness");
     }
     shared.loaded(engine.clone())?;
+    let local = InProcess::over(engine.clone(), &config, Some(data))?;
     tell(&reporter, ServingStatus::Serving).await;
     // Before anybody is told where it is, who may then stop it at once.
     let signal = signal()?;
@@ -161,6 +165,7 @@ pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
     } else {
         server.abort();
     }
+    local.end_within(grace).await;
     if let Some(public) = public {
         public.end().await;
     }
@@ -169,9 +174,9 @@ pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
     Ok(())
 }
 
-async fn load(config: &Config, data: &Path) -> Result<Arc<Engine>, ServeError> {
+async fn load(config: &Config, data: &Path, opening: Opening) -> Result<Arc<Engine>, ServeError> {
     let (config, data) = (config.clone(), data.to_path_buf());
-    Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config)).await??))
+    Ok(Arc::new(tokio::task::spawn_blocking(move || Engine::open(&data, &config, opening)).await??))
 }
 
 fn announce(url: &str, public: Option<&str>) {
@@ -203,21 +208,30 @@ pub fn signal() -> std::io::Result<impl Future<Output = std::io::Result<&'static
     Ok(async { tokio::signal::ctrl_c().await.map(|()| "interrupt") })
 }
 
-/// The same services in this process, for clients without a daemon. Dropping the
-/// engine's last holder lets the data folder go.
+/// The same services in this process, for clients without a daemon, and for commands that reach it through the data
+/// folder. Dropping the engine's last holder lets the data folder go.
 pub struct InProcess {
     engine: Arc<Engine>,
-    /// Where a client puts its ends of new connections.
-    pub connections: tokio::sync::mpsc::UnboundedSender<std::io::Result<DuplexStream>>,
+    /// Where a client puts its ends of new connections ([`super::pipe`]).
+    pub connections: UnboundedSender<std::io::Result<DuplexStream>>,
+    #[cfg(unix)]
+    socket: Option<local::Socket>,
 }
 
 impl InProcess {
-    /// Opens `data` and serves it to this process alone.
+    /// Opens `data` and serves it to this process, and to others that find it taken.
     ///
     /// # Errors
     /// As [`serve`], but for the address.
-    pub async fn start(config: &Config, data: &Path) -> Result<Self, ServeError> {
-        let engine = load(config, data).await?;
+    pub async fn start(config: &Config, data: &Path, opening: Opening) -> Result<Self, ServeError> {
+        let engine = load(config, data, opening).await?;
+        // What is read through a shadow is nobody's: the next command reads it as well.
+        let held = engine.holds_the_folder();
+        Self::over(engine, config, held.then_some(data))
+    }
+
+    /// Serves an engine, and in `data` the others.
+    fn over(engine: Arc<Engine>, config: &Config, data: Option<&Path>) -> Result<Self, ServeError> {
         // Nobody else can call: a token would only lock the owner out.
         let shared = Shared::in_process(config);
         shared.loaded(engine.clone())?;
@@ -227,16 +241,50 @@ impl InProcess {
             .add_routes(routes(&shared, &config.limits))
             .serve_with_incoming(UnboundedReceiverStream::new(incoming));
         tokio::spawn(server);
-        Ok(Self { engine, connections })
+        #[cfg(unix)]
+        let socket = data.and_then(|data| {
+            let listening = local::Socket::listen(data, connections.clone());
+            // Without it the folder is in use, as it ever was.
+            listening.inspect_err(|error| tracing::info!(%error, "no socket in the data folder")).ok()
+        });
+        #[cfg(not(unix))]
+        let _ = data;
+        Ok(Self {
+            engine,
+            connections,
+            #[cfg(unix)]
+            socket,
+        })
     }
 
-    /// Stops a running training after its checkpoint. Call before the process ends.
+    /// The engine that answers.
+    pub fn engine(&self) -> &Engine {
+        &self.engine
+    }
+
+    /// Waits for the commands that came through the data folder, then stops a running training after its checkpoint. Call
+    /// before the process ends.
     pub async fn shut_down(self) {
+        #[cfg(unix)]
+        if let Some(socket) = self.socket {
+            socket.close().await;
+        }
+        let engine = self.engine;
         // A panic in there was reported on its own thread.
         let _ = tokio::task::spawn_blocking(move || {
-            self.engine.shut_down();
-            self.engine.close();
+            engine.shut_down();
+            engine.close();
         })
         .await;
+    }
+
+    /// Lets commands that came through the data folder end for `grace`, where the engine is another's to stop.
+    async fn end_within(self, grace: Duration) {
+        #[cfg(unix)]
+        if let Some(socket) = self.socket {
+            socket.close_within(grace).await;
+        }
+        #[cfg(not(unix))]
+        let _ = grace;
     }
 }

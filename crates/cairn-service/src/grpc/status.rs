@@ -38,7 +38,7 @@ fn code(error: &EngineError) -> Code {
         | EngineError::KeyFile(_)
         | EngineError::Erasure(_) => Code::InvalidArgument,
         EngineError::NotYours { .. } => Code::PermissionDenied,
-        EngineError::NotFound { .. } => Code::NotFound,
+        EngineError::NotFound { .. } | EngineError::NoFolder { .. } => Code::NotFound,
         EngineError::NotTrained { .. }
         | EngineError::WrongState { .. }
         | EngineError::Witness(_)
@@ -104,6 +104,7 @@ fn capture(error: &CaptureError) -> Code {
     match error {
         CaptureError::Io { .. } | CaptureError::NotFinite { .. } => Code::Internal,
         CaptureError::NotACapture { .. }
+        | CaptureError::NoCameras { .. }
         | CaptureError::Malformed { .. }
         | CaptureError::UnsupportedCamera { .. }
         | CaptureError::Pose { .. }

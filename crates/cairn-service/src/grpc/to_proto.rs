@@ -165,7 +165,8 @@ pub fn job(job: &Job) -> v1::Job {
     v1::Job {
         id: job.id.clone(),
         scene: job.spec.scene.clone(),
-        state: of_wire!(job.state, JobState => JobState { Accepted, Running, Done, Failed, Cancelled }).into(),
+        state: of_wire!(job.state, JobState => JobState { Accepted, Running, Done, Failed, Cancelled, Interrupted })
+            .into(),
         progress: Some(v1::Progress {
             stage: p.stage.clone(),
             step: p.step,

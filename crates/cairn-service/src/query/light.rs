@@ -1,4 +1,4 @@
-//! In whose light a scene is rendered: a training view's, one on the way from one view's to another's, or that of a
+//! In whose light a scene is rendered: a view's, one on the way from one view's to another's, or that of a
 //! photograph that somebody brings.
 
 use cairn_field::Appearance;
@@ -20,7 +20,7 @@ const LONGEST_PX: usize = 800;
 pub enum Light {
     /// The mean of the training views'.
     Neutral,
-    /// A training view's.
+    /// A view's: of a training view as it was trained, of another as it is fitted to its photograph.
     View(String),
     /// Between two views': share 0 is the first, 1 the second, nothing beyond.
     Blend(String, String, f64),
@@ -44,23 +44,26 @@ pub fn appearance(
         Light::Neutral => Ok(model.base.canonical_appearance().clone()),
         Light::View(name) => of_view(model, snapshot, name),
         Light::Blend(from, to, share) => {
-            Ok(of_view(model, snapshot, from)?.mixed(&of_view(model, snapshot, to)?, *share as f32))
+            let (from, to) = (of_view(model, snapshot, from)?, of_view(model, snapshot, to)?);
+            Ok(from.mixed(&to, *share as f32))
         }
         Light::Photograph(bytes, taken) => of_photograph(model, snapshot, bytes, taken, limits),
     }
 }
 
-/// The appearance of a training view; in scenes of one light every view has the same.
+/// The appearance of a view: a training view has one, and that of another is fitted to its photograph. In scenes of one
+/// light every view has the same.
 fn of_view(model: &Model, snapshot: &SceneSnapshot, name: &str) -> Result<Appearance, EngineError> {
+    let index = view_index(snapshot.scene.capture(), name)?;
     let known = model.base.appearances();
     if known.is_empty() {
-        view_index(snapshot.scene.capture(), name)?;
         return Ok(model.base.canonical_appearance().clone());
     }
-    let found = known.iter().find(|(n, _)| n == name);
-    let (_, appearance) =
-        found.ok_or_else(|| EngineError::not_found("training view", name, known.iter().map(|(n, _)| n.as_str())))?;
-    Ok(appearance.clone())
+    let view = &snapshot.scene.capture().views[index];
+    match known.iter().find(|(known, _)| *known == view.name) {
+        Some((_, appearance)) => Ok(appearance.clone()),
+        None => fitted(model, &snapshot.scene.photograph(index)?, &view.camera),
+    }
 }
 
 /// Fits an appearance to a whole photograph.
@@ -82,7 +85,12 @@ fn of_photograph(
     let camera = camera_of("the photograph's camera", snapshot, taken, limits)?;
     let (of, remedy) = ("the camera that took it", "neither cut nor turned");
     must_be_whole("the photograph", &photograph, &camera, of, remedy)?;
-    let (width, height) = compared_at(&photograph, &camera);
+    fitted(model, &photograph, &camera)
+}
+
+/// The appearance in which the field looks most like `photograph`, which `camera` took.
+fn fitted(model: &Model, photograph: &Picture, camera: &Camera) -> Result<Appearance, EngineError> {
+    let (width, height) = compared_at(photograph, camera);
     Ok(model.base.fit_appearance(&camera.resized(width, height), &photograph.resized(width, height))?)
 }
 

@@ -7,7 +7,7 @@ use cairn_scene::{Capture, Picture, ReadOptions, Support};
 
 use super::*;
 use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
-use crate::engine::Engine;
+use crate::engine::{Engine, Opening};
 use crate::query::viewpoint::Viewpoint;
 use crate::records::owners::AskedView;
 use crate::store::test_folder::TestFolder;
@@ -39,7 +39,7 @@ fn noise(width: usize, height: usize, mut state: u64) -> Picture {
 }
 
 fn open(data: &Path) -> Engine {
-    Engine::open(data, &Config::from_toml("", "test").unwrap()).unwrap()
+    Engine::open(data, &Config::from_toml("", "test").unwrap(), Opening::Serve).unwrap()
 }
 
 impl World {
@@ -170,7 +170,10 @@ fn a_residual_alone_excludes_nobody_and_a_person_does() {
     let World { dir, engine } = world;
     drop(engine);
     std::fs::write(&file, text).unwrap();
-    let error = Engine::open(dir.path(), &Config::from_toml("", "test").unwrap()).map(drop).unwrap_err().to_string();
+    let error = Engine::open(dir.path(), &Config::from_toml("", "test").unwrap(), Opening::Serve)
+        .map(drop)
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("format version 9"), "{error}");
 }
 

@@ -16,6 +16,7 @@
 //! (each scene, model and ended job has a manifest.json: size and SHA-256 of all its files)
 //! DIR/state.seal                digests of access/, owners/, exclusions/ and registry.key, while nobody has it open
 //! DIR/staging/                  imports under way; emptied at every start
+//! DIR/socket/cairn              where the owning process answers other commands on the folder; mode 700
 //! ```
 
 use std::fs;
@@ -30,7 +31,7 @@ use crate::error::EngineError;
 use crate::store::seal;
 
 /// The lock file of the folder's one owner.
-const LOCK: &str = "lock";
+pub(crate) const LOCK: &str = "lock";
 /// Version of the folder's layout.
 const FORMAT_VERSION: u32 = 1;
 /// Largest JSON file that is read, bytes.

@@ -11,6 +11,7 @@ pub mod import;
 pub mod model;
 pub mod scenes;
 pub(crate) mod seal;
+pub(crate) mod shadow;
 pub mod snapshot;
 pub mod support;
 #[cfg(test)]

@@ -65,14 +65,44 @@ pub fn open(folder: &Path, name: &str) -> Result<SceneFolder, EngineError> {
     Ok(SceneFolder::open(folder, name)?)
 }
 
-/// Index of view `name`.
+/// Index of view `name`, which may stand without its folders where one view alone ends in it.
 ///
 /// # Errors
-/// [`EngineError::NotFound`] listing some that there are.
+/// [`EngineError::NotFound`] listing some that there are, or those that it may mean.
 pub fn view_index(capture: &Capture, name: &str) -> Result<usize, EngineError> {
-    capture
-        .views
-        .iter()
-        .position(|v| v.name == name)
-        .ok_or_else(|| EngineError::not_found("view", name, capture.views.iter().map(|v| v.name.as_str())))
+    let names: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
+    place_of(&names, name)
+}
+
+/// Where `name` stands among `names`, as [`view_index`] looks for it.
+fn place_of(names: &[&str], name: &str) -> Result<usize, EngineError> {
+    if let Some(index) = names.iter().position(|known| *known == name) {
+        return Ok(index);
+    }
+    let ends_in_it = |known: &str| known.strip_suffix(name).is_some_and(|folders| folders.ends_with('/'));
+    let meant: Vec<usize> = (0..names.len()).filter(|index| !name.is_empty() && ends_in_it(names[*index])).collect();
+    match meant[..] {
+        [index] => Ok(index),
+        [] => Err(EngineError::not_found("view", name, names.iter().copied())),
+        _ => Err(EngineError::not_found("single view", name, meant.iter().map(|index| names[*index]))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::place_of;
+
+    #[test]
+    fn a_view_is_found_without_its_folders_where_it_is_the_only_one() {
+        let names = ["a/1.jpg", "a/b/1.jpg", "b/2.jpg", "12.jpg", "2.jpg"];
+        let at = |name| place_of(&names, name).map_err(|e| e.to_string());
+        assert_eq!((at("a/1.jpg"), at("b/1.jpg"), at("12.jpg")), (Ok(0), Ok(1), Ok(3)));
+        // A whole name goes first.
+        assert_eq!(at("2.jpg"), Ok(4));
+        let refused = at("1.jpg").unwrap_err();
+        assert!(refused.contains("no single view \"1.jpg\"; there is: a/1.jpg, a/b/1.jpg"), "{refused}");
+        for absent in ["", ".jpg", "3.jpg", "/2.jpg"] {
+            assert!(at(absent).unwrap_err().contains("no view"), "{absent}");
+        }
+    }
 }

@@ -146,11 +146,18 @@ pub enum JobState {
     Failed,
     /// Somebody cancelled it.
     Cancelled,
+    /// Its process ended before it did, and nobody resumed it. Never written down: a file says what it was then.
+    Interrupted,
 }
 
 impl JobState {
     /// Whether nothing more happens by itself.
     pub fn has_ended(self) -> bool {
+        self.is_over() || self == Self::Interrupted
+    }
+
+    /// Whether nothing more happens to it unless somebody resumes it: a daemon takes up what was interrupted.
+    pub fn is_over(self) -> bool {
         matches!(self, Self::Done | Self::Failed | Self::Cancelled)
     }
 }
@@ -185,7 +192,8 @@ pub struct Progress {
     pub loss: f64,
     /// The newest step's PSNR, dB; 0 where there is none.
     pub psnr_db: f64,
-    /// Seconds left in this stage; negative while not known.
+    /// Seconds left of the job, phases that have not begun included (roughly: [`crate::train::ahead`]); negative while not
+    /// known.
     pub seconds_left: f64,
 }
 

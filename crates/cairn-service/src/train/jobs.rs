@@ -3,7 +3,7 @@
 //! Contract. `submit` returns only after the job is durable. One job runs at a
 //! time, off the async runtime. `cancel` and `shut_down` MUST return only after
 //! the worker has let go of the job. A job that was accepted or running when the
-//! process died is queued again by `open`, oldest first. A panic in a job fails
+//! process died is found by `open`, which queues it again for a daemon, oldest first, and for nobody else. A panic in a job fails
 //! that job and nothing else.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -20,6 +20,7 @@ use tokio::sync::watch;
 use crate::error::EngineError;
 use crate::store::access::{Access, unix_s};
 use crate::store::folder::{read_json, write_json};
+use crate::train::ahead::Ahead;
 use crate::train::job::{self, Job, JobSpec, JobState, Progress, StageSeconds};
 use cairn_durable::remove;
 
@@ -56,6 +57,7 @@ pub struct Control<'a> {
     /// Who pays, and where that is kept.
     owner: Option<(&'a Access, Digest)>,
     meter: Mutex<Meter>,
+    ahead: Mutex<Ahead>,
 }
 
 /// The clock of a job that somebody pays for.
@@ -83,7 +85,8 @@ impl<'a> Control<'a> {
     /// The same, of a job that nobody stops unless `stop` says so.
     #[cfg(test)]
     pub(crate) fn going_on(stop: &'a AtomicU8, sender: &'a watch::Sender<Job>, path: PathBuf) -> Self {
-        Self { stop, sender, path, owner: None, meter: Meter::new() }
+        let ahead = Mutex::new(Ahead::of(&sender.borrow()));
+        Self { stop, sender, path, owner: None, meter: Meter::new(), ahead }
     }
 
     /// Whether the job has to stop at its next step.
@@ -117,8 +120,9 @@ impl<'a> Control<'a> {
         Ok(())
     }
 
-    /// Tells the watchers.
+    /// Tells the watchers how far the phase is that runs; its seconds left become the job's.
     pub fn progress(&self, progress: Progress) {
+        let progress = self.ahead.lock().unwrap_or_else(PoisonError::into_inner).with_later(progress);
         self.sender.send_modify(|job| job.progress = progress);
     }
 
@@ -177,8 +181,8 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Reads the jobs in `folder`, queues those that were cut off, and starts the worker. Jobs with an owner
-    /// are held to the quotas in `access`.
+    /// Reads the jobs in `folder` and starts the worker. Those that were cut off are queued where they `go_on`; elsewhere
+    /// they are [`JobState::Interrupted`]. Jobs with an owner are held to the quotas in `access`.
     ///
     /// # Errors
     /// [`EngineError::Stored`] for a job file that is damaged, and the file system's.
@@ -186,6 +190,7 @@ impl Jobs {
         folder: PathBuf,
         capacity: usize,
         access: Option<Arc<Access>>,
+        go_on: bool,
         work: impl Work,
     ) -> Result<Self, EngineError> {
         let mut inner = Inner::default();
@@ -200,7 +205,7 @@ impl Jobs {
             }
             let mut job: Job = read_json(&file, job::VERSION)?;
             if !job.state.has_ended() {
-                job.state = JobState::Accepted;
+                job.state = if go_on { JobState::Accepted } else { JobState::Interrupted };
             }
             let entry = Entry { sender: watch::Sender::new(job.clone()), stop: Arc::default() };
             inner.jobs.insert(job.id, entry);
@@ -252,7 +257,7 @@ impl Jobs {
         Ok(job)
     }
 
-    /// Queues a cancelled or failed job again.
+    /// Queues a job again that was cancelled or interrupted, or failed.
     ///
     /// # Errors
     /// As [`Jobs::submit`]; [`EngineError::WrongState`] for a job in another state.
@@ -261,8 +266,8 @@ impl Jobs {
         self.check_room(&inner)?;
         let entry = inner.jobs.get(id).ok_or_else(|| self.unknown(&inner, id))?;
         let mut job = entry.sender.borrow().clone();
-        if !matches!(job.state, JobState::Cancelled | JobState::Failed) {
-            let why = format!("it is {}; only a cancelled or failed one can", job.state);
+        if !matches!(job.state, JobState::Cancelled | JobState::Failed | JobState::Interrupted) {
+            let why = format!("it is {}; only one that was cancelled or interrupted, or failed, can", job.state);
             return Err(EngineError::wrong_state(format!("job {id}"), "resumed", why));
         }
         self.check_owner(&inner, job.owner)?;
@@ -286,7 +291,7 @@ impl Jobs {
     pub fn cancel(&self, id: &str) -> Result<(), EngineError> {
         let mut inner = self.shared.lock();
         let entry = inner.jobs.get(id).ok_or_else(|| self.unknown(&inner, id))?;
-        if entry.sender.borrow().state.has_ended() {
+        if entry.sender.borrow().state.is_over() {
             return Ok(());
         }
         entry.stop.store(CANCEL, Ordering::Release);
@@ -405,7 +410,8 @@ impl Shared {
             let job = sender.borrow().clone();
             let path = self.file(&id);
             let owner = self.access.as_deref().zip(job.owner);
-            let control = Control { stop: &stop, sender: &sender, path, owner, meter: Meter::new() };
+            let ahead = Mutex::new(Ahead::of(&job));
+            let control = Control { stop: &stop, sender: &sender, path, owner, meter: Meter::new(), ahead };
             let run = || {
                 control.charge()?;
                 write_json(&control.path, &job)?;

@@ -67,7 +67,7 @@ fn submit(jobs: &Jobs) -> String {
 fn jobs_run_in_turn_and_the_queue_has_an_end() {
     let dir = tempfile::tempdir().unwrap();
     let (tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 1, None, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 1, None, true, work).unwrap();
     let first = submit(&jobs);
     wait_for(&jobs, &first, |j| j.state == JobState::Running);
     let second = submit(&jobs);
@@ -84,7 +84,7 @@ fn jobs_run_in_turn_and_the_queue_has_an_end() {
 fn a_cancelled_job_lets_go_and_can_be_resumed() {
     let dir = tempfile::tempdir().unwrap();
     let (tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, true, work).unwrap();
     let (running, waiting) = (submit(&jobs), submit(&jobs));
     wait_for(&jobs, &running, |j| j.progress.step > 0);
     jobs.cancel(&waiting).unwrap();
@@ -103,7 +103,7 @@ fn a_cancelled_job_lets_go_and_can_be_resumed() {
 fn what_was_cut_off_is_found_again_and_what_was_not_durable_is_not() {
     let dir = tempfile::tempdir().unwrap();
     let (_tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, true, work).unwrap();
     let (first, second) = (submit(&jobs), submit(&jobs));
     wait_for(&jobs, &first, |j| j.progress.step > 0);
     jobs.shut_down();
@@ -112,7 +112,7 @@ fn what_was_cut_off_is_found_again_and_what_was_not_durable_is_not() {
     std::fs::create_dir(dir.path().join("job-000003")).unwrap();
 
     let (tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, true, work).unwrap();
     assert_eq!(jobs.list().len(), 2);
     assert_eq!(jobs.get(&first).unwrap().spec, spec());
     for id in [&first, &second] {
@@ -122,11 +122,40 @@ fn what_was_cut_off_is_found_again_and_what_was_not_durable_is_not() {
 }
 
 #[test]
+fn what_was_cut_off_waits_for_a_person_where_nobody_serves() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_tick, work) = counting();
+    let jobs = Jobs::open(dir.path().into(), 4, None, true, work).unwrap();
+    let (first, second) = (submit(&jobs), submit(&jobs));
+    wait_for(&jobs, &first, |j| j.progress.step > 0);
+    jobs.shut_down();
+    drop(jobs);
+
+    let (tick, work) = counting();
+    let jobs = Jobs::open(dir.path().into(), 4, None, false, work).unwrap();
+    for id in [&first, &second] {
+        assert_eq!(jobs.get(id).unwrap().state, JobState::Interrupted);
+    }
+    jobs.cancel(&second).unwrap();
+    assert_eq!(jobs.get(&second).unwrap().state, JobState::Cancelled);
+    // What is looked at stays as it is: the next one who opens it finds the same.
+    drop(jobs);
+    let (tick_again, work) = counting();
+    drop(tick);
+    let jobs = Jobs::open(dir.path().into(), 4, None, false, work).unwrap();
+    assert_eq!(jobs.get(&first).unwrap().state, JobState::Interrupted);
+    assert_eq!(jobs.get(&second).unwrap().state, JobState::Cancelled);
+    jobs.resume(&first).unwrap();
+    tick_again.send(()).unwrap();
+    assert_eq!(wait_for(&jobs, &first, |j| j.state.has_ended()).state, JobState::Done);
+}
+
+#[test]
 fn a_panic_fails_its_job_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let (_tick, mut work) = counting();
     work.panics = true;
-    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, true, work).unwrap();
     let (first, second) = (submit(&jobs), submit(&jobs));
     for id in [&first, &second] {
         let job = wait_for(&jobs, id, |j| j.state.has_ended());
@@ -139,7 +168,7 @@ fn a_panic_fails_its_job_and_nothing_else() {
 fn a_job_that_cannot_be_prepared_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let (_tick, work) = counting();
-    let jobs = Jobs::open(dir.path().into(), 4, None, work).unwrap();
+    let jobs = Jobs::open(dir.path().into(), 4, None, true, work).unwrap();
     let refused = jobs.submit(None, spec(), Vec::new(), |_| Err(EngineError::ShuttingDown));
     assert!(refused.is_err());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);

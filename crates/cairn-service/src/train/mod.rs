@@ -1,5 +1,6 @@
 //! Training: the queue of jobs, their stages, and what a request turns into.
 
+pub(crate) mod ahead;
 pub mod clusters;
 pub(crate) mod drive;
 pub mod job;

@@ -6,6 +6,7 @@ use cairn_scene::cluster::{ClusterConfig, Grouping};
 
 use super::*;
 use crate::config::{PresetChoice, TrainingOptions};
+use crate::engine::Opening;
 use crate::error::EngineError;
 use crate::store::given::Given;
 use crate::store::hidden::Parts;
@@ -18,7 +19,7 @@ fn hiding(name: &str) -> Given {
 /// A data folder with the scene `town`, whose contributors are known, and a daemon with these settings.
 fn untrained(settings: &str) -> (TestFolder, Engine) {
     let dir = TestFolder::new();
-    let engine = Engine::open(dir.path(), &Config::from_toml(settings, "test").unwrap()).unwrap();
+    let engine = Engine::open(dir.path(), &Config::from_toml(settings, "test").unwrap(), Opening::Serve).unwrap();
     put(&dir, "town", None);
     (dir, engine)
 }

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 
 use super::*;
 use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
-use crate::engine::Engine;
+use crate::engine::{Engine, Opening};
 use crate::store::given::Given;
 use crate::store::hidden::Parts;
 use crate::store::model;
@@ -51,7 +51,7 @@ struct Trained {
 }
 
 fn open(data: &Path) -> Engine {
-    Engine::open(data, &Config::from_toml("", "test").unwrap()).unwrap()
+    Engine::open(data, &Config::from_toml("", "test").unwrap(), Opening::Serve).unwrap()
 }
 
 fn end_of(engine: &Engine, id: &str) -> Job {

@@ -1,0 +1,156 @@
+//! Reading a data folder that cannot be written: a backup, a read-only disk, somebody else's.
+//!
+//! Whoever opens a data folder writes in it: a lock, the store of the log, what is put in order at a start. A *shadow* is a
+//! folder for the time of one command. It has links to what is only read and copies of what an owner would write to.
+//! The copies are small: state files, job files, and of the log what is in no file of its own yet.
+
+use std::fs::{self, OpenOptions};
+use std::io::{Error, ErrorKind};
+use std::path::Path;
+
+use tempfile::TempDir;
+
+use crate::error::EngineError;
+use crate::store::folder::LOCK;
+
+/// Folders of the data folder that are linked: they are large, and reading leaves them alone.
+const LINKED: [&str; 3] = ["scenes", "models", "registry.key"];
+/// What is made anew where it is needed: the owner's lock, its socket, and imports that were cut off.
+const LEFT_OUT: [&str; 3] = [LOCK, "socket", "staging"];
+/// Folders of the log whose contents are large and only read.
+const LINKED_OF_LOG: [&str; 3] = ["public", "envelopes", "runs"];
+/// How deep folders are copied: `registry/working/db/*` is the deepest.
+const MAX_DEPTH: usize = 5;
+
+/// A shadow of the data folder `data`; `None` where that can be written itself.
+///
+/// # Errors
+/// [`EngineError::NoFolder`] where there is no data folder to read; the file system's.
+pub fn of(data: &Path) -> Result<Option<TempDir>, EngineError> {
+    if !data.join("format.json").is_file() {
+        return Err(EngineError::NoFolder { path: data.to_path_buf() });
+    }
+    let lock = data.join(LOCK);
+    match OpenOptions::new().write(true).create(true).truncate(false).open(&lock) {
+        Ok(_) => Ok(None),
+        Err(e) if matches!(e.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => {
+            make(data).map(Some)
+        }
+        Err(e) => Err(EngineError::io("open", &lock)(e)),
+    }
+}
+
+/// Makes the shadow.
+fn make(data: &Path) -> Result<TempDir, EngineError> {
+    // Links need the whole path.
+    let data = data.canonicalize().map_err(EngineError::io("find", data))?;
+    let shadow = tempfile::Builder::new()
+        .prefix("cairn-reads-")
+        .tempdir()
+        .map_err(EngineError::io("make a folder in", &std::env::temp_dir()))?;
+    for entry in fs::read_dir(&data).map_err(EngineError::io("list", &data))? {
+        let entry = entry.map_err(EngineError::io("list", &data))?;
+        let name = entry.file_name();
+        let (from, to) = (entry.path(), shadow.path().join(&name));
+        if LEFT_OUT.iter().any(|out| name == *out) {
+            continue;
+        }
+        let done = match LINKED.iter().any(|linked| name == *linked) {
+            true => link(&from, &to),
+            false => copy(&from, &to, if name == "registry" { &LINKED_OF_LOG } else { &[] }, MAX_DEPTH),
+        };
+        done.map_err(EngineError::io("copy for reading", &from))?;
+    }
+    Ok(shadow)
+}
+
+/// Copies a file or a folder; folders named in `linked` become links. Checkpoints and payloads of jobs are linked, too: a
+/// copy of any file that is not state would be large.
+fn copy(from: &Path, to: &Path, linked: &[&str], depth: usize) -> Result<(), Error> {
+    if !from.is_dir() {
+        return fs::copy(from, to).map(drop);
+    }
+    if depth == 0 {
+        return Err(Error::other("the folder is deeper than a data folder is"));
+    }
+    fs::create_dir(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let large = entry.path().extension().is_some_and(|ending| ending == "checkpoint" || ending == "field");
+        match large || linked.iter().any(|linked| name == *linked) {
+            true => link(&entry.path(), &to.join(name))?,
+            false => copy(&entry.path(), &to.join(name), linked, depth - 1)?,
+        }
+    }
+    Ok(())
+}
+
+#[cfg(unix)]
+fn link(from: &Path, to: &Path) -> Result<(), Error> {
+    std::os::unix::fs::symlink(from, to)
+}
+
+#[cfg(not(unix))]
+fn link(_: &Path, _: &Path) -> Result<(), Error> {
+    Err(Error::new(ErrorKind::Unsupported, "a data folder that cannot be written is read on Unix only"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::engine::{Engine, Opening};
+    use std::collections::BTreeMap;
+    use std::path::PathBuf;
+
+    /// Every file below `folder`, with its bytes.
+    fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+        let mut found = BTreeMap::new();
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                found.extend(files(&path));
+            } else {
+                found.insert(path.clone(), fs::read(&path).unwrap());
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn where_nothing_is_nothing_is_made() {
+        let dir = tempfile::tempdir().unwrap();
+        let (absent, other) = (dir.path().join("absent"), dir.path().join("other"));
+        std::fs::create_dir(&other).unwrap();
+        let config = Config::from_toml("", "test").unwrap();
+        for path in [&absent, &other] {
+            let refused = Engine::open(path, &config, Opening::Read).map(drop).unwrap_err().to_string();
+            assert!(refused.contains("there is no data folder") && refused.contains("--data"), "{refused}");
+        }
+        assert!(!absent.exists() && std::fs::read_dir(&other).unwrap().next().is_none());
+    }
+
+    #[test]
+    fn a_shadow_reads_as_the_folder_does_and_leaves_every_byte_of_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let data = dir.path().join("data");
+        let config = Config::from_toml("", "test").unwrap();
+        let scene = data.join("scenes/town");
+        {
+            let engine = Engine::open(&data, &config, Opening::Change).unwrap();
+            std::fs::create_dir_all(&scene).unwrap();
+            engine.close();
+        }
+        let before = files(&data);
+        let shadow = make(&data).unwrap();
+        let copied = shadow.path().to_path_buf();
+        let engine = Engine::open_in(&data, &config, Opening::Read, Some(shadow)).unwrap();
+        assert_eq!(engine.scene_names().unwrap(), ["town"]);
+        assert_eq!(engine.registry().size(), 0);
+        engine.close();
+        drop(engine);
+        assert_eq!(files(&data), before);
+        assert!(!copied.exists(), "the shadow is left in {}", copied.display());
+    }
+}
