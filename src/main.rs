@@ -6,11 +6,10 @@ mod out;
 
 mod cli;
 
-use std::error::Error;
 use std::process::ExitCode;
 
 use clap::Parser;
-use tonic::Status;
+use cli::exit::{self, Cancelled};
 
 /// How many threads candle's element-wise operations take.
 const CANDLE_THREADS: &str = "CANDLE_NUM_THREADS";
@@ -19,49 +18,17 @@ fn main() -> ExitCode {
     leave_cores();
     match cli::Cli::parse().run() {
         Ok(code) => code,
-        Err(error) => match error.downcast_ref::<cli::Cancelled>() {
+        Err(error) => match error.downcast_ref::<Cancelled>() {
             Some(cancelled) => {
                 eprintln!("{cancelled}");
-                ExitCode::from(cli::CANCELLED)
+                ExitCode::from(exit::CANCELLED)
             }
             None => {
-                eprintln!("error: {}", in_words(&error));
-                ExitCode::from(cli::FAILED)
+                eprintln!("error: {}", exit::in_words(&error));
+                ExitCode::from(exit::FAILED)
             }
         },
     }
-}
-
-/// An error with its causes, each of which adds something; a daemon's refusal in its own words.
-fn in_words(error: &anyhow::Error) -> String {
-    let mut words = String::new();
-    for cause in error.chain() {
-        let refused = cause.downcast_ref::<Status>();
-        let said = match refused {
-            Some(refused) if refused.source().is_some() => format!("the line to the daemon broke ({})", last(refused)),
-            Some(refused) => refused.message().to_owned(),
-            None => cause.to_string(),
-        };
-        // Most errors say already what the system said to them.
-        if !words.contains(&said) {
-            let between = if words.is_empty() { "" } else { ": " };
-            words.push_str(&format!("{between}{said}"));
-        }
-        // What lies behind it is the line's own business.
-        if refused.is_some() {
-            break;
-        }
-    }
-    words
-}
-
-/// The cause of all.
-fn last(error: &dyn Error) -> String {
-    let mut last = error;
-    while let Some(cause) = last.source() {
-        last = cause;
-    }
-    last.to_string()
 }
 
 /// Gives candle's element-wise operations half of the threads, if nobody has said how many: the others are for what is begun ahead of a

@@ -22,8 +22,8 @@ fn begun(place: &Place, data: &str) -> Child {
         .unwrap();
     let first = BufReader::new(child.stdout.as_mut().unwrap()).lines().next().unwrap().unwrap();
     assert!(first.contains("job-000001 accepted"), "{first}");
-    let checkpoint = Path::new(data).join("jobs/job-000001/base.checkpoint");
-    while !checkpoint.exists() {
+    let job = Path::new(data).join("jobs/job-000001");
+    while !job.join("screening.checkpoint").exists() {
         assert!(child.try_wait().unwrap().is_none(), "it ended before its first checkpoint");
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -101,7 +101,8 @@ fn a_training_is_seen_and_cancelled_from_another_command() {
     let jobs = place.cairn_json(&["jobs", "list", "--json", "--data", &data]);
     assert_eq!((&jobs["jobs"][0]["state"], &jobs["jobs"][0]["scene"]), (&"running".into(), &"town".into()));
     let shown = place.cairn_ok(&["jobs", "show", "job-000001", "--data", &data]);
-    assert!(shown.contains("base field") && shown.contains("about ") && shown.contains(" left"), "{shown}");
+    assert!(shown.contains("job-000001  town  running"), "{shown}");
+    assert!(shown.contains("screening ") && shown.contains("about ") && shown.contains(" left"), "{shown}");
     let said = place.cairn_ok(&["jobs", "cancel", "job-000001", "--data", &data]);
     assert!(said.contains("cairn train town --resume job-000001"), "{said}");
     let ended = training.wait_with_output().unwrap();

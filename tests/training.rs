@@ -195,8 +195,8 @@ fn ctrl_c_cancels_and_keeps_the_checkpoint() {
     assert!(lines.next().unwrap().unwrap().contains("job-000001 accepted"));
     // The signal is caught from the moment that the job is watched; one sent before ends
     // the process, and the wait below would see it.
-    let checkpoint = place.path("data/jobs/job-000001");
-    while !checkpoint.join("base.checkpoint").exists() {
+    let checkpoint = place.path("data/jobs/job-000001/screening.checkpoint");
+    while !checkpoint.exists() {
         assert!(child.try_wait().unwrap().is_none(), "it ended before its first checkpoint");
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
@@ -205,6 +205,6 @@ fn ctrl_c_cancels_and_keeps_the_checkpoint() {
     let said = String::from_utf8_lossy(&ended.stderr);
     assert_eq!(ended.status.code(), Some(130), "{said}");
     assert!(said.contains("cancelled; its checkpoint is kept"), "{said}");
-    assert!(checkpoint.join("base.checkpoint").exists());
+    assert!(checkpoint.exists());
     assert!(place.cairn_ok(&["jobs", "--data", &data]).contains("cancelled"));
 }

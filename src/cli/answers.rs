@@ -13,6 +13,7 @@ use super::files::{read, write};
 #[derive(Clone, Debug, clap::Args)]
 pub struct AnswerArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     pub name: String,
     /// Ask about one of its views; without it, about the whole scene
     #[arg(long, value_name = "NAME")]

@@ -12,6 +12,7 @@ use super::json::{self, Json};
 #[derive(Clone, Debug, clap::Args)]
 pub struct CheckArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     name: String,
     /// Measure again, whatever was measured before
     #[arg(long)]
@@ -27,6 +28,7 @@ pub struct CheckArgs {
 #[derive(Clone, Debug, clap::Args)]
 pub struct ExcludeArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     name: String,
     /// The views, by name
     #[arg(required = true)]
@@ -40,6 +42,7 @@ pub struct ExcludeArgs {
 #[derive(Clone, Debug, clap::Args)]
 pub struct IncludeArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     name: String,
     /// The views, by name
     #[arg(required = true)]

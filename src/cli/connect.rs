@@ -19,9 +19,8 @@ use hyper_util::rt::TokioIo;
 use tonic::Code;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
 
-use crate::last;
-
 use super::credential::{Credential, Speaking};
+use super::exit::last;
 use super::files::read;
 use super::unlock::UnlockArgs;
 use cairn_service::config::{Config, Token};
@@ -71,22 +70,22 @@ pub struct Where {
     )]
     pub account: Option<PathBuf>,
     /// The key file that --account is sealed with
-    #[arg(long, global = true, value_name = "FILE", requires = "account", conflicts_with = "account_passphrase_file")]
+    #[arg(long, global = true, value_name = "FILE", hide_short_help = true, requires = "account", conflicts_with = "account_passphrase_file")]
     pub account_key_file: Option<PathBuf>,
     /// The file with that key's passphrase; without it a sealed key's is asked for
-    #[arg(long, global = true, value_name = "FILE", requires = "account")]
+    #[arg(long, global = true, value_name = "FILE", hide_short_help = true, requires = "account")]
     pub account_passphrase_file: Option<PathBuf>,
     /// The daemon's public key (vkey), pinned: calls are signed for no other daemon (see `cairn owners vkey`)
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE", hide_short_help = true)]
     pub daemon_vkey: Option<PathBuf>,
     /// Certificates that vouch for the daemon, PEM: needed for an https URL
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE", hide_short_help = true)]
     pub tls_ca: Option<PathBuf>,
     /// Your own certificate, PEM, where the daemon asks clients for one
-    #[arg(long, global = true, value_name = "FILE", requires = "tls_key")]
+    #[arg(long, global = true, value_name = "FILE", hide_short_help = true, requires = "tls_key")]
     pub tls_cert: Option<PathBuf>,
     /// The private key of --tls-cert, PEM
-    #[arg(long, global = true, value_name = "FILE", requires = "tls_cert")]
+    #[arg(long, global = true, value_name = "FILE", hide_short_help = true, requires = "tls_cert")]
     pub tls_key: Option<PathBuf>,
 }
 

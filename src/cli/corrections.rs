@@ -15,6 +15,7 @@ use super::unlock::UnlockArgs;
 #[derive(Clone, Debug, clap::Args)]
 pub struct DisputeArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     pub name: String,
     /// The record that is contested (see `cairn owners list`)
     #[arg(long, value_name = "INDEX")]
@@ -36,6 +37,7 @@ pub struct DisputeArgs {
 #[derive(Clone, Debug, clap::Args)]
 pub struct EraseArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     pub name: String,
     /// The record whose envelope is to go (see `cairn owners list`)
     #[arg(long, value_name = "INDEX")]

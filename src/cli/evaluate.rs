@@ -13,6 +13,7 @@ use super::json::{self, Json};
 #[derive(Debug, clap::Args)]
 pub struct EvaluateArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     name: String,
     #[command(flatten)]
     json: Json,

@@ -17,6 +17,7 @@ const MAX_NAMES: usize = 5;
 #[derive(Debug, clap::Args)]
 pub struct IdentifyArgs {
     /// The scene whose marks are looked for
+    #[arg(value_name = "SCENE")]
     name: String,
     /// The picture, PNG or JPEG
     picture: PathBuf,
@@ -41,6 +42,7 @@ pub struct IdentifyArgs {
 #[derive(Debug, clap::Args)]
 pub struct WhoArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     name: String,
     #[command(flatten)]
     from: FromWhere,

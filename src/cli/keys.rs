@@ -76,6 +76,7 @@ pub struct SealArgs {
 #[derive(Debug, clap::Args)]
 pub struct RotateArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     pub name: String,
     /// The record to go on with under the new key (see `cairn owners list`)
     #[arg(long, value_name = "INDEX")]
@@ -106,6 +107,7 @@ pub struct RotateArgs {
 #[derive(Debug, clap::Args)]
 pub struct RevokeArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     pub name: String,
     /// The key to end
     #[arg(long, value_name = "FILE")]

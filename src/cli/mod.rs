@@ -9,6 +9,7 @@ mod corrections;
 mod credential;
 mod demo;
 mod evaluate;
+pub mod exit;
 mod files;
 mod identify;
 mod jobs;
@@ -38,16 +39,11 @@ use std::io::IsTerminal as _;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 
 use cairn_service::config::{Config, LogFormat};
 use cairn_service::engine::Opening;
 use connect::{Connection, Where};
-
-/// The exit code of what went wrong. 1 is a verdict: an audit's `invalid`.
-pub const FAILED: u8 = 2;
-/// The exit code of what a person cancelled: 128 and the number of the signal, as shells have it.
-pub const CANCELLED: u8 = 130;
 
 /// What every `--help` ends in.
 const EXIT_CODES: &str = "\
@@ -62,11 +58,6 @@ Examples:
   cairn scene import liberty --from liberty --contributors contributors.csv
   cairn train liberty --anchors 3 --neighbours 20
   cairn who liberty --view view_056.jpg --json";
-
-/// A person cancelled it; what was kept, in words.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct Cancelled(pub String);
 
 /// Credits the photographers of a landmark: radiance fields with hidden, recoverable owner marks.
 #[derive(Debug, Parser)]
@@ -164,7 +155,7 @@ impl Cli {
     /// Runs the command. The exit code is 1 where a verification says `invalid`, and `cairn audit` has more.
     ///
     /// # Errors
-    /// What went wrong, for people to read; [`Cancelled`].
+    /// What went wrong, for people to read; [`exit::Cancelled`].
     pub fn run(self) -> anyhow::Result<ExitCode> {
         // Whatever opens a data folder reads the registry's key.
         cairn_service::secrets::keep_out_of_dumps()
@@ -184,8 +175,8 @@ impl Cli {
             Command::Access(access::Command::Add(args)) => access::add(&place, &args)?,
             Command::Registry(command) => registry::run(&place, &config, &command)?,
             Command::Demo(args) => demo::run(&place, &config, args).await?,
-            Command::Completions(args) => shell::completions(&args),
-            Command::Man(args) => shell::man(&args)?,
+            Command::Completions(args) => shell::completions(&args, Self::command()),
+            Command::Man(args) => shell::man(&args, Self::command())?,
             Command::Audit(command) => return audit::run(&command),
             command => {
                 let opening = if command.reads() { Opening::Read } else { Opening::Change };

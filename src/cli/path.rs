@@ -10,8 +10,8 @@ use cairn_api::v1::{self, render_path_request as to};
 use cairn_scene::{Limits, Picture, decode_picture};
 use tempfile::NamedTempFile;
 
-use super::Cancelled;
 use super::connect::Connection;
+use super::exit::Cancelled;
 use super::files::write;
 use super::progress::Progress;
 

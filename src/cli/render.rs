@@ -14,6 +14,7 @@ use super::viewpoint::viewpoint;
 #[derive(Debug, clap::Args)]
 pub struct RenderArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     name: String,
     #[command(flatten)]
     from: From,

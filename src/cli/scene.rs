@@ -37,6 +37,7 @@ pub enum Command {
     #[command(after_help = "Example:\n  cairn scene show liberty --poses cameras.png")]
     Show {
         /// The scene
+        #[arg(value_name = "SCENE")]
         name: String,
         #[command(flatten)]
         json: Json,
@@ -56,6 +57,7 @@ pub enum Command {
     #[command(after_help = "Example:\n  cairn scene delete liberty")]
     Delete {
         /// The scene
+        #[arg(value_name = "SCENE")]
         name: String,
         /// Do not ask
         #[arg(long)]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::CommandFactory as _;
+use clap::Command;
 use clap_complete::Shell;
 
 /// `cairn completions`.
@@ -22,24 +22,23 @@ pub struct ManArgs {
     out: PathBuf,
 }
 
-/// Prints the completions.
-pub fn completions(args: &CompletionsArgs) {
+/// Prints the completions of the program `of`.
+pub fn completions(args: &CompletionsArgs, mut of: Command) {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut super::Cli::command(), "cairn", &mut script);
+    clap_complete::generate(args.shell, &mut of, "cairn", &mut script);
     print!("{}", String::from_utf8_lossy(&script));
 }
 
-/// Writes a page for the program and one for each of its commands.
-pub fn man(args: &ManArgs) -> anyhow::Result<()> {
+/// Writes a page for the program `of` and one for each of its commands.
+pub fn man(args: &ManArgs, of: Command) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
-    let pages = pages(&args.out)?;
+    let pages = pages(&args.out, of)?;
     println!("{pages} pages in {}; `man cairn` finds them where that folder is one of MANPATH's", args.out.display());
     Ok(())
 }
 
-fn pages(folder: &Path) -> anyhow::Result<usize> {
-    clap_mangen::generate_to(super::Cli::command(), folder)
-        .with_context(|| format!("cannot write pages into {}", folder.display()))?;
+fn pages(folder: &Path, of: Command) -> anyhow::Result<usize> {
+    clap_mangen::generate_to(of, folder).with_context(|| format!("cannot write pages into {}", folder.display()))?;
     Ok(std::fs::read_dir(folder)?.count())
 }
 
@@ -50,8 +49,9 @@ mod tests {
     #[test]
     fn a_page_is_made_for_every_command() {
         let folder = tempfile::tempdir().unwrap();
-        pages(folder.path()).unwrap();
-        for name in ["cairn.1", "cairn-train.1", "cairn-scene-import.1"] {
+        let below = Command::new("scene").subcommand(Command::new("import"));
+        assert_eq!(pages(folder.path(), Command::new("cairn").subcommand(below)).unwrap(), 3);
+        for name in ["cairn.1", "cairn-scene.1", "cairn-scene-import.1"] {
             let page = std::fs::read_to_string(folder.path().join(name)).unwrap();
             assert!(page.contains(".TH"), "{name}: {page}");
         }

@@ -18,6 +18,7 @@ use super::unlock::UnlockArgs;
 #[derive(Clone, Debug, clap::Args)]
 pub struct SignArgs {
     /// The scene
+    #[arg(value_name = "SCENE")]
     pub name: String,
     /// The identity, 1 and up (see `cairn scene show`)
     #[arg(long, value_name = "N")]

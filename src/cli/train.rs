@@ -6,8 +6,8 @@ use anyhow::Context as _;
 use cairn_api::v1::{self, JobState, start_training_request::Clusters};
 use clap::builder::ArgPredicate;
 
-use super::Cancelled;
 use super::connect::Connection;
+use super::exit::Cancelled;
 use super::progress::Progress;
 use super::scene;
 use super::signals::{fit_one_message, signals};
@@ -17,6 +17,7 @@ use super::words::word;
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
     /// The scene
+    #[arg(value_name = "SCENE")]
     pub name: String,
     /// M, the number of clusters around anchors
     #[arg(long, value_name = "M", default_value_t = 3, conflicts_with = "by_contributor")]
