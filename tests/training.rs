@@ -98,8 +98,8 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
     place.import("one", ["--connect", &daemon.url]);
     let mut client = training(&daemon).await;
     let job = client.start(base_only("one", 7, endless())).await.unwrap().into_inner().job.unwrap();
-    let in_base = |job: &v1::Job| job.progress.as_ref().is_some_and(|p| p.stage == "base field" && p.step > 0);
-    watch_until(&mut client, &job.id, in_base).await;
+    let in_screening = |job: &v1::Job| job.progress.as_ref().is_some_and(|p| p.stage == "screening" && p.step > 0);
+    watch_until(&mut client, &job.id, in_screening).await;
 
     // One may wait, the next is refused; a scene in use is not deleted.
     let waiting = client.start(base_only("one", 8, endless())).await.unwrap().into_inner().job.unwrap();
@@ -122,17 +122,17 @@ async fn cancelled_resumed_and_put_down_by_sigterm() {
     let resumed = watch_until(&mut client, &job.id, |j| {
         j.state() == JobState::Running && {
             let p = j.progress.as_ref().unwrap();
-            p.stage == "base field" && p.step > step
+            p.stage == "screening" && p.step > step
         }
     });
     resumed.await;
 
     // SIGTERM in the middle: the checkpoint is written and the job is found again.
     assert!(daemon.terminate().success());
-    assert!(place.path("data/jobs").join(&job.id).join("base.checkpoint").exists());
+    assert!(place.path("data/jobs").join(&job.id).join("screening.checkpoint").exists());
     let daemon = Daemon::start(&place.path("data"), "");
     let mut client = training(&daemon).await;
-    watch_until(&mut client, &job.id, |j| in_base(j) && j.progress.as_ref().unwrap().step > step).await;
+    watch_until(&mut client, &job.id, |j| in_screening(j) && j.progress.as_ref().unwrap().step > step).await;
     let request = v1::CancelTrainingRequest { job_id: job.id.clone() };
     client.cancel(request).await.unwrap();
     let list = client.list(v1::ListTrainingRequest { scene: String::new() }).await.unwrap();
