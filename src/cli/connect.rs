@@ -24,7 +24,7 @@ use super::exit::last;
 use super::files::read;
 use super::unlock::UnlockArgs;
 use cairn_service::config::{Config, Token};
-use cairn_service::engine::{Engine, Opening};
+use cairn_service::engine::Opening;
 use cairn_service::error::EngineError;
 use cairn_service::grpc::error::ServeError;
 #[cfg(unix)]
@@ -70,7 +70,14 @@ pub struct Where {
     )]
     pub account: Option<PathBuf>,
     /// The key file that --account is sealed with
-    #[arg(long, global = true, value_name = "FILE", hide_short_help = true, requires = "account", conflicts_with = "account_passphrase_file")]
+    #[arg(
+        long,
+        global = true,
+        value_name = "FILE",
+        hide_short_help = true,
+        requires = "account",
+        conflicts_with = "account_passphrase_file"
+    )]
     pub account_key_file: Option<PathBuf>,
     /// The file with that key's passphrase; without it a sealed key's is asked for
     #[arg(long, global = true, value_name = "FILE", hide_short_help = true, requires = "account")]
@@ -158,10 +165,7 @@ impl Connection {
         let (channel, in_process) = match &place.connect {
             Some(url) => (remote(url, place).await?, None),
             None => match InProcess::start(config, &place.data, opening).await {
-                Ok(services) => {
-                    say_what_was_interrupted(services.engine());
-                    (in_process(&services).await?, Some(services))
-                }
+                Ok(services) => (in_process(&services).await?, Some(services)),
                 Err(ServeError::Engine(taken @ EngineError::Locked { .. })) => (of_holder(place, taken).await?, None),
                 Err(refused) => return Err(refused.into()),
             },
@@ -179,6 +183,19 @@ impl Connection {
     /// Whether the services end with this command.
     pub const fn is_in_process(&self) -> bool {
         self.in_process.is_some()
+    }
+
+    /// Names the trainings whose process ended before they did, but for `asked`, which the command is about. None goes on
+    /// unasked.
+    pub fn say_what_was_interrupted(&self, asked: Option<&str>) {
+        let jobs = self.in_process.iter().flat_map(|services| services.engine().jobs().list());
+        for job in jobs.filter(|job| job.state == JobState::Interrupted && Some(job.id.as_str()) != asked) {
+            let (id, scene) = (&job.id, &job.spec.scene);
+            eprintln!(
+                "{id} ({scene}) was cut off with its process; `cairn train {scene} --resume {id}` goes on with it, \
+                 `cairn jobs cancel {id}` ends it"
+            );
+        }
     }
 
     /// The same line for calls about `scene`.
@@ -199,17 +216,6 @@ fn pinned(place: &Where) -> anyhow::Result<Option<NoteVerifier>> {
     let Some(path) = &place.daemon_vkey else { return Ok(None) };
     let text = String::from_utf8(read(path)?).with_context(|| format!("{} is no text", path.display()))?;
     Ok(Some(text.trim().parse().with_context(|| format!("{} is no vkey", path.display()))?))
-}
-
-/// Names the trainings whose process ended before they did. None goes on unasked.
-fn say_what_was_interrupted(engine: &Engine) {
-    for job in engine.jobs().list().into_iter().filter(|job| job.state == JobState::Interrupted) {
-        let (id, scene) = (&job.id, &job.spec.scene);
-        eprintln!(
-            "{id} ({scene}) was cut off with its process; `cairn train {scene} --resume {id}` goes on with it, \
-             `cairn jobs cancel {id}` ends it"
-        );
-    }
 }
 
 /// Connects to a daemon, which must answer at once.

@@ -51,6 +51,14 @@ pub enum Command {
 }
 
 impl Args {
+    /// The training that it is about.
+    pub fn job(&self) -> Option<&str> {
+        match self.command.as_ref()? {
+            Command::List { .. } => None,
+            Command::Show { job, .. } | Command::Watch { job } | Command::Cancel { job } => Some(job),
+        }
+    }
+
     /// Whether it only reads.
     pub const fn reads(&self) -> bool {
         !matches!(self.command, Some(Command::Cancel { .. }))

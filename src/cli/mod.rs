@@ -149,6 +149,15 @@ impl Command {
             _ => false,
         }
     }
+
+    /// The training that it is about.
+    fn job(&self) -> Option<&str> {
+        match self {
+            Self::Train(args) => args.resume.as_deref(),
+            Self::Jobs(args) => args.job(),
+            _ => None,
+        }
+    }
 }
 
 impl Cli {
@@ -181,6 +190,7 @@ impl Cli {
             command => {
                 let opening = if command.reads() { Opening::Read } else { Opening::Change };
                 let line = Connection::open(&place, &config, opening).await?;
+                line.say_what_was_interrupted(command.job());
                 let answer = over(&line, command).await;
                 line.close().await;
                 answer?;
