@@ -1,5 +1,5 @@
-//! The auditor's guide, `docs/auditing.md`, held to what the program prints: every command of its `text` blocks is run, in
-//! order, on a small log, and must print what stands there, digests and sled's number of files apart.
+//! The auditor's guide, `docs/security/auditing.md`, held to what the program prints: every command of its `text`
+//! blocks is run, in order, on a small log, and must print what stands there, digests and sled's number of files apart.
 //!
 //! With `CAIRN_WRITE_DOCS=1` what it prints is written into the guide instead; read the change before it goes in.
 
@@ -203,7 +203,7 @@ fn with_outputs(text: &str, mut run: impl FnMut(&str) -> (String, i32)) -> Strin
 
 #[test]
 fn the_guide_shows_what_the_program_prints() {
-    let guide = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/auditing.md");
+    let guide = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/security/auditing.md");
     let text = std::fs::read_to_string(&guide).unwrap();
     let dir = tempfile::tempdir().unwrap();
     let world = World::new(dir.path());
@@ -243,7 +243,7 @@ fn the_guide_shows_what_the_program_prints() {
         return;
     }
     for (at, (shown, printed)) in steady(&text).lines().zip(steady(&made).lines()).enumerate() {
-        assert_eq!(shown, printed, "docs/auditing.md, line {}: what is shown is not what is printed", at + 1);
+        assert_eq!(shown, printed, "docs/security/auditing.md, line {}: what is shown is not what is printed", at + 1);
     }
     assert_eq!(text.lines().count(), made.lines().count());
 }
@@ -297,10 +297,10 @@ fn of_a_trained_scene(place: &Place, command: &str, text: &str) -> (String, i32)
     let (mut of_guide, mut of_place) = (findings(shown), findings(&printed));
     let marks = |found: &mut Vec<String>| found.extract_if(.., |f| f.contains("render.mark.")).collect::<Vec<_>>();
     if arguments[0] == "audit" {
-        assert_eq!(marks(&mut of_guide), ["passed render.mark.found"], "docs/auditing.md, below `{command}`");
+        assert_eq!(marks(&mut of_guide), ["passed render.mark.found"], "docs/security/auditing.md, below `{command}`");
         assert_eq!(marks(&mut of_place), ["warning render.mark.lost"], "{printed}");
     }
-    assert_eq!(of_guide, of_place, "docs/auditing.md, below `{command}`, beside\n{printed}");
+    assert_eq!(of_guide, of_place, "docs/security/auditing.md, below `{command}`, beside\n{printed}");
     (shown.to_owned(), 0)
 }
 

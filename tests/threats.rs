@@ -1,4 +1,5 @@
-//! `docs/threats.md` names, for each threat, the tests that show its answer: a test that does not exist shows nothing.
+//! `docs/security/threats.md` names, for each threat, the tests that show its answer: a test that does not exist shows
+//! nothing.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -30,7 +31,7 @@ fn tests(source: &str) -> HashSet<&str> {
 #[test]
 fn every_cited_test_exists() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = std::fs::read_to_string(root.join("docs/threats.md")).unwrap();
+    let text = std::fs::read_to_string(root.join("docs/security/threats.md")).unwrap();
     let cited = citations(&text);
     assert!(cited.len() > 40, "only {} citations found", cited.len());
     let mut faults = Vec::new();
@@ -44,13 +45,13 @@ fn every_cited_test_exists() {
             Ok(_) => {}
         }
     }
-    assert!(faults.is_empty(), "docs/threats.md cites what is not there:\n{}", faults.join("\n"));
+    assert!(faults.is_empty(), "docs/security/threats.md cites what is not there:\n{}", faults.join("\n"));
 }
 
 #[test]
 fn every_threat_has_a_test() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let text = std::fs::read_to_string(root.join("docs/threats.md")).unwrap();
+    let text = std::fs::read_to_string(root.join("docs/security/threats.md")).unwrap();
     let sections: Vec<&str> = text.split("\n## ").skip(1).collect();
     assert!(sections.len() >= 12, "{} threats", sections.len());
     for section in sections {
