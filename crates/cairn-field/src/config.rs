@@ -52,11 +52,11 @@ pub struct FieldConfig {
     /// al. 2021, has one) in its linear form: thin haze of the background's colour goes;
     /// what is opaque has no more to pay.
     pub clear_background: f64,
-    /// Weight of density's total variation, >= 0.
+    /// Weight of the squared differences of neighbouring densities, >= 0.
     pub smooth_density: f64,
-    /// Weight of colour's total variation, >= 0.
+    /// Weight of the squared differences of neighbouring colours, >= 0.
     pub smooth_colour: f64,
-    /// Where all photographs see one light (or appearances are off), both total variations count this much:
+    /// Where all photographs see one light (or appearances are off), both count this much:
     /// there each photograph's own light is no haze to be smoothed away; above 0, to 1.
     pub smooth_in_one_light: f64,
     /// Where views look further apart than this (see [`crate::Spacing`]), both total

@@ -5,7 +5,7 @@
 //! A picture may have been turned, cut and made smaller on its way. All of that is a change of
 //! camera (roll, principal point, focal length), so that nine numbers say it: six of the pose,
 //! three of the lens. First it is laid over small renders of the training views, turned and cut in
-//! many ways (`search`); the best places are then refined by Gauss and Newton's steps on the
+//! many ways (`search`); the best places are then refined by Levenberg and Marquardt's steps on the
 //! photometric error (direct alignment, Lucas and Kanade 1981; on radiance fields iNeRF,
 //! Yen-Chen et al. 2021), from coarse to the picture's own pixels (`refine`). The light is a
 //! linear regression at every step (`prior`).

@@ -8,7 +8,7 @@
 //! Densities move by Adam (Kingma and Ba 2015). A row's 27 colour coefficients share
 //! one second moment, that of the constant ones, and have no first (RMSprop, Hinton
 //! 2012): a twelfth of Adam's state, and the harmonics keep their proportions, for
-//! the same quality a step. Total variation is added to the touched rows' gradients first.
+//! the same quality a step. The pull of neighbours is added to the touched rows' gradients first.
 
 use crate::grid::lattice::{Grid, ROW};
 use crate::grid::memory::zeros;

@@ -25,7 +25,7 @@ pub struct Spacing {
     /// optical axis and the second nearest other one's (on a ring: the neighbours' on both sides), those
     /// within two degrees left out; degrees, 0 to 180.
     pub apart_deg: f64,
-    /// The total variations weigh this many times as much, and colours learn to depend on the
+    /// The pulls of neighbours weigh this many times as much, and colours learn to depend on the
     /// direction this many times as slowly; 1 to 16.
     pub smoothing: f64,
 }

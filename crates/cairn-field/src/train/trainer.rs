@@ -175,7 +175,7 @@ impl BaseTrainer {
         finest(&self.config, &self.frame, &cameras, !self.has_appearance())
     }
 
-    /// How many times as much as configured both total variations weigh, as far as is known yet.
+    /// How many times as much as configured both pulls of neighbours weigh, as far as is known yet.
     fn smoothing(&self) -> f64 {
         self.spacing.smoothing * if self.has_appearance() { 1.0 } else { self.config.smooth_in_one_light }
     }

@@ -15,7 +15,7 @@ use crate::format::{
     key::{KeyError, OwnerKey, PublicKey},
 };
 
-/// Records that the log may grow by until a nonce is no longer good.
+/// Entries, records and map leaves, that the log may grow by until a nonce is no longer good.
 pub const NONCE_LIFETIME: u64 = 65_536;
 
 const TAG: usize = 16;

@@ -20,7 +20,7 @@ use cairn_field::{Registered, Registrar};
 use cairn_scene::{Camera, Picture};
 
 /// From here on a mark is believed. A standard normal number does not come so far; renders without a mark that were
-/// registered a little amiss have come to 4.3. No number of blocks can come beyond its own root, so that a picture needs 64.
+/// registered a little amiss have come to 4.8. No number of blocks can come beyond its own root, so that a picture needs 64.
 pub const BELIEVED: f64 = 8.0;
 /// Side of a block, px.
 const BLOCK: usize = 8;

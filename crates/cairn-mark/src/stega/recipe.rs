@@ -1,4 +1,4 @@
-//! Settings of stage 2, with the paper's symbols (StegaNeRF, equations 1 to 5).
+//! Settings of stage 2, with the paper's symbols (StegaNeRF); equations are numbered as in docs/design/marks.md.
 
 use crate::attack::RobustConfig;
 use crate::error::MarkError;

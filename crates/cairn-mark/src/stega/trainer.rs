@@ -50,7 +50,7 @@ pub struct MarkStats {
     /// What is said where nothing is hidden (equation 2); 0 while the classifier trains alone.
     pub empty: f64,
     /// Picture loss (equation 4), summed over the step's renders (their mean with `mark.loss_per_render`), as much of it as
-    /// counts: under a budget as much as marks are read with ease, else all of it. Its gradient is written out (`moves`), not walked back to.
+    /// counts: under a budget as much as marks are read with ease, else all of it. Its gradient is written out (`keep`), not walked back to.
     pub picture: f64,
     /// PSNR of theta's renders against theta_0's, dB, over this step's renders.
     pub kept_db: f64,
