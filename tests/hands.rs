@@ -9,25 +9,46 @@ use std::time::{Duration, Instant};
 
 use cairn_testkit::daemon::{Daemon, Place, command};
 
+/// A training in a process of its own, which goes with the test.
+struct Training(Child);
+
+impl Training {
+    /// Waits for its end; its exit code, and what it said on standard error.
+    fn end(mut self) -> (Option<i32>, String) {
+        let mut said = String::new();
+        self.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        (self.0.wait().unwrap().code(), said)
+    }
+}
+
+impl Drop for Training {
+    fn drop(&mut self) {
+        // Already gone where the test ended it itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// A training of `town` that no test waits for, begun: its first checkpoint is there.
-fn begun(place: &Place, data: &str) -> Child {
+fn begun(place: &Place, data: &str) -> Training {
     let config = place.text("every-step.toml");
     std::fs::write(&config, "[training]\ncheckpoint_every_s = 0").unwrap();
-    let mut child = command()
+    let child = command()
         .args(["train", "town", "--by-contributor", "--base-only", "--preset", "object", "--quality", "archival"])
         .args(["--max-voxels", "4096", "--data", data, "--config", &config])
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    let first = BufReader::new(child.stdout.as_mut().unwrap()).lines().next().unwrap().unwrap();
+    let mut training = Training(child);
+    let first = BufReader::new(training.0.stdout.as_mut().unwrap()).lines().next().unwrap().unwrap();
     assert!(first.contains("job-000001 accepted"), "{first}");
     let job = Path::new(data).join("jobs/job-000001");
     while !job.join("screening.checkpoint").exists() {
-        assert!(child.try_wait().unwrap().is_none(), "it ended before its first checkpoint");
+        assert!(training.0.try_wait().unwrap().is_none(), "it ended before its first checkpoint");
         std::thread::sleep(Duration::from_millis(20));
     }
-    child
+    training
 }
 
 #[test]
@@ -111,9 +132,8 @@ fn a_training_is_seen_and_cancelled_from_another_command() {
     assert!(shown.contains("about ") && shown.contains(" left"), "{shown}");
     let said = place.cairn_ok(&["jobs", "cancel", "job-000001", "--data", &data]);
     assert!(said.contains("cairn train town --resume job-000001"), "{said}");
-    let ended = training.wait_with_output().unwrap();
-    let said = String::from_utf8_lossy(&ended.stderr);
-    assert_eq!(ended.status.code(), Some(130), "{said}");
+    let (code, said) = training.end();
+    assert_eq!(code, Some(130), "{said}");
     assert!(said.contains("job-000001 cancelled; its checkpoint is kept"), "{said}");
 }
 
@@ -122,9 +142,7 @@ fn a_training_that_died_is_found_and_goes_on_when_it_is_asked_to() {
     let place = Place::new();
     let data = place.text("data");
     place.import("town", ["--data", &data]);
-    let mut training = begun(&place, &data);
-    training.kill().unwrap();
-    training.wait().unwrap();
+    drop(begun(&place, &data));
     let job = || std::fs::read(place.path("data/jobs/job-000001/job.json")).unwrap();
     let before = job();
     for _ in 0..2 {
