@@ -53,7 +53,7 @@ pub struct Shared {
     loaded: Arc<OnceLock<Loaded>>,
     token: Option<Arc<Token>>,
     access: Arc<Access>,
-    /// Whether nobody but this very process can call.
+    /// Whether only those can call who have the data folder in hand.
     in_process: bool,
     renders: Arc<Semaphore>,
     /// Held while a picture's camera is searched for.
@@ -83,10 +83,10 @@ impl Shared {
         }
     }
 
-    /// As [`Shared::new`], for this process alone: whoever has the data folder in hand is its operator.
-    pub fn in_process(config: &Config) -> Self {
-        let access = Access { mode: Mode::Open, read_closed: false, ..config.access.clone() };
-        Self { token: None, access: Arc::new(access), in_process: true, ..Self::new(config) }
+    /// The same, for those who have the data folder in hand: they are its operators, and bring no token.
+    pub fn in_process(&self) -> Self {
+        let access = Access { mode: Mode::Open, read_closed: false, ..Access::clone(&self.access) };
+        Self { token: None, access: Arc::new(access), in_process: true, ..self.clone() }
     }
 
     /// Puts the services to work.

@@ -144,7 +144,7 @@ pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
         tracing::info!(witness = %witness.verifier, url = witness.url, "configured witness");
     }
     shared.loaded(engine.clone())?;
-    let local = InProcess::over(engine.clone(), &config, Some(data))?;
+    let local = InProcess::over(engine.clone(), &shared, &config.limits, Some(data));
     tell(&reporter, ServingStatus::Serving).await;
     // Before anybody is told where it is, who may then stop it at once.
     let signal = signal()?;
@@ -227,18 +227,19 @@ impl InProcess {
         let engine = load(config, data, opening).await?;
         // What is read through a shadow is nobody's: the next command reads it as well.
         let held = engine.holds_the_folder();
-        Self::over(engine, config, held.then_some(data))
+        let shared = Shared::new(config);
+        shared.loaded(engine.clone())?;
+        Ok(Self::over(engine, &shared, &config.limits, held.then_some(data)))
     }
 
-    /// Serves an engine, and in `data` the others.
-    fn over(engine: Arc<Engine>, config: &Config, data: Option<&Path>) -> Result<Self, ServeError> {
-        // Nobody else can call: a token would only lock the owner out.
-        let shared = Shared::in_process(config);
-        shared.loaded(engine.clone())?;
+    /// Serves an engine that is `shared` already, and in `data` the others.
+    fn over(engine: Arc<Engine>, shared: &Shared, limits: &Limits, data: Option<&Path>) -> Self {
+        // A token would only lock the owner out.
+        let shared = shared.in_process();
         let (connections, incoming) = tokio::sync::mpsc::unbounded_channel();
         let server = Server::builder()
             .layer(GateLayer(shared.clone()))
-            .add_routes(routes(&shared, &config.limits))
+            .add_routes(routes(&shared, limits))
             .serve_with_incoming(UnboundedReceiverStream::new(incoming));
         tokio::spawn(server);
         #[cfg(unix)]
@@ -249,12 +250,12 @@ impl InProcess {
         });
         #[cfg(not(unix))]
         let _ = data;
-        Ok(Self {
+        Self {
             engine,
             connections,
             #[cfg(unix)]
             socket,
-        })
+        }
     }
 
     /// The engine that answers.
