@@ -17,7 +17,7 @@ const MAX_NAMES: usize = 5;
 pub struct IdentifyArgs {
     /// The scene whose marks are looked for
     name: String,
-    /// The picture, PNG or JPEG
+    /// The picture, PNG, JPEG or WebP
     picture: PathBuf,
     /// Also register the picture with the field and look for each mark in what the field does not explain: surer, and takes
     /// many seconds without --view or --pose
