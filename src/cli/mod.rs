@@ -59,7 +59,7 @@ enum Command {
     Train(train::Args),
     /// List the training jobs, newest first
     Jobs,
-    /// Render a trained scene to a PNG, or a camera path through it to a GIF or PNG frames
+    /// Render a trained scene to a picture, or a camera path through it to a GIF or PNG frames
     Render(Box<render::RenderArgs>),
     /// Find whose mark a picture carries, and recover what it hides
     Identify(identify::IdentifyArgs),
