@@ -34,9 +34,9 @@ async fn an_account_is_registered_approved_and_held_to_its_role() {
     let asked = world.ok("ada", &["access", "register", "--name", "ada", "--role", "curator"]);
     assert!(asked.contains("ada  contributor, asked for curator  waiting"), "{asked}");
     let said = world.import("ada", "town").unwrap_err();
-    assert!(said.contains("waits for an operator's approval") && said.contains("PermissionDenied"), "{said}");
+    assert!(said.contains("waits for an operator's approval"), "{said}");
     key(&world.place, "eve");
-    world.refused("eve", &["scene", "delete", "town"], "register its key first");
+    world.refused("eve", &["scene", "delete", "town", "--yes"], "register its key first");
     let ada = world.key("ada").public().to_string();
     world.refused("ada", &["access", "approve", &ada], "waits for");
     let approved = world.ok("root", &["access", "approve", &ada, "--role", "contributor"]);
@@ -48,7 +48,7 @@ async fn an_account_is_registered_approved_and_held_to_its_role() {
     for who in ["bob", "dan"] {
         let train = ["train", "town", "--by-contributor", "--base-only", "--detach"];
         let why = if who == "bob" { "the scene \"town\" belongs to another account" } else { "is auditor" };
-        world.refused(who, &["scene", "delete", "town"], why);
+        world.refused(who, &["scene", "delete", "town", "--yes"], why);
         world.refused(who, &train, why);
     }
     assert!(world.import("dan", "fern").unwrap_err().contains("needs the role contributor or curator or operator"));
@@ -72,10 +72,10 @@ async fn an_account_is_registered_approved_and_held_to_its_role() {
         assert!(line.contains(" ada ") && line.contains("excluded (a dog)"), "{line}");
     }
     assert!(world.ok("root", &["scene", "include", "town", "images/ada_002.png"]).starts_with("0 views"));
-    world.refused("bob", &["scene", "delete", "none"], "there is no scene \"none\"");
-    world.ok("cara", &["scene", "delete", "town"]);
+    world.refused("bob", &["scene", "delete", "none", "--yes"], "there is no scene \"none\"");
+    world.ok("cara", &["scene", "delete", "town", "--yes"]);
     assert!(world.import("ada", "town").is_ok());
-    world.ok("ada", &["scene", "delete", "town"]);
+    world.ok("ada", &["scene", "delete", "town", "--yes"]);
 
     world.refused("cara", &["access", "list"], "needs the role auditor or operator");
     let listed = world.ok("dan", &["access", "list"]);
@@ -132,8 +132,8 @@ async fn a_token_is_good_for_one_call_of_one_run() {
     let (vkey, other) = (world.place.text("vkey"), world.place.text("other.vkey"));
     world.ok("cara", &["owners", "vkey", "--out", &vkey]);
     world.place.cairn_ok(&["owners", "vkey", "--data", &world.place.text("other"), "--out", &other]);
-    world.refused("cara", &["scene", "delete", "town", "--daemon-vkey", &vkey], "no scene \"town\"");
-    world.refused("cara", &["scene", "delete", "town", "--daemon-vkey", &other], "and the pinned one");
+    world.refused("cara", &["scene", "delete", "town", "--yes", "--daemon-vkey", &vkey], "no scene \"town\"");
+    world.refused("cara", &["scene", "delete", "town", "--yes", "--daemon-vkey", &other], "and the pinned one");
 }
 
 /// Calls a method by its path with a message that holds its version and nothing else: all have that field.
@@ -210,7 +210,7 @@ async fn a_quota_of_views_refuses_an_import_and_leaves_nothing() {
     world.ok("root", &["access", "quota", &ada, "--views", "3"]);
     let said = world.import("ada", "town").unwrap_err();
     assert!(
-        said.contains("quota `views` is 3: 0 used, 12 more asked for") && said.contains("ResourceExhausted"),
+        said.contains("quota `views` is 3: 0 used, 12 more asked for"),
         "{said}"
     );
     for folder in ["scenes", "staging", "owners"] {
@@ -223,7 +223,7 @@ async fn a_quota_of_views_refuses_an_import_and_leaves_nothing() {
     assert!(world.ok("ada", &["access", "quota"]).contains("views             12 of 20"));
     assert!(world.import("ada", "fern").unwrap_err().contains("12 used, 12 more asked for; deleting a scene"));
     assert!(world.import("root", "fern").is_ok(), "others have their own");
-    world.ok("ada", &["scene", "delete", "town"]);
+    world.ok("ada", &["scene", "delete", "town", "--yes"]);
     assert!(world.ok("ada", &["access", "quota"]).contains("views             0 of 20"));
 }
 
@@ -256,10 +256,10 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
         let marked = &marked[..];
         world.refused("bob", &[marked, &light].concat(), "belongs to another account");
         let said = world.run("ada", &[marked, &light].concat()).unwrap_err();
-        assert!(!said.contains("another account") && !said.contains("Unauthenticated"), "{said}");
+        assert!(!said.contains("another account") && !said.contains("needs a signed token"), "{said}");
         let anybody = world.place.cairn(&[marked, &light, &["--connect", &world.daemon.url]].concat());
         let said = String::from_utf8_lossy(&anybody.stderr).into_owned();
-        assert!(!anybody.status.success() && said.contains("Unauthenticated"), "{said}");
+        assert!(!anybody.status.success() && said.contains("needs a signed token"), "{said}");
     }
     world.refused("bob", &["evaluate", "town"], "belongs to another account");
     // Nor is a picture registered with the field for them.
@@ -364,7 +364,7 @@ async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_wi
     world.daemon = Daemon::start(&world.place.path("data"), CLOSED);
     let again = world.ok("next", &["access", "register", "--name", "another"]);
     assert!(again.contains(&ada) && again.contains("contributor"), "{again}");
-    world.refused("ada", &["scene", "delete", "town"], "continues under key");
+    world.refused("ada", &["scene", "delete", "town", "--yes"], "continues under key");
 
     // Revoked: nobody acts for the account, and the key gets no other. It reads no more either, but the proof of this very
     // record came with its acknowledgement.
@@ -374,11 +374,11 @@ async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_wi
     let (bundle, vkey) = (world.place.text("revocation"), world.place.text("revocation/log.vkey"));
     assert!(world.place.cairn_ok(&["audit", "bundle", &bundle, "--vkey", &vkey]).starts_with("trusted"));
     for who in ["ada", "next"] {
-        world.refused(who, &["scene", "delete", "town"], "was ended by record");
+        world.refused(who, &["scene", "delete", "town", "--yes"], "was ended by record");
         world.refused(who, &["access", "register", "--name", "again"], "was ended by record");
     }
     assert!(world.ok("root", &["access", "list"]).contains("its key ended by record"));
-    world.ok("root", &["scene", "delete", "town"]);
+    world.ok("root", &["scene", "delete", "town", "--yes"]);
 }
 
 fn sign_for(key: &OwnerKey, here: &Identity, scene: &str) -> String {
@@ -408,7 +408,7 @@ async fn a_quota_of_records_stops_a_flood_and_no_revocation() {
     submit("ada", &own, "second").unwrap();
     let said = submit("ada", &own, "third").unwrap_err();
     assert!(
-        said.contains("quota `records_per_day` is 2: 2 used, 1 more asked for") && said.contains("ResourceExhausted"),
+        said.contains("quota `records_per_day` is 2: 2 used, 1 more asked for"),
         "{said}"
     );
     assert!(world.ok("ada", &["access", "quota"]).contains("records per day   2 of 2"));

@@ -238,7 +238,7 @@ async fn a_scene_of_one_light_and_photographs_beyond_the_limits_are_refused() {
     let daemon = Daemon::start(&place.path("data"), "");
     let light = ["--light-of", &place.text("capture/images/ada_002.png"), "--taken-view", ADA];
     let said = refused(&place, &daemon, &light);
-    assert!(said.contains("FailedPrecondition") && said.contains("--appearance on"), "{said}");
+    assert!(said.contains("--appearance on"), "{said}");
     // All views have its one light, and what is no view has none.
     let said = refused(&place, &daemon, &["--light", ADA, "--light-to", "carl_001.png"]);
     assert!(said.contains("carl_001.png"), "{said}");

@@ -132,10 +132,10 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     let erase = ["owners", "erase", "town", "--record", &third, "--key"];
     for key in [&ada, &next, &bob] {
         let said = town.refused(&[&erase[..], &[key]].concat());
-        assert!(said.contains(&format!("revoked by record {fifth}")) && said.contains("PermissionDenied"), "{said}");
+        assert!(said.contains(&format!("revoked by record {fifth}")), "{said}");
     }
     let said = town.refused(&["owners", "erase", "town", "--record", &fourth, "--key", &next]);
-    assert!(said.contains("it belongs to the key with id") && said.contains("PermissionDenied"), "{said}");
+    assert!(said.contains("it belongs to the key with id"), "{said}");
 }
 
 #[test]

@@ -57,6 +57,9 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     let larger = ["render", "town", "--pose", &pose, "--out"];
     place.cairn_ok(&[&larger[..], &[&place.text("marked.png")], &to].concat());
     place.cairn_ok(&[&larger[..], &[&place.text("base.png"), "--base"], &to].concat());
+    place.cairn_ok(&[&larger[..], &[&place.text("marked.webp")], &to].concat());
+    let lossy = place.cairn(&[&larger[..], &[&place.text("marked.jpg")], &to].concat());
+    assert!(String::from_utf8_lossy(&lossy.stderr).contains("a JPEG may take a faint mark"), "{lossy:?}");
     let owner = place.cairn_ok(&["who", "town", "--view", "images/ada_002.png", to[0], to[1]]);
     let owner = owner.split(" (").next().unwrap();
     let identify =
@@ -64,6 +67,7 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     for how in [["--view", "images/ada_002.png"], ["--pose", &pose]] {
         let said = identify("marked.png", &how);
         assert!(said.starts_with(owner) && stands_out(&said), "{how:?}: {said}");
+        assert_eq!(identify("marked.webp", &how), said, "the pixels are the same");
         let said = identify("base.png", &how);
         assert!(said.contains("registered: the field explains ") && !stands_out(&said), "{how:?}: {said}");
     }

@@ -48,7 +48,7 @@ fn the_line_is_secured_and_each_end_may_ask_who_the_other_is() {
     let list = ["scene", "list", "--connect", daemon.url.as_str()];
     place.cairn_ok(&[&list[..], &["--tls-ca", &ca]].concat());
     refused(&place, &list, "--tls-ca");
-    refused(&place, &[&list[..], &["--tls-ca", &other]].concat(), "no daemon answers");
+    refused(&place, &[&list[..], &["--tls-ca", &other]].concat(), "no daemon is reached at https://");
     let plain = daemon.url.replace("https", "http");
     refused(&place, &["scene", "list", "--connect", &plain], "");
     assert!(daemon.terminate().success());

@@ -225,7 +225,8 @@ async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
     let channel = match tokio::time::timeout(PATIENCE, endpoint.connect()).await {
         Ok(Ok(channel)) => channel,
         Ok(Err(error)) => anyhow::bail!(
-            "nothing answers at {url} ({}); start a daemon there with `cairn serve`, or leave --connect away to work on --data",
+            "no daemon is reached at {url} ({}); check the address, and --tls-ca for https; `cairn serve` starts a daemon, \
+             and without --connect a command works on --data",
             last(&error)
         ),
         Err(_) => anyhow::bail!("{url} does not answer within {} s; is the address right?", PATIENCE.as_secs()),
@@ -235,10 +236,16 @@ async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
         Ok(Ok(_)) => Ok(channel),
         // A daemon that still reads its data folder says so itself.
         Ok(Err(status)) if status.code() == Code::Unavailable && status.source().is_none() => Err(status.into()),
-        Ok(Err(_)) | Err(_) => anyhow::bail!(
-            "what answers at {url} is no Cairn daemon; a daemon says where it listens when it starts (server.bind, by \
-             default 127.0.0.1:7341), and its public log has another address"
-        ),
+        answered => {
+            let cause = match &answered {
+                Ok(Err(status)) => last(status),
+                _ => format!("no answer within {} s", PATIENCE.as_secs()),
+            };
+            anyhow::bail!(
+                "{url} does not answer as a Cairn daemon does ({cause}); a daemon says where it listens when it starts, one with \
+                 TLS wants https://, and some ask for --tls-cert"
+            )
+        }
     }
 }
 

@@ -19,7 +19,7 @@ pub struct IdentifyArgs {
     /// The scene whose marks are looked for
     #[arg(value_name = "SCENE")]
     name: String,
-    /// The picture, PNG or JPEG
+    /// The picture, PNG, JPEG or WebP
     picture: PathBuf,
     /// Also register the picture with the field and look for each mark in what the field does not explain: surer, and takes
     /// many seconds without --view or --pose

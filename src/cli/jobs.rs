@@ -97,7 +97,7 @@ async fn list(line: &Connection, json: Json) -> anyhow::Result<()> {
         return json::print(&answer);
     }
     if answer.jobs.is_empty() {
-        println!("no trainings yet; start one with `cairn train SCENE`");
+        eprintln!("no trainings yet; start one with `cairn train SCENE`");
     }
     for job in answer.jobs {
         let p = job.progress.clone().unwrap_or_default();

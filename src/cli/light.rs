@@ -16,7 +16,7 @@ pub struct InLight {
     /// In the light of this training view (where not given neutral; with --path between from the one's to the other's)
     #[arg(long, value_name = "VIEW")]
     light: Option<String>,
-    /// In the light of this photograph, PNG or JPEG, as it is fitted to the whole of it; say which camera took it
+    /// In the light of this photograph, PNG, JPEG or WebP, as it is fitted to the whole of it; say which camera took it
     #[arg(long, value_name = "FILE", conflicts_with = "light", requires = "taken")]
     light_of: Option<PathBuf>,
     /// The photograph was taken with the camera of this view of the scene, and neither cut nor turned since

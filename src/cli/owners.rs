@@ -62,7 +62,7 @@ pub enum Command {
         #[command(flatten)]
         json: Json,
     },
-    /// Print the log's public key (vkey), for auditors to pin: a key that comes with a bundle proves nothing
+    /// Print the log's public key (vkey), for auditors and witnesses to pin; where there is no log yet it is begun
     #[command(after_help = "Example:\n  cairn owners vkey --out log.vkey")]
     Vkey {
         /// Write it into a file instead
@@ -72,9 +72,9 @@ pub enum Command {
 }
 
 impl Command {
-    /// Whether it only reads.
+    /// Whether it only reads. A witness needs the log's key before the daemon starts: so asking for it begins a log.
     pub const fn reads(&self) -> bool {
-        matches!(self, Self::Answer(_) | Self::Show { .. } | Self::List { .. } | Self::Vkey { .. })
+        matches!(self, Self::Answer(_) | Self::Show { .. } | Self::List { .. })
     }
 }
 
@@ -139,7 +139,7 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
         let records = records.iter().map(records::as_json).collect::<anyhow::Result<Vec<_>>>()?;
         json::print_value(&serde_json::json!({ "size": size, "records": records }))?;
     } else if records.is_empty() {
-        println!("no owner records yet; sign one with `cairn owners sign`");
+        eprintln!("no owner records yet; sign one with `cairn owners sign`");
     }
     for r in records.iter().filter(|_| !json.json) {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;

@@ -83,8 +83,8 @@ pub struct ImportArgs {
     /// The folder of photographs, in the capture's folder or absolute (its format's usual one where not given)
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
-    /// A folder of masks, in the capture's folder or absolute: named as the photographs, with .png behind or for the
-    /// ending; white means use (where not given, COLMAP's masks folder, or nerfstudio's mask_path)
+    /// A folder of masks, in the capture's folder or absolute: named as the photographs, with .png (or .webp) behind or
+    /// for the ending; white means use (where not given, COLMAP's masks folder, or nerfstudio's mask_path)
     #[arg(long, value_name = "DIR")]
     pub masks: Option<PathBuf>,
     /// Who took what: a CSV table with the columns image,contributor; looked for here, then in the capture's folder
@@ -136,7 +136,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
                 return json::print(&answer);
             }
             if answer.scenes.is_empty() {
-                println!("no scenes yet; bring one in with `cairn scene import NAME --from DIR`");
+                eprintln!("no scenes yet; bring one in with `cairn scene import NAME --from DIR`");
             }
             answer.scenes.iter().for_each(|s| println!("{}", one_line(s, false)));
             Ok(())

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_api::v1;
-use cairn_scene::{Ground, Limits, decode_emblem, encode_png};
+use cairn_scene::{Ground, ImageFormat, Limits, decode_emblem, encode_png};
 
 use super::files::read;
 
@@ -47,7 +47,12 @@ pub fn signals(folder: &Path) -> anyhow::Result<Vec<v1::Signal>> {
         };
         anyhow::ensure!(taken == 0, "{}: a second of its kind under that name; rename one of them", path.display());
     }
-    anyhow::ensure!(!signals.is_empty(), "{} holds no PNG, JPEG, WAV or TXT to hide", folder.display());
+    anyhow::ensure!(
+        !signals.is_empty(),
+        "{} holds no picture ({}), WAV or TXT to hide",
+        folder.display(),
+        ImageFormat::names()
+    );
     signals.sort_by(|a, b| natural(&a.name, &b.name));
     Ok(signals)
 }
@@ -82,8 +87,10 @@ enum Ending {
 
 /// What kind of file it is; `None` for what nobody can hide.
 fn ending(path: &Path) -> Option<Ending> {
+    if ImageFormat::of_path(path).is_some() {
+        return Some(Ending::Picture);
+    }
     match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-        "png" | "jpg" | "jpeg" => Some(Ending::Picture),
         "wav" => Some(Ending::Sound),
         "txt" => Some(Ending::Text),
         _ => None,
@@ -211,8 +218,9 @@ mod tests {
         says(&[("a.wav", b"")], &["a.wav", "empty"]);
         says(&[("b.jpeg", b"")], &["b.jpeg", "empty"]);
         says(&[("a.png", b"p"), ("a.jpg", b"p")], &["a.png", "second of its kind"]);
+        says(&[("a.png", b"p"), ("a.WebP", b"p")], &["a.png", "second of its kind"]);
         says(&[("a.txt", b"\xff")], &["a.txt", "UTF-8"]);
-        says(&[("notes.md", b"x")], &["holds no PNG"]);
+        says(&[("notes.md", b"x")], &["holds no picture (PNG, JPEG or WebP)"]);
     }
 
     #[test]

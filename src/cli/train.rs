@@ -39,7 +39,7 @@ pub struct Args {
         hide_default_value = true
     )]
     pub seed: u64,
-    /// What to hide, one for each identity: PNG, JPEG, WAV and TXT files; those of one name but for the ending are one
+    /// What to hide, one for each identity: PNG, JPEG, WebP, WAV and TXT files; those of one name but for the ending are one
     /// identity's. Where all are named as identities are labelled each is its identity's, else identity 1's is first, 2 before
     /// 10 (pictures are drawn where not given)
     #[arg(long, value_name = "DIR", conflicts_with = "base_only")]

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
+use cairn_scene::ImageFormat;
 
 use crate::captures::Name;
 use crate::file;
@@ -178,10 +179,10 @@ impl Args {
             Some(folder) => folder.clone(),
             None => self.captures()?.join("signals"),
         };
-        let files =
-            file::with_ending(&folder, &["png", "jpg"]).context("say where pictures to hide are (--signals DIR)")?;
-        let problem = "has no PNG or JPEG; say where pictures to hide are (--signals DIR)";
-        anyhow::ensure!(!files.is_empty(), "{} {problem}", folder.display());
+        let endings: Vec<&str> = ImageFormat::ALL.iter().flat_map(|format| format.endings()).copied().collect();
+        let files = file::with_ending(&folder, &endings).context("say where pictures to hide are (--signals DIR)")?;
+        let problem = "say where pictures to hide are (--signals DIR)";
+        anyhow::ensure!(!files.is_empty(), "{} has no {}; {problem}", folder.display(), ImageFormat::names());
         Ok(files)
     }
 

@@ -27,7 +27,7 @@ const LAPS: (usize, f64) = (3, 2.0);
 /// Files of what one identity hides.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Files {
-    /// PNG or JPEG.
+    /// A picture of any [`cairn_scene::ImageFormat`].
     pub picture: Option<PathBuf>,
     /// WAV.
     pub audio: Option<PathBuf>,

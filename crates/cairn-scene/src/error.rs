@@ -106,8 +106,10 @@ pub enum CaptureError {
         /// Where it was looked for.
         photograph: PathBuf,
     },
-    /// A file that is no PNG or JPEG, or a broken one.
-    #[error("{photograph} cannot be decoded as PNG or JPEG: {reason}; save it again as one of them, or leave it out")]
+    /// A file of none of the formats that are read, or a broken one.
+    #[error(
+        "{photograph} cannot be decoded as PNG, JPEG or WebP: {reason}; save it again as one of them, or leave it out"
+    )]
     NotAPicture {
         /// The file, or `picture` for bytes without one.
         photograph: String,

@@ -10,10 +10,14 @@ use tempfile::TempDir;
 
 /// A mask that leaves out column `out`, as an 8-bit grey PNG.
 fn mask_png(width: usize, height: usize, out: u32) -> Vec<u8> {
+    mask_in(image::ImageFormat::Png, width, height, out)
+}
+
+fn mask_in(format: image::ImageFormat, width: usize, height: usize, out: u32) -> Vec<u8> {
     let grey =
         image::GrayImage::from_fn(width as u32, height as u32, |x, _| image::Luma([if x == out { 127 } else { 128 }]));
     let mut bytes = std::io::Cursor::new(Vec::new());
-    grey.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    grey.write_to(&mut bytes, format).unwrap();
     bytes.into_inner()
 }
 
@@ -62,6 +66,13 @@ fn colmap_keeps_masks_beside_the_photographs() {
     write_mask(&folder.path().join("masks/3.png"), 5);
     let capture = read_with(folder.path(), None).unwrap();
     assert_eq!(columns(&capture), [Some(3), None, Some(5)]);
+    // A WebP is one, too; a JPEG smears the edge and is none; a PNG comes first.
+    let webp = |out| mask_in(image::ImageFormat::WebP, SIZE.0, SIZE.1, out);
+    fs::write(folder.path().join("masks/2.webp"), webp(7)).unwrap();
+    fs::write(folder.path().join("masks/1.png.webp"), webp(9)).unwrap();
+    assert_eq!(columns(&read_with(folder.path(), None).unwrap()), [Some(3), Some(7), Some(5)]);
+    fs::rename(folder.path().join("masks/2.webp"), folder.path().join("masks/2.jpg")).unwrap();
+    assert_eq!(columns(&read_with(folder.path(), None).unwrap()), [Some(3), None, Some(5)]);
 }
 
 #[test]

@@ -40,6 +40,8 @@ fn endings_separators_and_accents_of_other_systems() {
     assert_eq!(names(&read), ["images/i00.PNG", "images/i01.JPG"]);
     let read = transforms(&["images\\i00.png", ".\\images\\i01"], &["images/i00.png", "images/i01.jpeg"]).unwrap();
     assert_eq!(names(&read), ["images/i00.png", "images/i01.jpeg"]);
+    let read = transforms(&["images/i00", "images/i01"], &["images/i00.webp", "images/i01.WEBP"]).unwrap();
+    assert_eq!(names(&read), ["images/i00.webp", "images/i01.WEBP"]);
     // `é` and `ü` as one character each in the file, as letter and accent on the disk; and the other way round.
     let read = transforms(&["caf\u{e9}/m\u{fc}.png", "b"], &["cafe\u{301}/mu\u{308}.png", "b.png"]).unwrap();
     assert_eq!(names(&read), ["b.png", "cafe\u{301}/mu\u{308}.png"]);
@@ -180,13 +182,13 @@ fn hidden_files_are_no_photographs_of_llff() {
     let folder = tempfile::tempdir().unwrap();
     let images = folder.path().join("images");
     fs::create_dir(&images).unwrap();
-    for name in ["1.png", "2.png"] {
+    for name in ["1.png", "2.webp"] {
         fs::write(images.join(name), photograph()).unwrap();
         fs::write(images.join(format!("._{name}")), "what macOS leaves beside it").unwrap();
     }
     let data: Vec<u8> = [row(), row()].iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
     fs::write(folder.path().join("poses_bounds.npy"), npy("<f8", "(2, 17)", &data)).unwrap();
-    assert_eq!(names(&read(folder.path()).unwrap()), ["1.png", "2.png"]);
+    assert_eq!(names(&read(folder.path()).unwrap()), ["1.png", "2.webp"]);
 }
 
 #[test]

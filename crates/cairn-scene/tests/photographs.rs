@@ -2,8 +2,10 @@
 
 use std::fs;
 
-use crate::common::{Colmap, read, refuses};
-use cairn_scene::{Capture, Limits, Picture, ReadOptions, SceneFolder, decode_picture, encode_png, save_png};
+use crate::common::{Colmap, hex, read, refuses, webp, webp_reference};
+use cairn_scene::{
+    Capture, Ground, Limits, Picture, ReadOptions, SceneFolder, decode_emblem, decode_picture, encode_png, save_png,
+};
 use image::{DynamicImage, ImageFormat, Rgb, RgbImage, Rgba, RgbaImage};
 use serde_json::json;
 
@@ -134,6 +136,56 @@ fn transparency_is_composited() {
     assert!(close(blue.pixel(3, 0), [0.2, 0.2, 1.0]));
 }
 
+/// WebP as libwebp reads it (reference/webp.py).
+#[test]
+fn webp_has_the_pixels_that_its_own_library_reads() {
+    let reference = webp_reference();
+    let size = ["width", "height"].map(|side| reference[side].as_u64().unwrap() as usize);
+    let cases = reference["cases"].as_object().unwrap();
+    let read: Vec<&String> =
+        cases.iter().filter(|(_, case)| case["pixels"].is_string()).map(|(name, _)| name).collect();
+    assert_eq!(read.len(), 6);
+    for name in read {
+        let pixels = hex(&cases[name]["pixels"]);
+        let black = decode_picture(&webp(name), &Limits::default(), Some([0.0; 3])).unwrap();
+        let is_turned = name.contains("turned");
+        let [width, height] = if is_turned { [size[1], size[0]] } else { size };
+        assert_eq!((black.width(), black.height()), (width, height), "{name}");
+        let channels = if cases[name]["mode"] == "RGBA" { 4 } else { 3 };
+        for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+            // Orientation 6: the stored first row is the right column.
+            let (column, row) = if is_turned { (y, width - 1 - x) } else { (x, y) };
+            let stored = &pixels[(row * size[0] + column) * channels..][..channels];
+            let alpha = f32::from(*stored.get(3).unwrap_or(&255)) / 255.0;
+            let expected = [0, 1, 2].map(|c| f32::from(stored[c]) / 255.0 * alpha);
+            let apart = expected.iter().zip(black.pixel(x, y)).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(apart < 1e-6, "{name}, {x}, {y}: {expected:?}, got {:?}", black.pixel(x, y));
+        }
+    }
+}
+
+/// A WebP takes every way that a PNG takes: EXIF by the camera, the scene's folder, the emblem.
+#[test]
+fn webp_photographs_are_kept_as_they_are() {
+    let mut model = Colmap::small();
+    model.cameras[0].3 = [21, 18];
+    let folder = model.folder();
+    for (name, case) in [("1.png", "lossy"), ("2.png", "lossless, turned"), ("3.png", "lossless, alpha")] {
+        fs::write(folder.path().join("images").join(name), webp(case)).unwrap();
+    }
+    let capture = read(folder.path()).unwrap();
+    // The camera is 21 x 18, as the pixels are stored.
+    let stored = capture.photograph(1).unwrap();
+    assert_eq!(stored, decode_picture(&webp("lossless"), &Limits::default(), None).unwrap());
+    let scene = SceneFolder::create(&folder.path().join("scenes"), "town", &capture).unwrap();
+    assert_eq!(scene.photograph(1).unwrap(), stored);
+    let kept = folder.path().join("scenes/town/photographs/000001.webp");
+    assert_eq!(fs::read(kept).unwrap(), webp("lossless, turned"));
+    let (shown, ground) = decode_emblem(&webp("lossless, alpha"), &Limits::default(), 16).unwrap();
+    assert_eq!((shown.width(), ground), (16, Ground::White));
+    assert_eq!(decode_emblem(&webp("lossy"), &Limits::default(), 16).unwrap().1, Ground::None);
+}
+
 #[test]
 fn sixteen_bits_and_grey_keep_their_values() {
     let deep = image::ImageBuffer::<Rgb<u16>, Vec<u16>>::from_fn(3, 2, |x, y| Rgb([1000, x as u16, y as u16 + 7]));
@@ -181,8 +233,15 @@ fn a_header_that_claims_a_billion_pixels_is_refused_on_the_header() {
 
 #[test]
 fn other_formats_and_garbage_are_refused() {
-    for bytes in [&b"GIF89a\x01\0\x01\0"[..], b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"RIFF\0\0\0\0WEBPVP8 "] {
-        refuses(decode_picture(bytes, &Limits::default(), None), &["picture cannot be decoded as PNG or JPEG"]);
+    for bytes in [
+        &b"GIF89a\x01\0\x01\0"[..],
+        b"",
+        b"\x89PNG\r\n\x1a\n",
+        b"\xff\xd8\xff",
+        b"RIFF\0\0\0\0WEBPVP8 ",
+        b"RIFF\x04\0\0\0WAVE",
+    ] {
+        refuses(decode_picture(bytes, &Limits::default(), None), &["picture cannot be decoded as PNG, JPEG or WebP"]);
     }
     let whole = jpeg(6);
     for length in (0..whole.len()).step_by(7) {

@@ -20,9 +20,9 @@ pub enum Ground {
     Black,
 }
 
-/// Decodes a PNG or JPEG to be hidden, brought to `side` x `side` px (means of areas; other proportions are
-/// stretched) and to the 8 bits that it is kept in. What is transparent becomes white, or black where white
-/// leaves less than a quarter of the contrast ([`Picture::spread`]) that black does; which it was is returned.
+/// Decodes a picture of any [`ImageFormat`] to be hidden, brought to `side` x `side` px (means of areas; other
+/// proportions are stretched) and to the 8 bits that it is kept in. What is transparent becomes white, or black where
+/// white leaves less than a quarter of the contrast ([`Picture::spread`]) that black does; which it was is returned.
 ///
 /// # Errors
 /// As [`decode_picture`].

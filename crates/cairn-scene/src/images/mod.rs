@@ -7,6 +7,7 @@ pub(crate) mod mask;
 pub(crate) mod photograph;
 pub(crate) mod picture;
 pub(crate) mod resize;
+pub(crate) mod webp;
 
 pub use emblem::{Ground, decode_emblem};
 pub use format::{ImageFormat, Limits};

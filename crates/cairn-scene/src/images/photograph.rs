@@ -1,5 +1,5 @@
-//! Photographs in and out: PNG and JPEG, decoded under limits that are checked
-//! on the header before a pixel is allocated, and PNG written in one step.
+//! Photographs in and out: decoded under limits that are checked on the header
+//! before a pixel is allocated, and PNG written in one step.
 //!
 //! EXIF orientation is honoured. Values stay display-referred (sRGB-encoded);
 //! alpha is composited in those values, as browsers and the published
@@ -15,7 +15,7 @@ use image::{DynamicImage, ImageDecoder};
 
 use crate::cameras::intrinsics::Intrinsics;
 use crate::error::CaptureError;
-use crate::images::format::{self, ImageFormat, Limits, open_decoder, refused};
+use crate::images::format::{self, ImageFormat, Limits, decode_pixels, open_decoder};
 use crate::images::mask::Mask;
 use crate::images::picture::Picture;
 
@@ -38,7 +38,7 @@ pub(crate) struct Header {
 /// Reads only as much of `path` as says how large the photograph is.
 ///
 /// # Errors
-/// When it is missing, over the limits, or no PNG or JPEG.
+/// When it is missing, over the limits, or of no format that is read.
 pub(crate) fn header(path: &Path, limits: &Limits) -> Result<Header, CaptureError> {
     let file = File::open(path).map_err(CaptureError::io("open", path))?;
     let length = file.metadata().map_err(CaptureError::io("read", path))?.len();
@@ -66,7 +66,7 @@ pub(crate) fn shows_through(path: &Path, limits: &Limits) -> Result<bool, Captur
     let bytes = read_limited(path, limits.max_file_bytes)?;
     let name = path.display().to_string();
     let decoder = open_decoder(Cursor::new(&bytes), limits, &name)?;
-    Ok(match DynamicImage::from_decoder(decoder).map_err(|e| refused(&name, &e))? {
+    Ok(match decode_pixels(decoder, &name)? {
         DynamicImage::ImageRgba8(image) => image.pixels().any(|p| p[3] < u8::MAX),
         DynamicImage::ImageLumaA8(image) => image.pixels().any(|p| p[1] < u8::MAX),
         DynamicImage::ImageRgba16(image) => image.pixels().any(|p| p[3] < u16::MAX),
@@ -75,7 +75,7 @@ pub(crate) fn shows_through(path: &Path, limits: &Limits) -> Result<bool, Captur
     })
 }
 
-/// Decodes a PNG or JPEG: EXIF orientation applied, alpha composited on
+/// Decodes a picture of any [`ImageFormat`]: EXIF orientation applied, alpha composited on
 /// `background` (RGB in [0, 1]; `None` is white), 16-bit values kept to f32.
 ///
 /// # Errors
@@ -120,7 +120,7 @@ fn decode(
     let mut decoder = open_decoder(Cursor::new(bytes), limits, name)?;
     let (header, orientation) = read_header(&mut decoder);
     let apply = orient(header.oriented, header.stored)?;
-    let mut decoded = DynamicImage::from_decoder(decoder).map_err(|e| refused(name, &e))?;
+    let mut decoded = decode_pixels(decoder, name)?;
     if apply {
         decoded.apply_orientation(orientation);
     }
@@ -166,7 +166,7 @@ fn composite(decoded: DynamicImage, background: [f32; 3]) -> Vec<f32> {
     rgba.as_raw().chunks_exact(4).flat_map(|p| [0, 1, 2].map(|c| p[c] * p[3] + background[c] * (1.0 - p[3]))).collect()
 }
 
-/// Decodes the mask at `path`, of which `bytes` were read: any PNG or JPEG, by its brightness. Neither EXIF
+/// Decodes the mask at `path`, of which `bytes` were read: any [`ImageFormat`], by its brightness. Neither EXIF
 /// orientation nor alpha is looked at. It must have the size of `camera`, which is the photograph's: found on the
 /// header, before any pixel is allocated.
 ///
@@ -186,7 +186,7 @@ pub(crate) fn decode_mask(
         let photograph = (camera.width, camera.height);
         return Err(CaptureError::MaskSize { mask: path.to_path_buf(), photograph, got: (width, height) });
     }
-    let grey = DynamicImage::from_decoder(decoder).map_err(|e| refused(&name, &e))?.into_luma8();
+    let grey = decode_pixels(decoder, &name)?.into_luma8();
     Mask::from_grey8(width, height, grey.as_raw())
         .map_err(|e| CaptureError::NotAPicture { photograph: name, reason: e.to_string() })
 }

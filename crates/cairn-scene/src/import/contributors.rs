@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use crate::error::CaptureError;
 use crate::images::format::Limits;
-use crate::import::named::{LEFT_AWAY, composed};
+use crate::import::named::{composed, left_away};
 
 #[derive(Deserialize)]
 struct Row {
@@ -45,6 +45,7 @@ pub(crate) fn read(
     let of_any_form = index_of(&of_any_form);
     let bytes = read_limited(table, limits.max_file_bytes)?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
+    let endings = left_away();
     let mut found: Vec<Option<(String, usize)>> = vec![None; all.len()];
     for (number, row) in reader.deserialize::<Row>().enumerate() {
         // The heading is line 1; a quoted line break would shift this, and no file name has one.
@@ -54,8 +55,10 @@ pub(crate) fn read(
         })?;
         let entry = format!("line {line} ({})", row.image);
         // A missing photograph's ending is not known where the camera file leaves it away.
-        let bare =
-            || LEFT_AWAY.iter().find_map(|e| index.get(row.image.strip_suffix(e)?).filter(|v| **v >= names.len()));
+        let bare = || {
+            let without = |ending: &String| index.get(row.image.strip_suffix(ending.as_str())?);
+            endings.iter().filter_map(without).find(|view| **view >= names.len())
+        };
         let other_form = || of_any_form.get(composed(&row.image).as_str());
         let Some(&view) = index.get(row.image.as_str()).or_else(bare).or_else(other_form) else {
             let problem = "the capture has no photograph of that name, or several".to_owned();

@@ -8,17 +8,23 @@ use std::path::{Component, Path, PathBuf};
 
 use unicode_normalization::UnicodeNormalization;
 
-/// Endings that camera files leave away.
-pub(crate) const LEFT_AWAY: [&str; 6] = [".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"];
+use crate::images::format::ImageFormat;
+
+/// Endings that camera files leave away: those of photographs in small letters, then in capital ones.
+pub(crate) fn left_away() -> Vec<String> {
+    let small: Vec<String> = ImageFormat::ALL.iter().flat_map(|f| f.endings()).map(|e| format!(".{e}")).collect();
+    let capital: Vec<String> = small.iter().map(|ending| ending.to_uppercase()).collect();
+    [small, capital].concat()
+}
 
 /// The file below `root` that `path` means, relative to `root` as `path` is: as it
 /// is named, or with one of `endings`; then with `\` for a separator; then of
 /// another Unicode normalisation. `None` where there is none.
-pub(crate) fn find(root: &Path, path: &Path, endings: &[&str]) -> Option<PathBuf> {
+pub(crate) fn find(root: &Path, path: &Path, endings: &[String]) -> Option<PathBuf> {
     let spelled: Vec<PathBuf> = std::iter::once(path.to_path_buf()).chain(with_slashes(path)).collect();
     let candidates = || {
         spelled.iter().flat_map(|path| {
-            std::iter::once(&"").chain(endings).map(|ending| {
+            std::iter::once("").chain(endings.iter().map(String::as_str)).map(|ending| {
                 let mut name = path.clone().into_os_string();
                 name.push(ending);
                 PathBuf::from(name)

@@ -23,7 +23,7 @@ use crate::error::CaptureError;
 use crate::images::format::Limits;
 use crate::images::photograph::header;
 use crate::import::model::{self, Entry, Guess, Model, check_count};
-use crate::import::named::{self, LEFT_AWAY};
+use crate::import::named::{self, left_away};
 use crate::import::options::ReadOptions;
 
 const REMEDY: &str = "correct the file, or export it again";
@@ -271,7 +271,7 @@ impl Source<'_> {
         if let Some(images) = model::image_folder(self.folder, options, &[]) {
             stem = images.join(path.rsplit(['/', '\\']).next().unwrap_or_default());
         }
-        named::find(self.folder, &stem, &LEFT_AWAY).ok_or_else(|| {
+        named::find(self.folder, &stem, &left_away()).ok_or_else(|| {
             let (file, entry) = (self.file.to_path_buf(), self.label.clone());
             CaptureError::PhotographMissing { file, entry, photograph: self.folder.join(&stem) }
         })

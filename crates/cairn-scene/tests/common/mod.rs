@@ -163,6 +163,40 @@ pub fn photograph() -> Vec<u8> {
     encode_png(&Picture::constant(SIZE.0, SIZE.1, [0.2, 0.4, 0.6]))
 }
 
+/// The file of a case of reference/webp.json, which libwebp wrote.
+pub fn webp(case: &str) -> Vec<u8> {
+    hex(&webp_reference()["cases"][case]["file"])
+}
+
+/// reference/webp.json.
+pub fn webp_reference() -> serde_json::Value {
+    serde_json::from_str(include_str!("../reference/webp.json")).unwrap()
+}
+
+/// The bytes that hexadecimal digits say.
+pub fn hex(digits: &serde_json::Value) -> Vec<u8> {
+    let digits = digits.as_str().unwrap().as_bytes();
+    digits.chunks(2).map(|two| u8::from_str_radix(std::str::from_utf8(two).unwrap(), 16).unwrap()).collect()
+}
+
+/// A RIFF file of the form WEBP with these chunks, each padded to an even length.
+pub fn riff_webp(chunks: &[Chunk<'_>]) -> Vec<u8> {
+    let mut body = b"WEBP".to_vec();
+    for Chunk { name, data } in chunks {
+        body.extend_from_slice(*name);
+        body.extend((data.len() as u32).to_le_bytes());
+        body.extend_from_slice(data);
+        body.resize(body.len().next_multiple_of(2), 0);
+    }
+    [&b"RIFF"[..], &(body.len() as u32).to_le_bytes(), &body].concat()
+}
+
+/// A chunk of a RIFF file.
+pub struct Chunk<'a> {
+    pub name: &'a [u8; 4],
+    pub data: &'a [u8],
+}
+
 /// A NumPy file of format version 1.
 pub fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
     let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");

@@ -12,7 +12,7 @@ use std::path::Component;
 use cairn_scene::{Capture, Limits, ReadOptions, Sound, SoundLimits, decode_picture, decode_wav, encode_wav};
 use tempfile::TempDir;
 
-use crate::common::{Colmap, npy, photograph};
+use crate::common::{Colmap, npy, photograph, webp};
 
 /// One reader.
 pub struct Target {
@@ -31,11 +31,14 @@ const CAPTURE: (usize, usize) = (24, 768 << 10);
 /// The pixels of the limits below, in every form that decoding brings them through, and the decoder's tables.
 const PICTURE: (usize, usize) = (8, 4 << 20);
 
+/// As of other pictures; a part of a lossy frame may say that it has 16 MiB, which the decoder believes.
+const WEBP: (usize, usize) = (8, 20 << 20);
+
 /// A byte is at most one sample; errors take the rest.
 const SOUND: (usize, usize) = (8, 64 << 10);
 
 /// All readers.
-pub const TARGETS: [Target; 12] = [
+pub const TARGETS: [Target; 13] = [
     Target { name: "cameras.bin", good: || vec![Colmap::small().cameras_bin()], limit: CAPTURE, read: cameras_bin },
     Target { name: "images.bin", good: || vec![Colmap::small().images_bin()], limit: CAPTURE, read: images_bin },
     Target { name: "points3D.bin", good: || vec![Colmap::small().points_bin()], limit: CAPTURE, read: points_bin },
@@ -47,6 +50,7 @@ pub const TARGETS: [Target; 12] = [
     Target { name: "contributors.csv", good: contributors, limit: CAPTURE, read: contributors_csv },
     Target { name: "png", good: || vec![photograph(), grey_png()], limit: PICTURE, read: picture },
     Target { name: "jpeg", good: || vec![jpeg()], limit: PICTURE, read: picture },
+    Target { name: "webp", good: webps, limit: WEBP, read: picture },
     Target { name: "wav", good: wavs, limit: SOUND, read: wav },
 ];
 
@@ -105,6 +109,11 @@ pub fn jpeg() -> Vec<u8> {
     let picture = image::RgbImage::from_fn(40, 30, |x, y| image::Rgb([(6 * x) as u8, (8 * y) as u8, 128]));
     picture.write_to(&mut std::io::Cursor::new(&mut out), image::ImageFormat::Jpeg).unwrap();
     out
+}
+
+/// Small WebP files, lossy and lossless, with and without alpha and EXIF.
+pub fn webps() -> Vec<Vec<u8>> {
+    ["lossy", "lossy, alpha", "lossless", "lossless, alpha", "lossy, turned", "lossless, turned"].map(webp).into()
 }
 
 /// Small WAV files: ours, and one of two channels and 24 bits with a foreign chunk.

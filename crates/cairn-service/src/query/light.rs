@@ -24,9 +24,10 @@ pub enum Light {
     View(String),
     /// Between two views': share 0 is the first, 1 the second, nothing beyond.
     Blend(String, String, f64),
-    /// That of a photograph, PNG or JPEG, which a camera took whole. [`EngineError::WrongState`] for a scene of one light,
-    /// [`EngineError::OverLimit`] and cairn-scene's errors for what is no picture or too large, [`EngineError::Invalid`]
-    /// for one of other proportions than the camera's, [`EngineError::NotFound`] for a view that is not there.
+    /// That of a photograph, a file of any [`cairn_scene::ImageFormat`], which a camera took whole.
+    /// [`EngineError::WrongState`] for a scene of one light, [`EngineError::OverLimit`] and cairn-scene's errors for what
+    /// is no picture or too large, [`EngineError::Invalid`] for one of other proportions than the camera's,
+    /// [`EngineError::NotFound`] for a view that is not there.
     Photograph(Vec<u8>, Viewpoint),
 }
 

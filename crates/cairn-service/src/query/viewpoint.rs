@@ -27,7 +27,7 @@ pub enum FieldKind {
     Marked,
 }
 
-/// Decodes a PNG or JPEG under the limits.
+/// Decodes a picture of any [`cairn_scene::ImageFormat`] under the limits.
 ///
 /// # Errors
 /// [`EngineError::OverLimit`] before decoding, and cairn-scene's.

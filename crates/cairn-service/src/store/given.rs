@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use cairn_mark::{Recipe, Signal};
-use cairn_scene::{Ground, SoundLimits, decode_emblem, decode_wav};
+use cairn_scene::{Ground, ImageFormat, SoundLimits, decode_emblem, decode_wav};
 
 use crate::config::Limits;
 use crate::error::EngineError;
@@ -15,7 +15,7 @@ pub const QUIET_DB: f64 = -41.0;
 /// How far over full scale a peak may be before people are told that it is cut, dB.
 const CUT_DB: f64 = 0.1;
 
-/// What somebody gives to hide: a PNG or JPEG, a WAV, a text.
+/// What somebody gives to hide: a picture of any [`ImageFormat`], a WAV, a text.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Given {
     /// What it is called, as its files are without their endings; empty where nobody says.
@@ -89,8 +89,10 @@ fn picture(
 ) -> Result<(cairn_scene::Picture, Option<&'static str>), EngineError> {
     let (key, most) = ("limits.max_photograph_bytes", limits.max_photograph_bytes);
     EngineError::within(format!("{what} in bytes"), key, most, bytes.len() as u64)?;
-    let (picture, ground) = decode_emblem(bytes, &limits.of_pictures(), side)
-        .map_err(|e| EngineError::invalid(what, format!("not read ({e})"), "a PNG or JPEG within the limits"))?;
+    let (picture, ground) = decode_emblem(bytes, &limits.of_pictures(), side).map_err(|e| {
+        let expected = format!("a picture ({}) within the limits", ImageFormat::names());
+        EngineError::invalid(what, format!("not read ({e})"), expected)
+    })?;
     let ground = match ground {
         Ground::None => None,
         Ground::White => Some("white"),

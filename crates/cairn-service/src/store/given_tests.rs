@@ -49,7 +49,7 @@ fn what_is_given_is_made_ready_or_refused_by_name() {
     let long = Sound::new(vec![0.1; 5 * 8000], 8000).unwrap();
     says(Parts { audio: Some(encode_wav(&long)), ..Parts::default() }, &["credit", "5.00 s", "4 s"]);
     says(Parts { audio: Some(b"RIFF".to_vec()), ..Parts::default() }, &["credit", "WAV"]);
-    says(Parts { picture: Some(b"GIF89a".to_vec()), ..Parts::default() }, &["picture", "credit", "PNG or JPEG"]);
+    says(Parts { picture: Some(b"GIF89a".to_vec()), ..Parts::default() }, &["picture", "credit", "PNG, JPEG or WebP"]);
     let black = encode_png(&Picture::constant(40, 40, [0.0; 3]));
     says(Parts { picture: Some(black), ..Parts::default() }, &["one colour", "0, 0, 0"]);
     // What 16 bits round to nothing is silence before anything is trained, not after.
