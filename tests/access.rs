@@ -209,10 +209,7 @@ async fn a_quota_of_views_refuses_an_import_and_leaves_nothing() {
     let ada = world.with("ada", "contributor").to_string();
     world.ok("root", &["access", "quota", &ada, "--views", "3"]);
     let said = world.import("ada", "town").unwrap_err();
-    assert!(
-        said.contains("quota `views` is 3: 0 used, 12 more asked for"),
-        "{said}"
-    );
+    assert!(said.contains("quota `views` is 3: 0 used, 12 more asked for"), "{said}");
     for folder in ["scenes", "staging", "owners"] {
         let left = std::fs::read_dir(world.place.path("data").join(folder)).unwrap().count();
         assert_eq!(left, 0, "{folder}");
@@ -407,10 +404,7 @@ async fn a_quota_of_records_stops_a_flood_and_no_revocation() {
     submit("ada", &own, "first").unwrap();
     submit("ada", &own, "second").unwrap();
     let said = submit("ada", &own, "third").unwrap_err();
-    assert!(
-        said.contains("quota `records_per_day` is 2: 2 used, 1 more asked for"),
-        "{said}"
-    );
+    assert!(said.contains("quota `records_per_day` is 2: 2 used, 1 more asked for"), "{said}");
     assert!(world.ok("ada", &["access", "quota"]).contains("records per day   2 of 2"));
     submit("bob", &out("bob.key"), "bobs").unwrap();
     world.ok("root", &["access", "quota", &ada, "--records", "3", "--records-per-day", "0"]);

@@ -138,7 +138,7 @@ fn an_answer_that_is_lost_is_asked_for_again_also_by_a_key_that_ended() {
     std::fs::write(world.place.path("never/record.signed.json"), never).unwrap();
     // By the gate, before the log is asked.
     let refused = world.run("ada", &["owners", "submit", &world.place.text("never")]).unwrap_err();
-    assert!(refused.contains("was ended by record 2") && refused.contains("PermissionDenied"), "{refused}");
+    assert!(refused.contains("was ended by record 2"), "{refused}");
     world.with("eve", "contributor");
     std::fs::create_dir(world.place.path("eves")).unwrap();
     std::fs::copy(world.place.path("kept"), world.place.path("eves/record.signed.json")).unwrap();

@@ -172,7 +172,9 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
                 return json::print(&answer);
             }
             if answer.accounts.is_empty() {
-                eprintln!("no accounts yet; the first operator is made with `cairn access add` on the daemon's machine");
+                eprintln!(
+                    "no accounts yet; the first operator is made with `cairn access add` on the daemon's machine"
+                );
             }
             answer.accounts.iter().for_each(|account| println!("{}", one_line(account)));
             return Ok(());
