@@ -106,6 +106,7 @@ fn capture(error: &CaptureError) -> Code {
         CaptureError::NotACapture { .. }
         | CaptureError::Malformed { .. }
         | CaptureError::UnsupportedCamera { .. }
+        | CaptureError::Lens { .. }
         | CaptureError::Pose { .. }
         | CaptureError::PhotographMissing { .. }
         | CaptureError::NotAPicture { .. }
