@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 use cairn_api::v1::render_path_request::Path as Way;
 use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::{self};
-use cairn_scene::{Limits, Picture, decode_picture};
+use cairn_landmark::{Landmark, LandmarkConfig};
+use cairn_scene::{Distortion, Limits, Picture, decode_picture};
 use cairn_testkit::daemon::{Daemon, Place};
 use tonic::Code;
 use tonic::transport::Endpoint;
@@ -148,6 +149,73 @@ fn a_path_begins_and_ends_in_its_views() {
         read += 1;
     }
     assert_eq!(read, 3);
+}
+
+#[test]
+fn a_fisheye_s_capture_goes_the_whole_way_and_a_pose_file_sees_with_its_lens() {
+    let place = Place::new();
+    let config = LandmarkConfig {
+        contributors: 2,
+        photographs: 6,
+        width: 32,
+        height: 32,
+        fisheye_deg: Some(170.0),
+        ..LandmarkConfig::default()
+    };
+    let landmark = Landmark::generate(&config, 3).unwrap();
+    std::fs::remove_dir_all(place.path("capture")).unwrap();
+    landmark.write(&place.path("capture")).unwrap();
+    let daemon = Daemon::start(&place.path("data"), "");
+    let to = ["--connect", daemon.url.as_str()];
+    let cairn = |arguments: &[&str]| place.cairn_ok(&[arguments, &to].concat());
+    place.import("town", to);
+    let poses = place.text("poses.png");
+    assert!(cairn(&["scene", "show", "town", "--poses", &poses]).contains("12 cameras by contributor"));
+    cairn(&["train", "town", "--by-contributor", "--quality", "smoke"]);
+
+    // What the view's camera sees a file of the same camera sees, to the bit.
+    let view = landmark.views.iter().find(|view| view.name == FIRST).unwrap();
+    let (r, at) = (view.camera.pose.rotation.transpose(), view.camera.pose.position);
+    let Distortion::Fisheye(lens) = view.camera.intrinsics.distortion else { panic!("no fisheye: {:?}", view.camera) };
+    let row = |n: usize| [r.col(n).x, r.col(n).y, r.col(n).z, at[n]];
+    let pose_file = |k: [f64; 4], times: usize| {
+        let i = view.camera.intrinsics.resized(32 * times, 32 * times);
+        let json = serde_json::json!({
+            "width": i.width, "height": i.height, "fx": i.fx, "fy": i.fy, "cx": i.cx, "cy": i.cy,
+            "camera_model": "OPENCV_FISHEYE", "k1": k[0], "k2": k[1], "k3": k[2], "k4": k[3],
+            "camera_to_world": [row(0), row(1), row(2)],
+        });
+        std::fs::write(place.path("pose.json"), json.to_string()).unwrap();
+        place.text("pose.json")
+    };
+    let pose = pose_file(lens.k(), 1);
+    let out = ["of-view.png", "of-pose.png", "depth.png"].map(|file| place.text(file));
+    cairn(&["render", "town", "--view", FIRST, "--out", &out[0], "--depth", &out[2]]);
+    cairn(&["render", "town", "--pose", &pose, "--out", &out[1]]);
+    let [of_view, of_pose] = [0, 1].map(|n| std::fs::read(&out[n]).unwrap());
+    assert_eq!(of_view, of_pose);
+    // The corners lie 120 degrees off the axis, where there is no depth along it.
+    let depth = picture(Path::new(&out[2]));
+    assert_eq!([depth.pixel(0, 0)[0], depth.pixel(31, 31)[0]], [0.0; 2]);
+    assert!(depth.rgb().iter().any(|v| *v > 0.0), "nothing at all is in the picture");
+    let other = pose_file([0.1, 0.0, 0.0, 0.0], 1);
+    cairn(&["render", "town", "--pose", &other, "--out", &out[1]]);
+    assert_ne!(of_view, std::fs::read(&out[1]).unwrap(), "another lens sees otherwise");
+    let folds = pose_file([-1.0, 0.0, 0.0, 0.0], 1);
+    let refused = place.cairn(&[&["render", "town", "--pose", &folds, "--out", &out[1]][..], &to].concat());
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("its polynomial turns back"), "{refused:?}");
+
+    // Questions about it, and flights through it.
+    let larger = pose_file(lens.k(), 3);
+    cairn(&["render", "town", "--pose", &larger, "--out", &out[1]]);
+    for how in [&["--pose", &larger][..], &["--view", FIRST], &["--register"], &[]] {
+        cairn(&[&["identify", "town", &out[1]], how].concat());
+    }
+    assert!(cairn(&["who", "town", "--view", FIRST]).contains("ada"));
+    let frames = ["between", "orbit"].map(|path| place.text(path));
+    let between = ["render", "town", "--path", "between", "--from", FIRST, "--to", SECOND, "--frames", "3"];
+    assert!(cairn(&[&between[..], &["--out", &frames[0]]].concat()).starts_with("3 frames of 32 x 32 px"));
+    cairn(&["render", "town", "--path", "orbit", "--frames", "2", "--out", &frames[1]]);
 }
 
 #[tokio::test(flavor = "multi_thread")]

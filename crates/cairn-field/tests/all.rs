@@ -8,6 +8,7 @@ mod background;
 mod extremes;
 mod few_views;
 mod finer;
+mod fisheye;
 mod gradients;
 mod hostile;
 mod light;

@@ -5,7 +5,7 @@ use crate::common::named;
 use crate::common::{ball_box, ring, rms, views};
 use cairn_field::{BaseTrainer, Field, FieldConfig};
 use cairn_field::{Registered, Registrar};
-use cairn_scene::{Camera, Picture};
+use cairn_scene::{BrownConrady, Camera, Fisheye, Picture};
 use glam::{DMat3, DVec3};
 use std::sync::{Arc, OnceLock};
 
@@ -90,6 +90,32 @@ fn turned_cut_and_darker_pictures_are_laid_as_well() {
 }
 
 #[test]
+fn a_fisheye_s_pictures_are_laid_among_a_fisheye_s_views_turned_and_cut_as_well() {
+    let (field, _) = ball();
+    let fisheye = |camera: Camera| {
+        let mut camera = camera;
+        camera.intrinsics.distortion = Fisheye::new([-0.03, 0.004, -0.003, 0.0004]).into();
+        camera
+    };
+    let cameras: Vec<_> = ring(18, 96, 1.0, DVec3::ZERO).into_iter().map(|camera| (fisheye(camera), "")).collect();
+    let registrar = Registrar::new(field.clone(), &cameras).expect("views");
+    for (degrees, roll) in [(5.0, 0.0), (-8.0, 3.0)] {
+        let truth = fisheye(beside(degrees, roll));
+        let found = registrar.register(&shot(field, &truth)).expect("a place");
+        assert_eq!(found.camera.intrinsics.distortion, truth.intrinsics.distortion);
+        let off = off_px(&found, &truth);
+        assert!(off < 1.0 && found.explained > 0.9, "{off} px, {} explained", found.explained);
+    }
+    let truth = fisheye(beside(4.0, 0.0));
+    let whole = shot(field, &truth);
+    let rgb = (0..72 * 72).flat_map(|i| whole.pixel(i % 72 + 4, i / 72 + 14)).collect();
+    let found = registrar.register(&Picture::new(72, 72, rgb).unwrap()).expect("a place");
+    let mut cut = truth;
+    (cut.intrinsics.cx, cut.intrinsics.cy) = (cut.intrinsics.cx - 4.0, cut.intrinsics.cy - 14.0);
+    assert!(off_px(&found, &cut) < 2.0, "{}", off_px(&found, &cut));
+}
+
+#[test]
 fn where_the_camera_is_known_only_the_light_is_found() {
     let (field, registrar) = ball();
     let truth = beside(4.0, 3.0);
@@ -122,7 +148,9 @@ fn odd_cameras_and_pictures_are_laid_nowhere_or_somewhere_and_stop_nothing() {
         odd(&|c| c.intrinsics.fx = f64::MIN_POSITIVE),
         odd(&|c| c.intrinsics.fx = 1e308),
         odd(&|c| c.intrinsics.cx = 1e308),
-        odd(&|c| c.intrinsics.distortion.k1 = 1e300),
+        odd(&|c| c.intrinsics.distortion = BrownConrady { k1: 1e300, ..Default::default() }.into()),
+        odd(&|c| c.intrinsics.distortion = Fisheye::new([1e300, -1e300, 0.0, -0.1]).into()),
+        odd(&|c| c.intrinsics.distortion = Fisheye::new([-1e300, 0.0, 0.0, 0.0]).into()),
         odd(&|c| c.pose.position = DVec3::splat(1e308)),
         odd(&|c| (c.intrinsics.width, c.intrinsics.height) = (1, 1)),
         odd(&|c| (c.intrinsics.width, c.intrinsics.height) = (1 << 20, 1)),

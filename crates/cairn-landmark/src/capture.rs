@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cairn_scene::{Camera, CaptureError, Distortion, Intrinsics, Picture, Pose, PoseError};
+use cairn_scene::{Camera, CaptureError, Distortion, Fisheye, Intrinsics, Picture, Pose, PoseError};
 use glam::{DVec3, Vec2};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -18,6 +18,8 @@ use crate::render::{Shot, photograph};
 
 /// Field of view along the longer side of a photograph, degrees.
 const FIELD_OF_VIEW_DEG: f64 = 50.0;
+/// k1 to k4 of the fisheye, of about the size that action cameras have.
+const FISHEYE: [f64; 4] = [-0.03, 0.004, -0.003, 0.0004];
 
 /// Who the photographers are, in order; nobody in particular.
 const NAMES: [&str; 16] = [
@@ -149,17 +151,25 @@ fn plan(config: &LandmarkConfig, seed: u64, contributor: usize, index: usize) ->
     let target = DVec3::new(rng.random_range(-0.07..0.07), rng.random_range(-0.07..0.07), rng.random_range(0.94..1.06));
     let pose = Pose::look_at(position, target, DVec3::Z)
         .map_err(|source| LandmarkError::Pose { name: name.clone(), source })?;
-    let camera = Camera { intrinsics: intrinsics(config.width, config.height), pose };
+    let camera = Camera { intrinsics: intrinsics(config), pose };
     let exposure = 1.0 + config.light_variation * rng.random_range(-0.06..0.06f32);
     let people = if config.passers_by { crowd(position, &mut rng) } else { Vec::new() };
     Ok(Plan { name, contributor, camera, exposure, people })
 }
 
-/// A camera without distortion whose longer side sees [`FIELD_OF_VIEW_DEG`].
-fn intrinsics(width: usize, height: usize) -> Intrinsics {
+/// A pinhole without distortion whose longer side sees [`FIELD_OF_VIEW_DEG`], or the fisheye that is asked for.
+fn intrinsics(config: &LandmarkConfig) -> Intrinsics {
+    let (width, height) = (config.width, config.height);
     let (w, h) = (width as f64, height as f64);
-    let focal = w.max(h) / 2.0 / (FIELD_OF_VIEW_DEG.to_radians() / 2.0).tan();
-    Intrinsics { width, height, fx: focal, fy: focal, cx: w / 2.0, cy: h / 2.0, distortion: Distortion::default() }
+    let half = w.max(h) / 2.0;
+    let (focal, distortion) = match config.fisheye_deg {
+        None => (half / (FIELD_OF_VIEW_DEG.to_radians() / 2.0).tan(), Distortion::default()),
+        Some(degrees) => {
+            let lens = Fisheye::new(FISHEYE);
+            (half / lens.radius(f64::from(degrees).to_radians() / 2.0), lens.into())
+        }
+    };
+    Intrinsics { width, height, fx: focal, fy: focal, cx: w / 2.0, cy: h / 2.0, distortion }
 }
 
 /// Nobody in half of the photographs, else one to three people between the
@@ -202,8 +212,10 @@ impl LandmarkCapture {
                 .map_err(|e| LandmarkError::Save { name: view.name.clone(), source: Box::new(e) })?;
         }
         let frames: Vec<_> = self.views.iter().map(frame).collect();
+        let fisheye = |view: &LandmarkView| matches!(view.camera.intrinsics.distortion, Distortion::Fisheye(_));
+        let model = if self.views.iter().any(fisheye) { "OPENCV_FISHEYE" } else { "PINHOLE" };
         // An aabb_scale over 1 says that the scene does not end at a box.
-        let document = json!({ "camera_model": "PINHOLE", "aabb_scale": 16, "frames": frames });
+        let document = json!({ "camera_model": model, "aabb_scale": 16, "frames": frames });
         put(folder.join("transforms.json"), format!("{document:#}\n").as_bytes())?;
         put(folder.join("contributors.csv"), self.table().as_bytes())
     }
@@ -223,7 +235,7 @@ fn put(path: PathBuf, bytes: &[u8]) -> Result<(), LandmarkError> {
 fn frame(view: &LandmarkView) -> serde_json::Value {
     let (i, pose) = (&view.camera.intrinsics, &view.camera.pose);
     let (x, y, z, p) = (pose.rotation.x_axis, -pose.rotation.y_axis, -pose.rotation.z_axis, pose.position);
-    json!({
+    let mut frame = json!({
         "file_path": view.name,
         "w": i.width, "h": i.height, "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx, "cy": i.cy,
         "transform_matrix": [
@@ -232,5 +244,11 @@ fn frame(view: &LandmarkView) -> serde_json::Value {
             [x.z, y.z, z.z, p.z],
             [0.0, 0.0, 0.0, 1.0],
         ],
-    })
+    });
+    if let Distortion::Fisheye(lens) = &i.distortion {
+        for (name, k) in ["k1", "k2", "k3", "k4"].into_iter().zip(lens.k()) {
+            frame[name] = json!(k);
+        }
+    }
+    frame
 }

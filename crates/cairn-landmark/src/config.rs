@@ -23,6 +23,8 @@ pub struct LandmarkConfig {
     /// Degrees of each contributor's arc, over an equal share of the circle,
     /// that reach into the neighbours' arcs (half at each end), 0 to 90.
     pub overlap_deg: f32,
+    /// Degrees that the longer side of a photograph sees through a fisheye, 10 to 220; `None` is a pinhole, 50 degrees.
+    pub fisheye_deg: Option<f32>,
 }
 
 impl Default for LandmarkConfig {
@@ -36,6 +38,7 @@ impl Default for LandmarkConfig {
             passers_by: true,
             light_variation: 1.0,
             overlap_deg: 12.0,
+            fisheye_deg: None,
         }
     }
 }
@@ -71,7 +74,13 @@ impl LandmarkConfig {
         count("width", self.width, 16..=2048, "16 to 2048 px")?;
         count("height", self.height, 16..=2048, "16 to 2048 px")?;
         number("light_variation", self.light_variation, 1.0, "0 to 1")?;
-        number("overlap_deg", self.overlap_deg, 90.0, "0 to 90 degrees")
+        number("overlap_deg", self.overlap_deg, 90.0, "0 to 90 degrees")?;
+        match self.fisheye_deg {
+            Some(got) if !(10.0..=220.0).contains(&got) => {
+                Err(ConfigError { key: "fisheye_deg", got: got.to_string(), allowed: "10 to 220 degrees, or none" })
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -88,6 +97,8 @@ mod tests {
             LandmarkConfig { light_variation: f32::NAN, ..Default::default() }.check().unwrap_err().key,
             "light_variation"
         );
+        let wide = LandmarkConfig { fisheye_deg: Some(230.0), ..Default::default() }.check().unwrap_err();
+        assert_eq!(wide.to_string(), "fisheye_deg is 230; allowed is 10 to 220 degrees, or none");
         let unknown = serde_json::from_str::<LandmarkConfig>(r#"{"fog": 1}"#).unwrap_err();
         assert!(unknown.to_string().contains("fog"));
     }

@@ -29,7 +29,14 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
 
 #[test]
 fn the_ordinary_importer_reads_it_back() {
-    let made = Landmark::generate(&small(), 1).unwrap();
+    comes_back(&small());
+    for degrees in [40.0, 170.0, 220.0] {
+        comes_back(&LandmarkConfig { fisheye_deg: Some(degrees), ..small() });
+    }
+}
+
+fn comes_back(config: &LandmarkConfig) {
+    let made = Landmark::generate(config, 1).unwrap();
     let folder = tempfile::tempdir().unwrap();
     made.write(folder.path()).unwrap();
     let options = ReadOptions { contributors: Some(folder.path().join("contributors.csv")), ..ReadOptions::default() };
@@ -60,6 +67,18 @@ fn the_gilded_ball_is_seen_where_the_camera_says() {
             f64::from(r / b)
         });
         assert!(gold > left.max(right) + 0.05, "{}: red over blue is {left}, {gold}, {right} at {ball}", view.name);
+    }
+}
+
+#[test]
+fn a_fisheye_sees_as_far_as_it_was_asked_to() {
+    for degrees in [40.0f32, 170.0, 220.0] {
+        let config = LandmarkConfig { fisheye_deg: Some(degrees), ..small() };
+        let camera = Landmark::generate(&config, 3).unwrap().views[0].camera;
+        let (_, top) = camera.ray(config.width as f64 / 2.0, 0.0);
+        let (_, bottom) = camera.ray(config.width as f64 / 2.0, config.height as f64);
+        let halves = [top, bottom].map(|way| way.dot(camera.pose.forward()).acos().to_degrees());
+        assert!(halves.iter().all(|half| (half * 2.0 - f64::from(degrees)).abs() < 1e-6), "{degrees}: {halves:?}");
     }
 }
 

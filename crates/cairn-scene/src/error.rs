@@ -9,6 +9,8 @@ use thiserror::Error;
 
 use cairn_durable::DurableError;
 
+use crate::cameras::fisheye::LensError;
+use crate::cameras::lens::LensModel;
 use crate::cameras::pose::PoseError;
 
 /// Why a capture, a photograph or a stored scene was refused.
@@ -70,10 +72,10 @@ pub enum CaptureError {
         /// The mask's width and height, px.
         got: (usize, usize),
     },
-    /// A camera model that is not a pinhole with Brown-Conrady distortion.
+    /// A camera model that is not read.
     #[error(
-        "{}, {entry}: the camera model {model} is not supported; expected SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV; undistort the photographs with `colmap image_undistorter`, or convert the cameras with `colmap model_converter` and a supported model",
-        file.display()
+        "{}, {entry}: the camera model {model} is not supported; expected {}; undistort the photographs with `colmap image_undistorter`, or convert the cameras with `colmap model_converter` and a supported model",
+        file.display(), LensModel::list()
     )]
     UnsupportedCamera {
         /// The camera file.
@@ -82,6 +84,16 @@ pub enum CaptureError {
         entry: String,
         /// Its model.
         model: String,
+    },
+    /// A lens that does not fill its picture.
+    #[error("{}, {entry}: {problem}", file.display())]
+    Lens {
+        /// The camera file.
+        file: PathBuf,
+        /// Which camera.
+        entry: String,
+        /// What is wrong with it. Not a `source`, as in [`CaptureError::Io`].
+        problem: LensError,
     },
     /// A pose that is not one.
     #[error("{}, {entry}: {problem}", file.display())]

@@ -19,7 +19,7 @@ mod scene;
 mod sound;
 mod train_view;
 
-pub use cameras::{Camera, Distortion, Intrinsics, LensModel, Pose, PoseError};
+pub use cameras::{BrownConrady, Camera, Distortion, Fisheye, Intrinsics, LensError, LensModel, Pose, PoseError};
 pub use capture::{Capture, SceneKind, Support, UNKNOWN_CONTRIBUTOR, View};
 pub use error::CaptureError;
 pub use images::{

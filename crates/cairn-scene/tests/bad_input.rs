@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::common::{Colmap, npy, photograph, read, refuses};
-use cairn_scene::{Capture, CaptureError, ReadOptions};
+use cairn_scene::{Capture, CaptureError, Distortion, ReadOptions};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Value, json};
@@ -77,9 +77,37 @@ fn cameras_that_are_none() {
     refuses(colmap(|m| m.cameras[0].3[0] = u64::MAX), &["camera 1", "1 to 1048576 pixels"]);
     refuses(colmap(|m| m.images[0].camera = 9), &["image 1 (1.png)", "camera 9"]);
     refuses(colmap(|m| m.cameras.push(m.cameras[0].clone())), &["camera 1", "used only once"]);
-    let fisheye = |m: &mut Colmap| m.cameras[0] = (4, 5, "OPENCV_FISHEYE", [64, 48], vec![50.0; 8]);
-    refuses(colmap(fisheye), &["camera 4", "OPENCV_FISHEYE", "image_undistorter", "model_converter"]);
+    let other = |m: &mut Colmap| m.cameras[0] = (4, 6, "FULL_OPENCV", [64, 48], vec![50.0; 12]);
+    let known = "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, OPENCV_FISHEYE or SIMPLE_RADIAL_FISHEYE";
+    refuses(colmap(other), &["camera 4", "FULL_OPENCV", known, "image_undistorter", "model_converter"]);
     refuses(colmap(|m| m.cameras[0].1 = -1), &["camera 1", "number -1"]);
+}
+
+#[test]
+fn fisheyes_that_end_within_their_picture() {
+    let with = |change: fn(&mut Vec<f64>)| {
+        colmap(|m| {
+            let mut parameters = vec![24.0, 25.0, 31.0, 25.0, 0.05, -0.01, 0.003, -0.0005];
+            change(&mut parameters);
+            m.cameras[0] = (1, 5, "OPENCV_FISHEYE", [64, 48], parameters);
+        })
+    };
+    assert!(with(|_| {}).is_ok());
+    // t (1 - 0.25 t^2) turns back at 66 degrees, and the corner is farther out than where it has come to.
+    let refused = ["cameras.bin", "camera 1", "ends 66.2 degrees", "turns back", "0.7698", "corner lies", "crop"];
+    refuses(with(|p| p[4..].copy_from_slice(&[-0.25, 0.0, 0.0, 0.0])), &refused);
+    // It turns back beyond the corner of a longer lens.
+    assert!(with(|p| *p = vec![60.0, 60.0, 31.0, 25.0, -0.25, 0.0, 0.0, 0.0]).is_ok());
+    refuses(
+        with(|p| *p = vec![12.0, 12.0, 31.0, 25.0, 0.0, 0.0, 0.0, 0.0]),
+        &["ends 180.0 degrees", "straight behind"],
+    );
+    refuses(with(|p| p[7] = f64::NAN), &["camera 1", "finite distortion"]);
+    refuses(with(|p| p[0] = 0.0), &["camera 1", "focal length above 0"]);
+    let simple = |m: &mut Colmap| {
+        m.cameras[0] = (1, 8, "SIMPLE_RADIAL_FISHEYE", [64, 48], vec![24.0, 31.0, 25.0, -0.25]);
+    };
+    refuses(colmap(simple), &["camera 1", "ends 66.2 degrees"]);
 }
 
 #[test]
@@ -299,8 +327,25 @@ fn transforms_frames_and_files() {
     refuses(with(|d| d["fl_x"] = json!(0)), &["focal length above 0"]);
     refuses(with(|d| d["fl_x"] = Value::Null), &["frame 0", "fl_x or camera_angle_x"]);
     refuses(with(|d| d["w"] = json!(64)), &["frame 0", "both w and h"]);
-    refuses(with(|d| d["camera_model"] = json!("OPENCV_FISHEYE")), &["OPENCV_FISHEYE", "image_undistorter"]);
+    refuses(with(|d| d["camera_model"] = json!("EQUIRECTANGULAR")), &["EQUIRECTANGULAR", "image_undistorter"]);
     refuses(with(|d| d["frames"][1]["k4"] = json!(0.1)), &["frame 1 (b)", "k4 = 0.1"]);
+    let fisheye = |change: fn(&mut Value)| {
+        transforms(folder.path(), |d| {
+            d["camera_model"] = json!("OPENCV_FISHEYE");
+            change(d);
+        })
+    };
+    assert!(fisheye(|d| d["frames"][1]["k4"] = json!(0.1)).is_ok());
+    refuses(fisheye(|d| d["frames"][1]["k1"] = json!(-2)), &["transforms.json", "frame 1 (b)", "turns back"]);
+    refuses(fisheye(|d| d["frames"][1]["p2"] = json!(0.1)), &["frame 1 (b)", "OPENCV_FISHEYE with p2 = 0.1"]);
+    let angle = |d: &mut Value| (d["fl_x"], d["camera_angle_x"]) = (Value::Null, json!(1.0));
+    refuses(fisheye(angle), &["frame 0", "a fisheye's focal length: fl_x or fl_y"]);
+    let both = |d: &mut Value| (d["camera_model"], d["is_fisheye"]) = (json!("OPENCV"), json!(true));
+    refuses(with(both), &["frame 0", "OPENCV with is_fisheye"]);
+    // One frame may have been taken by another lens.
+    let mixed = fisheye(|d| d["frames"][1]["camera_model"] = json!("OPENCV")).unwrap();
+    let kinds = mixed.views.iter().map(|v| matches!(v.camera.intrinsics.distortion, Distortion::Fisheye(_)));
+    assert_eq!(kinds.collect::<Vec<_>>(), [true, false]);
     refuses(with(|d| d["frames"] = json!([])), &["transforms.json", "at least one view"]);
     refuses(with(|d| d["frames"] = json!(3)), &["transforms.json", "the JSON"]);
     fs::write(folder.path().join("transforms.json"), "{\"frames\": [{\"transform_matrix\": [[NaN").unwrap();

@@ -1,11 +1,11 @@
 //! Every format and camera model against projections that independent scripts
-//! computed (reference/cameras.py, lens.py): a wrong axis, sign or order shows here.
+//! computed (reference/cameras.py, lens.py, fisheye.py): a wrong axis, sign or order shows here.
 
 use std::fs;
 use std::path::Path;
 
 use crate::common::{Colmap, Image, npy, photograph, read};
-use cairn_scene::{Capture, ReadOptions, View};
+use cairn_scene::{Camera, Capture, ReadOptions, View};
 use glam::DVec3;
 use serde::Deserialize;
 use serde_json::json;
@@ -37,21 +37,46 @@ struct Lens {
     pixels: Vec<Vec<[f64; 2]>>,
 }
 
+/// Two fisheyes, and where they show points of each case's pose.
+#[derive(Deserialize)]
+struct Fisheyes {
+    opencv: Vec<f64>,
+    simple: Vec<f64>,
+    /// So many points lie ahead; the others beside the camera and behind it.
+    ahead: usize,
+    cases: Vec<FisheyeCase>,
+}
+
+#[derive(Deserialize)]
+struct FisheyeCase {
+    world: Vec<[f64; 3]>,
+    opencv: Vec<[f64; 2]>,
+    simple: Vec<[f64; 2]>,
+}
+
+fn fisheyes() -> Fisheyes {
+    serde_json::from_str(include_str!("reference/fisheye.json")).unwrap()
+}
+
 fn reference() -> Document {
     serde_json::from_str(include_str!("reference/cameras.json")).unwrap()
 }
 
 /// Projects every reference point and shoots a ray back through where it landed.
 fn compare(capture: &Capture, view: usize, case: &Case, pixels: &[[f64; 2]]) {
-    let camera = &capture.views[view].camera;
-    for (&world, expected) in case.world.iter().zip(pixels) {
+    agrees(&capture.views[view].camera, &case.model, &case.world, pixels);
+}
+
+fn agrees(camera: &Camera, model: &str, points: &[[f64; 3]], pixels: &[[f64; 2]]) {
+    for (&world, expected) in points.iter().zip(pixels) {
         let world = DVec3::from_array(world);
         let at = camera.project(world).unwrap();
         let error = (at.x - expected[0]).abs().max((at.y - expected[1]).abs());
-        assert!(error < 1e-9, "{}: {at} against {expected:?}", case.model);
+        assert!(error < 1e-9, "{model}: {at} against {expected:?}");
         let (origin, direction) = camera.ray(expected[0], expected[1]);
         let miss = (world - origin).cross(direction).length();
-        assert!(miss < 1e-8, "{}: the ray misses its point by {miss}", case.model);
+        assert!(miss < 1e-8, "{model}: the ray misses its point by {miss}");
+        assert!((world - origin).dot(direction) > 0.0, "{model}: the ray leads away from its point");
     }
 }
 
@@ -161,6 +186,66 @@ fn a_lens_of_sixth_order_agrees_with_the_reference_and_a_frame_may_overrule_it()
     let apart = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - b[0]).hypot(a[1] - b[1]);
     let most = pixels[opencv].iter().zip(&case.pixels).map(apart).fold(0.0, f64::max);
     assert!(most > 0.1, "the sixth order moves points by {most} px only");
+}
+
+#[test]
+fn fisheyes_of_colmap_agree_with_the_reference_in_both_kinds_of_file() {
+    let (document, fisheyes) = (reference(), fisheyes());
+    let mut model = as_colmap(&document);
+    let kinds = [(5, "OPENCV_FISHEYE", &fisheyes.opencv), (8, "SIMPLE_RADIAL_FISHEYE", &fisheyes.simple)];
+    for (i, camera) in model.cameras.iter_mut().enumerate() {
+        let (number, name, parameters) = kinds[i % 2];
+        (camera.1, camera.2, camera.4) = (number, name, parameters.clone());
+    }
+    let (binary, text) = (model.folder(), tempfile::tempdir().unwrap());
+    model.write_text(text.path());
+    model.write_photographs(text.path());
+    let (binary, text) = (read(binary.path()).unwrap(), read(text.path()).unwrap());
+    assert_eq!(binary.views, text.views);
+    for (i, case) in fisheyes.cases.iter().enumerate() {
+        let pixels = if i % 2 == 0 { &case.opencv } else { &case.simple };
+        agrees(&binary.views[i].camera, kinds[i % 2].1, &case.world, pixels);
+    }
+    assert!(fisheyes.cases.iter().all(|case| case.world.len() > fisheyes.ahead), "some lie beside the camera");
+}
+
+#[test]
+fn fisheyes_of_transforms_agree_with_the_reference_in_nerfstudio_s_words_and_instant_ngp_s() {
+    let (document, fisheyes) = (reference(), fisheyes());
+    let folder = tempfile::tempdir().unwrap();
+    let mut frames = Vec::new();
+    for (i, case) in document.cases.iter().enumerate() {
+        fs::write(folder.path().join(format!("{i}.png")), photograph()).unwrap();
+        frames.push(json!({ "file_path": format!("{i}"), "transform_matrix": case.opengl_camera_to_world }));
+    }
+    // One frame has a lens of its own.
+    let p = &fisheyes.simple;
+    let own = json!({"fl_x": p[0], "fl_y": p[0], "cx": p[1], "cy": p[2], "k1": p[3], "k2": 0, "k3": 0, "k4": 0});
+    frames[3].as_object_mut().unwrap().extend(own.as_object().unwrap().clone());
+    let p = &fisheyes.opencv;
+    for words in [json!({"camera_model": "OPENCV_FISHEYE"}), json!({"is_fisheye": true, "camera_angle_x": 4.0})] {
+        let mut all = json!({
+            "w": 64, "h": 48, "fl_x": p[0], "fl_y": p[1], "cx": p[2], "cy": p[3],
+            "k1": p[4], "k2": p[5], "k3": p[6], "k4": p[7], "p1": 0.0, "p2": 0.0, "frames": frames,
+        });
+        all.as_object_mut().unwrap().extend(words.as_object().unwrap().clone());
+        fs::write(folder.path().join("transforms.json"), all.to_string()).unwrap();
+        let capture = read(folder.path()).unwrap();
+        for (i, case) in fisheyes.cases.iter().enumerate() {
+            let pixels = if i == 3 { &case.simple } else { &case.opencv };
+            agrees(&capture.views[i].camera, &words.to_string(), &case.world, pixels);
+        }
+    }
+    // A pinhole of the same numbers sees something else.
+    let all = json!({"fl_x": p[0], "fl_y": p[1], "cx": p[2], "cy": p[3], "k1": p[4], "frames": frames[..2]});
+    fs::write(folder.path().join("transforms.json"), all.to_string()).unwrap();
+    let pinhole = read(folder.path()).unwrap().views[0].camera;
+    let case = &fisheyes.cases[0];
+    let apart = |n: usize| {
+        let at = pinhole.project(DVec3::from_array(case.world[n])).unwrap();
+        (at.x - case.opencv[n][0]).hypot(at.y - case.opencv[n][1])
+    };
+    assert!((3..fisheyes.ahead).all(|n| apart(n) > 1.0), "{:?}", (0..fisheyes.ahead).map(apart).collect::<Vec<_>>());
 }
 
 #[test]

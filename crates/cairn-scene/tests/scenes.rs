@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::common::{Colmap, photograph, read, refuses};
-use cairn_scene::{Capture, CaptureError, ReadOptions, SceneFolder};
+use cairn_scene::{Capture, CaptureError, Fisheye, ReadOptions, SceneFolder};
 use sha2::{Digest, Sha256};
 
 /// Names in `dir`, hidden ones too, sorted.
@@ -48,6 +48,33 @@ fn what_comes_back_is_what_went_in_to_the_bit() {
     assert_eq!(opened.photograph(2).unwrap(), opened.capture().photograph(2).unwrap());
     assert_eq!(listing(dir.path()), ["square"]);
     assert_eq!(listing(&dir.path().join("square")), ["manifest.json", "photographs", "points.bin", "scene.json"]);
+}
+
+#[test]
+fn a_fisheye_is_stored_by_its_coefficients_and_checked_when_it_is_read() {
+    let mut model = Colmap::small();
+    let k = [0.05, -1.0 / 300.0, 0.003, -0.0005];
+    model.cameras[0] = (1, 5, "OPENCV_FISHEYE", [64, 48], [&[24.0, 25.0, 31.0, 25.0], &k[..]].concat());
+    let (source, dir) = (model.folder(), tempfile::tempdir().unwrap());
+    let capture = read(source.path()).unwrap();
+    SceneFolder::create(dir.path(), "square", &capture).unwrap();
+    let opened = SceneFolder::open(dir.path(), "square").unwrap();
+    for (stored, view) in opened.capture().views.iter().zip(&capture.views) {
+        assert_eq!(stored.camera, view.camera);
+        assert_eq!(stored.camera.intrinsics.distortion, Fisheye::new(k).into());
+    }
+    let path = dir.path().join("square/scene.json");
+    let good: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    let with = |pointer: &str, value: serde_json::Value| {
+        let mut bad = good.clone();
+        *bad.pointer_mut(pointer).unwrap() = value;
+        fs::write(&path, bad.to_string()).unwrap();
+        SceneFolder::open(dir.path(), "square")
+    };
+    let lens = "/views/1/camera/intrinsics/distortion";
+    refuses(with(&format!("{lens}/fisheye/k1"), (-2).into()), &["scene.json", "view 1 (2.png)", "turns back"]);
+    refuses(with(lens, serde_json::json!({"mirror": {}})), &["scene.json", "mirror"]);
+    refuses(with(lens, serde_json::json!({"fisheye": {"k1": 0.1}})), &["scene.json", "k2"]);
 }
 
 #[test]
@@ -124,9 +151,9 @@ fn a_table_that_cannot_be_is_refused_by_name() {
         fs::write(&path, bad.to_string()).unwrap();
         SceneFolder::open(dir.path(), "square")
     };
-    let future = with("/version", 3.into());
-    assert!(matches!(future, Err(CaptureError::UnknownVersion { got: 3, expected: 2, .. })));
-    refuses(future, &["scene.json", "version is 3", "reads version 2"]);
+    let future = with("/version", 4.into());
+    assert!(matches!(future, Err(CaptureError::UnknownVersion { got: 4, expected: 3, .. })));
+    refuses(future, &["scene.json", "version is 4", "reads version 3"]);
     refuses(with("/format", "other".into()), &["scene.json", "cairn-scene", "other"]);
     refuses(with("/views/1/photograph", "../../x.png".into()), &["view 1 (2.png)", "file name", "../../x.png"]);
     refuses(with("/views/1/photograph", "000000.png".into()), &["view 1 (2.png)", "each once"]);

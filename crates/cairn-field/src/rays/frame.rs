@@ -325,15 +325,7 @@ fn focus_and_footprint(cameras: &[&Camera]) -> (DVec3, f64) {
     a += DMat3::IDENTITY * (1e-3 * cameras.len() as f64);
     let focus = middle + a.inverse() * b;
     let distance = median(cameras.iter().map(|c| (c.pose.position - focus).length()).collect());
-    let slope = median(
-        cameras
-            .iter()
-            .map(|c| {
-                let i = &c.intrinsics;
-                (i.width as f64 / i.fx).max(i.height as f64 / i.fy) / 2.0
-            })
-            .collect(),
-    );
+    let slope = median(cameras.iter().map(|c| c.intrinsics.half_width()).collect());
     let spread = (cameras.iter().map(|c| (c.pose.position - middle).length_squared()).sum::<f64>()
         / cameras.len() as f64)
         .sqrt();

@@ -3,17 +3,25 @@
 
 use super::frame::{RayPath, SceneFrame};
 use crate::grid::sh::{SH, basis};
-use cairn_scene::{Camera, Intrinsics};
+use cairn_scene::{Camera, Distortion, Intrinsics};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Directions of every pixel of one lens, in the camera's axes with depth 1.
+/// Directions of every pixel of one lens, in the camera's axes.
 #[derive(Debug)]
 pub struct Lens {
     intrinsics: Intrinsics,
-    /// x and y of each pixel's direction, row-major.
-    slopes: Vec<[f32; 2]>,
+    directions: Directions,
+}
+
+/// A direction for each pixel, row-major.
+#[derive(Debug)]
+enum Directions {
+    /// A pinhole's: x and y where depth is 1.
+    Ahead(Vec<[f32; 2]>),
+    /// A fisheye's, of unit length: some have no depth.
+    Around(Vec<[f32; 3]>),
 }
 
 /// A camera and the directions of its pixels.
@@ -35,27 +43,18 @@ impl Eye<'_> {
 impl Lens {
     /// Works out all directions of `camera`.
     pub fn new(camera: &Camera) -> Self {
-        let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-        let slopes = (0..w * h)
-            .into_par_iter()
-            .map(|i| {
-                let d = camera.direction((i % w) as f64 + 0.5, (i / w) as f64 + 0.5);
-                [d.x as f32, d.y as f32]
-            })
-            .collect();
-        Self { intrinsics: camera.intrinsics, slopes }
+        Self { intrinsics: camera.intrinsics, directions: Directions::of(std::slice::from_ref(camera)) }
     }
 
-    /// The pixels of several cameras of one size and place as one picture, one camera's below the other's:
+    /// The pixels of several cameras of one size, place and kind of lens as one picture, one camera's below the other's:
     /// to follow them together costs less than one by one.
     ///
     /// # Panics
     /// Without cameras.
     pub(crate) fn stacked(cameras: &[Camera]) -> Self {
         let first = cameras.first().expect("a camera");
-        let slopes = cameras.iter().flat_map(|camera| Self::new(camera).slopes).collect();
         let intrinsics = Intrinsics { height: first.intrinsics.height * cameras.len(), ..first.intrinsics };
-        Self { intrinsics, slopes }
+        Self { intrinsics, directions: Directions::of(cameras) }
     }
 
     /// One lens a camera, those with equal intrinsics shared.
@@ -78,8 +77,7 @@ impl Lens {
     /// have this lens.
     #[inline]
     pub fn ray(&self, camera: &Camera, frame: &SceneFrame, at: usize) -> (RayPath, [f32; SH]) {
-        let [x, y] = self.slopes[at];
-        let d = (camera.pose.rotation * DVec3::new(f64::from(x), f64::from(y), 1.0)).normalize();
+        let d = (camera.pose.rotation * self.directions.at(at)).normalize();
         (frame.path(camera.pose.position, d), basis([d.x as f32, d.y as f32, d.z as f32]))
     }
 
@@ -90,6 +88,35 @@ impl Lens {
 
     /// Pixels of a view.
     pub fn pixels(&self) -> usize {
-        self.slopes.len()
+        self.intrinsics.width * self.intrinsics.height
     }
+}
+
+impl Directions {
+    /// Of the pixels of `cameras` (one or more, of one kind of lens), one camera's after the other's.
+    fn of(cameras: &[Camera]) -> Self {
+        match cameras[0].intrinsics.distortion {
+            Distortion::Pinhole(_) => Self::Ahead(each(cameras, |d| [d.x as f32, d.y as f32])),
+            Distortion::Fisheye(_) => Self::Around(each(cameras, |d| d.as_vec3().to_array())),
+        }
+    }
+
+    /// The direction of pixel `at`, of any length.
+    #[inline(always)]
+    fn at(&self, at: usize) -> DVec3 {
+        match self {
+            Self::Ahead(slopes) => DVec3::new(f64::from(slopes[at][0]), f64::from(slopes[at][1]), 1.0),
+            Self::Around(directions) => DVec3::from_array(directions[at].map(f64::from)),
+        }
+    }
+}
+
+/// What `keep` makes of the direction of each pixel of `cameras`.
+fn each<T: Send>(cameras: &[Camera], keep: impl Fn(DVec3) -> T + Sync) -> Vec<T> {
+    let of = |camera: &Camera| -> Vec<T> {
+        let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+        let direction = |i: usize| camera.direction((i % w) as f64 + 0.5, (i / w) as f64 + 0.5);
+        (0..w * h).into_par_iter().map(|i| keep(direction(i))).collect()
+    };
+    cameras.iter().flat_map(of).collect()
 }

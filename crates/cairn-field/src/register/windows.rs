@@ -164,7 +164,7 @@ mod tests {
             fy: 100.0,
             cx: 58.0,
             cy: 46.0,
-            distortion: cairn_scene::Distortion { k1: 0.05, ..Default::default() },
+            distortion: cairn_scene::BrownConrady { k1: 0.05, ..Default::default() }.into(),
         };
         let pose = cairn_scene::Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).unwrap();
         let camera = Camera { intrinsics, pose };

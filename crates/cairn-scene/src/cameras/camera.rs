@@ -26,23 +26,19 @@ impl Camera {
         (self.pose.position, (self.pose.rotation * self.direction(x, y)).normalize())
     }
 
-    /// The direction through image point (`x`, `y`) in the camera's own axes,
-    /// scaled so that its depth (z) is 1.
+    /// The direction through image point (`x`, `y`) in the camera's own axes: of a pinhole scaled so that its depth
+    /// (z) is 1, of a fisheye of unit length, since its depth may be 0 or less.
     pub fn direction(&self, x: f64, y: f64) -> DVec3 {
         let i = &self.intrinsics;
-        let ideal = i.distortion.undistort(DVec2::new((x - i.cx) / i.fx, (y - i.cy) / i.fy));
-        DVec3::new(ideal.x, ideal.y, 1.0)
+        i.distortion.direction(DVec2::new((x - i.cx) / i.fx, (y - i.cy) / i.fy))
     }
 
-    /// Where a world point lands, in pixels; `None` behind the camera. The
-    /// point may lie outside the image.
+    /// Where a world point lands, in pixels; `None` where the lens does not see it: a pinhole what is behind the
+    /// camera, a fisheye what is farther off its axis than its widest angle. The point may lie outside the image.
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         let local = self.pose.rotation.transpose() * (point - self.pose.position);
-        if local.z <= 0.0 {
-            return None;
-        }
         let i = &self.intrinsics;
-        let at = i.distortion.distort(DVec2::new(local.x / local.z, local.y / local.z));
+        let at = i.distortion.project(local)?;
         Some(DVec2::new(at.x * i.fx + i.cx, at.y * i.fy + i.cy))
     }
 
@@ -59,7 +55,8 @@ impl Camera {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cameras::lens::Distortion;
+    use crate::cameras::fisheye::Fisheye;
+    use crate::cameras::lens::{BrownConrady, Distortion};
     use crate::cameras::pose::{PoseError, off_orthonormal};
     use glam::DMat3;
 
@@ -73,8 +70,9 @@ mod tests {
     fn ray_and_projection_are_inverse_under_every_distortion() {
         for distortion in [
             Distortion::default(),
-            Distortion { k1: -0.2, ..Default::default() },
-            Distortion { k1: 0.1, k2: -0.05, k3: 0.01, p1: 1e-3, p2: -2e-3 },
+            BrownConrady { k1: -0.2, ..Default::default() }.into(),
+            BrownConrady { k1: 0.1, k2: -0.05, k3: 0.01, p1: 1e-3, p2: -2e-3 }.into(),
+            Fisheye::new([-0.03, 0.004, -0.003, 0.0004]).into(),
         ] {
             let camera = camera(distortion);
             for (x, y) in [(0.5, 0.5), (201.0, 149.0), (399.5, 10.5), (17.25, 280.0)] {
@@ -90,12 +88,46 @@ mod tests {
     fn a_lens_that_folds_within_the_frame_is_told_apart() {
         // The corner is at 0.65; x (1 + k1 x^2) turns back at 0.577 / sqrt(-k1), where it is two thirds of that.
         for (k1, folds) in [(0.0, false), (0.3, false), (-0.2, false), (-0.33, false), (-0.4, true), (-2.0, true)] {
-            assert_eq!(camera(Distortion { k1, ..Default::default() }).intrinsics.folds(), folds, "k1 {k1}");
+            assert_eq!(camera(BrownConrady { k1, ..Default::default() }.into()).intrinsics.folds(), folds, "k1 {k1}");
         }
-        assert!(
-            !camera(Distortion { k1: -0.4, k2: 0.5, ..Default::default() }).intrinsics.folds(),
-            "turned back in time"
-        );
+        let in_time = BrownConrady { k1: -0.4, k2: 0.5, ..Default::default() };
+        assert!(!camera(in_time.into()).intrinsics.folds(), "turned back in time");
+    }
+
+    #[test]
+    fn a_fisheye_reaches_the_farthest_corner_or_is_refused() {
+        // The corner is 251.4 px off; t (1 + k1 t^2) turns back where it is two thirds of 0.577 / sqrt(-k1).
+        let check = |k1: f64, focal: f64| {
+            let mut i = camera(Fisheye::new([k1, 0.0, 0.0, 0.0]).into()).intrinsics;
+            (i.fx, i.fy) = (focal, focal);
+            i.check_lens().map_err(|e| e.to_string())
+        };
+        assert_eq!(check(-0.33, 382.0), Ok(()));
+        let refused = check(-0.4, 382.0).unwrap_err();
+        assert!(refused.contains("ends 52.3 degrees") && refused.contains("0.6086 focal lengths"), "{refused}");
+        assert!(refused.contains("turns back") && refused.contains("corner lies 0.6581 out"), "{refused}");
+        // Nearly the whole way around, and beyond it.
+        assert_eq!(check(0.0, 81.0), Ok(()));
+        let refused = check(0.0, 79.0).unwrap_err();
+        assert!(refused.contains("ends 180.0 degrees") && refused.contains("straight behind"), "{refused}");
+        // Scaled pixels keep what a lens reaches, to rounding.
+        let mut whole = camera(Fisheye::new([0.0; 4]).into()).intrinsics;
+        whole.fx = whole.cx.hypot(151.0) / std::f64::consts::PI;
+        whole.fy = whole.fx;
+        for side in [100, 399, 1001, 3333] {
+            assert_eq!(whole.resized(side, side * 3 / 4).check_lens(), Ok(()), "{side}");
+        }
+    }
+
+    #[test]
+    fn what_a_picture_shows_across_is_a_pinhole_s_slope_and_at_most_45_degrees_of_a_fisheye() {
+        let pinhole = camera(Distortion::default()).intrinsics;
+        assert_eq!(pinhole.half_width(), 400.0 / 380.0 / 2.0);
+        let mut fisheye = camera(Fisheye::new([0.0; 4]).into()).intrinsics;
+        fisheye.fx = 400.0 / 2.0 / 30f64.to_radians();
+        assert!((fisheye.half_width() - 30f64.to_radians().tan()).abs() < 1e-12);
+        fisheye.fx = 100.0;
+        assert!((fisheye.half_width() - 1.0).abs() < 1e-12);
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! What a camera does to directions.
 
+use std::f64::consts::FRAC_PI_4;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::cameras::fisheye::LensError;
 use crate::cameras::lens::Distortion;
 use crate::error::CaptureError;
 
@@ -29,15 +31,44 @@ pub struct Intrinsics {
     pub distortion: Distortion,
 }
 
+/// How much farther than a fisheye reaches a corner may lie, as a share: a camera at another resolution is rounded.
+const ROUNDING: f64 = 1e-9;
+
 impl Intrinsics {
-    /// Whether the lens folds within the frame: going outwards from the principal point, distorted points turn back
-    /// before they reach the farthest corner, so that rays beyond have no direction of their own. Radial terms only,
-    /// as tangential ones are small.
-    pub fn folds(&self) -> bool {
-        let d = &self.distortion;
+    /// How far from the principal point the farthest corner lies, focal lengths.
+    fn corner(&self) -> f64 {
         let across = self.cx.abs().max((self.width as f64 - self.cx).abs()) / self.fx;
         let down = self.cy.abs().max((self.height as f64 - self.cy).abs()) / self.fy;
-        let corner = across.hypot(down);
+        across.hypot(down)
+    }
+
+    /// Refuses a fisheye that ends within the frame. Whatever brings cameras in asks for it once.
+    ///
+    /// # Errors
+    /// [`LensError`]: where the lens ends, and where the frame does.
+    pub fn check_lens(&self) -> Result<(), LensError> {
+        let Distortion::Fisheye(lens) = &self.distortion else { return Ok(()) };
+        let (widest, corner) = (lens.widest(), self.corner());
+        let radius = lens.radius(widest);
+        if corner > radius * (1.0 + ROUNDING) { Err(LensError { widest, radius, corner }) } else { Ok(()) }
+    }
+
+    /// Half of what the picture shows across or down, whichever is more, at depth 1, distortion left out. Of a fisheye
+    /// at most 1, which is 45 degrees to either side: what it shows beside it has no width at a depth ahead.
+    pub fn half_width(&self) -> f64 {
+        let half = (self.width as f64 / self.fx).max(self.height as f64 / self.fy) / 2.0;
+        match &self.distortion {
+            Distortion::Pinhole(_) => half,
+            Distortion::Fisheye(lens) => lens.angle(half).min(FRAC_PI_4).tan(),
+        }
+    }
+
+    /// Whether a pinhole's distortion folds within the frame: going outwards from the principal point, distorted points
+    /// turn back before they reach the farthest corner, so that rays beyond have no direction of their own. Radial terms
+    /// only, as tangential ones are small. A fisheye that does so is refused ([`Intrinsics::check_lens`]).
+    pub fn folds(&self) -> bool {
+        let Distortion::Pinhole(d) = &self.distortion else { return false };
+        let corner = self.corner();
         let distorted = |r: f64| {
             let r2 = r * r;
             r * (1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3)))
@@ -78,7 +109,7 @@ impl Intrinsics {
     }
 }
 
-/// Refuses a camera without pixels or with a focal length that is none.
+/// Refuses a camera without pixels, with a focal length that is none, or with a fisheye that ends within the frame.
 pub(crate) fn check_intrinsics(file: &Path, label: &str, i: &Intrinsics) -> Result<(), CaptureError> {
     let wrong = |expected: &str, got: String| {
         Err(CaptureError::malformed(file, label, expected, got, "re-export the cameras or drop this view"))
@@ -93,9 +124,9 @@ pub(crate) fn check_intrinsics(file: &Path, label: &str, i: &Intrinsics) -> Resu
     if !(i.cx.is_finite() && i.cy.is_finite()) {
         return wrong("a finite principal point", format!("{}, {}", i.cx, i.cy));
     }
-    let d = &i.distortion;
-    if ![d.k1, d.k2, d.k3, d.p1, d.p2].iter().all(|v| v.is_finite()) {
-        return wrong("finite distortion", format!("{d:?}"));
+    let coefficients = i.distortion.coefficients();
+    if !coefficients.iter().all(|v| v.is_finite()) {
+        return wrong("finite distortion", format!("{coefficients:?}"));
     }
-    Ok(())
+    i.check_lens().map_err(|problem| CaptureError::Lens { file: file.to_path_buf(), entry: label.to_owned(), problem })
 }

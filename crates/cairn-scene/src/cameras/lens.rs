@@ -1,10 +1,13 @@
 //! Lenses: the one list of camera models that are read, and the distortion that they state.
 //!
-//! A pinhole with Brown-Conrady distortion covers all of them. Another model is one variant of [`LensModel`] and one
-//! arm in [`LensModel::lens`].
+//! Two families cover all of them: a pinhole with Brown-Conrady distortion, and a fisheye. Another model of one of these
+//! is one variant of [`LensModel`] and one arm in [`LensModel::lens`]. Another family is a variant of [`Distortion`]:
+//! the compiler then names every place that has to know it.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
+
+use crate::cameras::fisheye::Fisheye;
 
 /// COLMAP's camera models by number, read or not (src/colmap/sensor/models.h).
 const COLMAP_NAMES: [&str; 12] = [
@@ -35,6 +38,10 @@ pub enum LensModel {
     Radial,
     /// fx, fy, cx, cy, k1, k2, p1, p2.
     OpenCv,
+    /// fx, fy, cx, cy, k1, k2, k3, k4 of a [`Fisheye`].
+    OpenCvFisheye,
+    /// f, cx, cy, k1 of a [`Fisheye`].
+    SimpleRadialFisheye,
 }
 
 /// What a model's parameters say.
@@ -54,7 +61,15 @@ pub struct Lens {
 
 impl LensModel {
     /// All that are read.
-    pub const ALL: [Self; 5] = [Self::SimplePinhole, Self::Pinhole, Self::SimpleRadial, Self::Radial, Self::OpenCv];
+    pub const ALL: [Self; 7] = [
+        Self::SimplePinhole,
+        Self::Pinhole,
+        Self::SimpleRadial,
+        Self::Radial,
+        Self::OpenCv,
+        Self::OpenCvFisheye,
+        Self::SimpleRadialFisheye,
+    ];
     /// The most parameters that a model has.
     pub const MAX_PARAMETERS: usize = 8;
 
@@ -66,7 +81,21 @@ impl LensModel {
             Self::SimpleRadial => &["SIMPLE_RADIAL"],
             Self::Radial => &["RADIAL"],
             Self::OpenCv => &["OPENCV"],
+            Self::OpenCvFisheye => &["OPENCV_FISHEYE"],
+            Self::SimpleRadialFisheye => &["SIMPLE_RADIAL_FISHEYE"],
         }
+    }
+
+    /// COLMAP's names of all that are read, for messages.
+    pub fn list() -> String {
+        let names = Self::ALL.map(|model| model.names()[0]);
+        let (last, others) = names.split_last().expect("there are some");
+        format!("{} or {last}", others.join(", "))
+    }
+
+    /// Whether its coefficients are a [`Fisheye`]'s.
+    pub fn is_fisheye(self) -> bool {
+        matches!(self, Self::OpenCvFisheye | Self::SimpleRadialFisheye)
     }
 
     /// The model of this name, in any case.
@@ -89,33 +118,120 @@ impl LensModel {
     pub fn parameters(self) -> usize {
         match self {
             Self::SimplePinhole => 3,
-            Self::Pinhole | Self::SimpleRadial => 4,
+            Self::Pinhole | Self::SimpleRadial | Self::SimpleRadialFisheye => 4,
             Self::Radial => 5,
-            Self::OpenCv => 8,
+            Self::OpenCv | Self::OpenCvFisheye => 8,
         }
     }
 
     /// What `parameters`, in COLMAP's order, say; `None` for another number of them.
     pub fn lens(self, parameters: &[f64]) -> Option<Lens> {
-        let none = Distortion::default();
+        let none = BrownConrady::default();
         let (fx, fy, cx, cy, distortion) = match (self, parameters) {
-            (Self::SimplePinhole, &[f, cx, cy]) => (f, f, cx, cy, none),
-            (Self::Pinhole, &[fx, fy, cx, cy]) => (fx, fy, cx, cy, none),
-            (Self::SimpleRadial, &[f, cx, cy, k1]) => (f, f, cx, cy, Distortion { k1, ..none }),
-            (Self::Radial, &[f, cx, cy, k1, k2]) => (f, f, cx, cy, Distortion { k1, k2, ..none }),
+            (Self::SimplePinhole, &[f, cx, cy]) => (f, f, cx, cy, none.into()),
+            (Self::Pinhole, &[fx, fy, cx, cy]) => (fx, fy, cx, cy, none.into()),
+            (Self::SimpleRadial, &[f, cx, cy, k1]) => (f, f, cx, cy, BrownConrady { k1, ..none }.into()),
+            (Self::Radial, &[f, cx, cy, k1, k2]) => (f, f, cx, cy, BrownConrady { k1, k2, ..none }.into()),
             (Self::OpenCv, &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-                (fx, fy, cx, cy, Distortion { k1, k2, k3: 0.0, p1, p2 })
+                (fx, fy, cx, cy, BrownConrady { k1, k2, k3: 0.0, p1, p2 }.into())
             }
+            (Self::OpenCvFisheye, &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
+                (fx, fy, cx, cy, Fisheye::new([k1, k2, k3, k4]).into())
+            }
+            (Self::SimpleRadialFisheye, &[f, cx, cy, k1]) => (f, f, cx, cy, Fisheye::new([k1, 0.0, 0.0, 0.0]).into()),
             _ => return None,
         };
         Some(Lens { fx, fy, cx, cy, distortion })
     }
 }
 
+/// What a lens makes of directions, before its focal lengths and principal point make pixels of that.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Distortion {
+    /// A pinhole's picture, bent: straight ahead is all that it sees.
+    Pinhole(BrownConrady),
+    /// A fisheye's, which may show what is beside the camera and behind it.
+    Fisheye(Fisheye),
+}
+
+impl Default for Distortion {
+    /// An ideal pinhole.
+    fn default() -> Self {
+        Self::Pinhole(BrownConrady::default())
+    }
+}
+
+impl From<BrownConrady> for Distortion {
+    fn from(bent: BrownConrady) -> Self {
+        Self::Pinhole(bent)
+    }
+}
+
+impl From<Fisheye> for Distortion {
+    fn from(fisheye: Fisheye) -> Self {
+        Self::Fisheye(fisheye)
+    }
+}
+
+impl Distortion {
+    /// Whether it is an ideal pinhole's.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Every coefficient.
+    pub(crate) fn coefficients(&self) -> Vec<f64> {
+        match self {
+            Self::Pinhole(BrownConrady { k1, k2, k3, p1, p2 }) => vec![*k1, *k2, *k3, *p1, *p2],
+            Self::Fisheye(fisheye) => fisheye.k().to_vec(),
+        }
+    }
+
+    /// A lens at `share` (0 to 1) of the way from this one to `other`, coefficient by coefficient; `None` between a
+    /// pinhole and a fisheye, whose coefficients mean other things.
+    pub fn mixed(&self, other: &Self, share: f64) -> Option<Self> {
+        let mix = |a: f64, b: f64| a + (b - a) * share;
+        match (self, other) {
+            (Self::Pinhole(a), Self::Pinhole(b)) => Some(Self::Pinhole(BrownConrady {
+                k1: mix(a.k1, b.k1),
+                k2: mix(a.k2, b.k2),
+                k3: mix(a.k3, b.k3),
+                p1: mix(a.p1, b.p1),
+                p2: mix(a.p2, b.p2),
+            })),
+            (Self::Fisheye(a), Self::Fisheye(b)) => {
+                let (a, b) = (a.k(), b.k());
+                Some(Self::Fisheye(Fisheye::new(std::array::from_fn(|n| mix(a[n], b[n])))))
+            }
+            (Self::Pinhole(_), Self::Fisheye(_)) | (Self::Fisheye(_), Self::Pinhole(_)) => None,
+        }
+    }
+
+    /// Where a direction in the camera's axes (any length) lands, focal lengths from the principal point; `None` for
+    /// one that the lens does not see.
+    pub(crate) fn project(&self, direction: DVec3) -> Option<DVec2> {
+        match self {
+            Self::Pinhole(_) if direction.z <= 0.0 => None,
+            Self::Pinhole(bent) => Some(bent.distort(DVec2::new(direction.x / direction.z, direction.y / direction.z))),
+            Self::Fisheye(fisheye) => fisheye.project(direction),
+        }
+    }
+
+    /// The direction in the camera's axes of what lands `at` (focal lengths from the principal point): a pinhole's of
+    /// depth (z) 1, a fisheye's of length 1.
+    pub(crate) fn direction(&self, at: DVec2) -> DVec3 {
+        match self {
+            Self::Pinhole(bent) => bent.undistort(at).extend(1.0),
+            Self::Fisheye(fisheye) => fisheye.direction(at),
+        }
+    }
+}
+
 /// Brown-Conrady lens distortion (OpenCV's model without k4..k6), dimensionless,
 /// applied to normalised image coordinates `x = X/Z, y = Y/Z`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Distortion {
+pub struct BrownConrady {
     /// Radial, second order.
     pub k1: f64,
     /// Radial, fourth order.
@@ -128,7 +244,7 @@ pub struct Distortion {
     pub p2: f64,
 }
 
-impl Distortion {
+impl BrownConrady {
     /// Whether every coefficient is zero.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
@@ -146,7 +262,7 @@ impl Distortion {
     }
 
     /// Distorted normalised coordinates back to ideal ones, by Newton's method
-    /// on [`Distortion::distort`]. Converges to 1e-12 where the model is
+    /// on [`BrownConrady::distort`]. Converges to 1e-12 where the model is
     /// one-to-one; beyond that the best iterate is returned.
     pub fn undistort(&self, distorted: DVec2) -> DVec2 {
         if self.is_none() {
@@ -179,12 +295,18 @@ mod tests {
 
     #[test]
     fn every_model_is_found_by_its_names_and_takes_its_parameters() {
-        for (number, model) in (0..).zip(LensModel::ALL) {
+        for (number, model) in [0, 1, 2, 3, 4, 5, 8].into_iter().zip(LensModel::ALL) {
             assert_eq!(LensModel::from_colmap_number(number), Ok(model));
+            assert!(LensModel::list().contains(model.names()[0]));
             assert!(model.names().iter().all(|name| LensModel::from_name(name) == Some(model)), "{model:?}");
             assert!(model.parameters() <= LensModel::MAX_PARAMETERS);
             let parameters: Vec<f64> = (1..=model.parameters()).map(|v| v as f64).collect();
-            assert_eq!(model.lens(&parameters).map(|lens| lens.fx), Some(1.0), "{model:?}");
+            let lens = model.lens(&parameters).unwrap();
+            assert_eq!(
+                (lens.fx, model.is_fisheye()),
+                (1.0, matches!(lens.distortion, Distortion::Fisheye(_))),
+                "{model:?}"
+            );
             assert_eq!(model.lens(&parameters[1..]), None, "{model:?}");
         }
         assert_eq!(LensModel::from_name("perspective"), Some(LensModel::Pinhole));

@@ -16,8 +16,9 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 
+use crate::cameras::fisheye::Fisheye;
 use crate::cameras::intrinsics::Intrinsics;
-use crate::cameras::lens::{Distortion, LensModel};
+use crate::cameras::lens::{BrownConrady, Distortion, LensModel};
 use crate::cameras::pose::Pose;
 use crate::error::CaptureError;
 use crate::images::format::Limits;
@@ -238,18 +239,38 @@ impl Lens {
         }
     }
 
-    /// The model's name where it is not one that Cairn reads.
-    fn unsupported(&self) -> Option<String> {
-        if let Some(model) = &self.camera_model
-            && LensModel::from_name(model).is_none()
-        {
-            return Some(model.clone());
-        }
-        if self.is_fisheye == Some(true) {
-            return Some("with is_fisheye".to_owned());
-        }
-        self.k4.filter(|&k4| k4 != 0.0).map(|k4| format!("with k4 = {k4}"))
+    /// The family of lenses that the model is of: nerfstudio says so by `camera_model`, instant-ngp by `is_fisheye`.
+    /// Both mean the polynomial of [`Fisheye`] by k1 to k4.
+    ///
+    /// # Errors
+    /// What the model is called, where it is not one that Cairn reads.
+    fn family(&self) -> Result<Family, String> {
+        let stated = match &self.camera_model {
+            Some(name) => Some(LensModel::from_name(name).ok_or_else(|| name.clone())?),
+            None => None,
+        };
+        let fisheye = match (stated.map(LensModel::is_fisheye), self.is_fisheye) {
+            (Some(false), Some(true)) => {
+                return Err(format!("{} with is_fisheye", self.camera_model.as_deref().unwrap_or_default()));
+            }
+            (stated, flag) => stated.or(flag).unwrap_or(false),
+        };
+        let set = |name: &str, value: Option<f64>| value.filter(|&v| v != 0.0).map(|v| format!("with {name} = {v}"));
+        // What the family does not have may stand there as 0.
+        let foreign = if fisheye {
+            set("p1", self.p1).or_else(|| set("p2", self.p2)).map(|p| format!("OPENCV_FISHEYE {p}"))
+        } else {
+            set("k4", self.k4)
+        };
+        foreign.map_or(Ok(if fisheye { Family::Fisheye } else { Family::Pinhole }), Err)
     }
+}
+
+/// What a model's coefficients are those of.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Family {
+    Pinhole,
+    Fisheye,
 }
 
 /// One frame, for its errors.
@@ -312,10 +333,10 @@ impl Source<'_> {
     /// The frame's camera; what the file does not state follows from the
     /// photograph's size: centred principal point, square pixels.
     fn intrinsics(&self, lens: &Lens, photograph: &Path, limits: &Limits) -> Result<Intrinsics, CaptureError> {
-        if let Some(model) = lens.unsupported() {
+        let family = lens.family().map_err(|model| {
             let (file, entry) = (self.file.to_path_buf(), self.label.clone());
-            return Err(CaptureError::UnsupportedCamera { file, entry, model });
-        }
+            CaptureError::UnsupportedCamera { file, entry, model }
+        })?;
         let (width, height) = match (lens.w, lens.h) {
             (Some(w), Some(h)) => {
                 let whole = |v: f64| (v.fract() == 0.0 && (1.0..=1e6).contains(&v)).then_some(v as usize);
@@ -324,14 +345,20 @@ impl Source<'_> {
             (None, None) => header(&self.folder.join(photograph), limits)?.oriented,
             (w, h) => return Err(self.wrong("both w and h, or neither", format!("{w:?} and {h:?}"))),
         };
-        let (fx, fy) = self.focal(lens, width as f64, height as f64)?;
+        let (fx, fy) = match family {
+            Family::Pinhole => self.focal(lens, width as f64, height as f64)?,
+            // An angle makes a focal length by a pinhole's tangent, which has none for 180 degrees.
+            Family::Fisheye => lens
+                .fl_x
+                .or(lens.fl_y)
+                .map(|f| (f, lens.fl_y.unwrap_or(f)))
+                .ok_or_else(|| self.wrong("a fisheye's focal length: fl_x or fl_y", "neither".to_owned()))?,
+        };
         let number = |v: Option<f64>| v.unwrap_or(0.0);
-        let distortion = Distortion {
-            k1: number(lens.k1),
-            k2: number(lens.k2),
-            k3: number(lens.k3),
-            p1: number(lens.p1),
-            p2: number(lens.p2),
+        let (k1, k2, k3) = (number(lens.k1), number(lens.k2), number(lens.k3));
+        let distortion: Distortion = match family {
+            Family::Pinhole => BrownConrady { k1, k2, k3, p1: number(lens.p1), p2: number(lens.p2) }.into(),
+            Family::Fisheye => Fisheye::new([k1, k2, k3, number(lens.k4)]).into(),
         };
         let (cx, cy) = (lens.cx.unwrap_or(width as f64 / 2.0), lens.cy.unwrap_or(height as f64 / 2.0));
         Ok(Intrinsics { width, height, fx, fy, cx, cy, distortion })

@@ -20,7 +20,7 @@ pub(crate) const MAX_TABLE_BYTES: u64 = 256 << 20;
 /// What `format` says in every scene file.
 pub(crate) const FORMAT: &str = "cairn-scene";
 /// The version that this program writes and reads.
-pub(crate) const VERSION: u32 = 2;
+pub(crate) const VERSION: u32 = 3;
 /// Folder of the photographs within a scene.
 pub(crate) const PHOTOGRAPHS: &str = "photographs";
 /// Folder of the masks within a scene, there where a view has one.

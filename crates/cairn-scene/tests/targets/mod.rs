@@ -9,7 +9,9 @@ use std::cell::OnceCell;
 use std::fs;
 use std::path::Component;
 
-use cairn_scene::{Capture, Limits, ReadOptions, Sound, SoundLimits, decode_picture, decode_wav, encode_wav};
+use cairn_scene::{
+    Capture, Distortion, Limits, ReadOptions, Sound, SoundLimits, decode_picture, decode_wav, encode_wav,
+};
 use tempfile::TempDir;
 
 use crate::common::{Colmap, npy, photograph, webp};
@@ -39,7 +41,7 @@ const SOUND: (usize, usize) = (8, 64 << 10);
 
 /// All readers.
 pub const TARGETS: [Target; 13] = [
-    Target { name: "cameras.bin", good: || vec![Colmap::small().cameras_bin()], limit: CAPTURE, read: cameras_bin },
+    Target { name: "cameras.bin", good: cameras, limit: CAPTURE, read: cameras_bin },
     Target { name: "images.bin", good: || vec![Colmap::small().images_bin()], limit: CAPTURE, read: images_bin },
     Target { name: "points3D.bin", good: || vec![Colmap::small().points_bin()], limit: CAPTURE, read: points_bin },
     Target { name: "cameras.txt", good: || colmap_text("cameras.txt"), limit: CAPTURE, read: cameras_txt },
@@ -64,6 +66,15 @@ pub fn limits() -> Limits {
     Limits { max_file_bytes: 1 << 20, max_side_px: 200, max_pixels: 10_000, max_views: 100 }
 }
 
+/// Of a pinhole, and of a pinhole and two fisheyes.
+fn cameras() -> Vec<Vec<u8>> {
+    let mut lenses = Colmap::small();
+    let fisheye = vec![24.0, 25.0, 31.0, 25.0, 0.05, -0.01, 0.003, -0.0005];
+    lenses.cameras.push((2, 5, "OPENCV_FISHEYE", [64, 48], fisheye));
+    lenses.cameras.push((3, 8, "SIMPLE_RADIAL_FISHEYE", [64, 48], vec![24.0, 31.0, 25.0, -0.04]));
+    vec![Colmap::small().cameras_bin(), lenses.cameras_bin()]
+}
+
 fn colmap_text(file: &str) -> Vec<Vec<u8>> {
     let folder = tempfile::tempdir().unwrap();
     Colmap::small().write_text(folder.path());
@@ -80,7 +91,8 @@ fn transforms() -> Vec<Vec<u8>> {
         r#"{{"camera_angle_x":0.7,"w":64,"h":48,"cx":32,"cy":24,"camera_model":"OPENCV","made by":["a",{{"b":[1,2]}}],
         "test_filenames":["1.png"],"frames":[{frames}]}}"#
     );
-    vec![plain.into_bytes(), full.into_bytes()]
+    let fisheye = format!(r#"{{"camera_model":"OPENCV_FISHEYE","fl_x":55.0,"k4":0.001,"frames":[{frames}]}}"#);
+    vec![plain.into_bytes(), full.into_bytes(), fisheye.into_bytes()]
 }
 
 fn poses_bounds() -> Vec<Vec<u8>> {
@@ -193,6 +205,11 @@ fn sound(capture: &Capture) {
         assert!(pose.rotation.is_finite() && pose.position.is_finite(), "{view:?}");
         assert!([i.fx, i.fy, i.cx, i.cy].iter().all(|v| v.is_finite()) && i.fx > 0.0 && i.fy > 0.0, "{view:?}");
         assert!(i.width <= limits().max_side_px && i.height <= limits().max_side_px, "{view:?}");
+        if let Distortion::Fisheye(_) = i.distortion {
+            let corners = [[0, 0], [i.width, 0], [0, i.height], [i.width, i.height]].map(|c| c.map(|v| v as f64));
+            let seen = corners.map(|[x, y]| (view.camera.direction(x, y).length() - 1.0).abs() < 1e-9);
+            assert_eq!(seen, [true; 4], "{view:?}");
+        }
         assert!(!view.contributor.is_empty());
         let stays = |part| matches!(part, Component::Normal(_));
         assert!(view.photograph.components().all(stays), "{view:?} leaves the folder");

@@ -49,6 +49,11 @@ pub enum PathError {
         /// Of how many.
         views: usize,
     },
+    /// From a pinhole's view to a fisheye's.
+    #[error(
+        "one of the two views was taken by a fisheye and the other was not, and no lens lies between them; take two views of one kind of lens"
+    )]
+    OtherLens,
     /// A spiral of cameras that look everywhere.
     #[error("the views look in many directions, and a spiral needs a common one; use an orbit (--path orbit)")]
     NoCommonView,
@@ -132,18 +137,22 @@ pub fn spiral(poses: &[Pose], depth: f64, frames: usize) -> Result<Vec<Pose>, Pa
 /// second at 1. Rotations are interpolated on the sphere, lenses linearly; positions so
 /// that `centre` moves straight as the camera sees it, which keeps it in the picture and the
 /// camera from going through it. Cameras that look the same way move along a line.
-pub fn between(from: &Camera, to: &Camera, centre: DVec3, share: f64) -> Camera {
+///
+/// # Errors
+/// [`PathError::OtherLens`] between a pinhole and a fisheye.
+pub fn between(from: &Camera, to: &Camera, centre: DVec3, share: f64) -> Result<Camera, PathError> {
+    let intrinsics = mixed(&from.intrinsics, &to.intrinsics, share).ok_or(PathError::OtherLens)?;
     if share <= 0.0 {
-        return *from;
+        return Ok(*from);
     }
     if share >= 1.0 {
-        return *to;
+        return Ok(*to);
     }
     let turn = |pose: &Pose| DQuat::from_mat3(&pose.rotation).normalize();
     let rotation = DMat3::from_quat(turn(&from.pose).slerp(turn(&to.pose), share));
     let seen = |pose: &Pose| pose.rotation.transpose() * (centre - pose.position);
     let position = centre - rotation * seen(&from.pose).lerp(seen(&to.pose), share);
-    Camera { intrinsics: mixed(&from.intrinsics, &to.intrinsics, share), pose: Pose { rotation, position } }
+    Ok(Camera { intrinsics, pose: Pose { rotation, position } })
 }
 
 /// How far frame `i` of `frames` is through the whole, 0 to 1, ends included.
@@ -151,8 +160,9 @@ pub fn through(i: usize, frames: usize) -> f64 {
     if frames > 1 { i as f64 / (frames - 1) as f64 } else { 0.0 }
 }
 
-/// The lens of a camera nobody held: the median field of view of `views`, square
-/// pixels, no distortion, `width` x `height` px. `None` without views.
+/// The lens of a camera nobody held: a pinhole with the median focal length of `views`, square
+/// pixels, no distortion, `width` x `height` px. What fisheyes took it shows in the middle at their scale, and less
+/// of what is beside it. `None` without views.
 pub fn middling_lens(views: &[Intrinsics], width: usize, height: usize) -> Option<Intrinsics> {
     let fitted = || views.iter().map(|view| fitted(view, width, height));
     let focal = crowd::quantile(fitted().map(|i| (i.fx + i.fy) / 2.0), 0.5)?;
@@ -169,19 +179,12 @@ pub fn fitted(lens: &Intrinsics, width: usize, height: usize) -> Intrinsics {
     Intrinsics { width, height, fx: lens.fx * scale, fy: lens.fy * scale, cx, cy, distortion: lens.distortion }
 }
 
-/// A lens between two of the same size.
-fn mixed(a: &Intrinsics, b: &Intrinsics, share: f64) -> Intrinsics {
+/// A lens between two of the same size; `None` between a pinhole and a fisheye.
+fn mixed(a: &Intrinsics, b: &Intrinsics, share: f64) -> Option<Intrinsics> {
     let mix = |a: f64, b: f64| a + (b - a) * share;
-    let (d, e) = (&a.distortion, &b.distortion);
-    let distortion = Distortion {
-        k1: mix(d.k1, e.k1),
-        k2: mix(d.k2, e.k2),
-        k3: mix(d.k3, e.k3),
-        p1: mix(d.p1, e.p1),
-        p2: mix(d.p2, e.p2),
-    };
+    let distortion = a.distortion.mixed(&b.distortion, share)?;
     let (fx, fy, cx, cy) = (mix(a.fx, b.fx), mix(a.fy, b.fy), mix(a.cx, b.cx), mix(a.cy, b.cy));
-    Intrinsics { width: a.width, height: a.height, fx, fy, cx, cy, distortion }
+    Some(Intrinsics { width: a.width, height: a.height, fx, fy, cx, cy, distortion })
 }
 
 #[cfg(test)]

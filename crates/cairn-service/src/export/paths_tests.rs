@@ -2,6 +2,7 @@
 //! and end, and what they do with cameras that make no sense.
 
 use super::*;
+use cairn_scene::{BrownConrady, Fisheye};
 
 const CENTRE: DVec3 = DVec3::new(5.0, -1.0, 2.0);
 
@@ -28,7 +29,7 @@ fn wall() -> Vec<Pose> {
 }
 
 fn lens(width: usize, height: usize) -> Intrinsics {
-    let distortion = Distortion { k1: 0.1, ..Distortion::default() };
+    let distortion = BrownConrady { k1: 0.1, ..BrownConrady::default() }.into();
     Intrinsics { width, height, fx: 100.0, fy: 110.0, cx: 49.0, cy: 41.0, distortion }
 }
 
@@ -97,17 +98,17 @@ fn between_begins_and_ends_in_the_very_views() {
     let ring = ring();
     let camera = |i: usize| Camera { intrinsics: lens(100, 80), pose: ring[i] };
     let (a, b) = (camera(0), camera(7));
-    assert_eq!(between(&a, &b, CENTRE, 0.0), a);
-    assert_eq!(between(&a, &b, CENTRE, 1.0), b);
+    assert_eq!(between(&a, &b, CENTRE, 0.0), Ok(a));
+    assert_eq!(between(&a, &b, CENTRE, 1.0), Ok(b));
     // Nearly there is nearly the view: no jump at the ends.
     for (share, end) in [(1e-9, &a), (1.0 - 1e-9, &b)] {
-        let near = between(&a, &b, CENTRE, share);
+        let near = between(&a, &b, CENTRE, share).unwrap();
         assert!((near.pose.position - end.pose.position).length() < 1e-6);
         assert!((near.pose.rotation - end.pose.rotation).to_cols_array().iter().all(|v| v.abs() < 1e-6));
     }
     // On the way what both look at stays in the middle, and is not run into.
     for i in 0..=20 {
-        let pose = between(&a, &b, CENTRE, f64::from(i) / 20.0).pose;
+        let pose = between(&a, &b, CENTRE, f64::from(i) / 20.0).unwrap().pose;
         assert_sane(&[pose]);
         let inwards = CENTRE - pose.position;
         assert!(inwards.length() > 2.9 && inwards.normalize().dot(pose.forward()) > 1.0 - 1e-9, "{i}: {inwards}");
@@ -115,7 +116,7 @@ fn between_begins_and_ends_in_the_very_views() {
     // Cameras that look one way move in a straight line.
     let (mut a, mut b) = (a, b);
     (a.pose, b.pose) = (wall()[0], Pose { rotation: wall()[0].rotation, ..wall()[7] });
-    let half = between(&a, &b, CENTRE, 0.5).pose.position;
+    let half = between(&a, &b, CENTRE, 0.5).unwrap().pose.position;
     assert!((half - a.pose.position.lerp(b.pose.position, 0.5)).length() < 1e-9);
 }
 
@@ -127,7 +128,7 @@ fn one_view_and_coincident_cameras_give_an_error_or_a_sane_path() {
     assert!((poses[0].position - one[0].position).length() < 1e-9);
     assert!(matches!(spiral(&one, 3.0, 5), Err(PathError::OnePlace { .. })));
     let camera = Camera { intrinsics: lens(100, 80), pose: one[0] };
-    let half = between(&camera, &camera, CENTRE, 0.5);
+    let half = between(&camera, &camera, CENTRE, 0.5).unwrap();
     assert!((half.pose.position - one[0].position).length() < 1e-9);
     assert!((half.pose.rotation - one[0].rotation).to_cols_array().iter().all(|v| v.abs() < 1e-9));
 
@@ -158,7 +159,7 @@ fn cameras_that_look_away_or_straight_down_are_met() {
     let pair = [look(CENTRE + DVec3::X, CENTRE), look(CENTRE - DVec3::X, CENTRE)];
     let camera = |i: usize| Camera { intrinsics: lens(100, 80), pose: pair[i] };
     for i in 0..=10 {
-        assert_sane(&[between(&camera(0), &camera(1), CENTRE, f64::from(i) / 10.0).pose]);
+        assert_sane(&[between(&camera(0), &camera(1), CENTRE, f64::from(i) / 10.0).unwrap().pose]);
     }
 }
 
@@ -173,4 +174,25 @@ fn lenses_keep_their_pixels_shape_and_cut_what_is_too_wide() {
     let middling = middling_lens(&[own, own], 200, 160).unwrap();
     assert_eq!((middling.fx, middling.fy, middling.cx, middling.cy), (210.0, 210.0, 100.0, 80.0));
     assert!(middling.distortion.is_none() && middling_lens(&[], 4, 4).is_none());
+}
+
+#[test]
+fn a_flight_between_two_fisheyes_has_their_lens_and_there_is_none_to_a_pinhole() {
+    let ring = ring();
+    let camera = |i: usize, k1: f64| {
+        let distortion = Fisheye::new([k1, 0.0, 0.0, 0.01]).into();
+        Camera { intrinsics: Intrinsics { distortion, ..lens(100, 80) }, pose: ring[i] }
+    };
+    let (a, b) = (camera(0, 0.1), camera(7, -0.02));
+    let half = between(&a, &b, CENTRE, 0.5).unwrap();
+    assert_eq!(half.intrinsics.distortion, Fisheye::new([0.04, 0.0, 0.0, 0.01]).into());
+    assert_eq!(half.intrinsics.check_lens(), Ok(()));
+    let pinhole = Camera { intrinsics: lens(100, 80), ..b };
+    for share in [0.0, 0.5, 1.0] {
+        assert_eq!(between(&a, &pinhole, CENTRE, share), Err(PathError::OtherLens), "{share}");
+        assert_eq!(between(&pinhole, &b, CENTRE, share), Err(PathError::OtherLens), "{share}");
+    }
+    // A camera nobody held is a pinhole of the same scale.
+    let middling = middling_lens(&[a.intrinsics, b.intrinsics], 100, 80).unwrap();
+    assert!(middling.fx == 105.0 && middling.distortion.is_none());
 }

@@ -180,9 +180,9 @@ impl<'a> Route<'a> {
                 let ends = [*from, *to];
                 let centre = centre(frame).map_or_else(|| focus(capture, frame, &ends), Ok)?;
                 let (from, to) = (fitted(from), fitted(to));
-                return Ok((0..frames)
-                    .map(|i| paths::between(&from, &to, centre, paths::through(i, frames)))
-                    .collect());
+                return (0..frames)
+                    .map(|i| Ok(paths::between(&from, &to, centre, paths::through(i, frames))?))
+                    .collect();
             }
         };
         let poses: Vec<Pose> = views.iter().map(|v| v.camera.pose).collect();

@@ -8,7 +8,7 @@ use cairn_api::v1;
 use cairn_field::AppearanceMode;
 use cairn_log::{Digest, PublicKey, RegistryError};
 use cairn_scene::cluster::{ClusterConfig, Grouping};
-use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind, Support, View};
+use cairn_scene::{BrownConrady, Camera, Fisheye, Intrinsics, Pose, SceneKind, Support, View};
 use glam::{DMat3, DVec3};
 
 use crate::config::{PresetChoice, Quality, TrainingOptions};
@@ -122,20 +122,39 @@ fn intrinsics(what: &str, i: &v1::Intrinsics) -> Result<Intrinsics, EngineError>
             return Err(EngineError::invalid(format!("{what}: {name}"), focal, "a finite number of px above 0"));
         }
     }
-    for (name, value) in
-        [("cx", i.cx), ("cy", i.cy), ("k1", i.k1), ("k2", i.k2), ("k3", i.k3), ("p1", i.p1), ("p2", i.p2)]
-    {
+    for (name, value) in [("cx", i.cx), ("cy", i.cy)] {
         finite(&format!("{what}: {name}"), value)?;
     }
-    Ok(Intrinsics {
+    let bent = [("k1", i.k1), ("k2", i.k2), ("k3", i.k3), ("p1", i.p1), ("p2", i.p2)];
+    for (name, value) in bent {
+        finite(&format!("{what}: {name}"), value)?;
+    }
+    let distortion = match &i.fisheye {
+        None => BrownConrady { k1: i.k1, k2: i.k2, k3: i.k3, p1: i.p1, p2: i.p2 }.into(),
+        Some(v1::Fisheye { k1, k2, k3, k4 }) => {
+            if let Some((name, value)) = bent.iter().find(|(_, value)| *value != 0.0) {
+                let allowed = "0 beside a fisheye, which has coefficients of its own";
+                return Err(EngineError::invalid(format!("{what}: {name}"), value, allowed));
+            }
+            let k = [*k1, *k2, *k3, *k4];
+            for (n, value) in (1..).zip(k) {
+                finite(&format!("{what}: the fisheye's k{n}"), value)?;
+            }
+            Fisheye::new(k).into()
+        }
+    };
+    let intrinsics = Intrinsics {
         width: i.width as usize,
         height: i.height as usize,
         fx: i.fx,
         fy: i.fy,
         cx: i.cx,
         cy: i.cy,
-        distortion: Distortion { k1: i.k1, k2: i.k2, k3: i.k3, p1: i.p1, p2: i.p2 },
-    })
+        distortion,
+    };
+    (intrinsics.check_lens())
+        .map_err(|e| EngineError::invalid(format!("{what}: the lens"), e, "a fisheye that fills the picture"))?;
+    Ok(intrinsics)
 }
 
 fn pose(what: &str, p: &v1::Pose) -> Result<Pose, EngineError> {
@@ -439,9 +458,48 @@ mod tests {
 
     fn good() -> v1::Camera {
         let pose = Pose::look_at(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Y).unwrap();
-        let distortion = Distortion { k1: 0.1, k2: 0.2, k3: 0.3, p1: 0.4, p2: 0.5 };
+        let distortion = BrownConrady { k1: 0.1, k2: 0.2, k3: 0.3, p1: 0.4, p2: 0.5 }.into();
         let intrinsics = Intrinsics { width: 8, height: 6, fx: 7.0, fy: 5.0, cx: 4.0, cy: 3.0, distortion };
         to_proto::camera(&Camera { intrinsics, pose })
+    }
+
+    fn fisheye(k: [f64; 4]) -> v1::Camera {
+        let mut camera = good();
+        let i = camera.intrinsics.as_mut().unwrap();
+        (i.k1, i.k2, i.k3, i.p1, i.p2) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        i.fisheye = Some(v1::Fisheye { k1: k[0], k2: k[1], k3: k[2], k4: k[3] });
+        camera
+    }
+
+    #[test]
+    fn a_fisheye_comes_back_as_it_went() {
+        let k = [-0.03, 0.004, -0.003, 0.0004];
+        let read = camera("c", Some(&fisheye(k))).unwrap();
+        assert_eq!(read.intrinsics.distortion, Fisheye::new(k).into());
+        assert_eq!(to_proto::camera(&read).intrinsics, fisheye(k).intrinsics);
+        // One whose coefficients are all 0 is no pinhole.
+        let ideal = camera("c", Some(&fisheye([0.0; 4]))).unwrap();
+        assert_eq!(ideal.intrinsics.distortion, Fisheye::new([0.0; 4]).into());
+        assert_eq!(to_proto::camera(&ideal).intrinsics, fisheye([0.0; 4]).intrinsics);
+    }
+
+    #[test]
+    fn bad_fisheyes_are_refused_by_name() {
+        let refused = |c: &v1::Camera| camera("view a: camera", Some(c)).unwrap_err().to_string();
+        let mut both = fisheye([0.1, 0.0, 0.0, 0.0]);
+        both.intrinsics.as_mut().unwrap().p1 = 0.01;
+        assert!(
+            refused(&both).contains("view a: camera: p1 is 0.01; allowed is 0 beside a fisheye"),
+            "{}",
+            refused(&both)
+        );
+        let unknown = refused(&fisheye([0.0, 0.0, 0.0, f64::INFINITY]));
+        assert!(unknown.contains("the fisheye's k4 is inf"), "{unknown}");
+        let turns = refused(&fisheye([-1.0, 0.0, 0.0, 0.0]));
+        assert!(turns.contains("view a: camera: the lens") && turns.contains("turns back"), "{turns}");
+        let mut wide = fisheye([0.0; 4]);
+        (wide.intrinsics.as_mut().unwrap().fx, wide.intrinsics.as_mut().unwrap().fy) = (1.0, 1.0);
+        assert!(refused(&wide).contains("ends 180.0 degrees"), "{}", refused(&wide));
     }
 
     #[test]
@@ -452,7 +510,7 @@ mod tests {
         assert_eq!(read.intrinsics, again.intrinsics);
         let difference = read.pose.rotation - again.pose.rotation;
         assert!(difference.to_cols_array().iter().all(|v| v.abs() < 1e-12));
-        assert_eq!(read.intrinsics.distortion.p2, 0.5);
+        assert_eq!(read.intrinsics.distortion, BrownConrady { k1: 0.1, k2: 0.2, k3: 0.3, p1: 0.4, p2: 0.5 }.into());
     }
 
     #[test]

@@ -107,6 +107,7 @@ fn capture(error: &CaptureError) -> Code {
         | CaptureError::NoCameras { .. }
         | CaptureError::Malformed { .. }
         | CaptureError::UnsupportedCamera { .. }
+        | CaptureError::Lens { .. }
         | CaptureError::Pose { .. }
         | CaptureError::PhotographMissing { .. }
         | CaptureError::NotAPicture { .. }

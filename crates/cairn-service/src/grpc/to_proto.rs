@@ -2,7 +2,7 @@
 
 use cairn_api::v1;
 use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind};
-use cairn_scene::{Camera, SceneFolder, SceneKind, encode_png};
+use cairn_scene::{BrownConrady, Camera, Distortion, SceneFolder, SceneKind, encode_png};
 use tonic::codegen::Bytes;
 
 use crate::auth::{Account, Limits, Role, Standing as AccountStanding};
@@ -26,7 +26,14 @@ macro_rules! of_wire {
 
 /// A camera.
 pub fn camera(camera: &Camera) -> v1::Camera {
-    let (i, d) = (&camera.intrinsics, &camera.intrinsics.distortion);
+    let i = &camera.intrinsics;
+    let (BrownConrady { k1, k2, k3, p1, p2 }, fisheye) = match &i.distortion {
+        Distortion::Pinhole(bent) => (*bent, None),
+        Distortion::Fisheye(lens) => {
+            let [k1, k2, k3, k4] = lens.k();
+            (BrownConrady::default(), Some(v1::Fisheye { k1, k2, k3, k4 }))
+        }
+    };
     v1::Camera {
         intrinsics: Some(v1::Intrinsics {
             width: i.width as u32,
@@ -35,11 +42,12 @@ pub fn camera(camera: &Camera) -> v1::Camera {
             fy: i.fy,
             cx: i.cx,
             cy: i.cy,
-            k1: d.k1,
-            k2: d.k2,
-            k3: d.k3,
-            p1: d.p1,
-            p2: d.p2,
+            k1,
+            k2,
+            k3,
+            p1,
+            p2,
+            fisheye,
         }),
         pose: Some(v1::Pose {
             rotation: camera.pose.rotation.transpose().to_cols_array().to_vec(),

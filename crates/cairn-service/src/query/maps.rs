@@ -41,7 +41,7 @@ pub struct Maps {
     /// Share of light that the field stops, 0 to 1.
     pub accumulation: Vec<f32>,
     /// Depth along the optical axis, capture units, above 0; 0 for none
-    /// (accumulation below [`LEAST_ACCUMULATION`]).
+    /// (accumulation below [`LEAST_ACCUMULATION`], or a fisheye's pixel 90 degrees and more off the axis).
     pub depth: Vec<f32>,
 }
 
@@ -64,8 +64,13 @@ impl Maps {
                 return 0.0;
             }
             let (origin, direction) = camera.ray((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
+            let ahead = direction.dot(forward);
+            // What a fisheye sees beside itself and behind has no depth along its axis.
+            if ahead <= 0.0 {
+                return 0.0;
+            }
             let away = distance(frame, origin, direction, f64::from(seen.depth[at]));
-            away.map_or(0.0, |t| (t * direction.dot(forward)).max(f64::from(f32::MIN_POSITIVE)) as f32)
+            away.map_or(0.0, |t| (t * ahead).max(f64::from(f32::MIN_POSITIVE)) as f32)
         });
         Self { width, height, accumulation: seen.accumulation.clone(), depth: depth.collect() }
     }
@@ -199,7 +204,7 @@ fn contracted(a: DVec3, d: DVec3, sides: DVec3, along: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_scene::{Distortion, Intrinsics, Limits, Pose, decode_picture};
+    use cairn_scene::{Distortion, Fisheye, Intrinsics, Limits, Pose, decode_picture};
     use glam::DMat3;
 
     /// How far the field says that the point at distance `t` is, the slow way.
@@ -264,6 +269,23 @@ mod tests {
         // Off the axis the ray is longer than it is deep: half a unit aside for each ahead.
         let slope = 1.25f32.sqrt();
         assert!((maps.depth[0] - (1.0 + 3.0 / slope)).abs() < 1e-5, "{:?}", maps.depth);
+    }
+
+    #[test]
+    fn what_a_fisheye_sees_beside_itself_and_behind_has_no_depth() {
+        let distortion = Fisheye::new([0.0; 4]).into();
+        // Pixels 0, 60 and 120 degrees off the axis.
+        let focal = 3.0 / std::f64::consts::PI;
+        let intrinsics = Intrinsics { width: 3, height: 1, fx: focal, fy: focal, cx: 0.5, cy: 0.5, distortion };
+        let camera = Camera { intrinsics, pose: Pose::look_at(DVec3::ZERO, DVec3::Z, DVec3::Y).unwrap() };
+        let frame = SceneFrame::Bounded { centre: DVec3::ZERO, half: DVec3::splat(4.0) };
+        let picture = Picture::constant(3, 1, [0.0; 3]);
+        // 3 of the box's 8 units are travelled.
+        let seen = Rendering { picture, accumulation: vec![0.9; 3], depth: vec![0.375; 3] };
+        let maps = Maps::new(&frame, &camera, &seen);
+        assert!((maps.depth[0] - 3.0).abs() < 1e-5 && (maps.depth[1] - 1.5).abs() < 1e-5, "{:?}", maps.depth);
+        assert_eq!(maps.depth[2], 0.0);
+        assert_eq!(maps.accumulation[2], 0.9);
     }
 
     #[test]
