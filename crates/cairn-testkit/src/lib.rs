@@ -109,7 +109,7 @@ pub fn attack_with(name: &str, good: &[&[u8]], cases: u32, bound: impl Fn(usize)
     }
 }
 
-/// Copies a folder whole.
+/// Copies a folder, all of its files and folders: a socket is its process's alone.
 ///
 /// # Panics
 /// Where a file cannot be read or written.
@@ -118,9 +118,10 @@ pub fn copy(from: &std::path::Path, to: &std::path::Path) {
     for entry in std::fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();
         let to = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
+        let kind = entry.file_type().unwrap();
+        if kind.is_dir() {
             copy(&entry.path(), &to);
-        } else {
+        } else if kind.is_file() {
             std::fs::copy(entry.path(), &to).unwrap();
         }
     }
