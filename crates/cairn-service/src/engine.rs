@@ -48,7 +48,7 @@ pub enum Opening {
     /// somebody to resume them.
     Change,
     /// For one command that reads: nothing is made, and a folder that cannot be written is read through a
-    /// shadow ([`shadow`]).
+    /// shadow (`store/shadow.rs`).
     Read,
 }
 

@@ -192,7 +192,7 @@ pub struct Progress {
     pub loss: f64,
     /// The newest step's PSNR, dB; 0 where there is none.
     pub psnr_db: f64,
-    /// Seconds left of the job, phases that have not begun included (roughly: [`crate::train::ahead`]); negative while not
+    /// Seconds left of the job, phases that have not begun included (roughly: `train/ahead.rs`); negative while not
     /// known.
     pub seconds_left: f64,
 }
