@@ -40,7 +40,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 #[derive(clap::Args, Clone, Debug)]
 #[command(next_help_heading = "Connection")]
 pub struct Where {
-    /// A daemon to talk to, as 127.0.0.1:7341 or https://cairn.example; without it the command works on --data
+    /// A daemon to talk to, as 127.0.0.1:7341 or cairn.example:7341; without it the command works on --data
     #[arg(long, global = true, value_name = "URL", env = "CAIRN_CONNECT", hide_env_values = true)]
     pub connect: Option<String>,
     /// The data folder to work on where there is no --connect
