@@ -8,7 +8,6 @@ mod cli;
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use cli::exit::{self, Cancelled};
 
 /// How many threads candle's element-wise operations take.
@@ -16,7 +15,7 @@ const CANDLE_THREADS: &str = "CANDLE_NUM_THREADS";
 
 fn main() -> ExitCode {
     leave_cores();
-    match cli::Cli::parse().run() {
+    match cli::Cli::given().and_then(cli::Cli::run) {
         Ok(code) => code,
         Err(error) => match error.downcast_ref::<Cancelled>() {
             Some(cancelled) => {

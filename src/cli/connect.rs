@@ -2,7 +2,8 @@
 //! process that holds that folder. Each way it is the same services behind the same generated clients, so there is one
 //! code path to get right.
 
-use std::error::Error;
+use std::error::Error as _;
+use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -15,9 +16,12 @@ use cairn_api::v1::render_service_client::RenderServiceClient;
 use cairn_api::v1::scene_service_client::SceneServiceClient;
 use cairn_api::v1::training_service_client::TrainingServiceClient;
 use cairn_log::{NoteVerifier, OwnerKey};
+use clap::ArgMatches;
+use clap::parser::ValueSource;
 use hyper_util::rt::TokioIo;
-use tonic::Code;
+use tokio::time::{Instant, timeout_at};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Uri};
+use tonic::{Code, Status};
 
 use super::credential::{Credential, Speaking};
 use super::exit::last;
@@ -35,6 +39,10 @@ use cairn_service::train::job::JobState;
 
 /// How long a daemon may take to answer for the first time. What does not by then is no daemon, or out of reach.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// How long a data folder is waited for whose holder does not answer.
+const UNTIL_HELD: Duration = Duration::from_secs(5);
+/// Between two attempts to have it.
+const BETWEEN_TRIES: Duration = Duration::from_millis(100);
 
 /// Where the services are.
 #[derive(clap::Args, Clone, Debug)]
@@ -96,6 +104,29 @@ pub struct Where {
     pub tls_key: Option<PathBuf>,
 }
 
+impl Where {
+    /// What holds where the command line and the environment say different things: what was typed goes first. An empty
+    /// address is none.
+    ///
+    /// # Errors
+    /// For a token and an account that are both typed.
+    pub fn settle(&mut self, typed: &ArgMatches) -> anyhow::Result<()> {
+        let typed = |id: &str| typed.value_source(id) == Some(ValueSource::CommandLine);
+        if self.connect.as_deref() == Some("") || (typed("data") && !typed("connect")) {
+            self.connect = None;
+        }
+        if self.token_file.is_some() && self.account.is_some() {
+            anyhow::ensure!(
+                !(typed("token_file") && typed("account")),
+                "--token-file and --account: a daemon asks for one of them"
+            );
+            // Of two variables the one that says who it is.
+            if typed("token_file") { self.account = None } else { self.token_file = None }
+        }
+        Ok(())
+    }
+}
+
 /// A line to the services.
 pub struct Connection {
     channel: Channel,
@@ -104,7 +135,17 @@ pub struct Connection {
     pub account: Option<OwnerKey>,
     /// Largest message that is sent or taken, bytes.
     pub max_message_bytes: usize,
-    in_process: Option<InProcess>,
+    services: Services,
+}
+
+/// Whose the services are.
+enum Services {
+    /// A daemon's.
+    Stay,
+    /// Those of another command, which ends when it has done its work.
+    OfCommand,
+    /// Of this process.
+    Here(InProcess),
 }
 
 /// A line whose calls are about one scene: what a signed call has to name.
@@ -160,15 +201,13 @@ impl Connection {
     pub async fn open(place: &Where, config: &Config, opening: Opening) -> anyhow::Result<Self> {
         let (passphrase_file, key_file) = (place.account_passphrase_file.clone(), place.account_key_file.clone());
         let unlock = UnlockArgs { passphrase_file, key_file };
-        let account = place.account.as_deref().map(|path| unlock.load(path)).transpose()?;
+        // In the data folder nobody is asked who they are.
+        let account = place.account.as_deref().filter(|_| place.connect.is_some());
+        let account = account.map(|path| unlock.load(path)).transpose()?;
         let max_message_bytes = config.limits.max_message_bytes;
-        let (channel, in_process) = match &place.connect {
-            Some(url) => (remote(url, place).await?, None),
-            None => match InProcess::start(config, &place.data, opening).await {
-                Ok(services) => (in_process(&services).await?, Some(services)),
-                Err(ServeError::Engine(taken @ EngineError::Locked { .. })) => (of_holder(place, taken).await?, None),
-                Err(refused) => return Err(refused.into()),
-            },
+        let (channel, services) = match &place.connect {
+            Some(url) => (remote(url, place).await?, Services::Stay),
+            None => here(place, config, opening).await?,
         };
         let credential = match (&place.token_file, &account) {
             // Whoever has the data folder in hand needs none.
@@ -177,19 +216,25 @@ impl Connection {
             (None, Some(key)) => Credential::account(key.clone(), &channel, pinned(place)?.as_ref()).await?,
             (None, None) => Credential::Nothing,
         };
-        Ok(Self { channel, credential, account, max_message_bytes, in_process })
+        Ok(Self { channel, credential, account, max_message_bytes, services })
     }
 
-    /// Whether the services end with this command.
-    pub const fn is_in_process(&self) -> bool {
-        self.in_process.is_some()
+    /// Whether the services go on when no command runs any more.
+    pub const fn is_a_daemons(&self) -> bool {
+        matches!(self.services, Services::Stay)
     }
 
     /// Names the trainings whose process ended before they did, but for `asked`, which the command is about. None goes on
     /// unasked.
     pub fn say_what_was_interrupted(&self, asked: Option<&str>) {
-        let jobs = self.in_process.iter().flat_map(|services| services.engine().jobs().list());
-        for job in jobs.filter(|job| job.state == JobState::Interrupted && Some(job.id.as_str()) != asked) {
+        let Services::Here(services) = &self.services else { return };
+        for job in services
+            .engine()
+            .jobs()
+            .list()
+            .into_iter()
+            .filter(|job| job.state == JobState::Interrupted && Some(job.id.as_str()) != asked)
+        {
             let (id, scene) = (&job.id, &job.spec.scene);
             eprintln!(
                 "{id} ({scene}) was cut off with its process; `cairn train {scene} --resume {id}` goes on with it, \
@@ -205,7 +250,7 @@ impl Connection {
 
     /// Ends cleanly: a training in this process reaches its checkpoint.
     pub async fn close(self) {
-        if let Some(services) = self.in_process {
+        if let Services::Here(services) = self.services {
             services.shut_down().await;
         }
     }
@@ -221,8 +266,9 @@ fn pinned(place: &Where) -> anyhow::Result<Option<NoteVerifier>> {
 /// Connects to a daemon, which must answer at once.
 async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
     let url = with_scheme(url, place);
-    let endpoint = endpoint(&url, place)?.connect_timeout(PATIENCE);
-    let channel = match tokio::time::timeout(PATIENCE, endpoint.connect()).await {
+    let deadline = Instant::now() + PATIENCE;
+    let endpoint = endpoint(&url, place)?;
+    let channel = match timeout_at(deadline, endpoint.connect()).await {
         Ok(Ok(channel)) => channel,
         Ok(Err(error)) => anyhow::bail!(
             "no daemon is reached at {url} ({}); check the address, and --tls-ca for https; `cairn serve` starts a daemon, \
@@ -231,21 +277,43 @@ async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
         ),
         Err(_) => anyhow::bail!("{url} does not answer within {} s; is the address right?", PATIENCE.as_secs()),
     };
-    let mut access = AccessServiceClient::new(channel.clone());
-    match tokio::time::timeout(PATIENCE, access.about(AboutRequest {})).await {
-        Ok(Ok(_)) => Ok(channel),
+    match answers(&channel, deadline).await {
+        Ok(()) => Ok(channel),
         // A daemon that still reads its data folder says so itself.
-        Ok(Err(status)) if status.code() == Code::Unavailable && status.source().is_none() => Err(status.into()),
-        answered => {
-            let cause = match &answered {
-                Ok(Err(status)) => last(status),
-                _ => format!("no answer within {} s", PATIENCE.as_secs()),
-            };
-            anyhow::bail!(
-                "{url} does not answer as a Cairn daemon does ({cause}); a daemon says where it listens when it starts, one with \
-                 TLS wants https://, and some ask for --tls-cert"
-            )
+        Err(Silence::Refused(status)) if status.code() == Code::Unavailable && status.source().is_none() => {
+            Err(status.into())
         }
+        Err(silence) => anyhow::bail!(
+            "{url} does not answer as a Cairn daemon does ({silence}); a daemon says where it listens when it starts, one with \
+             TLS wants https://, and some ask for --tls-cert"
+        ),
+    }
+}
+
+/// Why something is no daemon.
+enum Silence {
+    Refused(Status),
+    Late,
+}
+
+impl fmt::Display for Silence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Refused(status) if status.source().is_some() => f.write_str(&last(status)),
+            Self::Refused(status) if status.code() == Code::Unimplemented => f.write_str("it knows no call of Cairn's"),
+            Self::Refused(status) => f.write_str(status.message()),
+            Self::Late => write!(f, "no answer within {} s", PATIENCE.as_secs()),
+        }
+    }
+}
+
+/// Whether a daemon's services are at the end of `channel`, and say so before `deadline`.
+async fn answers(channel: &Channel, deadline: Instant) -> Result<(), Silence> {
+    let mut access = AccessServiceClient::new(channel.clone());
+    match timeout_at(deadline, access.about(AboutRequest {})).await {
+        Ok(Ok(_)) => Ok(()),
+        Ok(Err(status)) => Err(Silence::Refused(status)),
+        Err(_) => Err(Silence::Late),
     }
 }
 
@@ -258,10 +326,35 @@ fn with_scheme(url: &str, place: &Where) -> String {
     }
 }
 
-/// Connects to the process that holds the data folder.
+/// Opens the data folder in this process, or connects to the one that holds it. That one may be about to end, or have begun
+/// just now: both are tried for a while.
+async fn here(place: &Where, config: &Config, opening: Opening) -> anyhow::Result<(Channel, Services)> {
+    let deadline = Instant::now() + UNTIL_HELD;
+    loop {
+        let taken = match InProcess::start(config, &place.data, opening).await {
+            Ok(services) => return Ok((in_process(&services).await?, Services::Here(services))),
+            Err(ServeError::Engine(taken @ EngineError::Locked { .. })) => taken,
+            Err(refused) => return Err(refused.into()),
+        };
+        if let Some((channel, services)) = of_holder(place).await {
+            if place.config.is_some() {
+                eprintln!(
+                    "the process that holds the data folder answers, with its own settings: --config is not read"
+                );
+            }
+            return Ok((channel, services));
+        }
+        if Instant::now() > deadline {
+            return Err(taken.into());
+        }
+        tokio::time::sleep(BETWEEN_TRIES).await;
+    }
+}
+
+/// Connects to the process that holds the data folder; `None` where it does not answer.
 #[cfg(unix)]
-async fn of_holder(place: &Where, taken: EngineError) -> anyhow::Result<Channel> {
-    let Ok(stream) = local::connect(&place.data).await else { return Err(taken.into()) };
+async fn of_holder(place: &Where) -> Option<(Channel, Services)> {
+    let (stream, holder) = local::connect(&place.data).await.ok()?;
     let mut first = Some(TokioIo::new(stream));
     let data = place.data.clone();
     let connector = tower::service_fn(move |_: Uri| {
@@ -269,17 +362,22 @@ async fn of_holder(place: &Where, taken: EngineError) -> anyhow::Result<Channel>
         async move {
             match first {
                 Some(stream) => Ok(stream),
-                None => local::connect(&data).await.map(TokioIo::new),
+                None => local::connect(&data).await.map(|(stream, _)| TokioIo::new(stream)),
             }
         }
     });
-    Ok(Endpoint::from_static("http://data-folder.invalid").connect_with_connector(connector).await?)
+    let endpoint = Endpoint::from_static("http://data-folder.invalid");
+    let deadline = Instant::now() + PATIENCE;
+    let channel = timeout_at(deadline, endpoint.connect_with_connector(connector)).await.ok()?.ok()?;
+    answers(&channel, deadline).await.ok()?;
+    let services = if holder == local::Holder::Daemon { Services::Stay } else { Services::OfCommand };
+    Some((channel, services))
 }
 
-/// Connects to the process that holds the data folder.
+/// Connects to the process that holds the data folder; `None` where it does not answer.
 #[cfg(not(unix))]
-async fn of_holder(_: &Where, taken: EngineError) -> anyhow::Result<Channel> {
-    Err(taken.into())
+async fn of_holder(_: &Where) -> Option<(Channel, Services)> {
+    None
 }
 
 /// Where the daemon is, and how the line to it is secured.

@@ -128,18 +128,20 @@ fn what_next(args: &Args) -> String {
 
 /// Runs the demo in its folder.
 async fn measure(place: &Where, config: &Config, args: &Args) -> anyhow::Result<Results> {
-    begin(&args.out)?;
     let begun = Instant::now();
     let mut clock = Clock { laps: Vec::new(), since: begun };
     let landmark =
         LandmarkConfig { contributors: args.contributors, photographs: args.photographs, ..LandmarkConfig::default() };
+    // What it refuses leaves an earlier demo as it is.
+    let photographs = Landmark::generate(&landmark, args.seed)?;
+    begin(&args.out)?;
     let capture = args.out.join("capture");
-    Landmark::generate(&landmark, args.seed)?.write(&capture)?;
+    photographs.write(&capture)?;
     clock.lap("photographing");
 
     let data = args.out.join("data");
-    let line = Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }, config, Opening::Change)
-        .await?;
+    let line =
+        Connection::open(&Where { connect: None, data: data.clone(), ..place.clone() }, config, Opening::Begin).await?;
     let results = through(&line, args, &capture, &data, &mut clock).await;
     line.close().await;
     let mut results = results?;
@@ -161,6 +163,20 @@ fn begin(out: &Path) -> anyhow::Result<()> {
         );
     }
     must_be_free(&out.join("data"))?;
+    for (folder, made) in [("data/scenes", SCENE), ("owners", "")] {
+        let Ok(entries) = std::fs::read_dir(out.join(folder)) else { continue };
+        for entry in entries {
+            let name = entry?.file_name().to_string_lossy().into_owned();
+            // A demo's owners are numbered.
+            let is_ours = name == made || (made.is_empty() && name.starts_with(|c: char| c.is_ascii_digit()));
+            let (out, folder) = (out.display(), out.join(folder));
+            let folder = folder.display();
+            anyhow::ensure!(
+                is_ours,
+                "{folder} holds {name}, which no demo made; name another folder than {out} with --out"
+            );
+        }
+    }
     std::fs::create_dir_all(out).with_context(|| failed("make"))?;
     for entry in std::fs::read_dir(out).with_context(|| failed("read"))? {
         let path = entry?.path();

@@ -68,10 +68,11 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
     };
     let mut answer = line.about(&args.name).query().identify(request).await?.into_inner();
     if args.json.json {
-        let payload = answer.payload.get_or_insert_default();
-        args.payload_out.iter().try_for_each(|folder| keep(payload, folder).map(drop))?;
-        // Files are for these.
-        (payload.picture_png, payload.sound_wav) = Default::default();
+        if let Some(payload) = &mut answer.payload {
+            args.payload_out.iter().try_for_each(|folder| keep(payload, folder).map(drop))?;
+            // Files are for these.
+            (payload.picture_png, payload.sound_wav) = Default::default();
+        }
         return json::print(&answer);
     }
     match &answer.answer {

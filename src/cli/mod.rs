@@ -39,7 +39,7 @@ use std::io::IsTerminal as _;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use clap::{CommandFactory as _, Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use cairn_service::config::{Config, LogFormat};
 use cairn_service::engine::Opening;
@@ -138,7 +138,16 @@ enum Command {
 }
 
 impl Command {
-    /// Whether it only reads: then it makes no data folder, and reads one that cannot be written.
+    /// What it opens the data folder for.
+    fn opening(&self) -> Opening {
+        match self {
+            command if command.reads() => Opening::Read,
+            Self::Scene(scene::Command::Import(_)) | Self::Owners(owners::Command::Vkey { .. }) => Opening::Begin,
+            _ => Opening::Change,
+        }
+    }
+
+    /// Whether it only reads.
     fn reads(&self) -> bool {
         match self {
             Self::Scene(command) => command.reads(),
@@ -161,6 +170,17 @@ impl Command {
 }
 
 impl Cli {
+    /// The command line of this process. What does not parse ends it, with a message.
+    ///
+    /// # Errors
+    /// For options that exclude each other.
+    pub fn given() -> anyhow::Result<Self> {
+        let given = Self::command().get_matches();
+        let mut cli = Self::from_arg_matches(&given).unwrap_or_else(|error| error.exit());
+        cli.place.settle(&given)?;
+        Ok(cli)
+    }
+
     /// Runs the command. The exit code is 1 where a verification says `invalid`, and `cairn audit` has more.
     ///
     /// # Errors
@@ -188,7 +208,7 @@ impl Cli {
             Command::Man(args) => shell::man(&args, Self::command())?,
             Command::Audit(command) => return audit::run(&command),
             command => {
-                let opening = if command.reads() { Opening::Read } else { Opening::Change };
+                let opening = command.opening();
                 let line = Connection::open(&place, &config, opening).await?;
                 line.say_what_was_interrupted(command.job());
                 let answer = over(&line, command).await;

@@ -32,8 +32,8 @@ pub fn completions(args: &CompletionsArgs, mut of: Command) {
 /// Writes a page for the program `of` and one for each of its commands.
 pub fn man(args: &ManArgs, of: Command) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
-    let pages = pages(&args.out, of)?;
-    println!("{pages} pages in {}; `man cairn` finds them where that folder is one of MANPATH's", args.out.display());
+    pages(&args.out, of)?;
+    println!("manual pages in {}; `man cairn` finds them where the folder around it is in MANPATH", args.out.display());
     Ok(())
 }
 

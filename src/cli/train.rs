@@ -157,7 +157,7 @@ impl Options {
 /// Answers `cairn train`.
 pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     anyhow::ensure!(
-        !(args.detach && line.is_in_process()),
+        !args.detach || line.is_a_daemons(),
         "--detach leaves the training to a daemon, and none is running; start one with `cairn serve`, or leave --detach away"
     );
     let job = match &args.resume {

@@ -14,12 +14,24 @@ use crate::paths;
 #[derive(Debug, Clone)]
 pub struct RealDisk {
     root: PathBuf,
+    /// Whether every change is refused.
+    only_reading: bool,
 }
 
 impl RealDisk {
     /// Files below `root`, which is there.
     pub fn new(root: &Path) -> Self {
-        Self { root: root.to_path_buf() }
+        Self { root: root.to_path_buf(), only_reading: false }
+    }
+
+    /// Files below `root`, none of which changes: what would change one is refused.
+    pub fn only_reading(root: &Path) -> Self {
+        Self { root: root.to_path_buf(), only_reading: true }
+    }
+
+    fn may_change(&self, operation: &'static str, path: &str) -> Result<(), DurableError> {
+        let cause = || io::Error::new(io::ErrorKind::PermissionDenied, "it is opened for reading only");
+        if self.only_reading { Err(self.failed(operation, path)(cause())) } else { Ok(()) }
     }
 
     fn at(&self, path: &str) -> PathBuf {
@@ -65,6 +77,7 @@ impl Disk for RealDisk {
     }
 
     fn write(&self, path: &str, offset: u64, bytes: &[u8]) -> Result<(), DurableError> {
+        self.may_change("write", path)?;
         let failed = self.failed("write", path);
         let mut file = self.open_for_writing(&self.at(path)).map_err(&failed)?;
         let length = file.metadata().map_err(&failed)?.len();
@@ -78,6 +91,9 @@ impl Disk for RealDisk {
     }
 
     fn sync(&self, path: &str) -> Result<(), DurableError> {
+        if self.only_reading {
+            return Ok(());
+        }
         let opened = OpenOptions::new().write(true).open(self.at(path));
         // `fdatasync`: bytes and whatever it takes to find them again, the length included, but no times.
         opened.and_then(|file| file.sync_data()).map_err(self.failed("flush", path))
@@ -92,6 +108,7 @@ impl Disk for RealDisk {
     }
 
     fn rename(&self, from: &str, to: &str) -> Result<(), DurableError> {
+        self.may_change("rename", from)?;
         fs::rename(self.at(from), self.at(to)).map_err(self.failed("rename", from))
     }
 
@@ -100,6 +117,9 @@ impl Disk for RealDisk {
     }
 
     fn remove(&self, path: &str) -> Result<(), DurableError> {
+        if self.at(path).exists() {
+            self.may_change("remove", path)?;
+        }
         paths::remove(&self.at(path))
     }
 }

@@ -29,7 +29,7 @@ use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
 use crate::store::exclusions::{Decision, Exclusions, leaving_out};
-use crate::store::folder::DataFolder;
+use crate::store::folder::{DataFolder, LAYOUT};
 use crate::store::import::{Import, ImportPlan};
 use crate::store::model::{self, Model, ModelInfo};
 use crate::store::scenes;
@@ -44,8 +44,10 @@ use crate::train::training::Training;
 pub enum Opening {
     /// To serve: it is made where absent, and trainings that were cut off go on.
     Serve,
-    /// For one command that may change it: it is made where absent. Trainings that were cut off wait for
-    /// somebody to resume them.
+    /// For one command that may begin it: it is made where absent. Trainings that were cut off wait for a person to
+    /// resume them.
+    Begin,
+    /// As [`Opening::Begin`], for a command that changes what is there: nothing is made.
     Change,
     /// For one command that reads: nothing is made, and a folder that cannot be written is read through a
     /// shadow (`store/shadow.rs`).
@@ -81,6 +83,9 @@ impl Engine {
     /// [`EngineError::Locked`] while another process has the folder; [`EngineError::NoFolder`] where there is none to
     /// read; [`EngineError::WrongState`] where the registry's key is missing; what the stored files say.
     pub fn open(data: &Path, config: &Config, opening: Opening) -> Result<Self, EngineError> {
+        if matches!(opening, Opening::Change | Opening::Read) && !data.join(LAYOUT).is_file() {
+            return Err(EngineError::NoFolder { path: data.to_path_buf() });
+        }
         let shadow = if opening == Opening::Read { shadow::of(data)? } else { None };
         Self::open_in(data, config, opening, shadow)
     }
@@ -94,12 +99,15 @@ impl Engine {
     ) -> Result<Self, EngineError> {
         let folder = DataFolder::open(shadow.as_ref().map_or(data, tempfile::TempDir::path))?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
-        // Nothing is signed through a shadow: there is nothing for the anchor to hold it to.
-        let anchor = match shadow {
-            None => Some(anchor::of(data, &key.public(), config.anchor_file.as_deref())?),
-            Some(_) => None,
+        let registry = match shadow {
+            None => {
+                let anchor = anchor::of(data, &key.public(), config.anchor_file.as_deref())?;
+                Registry::open_anchored(&folder.registry(), key, &config.origin, Some(anchor))?
+            }
+            // Nothing is signed through a shadow: there is nothing for the anchor to hold it to.
+            Some(_) => Registry::open_reading(&folder.registry(), key, &config.origin)?,
         };
-        let registry = Arc::new(Registry::open_anchored(&folder.registry(), key, &config.origin, anchor)?);
+        let registry = Arc::new(registry);
         let witnesses = config
             .witnesses
             .iter()

@@ -87,8 +87,8 @@ pub enum EngineError {
     },
     /// Another process has the data folder.
     #[error(
-        "the data folder {} is in use by process {pid}, which does not answer; stop that process, talk to its daemon with \
-         --connect, or use another folder",
+        "the data folder {} is in use by process {pid}; stop that process, talk to its daemon with --connect, or use \
+         another folder",
         path.display()
     )]
     Locked {

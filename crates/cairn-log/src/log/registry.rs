@@ -89,6 +89,18 @@ impl Registry {
         Ok(registry)
     }
 
+    /// Opens the log in the folder `path` to read it, and writes no file of it but its store: that is a copy, and the rest
+    /// may be another's. The caller sees to it that nobody submits.
+    ///
+    /// # Errors
+    /// As [`Registry::open`], without [`RegistryError::Locked`]; [`RegistryError::Store`] for a log that was not closed
+    /// cleanly and has to be mended first.
+    pub fn open_reading(path: &Path, key: OwnerKey, origin: &str) -> Result<Self, RegistryError> {
+        let store = DiskStore::open(&path.join(layout::WORKING))?;
+        let disk = Box::new(RealDisk::only_reading(path));
+        Self::open_tiered(Box::new(store), disk, key, origin, layout::ENOUGH, None)
+    }
+
     /// Opens the log in a store and on a disk of the caller's, who sees to it that there is one writer.
     ///
     /// # Errors

@@ -19,19 +19,36 @@ use super::pipe;
 
 /// The socket's folder in the data folder.
 const FOLDER: &str = "socket";
-/// The socket in it.
-const NAME: &str = "cairn";
+/// The socket in it, of a daemon.
+const DAEMON: &str = "daemon";
+/// The socket in it, of a command, which ends when it has done its own work.
+const COMMAND: &str = "command";
 /// Commands that are answered at the same time; a person runs a few.
 const MAX_CONNECTIONS: usize = 64;
 /// A system's address of a socket holds 108 bytes with the end (104 on some).
 const MAX_ADDRESS_BYTES: usize = 100;
-/// How often and how far apart a process is asked that has just taken the folder and still reads it.
-const TRIES: u32 = 20;
-const BETWEEN_TRIES: Duration = Duration::from_millis(100);
 /// After that, a command that waits for others says so.
 const SILENTLY: Duration = Duration::from_millis(300);
 /// After a connection that could not be taken.
 const PAUSE: Duration = Duration::from_millis(100);
+
+/// Who holds a data folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Holder {
+    /// A daemon: it stays.
+    Daemon,
+    /// A command: it ends when it has done its own work, and the commands that came through it theirs.
+    Command,
+}
+
+impl Holder {
+    const fn socket(self) -> &'static str {
+        match self {
+            Self::Daemon => DAEMON,
+            Self::Command => COMMAND,
+        }
+    }
+}
 
 /// A socket at work.
 pub(super) struct Socket {
@@ -41,11 +58,15 @@ pub(super) struct Socket {
 }
 
 impl Socket {
-    /// Listens in the data folder `data`, whose lock this process holds, and passes on what comes to `services`.
+    /// Listens in the data folder `data`, whose lock this process, `holder`, has, and passes on what comes to `services`.
     ///
     /// # Errors
     /// The file system's.
-    pub(super) fn listen(data: &Path, services: UnboundedSender<io::Result<DuplexStream>>) -> io::Result<Self> {
+    pub(super) fn listen(
+        data: &Path,
+        holder: Holder,
+        services: UnboundedSender<io::Result<DuplexStream>>,
+    ) -> io::Result<Self> {
         use std::os::unix::fs::DirBuilderExt as _;
         let folder = data.join(FOLDER);
         // What a process left that was killed.
@@ -53,7 +74,7 @@ impl Socket {
             fs::remove_dir_all(&folder)?;
         }
         fs::DirBuilder::new().mode(0o700).create(&folder)?;
-        let listener = UnixListener::bind(Address::of(&folder)?.path)?;
+        let listener = UnixListener::bind(Address::of(&folder, holder)?.path)?;
         let (stop, stopped) = oneshot::channel();
         let accepting = tokio::spawn(accept(listener, services, stopped));
         Ok(Self { folder, stop, accepting })
@@ -61,19 +82,29 @@ impl Socket {
 
     /// Takes no more connections, and waits for those that are open.
     pub(super) async fn close(mut self) {
-        // Nobody finds it from here on; where that fails the next owner clears it away.
-        let _ = fs::remove_dir_all(&self.folder);
+        self.hide();
         let _ = self.stop.send(());
         if tokio::time::timeout(SILENTLY, &mut self.accepting).await.is_err() {
-            tracing::warn!("another command works on the data folder through this process, which ends when that does");
-            // A panic was reported on its own thread.
-            let _ = self.accepting.await;
+            tracing::warn!(
+                "another command works on the data folder through this process, which ends when that does; Ctrl-C cuts it off"
+            );
+            tokio::select! {
+                // A panic was reported on its own thread.
+                _ = &mut self.accepting => {}
+                _ = tokio::signal::ctrl_c() => self.accepting.abort(),
+            }
         }
+    }
+
+    /// Lets nobody find it any more.
+    pub(super) fn hide(&self) {
+        // Where that fails the next owner clears it away.
+        let _ = fs::remove_dir_all(&self.folder);
     }
 
     /// As [`Socket::close`], for `grace` at most.
     pub(super) async fn close_within(self, grace: Duration) {
-        let _ = fs::remove_dir_all(&self.folder);
+        self.hide();
         let _ = self.stop.send(());
         let _ = tokio::time::timeout(grace, self.accepting).await;
     }
@@ -85,6 +116,14 @@ async fn accept(
     mut stopped: oneshot::Receiver<()>,
 ) {
     let mut open = JoinSet::new();
+    let take = |stream, open: &mut JoinSet<()>| {
+        let (ours, theirs) = pipe();
+        let taken = services.send(Ok(theirs)).is_ok();
+        if taken {
+            open.spawn(pass(stream, ours));
+        }
+        taken
+    };
     loop {
         tokio::select! {
             // An error means that the sender is gone: stop as well.
@@ -92,11 +131,9 @@ async fn accept(
             Some(_) = open.join_next(), if !open.is_empty() => {}
             accepted = listener.accept(), if open.len() < MAX_CONNECTIONS => match accepted {
                 Ok((stream, _)) => {
-                    let (ours, theirs) = pipe();
-                    if services.send(Ok(theirs)).is_err() {
+                    if !take(stream, &mut open) {
                         break;
                     }
-                    open.spawn(pass(stream, ours));
                 }
                 Err(error) => {
                     tracing::warn!(%error, "a connection to the data folder's socket was not taken");
@@ -105,6 +142,13 @@ async fn accept(
             },
         }
     }
+    // Who connected a moment ago was let in already.
+    while let Ok(Ok((stream, _))) = tokio::time::timeout(Duration::ZERO, listener.accept()).await {
+        if open.len() >= MAX_CONNECTIONS || !take(stream, &mut open) {
+            break;
+        }
+    }
+    drop(listener);
     while open.join_next().await.is_some() {}
 }
 
@@ -114,22 +158,18 @@ async fn pass(mut stream: UnixStream, mut services: DuplexStream) {
     let _ = tokio::io::copy_bidirectional(&mut stream, &mut services).await;
 }
 
-/// A connection to the process that holds the data folder `data`, which may have begun just now.
+/// A connection to the process that holds the data folder `data`, and who that is.
 ///
 /// # Errors
 /// The system's, where nobody listens.
-pub async fn connect(data: &Path) -> io::Result<UnixStream> {
-    let mut tries = 0;
-    loop {
-        let connected = match Address::of(&data.join(FOLDER)) {
-            Ok(address) => UnixStream::connect(&address.path).await,
-            Err(error) => Err(error),
-        };
-        match connected {
-            Err(_) if tries < TRIES => tries += 1,
-            ended => return ended,
+pub async fn connect(data: &Path) -> io::Result<(UnixStream, Holder)> {
+    let folder = data.join(FOLDER);
+    match UnixStream::connect(&Address::of(&folder, Holder::Daemon)?.path).await {
+        Ok(stream) => Ok((stream, Holder::Daemon)),
+        Err(_) => {
+            let stream = UnixStream::connect(&Address::of(&folder, Holder::Command)?.path).await?;
+            Ok((stream, Holder::Command))
         }
-        tokio::time::sleep(BETWEEN_TRIES).await;
     }
 }
 
@@ -141,14 +181,15 @@ struct Address {
 }
 
 impl Address {
-    fn of(folder: &Path) -> io::Result<Self> {
-        let path = folder.join(NAME);
+    fn of(folder: &Path, holder: Holder) -> io::Result<Self> {
+        let name = holder.socket();
+        let path = folder.join(name);
         if path.as_os_str().len() <= MAX_ADDRESS_BYTES || !cfg!(target_os = "linux") {
             return Ok(Self { path, _folder: None });
         }
         use std::os::fd::AsRawFd as _;
         let opened = File::open(folder)?;
-        let path = PathBuf::from(format!("/proc/self/fd/{}/{NAME}", opened.as_raw_fd()));
+        let path = PathBuf::from(format!("/proc/self/fd/{}/{name}", opened.as_raw_fd()));
         Ok(Self { path, _folder: Some(opened) })
     }
 }
@@ -172,7 +213,7 @@ mod tests {
     }
 
     async fn echoed(data: &Path, what: &[u8]) -> Vec<u8> {
-        let mut stream = connect(data).await.unwrap();
+        let (mut stream, _) = connect(data).await.unwrap();
         stream.write_all(what).await.unwrap();
         let mut back = vec![0; what.len()];
         stream.read_exact(&mut back).await.unwrap();
@@ -187,14 +228,21 @@ mod tests {
             fs::create_dir_all(&data).unwrap();
             // Left by a process that was killed.
             fs::create_dir_all(data.join(FOLDER)).unwrap();
-            fs::write(data.join(FOLDER).join(NAME), "stale").unwrap();
-            let socket = Socket::listen(&data, echo()).unwrap();
+            fs::write(data.join(FOLDER).join(COMMAND), "stale").unwrap();
+            assert!(connect(&data).await.is_err());
+            let socket = Socket::listen(&data, Holder::Daemon, echo()).unwrap();
             assert_eq!(fs::metadata(data.join(FOLDER)).unwrap().permissions().mode() & 0o777, 0o700);
             assert_eq!(echoed(&data, b"a call").await, b"a call");
-            let held = connect(&data).await.unwrap();
+            let (mut held, holder) = connect(&data).await.unwrap();
+            assert_eq!(holder, Holder::Daemon);
             let closing = tokio::spawn(socket.close());
             tokio::time::sleep(Duration::from_millis(50)).await;
             assert!(!closing.is_finished() && !data.join(FOLDER).exists());
+            // It is answered to its end.
+            held.write_all(b"more").await.unwrap();
+            let mut back = [0; 4];
+            held.read_exact(&mut back).await.unwrap();
+            assert_eq!(&back, b"more");
             drop(held);
             closing.await.unwrap();
         }

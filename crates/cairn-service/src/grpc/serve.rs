@@ -144,7 +144,7 @@ pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
         tracing::info!(witness = %witness.verifier, url = witness.url, "configured witness");
     }
     shared.loaded(engine.clone())?;
-    let local = InProcess::over(engine.clone(), &shared, &config.limits, Some(data));
+    let local = InProcess::over(engine.clone(), &shared, &config.limits, Some(data), true);
     tell(&reporter, ServingStatus::Serving).await;
     // Before anybody is told where it is, who may then stop it at once.
     let signal = signal()?;
@@ -155,17 +155,17 @@ pub async fn serve(config: Config, data: &Path) -> Result<(), ServeError> {
         signal = signal => tracing::info!(signal = signal?, "shutting down"),
     }
     tell(&reporter, ServingStatus::NotServing).await;
+    local.hide();
     let of_jobs = engine.clone();
     tokio::task::spawn_blocking(move || of_jobs.shut_down()).await?;
     // Watchers of a training that was put down would wait for ever: hence the grace.
     let _ = stop.send(());
     let grace = Duration::from_secs(config.shutdown_grace_s);
-    if let Ok(ended) = tokio::time::timeout(grace, &mut server).await {
-        ended??;
-    } else {
-        server.abort();
+    let (ended, ()) = tokio::join!(tokio::time::timeout(grace, &mut server), local.end_within(grace));
+    match ended {
+        Ok(ended) => ended??,
+        Err(_) => server.abort(),
     }
-    local.end_within(grace).await;
     if let Some(public) = public {
         public.end().await;
     }
@@ -229,11 +229,11 @@ impl InProcess {
         let held = engine.holds_the_folder();
         let shared = Shared::new(config);
         shared.loaded(engine.clone())?;
-        Ok(Self::over(engine, &shared, &config.limits, held.then_some(data)))
+        Ok(Self::over(engine, &shared, &config.limits, held.then_some(data), false))
     }
 
-    /// Serves an engine that is `shared` already, and in `data` the others.
-    fn over(engine: Arc<Engine>, shared: &Shared, limits: &Limits, data: Option<&Path>) -> Self {
+    /// Serves an engine that is `shared` already, and in `data` the others, as one who `stays`: a daemon.
+    fn over(engine: Arc<Engine>, shared: &Shared, limits: &Limits, data: Option<&Path>, stays: bool) -> Self {
         // A token would only lock the owner out.
         let shared = shared.in_process();
         let (connections, incoming) = tokio::sync::mpsc::unbounded_channel();
@@ -244,12 +244,13 @@ impl InProcess {
         tokio::spawn(server);
         #[cfg(unix)]
         let socket = data.and_then(|data| {
-            let listening = local::Socket::listen(data, connections.clone());
+            let holder = if stays { local::Holder::Daemon } else { local::Holder::Command };
+            let listening = local::Socket::listen(data, holder, connections.clone());
             // Without it the folder is in use, as it ever was.
             listening.inspect_err(|error| tracing::info!(%error, "no socket in the data folder")).ok()
         });
         #[cfg(not(unix))]
-        let _ = data;
+        let _ = (data, stays);
         Self {
             engine,
             connections,
@@ -277,6 +278,12 @@ impl InProcess {
             engine.close();
         })
         .await;
+    }
+
+    /// Lets no further command find the way through the data folder.
+    fn hide(&self) {
+        #[cfg(unix)]
+        self.socket.iter().for_each(local::Socket::hide);
     }
 
     /// Lets commands that came through the data folder end for `grace`, where the engine is another's to stop.

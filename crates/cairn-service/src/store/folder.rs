@@ -32,6 +32,8 @@ use crate::store::seal;
 
 /// The lock file of the folder's one owner.
 pub(crate) const LOCK: &str = "lock";
+/// The file that every data folder has.
+pub(crate) const LAYOUT: &str = "format.json";
 /// Version of the folder's layout.
 const FORMAT_VERSION: u32 = 1;
 /// Largest JSON file that is read, bytes.
@@ -60,7 +62,7 @@ impl DataFolder {
     pub fn open(root: &Path) -> Result<Self, EngineError> {
         fs::create_dir_all(root).map_err(EngineError::io("create", root))?;
         let lock = LockFile::take(&root.join(LOCK))?;
-        let format = root.join("format.json");
+        let format = root.join(LAYOUT);
         if format.exists() {
             let _: Layout = read_json(&format, FORMAT_VERSION)?;
         } else {

@@ -1,17 +1,17 @@
-//! Reading a data folder that cannot be written: a backup, a read-only disk, somebody else's.
+//! Reading a data folder that cannot be written: a backup, a read-only disk.
 //!
-//! Whoever opens a data folder writes in it: a lock, the store of the log, what is put in order at a start. A *shadow* is a
+//! Who opens a data folder writes in it: a lock, the store of the log, what is put in order at a start. A *shadow* is a
 //! folder for the time of one command. It has links to what is only read and copies of what an owner would write to.
 //! The copies are small: state files, job files, and of the log what is in no file of its own yet.
 
-use std::fs::{self, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::io::{Error, ErrorKind};
 use std::path::Path;
 
 use tempfile::TempDir;
 
 use crate::error::EngineError;
-use crate::store::folder::LOCK;
+use crate::store::folder::{LOCK, must_be_free};
 
 /// Folders of the data folder that are linked: they are large, and reading leaves them alone.
 const LINKED: [&str; 3] = ["scenes", "models", "registry.key"];
@@ -25,19 +25,25 @@ const MAX_DEPTH: usize = 5;
 /// A shadow of the data folder `data`; `None` where that can be written itself.
 ///
 /// # Errors
-/// [`EngineError::NoFolder`] where there is no data folder to read; the file system's.
+/// [`EngineError::Locked`] while another process has the folder, whose state is then not of one moment; the file
+/// system's.
 pub fn of(data: &Path) -> Result<Option<TempDir>, EngineError> {
-    if !data.join("format.json").is_file() {
-        return Err(EngineError::NoFolder { path: data.to_path_buf() });
-    }
+    must_be_free(data)?;
+    let refused = |e: &Error| matches!(e.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem);
     let lock = data.join(LOCK);
-    match OpenOptions::new().write(true).create(true).truncate(false).open(&lock) {
-        Ok(_) => Ok(None),
-        Err(e) if matches!(e.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => {
-            make(data).map(Some)
+    let probes = [
+        // Without a name, so that nothing is seen of it.
+        tempfile::tempfile_in(data).map(drop),
+        OpenOptions::new().write(true).open(&lock).map(drop),
+    ];
+    for probe in probes {
+        match probe {
+            Err(e) if refused(&e) => return make(data).map(Some),
+            Err(e) if e.kind() != ErrorKind::NotFound => return Err(EngineError::io("open", &lock)(e)),
+            _ => {}
         }
-        Err(e) => Err(EngineError::io("open", &lock)(e)),
     }
+    Ok(None)
 }
 
 /// Makes the shadow.
@@ -64,11 +70,12 @@ fn make(data: &Path) -> Result<TempDir, EngineError> {
     Ok(shadow)
 }
 
-/// Copies a file or a folder; folders named in `linked` become links. Checkpoints and payloads of jobs are linked, too: a
-/// copy of any file that is not state would be large.
+/// Copies a file or a folder, as files that can be written; folders named in `linked` become links, and so do
+/// checkpoints and fields of jobs, which are large.
 fn copy(from: &Path, to: &Path, linked: &[&str], depth: usize) -> Result<(), Error> {
     if !from.is_dir() {
-        return fs::copy(from, to).map(drop);
+        // Not `fs::copy`: it would copy that nobody may write.
+        return std::io::copy(&mut File::open(from)?, &mut File::create(to)?).map(drop);
     }
     if depth == 0 {
         return Err(Error::other("the folder is deeper than a data folder is"));
@@ -138,7 +145,7 @@ mod tests {
         let config = Config::from_toml("", "test").unwrap();
         let scene = data.join("scenes/town");
         {
-            let engine = Engine::open(&data, &config, Opening::Change).unwrap();
+            let engine = Engine::open(&data, &config, Opening::Begin).unwrap();
             std::fs::create_dir_all(&scene).unwrap();
             engine.close();
         }
