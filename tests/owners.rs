@@ -109,6 +109,7 @@ fn the_key_to_pin_comes_from_the_registry_and_not_from_the_bundle() {
     for part in ["scenes", "models"] {
         copy(&place.path("data").join(part), &place.path("forged-data").join(part));
     }
+    place.cairn_ok(&["owners", "vkey", "--data", &place.text("forged-data")]);
     let (bundle, forged) = (place.text("bundle"), place.text("forged"));
     for (out, data) in [(&bundle, &data), (&forged, &place.text("forged-data"))] {
         let sign = ["owners", "sign", "town", "--identity", "1", "--key", &key, "--kind", "contribution"];
