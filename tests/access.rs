@@ -65,7 +65,7 @@ async fn an_account_is_registered_approved_and_held_to_its_role() {
         }
     }
     let exclude = ["scene", "exclude", "town", "images/ada_002.png", "--why", "a dog"];
-    assert!(world.ok("cara", &exclude).starts_with("1 views of town are excluded"));
+    assert!(world.ok("cara", &exclude).starts_with("1 view of town is excluded"));
     for list in ["check", "show"] {
         let listed = world.ok("ada", &["scene", list, "town"]);
         let line = listed.lines().find(|line| line.contains("images/ada_002.png")).unwrap();

@@ -122,7 +122,7 @@ pub async fn exclude(line: &Connection, args: ExcludeArgs) -> anyhow::Result<()>
     let ExcludeArgs { name, views, why } = args;
     let request = v1::ExcludeViewsRequest { scene: name.clone(), view_names: views, why };
     let answer = line.about(&name).scenes().exclude(request).await?.into_inner();
-    println!("{} views of {name} are excluded; train it again to have them out", answer.excluded);
+    println!("{}; train it again to have them out", excluded(answer.excluded, &name));
     Ok(())
 }
 
@@ -131,6 +131,15 @@ pub async fn include(line: &Connection, args: IncludeArgs) -> anyhow::Result<()>
     let IncludeArgs { name, views } = args;
     let request = v1::IncludeViewsRequest { scene: name.clone(), view_names: views };
     let answer = line.about(&name).scenes().include(request).await?.into_inner();
-    println!("{} views of {name} are excluded; train it again to have the others in", answer.excluded);
+    println!("{}; train it again where a view is in that was out", excluded(answer.excluded, &name));
     Ok(())
+}
+
+/// How many views are excluded, in words.
+fn excluded(count: u32, scene: &str) -> String {
+    match count {
+        0 => format!("no view of {scene} is excluded"),
+        1 => format!("1 view of {scene} is excluded"),
+        _ => format!("{count} views of {scene} are excluded"),
+    }
 }

@@ -52,7 +52,7 @@ pub struct WhoArgs {
 
 /// Answers `cairn identify`.
 pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<()> {
-    let swapped = !args.picture.exists() && Path::new(&args.name).is_file();
+    let swapped = !args.picture.is_file() && Path::new(&args.name).is_file();
     anyhow::ensure!(!swapped, "the scene comes first: cairn identify {} {}", args.picture.display(), args.name);
     let camera = match args.view.is_some() || args.pose.is_some() {
         true => Some(viewpoint(args.view, args.pose.as_deref())?),
@@ -120,8 +120,10 @@ fn show(found: &v1::FoundIdentity, confidence: f64) {
         println!("{}: photographs by {}", found.label, named(&found.contributors));
     }
     let indices: Vec<String> = found.record_indices.iter().map(u64::to_string).collect();
-    let records = if indices.is_empty() { "none".to_owned() } else { indices.join(", ") };
-    println!("owner records at index: {records}");
+    match indices[..] {
+        [] => println!("no owner record yet; `cairn owners sign` makes one"),
+        _ => println!("owner records at index: {}", indices.join(", ")),
+    }
 }
 
 /// Of an unmarked picture: that an owner is likelier all the same, if one is.

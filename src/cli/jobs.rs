@@ -76,7 +76,7 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
             train::report(&job, &[])
         }
         Some(Command::Cancel { job }) => {
-            let known = newest(line, &job).await?;
+            let known = train::newest(line, &job).await?;
             let request = v1::CancelTrainingRequest { job_id: job };
             let answer = line.about(&known.scene).training().cancel(request).await?.into_inner();
             let job = answer.job.context("the daemon's answer names no job")?;
@@ -108,15 +108,8 @@ async fn list(line: &Connection, json: Json) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A training as it is now.
-async fn newest(line: &Connection, id: &str) -> anyhow::Result<v1::Job> {
-    let request = v1::WatchTrainingRequest { job_id: id.to_owned() };
-    let first = line.training().watch(request).await?.into_inner().message().await?;
-    first.and_then(|message| message.job).context("the daemon said nothing of the job")
-}
-
 async fn show(line: &Connection, id: &str, json: Json) -> anyhow::Result<()> {
-    let job = newest(line, id).await?;
+    let job = train::newest(line, id).await?;
     if json.json {
         return json::print(&job);
     }

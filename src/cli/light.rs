@@ -13,7 +13,7 @@ const HALF_WAY: f64 = 0.5;
 /// One light of a training view, or of a photograph.
 #[derive(Clone, Debug, clap::Args)]
 pub struct InLight {
-    /// In the light of this training view (where not given neutral; with --path between from the one's to the other's)
+    /// In the light of this view, held-out ones too (where not given neutral; with --path between from the one's to the other's)
     #[arg(long, value_name = "VIEW")]
     light: Option<String>,
     /// In the light of this photograph, PNG, JPEG or WebP, as it is fitted to the whole of it; say which camera took it
@@ -30,7 +30,7 @@ pub struct InLight {
 /// A second view's light.
 #[derive(Clone, Debug, clap::Args)]
 pub struct LightTo {
-    /// On the way from the light of --light to the one of this training view, which a path reaches with its last frame
+    /// On the way from the light of --light to the one of this view, which a path reaches with its last frame
     #[arg(long, value_name = "VIEW", requires = "light")]
     light_to: Option<String>,
     /// How far on that way, from 0 to 1: 0 is --light, 1 is --light-to (half-way where not given)

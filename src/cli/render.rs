@@ -69,6 +69,10 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
     }
     args.along.must_be_absent()?;
     let format = format_of(&args.out)?;
+    for path in [&args.depth, &args.depth_colours, &args.accumulation].into_iter().flatten() {
+        let is_png = ImageFormat::of_path(path) == Some(ImageFormat::Png);
+        anyhow::ensure!(is_png, "{}: depth and accumulation have 16 bits; the name ends in .png", path.display());
+    }
     let request = v1::RenderRequest {
         scene: args.name.clone(),
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),

@@ -160,8 +160,15 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         !args.detach || line.is_a_daemons(),
         "--detach leaves the training to a daemon, and none is running; start one with `cairn serve`, or leave --detach away"
     );
+    if let Some(folder) = &args.keys {
+        anyhow::ensure!(!folder.exists(), "{} is there already; --keys names a new folder", folder.display());
+    }
     let job = match &args.resume {
         Some(id) => {
+            let job = newest(line, id).await?;
+            let is_of = job.scene == args.name || job.also.contains(&args.name);
+            let of = &job.scene;
+            anyhow::ensure!(is_of, "{id} is a training of {of}; `cairn train {of} --resume {id}` goes on with it");
             let request = v1::ResumeTrainingRequest { job_id: id.clone() };
             let job = line.about(&args.name).training().resume(request).await?.into_inner().job;
             job.context("the daemon's answer names no job")?
@@ -178,6 +185,9 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     }
     let job = watch(line, &job.id, OnInterrupt::Cancel).await?;
     report(&job, &told)?;
+    if !args.base_only {
+        println!("see how good it is: `cairn evaluate {} --sheet contact-sheet.png`", args.name);
+    }
     if let Some(folder) = args.keys.filter(|_| job.state() == JobState::Done) {
         let signed = super::sign::sign_all(line, &args.name, &folder).await?;
         println!("{} owner records signed; keys and bundles are in {}", signed.len(), folder.display());
@@ -256,6 +266,13 @@ async fn scenes_as_they_lie(line: &Connection, job: &v1::Job) -> String {
     told.join(", ")
 }
 
+/// A training as it is now.
+pub async fn newest(line: &Connection, id: &str) -> anyhow::Result<v1::Job> {
+    let request = v1::WatchTrainingRequest { job_id: id.to_owned() };
+    let first = line.training().watch(request).await?.into_inner().message().await?;
+    first.and_then(|message| message.job).context("the daemon said nothing of the job")
+}
+
 /// What Ctrl-C does to a training that is watched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnInterrupt {
@@ -273,7 +290,7 @@ pub async fn watch(line: &Connection, id: &str, on_interrupt: OnInterrupt) -> an
     let mut last: Option<v1::Job> = None;
     loop {
         tokio::select! {
-            message = stream.message() => match message? {
+            message = stream.message() => match message.with_context(|| cut_off(id, last.as_ref()))? {
                 Some(message) => {
                     if let Some(job) = message.job {
                         draw(&mut shown, &job);
@@ -297,6 +314,12 @@ pub async fn watch(line: &Connection, id: &str, on_interrupt: OnInterrupt) -> an
     }
     shown.end();
     last.context("the daemon closed the line before it said anything of the job")
+}
+
+/// What to do where the process that trains is gone.
+fn cut_off(id: &str, last: Option<&v1::Job>) -> String {
+    let scene = last.map_or("SCENE", |job| job.scene.as_str());
+    format!("{id} is not watched any more; where it was cut off, `cairn train {scene} --resume {id}` goes on with it")
 }
 
 fn draw(shown: &mut Progress, job: &v1::Job) {

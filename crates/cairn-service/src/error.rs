@@ -42,13 +42,13 @@ pub enum EngineError {
         got: u64,
     },
     /// It does not exist.
-    #[error("there is no {kind} {name:?}; there is: {there}")]
+    #[error("there is no {kind} {name:?}; there {there}")]
     NotFound {
         /// Scene, view, job, identity.
         kind: &'static str,
         /// What was asked for.
         name: String,
-        /// What there is, shortened.
+        /// What there is, shortened, with its verb.
         there: String,
     },
     /// The scene was not trained yet.
@@ -214,7 +214,7 @@ impl EngineError {
         if there.len() == 9 {
             there[8] = "...";
         }
-        let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+        let there = if there.is_empty() { "are none yet".to_owned() } else { format!("is: {}", there.join(", ")) };
         Self::NotFound { kind, name: name.to_owned(), there }
     }
 }

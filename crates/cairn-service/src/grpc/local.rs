@@ -80,13 +80,12 @@ impl Socket {
         Ok(Self { folder, stop, accepting })
     }
 
-    /// Takes no more connections, and waits for those that are open.
+    /// Waits until no connection is open, and takes no more then: until that others still find the folder answered for.
     pub(super) async fn close(mut self) {
-        self.hide();
         let _ = self.stop.send(());
         if tokio::time::timeout(SILENTLY, &mut self.accepting).await.is_err() {
             tracing::warn!(
-                "another command works on the data folder through this process, which ends when that does; Ctrl-C cuts it off"
+                "done; another command still works on the data folder through this process, which waits for it; Ctrl-C cuts it off"
             );
             tokio::select! {
                 // A panic was reported on its own thread.
@@ -94,12 +93,12 @@ impl Socket {
                 _ = tokio::signal::ctrl_c() => self.accepting.abort(),
             }
         }
+        hide(&self.folder);
     }
 
     /// Lets nobody find it any more.
     pub(super) fn hide(&self) {
-        // Where that fails the next owner clears it away.
-        let _ = fs::remove_dir_all(&self.folder);
+        hide(&self.folder);
     }
 
     /// As [`Socket::close`], for `grace` at most.
@@ -108,6 +107,11 @@ impl Socket {
         let _ = self.stop.send(());
         let _ = tokio::time::timeout(grace, self.accepting).await;
     }
+}
+
+fn hide(folder: &Path) {
+    // Where that fails the next owner clears it away.
+    let _ = fs::remove_dir_all(folder);
 }
 
 async fn accept(
@@ -124,10 +128,11 @@ async fn accept(
         }
         taken
     };
-    loop {
+    let mut closing = false;
+    while !(closing && open.is_empty()) {
         tokio::select! {
             // An error means that the sender is gone: stop as well.
-            _ = &mut stopped => break,
+            _ = &mut stopped, if !closing => closing = true,
             Some(_) = open.join_next(), if !open.is_empty() => {}
             accepted = listener.accept(), if open.len() < MAX_CONNECTIONS => match accepted {
                 Ok((stream, _)) => {
@@ -237,14 +242,16 @@ mod tests {
             assert_eq!(holder, Holder::Daemon);
             let closing = tokio::spawn(socket.close());
             tokio::time::sleep(Duration::from_millis(50)).await;
-            assert!(!closing.is_finished() && !data.join(FOLDER).exists());
-            // It is answered to its end.
+            assert!(!closing.is_finished());
+            // It is answered to its end, and so are others until then.
+            assert_eq!(echoed(&data, b"another").await, b"another");
             held.write_all(b"more").await.unwrap();
             let mut back = [0; 4];
             held.read_exact(&mut back).await.unwrap();
             assert_eq!(&back, b"more");
             drop(held);
             closing.await.unwrap();
+            assert!(!data.join(FOLDER).exists());
         }
     }
 }
