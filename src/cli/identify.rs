@@ -94,6 +94,9 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
     for (class, probability) in answer.probabilities.iter().enumerate() {
         println!("  class {class}: {probability:.4}");
     }
+    if matches!(answer.answer, Some(identify_response::Answer::Unmarked(_)) | None) {
+        println!("the picture is unmarked: what the detector draws from it is nobody's");
+    }
     show_payload(&answer.payload.unwrap_or_default(), args.payload_out.as_deref())
 }
 
