@@ -90,7 +90,7 @@ impl Registry {
     }
 
     /// Opens the log in the folder `path` to read it, and writes no file of it but its store: that is a copy, and the rest
-    /// may be another's. The caller sees to it that nobody submits.
+    /// may be another's. The caller must not submit.
     ///
     /// # Errors
     /// As [`Registry::open`], without [`RegistryError::Locked`]; [`RegistryError::Store`] for a log that was not closed

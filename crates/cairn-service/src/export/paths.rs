@@ -160,7 +160,7 @@ pub fn through(i: usize, frames: usize) -> f64 {
     if frames > 1 { i as f64 / (frames - 1) as f64 } else { 0.0 }
 }
 
-/// The lens of a camera nobody held: a pinhole with the median focal length of `views`, square
+/// The lens of a camera that took no photograph: a pinhole with the median focal length of `views`, square
 /// pixels, no distortion, `width` x `height` px. What fisheyes took it shows in the middle at their scale, and less
 /// of what is beside it. `None` without views.
 pub fn middling_lens(views: &[Intrinsics], width: usize, height: usize) -> Option<Intrinsics> {

@@ -192,7 +192,7 @@ fn a_flight_between_two_fisheyes_has_their_lens_and_there_is_none_to_a_pinhole()
         assert_eq!(between(&a, &pinhole, CENTRE, share), Err(PathError::OtherLens), "{share}");
         assert_eq!(between(&pinhole, &b, CENTRE, share), Err(PathError::OtherLens), "{share}");
     }
-    // A camera nobody held is a pinhole of the same scale.
+    // A camera that took no photograph is a pinhole of the same scale.
     let middling = middling_lens(&[a.intrinsics, b.intrinsics], 100, 80).unwrap();
     assert!(middling.fx == 105.0 && middling.distortion.is_none());
 }

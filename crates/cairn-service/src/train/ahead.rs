@@ -2,8 +2,9 @@
 //!
 //! A phase that runs says itself how long it still takes. What comes after it is estimated: from seconds that were measured
 //! on two cores, times how much slower or faster than those the newest phase runs here. The estimate is rough. A ray of
-//! stage 1 took 2.8 to 7.0 microseconds on four captures, a step of stage 2 0.08 to 0.21 seconds; the constants are their
-//! geometric means (`docs/results.md`, field and mark). Stage 2 also ends early where marks can be read.
+//! stage 1 took 2.8 to 7.0 microseconds on four captures, a configured step of stage 2, brought to one size of picture,
+//! 0.054 to 0.20 seconds. The constants are their geometric means (`bench/results`, field and mark). Stage 2 ends early
+//! where marks can be read, so not all configured steps are taken.
 
 use crate::train::job::{Job, Progress};
 use crate::train::stages::{BASE, MARK};
@@ -11,7 +12,7 @@ use crate::train::stages::{BASE, MARK};
 /// Seconds a ray of stage 1.
 const RAY_S: f64 = 4.8e-6;
 /// Seconds a step of stage 2 of three renders, on pictures of [`STEP_PX`] px.
-const STEP_S: f64 = 0.12;
+const STEP_S: f64 = 0.093;
 /// Side of the pictures that the networks see, px, for which [`STEP_S`] is.
 const STEP_PX: f64 = 128.0;
 /// Renders of a step for which [`STEP_S`] is.
