@@ -7,7 +7,7 @@ use super::connect::Connection;
 use super::json::{self, Json};
 use super::progress::clock;
 use super::train;
-use super::words::word;
+use super::words::{job_id, word};
 
 /// `cairn jobs`.
 #[derive(Debug, clap::Args)]
@@ -31,7 +31,8 @@ pub enum Command {
     /// Show one training: how far it is, how long it still takes, what it found out
     #[command(after_help = "Example:\n  cairn jobs show job-000001")]
     Show {
-        /// The training, as job-000001
+        /// The training, as job-000001 or 1
+        #[arg(value_parser = job_id)]
         job: String,
         #[command(flatten)]
         json: Json,
@@ -39,13 +40,15 @@ pub enum Command {
     /// Watch one training to its end; Ctrl-C stops the watching and leaves the training alone
     #[command(after_help = "Example:\n  cairn jobs watch job-000001")]
     Watch {
-        /// The training, as job-000001
+        /// The training, as job-000001 or 1
+        #[arg(value_parser = job_id)]
         job: String,
     },
     /// Cancel one training; its checkpoint is kept for `cairn train SCENE --resume JOB`
     #[command(after_help = "Example:\n  cairn jobs cancel job-000001")]
     Cancel {
-        /// The training, as job-000001
+        /// The training, as job-000001 or 1
+        #[arg(value_parser = job_id)]
         job: String,
     },
 }

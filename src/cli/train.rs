@@ -11,7 +11,7 @@ use super::exit::Cancelled;
 use super::progress::Progress;
 use super::scene;
 use super::signals::{fit_one_message, signals};
-use super::words::word;
+use super::words::{job_id, word};
 
 /// `cairn train`.
 #[derive(Clone, Debug, clap::Args)]
@@ -58,7 +58,7 @@ pub struct Args {
     #[arg(long, conflicts_with_all = ["base_only", "Options"])]
     pub grow: bool,
     /// Go on with a training of this scene that was cancelled or cut off, or failed
-    #[arg(long, value_name = "JOB")]
+    #[arg(long, value_name = "JOB", value_parser = job_id)]
     pub resume: Option<String>,
     /// Do not wait for the end; a daemon has to be running, with --connect or on --data
     #[arg(long, conflicts_with = "keys")]
