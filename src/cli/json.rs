@@ -1,7 +1,8 @@
 //! Answers as JSON, for programs: the message that the daemon sends, field by field, under the names of `proto/cairn/v1`.
 //!
-//! Bytes are lower-case hexadecimal, values of enums the words that text answers use, numbers numbers. A field that is not
-//! set is `null`; of a `oneof` only what is set is there.
+//! Bytes are lower-case hexadecimal, values of enums the words that text answers use, numbers numbers; but integers of 64
+//! bits are decimal strings, as in the JSON mapping of proto3: many readers of JSON have doubles only, and seeds may exceed
+//! 2^53. A field that is not set is `null`; of a `oneof` only what is set is there.
 
 use anyhow::Context as _;
 use cairn_api::v1::FILE_DESCRIPTOR_SET;
@@ -69,9 +70,9 @@ fn value(field: &Field, descriptor: &FieldDescriptor) -> Value {
     match field {
         Field::Bool(value) => (*value).into(),
         Field::I32(value) => (*value).into(),
-        Field::I64(value) => (*value).into(),
+        Field::I64(value) => value.to_string().into(),
         Field::U32(value) => (*value).into(),
-        Field::U64(value) => (*value).into(),
+        Field::U64(value) => value.to_string().into(),
         // The shortest that reads as the same number, not all digits of a nearby double.
         Field::F32(value) => value.to_string().parse::<f64>().map_or(Value::Null, Value::from),
         Field::F64(value) => (*value).into(),
@@ -119,8 +120,8 @@ mod tests {
         };
         let said = of(&job).unwrap();
         assert_eq!(said["state"], "running");
-        assert_eq!(said["seed"], u64::MAX);
-        assert_eq!((&said["progress"]["step"], &said["notes"]), (&json!(3), &json!([])));
+        assert_eq!(said["seed"], "18446744073709551615");
+        assert_eq!((&said["progress"]["step"], &said["notes"]), (&json!("3"), &json!([])));
         assert_eq!(of(&v1::Job::default()).unwrap()["progress"], Value::Null);
     }
 

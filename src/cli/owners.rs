@@ -137,7 +137,7 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
     let records = records::list(line, &name.unwrap_or_default()).await?;
     if json.json {
         let records = records.iter().map(records::as_json).collect::<anyhow::Result<Vec<_>>>()?;
-        json::print_value(&serde_json::json!({ "size": size, "records": records }))?;
+        json::print_value(&serde_json::json!({ "size": size.to_string(), "records": records }))?;
     } else if records.is_empty() {
         eprintln!("no owner records yet; sign one with `cairn owners sign`");
     }
