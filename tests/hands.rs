@@ -98,6 +98,9 @@ fn commands_share_a_folder_that_a_daemon_holds() {
     assert!(said.contains("job-000001 accepted"), "{said}");
     let said = place.cairn_ok(&["jobs", "watch", "job-000001", "--data", &data]);
     assert!(said.contains("job-000001 done"), "{said}");
+    let lines = place.cairn_ok(&["jobs", "watch", "1", "--json", "--data", &data]);
+    let last: serde_json::Value = serde_json::from_str(lines.lines().next_back().unwrap()).unwrap();
+    assert_eq!((&last["state"], &last["seed"]), (&"done".into(), &"1".into()), "{lines}");
     assert!(daemon.terminate().success());
     assert!(!place.path("data/socket").exists(), "the socket outlives its daemon");
     // Without a daemon a training cannot be left alone, nor with a command that ends when it has done its own work.
@@ -174,8 +177,11 @@ fn a_training_is_seen_and_cancelled_from_another_command() {
     let said = place.cairn_ok(&["jobs", "cancel", "job-000001", "--data", &data]);
     assert!(said.contains("cairn train town --resume job-000001"), "{said}");
     let (code, said) = training.end();
-    assert_eq!(code, Some(130), "{said}");
-    assert!(said.contains("job-000001 cancelled; its checkpoint is kept"), "{said}");
+    // 130 is for the person at the command alone.
+    assert_eq!(code, Some(2), "{said}");
+    assert!(said.contains("job-000001 was cancelled by another command; its checkpoint is kept"), "{said}");
+    let said = place.cairn_refused(&["jobs", "watch", "1", "--data", &data]);
+    assert!(said.contains("was cancelled by another command") && said.contains("--resume job-000001"), "{said}");
 }
 
 #[test]

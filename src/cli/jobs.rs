@@ -43,6 +43,9 @@ pub enum Command {
         /// The training, as job-000001 or 1
         #[arg(value_parser = job_id)]
         job: String,
+        /// Print each state of it as JSON, for programs, one a line
+        #[arg(long)]
+        json: bool,
     },
     /// Cancel one training; its checkpoint is kept for `cairn train SCENE --resume JOB`
     #[command(after_help = "Example:\n  cairn jobs cancel job-000001")]
@@ -58,7 +61,7 @@ impl Args {
     pub fn job(&self) -> Option<&str> {
         match self.command.as_ref()? {
             Command::List { .. } => None,
-            Command::Show { job, .. } | Command::Watch { job } | Command::Cancel { job } => Some(job),
+            Command::Show { job, .. } | Command::Watch { job, .. } | Command::Cancel { job } => Some(job),
         }
     }
 
@@ -74,9 +77,14 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
         None => list(line, args.json).await,
         Some(Command::List { json }) => list(line, json).await,
         Some(Command::Show { job, json }) => show(line, &job, json).await,
-        Some(Command::Watch { job }) => {
-            let job = train::watch(line, &job, train::OnInterrupt::Leave).await?;
-            train::report(&job, &[])
+        Some(Command::Watch { job, json }) => {
+            let mut shown = if json { train::Shown::Json } else { train::Shown::bar() };
+            let watched = train::watch(line, &job, train::OnInterrupt::Leave, &mut shown).await?;
+            train::ended(&watched)?;
+            if !json {
+                train::report(&watched.job, &[]);
+            }
+            Ok(())
         }
         Some(Command::Cancel { job }) => {
             let known = train::newest(line, &job).await?;

@@ -30,6 +30,15 @@ pub fn print<M: Message + Name>(message: &M) -> anyhow::Result<()> {
     print_value(&of(message)?)
 }
 
+/// Prints a message in one line.
+///
+/// # Errors
+/// As [`of`].
+pub fn print_line<M: Message + Name>(message: &M) -> anyhow::Result<()> {
+    println!("{}", of(message)?);
+    Ok(())
+}
+
 /// Prints what is JSON already.
 ///
 /// # Errors

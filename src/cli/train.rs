@@ -8,6 +8,7 @@ use clap::builder::ArgPredicate;
 
 use super::connect::Connection;
 use super::exit::Cancelled;
+use super::json;
 use super::progress::Progress;
 use super::scene;
 use super::signals::{fit_one_message, signals};
@@ -183,12 +184,13 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     if args.detach {
         return Ok(());
     }
-    let job = watch(line, &job.id, OnInterrupt::Cancel).await?;
-    report(&job, &told)?;
+    let watched = watch(line, &job.id, OnInterrupt::Cancel, &mut Shown::bar()).await?;
+    ended(&watched)?;
+    report(&watched.job, &told);
     if !args.base_only {
         println!("see how good it is: `cairn evaluate {} --sheet contact-sheet.png`", args.name);
     }
-    if let Some(folder) = args.keys.filter(|_| job.state() == JobState::Done) {
+    if let Some(folder) = args.keys {
         let signed = super::sign::sign_all(line, &args.name, &folder).await?;
         println!("{} owner records signed; keys and bundles are in {}", signed.len(), folder.display());
         println!("those keys are plain files for trying things out; an owner's own is sealed (`cairn keys new`)");
@@ -198,12 +200,9 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
 
 /// Starts a training and watches it to its good end.
 pub async fn run_to_end(line: &Connection, args: &Args) -> anyhow::Result<v1::Job> {
-    let job = watch(line, &start(line, args).await?.id, OnInterrupt::Cancel).await?;
-    if job.state() == JobState::Cancelled {
-        return Err(Cancelled(format!("{} was cancelled", job.id)).into());
-    }
-    anyhow::ensure!(job.state() == JobState::Done, "{} {} {}", job.id, state_name(job.state()), job.error);
-    Ok(job)
+    let watched = watch(line, &start(line, args).await?.id, OnInterrupt::Cancel, &mut Shown::bar()).await?;
+    ended(&watched)?;
+    Ok(watched.job)
 }
 
 /// Has a training accepted.
@@ -282,18 +281,60 @@ pub enum OnInterrupt {
     Leave,
 }
 
-/// Watches a job to its end, with a bar.
-pub async fn watch(line: &Connection, id: &str, on_interrupt: OnInterrupt) -> anyhow::Result<v1::Job> {
+/// A training that was watched to its end.
+pub struct Watched {
+    /// It, as it ended.
+    pub job: v1::Job,
+    /// Whether the person at this command had it cancelled.
+    pub is_interrupted: bool,
+}
+
+/// How the states of a watched training are shown.
+pub enum Shown {
+    /// With a bar, on standard error.
+    Bar(Progress),
+    /// As JSON, one a line, on standard output.
+    Json,
+}
+
+impl Shown {
+    /// With a bar.
+    pub fn bar() -> Self {
+        Self::Bar(Progress::new(true))
+    }
+
+    fn job(&mut self, job: &v1::Job) -> anyhow::Result<()> {
+        match self {
+            Self::Bar(bar) => draw(bar, job),
+            Self::Json => json::print_line(job)?,
+        }
+        Ok(())
+    }
+
+    fn end(&self) {
+        if let Self::Bar(bar) = self {
+            bar.end();
+        }
+    }
+}
+
+/// Watches a job to its end.
+pub async fn watch(
+    line: &Connection,
+    id: &str,
+    on_interrupt: OnInterrupt,
+    shown: &mut Shown,
+) -> anyhow::Result<Watched> {
     let request = v1::WatchTrainingRequest { job_id: id.to_owned() };
     let mut stream = line.training().watch(request).await?.into_inner();
-    let mut shown = Progress::new(true);
     let mut last: Option<v1::Job> = None;
+    let mut is_interrupted = false;
     loop {
         tokio::select! {
             message = stream.message() => match message.with_context(|| cut_off(id, last.as_ref()))? {
                 Some(message) => {
                     if let Some(job) = message.job {
-                        draw(&mut shown, &job);
+                        shown.job(&job)?;
                         last = Some(job);
                     }
                 }
@@ -305,7 +346,10 @@ pub async fn watch(line: &Connection, id: &str, on_interrupt: OnInterrupt) -> an
                     shown.end();
                     return Err(Cancelled(format!("{id} goes on; `cairn jobs watch {id}` watches it again")).into());
                 }
-                shown.say("cancelling after this step");
+                is_interrupted = true;
+                if let Shown::Bar(bar) = &*shown {
+                    bar.say("cancelling after this step");
+                }
                 let request = v1::CancelTrainingRequest { job_id: id.to_owned() };
                 let scene = last.as_ref().map_or("", |job| job.scene.as_str());
                 line.about(scene).training().cancel(request).await?;
@@ -313,7 +357,8 @@ pub async fn watch(line: &Connection, id: &str, on_interrupt: OnInterrupt) -> an
         }
     }
     shown.end();
-    last.context("the daemon closed the line before it said anything of the job")
+    let job = last.context("the daemon closed the line before it said anything of the job")?;
+    Ok(Watched { job, is_interrupted })
 }
 
 /// What to do where the process that trains is gone.
@@ -333,17 +378,21 @@ fn draw(shown: &mut Progress, job: &v1::Job) {
     shown.draw(&p.stage, p.step, p.total, &quality, p.seconds_left);
 }
 
-/// How a job ended, with its notes but those that were `told` when it began.
-pub fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
+/// Whether a training ended well.
+///
+/// # Errors
+/// How it ended otherwise; [`Cancelled`] where the person at this command cancelled it, and nobody else.
+pub fn ended(watched: &Watched) -> anyhow::Result<()> {
+    let job = &watched.job;
     let resume = format!("go on with `cairn train {} --resume {}`", job.scene, job.id);
     match job.state() {
-        JobState::Done => {
-            let stages: Vec<String> = job.stages.iter().map(|s| format!("{} {:.0} s", s.stage, s.seconds)).collect();
-            println!("{} done ({})", job.id, stages.join(", "));
-            job.notes.iter().filter(|note| !told.contains(note)).for_each(|note| println!("  {note}"));
-            Ok(())
+        JobState::Done => Ok(()),
+        JobState::Cancelled if watched.is_interrupted => {
+            Err(Cancelled(format!("{} cancelled; its checkpoint is kept: {resume}", job.id)).into())
         }
-        JobState::Cancelled => Err(Cancelled(format!("{} cancelled; its checkpoint is kept: {resume}", job.id)).into()),
+        JobState::Cancelled => {
+            anyhow::bail!("{} was cancelled by another command; its checkpoint is kept: {resume}", job.id)
+        }
         JobState::Interrupted => {
             anyhow::bail!("{} was cut off with its process; its checkpoint is kept: {resume}", job.id)
         }
@@ -354,6 +403,13 @@ pub fn report(job: &v1::Job, told: &[String]) -> anyhow::Result<()> {
         ),
         state => anyhow::bail!("the daemon closed the line while {} was {}", job.id, state_name(state)),
     }
+}
+
+/// Says what a job that is done took, with its notes but those that were `told` when it began.
+pub fn report(job: &v1::Job, told: &[String]) {
+    let stages: Vec<String> = job.stages.iter().map(|s| format!("{} {:.0} s", s.stage, s.seconds)).collect();
+    println!("{} done ({})", job.id, stages.join(", "));
+    job.notes.iter().filter(|note| !told.contains(note)).for_each(|note| println!("  {note}"));
 }
 
 /// A state in a word.
@@ -392,6 +448,15 @@ mod tests {
         let options = asked(&["--quality", "draft", "--robust=false"]).unwrap().options.unwrap();
         assert_eq!((options.quality(), options.robust), (v1::Quality::Draft, Some(false)));
         assert_eq!(asked(&["--robust"]).unwrap().options.unwrap().robust, Some(true));
+    }
+
+    #[test]
+    fn only_who_cancelled_a_training_is_told_so_by_the_exit_code() {
+        let job = v1::Job { id: "job-000001".into(), state: JobState::Cancelled.into(), ..v1::Job::default() };
+        let refused = |is_interrupted| ended(&Watched { job: job.clone(), is_interrupted }).unwrap_err();
+        assert!(refused(true).is::<Cancelled>());
+        let elsewhere = refused(false);
+        assert!(!elsewhere.is::<Cancelled>() && elsewhere.to_string().contains("by another command"), "{elsewhere}");
     }
 
     #[test]
