@@ -31,7 +31,8 @@ pub struct IdentifyArgs {
     /// Register it at this camera, written as for `cairn render --pose`
     #[arg(long, value_name = "FILE")]
     pose: Option<PathBuf>,
-    /// Write what the mark hides into this folder: picture.png, sound.wav and text.txt, those that the scene hides
+    /// Write what the mark hides into this folder: picture.png, sound.wav and text.txt, those that the scene hides;
+    /// refused where the picture is unmarked
     #[arg(long, value_name = "DIR")]
     payload_out: Option<PathBuf>,
     #[command(flatten)]
@@ -67,14 +68,19 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
         payload: true,
     };
     let mut answer = line.about(&args.name).query().identify(request).await?.into_inner();
+    let is_unmarked = matches!(answer.answer, Some(identify_response::Answer::Unmarked(_)) | None);
+    // What the detector draws from an unmarked picture is nobody's.
+    let kept_in = args.payload_out.as_deref().filter(|_| !is_unmarked);
     if args.json.json {
         if let Some(payload) = &mut answer.payload {
-            args.payload_out.iter().try_for_each(|folder| keep(payload, folder).map(drop))?;
+            kept_in.iter().try_for_each(|folder| keep(payload, folder).map(drop))?;
             // Files are for these.
             (payload.picture_png, payload.sound_wav) = Default::default();
         }
-        return json::print(&answer);
+        json::print(&answer)?;
+        return may_be_kept(is_unmarked, args.payload_out.as_deref(), registers);
     }
+    let names = Names::of(line, &args.name).await;
     match &answer.answer {
         Some(identify_response::Answer::Identity(found)) => show(found, answer.confidence),
         Some(identify_response::Answer::Foreign(there)) => {
@@ -82,22 +88,55 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
             println!("of scene {scene}, identity {number}: {label} (confidence {:.2})", answer.confidence);
         }
         Some(identify_response::Answer::Unmarked(_)) | None => {
-            println!("unmarked (confidence {:.2}){}", answer.confidence, unsure(&answer.probabilities));
+            println!("unmarked (confidence {:.2}){}", answer.confidence, unsure(&answer.probabilities, &names));
         }
     }
     if answer.center_crop {
         println!("read in the middle of the picture: the whole says nothing surely");
     }
     if registers {
-        show_registered(answer.registered.as_ref());
+        show_registered(answer.registered.as_ref(), &names);
     }
     for (class, probability) in answer.probabilities.iter().enumerate() {
-        println!("  class {class}: {probability:.4}");
+        println!("  class {}: {probability:.4}", names.class(class));
     }
-    if matches!(answer.answer, Some(identify_response::Answer::Unmarked(_)) | None) {
-        println!("the picture is unmarked: what the detector draws from it is nobody's");
+    if is_unmarked {
+        println!("the picture is unmarked: what the detector draws from it is nobody's, and is not shown");
+        return may_be_kept(is_unmarked, args.payload_out.as_deref(), registers);
     }
-    show_payload(&answer.payload.unwrap_or_default(), args.payload_out.as_deref())
+    show_payload(&answer.payload.unwrap_or_default(), kept_in)
+}
+
+/// Refuses files of what nobody hid.
+///
+/// # Errors
+/// For an unmarked picture whose payload was to go into `folder`.
+fn may_be_kept(is_unmarked: bool, folder: Option<&Path>, registered: bool) -> anyhow::Result<()> {
+    let Some(folder) = folder.filter(|_| is_unmarked) else { return Ok(()) };
+    let surer = if registered { "" } else { "; --register looks again, and is surer" };
+    anyhow::bail!(
+        "nothing is written into {}: the picture is unmarked, so nobody hid anything in it{surer}",
+        folder.display()
+    )
+}
+
+/// What the scene's identities are called, identity 1 first.
+struct Names(Vec<String>);
+
+impl Names {
+    /// Those of the newest model of `scene`; none where they cannot be asked for.
+    async fn of(line: &Connection, scene: &str) -> Self {
+        let model = super::scene::get(line, scene).await.ok().and_then(|answer| answer.model);
+        Self(model.map_or_else(Vec::new, |model| model.identities.into_iter().map(|identity| identity.label).collect()))
+    }
+
+    /// The number of a class, and in brackets what it is called where that is known.
+    fn class(&self, class: usize) -> String {
+        match class.checked_sub(1) {
+            None => "0 (unmarked)".to_owned(),
+            Some(at) => self.0.get(at).map_or_else(|| class.to_string(), |name| format!("{class} ({name})")),
+        }
+    }
 }
 
 /// Answers `cairn who`.
@@ -130,27 +169,33 @@ fn show(found: &v1::FoundIdentity, confidence: f64) {
 }
 
 /// Of an unmarked picture: that an owner is likelier all the same, if one is.
-fn unsure(probabilities: &[f32]) -> String {
+fn unsure(probabilities: &[f32], names: &Names) -> String {
     let all = || probabilities.iter().enumerate();
     match all().max_by(|(_, a), (_, b)| a.total_cmp(b)) {
-        Some((class, _)) if class > 0 => format!(": class {class} is likelier, and not sure enough to be named"),
+        Some((class, _)) if class > 0 => {
+            format!(": class {} is likelier, and not sure enough to be credited", names.class(class))
+        }
         _ => String::new(),
     }
 }
 
 /// What the registered picture says.
-fn show_registered(reading: Option<&v1::RegisteredReading>) {
+fn show_registered(reading: Option<&v1::RegisteredReading>, names: &Names) {
     let Some(reading) = reading else {
         println!("it is like the field from no camera that was tried: the classifier answers");
         return;
     };
     println!("registered: the field explains {:.0} % of it", 100.0 * reading.explained);
     for (at, score) in reading.scores.iter().enumerate() {
-        println!("  mark {}: {score:.1} deviations (believed from {:.0} on)", at + 1, reading.believed_from);
+        println!(
+            "  mark {}: {score:.1} deviations (believed from {:.0} on)",
+            names.class(at + 1),
+            reading.believed_from
+        );
     }
     match reading.believed {
         0 => println!("no mark stands out: the classifier answers"),
-        number => println!("mark {number} stands out and is believed"),
+        number => println!("mark {} stands out and is believed", names.class(number as usize)),
     }
 }
 
@@ -233,8 +278,24 @@ mod tests {
 
     #[test]
     fn an_unmarked_picture_that_tells_an_owner_says_so() {
-        assert_eq!(unsure(&[0.6, 0.1, 0.3]), "");
-        assert!(unsure(&[0.3, 0.0, 0.7]).contains("class 2 is likelier"));
-        assert_eq!(unsure(&[]), "");
+        let nobody = Names(Vec::new());
+        assert_eq!(unsure(&[0.6, 0.1, 0.3], &nobody), "");
+        assert!(unsure(&[0.3, 0.0, 0.7], &nobody).contains("class 2 is likelier"));
+        let names = Names(vec!["ada".into(), "bob".into()]);
+        assert!(unsure(&[0.3, 0.0, 0.7], &names).contains("class 2 (bob) is likelier"));
+        assert_eq!(
+            (names.class(0), names.class(1), names.class(3)),
+            ("0 (unmarked)".into(), "1 (ada)".into(), "3".into())
+        );
+        assert_eq!(unsure(&[], &nobody), "");
+    }
+
+    #[test]
+    fn what_nobody_hid_is_not_written() {
+        let folder = Some(Path::new("out"));
+        let refused = may_be_kept(true, folder, false).unwrap_err().to_string();
+        assert!(refused.contains("into out: the picture is unmarked") && refused.contains("--register"), "{refused}");
+        assert!(!may_be_kept(true, folder, true).unwrap_err().to_string().contains("--register"));
+        assert!(may_be_kept(false, folder, false).is_ok() && may_be_kept(true, None, false).is_ok());
     }
 }
