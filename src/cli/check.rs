@@ -58,19 +58,7 @@ pub async fn check(line: &Connection, args: CheckArgs) -> anyhow::Result<()> {
         args.picture.iter().try_for_each(|path| write(path, &png))?;
         return json::print(&answer);
     }
-    let heading = ["view", "contributor", "sigmas", "fit dB", "points", "error px", "state"].map(str::to_owned);
-    let rows: Vec<[String; 7]> = std::iter::once(heading).chain(answer.views.iter().map(row)).collect();
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: [usize; 7] = std::array::from_fn(width);
-    for row in &rows {
-        let cells = row.iter().zip(widths).enumerate().map(|(column, (cell, width))| match column {
-            // Numbers on the right.
-            2..=5 => format!("{cell:>width$}"),
-            6 => cell.clone(),
-            _ => format!("{cell:<width$}"),
-        });
-        println!("{}", cells.collect::<Vec<_>>().join("  "));
-    }
+    table(&answer.views).iter().for_each(|line| println!("{line}"));
     if !answer.doubt.is_empty() {
         println!("{}", answer.doubt);
     } else if answer.median_fit_db > 0.0 {
@@ -82,6 +70,30 @@ pub async fn check(line: &Connection, args: CheckArgs) -> anyhow::Result<()> {
         println!("photographs beside their renders in {}", path.display());
     }
     Ok(())
+}
+
+/// The columns, and those of them that say how structure from motion supports a view.
+const HEADING: [&str; 7] = ["view", "contributor", "sigmas", "fit dB", "points", "error px", "state"];
+const OF_SUPPORT: [usize; 2] = [4, 5];
+
+/// The lines of the table. Where the support of no view is known its columns are left out, and a last line says why.
+fn table(views: &[v1::CheckedView]) -> Vec<String> {
+    let has_support = views.iter().any(|view| view.support.is_some());
+    let rows: Vec<_> = std::iter::once(HEADING.map(str::to_owned)).chain(views.iter().map(row)).collect();
+    let columns: Vec<usize> = (0..HEADING.len()).filter(|at| has_support || !OF_SUPPORT.contains(at)).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: [usize; 7] = std::array::from_fn(width);
+    let line = |row: &[String; 7]| {
+        let cell = |column: &usize| match (*column, &row[*column], widths[*column]) {
+            // Numbers on the right.
+            (2..=5, cell, width) => format!("{cell:>width$}"),
+            (6, cell, _) => cell.clone(),
+            (_, cell, width) => format!("{cell:<width$}"),
+        };
+        columns.iter().map(cell).collect::<Vec<_>>().join("  ")
+    };
+    let why = "the capture does not say which photographs saw its points, so points and errors of views are not known";
+    rows.iter().map(line).chain((!has_support).then(|| why.to_owned())).collect()
 }
 
 fn row(view: &v1::CheckedView) -> [String; 7] {
@@ -141,5 +153,22 @@ fn excluded(count: u32, scene: &str) -> String {
         0 => format!("no view of {scene} is excluded"),
         1 => format!("1 view of {scene} is excluded"),
         _ => format!("{count} views of {scene} are excluded"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_known_of_no_view_is_said_once() {
+        let view = |support| v1::CheckedView { view_name: "a.jpg".into(), support, ..v1::CheckedView::default() };
+        let seen = view(Some(v1::Support { points: 7, reprojection_error_px: 0.5 }));
+        let lines = table(&[seen, view(None)]);
+        assert_eq!(lines.len(), 3, "{lines:?}");
+        assert!(lines[0].contains("points  error px") && lines[1].contains("     7      0.50"), "{lines:?}");
+        let lines = table(&[view(None), view(None)]);
+        assert_eq!(lines.len(), 4, "{lines:?}");
+        assert!(!lines[0].contains("points") && lines[3].contains("which photographs saw its points"), "{lines:?}");
     }
 }

@@ -37,9 +37,16 @@ pub fn unsupported(supports: &[Option<Support>]) -> Vec<Option<String>> {
     supports.iter().map(|support| support.as_ref().and_then(of)).collect()
 }
 
-/// What structure from motion says of each view of a capture, in their order.
+/// What structure from motion says of each view of a capture, in their order. Nothing where none of them sees a point: the
+/// capture's points do not say then which photographs saw them, and no view's support is known.
 pub fn supports(capture: &Capture) -> Vec<Option<Support>> {
-    capture.views.iter().map(|view| view.support).collect()
+    known(capture.views.iter().map(|view| view.support).collect())
+}
+
+/// `supports`, or nothing of any view where none of them sees a point.
+fn known(supports: Vec<Option<Support>>) -> Vec<Option<Support>> {
+    let is_known = supports.iter().flatten().any(|support| support.points > 0);
+    supports.into_iter().map(|support| support.filter(|_| is_known)).collect()
 }
 
 /// What excludes views of `capture`: they are outliers of the screening, and structure from motion does not support them.
@@ -75,5 +82,13 @@ mod tests {
         assert_eq!(against[10..], [true, false, true, false, true]);
         assert!(unsupported(&supports)[12].as_ref().unwrap().contains("4.00 px"));
         assert_eq!(unsupported(&[None, None]), [None, None]);
+    }
+
+    #[test]
+    fn points_that_no_photograph_sees_are_held_against_none() {
+        let support = |points| Some(Support { points, reprojection_error_px: 0.0 });
+        assert_eq!(known(vec![support(0), None, support(0)]), [None; 3]);
+        let some = vec![support(0), None, support(2)];
+        assert_eq!(known(some.clone()), some);
     }
 }
