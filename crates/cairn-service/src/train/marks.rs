@@ -220,8 +220,8 @@ fn weak_note(kept: &Judgement, whose: &[String], quietest: Option<(usize, f64)>)
     });
     (!weak.is_empty()).then(|| {
         format!(
-            "poses between photographs are not answered as they should be ({}): train with a higher quality (--quality), \
-             stronger marks (--robust) or fewer identities{level}",
+            "train with a higher quality (--quality), with stronger marks (--robust) or with fewer identities: seen from \
+             between the photographs, the marks do not come back well enough ({}){level}",
             weak.join("; ")
         )
     })
@@ -300,6 +300,8 @@ mod tests {
             ),
             "{note}"
         );
+        // The remedy goes first.
+        assert!(note.starts_with("train with a higher quality (--quality)"), "{note}");
         let confused = weak_note(&Judgement { accuracy: 0.6, ..recovered(None, None, None) }).unwrap();
         assert!(confused.contains("(answers right: 60.0 %)"), "{confused}");
     }
