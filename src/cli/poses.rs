@@ -15,13 +15,13 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     poses: Option<PathBuf>,
     /// Show the clusters that `cairn train --anchors M` would make (not given: the newest model's, if there is one)
-    #[arg(long, value_name = "M", conflicts_with = "by_contributor", requires = "poses")]
+    #[arg(long, value_name = "M", conflicts_with = "by_contributor")]
     anchors: Option<u32>,
     /// K, the views of a cluster; not given: as many as there are, 20 at most
     #[arg(long, value_name = "K", requires = "anchors")]
     neighbours: Option<u32>,
     /// Show the clusters that `cairn train --by-contributor` would make
-    #[arg(long, requires = "poses")]
+    #[arg(long)]
     by_contributor: bool,
     /// Views that a contributor needs to be an identity, with --by-contributor
     #[arg(long, value_name = "N", default_value_t = 2, requires = "by_contributor")]
@@ -29,6 +29,25 @@ pub struct Args {
     /// The training's seed
     #[arg(long, default_value_t = 1, requires = "poses")]
     seed: u64,
+}
+
+impl Args {
+    /// Refuses clusters to be shown that are not to be drawn.
+    ///
+    /// # Errors
+    /// As said, with the command line that draws them.
+    pub fn check(&self, scene: &str) -> anyhow::Result<()> {
+        let asked = match self.anchors {
+            Some(anchors) => format!("--anchors {anchors}"),
+            None if self.by_contributor => "--by-contributor".to_owned(),
+            None => return Ok(()),
+        };
+        anyhow::ensure!(
+            self.poses.is_some(),
+            "{asked} is about the drawing; have it drawn: cairn scene show {scene} {asked} --poses cameras.png"
+        );
+        Ok(())
+    }
 }
 
 /// Draws the cameras of scene `name` where `args` ask for it.
@@ -62,5 +81,29 @@ fn format(out: &Path) -> anyhow::Result<v1::DrawingFormat> {
         Some("png") => Ok(v1::DrawingFormat::Png),
         Some("svg") => Ok(v1::DrawingFormat::Svg),
         _ => anyhow::bail!("{}: the drawing ends in .png or .svg", out.display()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser as _;
+
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn clusters_without_a_drawing_are_answered_with_what_to_type() {
+        let check = |line: &[&str]| Line::try_parse_from([&["show"], line].concat()).unwrap().args.check("town");
+        for asked in ["--by-contributor", "--anchors=3"] {
+            let refused = check(&[asked]).unwrap_err().to_string();
+            let line = format!("cairn scene show town {} --poses cameras.png", asked.replace('=', " "));
+            assert!(refused.contains(&line), "{refused}");
+            assert!(check(&[asked, "--poses", "a.png"]).is_ok());
+        }
+        assert!(check(&[]).is_ok());
     }
 }

@@ -142,6 +142,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             Ok(())
         }
         Command::Show { name, json, poses } => {
+            poses.check(&name)?;
             show(line, &name, json).await?;
             super::poses::draw(line, name, poses, json).await
         }
