@@ -33,7 +33,7 @@ use crate::store::folder::{DataFolder, LAYOUT};
 use crate::store::import::{Import, ImportPlan};
 use crate::store::model::{self, Model, ModelInfo};
 use crate::store::scenes;
-use crate::store::shadow;
+use crate::store::shadow::{self, Shadow};
 use crate::store::snapshot::SceneSnapshot;
 use crate::train::jobs::Jobs;
 use crate::train::screen;
@@ -73,7 +73,7 @@ pub struct Engine {
     // Last, so that the folder is let go when all else in it is closed.
     pub(crate) folder: DataFolder,
     /// What stands for a folder that cannot be written.
-    shadow: Option<tempfile::TempDir>,
+    shadow: Option<Shadow>,
 }
 
 impl Engine {
@@ -95,9 +95,9 @@ impl Engine {
         data: &Path,
         config: &Config,
         opening: Opening,
-        shadow: Option<tempfile::TempDir>,
+        shadow: Option<Shadow>,
     ) -> Result<Self, EngineError> {
-        let folder = DataFolder::open(shadow.as_ref().map_or(data, tempfile::TempDir::path))?;
+        let folder = DataFolder::open(shadow.as_ref().map_or(data, Shadow::path))?;
         let key = registry_key::open(&folder, config.registry_key_file.as_deref())?;
         let registry = match shadow {
             None => {

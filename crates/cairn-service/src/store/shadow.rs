@@ -3,16 +3,27 @@
 //! Who opens a data folder writes in it: a lock, the store of the log, what is put in order at a start. A *shadow* is a
 //! folder for the time of one command. It has links to what is only read and copies of what an owner would write to.
 //! The copies are small: state files, job files, and of the log what is in no file of its own yet.
+//!
+//! A shadow holds a lock in it while its command lives. What a killed command left behind is cleared by the next that
+//! makes one.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{Error, ErrorKind};
 use std::path::Path;
+use std::time::Duration;
 
+use cairn_durable::LockFile;
 use tempfile::TempDir;
 
 use crate::error::EngineError;
 use crate::store::folder::{LOCK, must_be_free};
 
+/// How the names of shadows begin.
+const PREFIX: &str = "cairn-reads-";
+/// The lock that the command of a shadow holds.
+const OWNED: &str = "shadow.lock";
+/// A shadow is not taken for left behind before this: its command may be about to lock it.
+const IN_THE_MAKING: Duration = Duration::from_secs(60);
 /// Folders of the data folder that are linked: they are large, and reading leaves them alone.
 const LINKED: [&str; 3] = ["scenes", "models", "registry.key"];
 /// What is made anew where it is needed: the owner's lock, its socket, and imports that were cut off.
@@ -22,12 +33,27 @@ const LINKED_OF_LOG: [&str; 3] = ["public", "envelopes", "runs"];
 /// How deep folders are copied: `registry/working/db/*` is the deepest.
 const MAX_DEPTH: usize = 5;
 
+/// A shadow. It goes when this is dropped.
+#[derive(Debug)]
+pub struct Shadow {
+    // First, so that nothing of it is there any more when the lock is let go.
+    folder: TempDir,
+    _owned: LockFile,
+}
+
+impl Shadow {
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}
+
 /// A shadow of the data folder `data`; `None` where that can be written itself.
 ///
 /// # Errors
 /// [`EngineError::Locked`] while another process has the folder, whose state is then not of one moment; the file
 /// system's.
-pub fn of(data: &Path) -> Result<Option<TempDir>, EngineError> {
+pub fn of(data: &Path) -> Result<Option<Shadow>, EngineError> {
     must_be_free(data)?;
     let refused = |e: &Error| matches!(e.kind(), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem);
     let lock = data.join(LOCK);
@@ -38,7 +64,7 @@ pub fn of(data: &Path) -> Result<Option<TempDir>, EngineError> {
     ];
     for probe in probes {
         match probe {
-            Err(e) if refused(&e) => return make(data).map(Some),
+            Err(e) if refused(&e) => return make(data, &std::env::temp_dir()).map(Some),
             Err(e) if e.kind() != ErrorKind::NotFound => return Err(EngineError::io("open", &lock)(e)),
             _ => {}
         }
@@ -46,14 +72,15 @@ pub fn of(data: &Path) -> Result<Option<TempDir>, EngineError> {
     Ok(None)
 }
 
-/// Makes the shadow.
-fn make(data: &Path) -> Result<TempDir, EngineError> {
+/// Makes the shadow in the folder `place`, from which those go that were left behind.
+fn make(data: &Path, place: &Path) -> Result<Shadow, EngineError> {
+    clear(place);
     // Links need the whole path.
     let data = data.canonicalize().map_err(EngineError::io("find", data))?;
-    let shadow = tempfile::Builder::new()
-        .prefix("cairn-reads-")
-        .tempdir()
-        .map_err(EngineError::io("make a folder in", &std::env::temp_dir()))?;
+    let made = tempfile::Builder::new().prefix(PREFIX).tempdir_in(place);
+    let folder = made.map_err(EngineError::io("make a folder in", place))?;
+    let owned = LockFile::take(&folder.path().join(OWNED))?;
+    let shadow = Shadow { folder, _owned: owned };
     for entry in fs::read_dir(&data).map_err(EngineError::io("list", &data))? {
         let entry = entry.map_err(EngineError::io("list", &data))?;
         let name = entry.file_name();
@@ -68,6 +95,25 @@ fn make(data: &Path) -> Result<TempDir, EngineError> {
         done.map_err(EngineError::io("copy for reading", &from))?;
     }
     Ok(shadow)
+}
+
+/// Removes the shadows in `place` whose commands ended without doing so. What cannot be looked at or removed, as another
+/// user's, stays.
+fn clear(place: &Path) {
+    for entry in fs::read_dir(place).into_iter().flatten().flatten() {
+        // Links are not followed.
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_folder && entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes()) && is_left(&entry.path()) {
+            let _ = fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
+/// Whether nobody holds the lock of the shadow `folder`, and has not for a while.
+fn is_left(folder: &Path) -> bool {
+    let lock = folder.join(OWNED);
+    let age = fs::metadata(&lock).and_then(|lock| lock.modified()).ok().and_then(|at| at.elapsed().ok());
+    age.is_some_and(|age| age >= IN_THE_MAKING) && LockFile::must_be_free(&lock).is_ok()
 }
 
 /// Copies a file or a folder, as files that can be written; folders named in `linked` become links, and so do
@@ -150,7 +196,7 @@ mod tests {
             engine.close();
         }
         let before = files(&data);
-        let shadow = make(&data).unwrap();
+        let shadow = make(&data, dir.path()).unwrap();
         let copied = shadow.path().to_path_buf();
         let engine = Engine::open_in(&data, &config, Opening::Read, Some(shadow)).unwrap();
         assert_eq!(engine.scene_names().unwrap(), ["town"]);
@@ -159,5 +205,33 @@ mod tests {
         drop(engine);
         assert_eq!(files(&data), before);
         assert!(!copied.exists(), "the shadow is left in {}", copied.display());
+    }
+
+    #[test]
+    fn what_a_killed_command_left_is_cleared_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        let data = dir.path().join("data");
+        fs::create_dir(&data).unwrap();
+        let age = |folder: &Path, seconds| {
+            let lock = OpenOptions::new().write(true).open(folder.join(OWNED)).unwrap();
+            lock.set_modified(std::time::SystemTime::now() - Duration::from_secs(seconds)).unwrap();
+        };
+        let left = |name: &str, seconds| {
+            let folder = dir.path().join(name);
+            fs::create_dir(&folder).unwrap();
+            fs::write(folder.join(OWNED), "1").unwrap();
+            age(&folder, seconds);
+            folder
+        };
+        let (killed, young, foreign) =
+            (left("cairn-reads-killed", 3600), left("cairn-reads-young", 5), left("somebody", 3600));
+        let unlocked = dir.path().join("cairn-reads-begun");
+        fs::create_dir(&unlocked).unwrap();
+        let held = make(&data, dir.path()).unwrap();
+        assert!(!killed.exists() && young.exists() && foreign.exists() && unlocked.exists());
+        // As old, and its command lives.
+        age(held.path(), 3600);
+        drop(make(&data, dir.path()).unwrap());
+        assert!(held.path().exists());
     }
 }
