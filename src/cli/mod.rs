@@ -11,6 +11,7 @@ mod demo;
 mod evaluate;
 pub mod exit;
 mod files;
+mod guesses;
 mod identify;
 mod jobs;
 mod json;
@@ -175,7 +176,12 @@ impl Cli {
     /// # Errors
     /// For options that exclude each other.
     pub fn given() -> anyhow::Result<Self> {
-        let given = Self::command().get_matches();
+        let program = Self::command();
+        let given = program.clone().try_get_matches().unwrap_or_else(|error| {
+            let typed: Vec<String> =
+                std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
+            guesses::with_tip(error, &program, &typed).exit()
+        });
         let mut cli = Self::from_arg_matches(&given).unwrap_or_else(|error| error.exit());
         cli.place.settle(&given)?;
         Ok(cli)
