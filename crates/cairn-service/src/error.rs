@@ -16,6 +16,9 @@ use thiserror::Error;
 use crate::config::ConfigError;
 use crate::export::paths::PathError;
 
+/// Most characters of a name that are compared with others: what is asked for may be as long as a message.
+const MAX_COMPARED: usize = 128;
+
 /// Why the engine did not do it.
 #[derive(Debug, Error)]
 pub enum EngineError {
@@ -208,15 +211,26 @@ impl EngineError {
         Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into() }
     }
 
-    /// A thing that is not there, and some of those that are.
+    /// A thing that is not there, and some of those that are, those with the most similar names first.
     pub fn not_found<'a>(kind: &'static str, name: &str, there: impl Iterator<Item = &'a str>) -> Self {
-        let mut there: Vec<&str> = there.take(9).collect();
+        let asked: String = name.chars().take(MAX_COMPARED).flat_map(char::to_lowercase).collect();
+        let mut there: Vec<&str> = there.collect();
+        // Stable: of equally similar ones the order stays.
+        there.sort_by_cached_key(|there| difference(&asked, there));
+        there.truncate(9);
         if there.len() == 9 {
             there[8] = "...";
         }
         let there = if there.is_empty() { "are none yet".to_owned() } else { format!("is: {}", there.join(", ")) };
         Self::NotFound { kind, name: name.to_owned(), there }
     }
+}
+
+/// How many characters names differ in, the letters' case and folders before the name aside.
+fn difference(asked: &str, there: &str) -> usize {
+    let there = there.chars().take(MAX_COMPARED).flat_map(char::to_lowercase).collect::<String>();
+    let file = there.rsplit('/').next().unwrap_or(&there);
+    strsim::osa_distance(asked, &there).min(strsim::osa_distance(asked, file))
 }
 
 impl From<DurableError> for EngineError {
@@ -229,5 +243,20 @@ impl From<DurableError> for EngineError {
                 Self::Locked { path: path.parent().map_or(path.clone(), Path::to_path_buf), pid }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_many_names_the_nearest_are_said() {
+        let names: Vec<String> = (1..200).map(|n| format!("images/view_{n:03}.jpg")).collect();
+        let said = |asked: &str| EngineError::not_found("view", asked, names.iter().map(String::as_str)).to_string();
+        assert!(said("view_57.jpg").contains("there is: images/view_057.jpg, "), "{}", said("view_57.jpg"));
+        assert!(said("images/VIEW_120.jpeg").contains("there is: images/view_120.jpg, "));
+        assert!(said("").ends_with(", ..."));
+        assert!(said(&"x".repeat(1 << 20)).contains("there is: images/view_001.jpg, "));
     }
 }
