@@ -264,6 +264,31 @@ fn a_refusal_says_once_what_the_system_said_and_has_no_names_of_codes() {
     // A name that is nearly right.
     let said = place.cairn_refused(&["scene", "delte", "town", "--data", &data]);
     assert!(said.contains("'delete'"), "{said}");
+    let said = place.cairn_refused(&["scene", "exclude", "town", "bela_04.png", "--data", &data]);
+    assert!(said.contains("there is: images/bela_004.png, "), "{said}");
+    // A word that is another command's.
+    let said = place.cairn_refused(&["import", "town", "--from", "capture", "--data", &data]);
+    assert!(said.contains("tip: `cairn scene import NAME --from DIR`"), "{said}");
+}
+
+#[test]
+fn a_refusal_names_the_command_that_helps() {
+    let place = Place::new();
+    let data = place.text("data");
+    let import = |arguments: &[&str]| {
+        place.cairn_refused(&[&["scene", "import", "town"], arguments, &["--data", &data]].concat())
+    };
+    let said = import(&["--from", "capture", "--contributors", "missing.csv"]);
+    assert!(said.contains("no table missing.csv") && said.contains("there is capture/contributors.csv"), "{said}");
+    let said = import(&["--from", "capture/images"]);
+    assert!(said.contains("capture/images holds no cameras, but capture does: import that folder"), "{said}");
+    place.import("town", ["--data", &data]);
+    let said = import(&["--from", "capture"]);
+    assert!(said.contains("town already exists") && said.contains("`cairn scene delete town`"), "{said}");
+    let said = place.cairn_refused(&["render", "town", "--view", "ada_001.png", "--out", "no/x.png", "--data", &data]);
+    assert!(said.contains("`mkdir -p no`"), "{said}");
+    let said = place.cairn_refused(&["scene", "show", "town", "--by-contributor", "--data", &data]);
+    assert!(said.contains("cairn scene show town --by-contributor --poses cameras.png"), "{said}");
 }
 
 #[test]
@@ -295,7 +320,9 @@ fn answers_are_there_for_programs() {
 #[test]
 fn plain_photographs_are_answered_with_the_way_to_cameras() {
     let place = Place::new();
-    let photographs = place.text("capture/images");
+    std::fs::create_dir(place.path("plain")).unwrap();
+    std::fs::rename(place.path("capture/images"), place.path("plain/images")).unwrap();
+    let photographs = place.text("plain/images");
     let said = place.cairn_refused(&["scene", "import", "town", "--from", &photographs, "--data", &place.text("data")]);
     for step in ["colmap feature_extractor", "colmap exhaustive_matcher", "colmap mapper"] {
         assert!(said.contains(step), "{said}");

@@ -12,7 +12,7 @@ use tempfile::NamedTempFile;
 
 use super::connect::Connection;
 use super::exit::Cancelled;
-use super::files::write;
+use super::files::{must_have_folder, write};
 use super::progress::Progress;
 
 /// How thoroughly a GIF frame's colours are chosen, 1 (best) to 30.
@@ -164,7 +164,10 @@ impl Frames {
     fn new(out: &Path, args: &PathArgs) -> anyhow::Result<Self> {
         let path = out.to_path_buf();
         match out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
-            Some("gif") => Ok(Self::Gif { path, fps: args.fps, gif: None }),
+            Some("gif") => {
+                must_have_folder(&path)?;
+                Ok(Self::Gif { path, fps: args.fps, gif: None })
+            }
             None => {
                 let is_frame = |name: &str| name.starts_with("frame-") && name.ends_with(".png");
                 let mut there = std::fs::read_dir(out).into_iter().flatten().flatten();

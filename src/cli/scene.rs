@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{IsTerminal as _, Read};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
@@ -246,10 +246,8 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         Kind::Bounded => SceneKind::Bounded,
         Kind::Unbounded => SceneKind::Unbounded,
     });
-    let contributors = args.contributors.clone().map(|table| match Capture::folder_of(&args.from).join(&table) {
-        beside if !table.exists() && beside.exists() => beside,
-        _ => table,
-    });
+    let contributors = args.contributors.as_deref().map(|table| found(table, Capture::folder_of(&args.from)));
+    let contributors = contributors.transpose()?;
     let (hold_every, skip_missing) = (args.hold_every, args.skip_missing);
     let (images, masks) = (args.images.clone(), args.masks.clone());
     let options = ReadOptions { contributors, kind, hold_every, images, masks, skip_missing, ..ReadOptions::default() };
@@ -282,6 +280,27 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         return Err(error);
     }
     answer?.into_inner().scene.context("the daemon's answer names no scene")
+}
+
+/// The table of contributors: `table` as it is named, or in the folder of the capture.
+///
+/// # Errors
+/// Where it is in neither, with the tables that there are, or what a table is.
+fn found(table: &Path, capture: &Path) -> anyhow::Result<PathBuf> {
+    let beside = capture.join(table);
+    if let Some(path) = [table, &beside].into_iter().find(|path| path.exists()) {
+        return Ok(path.to_path_buf());
+    }
+    let is_table = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("csv"));
+    let entries = std::fs::read_dir(capture).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut tables: Vec<String> = entries.filter(is_table).map(|path| path.display().to_string()).collect();
+    tables.sort();
+    let (table, capture) = (table.display(), capture.display());
+    let remedy = match tables[..] {
+        [] => "write one line `image,contributor` and then one a photograph, or leave --contributors away".to_owned(),
+        _ => format!("there is {}", tables.join(", ")),
+    };
+    anyhow::bail!("there is no table {table}, neither here nor in {capture}; {remedy}")
 }
 
 /// The same error, in the words of the command line where it speaks of a setting.

@@ -45,6 +45,14 @@ pub enum CaptureError {
         /// How many there are.
         photographs: usize,
     },
+    /// A folder in a capture in the place of the capture: its photographs, say.
+    #[error("{} holds no cameras, but {} does: import that folder", folder.display(), capture.display())]
+    InCapture {
+        /// Where a capture was looked for.
+        folder: PathBuf,
+        /// The folder above, which is one.
+        capture: PathBuf,
+    },
     /// A camera file, table or scene file says something that cannot be.
     #[error("{}, {entry}: expected {expected}, got {got}; {remedy}", file.display())]
     Malformed {
@@ -192,7 +200,8 @@ pub enum CaptureError {
         name: String,
     },
     /// A scene of that name is already there; it was left as it was.
-    #[error("the scene {} already exists and was left as it was; choose another name or remove it first", path.display())]
+    #[error("the scene {name} already exists in {} and was left as it was; choose another name, or delete it first \
+             with `cairn scene delete {name}`", path.parent().unwrap_or(path).display(), name = scene_name(path))]
     SceneExists {
         /// Its folder.
         path: PathBuf,
@@ -257,6 +266,11 @@ impl From<DurableError> for CaptureError {
             }
         }
     }
+}
+
+/// The name of the scene in the folder `path`.
+fn scene_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// What helps where there are photographs and no cameras.

@@ -1,6 +1,6 @@
 //! Which format a capture is in, and reading it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::capture::Capture;
 use crate::error::CaptureError;
@@ -73,8 +73,16 @@ impl Capture {
     }
 }
 
-/// Why `folder` is no capture: it has photographs alone, or nothing that is known.
+/// Why `folder` is no capture: it lies in one, it has photographs alone, or nothing that is known.
 fn no_cameras(folder: &Path, options: &ReadOptions) -> CaptureError {
+    let above = match folder.parent() {
+        Some(parent) if parent.as_os_str().is_empty() => PathBuf::from("."),
+        Some(parent) if folder.file_name().is_some() => parent.to_path_buf(),
+        _ => folder.join(".."),
+    };
+    if has_cameras(&above) {
+        return CaptureError::InCapture { folder: folder.to_path_buf(), capture: above };
+    }
     let named = options.images.iter().map(|images| folder.join(images));
     for images in named.chain([folder.join("images"), folder.to_path_buf()]) {
         let Ok(entries) = std::fs::read_dir(&images) else { continue };
@@ -87,10 +95,18 @@ fn no_cameras(folder: &Path, options: &ReadOptions) -> CaptureError {
 }
 
 const LLFF: &str = "poses_bounds.npy";
+/// Camera files that a capture may be named by.
+const CAMERA_FILES: [&str; 3] = ["transforms.json", "transforms_train.json", LLFF];
+
+/// Whether a camera file of any format lies where [`Capture::read`] looks for it in `folder`.
+fn has_cameras(folder: &Path) -> bool {
+    let colmap = ["sparse/0", "sparse", ""].iter().flat_map(|at| ["bin", "txt"].map(|e| format!("{at}/cameras.{e}")));
+    let named = CAMERA_FILES.iter().map(|&name| name.to_owned());
+    colmap.chain(named).any(|file| folder.join(file.trim_start_matches('/')).is_file())
+}
 
 /// The name of the camera file that `from` is, if it is one.
 fn camera_file(from: &Path) -> Option<&'static str> {
-    let known = ["transforms.json", "transforms_train.json", LLFF];
     let name = from.file_name()?.to_str()?;
-    known.into_iter().find(|&known| known == name).filter(|_| from.is_file())
+    CAMERA_FILES.into_iter().find(|&known| known == name).filter(|_| from.is_file())
 }

@@ -105,6 +105,7 @@ fn capture(error: &CaptureError) -> Code {
         CaptureError::Io { .. } | CaptureError::NotFinite { .. } => Code::Internal,
         CaptureError::NotACapture { .. }
         | CaptureError::NoCameras { .. }
+        | CaptureError::InCapture { .. }
         | CaptureError::Malformed { .. }
         | CaptureError::UnsupportedCamera { .. }
         | CaptureError::Lens { .. }
