@@ -252,11 +252,6 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     let (images, masks) = (args.images.clone(), args.masks.clone());
     let options = ReadOptions { contributors, kind, hold_every, images, masks, skip_missing, ..ReadOptions::default() };
     let capture = Capture::read(&args.from, &options).map_err(in_flags)?;
-    if !capture.missing.is_empty() {
-        let (count, names) = (capture.missing.len(), capture.missing.join(", "));
-        let views = if count == 1 { "view" } else { "views" };
-        eprintln!("left out {count} {views} without photographs: {names}");
-    }
     capture.notes().iter().for_each(|note| eprintln!("{note}"));
     let (views, photographs) = prepare(&capture, args)?;
     let header = v1::ImportHeader {

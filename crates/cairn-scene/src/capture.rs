@@ -81,22 +81,61 @@ pub struct Capture {
     /// Sparse points on the scene's surfaces, in the capture's unit, finite;
     /// empty where the format brings none.
     pub points: Vec<DVec3>,
-    /// Names of the views that were left out because their photographs are not there (see
-    /// `skip_missing` of the options); of a `transforms.json` as it has them, maybe without an ending.
+    /// What lies there and is not read.
+    pub left_out: LeftOut,
+}
+
+/// What a capture's folder has and its views do not.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// Names of the views whose photographs are not there (see `skip_missing` of the options); of a `transforms.json`
+    /// as it has them, maybe without an ending.
     pub missing: Vec<String>,
+    /// Names of the photographs that no camera was found for, as their views would have them, sorted.
+    pub without_camera: Vec<String>,
+    /// Folders of further COLMAP models, relative to [`Capture::root`], sorted: COLMAP makes several where the
+    /// photographs fall into groups that do not overlap.
+    pub models: Vec<PathBuf>,
 }
 
 /// Folders that hold one capture's photographs in several sizes.
 const SIZES: [&str; 4] = ["images", "images_2", "images_4", "images_8"];
-/// How many views a note names.
+/// How many views or photographs a note names.
 const NAMED: usize = 5;
 
 impl Capture {
-    /// Notes for who brought this capture, a sentence or two each: which folder of
+    /// Notes for who brought this capture, a sentence or two each: what was left out of it, which folder of
     /// photographs was taken where there are several, and which views' lenses fold
     /// within the frame.
     pub fn notes(&self) -> Vec<String> {
-        self.folder_note().into_iter().chain(self.lens_note()).collect()
+        let LeftOut { missing, without_camera, models } = &self.left_out;
+        let views = if missing.len() == 1 { "view" } else { "views" };
+        let missing = (!missing.is_empty())
+            .then(|| format!("left out {} {views} without photographs: {}", missing.len(), missing.join(", ")));
+        let have = if without_camera.len() == 1 { "photograph has" } else { "photographs have" };
+        let without_camera = (!without_camera.is_empty()).then(|| {
+            let (count, names) = (without_camera.len(), few(without_camera, NAMED));
+            format!("{count} {have} no camera, so the scene goes without: {names}")
+        });
+        let models = models.iter().map(|model| self.model_note(model));
+        let left_out = missing.into_iter().chain(without_camera).chain(models);
+        left_out.chain(self.folder_note()).chain(self.lens_note()).collect()
+    }
+
+    fn model_note(&self, model: &Path) -> String {
+        // A view is named from the folder of photographs on.
+        let folder = |view: &View| {
+            let depth = Path::new(&view.name).components().count();
+            Some(self.root.join(view.photograph.ancestors().nth(depth)?))
+        };
+        let images = self.views.first().and_then(folder).unwrap_or_else(|| self.root.clone());
+        let images = std::path::absolute(&images).unwrap_or(images);
+        let (model, there) = (model.display(), self.root.join(model));
+        format!(
+            "{model} is another model of COLMAP's and is not read; `--from {} --images {}` reads that one",
+            there.display(),
+            images.display()
+        )
     }
 
     fn folder_note(&self) -> Option<String> {
@@ -111,14 +150,10 @@ impl Capture {
     fn lens_note(&self) -> Option<String> {
         let folding: Vec<&str> =
             self.views.iter().filter(|v| v.camera.intrinsics.folds()).map(|v| v.name.as_str()).collect();
-        let rest = match folding.len().saturating_sub(NAMED) {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
-        let views = folding.get(..NAMED).unwrap_or(&folding).join(", ");
+        let views = few(&folding, NAMED);
         (!folding.is_empty()).then(|| {
             format!(
-                "the lens distortion of {views}{rest} folds within the frame: towards the corners its rays turn back, and what is seen \
+                "the lens distortion of {views} folds within the frame: towards the corners its rays turn back, and what is seen \
                  there is placed wrongly; calibrate with fewer coefficients, or undistort the photographs (`colmap image_undistorter`)"
             )
         })
@@ -187,6 +222,16 @@ impl Capture {
         let camera = &view.camera.intrinsics;
         photograph::decode_sized(path, bytes, &limits_for(view), self.background, camera, view.as_stored)
     }
+}
+
+/// The first `most` of `names`, and how many more there are.
+pub(crate) fn few<T: AsRef<str>>(names: &[T], most: usize) -> String {
+    let first: Vec<&str> = names.iter().take(most).map(AsRef::as_ref).collect();
+    let rest = match names.len().saturating_sub(most) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    format!("{}{rest}", first.join(", "))
 }
 
 fn limits_for(view: &View) -> Limits {

@@ -20,7 +20,7 @@ mod sound;
 mod train_view;
 
 pub use cameras::{BrownConrady, Camera, Distortion, Fisheye, Intrinsics, LensError, LensModel, Pose, PoseError};
-pub use capture::{Capture, SceneKind, Support, UNKNOWN_CONTRIBUTOR, View};
+pub use capture::{Capture, LeftOut, SceneKind, Support, UNKNOWN_CONTRIBUTOR, View};
 pub use error::CaptureError;
 pub use images::{
     AreaFilter, Ground, ImageFormat, Limits, Mask, Picture, Picture8, PictureError, decode_emblem, decode_picture,

@@ -369,16 +369,75 @@ fn contributor_tables() {
     refuses(with(head), &["who.csv", "photograph 3.png", "no row", "add a row"]);
     refuses(with(&format!("{head}4.png,ana\n")), &["line 4 (4.png)", "no photograph of that name", "remove the row"]);
     refuses(with(&format!("{head}2.png,ana\n")), &["line 4 (2.png)", "already has a row, line 3"]);
+    let said = with(&format!("{head}4.png,ana\n3.png,ana\n5.png,ana\n"));
+    refuses(said, &["line 4 (4.png), line 6 (5.png)", "no photograph of these names"]);
+    refuses(with("image,contributor\n2.png,ana\n"), &["photographs 1.png, 3.png: they have no row"]);
     refuses(with(&format!("{head}3.png, \n")), &["line 4 (3.png)", "empty", "who took it"]);
     refuses(with("picture,person\n1.png,ana\n"), &["line 2", "image", "heading"]);
     refuses(with(&format!("{head}3.png\n")), &["line 4"]);
-    refuses(with(""), &["photograph 1.png", "no row"]);
+    refuses(with(""), &["photographs 1.png, 2.png, 3.png", "no row"]);
     fs::remove_file(&table).unwrap();
     let options = ReadOptions { contributors: Some(table), ..Default::default() };
     refuses(Capture::read(folder.path(), &options), &["cannot open", "who.csv"]);
 }
 
 #[test]
+#[test]
+fn photographs_and_models_that_are_not_read_are_said() {
+    let mut model = Colmap::small();
+    let folder = model.folder();
+    let root = folder.path();
+    fs::create_dir_all(root.join("images/eve")).unwrap();
+    for name in ["4.png", "eve/5.png", "eve/._5.png"] {
+        fs::write(root.join("images").join(name), photograph()).unwrap();
+    }
+    let table = root.join("who.csv");
+    let with = |text: &str| {
+        fs::write(&table, text).unwrap();
+        Capture::read(root, &ReadOptions { contributors: Some(table.clone()), ..Default::default() })
+    };
+    // A row of theirs is a good one; a row of nobody's is not.
+    let head = "image,contributor\n1.png,ana\n2.png,ben\n3.png,ana\n4.png,ana\n";
+    let capture = with(&format!("{head}5.png,eve\n")).unwrap();
+    assert_eq!(
+        (capture.views.len(), &capture.left_out.without_camera[..]),
+        (3, &["4.png", "eve/5.png"].map(String::from)[..])
+    );
+    assert_eq!(capture.notes(), ["2 photographs have no camera, so the scene goes without: 4.png, eve/5.png"]);
+    refuses(with(&format!("{head}6.png,eve\n")), &["line 6 (6.png)", "no photograph of that name"]);
+    // Two photographs of one file name, of which one has a camera.
+    fs::write(root.join("images/eve/1.png"), photograph()).unwrap();
+    assert_eq!(with(head).unwrap().left_out.without_camera.len(), 3);
+    // The model that the note names can be read as it says.
+    let one = root.join("sparse/1");
+    fs::create_dir(&one).unwrap();
+    model.images.truncate(2);
+    fs::write(one.join("cameras.bin"), model.cameras_bin()).unwrap();
+    fs::write(one.join("images.bin"), model.images_bin()).unwrap();
+    let capture = read(root).unwrap();
+    assert_eq!(capture.left_out.models, [Path::new("sparse/1")]);
+    let images = root.join("images");
+    let options = format!("`--from {} --images {}`", one.display(), images.display());
+    let named = ReadOptions { images: Some(images), ..Default::default() };
+    for notes in [capture.notes(), Capture::read(root, &named).unwrap().notes()] {
+        assert!(notes.iter().any(|note| note.contains(&options)), "{notes:?}");
+    }
+    assert_eq!(Capture::read(&one, &named).unwrap().views.len(), 2);
+    // A transforms.json leaves out what its structure from motion did; a split of files says nothing of the kind.
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("images")).unwrap();
+    for name in ["a.png", "b.png", "c.png"] {
+        fs::write(folder.path().join("images").join(name), photograph()).unwrap();
+    }
+    let matrix = json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]);
+    let frame = |name: &str| json!({"file_path": name, "transform_matrix": matrix});
+    let frames = json!({"camera_angle_x": 0.7, "frames": [frame("images/a.png"), frame("images/b.png")]}).to_string();
+    fs::write(folder.path().join("transforms.json"), &frames).unwrap();
+    assert_eq!(read(folder.path()).unwrap().left_out.without_camera, ["images/c.png"]);
+    fs::rename(folder.path().join("transforms.json"), folder.path().join("transforms_train.json")).unwrap();
+    assert!(read(folder.path()).unwrap().left_out.without_camera.is_empty());
+}
+
 fn views_without_photographs_are_left_out_where_that_is_asked_for() {
     let skip = |folder: &Path| {
         Capture::read(folder, &ReadOptions { skip_missing: true, hold_every: 0, ..ReadOptions::default() })
@@ -394,7 +453,7 @@ fn views_without_photographs_are_left_out_where_that_is_asked_for() {
     let capture = Capture::read(folder.path(), &options).unwrap();
     assert_eq!(names(&capture), ["1.png", "3.png"]);
     assert_eq!(capture.views.iter().map(|v| v.contributor.as_str()).collect::<Vec<_>>(), ["ada", "cy"]);
-    assert_eq!(capture.missing, ["2.png"]);
+    assert_eq!(capture.left_out.missing, ["2.png"]);
     // A name that is neither there nor missing is still a mistake.
     fs::write(folder.path().join("who.csv"), "image,contributor\n1.png,ada\n9.png,bo\n3.png,cy\n").unwrap();
     refuses(Capture::read(folder.path(), &options), &["9.png", "no photograph of that name"]);
@@ -407,7 +466,10 @@ fn views_without_photographs_are_left_out_where_that_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     assert!(transforms(folder.path(), |d| d["frames"][1]["file_path"] = json!("./sub/c")).is_err());
     let capture = skip(folder.path()).unwrap();
-    assert_eq!((names(&capture), capture.missing), (vec!["a.png".to_owned()], vec!["sub/c".to_owned()]));
+    assert_eq!(
+        (names(&capture), capture.left_out.missing.clone()),
+        (vec!["a.png".to_owned()], vec!["sub/c".to_owned()])
+    );
     // A table has endings where the file leaves them away.
     let table = folder.path().join("who.csv");
     fs::write(&table, "image,contributor\na.png,ada\nsub/c.jpg,bo\n").unwrap();
@@ -453,5 +515,5 @@ fn a_split_without_its_photographs_is_none() {
     let options = ReadOptions { skip_missing: true, hold_every: 2, ..ReadOptions::default() };
     let capture = Capture::read(folder.path(), &options).unwrap();
     assert_eq!(capture.held_out().collect::<Vec<_>>(), [0], "every second one instead");
-    assert_eq!(capture.missing, ["test/a", "test/b"]);
+    assert_eq!(capture.left_out.missing, ["test/a", "test/b"]);
 }

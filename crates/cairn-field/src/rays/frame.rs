@@ -337,7 +337,7 @@ fn focus_and_footprint(cameras: &[&Camera]) -> (DVec3, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_scene::{Distortion, Intrinsics, Pose, View};
+    use cairn_scene::{Distortion, Intrinsics, LeftOut, Pose, View};
 
     fn camera(position: DVec3, target: DVec3) -> Camera {
         let distortion = Distortion::default();
@@ -361,7 +361,7 @@ mod tests {
                 bounds: near.map(|n| (n, 100.0)),
             })
             .collect();
-        Capture { root: ".".into(), kind, background: None, views, points, missing: Vec::new() }
+        Capture { root: ".".into(), kind, background: None, views, points, left_out: LeftOut::default() }
     }
 
     #[test]

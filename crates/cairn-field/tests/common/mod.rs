@@ -8,7 +8,9 @@ pub mod landmark;
 use cairn_field::grid::lattice::{DENSITY_SCALE, Grid, ROW};
 use cairn_field::grid::sh::SH;
 use cairn_field::{Appearance, Field, FieldConfig, NamedView, RayPath, Real, SceneFrame};
-use cairn_scene::{Camera, Capture, Distortion, Intrinsics, Mask, Picture, Picture8, Pose, SceneKind, TrainView, View};
+use cairn_scene::{
+    Camera, Capture, Distortion, Intrinsics, LeftOut, Mask, Picture, Picture8, Pose, SceneKind, TrainView, View,
+};
 use glam::{DMat3, DVec3};
 use half::f16;
 use safetensors::tensor::{Dtype, TensorView};
@@ -124,7 +126,7 @@ pub fn capture(kind: SceneKind, cameras: Vec<Camera>, unit: f64, at: DVec3) -> C
             bounds: None,
         })
         .collect();
-    Capture { root: ".".into(), kind, background: None, views, points, missing: Vec::new() }
+    Capture { root: ".".into(), kind, background: None, views, points, left_out: LeftOut::default() }
 }
 
 /// The box around the unit ball.

@@ -1,20 +1,25 @@
 //! From what a camera file states to a checked [`Capture`]: the part that every
 //! format shares, so that no format can forget a check.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use crate::cameras::camera::Camera;
 use crate::cameras::facing;
 use crate::cameras::intrinsics::{Intrinsics, check_intrinsics};
-use crate::capture::{Capture, SceneKind, UNKNOWN_CONTRIBUTOR, View};
+use crate::capture::{Capture, LeftOut, SceneKind, UNKNOWN_CONTRIBUTOR, View};
 use crate::error::CaptureError;
+use crate::images::format::ImageFormat;
 use crate::images::photograph::{self, Header, WHITE};
-use crate::import::model::{Entry, Guess, Model, check_count};
+use crate::import::model::{Entry, Guess, ImageFolder, Model, check_count};
 use crate::import::options::ReadOptions;
 use crate::import::{contributors, masks, named};
 
 /// How many photographs are decoded to see whether they are transparent.
 const LOOKED_AT: usize = 5;
+
+/// How many folders deep photographs are looked for.
+const DEEPEST: usize = 8;
 
 /// How many of the photographs something is true of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,13 +36,16 @@ enum Share {
 /// photograph that is missing or of another shape, and a wrong contributor table.
 pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> Result<Capture, CaptureError> {
     check_entries(&mut model, options)?;
-    let missing = leave_out_missing(root, &mut model, options)?;
+    leave_out_missing(root, &mut model, options)?;
+    model.left_out.without_camera = without_camera(root, &model, options);
     let headers = headers(root, &model, options)?;
     let contributors = match &options.contributors {
         None => vec![UNKNOWN_CONTRIBUTOR.to_owned(); model.entries.len()],
         Some(table) => {
             let names: Vec<&str> = model.entries.iter().map(|e| e.name.as_str()).collect();
-            contributors::read(table, &names, &missing, &options.limits)?
+            let LeftOut { missing, without_camera, .. } = &model.left_out;
+            let left_out: Vec<&str> = missing.iter().chain(without_camera).map(String::as_str).collect();
+            contributors::read(table, &names, &left_out, &options.limits)?
         }
     };
     let held_out = held_out(&model, options)?;
@@ -82,7 +90,7 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
         // A cut-out or two among photographs of an open scene: white is not what lies behind the others.
         (Share::Some | Share::None, _) => None,
     };
-    Ok(Capture { root: root.to_path_buf(), kind, background, views, points: model.points, missing })
+    Ok(Capture { root: root.to_path_buf(), kind, background, views, points: model.points, left_out: model.left_out })
 }
 
 /// The cameras as the file states them.
@@ -125,9 +133,9 @@ fn check_entries(model: &mut Model, options: &ReadOptions) -> Result<(), Capture
     model.entries.iter().try_for_each(|e| check_intrinsics(&model.file, &e.label, &e.intrinsics))
 }
 
-/// Takes the views out whose photographs are not there and returns their names. Without
+/// Takes the views out whose photographs are not there and notes their names. Without
 /// [`ReadOptions::skip_missing`], or where none is there, the first of them is an error.
-fn leave_out_missing(root: &Path, model: &mut Model, options: &ReadOptions) -> Result<Vec<String>, CaptureError> {
+fn leave_out_missing(root: &Path, model: &mut Model, options: &ReadOptions) -> Result<(), CaptureError> {
     let is_there = |entry: &Entry| root.join(&entry.photograph).is_file();
     for entry in model.entries.iter_mut().filter(|entry| !is_there(entry)) {
         if let Some(found) = named::find(root, &entry.photograph, &[]) {
@@ -140,8 +148,37 @@ fn leave_out_missing(root: &Path, model: &mut Model, options: &ReadOptions) -> R
         return Err(CaptureError::PhotographMissing { file, entry, photograph: root.join(&first.photograph) });
     }
     model.entries = there;
-    let names = missing.into_iter().map(|entry| entry.name);
-    Ok(std::mem::take(&mut model.missing).into_iter().chain(names).collect())
+    model.left_out.missing.extend(missing.into_iter().map(|entry| entry.name));
+    Ok(())
+}
+
+/// Names of the photographs in the model's folder of them that no view shows, sorted; structure from motion leaves out
+/// what it cannot place. What cannot be looked at counts for nothing.
+fn without_camera(root: &Path, model: &Model, options: &ReadOptions) -> Vec<String> {
+    let Some(ImageFolder { path: folder, is_in_names }) = &model.images else { return Vec::new() };
+    let shown: HashSet<&Path> = model.entries.iter().map(|entry| entry.photograph.as_path()).collect();
+    let mut found = Vec::new();
+    // The capture's own folder has folders of other things: masks, smaller copies.
+    let mut folders = vec![(folder.clone(), if folder.as_os_str().is_empty() { 1 } else { DEEPEST })];
+    let most = options.limits.max_views;
+    while let Some((within, depth)) = folders.pop().filter(|_| found.len() < most) {
+        for entry in std::fs::read_dir(root.join(&within)).into_iter().flatten().flatten() {
+            let (path, name) = (within.join(entry.file_name()), entry.file_name());
+            // What macOS leaves beside files on other systems' disks (`._a.png`) is none.
+            let is_hidden = name.to_string_lossy().starts_with('.');
+            if entry.file_type().is_ok_and(|kind| kind.is_dir()) && depth > 1 && !is_hidden {
+                folders.push((path, depth - 1));
+            } else if ImageFormat::of_path(&path).is_some() && !is_hidden && !shown.contains(path.as_path()) {
+                let name = if *is_in_names { &path } else { path.strip_prefix(folder).unwrap_or(&path) };
+                found.push(name.to_string_lossy().replace('\\', "/"));
+            }
+            if found.len() == most {
+                break;
+            }
+        }
+    }
+    found.sort();
+    found
 }
 
 /// Which of the photographs are transparent, as far as a few of them tell: all, some, or none.

@@ -7,9 +7,13 @@ use std::path::Path;
 use cairn_durable::read_limited;
 use serde::Deserialize;
 
+use crate::capture::few;
 use crate::error::CaptureError;
 use crate::images::format::Limits;
 use crate::import::named::{composed, left_away};
+
+/// How many rows or photographs an error names.
+const NAMED: usize = 20;
 
 #[derive(Deserialize)]
 struct Row {
@@ -24,12 +28,12 @@ struct Row {
 /// photograph has that, in any Unicode normalisation.
 ///
 /// # Errors
-/// For a row that names no photograph (rows for those that are `missing` are checked and passed
-/// over), a photograph of `names` without a row, one with two rows, or an empty contributor.
+/// For rows that name no photograph (rows for those that are `left_out` are checked and passed
+/// over), photographs of `names` without a row, one with two rows, or an empty contributor.
 pub(crate) fn read(
     table: &Path,
     names: &[&str],
-    missing: &[String],
+    left_out: &[&str],
     limits: &Limits,
 ) -> Result<Vec<String>, CaptureError> {
     let wrong = |entry: String, problem: String, remedy: &'static str| CaptureError::Contributors {
@@ -38,8 +42,8 @@ pub(crate) fn read(
         problem,
         remedy,
     };
-    // Those that are missing count as well: a file name that two photographs had names neither.
-    let all: Vec<&str> = names.iter().copied().chain(missing.iter().map(String::as_str)).collect();
+    // Those that are left out count as well: a file name that two photographs had names neither.
+    let all: Vec<&str> = names.iter().chain(left_out).copied().collect();
     let index = index_of(&all);
     let of_any_form: Vec<String> = all.iter().map(|name| composed(name)).collect();
     let of_any_form = index_of(&of_any_form);
@@ -47,6 +51,7 @@ pub(crate) fn read(
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
     let endings = left_away();
     let mut found: Vec<Option<(String, usize)>> = vec![None; all.len()];
+    let mut unknown = Vec::new();
     for (number, row) in reader.deserialize::<Row>().enumerate() {
         // The heading is line 1; a quoted line break would shift this, and no file name has one.
         let line = number + 2;
@@ -61,8 +66,8 @@ pub(crate) fn read(
         };
         let other_form = || of_any_form.get(composed(&row.image).as_str());
         let Some(&view) = index.get(row.image.as_str()).or_else(bare).or_else(other_form) else {
-            let problem = "the capture has no photograph of that name, or several".to_owned();
-            return Err(wrong(entry, problem, "name it as the camera file does, or remove the row"));
+            unknown.push(entry);
+            continue;
         };
         if row.contributor.is_empty() || row.contributor.chars().any(char::is_control) {
             let problem = format!("the contributor {:?} is empty or has control characters", row.contributor);
@@ -74,11 +79,20 @@ pub(crate) fn read(
         }
         found[view] = Some((row.contributor, line));
     }
-    let of = |(found, name): (Option<(String, usize)>, &&str)| match found {
-        Some((contributor, _)) => Ok(contributor),
-        None => Err(wrong(format!("photograph {name}"), "it has no row".to_owned(), "add a row that says who took it")),
-    };
-    found.into_iter().zip(names).map(of).collect()
+    if !unknown.is_empty() {
+        let these = if unknown.len() == 1 { "that name" } else { "these names" };
+        let problem = format!("the capture has no photograph of {these}, or several");
+        return Err(wrong(few(&unknown, NAMED), problem, "name it as the camera file does, or remove the row"));
+    }
+    let without = found.iter().zip(names).filter(|(row, _)| row.is_none()).map(|(_, name)| name);
+    let without: Vec<&str> = without.copied().collect();
+    if !without.is_empty() {
+        let (photographs, it_has) =
+            if without.len() == 1 { ("photograph", "it has") } else { ("photographs", "they have") };
+        let entry = format!("{photographs} {}", few(&without, NAMED));
+        return Err(wrong(entry, format!("{it_has} no row"), "add a row that says who took it"));
+    }
+    Ok(found.into_iter().flatten().take(names.len()).map(|(contributor, _)| contributor).collect())
 }
 
 /// Every name, and every file name that only one view has.

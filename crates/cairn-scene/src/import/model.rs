@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::cameras::intrinsics::Intrinsics;
 use crate::cameras::pose::Pose;
-use crate::capture::Support;
+use crate::capture::{LeftOut, Support};
 use crate::error::CaptureError;
 use crate::import::options::ReadOptions;
 
@@ -51,14 +51,34 @@ pub(crate) struct Model {
     pub points: Vec<DVec3>,
     /// The folder where the format keeps masks, if it is there, relative to the capture's folder.
     pub masks: Option<PathBuf>,
-    /// Names of views that were left out already, their photographs missing.
-    pub missing: Vec<String>,
+    /// Where photographs lie that its cameras may not cover, where the format says so.
+    pub images: Option<ImageFolder>,
+    /// What was left out already.
+    pub left_out: LeftOut,
+}
+
+/// A folder of photographs.
+#[derive(Clone, Debug)]
+pub(crate) struct ImageFolder {
+    /// Relative to the capture's folder, or absolute; empty where it is that folder.
+    pub path: PathBuf,
+    /// Whether the views' names begin with it.
+    pub is_in_names: bool,
 }
 
 impl Model {
     /// Cameras alone, of pixels that are as they are looked at.
     pub(crate) fn new(file: PathBuf, kind: Guess, entries: Vec<Entry>) -> Self {
-        Self { file, kind, as_stored: false, entries, points: Vec::new(), masks: None, missing: Vec::new() }
+        Self {
+            file,
+            kind,
+            as_stored: false,
+            entries,
+            points: Vec::new(),
+            masks: None,
+            images: None,
+            left_out: LeftOut::default(),
+        }
     }
 }
 

@@ -20,10 +20,11 @@ use crate::cameras::fisheye::Fisheye;
 use crate::cameras::intrinsics::Intrinsics;
 use crate::cameras::lens::{BrownConrady, Distortion, LensModel};
 use crate::cameras::pose::Pose;
+use crate::capture::LeftOut;
 use crate::error::CaptureError;
 use crate::images::format::Limits;
 use crate::images::photograph::header;
-use crate::import::model::{self, Entry, Guess, Model, check_count};
+use crate::import::model::{self, Entry, Guess, ImageFolder, Model, check_count};
 use crate::import::named::{self, left_away};
 use crate::import::options::ReadOptions;
 
@@ -138,7 +139,8 @@ pub(crate) fn read(folder: &Path, named: Option<&str>, options: &ReadOptions) ->
             entries.iter_mut().for_each(|e| e.held_out = None);
         }
         let missing = names_of(missing, &entries)?;
-        return Ok(Some(Model { missing, ..Model::new(train, Guess::Bounded, entries) }));
+        let left_out = LeftOut { missing, ..LeftOut::default() };
+        return Ok(Some(Model { left_out, ..Model::new(train, Guess::Bounded, entries) }));
     }
     let file = folder.join("transforms.json");
     if !file.is_file() {
@@ -147,7 +149,15 @@ pub(crate) fn read(folder: &Path, named: Option<&str>, options: &ReadOptions) ->
     let Read { bounded, entries, missing } = read_file(folder, &file, options, None)?;
     let missing = names_of(missing, &entries)?;
     let kind = if bounded { Guess::BoundedIfTransparent } else { Guess::Unbounded };
-    Ok(Some(Model { missing, ..Model::new(file, kind, entries) }))
+    let (images, left_out) = (image_folder(&entries, options), LeftOut { missing, ..LeftOut::default() });
+    Ok(Some(Model { images, left_out, ..Model::new(file, kind, entries) }))
+}
+
+/// The one folder below the capture's own that all photographs lie in.
+fn image_folder(entries: &[Entry], options: &ReadOptions) -> Option<ImageFolder> {
+    let path = entries.first()?.photograph.parent().filter(|folder| !folder.as_os_str().is_empty())?;
+    let holds_all = entries.iter().all(|entry| entry.photograph.parent() == Some(path));
+    holds_all.then(|| ImageFolder { path: path.to_owned(), is_in_names: options.images.is_none() })
 }
 
 /// The names of what is missing, where something is there.

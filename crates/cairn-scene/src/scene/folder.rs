@@ -15,7 +15,7 @@ use glam::DVec3;
 use sha2::{Digest, Sha256};
 
 use crate::cameras::facing::check_near;
-use crate::capture::{Capture, SceneKind};
+use crate::capture::{Capture, LeftOut, SceneKind};
 use crate::error::CaptureError;
 use crate::images::format::ImageFormat;
 use crate::images::mask::Mask;
@@ -104,7 +104,7 @@ impl SceneFolder {
         };
         let mask_digests = table.views.iter().map(of_mask).collect::<Result<_, _>>()?;
         let capture = Capture {
-            missing: Vec::new(),
+            left_out: LeftOut::default(),
             root: folder.to_path_buf(),
             kind: table.kind,
             background: table.background,

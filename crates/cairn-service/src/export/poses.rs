@@ -309,7 +309,7 @@ fn words(shapes: &mut Vec<Shape>, at: DVec2, text: &str, colour: Colour) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_scene::{Camera, Distortion, Intrinsics, Pose, SceneKind, View};
+    use cairn_scene::{Camera, Distortion, Intrinsics, LeftOut, Pose, SceneKind, View};
     use glam::DVec3;
 
     fn capture(poses: Vec<Pose>, points: Vec<DVec3>) -> Capture {
@@ -327,7 +327,14 @@ mod tests {
             bounds: None,
         };
         let views = poses.into_iter().enumerate().map(view).collect();
-        Capture { root: ".".into(), kind: SceneKind::Unbounded, background: None, views, points, missing: Vec::new() }
+        Capture {
+            root: ".".into(),
+            kind: SceneKind::Unbounded,
+            background: None,
+            views,
+            points,
+            left_out: LeftOut::default(),
+        }
     }
 
     fn ring(count: i32) -> Vec<Pose> {

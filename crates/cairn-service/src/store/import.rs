@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use cairn_log::Digest;
-use cairn_scene::{Capture, SceneFolder, SceneKind, View};
+use cairn_scene::{Capture, LeftOut, SceneFolder, SceneKind, View};
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
 
@@ -193,7 +193,7 @@ impl Import {
         // A capture's views are sorted by name: who sent them in another order gets the same scene.
         views.sort_by(|a, b| a.name.cmp(&b.name));
         let capture = Capture {
-            missing: Vec::new(),
+            left_out: LeftOut::default(),
             root: self.folder.path().to_path_buf(),
             kind: self.plan.kind,
             background: self.plan.background,

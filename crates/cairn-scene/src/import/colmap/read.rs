@@ -10,10 +10,11 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat};
 
 use crate::cameras::pose::Pose;
+use crate::capture::LeftOut;
 use crate::error::CaptureError;
 use crate::import::colmap::parts::{Cameras, Image, Points, REMEDY};
 use crate::import::colmap::{binary, text};
-use crate::import::model::{self, Entry, Guess, Model};
+use crate::import::model::{self, Entry, Guess, ImageFolder, Model};
 use crate::import::options::ReadOptions;
 
 /// Where COLMAP's tools look for masks, beside the photographs.
@@ -53,8 +54,21 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
         entries,
         points: points.map(|points: Points| points.positions).unwrap_or_default(),
         masks: folder.join(MASKS).is_dir().then(|| MASKS.into()),
-        missing: Vec::new(),
+        images: Some(ImageFolder { path: photographs, is_in_names: false }),
+        left_out: LeftOut { models: models_beside(folder, place), ..LeftOut::default() },
     }))
+}
+
+/// Folders of models beside the one at `place`, relative to `folder`.
+fn models_beside(folder: &Path, place: &Path) -> Vec<PathBuf> {
+    if place != folder.join("sparse/0") {
+        return Vec::new();
+    }
+    let there = std::fs::read_dir(folder.join("sparse")).into_iter().flatten().flatten().map(|entry| entry.path());
+    let others = there.filter(|path| path != place && ending_in(path).is_some());
+    let mut models: Vec<PathBuf> = others.filter_map(|path| Some(path.strip_prefix(folder).ok()?.to_owned())).collect();
+    models.sort();
+    models
 }
 
 /// `bin` or `txt`, whichever has cameras at `place`; binary first, as it is exact.
