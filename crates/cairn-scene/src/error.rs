@@ -283,10 +283,11 @@ fn without_cameras(folder: &Path, images: &Path, photographs: usize) -> String {
     let (database, sparse) = (shown(&folder.join("database.db")), shown(&folder.join("sparse")));
     format!(
         "{} holds {photographs} photographs and no cameras; COLMAP works out where each was taken (https://colmap.github.io):\n  \
-         colmap feature_extractor --image_path {images} --database_path {database}\n  \
-         colmap exhaustive_matcher --database_path {database}\n  \
+         colmap feature_extractor --image_path {images} --database_path {database} --SiftExtraction.use_gpu 0\n  \
+         colmap exhaustive_matcher --database_path {database} --SiftMatching.use_gpu 0\n  \
          mkdir -p {sparse} && colmap mapper --image_path {images} --database_path {database} --output_path {sparse}\n\
-         then import the same folder again",
+         (from COLMAP 3.13 on write --FeatureExtraction.use_gpu and --FeatureMatching.use_gpu; leave both away where there \
+         is a graphics card); then import the same folder again",
         folder.display(),
         images = shown(images),
     )
