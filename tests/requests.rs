@@ -294,7 +294,9 @@ async fn health_and_reflection_tell_the_truth_and_the_folder_has_one_owner() {
     let said = serve("data");
     assert!(said.contains(&format!("in use by process {}", daemon.pid())), "{said}");
     let said = serve("other");
-    assert!(said.contains(&format!("cannot listen at {port} (server.bind)")), "{said}");
+    assert!(said.contains(&format!("cannot listen at {port}: ")), "{said}");
+    assert!(said.contains("set server.bind in the file of --config") && said.contains("port 0"), "{said}");
+    assert_eq!(said.matches("os error").count(), 1, "{said}");
 
     // A setting that is unknown stops the start, by name.
     std::fs::write(place.path("wrong.toml"), "[limits]\nque_length = 5\n").unwrap();

@@ -13,7 +13,10 @@ use crate::error::EngineError;
 #[derive(Debug, Error)]
 pub enum ServeError {
     /// An address cannot be listened at.
-    #[error("cannot listen at {address} ({setting})")]
+    #[error(
+        "cannot listen at {address}: {source}; set {setting} in the file of --config to another address (port 0 takes a \
+         free one)"
+    )]
     Listen {
         /// The address.
         address: SocketAddr,
