@@ -10,7 +10,7 @@ use cairn_log::OwnerKey;
 use cairn_service::auth::roles::{Need, need};
 use cairn_service::auth::{Daemon as Identity, sign};
 use cairn_testkit::daemon::accounts::{ACCOUNTS, CLOSED, World, key};
-use cairn_testkit::daemon::{Daemon, base_only, endless};
+use cairn_testkit::daemon::{Daemon, Place, base_only, endless};
 use tonic::client::Grpc;
 use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
@@ -97,6 +97,25 @@ async fn an_account_is_registered_approved_and_held_to_its_role() {
     let add = ["access", "add", "--role", "operator", "--key", &ada, "--data", &data];
     let said = String::from_utf8_lossy(&world.place.cairn(&add).stderr).into_owned();
     assert!(said.contains(&format!("process {}", world.daemon.pid())), "{said}");
+    assert!(said.contains("stop the daemon first") && !said.contains("--connect"), "{said}");
+}
+
+#[test]
+fn the_first_operator_is_added_by_its_key_file_and_a_new_folder_is_told() {
+    let place = Place::new();
+    let public = key(&place, "grace");
+    let data = place.text("data");
+    let add = |key: &str| place.cairn(&["access", "add", "--role", "operator", "--key", key, "--data", &data]);
+    let said = |output: std::process::Output| String::from_utf8_lossy(&output.stdout).into_owned();
+    let first = said(add(&place.text("grace.key")));
+    assert!(first.contains(&format!("began a new data folder {data}")) && first.contains("added operator"), "{first}");
+    let listed = place.cairn_ok(&["access", "list", "--data", &data]);
+    assert!(listed.starts_with(&public.to_string()), "{listed}");
+    let ada = key(&place, "ada").to_string();
+    assert_eq!(said(add(&ada)), "added operator, operator\n");
+    let refused = add("grce.key");
+    let refused = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.contains("nor a key's file") && refused.contains("cairn keys show"), "{refused}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

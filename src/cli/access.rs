@@ -3,10 +3,14 @@
 //! Without --connect these commands work on a data folder that no daemon has open, as
 //! its operator: a user who can write there needs no account.
 
+use std::path::Path;
+
 use anyhow::Context as _;
 use cairn_api::v1::{self, change_account_request::Change};
+use cairn_log::keys::StoredKey;
 use cairn_log::{Digest, PublicKey};
 use cairn_service::auth::{Registration, Role};
+use cairn_service::error::EngineError;
 
 use super::connect::{Connection, Where};
 use super::json::{self, Json};
@@ -17,7 +21,7 @@ use super::words::word;
 pub enum Command {
     /// Ask a daemon for an account with the key of --account
     #[command(
-        after_help = "Example:\n  cairn access register --name ada --connect https://cairn.example:7341 --tls-ca ca.pem --account ada.key"
+        after_help = "Example:\n  cairn access register --name ada --connect https://cairn.example:7341 --tls-ca daemon.pem --account ada.key"
     )]
     Register {
         /// What to call it
@@ -32,7 +36,7 @@ pub enum Command {
         after_help = "Example:\n  cairn access approve d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a --role curator --account grace.key"
     )]
     Approve {
-        /// Its public key, 64 hexadecimal digits
+        /// Its public key, 64 hexadecimal digits: the line `public key` of `cairn keys show`
         key: PublicKey,
         /// Another role than it asked for
         #[arg(long)]
@@ -113,15 +117,27 @@ pub struct QuotaArgs {
 /// `cairn access add`.
 #[derive(Debug, clap::Args)]
 pub struct AddArgs {
-    /// Its public key, 64 hexadecimal digits (see `cairn keys show`)
-    #[arg(long, value_name = "PUBLIC")]
-    pub key: PublicKey,
+    /// Its public key: the line `public key` of `cairn keys show` (not `key id`); or the key's file
+    #[arg(long, value_name = "PUBLIC|FILE")]
+    pub key: String,
     /// Its role: contributor, curator, auditor or operator
     #[arg(long)]
     pub role: Role,
     /// What to call it; its role where not given
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+}
+
+/// A public key as it is written, or that of a key file.
+fn public_key(text: &str) -> anyhow::Result<PublicKey> {
+    let path = Path::new(text);
+    match text.parse() {
+        Ok(key) => Ok(key),
+        Err(_) if path.exists() => Ok(StoredKey::read(path)?.public()),
+        Err(_) => anyhow::bail!(
+            "--key {text} is neither a public key (64 hexadecimal digits, see `cairn keys show`) nor a key's file"
+        ),
+    }
 }
 
 impl QuotaArgs {
@@ -148,10 +164,23 @@ impl Command {
 pub fn add(place: &Where, args: &AddArgs) -> anyhow::Result<()> {
     anyhow::ensure!(
         place.connect.is_none(),
-        "accounts are added on the daemon's machine, without --connect; over the network they register"
+        "accounts are added on the daemon's machine, without --connect, while the daemon does not run; over the network \
+         they register (`cairn access register`)"
     );
     let name = args.name.clone().unwrap_or_else(|| args.role.to_string());
-    let account = cairn_service::store::access::add_account(&place.data, args.key, &name, args.role)?;
+    let key = public_key(&args.key)?;
+    let is_new = !place.data.exists();
+    let account = match cairn_service::store::access::add_account(&place.data, key, &name, args.role) {
+        Err(EngineError::Locked { path, pid }) => anyhow::bail!(
+            "the data folder {} is in use by process {pid}; stop the daemon first, or register over the network \
+             (`cairn access register`)",
+            path.display()
+        ),
+        added => added?,
+    };
+    if is_new {
+        println!("began a new data folder {}", place.data.display());
+    }
     println!("added {}, {}", account.name, account.role);
     Ok(())
 }
