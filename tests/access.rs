@@ -98,6 +98,9 @@ async fn an_account_is_registered_approved_and_held_to_its_role() {
     let said = String::from_utf8_lossy(&world.place.cairn(&add).stderr).into_owned();
     assert!(said.contains(&format!("process {}", world.daemon.pid())), "{said}");
     assert!(said.contains("stop the daemon first") && !said.contains("--connect"), "{said}");
+    // Who is no account is told how to name one.
+    let said = world.place.cairn_refused(&["access", "quota", "--data", &data]);
+    assert!(said.contains("--account FILE") && said.contains("cairn access quota KEY"), "{said}");
 }
 
 #[test]

@@ -151,7 +151,8 @@ impl AccessService for Shared {
             self.authorise_as(request.extensions(), Need::Oversee, About::Nothing)?;
         }
         let Some(owner) = asked.or(own) else {
-            return Err(EngineError::invalid("public_key", "empty", "an account's, where no account calls").into());
+            let allowed = "its public key (`cairn access quota KEY`), or with --connect your own (--account FILE)";
+            return Err(EngineError::invalid("the account", "not named", allowed).into());
         };
         let engine = self.engine()?;
         let (limits, used) = (engine.access().limits(&owner), engine.access().usage(&owner));
