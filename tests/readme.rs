@@ -55,6 +55,24 @@ fn commands(text: &str) -> Vec<(String, bool)> {
 }
 
 #[test]
+fn every_settings_file_of_the_guide_is_taken() {
+    let mut shown = 0;
+    for page in pages() {
+        let text = std::fs::read_to_string(&page).unwrap();
+        for settings in text.split("```toml\n").skip(1).map(|block| block.split("```").next().unwrap()) {
+            shown += 1;
+            let place = cairn_testkit::daemon::Place::new();
+            place.token();
+            std::fs::write(place.path("daemon.toml"), settings).unwrap();
+            // Settings are read before the folder is looked for.
+            let said = place.cairn_refused(&["jobs", "--config", "daemon.toml", "--data", "absent"]);
+            assert!(said.contains("there is no data folder"), "{}: {settings}\n{said}", page.display());
+        }
+    }
+    assert!(shown >= 2, "the guide shows {shown} files of settings");
+}
+
+#[test]
 fn commands_are_found_where_they_are_shown() {
     let text = "```console\n$ cairn jobs # all\noutput\n```\n```text\n$ cairn no\n```\n\
         ```console\n$ cairn a PATH/TO/b\n$ cairn c\n```\n";

@@ -48,7 +48,7 @@ fn the_line_is_secured_and_each_end_may_ask_who_the_other_is() {
     let list = ["scene", "list", "--connect", daemon.url.as_str()];
     place.cairn_ok(&[&list[..], &["--tls-ca", &ca]].concat());
     refused(&place, &list, "--tls-ca");
-    refused(&place, &[&list[..], &["--tls-ca", &other]].concat(), "no daemon is reached at https://");
+    refused(&place, &[&list[..], &["--tls-ca", &other]].concat(), "nothing in the file of --tls-ca vouches for it");
     let plain = daemon.url.replace("https", "http");
     refused(&place, &["scene", "list", "--connect", &plain], "");
     assert!(daemon.terminate().success());
@@ -66,6 +66,48 @@ fn the_line_is_secured_and_each_end_may_ask_who_the_other_is() {
         &[&list[..], &["--tls-cert", &key, "--tls-key", &key]].concat(),
         "holds no PEM section CERTIFICATE",
     );
+}
+
+/// A certificate that vouches for itself, for `name`, in `NAME.pem`, and its key in `NAME.key`.
+fn own(place: &Place, name: &str, is_ca: IsCa) {
+    let mut params = CertificateParams::new(vec![name.to_owned()]).unwrap();
+    params.is_ca = is_ca;
+    let key = KeyPair::generate().unwrap();
+    std::fs::write(place.path(&format!("{name}.pem")), params.self_signed(&key).unwrap().pem()).unwrap();
+    std::fs::write(place.path(&format!("{name}.key")), key.serialize_pem()).unwrap();
+}
+
+#[test]
+fn a_certificate_that_is_refused_is_answered_with_what_helps() {
+    let place = Place::new();
+    for (name, is_ca, says) in [
+        ("127.0.0.1", IsCa::Ca(BasicConstraints::Unconstrained), "basicConstraints=critical,CA:FALSE"),
+        ("cairn.example", IsCa::ExplicitNoCa, "it is for another name"),
+    ] {
+        own(&place, name, is_ca);
+        let (certificate, key) = (format!("{name}.pem"), format!("{name}.key"));
+        let daemon = Daemon::start(&place.path("data"), &tls(&place, &certificate, &key, ""));
+        let said = place.cairn_refused(&["jobs", "--connect", &daemon.url, "--tls-ca", &place.text(&certificate)]);
+        assert!(said.contains("the certificate of https://") && said.contains(says), "{said}");
+        assert!(!said.contains("no daemon is reached"), "{said}");
+    }
+}
+
+/// The page's command makes a certificate that a client takes.
+#[test]
+fn the_certificate_of_the_page_is_taken() {
+    let place = Place::new();
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/guide/access.md")).unwrap();
+    let at = page.find("openssl req").expect("the page shows how a certificate is made");
+    let command = page[at..].split("```").next().unwrap().replace("cairn.example", "localhost");
+    let made = std::process::Command::new("sh").args(["-c", &command]).current_dir(place.dir.path()).output();
+    if !made.is_ok_and(|made| made.status.success()) {
+        println!("SKIPPED the_certificate_of_the_page_is_taken: no openssl on this system");
+        return;
+    }
+    let daemon = Daemon::start(&place.path("data"), &tls(&place, "daemon.pem", "daemon.key", ""));
+    let url = daemon.url.replace("127.0.0.1", "localhost");
+    place.cairn_ok(&["scene", "list", "--connect", &url, "--tls-ca", &place.text("daemon.pem")]);
 }
 
 #[test]

@@ -270,6 +270,10 @@ async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
     let endpoint = endpoint(&url, place)?;
     let channel = match timeout_at(deadline, endpoint.connect()).await {
         Ok(Ok(channel)) => channel,
+        Ok(Err(error)) if last(&error).starts_with(CERTIFICATE) => {
+            let said = last(&error);
+            anyhow::bail!("the certificate of {url} is refused ({said}); {}", certificate_remedy(&said))
+        }
         Ok(Err(error)) => anyhow::bail!(
             "no daemon is reached at {url} ({}); check the address, and --tls-ca for https; `cairn serve` starts a daemon, \
              and without --connect a command works on --data",
@@ -287,6 +291,24 @@ async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
             "{url} does not answer as a Cairn daemon does ({silence}); a daemon says where it listens when it starts, one with \
              TLS wants https://, and some ask for --tls-cert"
         ),
+    }
+}
+
+/// What the line's TLS begins with where it refuses the other end's certificate.
+const CERTIFICATE: &str = "invalid peer certificate";
+
+/// What helps where a daemon's certificate is refused.
+fn certificate_remedy(said: &str) -> &'static str {
+    if said.contains("CaUsedAsEndEntity") {
+        "it is an authority's, which can be no daemon's: make it again with `-addext basicConstraints=critical,CA:FALSE`"
+    } else if said.contains("UnknownIssuer") || said.contains("BadSignature") {
+        "nothing in the file of --tls-ca vouches for it: give the daemon's own certificate, or the one that signed it"
+    } else if said.contains("for name") {
+        "it is for another name: write the address with one of its names (subjectAltName), or make it again with this one"
+    } else if said.contains("xpired") {
+        "make a new one (its time is over, or this machine's clock is wrong)"
+    } else {
+        "check server.tls.certificate of the daemon and --tls-ca"
     }
 }
 

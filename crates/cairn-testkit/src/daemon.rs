@@ -92,6 +92,17 @@ impl Place {
         self.path(name).display().to_string()
     }
 
+    /// The path of a daemon's token, `a-token-of-the-test`, which is written there.
+    pub fn token(&self) -> String {
+        std::fs::write(self.path("token"), "a-token-of-the-test\n").unwrap();
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt as _;
+            std::fs::set_permissions(self.path("token"), std::fs::Permissions::from_mode(0o600)).unwrap();
+        }
+        self.text("token")
+    }
+
     /// Runs `cairn` with `arguments`, in this folder.
     pub fn cairn(&self, arguments: &[&str]) -> Output {
         command().args(arguments).current_dir(self.dir.path()).output().unwrap()
