@@ -139,10 +139,13 @@ pub fn assigned(given: &[Given], added: &[Added], marked: &BTreeSet<String>) -> 
             false => format!("{:?}", g.name),
         };
         let others = other.iter().map(said).collect::<Vec<_>>().join(", ");
-        let got = format!("{others}, which no identity to mark is called, beside {}", names(&fitting));
-        let all = called(added);
-        let expected = format!("one of the name of each of {all}, or names that are nobody's, which go by their order");
-        return Err(EngineError::invalid("the names of the signals", got, expected));
+        let (what, none) = match other.len() {
+            1 => ("the name of a signal", "no identity has this name"),
+            _ => ("the names of signals", "no identity has these names"),
+        };
+        let all = added.iter().map(|a| a.label.as_str()).collect::<Vec<_>>().join(", ");
+        let expected = format!("{all}; or no signal has an identity's name, and they go by their order");
+        return Err(EngineError::invalid(what, format!("{others} ({none})"), expected));
     }
     let mut at = Vec::with_capacity(added.len());
     for identity in added {
