@@ -276,8 +276,7 @@ async fn a_scene_of_one_light_and_photographs_beyond_the_limits_are_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_photographs_light_asks_for_the_token_that_base_renders_ask_for() {
     let place = Place::new();
-    std::fs::write(place.path("token"), "a-token-of-the-test\n").unwrap();
-    let settings = format!("[access]\ntoken_file = {:?}", place.text("token"));
+    let settings = format!("[access]\ntoken_file = {:?}", place.token());
     let daemon = Daemon::start(&place.path("data"), &settings);
     let mut line = RenderServiceClient::connect(daemon.url.clone()).await.unwrap();
     let (render, flight) = marked();

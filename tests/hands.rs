@@ -148,12 +148,13 @@ fn what_was_typed_goes_before_a_variable_and_what_is_misspelt_makes_nothing() {
 #[test]
 fn a_daemon_that_asks_for_a_token_asks_its_folders_owner_for_none() {
     let place = Place::new();
-    std::fs::write(place.path("token"), "a-token-of-the-test\n").unwrap();
-    let settings = format!("[access]\nmode = \"token\"\ntoken_file = {:?}", place.text("token"));
+    let settings = format!("[access]\nmode = \"token\"\ntoken_file = {:?}", place.token());
     let daemon = Daemon::start(&place.path("data"), &settings);
     place.import("town", ["--data", &place.text("data")]);
     let said = place.cairn_refused(&["scene", "delete", "town", "--yes", "--connect", &daemon.url]);
     assert!(said.contains("needs a token"), "{said}");
+    let said = place.cairn_refused(&["jobs", "--connect", &daemon.url, "--token-file", "nofile"]);
+    assert!(said.contains("the token is not read") && said.contains("nofile") && !said.contains("settings"), "{said}");
     place.cairn_ok(&["scene", "delete", "town", "--yes", "--data", &place.text("data")]);
 }
 

@@ -209,8 +209,7 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
     let place = Place::new();
-    std::fs::write(place.path("token"), "a-token-of-the-test\n").unwrap();
-    let settings = format!("[access]\ntoken_file = {:?}", place.text("token"));
+    let settings = format!("[access]\ntoken_file = {:?}", place.token());
     let daemon = Daemon::start(&place.path("data"), &settings);
     let mut scenes = SceneServiceClient::connect(daemon.url.clone()).await.unwrap();
     let delete = || v1::DeleteSceneRequest { scene: "town".into() };

@@ -1,5 +1,7 @@
 //! Why settings are refused.
 
+use std::path::PathBuf;
+
 use cairn_durable::DurableError;
 use thiserror::Error;
 
@@ -9,6 +11,21 @@ pub enum ConfigError {
     /// The file cannot be read, or is too large.
     #[error("the settings are not read: {0}; check the path, the permissions and the size of the file")]
     Read(#[from] DurableError),
+    /// The file of a token cannot be read, or is too large.
+    #[error("the token is not read: {0}; name the file that holds it (--token-file; for a daemon `access.token_file`)")]
+    Token(DurableError),
+    /// Others on this machine could read the token.
+    #[error(
+        "{}: mode {mode:o} lets others read the token in it, expected 600; run `chmod 600 {}`",
+        path.display(),
+        path.display()
+    )]
+    TokenTooOpen {
+        /// The token's file.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+    },
     /// The file is no TOML, or a value has the wrong type.
     #[error("{place}: {cause}")]
     Toml {

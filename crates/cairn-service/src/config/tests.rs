@@ -186,6 +186,20 @@ fn a_token_is_read_from_its_file_and_never_printed() {
     std::fs::write(&path, "short\n").unwrap();
     assert!(Token::load(&path).unwrap_err().to_string().contains("5 bytes"));
     std::fs::write(&path, "0123456789abcdef\n").unwrap();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        let mode = |mode| std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+        mode(0o640);
+        let refused = Token::load(&path).unwrap_err().to_string();
+        assert!(
+            refused.contains("mode 640") && refused.contains("chmod 600") && !refused.contains("0123"),
+            "{refused}"
+        );
+        mode(0o600);
+    }
+    let absent = Token::load(&dir.path().join("absent")).unwrap_err().to_string();
+    assert!(absent.contains("the token is not read") && absent.contains("--token-file"), "{absent}");
     let text = format!(
         "[server]\nbind = \"0.0.0.0:7341\"\nplaintext = true\n[access]\ntoken_file = {:?}",
         path.display().to_string()

@@ -19,17 +19,31 @@ impl Token {
         &self.0
     }
 
-    /// Reads the token in `path`: one line of 16 to 512 printable ASCII characters.
+    /// Reads the token in `path`: one line of 16 to 512 printable ASCII characters, in a file that nobody else may read.
     ///
     /// # Errors
-    /// [`ConfigError`] when it cannot be read or is no such line.
+    /// [`ConfigError`] when it cannot be read, is no such line, or others may read it.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = read(path)?;
+        let text = read(path).map_err(|error| match error {
+            ConfigError::Read(cause) => ConfigError::Token(cause),
+            other => other,
+        })?;
         let token = text.trim();
         if !(16..=512).contains(&token.len()) || !token.bytes().all(|b| b.is_ascii_graphic()) {
             // The value is a secret: its length must do.
             let value = format!("a token of {} bytes in {}", token.len(), path.display());
             return Err(out_of_range("access.token_file", value, "16 to 512 printable ASCII characters on one line"));
+        }
+        // A pipe's mode says nothing of who reads it.
+        #[cfg(unix)]
+        if let Ok(file) = std::fs::metadata(path)
+            && file.is_file()
+        {
+            use std::os::unix::fs::PermissionsExt as _;
+            let mode = file.permissions().mode() & 0o777;
+            if mode & 0o077 != 0 {
+                return Err(ConfigError::TokenTooOpen { path: path.to_path_buf(), mode });
+            }
         }
         Ok(Self(token.to_owned()))
     }
