@@ -159,3 +159,84 @@ fn a_log_is_followed_until_it_forks_and_the_evidence_is_kept() {
     assert_eq!(code, Some(2), "{said}");
     assert_eq!(audit(&["follow", &url, "--state", &state_text, "--once"]).0, Some(2));
 }
+
+/// The files that somebody may name by mistake where a public one belongs, each with what no message may say of it.
+fn secrets(dir: &Path) -> Vec<(String, Vec<String>)> {
+    let path = |name: &str| dir.join(name).display().to_string();
+    // Plus signs part a verifier key: of the keys one that has them.
+    let pem = (0..=255).map(|n| key(n).to_pem().unwrap()).find(|pem| pem.matches('+').count() > 1).unwrap();
+    put(&dir.join("plain.key"), pem.as_bytes());
+    for arguments in
+        [["keys", "new-key-file", "unlock"].as_slice(), &["keys", "new", "sealed.key", "--key-file", "unlock"]]
+    {
+        let done = cairn_testkit::daemon::command().args(arguments).current_dir(dir).output().unwrap();
+        assert!(done.status.success(), "{done:?}");
+    }
+    put(&dir.join("token"), b"PHf4cGxlYXNlZG9ub3RzYXl0aGlzYWxvdWQ\n");
+    put(&dir.join("token.toml"), b"colour = \"PHf4cGxlYXNlZG9ub3RzYXl0aGlzYWxvdWQ\"\n");
+    put(&dir.join("phrase"), b"donotsaythisaloud eversoquietly\n");
+    let names = ["plain.key", "sealed.key", "unlock", "token", "token.toml", "phrase"];
+    let words = |text: String| -> Vec<String> {
+        let lines = text.lines().filter(|line| !line.starts_with("-----") && !line.starts_with("Public-Key: "));
+        let words = lines.flat_map(|line| line.split(['+', ' ', '=', '"']).map(str::to_owned));
+        words.filter(|word| word.len() > 11 && word != "cairn-key-file-v1").map(|word| word[..12].to_owned()).collect()
+    };
+    names.map(|name| (path(name), words(std::fs::read_to_string(dir.join(name)).unwrap()))).to_vec()
+}
+
+#[test]
+fn no_message_quotes_a_secret_that_was_given_by_mistake() {
+    let log = Log::small();
+    let (dir, data, vkey) = place(&log);
+    let (evidence, bundle) = (dir.path().join("evidence"), dir.path().join("bundle"));
+    put(&evidence.join("first"), log.checkpoint(8).as_bytes());
+    put(&evidence.join("second"), log.checkpoint(8).as_bytes());
+    put(&bundle.join("record.json"), b"{}");
+    let (evidence, bundle) = (evidence.display().to_string(), bundle.display().to_string());
+    let state = dir.path().join("state").display().to_string();
+    let absent = dir.path().join("absent").display().to_string();
+    put(&dir.path().join("answer"), b"{}");
+    let answer = dir.path().join("answer").display().to_string();
+    let plain = dir.path().join("plain.key").display().to_string();
+    let begun = dir.path().join("begun").display().to_string();
+    assert!(cairn(&["owners", "vkey", "--data", &begun]).status.success());
+    for (file, words) in secrets(dir.path()) {
+        let f = file.as_str();
+        assert!(!words.is_empty(), "{f}");
+        for command in [
+            &["audit", "bundle", &bundle, "--vkey", f][..],
+            &["audit", "bundle", &bundle, "--policy", f],
+            &["audit", "bundle", &bundle, "--log", f],
+            &["audit", "answer", &answer, "--vkey", f],
+            &["audit", "store", &data, "--vkey", f],
+            &["audit", "store", &data, "--policy", f],
+            &["audit", "evidence", &evidence, "--vkey", f],
+            &["audit", "follow", "http://127.0.0.1:1", "--once", "--state", &state, "--vkey", f],
+            &["audit", "follow", "http://127.0.0.1:1", "--once", "--state", &state, "--policy", f],
+            &["scene", "list", "--data", &begun, "--config", f],
+            &["scene", "list", "--connect", "https://127.0.0.1:1", "--tls-ca", f],
+            &["owners", "answer", "town", "--data", &begun, "--out", &absent, "--as-of", f],
+            &["witness", "serve", "--key", &plain, "--name", "w", "--folder", &absent, "--log", f],
+            &["keys", "show", f],
+            &["keys", "new", &absent, "--key-file", f],
+        ] {
+            let output = cairn(command);
+            let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+            let told = words.iter().find(|word| said.contains(word.as_str()));
+            assert!(told.is_none(), "{command:?} says {told:?}: {said}");
+            // A key may be shown, and may seal another.
+            if command[0] != "keys" {
+                assert_eq!(output.status.code(), Some(2), "{command:?}: {said}");
+            }
+        }
+        let _ = std::fs::remove_file(dir.path().join("absent"));
+    }
+    let (code, said) = audit(&["bundle", &bundle, "--vkey", &plain]);
+    assert!(
+        code == Some(2) && said.contains("this is a private key") && said.contains("`cairn owners vkey`"),
+        "{said}"
+    );
+    let (code, said) = audit(&["bundle", &bundle, "--policy", &plain]);
+    assert!(code == Some(2) && said.contains("this is a private key, not a policy"), "{said}");
+    assert_eq!(audit(&["bundle", &bundle, "--vkey", &vkey]).0, Some(1));
+}

@@ -1,10 +1,10 @@
 //! `cairn owners answer`: who contributed to a scene or to one view of it, as a file that proves it leaves nobody out.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_api::v1;
-use cairn_log::Answer;
+use cairn_log::{Answer, Checkpoint};
 
 use super::connect::Connection;
 use super::files::{read, write};
@@ -26,11 +26,19 @@ pub struct AnswerArgs {
     pub out: PathBuf,
 }
 
+/// The signed checkpoint in a file. What is none is not sent: it may be a secret.
+fn checkpoint(path: &Path) -> anyhow::Result<String> {
+    let none = || format!("{} is no checkpoint", path.display());
+    let note = String::from_utf8(read(path)?).with_context(none)?;
+    Checkpoint::read(&note).with_context(none)?;
+    Ok(note)
+}
+
 /// Fetches an answer and keeps it. What it is worth is for `cairn audit answer` to say.
 pub async fn run(line: &Connection, args: &AnswerArgs) -> anyhow::Result<()> {
     let as_of = match &args.as_of {
         None => String::new(),
-        Some(path) => String::from_utf8(read(path)?).with_context(|| format!("{} is no checkpoint", path.display()))?,
+        Some(path) => checkpoint(path)?,
     };
     let request = v1::AnswerRequest {
         scene: args.name.clone(),

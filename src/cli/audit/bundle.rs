@@ -121,7 +121,8 @@ fn hidden_signal(bundle: &Path) -> anyhow::Result<Option<FileInHand>> {
     let (picture, audio, words) = (part("signal.png")?, part("signal.wav")?, part("signal.txt")?);
     let files = SignalFiles { picture: &picture, audio: &audio, text: &words };
     let Some(salt) = salt.filter(|_| !files.is_empty()) else { return Ok(None) };
-    let salt: Digest = salt.trim().parse().context("signal.salt is not 32 bytes in hexadecimal")?;
+    // What was read is the owner's secret, and not quoted.
+    let salt: Digest = salt.trim().parse().ok().context("signal.salt is not 32 bytes in hexadecimal")?;
     Ok(Some(FileInHand::hidden_signal(places.join(", "), &salt, &files)))
 }
 

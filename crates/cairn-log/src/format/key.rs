@@ -21,6 +21,16 @@ pub const SIGNATURE_LEN: usize = 64;
 /// What a plain key's text is.
 pub const PLAIN: &str = "an Ed25519 private key in PKCS#8 PEM";
 
+/// Whether a text is a private key, or a file that keys are sealed with: what no message may quote.
+pub fn is_secret(text: &str) -> bool {
+    let text = text.trim_start();
+    let pem = || text.lines().next().is_some_and(|first| first.contains("PRIVATE") || first.contains("SEALED"));
+    (text.starts_with("-----BEGIN") && pem())
+        || text.starts_with("cairn-key-file-v1 ")
+        // As Go's note package writes a signer's key.
+        || text.starts_with("PRIVATE+KEY+")
+}
+
 /// What can be wrong with a key, a passphrase or a signature.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum KeyError {

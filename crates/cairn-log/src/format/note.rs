@@ -11,7 +11,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 
 use crate::format::{
     digest::{Digest, clip},
-    key::{KeyError, OwnerKey, PublicKey},
+    key::{KeyError, OwnerKey, PublicKey, is_secret},
 };
 
 /// Type byte of a plain Ed25519 signature.
@@ -46,14 +46,18 @@ pub enum NoteError {
         /// The name.
         got: String,
     },
-    /// Not a `name+hash+key` line.
-    #[error("verifier key {got:?}: {what}; expected name+8 hexadecimal digits+base64(type | key)")]
+    /// Not a `name+hash+key` line. What it is instead may be a secret, and is not said.
+    #[error("verifier key: {what}; expected name+8 hexadecimal digits+base64(type | key)")]
     Vkey {
-        /// The start of the line.
-        got: String,
         /// What is wrong.
         what: String,
     },
+    /// A secret, where a verifier key belongs.
+    #[error(
+        "this is a private key; give the verifier key instead: a log's from `cairn owners vkey`, a witness's from `cairn \
+         witness vkey`"
+    )]
+    PrivateKey,
     /// A signer that the verifier knows, with a signature that does not hold.
     #[error("signature of {name} on the note does not verify")]
     BadSignature {
@@ -146,18 +150,21 @@ impl<const KIND: u8> FromStr for Verifier<KIND> {
     type Err = NoteError;
 
     fn from_str(vkey: &str) -> Result<Self, NoteError> {
-        let refuse = |what: String| NoteError::Vkey { got: clip(vkey), what };
+        if is_secret(vkey) {
+            return Err(NoteError::PrivateKey);
+        }
+        let refuse = |what: String| NoteError::Vkey { what };
         let mut parts = vkey.splitn(3, '+');
         let (Some(name), Some(hash), Some(key)) = (parts.next(), parts.next(), parts.next()) else {
             return Err(refuse("not three parts".into()));
         };
-        check_name(name)?;
+        check_name(name).map_err(|_| refuse("a name without blanks comes first".into()))?;
         let mut stated = [0; 4];
         hex::decode_to_slice(hash, &mut stated).map_err(|_| refuse("the key id is not 8 hexadecimal digits".into()))?;
         let typed = STANDARD.decode(key).map_err(|_| refuse("the key is not base64".into()))?;
         if key_id(name, &typed) != stated {
             let computed = hex::encode(key_id(name, &typed));
-            return Err(refuse(format!("its key id is {computed}, it states {hash}")));
+            return Err(refuse(format!("its key id is {computed}, it states another")));
         }
         let key = match typed.split_first() {
             Some((kind, key)) if *kind == KIND => key,
@@ -267,10 +274,10 @@ impl FromStr for NoteSignature {
     type Err = NoteError;
 
     fn from_str(line: &str) -> Result<Self, NoteError> {
-        let refuse = |what: &str| malformed(&format!("signature line {:?}: {what}", clip(line)));
+        let refuse = |what: &str| malformed(&format!("signature line: {what}"));
         let rest = line.strip_prefix(DASH).ok_or_else(|| refuse("does not begin with an em dash and a blank"))?;
         let (name, blob) = rest.split_once(' ').ok_or_else(|| refuse("no blank behind the name"))?;
-        check_name(name)?;
+        check_name(name).map_err(|_| refuse("no name in it"))?;
         let blob = STANDARD.decode(blob).map_err(|_| refuse("not base64"))?;
         let Some((key_id, signature)) = blob.split_first_chunk::<4>() else {
             return Err(refuse("shorter than a key id"));

@@ -34,15 +34,13 @@ pub enum ConfigError {
         /// What the reader said, with line and column.
         cause: String,
     },
-    /// A key that does not exist.
-    #[error("{place}: unknown key `{key}` = {value}; allowed there: {allowed}")]
+    /// A key that does not exist. Its value may be a secret, and is not said.
+    #[error("{place}: unknown key `{key}`; allowed there: {allowed}")]
     UnknownKey {
         /// File or message.
         place: String,
         /// The whole key.
         key: String,
-        /// Its value.
-        value: String,
         /// The keys of that table.
         allowed: String,
     },

@@ -1,6 +1,7 @@
 //! From a settings file's text to typed settings: a key that is not declared, and a value that is not allowed, are
 //! refused with their names and what would do.
 
+use cairn_log::format::key::is_secret;
 use toml::{Table, Value};
 
 use super::declare;
@@ -13,7 +14,7 @@ use super::settings::{Settings, TABLES};
 /// [`ConfigError`] for what is no TOML, and for an unknown or out-of-range key.
 pub(super) fn settings(text: &str, place: &str) -> Result<Settings, ConfigError> {
     let toml_error = |cause: String| ConfigError::Toml { place: place.into(), cause: cause.trim_end().to_owned() };
-    let file: Table = text.parse().map_err(|e: toml::de::Error| toml_error(e.to_string()))?;
+    let file: Table = text.parse().map_err(|e: toml::de::Error| toml_error(no_toml(text, &e)))?;
     let mut tables = Settings::default().values().map_err(|e| toml_error(e.to_string()))?;
     put(&mut tables, file, "", place)?;
     for (path, values) in &tables {
@@ -21,6 +22,18 @@ pub(super) fn settings(text: &str, place: &str) -> Result<Settings, ConfigError>
     }
     let of = |path| tables.iter().find(|(of, _)| *of == path).map(|(_, values)| values.clone()).unwrap_or_default();
     Settings::typed(of).map_err(|e| toml_error(e.to_string()))
+}
+
+/// What is wrong with a text that is no TOML, and where. The line itself is left out: another file given by mistake may be a
+/// token or a key.
+fn no_toml(text: &str, error: &toml::de::Error) -> String {
+    if is_secret(text) {
+        return "this is a private key; give a file of settings (see configs/daemon.toml)".into();
+    }
+    let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+    let line = before.matches('\n').count() + 1;
+    let column = before.rsplit('\n').next().unwrap_or_default().chars().count() + 1;
+    format!("no TOML at line {line}, column {column}: {}; is it a file of settings?", error.message())
 }
 
 /// Checks every value of the declared table at `path`.
@@ -50,8 +63,7 @@ fn put(tables: &mut [(&str, Table)], file: Table, path: &str, place: &str) -> Re
         let allowed = keys_of(tables, path);
         let slot = tables.iter_mut().find(|(of, _)| *of == path).and_then(|(_, values)| values.get_mut(&name));
         let Some(slot) = slot else {
-            let (place, value, allowed) = (place.into(), value.to_string(), allowed.join(", "));
-            return Err(ConfigError::UnknownKey { place, key, value, allowed });
+            return Err(ConfigError::UnknownKey { place: place.into(), key, allowed: allowed.join(", ") });
         };
         *slot = match (&*slot, value) {
             // A whole number is a fine fraction, but not the other way round.

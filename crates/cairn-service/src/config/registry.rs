@@ -85,10 +85,12 @@ pub(super) fn witnesses(raw: &[String]) -> Result<Vec<WitnessSetting>, ConfigErr
         return Err(out_of_range(KEY, format!("{} witnesses", raw.len()), format!("0 to {MAX_WITNESSES}")));
     }
     let mut found: Vec<WitnessSetting> = Vec::with_capacity(raw.len());
-    for text in raw {
-        let witness = WitnessSetting::parse(text).map_err(|allowed| out_of_range(KEY, text, allowed))?;
+    for (number, text) in (1..).zip(raw) {
+        // Its number, since the text may be a secret.
+        let entry = format!("(entry {number})");
+        let witness = WitnessSetting::parse(text).map_err(|allowed| out_of_range(KEY, &entry, allowed))?;
         if found.iter().any(|other| other.verifier.key() == witness.verifier.key()) {
-            return Err(out_of_range(KEY, text, "each witness once; another entry has this key"));
+            return Err(out_of_range(KEY, &entry, "each witness once; another entry has this key"));
         }
         found.push(witness);
     }

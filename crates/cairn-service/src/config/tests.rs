@@ -142,11 +142,11 @@ fn refusals_name_key_value_and_what_is_allowed() {
         ("[registry]\nhttp_bind = \"home\"", ["`registry.http_bind` = home", "an IP address"]),
         ("[registry]\nhttp_prefix = \"log\"", ["`registry.http_prefix` = log", "as /log"]),
         ("[registry]\nhttp_prefix = \"/a/../b\"", ["`registry.http_prefix` = /a/../b", "segments"]),
-        ("[registry]\nwitnesses = [\"x\"]", ["`registry.witnesses` = x", "VKEY URL"]),
-        ("[registry]\nwitnesses = [\"x http://w\"]", ["`registry.witnesses` = x", "verifier key"]),
+        ("[registry]\nwitnesses = [\"x\"]", ["`registry.witnesses` = (entry 1)", "VKEY URL"]),
+        ("[registry]\nwitnesses = [\"x http://w\"]", ["`registry.witnesses` = (entry 1)", "verifier key"]),
         ("[registry]\nwitnesses = \"x\"", ["`registry.witnesses`", "array"]),
         ("[log]\nformat = \"xml\"", ["`log.format` = xml", "text"]),
-        ("colour = true", ["`colour` = true", "limits"]),
+        ("colour = true", ["`colour`", "limits"]),
     ] {
         let error = Config::from_toml(text, "test.toml").unwrap_err().to_string();
         for part in wanted {

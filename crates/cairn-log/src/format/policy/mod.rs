@@ -18,7 +18,7 @@ use crate::format::{
     checkpoint::{Checkpoint, CheckpointError},
     cosignature::{CosignatureError, WitnessVerifier},
     digest::clip,
-    key::PublicKey,
+    key::{PublicKey, is_secret},
     note::{NoteError, NoteVerifier},
 };
 
@@ -84,6 +84,9 @@ pub enum PolicyError {
         /// What is wrong, and what is allowed.
         what: String,
     },
+    /// A secret, where a policy belongs.
+    #[error("this is a private key, not a policy; a policy has lines `log`, `witness` and `quorum`")]
+    PrivateKey,
     /// Nothing says what is enough.
     #[error("policy without a quorum line; end it with `quorum <name>`, or `quorum none` to ask for no witnesses")]
     NoQuorum,
@@ -251,6 +254,9 @@ fn parse(text: &[u8]) -> Result<Policy, PolicyError> {
     if text.len() > MAX_POLICY_BYTES {
         return Err(PolicyError::TooLarge { got: text.len() });
     }
+    if std::str::from_utf8(text).is_ok_and(is_secret) {
+        return Err(PolicyError::PrivateKey);
+    }
     let mut reader = Reader::default();
     for (number, line) in (1..).zip(text.split(|b| *b == b'\n')) {
         let refused = |what: String| PolicyError::Line { line: number, what: what.chars().take(MAX_ERROR).collect() };
@@ -277,10 +283,8 @@ impl Reader {
             [b"witness", ..] => Err("expected `witness <name> <vkey> [<url>]`".into()),
             [b"group", ..] => Err("expected `group <name> any|all|<k> <member>...` with at least one member".into()),
             [b"quorum", ..] => Err("expected `quorum <name>` or `quorum none`".into()),
-            [other, ..] => Err(format!(
-                "unknown keyword {:?}; allowed are log, witness, group, quorum and # comments",
-                shown(other)
-            )),
+            // Not quoted: where the file is no policy it may be a secret.
+            _ => Err("its first word is no keyword; allowed are log, witness, group, quorum and # comments".into()),
         }
     }
 
@@ -357,7 +361,7 @@ fn read_threshold(word: &[u8], members: usize) -> Result<usize, String> {
 }
 
 fn read_vkey<T: std::str::FromStr<Err = NoteError>>(vkey: &[u8]) -> Result<T, String> {
-    let text = std::str::from_utf8(vkey).map_err(|_| format!("vkey {:?} is not UTF-8", shown(vkey)))?;
+    let text = std::str::from_utf8(vkey).map_err(|_| "the vkey is not UTF-8".to_owned())?;
     text.parse().map_err(|e: NoteError| e.to_string())
 }
 
