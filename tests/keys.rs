@@ -97,10 +97,10 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     assert_ne!(rotation.owner_key, record.owner_key);
     assert_eq!(
         town.state(&first),
-        format!("replaced by record {second}; its key was ended by record {second}, after it")
+        format!("stands; its key was rotated by record {second}, after it")
     );
     let said = town.refused(&[&sign[..], &[&out("old")]].concat());
-    assert!(said.contains(&format!("ended by record {second}")), "{said}");
+    assert!(said.contains(&format!("rotated by record {second}; sign with the key that follows it")), "{said}");
 
     // Replaced by its owner, and by nobody else.
     let replace = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--replaces", &second];
@@ -119,14 +119,22 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     // Revoked, one record with it.
     let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "the laptop is gone", "--out"];
     let said = town.refused(&["keys", "revoke", "town", "--key", &ada, "--purpose", "late", "--out", &out("late")]);
-    assert!(said.contains("ended by record"), "{said}");
+    assert!(said.contains(&format!("rotated by record {second}")), "{said}");
     let fifth = town.enter(&[&revoke[..], &[&out("fifth"), "--record", &third]].concat());
     assert_eq!(town.bundle("fifth", &fifth).0.kind, RecordKind::Revocation);
     let wanted = format!(
-        "taken back by record {fifth}; disputed by record {fourth}; its key was ended by record {fifth}, after it"
+        "taken back by record {fifth}; disputed by record {fourth}; its key was revoked by record {fifth}, after it"
     );
     assert_eq!(town.state(&third), wanted);
-    assert!(town.refused(&[&revoke[..], &[&out("again")]].concat()).contains("ended by record"));
+    // What nobody can do any more is not advised.
+    let said = town.refused(&[&revoke[..], &[&out("again")]].concat());
+    assert!(said.contains(&format!("revoked by record {fifth}, and no key follows it")), "{said}");
+    let replace = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--replaces", &third];
+    for key in [&next, &bob] {
+        let said = town.refused(&[&replace[..], &["--key", key, "--out", &out("gone")]].concat());
+        assert!(said.contains(&format!("record {third} belongs to key")), "{said}");
+        assert!(said.contains(&format!("record {fifth} revoked: nobody can replace it")), "{said}");
+    }
 
     // Nobody speaks for a revoked key, and only its owner for one in use.
     let erase = ["owners", "erase", "town", "--record", &third, "--key"];

@@ -141,7 +141,8 @@ fn state(standing: &v1::Standing) -> String {
         words.push_str(&format!("; disputed by record {}", indices.join(", ")));
     }
     if let Some(index) = standing.key_ended_by {
-        words.push_str(&format!("; its key was ended by record {index}, after it"));
+        let how = if standing.key_rotated { "rotated" } else { "revoked" };
+        words.push_str(&format!("; its key was {how} by record {index}, after it"));
     }
     words
 }
@@ -156,9 +157,11 @@ mod tests {
         assert_eq!(state(&standing), "stands");
         let disputed = v1::Standing { disputed_by: vec![3, 5], ..standing.clone() };
         assert_eq!(state(&disputed), "stands; disputed by record 3, 5");
-        let rotated = v1::Standing { replaced_by: Some(2), key_ended_by: Some(2), ..standing };
-        assert_eq!(state(&rotated), "replaced by record 2; its key was ended by record 2, after it");
-        let taken_back = v1::Standing { taken_back_by: Some(4), key_ended_by: None, ..rotated };
+        let rotated = v1::Standing { key_ended_by: Some(2), key_rotated: true, ..standing.clone() };
+        assert_eq!(state(&rotated), "stands; its key was rotated by record 2, after it");
+        let revoked = v1::Standing { replaced_by: Some(1), key_ended_by: Some(2), ..standing };
+        assert_eq!(state(&revoked), "replaced by record 1; its key was revoked by record 2, after it");
+        let taken_back = v1::Standing { taken_back_by: Some(4), key_ended_by: None, ..revoked };
         assert_eq!(state(&taken_back), "taken back by record 4");
     }
 }

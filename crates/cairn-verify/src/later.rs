@@ -6,8 +6,9 @@
 use std::collections::BTreeMap;
 
 use cairn_log::format::{
-    Digest, OwnerRecord, PublicKey, RecordKind, SignedRecord,
+    Digest, OwnerRecord, PublicKey, SignedRecord,
     heir::{self, Ending},
+    record::Effect,
 };
 
 use crate::{
@@ -94,24 +95,24 @@ impl View<'_> {
         let record = other.signed.record();
         let kind = record.kind;
         if record.replaces == Some(self.audited.digest) {
-            match kind {
-                RecordKind::Dispute => {
+            match kind.effect() {
+                Effect::Contests => {
                     let got = format!("by {}: {}", record.owner_key, record.purpose);
                     return findings.add(Code::RecordDisputed, place(other.index), "", got);
                 }
-                RecordKind::Revocation => {
+                Effect::TakesBack => {
                     if self.spoken_for(other, findings) {
                         let expected = "a record that its owner upholds";
                         return findings.add(Code::RecordRevoked, place(other.index), expected, &record.purpose);
                     }
                 }
-                RecordKind::Claim | RecordKind::Contribution | RecordKind::Training => {
+                Effect::Replaces => {
                     if self.spoken_for(other, findings) {
                         let got = format!("{kind:?} by {}", record.owner_key);
                         findings.add(Code::RecordReplaced, place(other.index), "", got);
                     }
                 }
-                RecordKind::Rotation => {}
+                Effect::LeavesIt => {}
             }
         }
         if heir::ends(&self.audited.record.owner_key, record, other.signed.envelope()).is_some() {

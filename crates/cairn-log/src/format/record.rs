@@ -53,7 +53,35 @@ pub enum RecordKind {
     Dispute,
 }
 
+/// What a record does to the one that it names in `replaces`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Effect {
+    /// It stands, and somebody contests it.
+    Contests,
+    /// Its owner takes it back: it counts no more.
+    TakesBack,
+    /// Its owner puts another in its place: it counts no more.
+    Replaces,
+    /// Its owner goes on under another key, and it counts as before.
+    LeavesIt,
+}
+
 impl RecordKind {
+    /// Whether a record of this kind credits its owner, for as long as no other takes it back or replaces it.
+    pub const fn credits(self) -> bool {
+        matches!(self, Self::Claim | Self::Contribution)
+    }
+
+    /// What a record of this kind does to the one that it names in `replaces`, where its signer may speak for that one's owner.
+    pub const fn effect(self) -> Effect {
+        match self {
+            Self::Dispute => Effect::Contests,
+            Self::Revocation => Effect::TakesBack,
+            Self::Claim | Self::Contribution | Self::Training => Effect::Replaces,
+            Self::Rotation => Effect::LeavesIt,
+        }
+    }
+
     /// All kinds, in the order of their codes.
     pub const ALL: [Self; 6] =
         [Self::Claim, Self::Contribution, Self::Training, Self::Revocation, Self::Rotation, Self::Dispute];

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::format::{
     digest::Digest,
-    heir::{self, Heir},
+    heir::{self, Ending, Heir},
     key::PublicKey,
     leaf::Leaf,
     map::{MapEntry, MapKey},
@@ -71,12 +71,12 @@ impl Registry {
         read::entries_below(&self.shared, key, self.shared.size(), from, limit)
     }
 
-    /// Index of the revocation or rotation that ended the key `owner`, if the log holds one.
+    /// How the key `owner` ended, if the log holds a revocation or rotation of it.
     ///
     /// # Errors
     /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
-    pub fn ended(&self, owner: &PublicKey) -> Result<Option<u64>, RegistryError> {
-        read::ended_id(&self.shared, &owner.id())
+    pub fn ended(&self, owner: &PublicKey) -> Result<Option<Ending>, RegistryError> {
+        read::ending(&self.shared, &owner.id())
     }
 
     /// Who speaks for the key with this id today: itself, or what rotations put in its place.

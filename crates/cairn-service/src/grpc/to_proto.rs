@@ -58,8 +58,8 @@ pub fn camera(camera: &Camera) -> v1::Camera {
 
 /// What later records say of one.
 pub fn standing(standing: Standing) -> v1::Standing {
-    let Standing { replaced_by, taken_back_by, disputed_by, key_ended_by } = standing;
-    v1::Standing { replaced_by, taken_back_by, disputed_by, key_ended_by }
+    let Standing { replaced_by, taken_back_by, disputed_by, key_ended_by, key_rotated } = standing;
+    v1::Standing { replaced_by, taken_back_by, disputed_by, key_ended_by, key_rotated }
 }
 
 /// A scene kind.

@@ -23,7 +23,7 @@ pub struct Who {
     pub contributors: Vec<(String, usize)>,
     /// Of a picture the answer's probability; of a place 1 in a cluster's middle, 0 on its border.
     pub confidence: f64,
-    /// Log indices of the owner records that bear on the identity, rising: see [`crate::records::owners::bearing_on`].
+    /// Log indices of the owner records that count for the identity, rising: see [`crate::records::owners::bearing_on`].
     pub records: Vec<u64>,
 }
 

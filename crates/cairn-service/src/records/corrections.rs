@@ -1,14 +1,15 @@
 //! What becomes of a record after it was entered: disputes, replacements and ends of keys as the log has them, and
 //! erasure at its owner's request.
 
-use cairn_log::{Envelope, Erasure, Heir, RecordError, RecordKind, Registry, RegistryError, StoredRecord};
+use cairn_log::format::record::Effect;
+use cairn_log::{Envelope, Erasure, Heir, RecordError, Registry, RegistryError, StoredRecord};
 
 use crate::error::EngineError;
 
 /// What later records say of one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Standing {
-    /// The first record that its owner put in its place, a rotation among them.
+    /// The first record that its owner put in its place.
     pub replaced_by: Option<u64>,
     /// The revocation that takes it back.
     pub taken_back_by: Option<u64>,
@@ -16,6 +17,16 @@ pub struct Standing {
     pub disputed_by: Vec<u64>,
     /// The revocation or rotation that ended its owner's key; the record came before, and stays good.
     pub key_ended_by: Option<u64>,
+    /// Whether that was a rotation.
+    pub key_rotated: bool,
+}
+
+impl Standing {
+    /// Whether its owner upholds it. A record that [`cairn_log::RecordKind::credits`] counts for as long as that holds, as in an answer's
+    /// audit.
+    pub const fn is_upheld(&self) -> bool {
+        self.replaced_by.is_none() && self.taken_back_by.is_none()
+    }
 }
 
 /// What later records say of record `index`.
@@ -23,14 +34,21 @@ pub struct Standing {
 /// # Errors
 /// The registry's.
 pub fn standing(registry: &Registry, stored: &StoredRecord) -> Result<Standing, EngineError> {
-    let mut standing = Standing { key_ended_by: registry.ended(&stored.record.owner_key)?, ..Standing::default() };
+    let ended = registry.ended(&stored.record.owner_key)?;
+    let mut standing = Standing {
+        key_ended_by: ended.map(|end| end.index),
+        key_rotated: ended.is_some_and(|end| end.to.is_some()),
+        ..Standing::default()
+    };
+    // Whoever may say `replaces` is the registry's to decide.
     for (index, kind) in registry.about(&stored.leaf.record)? {
-        match kind {
-            RecordKind::Dispute => standing.disputed_by.push(index),
-            RecordKind::Revocation => standing.taken_back_by = Some(index),
-            RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Rotation => {
+        match kind.effect() {
+            Effect::Contests => standing.disputed_by.push(index),
+            Effect::TakesBack => standing.taken_back_by = Some(index),
+            Effect::Replaces => {
                 standing.replaced_by.get_or_insert(index);
             }
+            Effect::LeavesIt => {}
         }
     }
     Ok(standing)

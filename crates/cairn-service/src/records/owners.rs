@@ -1,12 +1,12 @@
 //! Owner records as the engine serves them: what a record must state, taking it
 //! in, finding and proving it. Signing happens at the owner's, never here.
 
-use std::collections::HashSet;
 use std::path::Path;
 
 use cairn_log::{Digest, LogEntry, OwnerRecord, RecordKind, Registry, SignedRecord};
 
 use crate::error::EngineError;
+use crate::records::corrections;
 use crate::records::publisher::Publisher;
 use crate::store::access::Access;
 use crate::store::hidden::Parts;
@@ -152,8 +152,8 @@ pub fn complete_answer(
     Ok(answer.into_bytes())
 }
 
-/// Log indices of the records that bear on an identity, rising: claims and training records of this very marked field,
-/// contributions of the identity's photographs, and rotations of any of these; none that was taken back or replaced.
+/// Log indices of the records that count for an identity, rising: claims of this very marked field and contributions of the
+/// identity's photographs that their owners uphold. A rotation ends a key and leaves what that signed.
 ///
 /// # Errors
 /// The registry's.
@@ -163,7 +163,6 @@ pub fn bearing_on(
     marked_field: Option<Digest>,
     identity: &IdentityInfo,
 ) -> Result<Vec<u64>, EngineError> {
-    let mut related = HashSet::new();
     let mut indices = Vec::new();
     let mut page = registry.page(Some(scene), 0, PAGE)?;
     // A page at a time: what a scene's records take is up to whoever submits them.
@@ -171,14 +170,7 @@ pub fn bearing_on(
         let next = last.index() + 1;
         for entry in &page {
             let LogEntry::Record(stored) = entry else { continue };
-            let record = &stored.record;
-            let of_one = record.replaces.is_some_and(|replaced| related.contains(&replaced));
-            if !(is_about(record, marked_field, identity) || (record.kind == RecordKind::Rotation && of_one)) {
-                continue;
-            }
-            related.insert(stored.leaf.record);
-            // Whoever may say `replaces` is the registry's to decide; a dispute alone is anybody's.
-            if registry.about(&stored.leaf.record)?.iter().all(|(_, kind)| *kind == RecordKind::Dispute) {
+            if is_about(&stored.record, marked_field, identity) && corrections::standing(registry, stored)?.is_upheld() {
                 indices.push(stored.index);
             }
         }
@@ -187,20 +179,20 @@ pub fn bearing_on(
     Ok(indices)
 }
 
-/// Whether a record's digests are those of the marked field and the identity's photographs. The number alone
+/// Whether a record credits for the marked field or the identity's photographs, by its digests. The number alone
 /// says nothing: the next training gives the same number to somebody else.
 fn is_about(record: &OwnerRecord, marked_field: Option<Digest>, identity: &IdentityInfo) -> bool {
     let bound = &record.digests;
     let photographs = identity.photographs_root();
     match record.kind {
-        RecordKind::Claim | RecordKind::Training => {
+        RecordKind::Claim => {
             record.identity.number == identity.number
                 && marked_field.is_some()
                 && bound.marked_field == marked_field
                 && bound.photographs.is_none_or(|root| root == photographs)
         }
         RecordKind::Contribution => bound.photographs == Some(photographs),
-        RecordKind::Revocation | RecordKind::Rotation | RecordKind::Dispute => false,
+        RecordKind::Training | RecordKind::Revocation | RecordKind::Rotation | RecordKind::Dispute => false,
     }
 }
 

@@ -3,7 +3,7 @@
 //! Time is counted in log indices only. What lies behind the size that the question
 //! is about changes nothing in the answer, and is told besides.
 
-use cairn_log::format::{Answer, Digest, MapKey, PublicKey, RecordKind, heir::Ending};
+use cairn_log::format::{Answer, Digest, MapKey, PublicKey, RecordKind, heir::Ending, record::Effect};
 
 use super::{
     lists::{Opened, Proven},
@@ -29,8 +29,7 @@ impl One<'_> {
     fn weigh(&self, findings: &mut Findings) -> RecordWorth {
         let Opened { leaf, body } = self.opened;
         let mut disputed_by = Vec::new();
-        let credits = matches!(leaf.kind, RecordKind::Claim | RecordKind::Contribution);
-        let own = match (credits, body) {
+        let own = match (leaf.kind.credits(), body) {
             (false, _) => Standing::NoCredit,
             (true, None) => Standing::Erased,
             (true, Some(_)) => Standing::Counts,
@@ -65,29 +64,25 @@ impl One<'_> {
         for (index, other) in self.proven.listed(&MapKey::about(&self.opened.leaf.record)) {
             let kind = other.leaf.kind;
             let got = format!("{kind:?} at index {index}");
-            let (code, then) = match kind {
-                // It ends the key, and leaves what was signed before.
-                RecordKind::Rotation => continue,
-                RecordKind::Dispute => (Code::RecordDisputed, Standing::Counts),
-                RecordKind::Revocation | RecordKind::Claim | RecordKind::Contribution | RecordKind::Training => {
-                    if let Err(expected) = self.may_speak(index, other) {
-                        findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
-                        continue;
-                    }
-                    if kind == RecordKind::Revocation {
-                        (Code::AnswerRecordRevoked, Standing::Revoked)
-                    } else {
-                        (Code::AnswerRecordReplaced, Standing::Replaced)
-                    }
-                }
+            let (code, then) = match kind.effect() {
+                Effect::LeavesIt => continue,
+                Effect::Contests => (Code::RecordDisputed, Standing::Counts),
+                Effect::TakesBack => (Code::AnswerRecordRevoked, Standing::Revoked),
+                Effect::Replaces => (Code::AnswerRecordReplaced, Standing::Replaced),
             };
+            if kind.effect() != Effect::Contests
+                && let Err(expected) = self.may_speak(index, other)
+            {
+                findings.add(Code::LaterRecordInvalid, self.place(), expected, got);
+                continue;
+            }
             if index >= self.as_of {
                 findings.add(Code::AnswerChangedLater, self.place(), "", got);
                 continue;
             }
             findings.add(code, self.place(), "", got);
             standing = standing.max(then);
-            if kind == RecordKind::Dispute {
+            if kind.effect() == Effect::Contests {
                 disputed_by.push(index);
             }
         }
