@@ -240,7 +240,9 @@ async fn revoke(line: &Connection, args: &RevokeArgs) -> anyhow::Result<()> {
         None => newest_of(line, &args.name, &key).await?,
     };
     let earlier = Stored::of_scene(line, &args.name, about).await?;
-    earlier.spoken_for_by(&key)?;
+    if args.record.is_some() {
+        earlier.spoken_for_by(&key)?;
+    }
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let mut record = ground.about(&earlier, RecordKind::Revocation, &key, &args.purpose)?;
     record.replaces = args.record.and(record.replaces);

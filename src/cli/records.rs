@@ -123,10 +123,18 @@ impl Stored {
         Ok(stored)
     }
 
-    /// Refuses a key that cannot speak for the record: another than its owner's, unless that one ended; then it is the
-    /// registry's to say whether this one took its place.
+    /// Refuses a key that cannot speak for the record: another than its owner's, unless that one was rotated; then it is the
+    /// registry's to say whether this one took its place. For a revoked key nobody speaks.
     pub fn spoken_for_by(&self, key: &OwnerKey) -> anyhow::Result<()> {
-        if self.standing.key_ended_by.is_some() { Ok(()) } else { self.belongs_to(key) }
+        match self.standing.key_ended_by {
+            None => self.belongs_to(key),
+            Some(_) if self.standing.key_rotated => Ok(()),
+            Some(by) => anyhow::bail!(
+                "record {} belongs to key {}, which record {by} revoked: nobody can replace it or take it back",
+                self.index,
+                self.record.owner_key
+            ),
+        }
     }
 
     /// Refuses a key that the record does not belong to.

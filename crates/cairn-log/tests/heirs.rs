@@ -68,10 +68,10 @@ fn a_revoked_key_has_no_heir_and_a_thief_makes_none() {
     let end = take(&registry, &end.seal(&owner(1)).unwrap()).unwrap().index;
     // The thief rotates to a key of their own, behind the revocation.
     let refused = take(&registry, &about(&registry, RecordKind::Rotation, 7, first, &[1])).unwrap_err();
-    assert!(matches!(refused, RegistryError::OwnerRetired { index, .. } if index == end), "{refused}");
+    assert!(matches!(refused, RegistryError::OwnerRevoked { index, .. } if index == end), "{refused}");
     for (by, also) in [(7, &[][..]), (7, &[1]), (2, &[])] {
         let refused = take(&registry, &about(&registry, RecordKind::Training, by, second, also)).unwrap_err();
-        assert!(matches!(refused, RegistryError::OwnerRetired { index, .. } if index == end), "{refused}");
+        assert!(matches!(refused, RegistryError::ReplacesRevoked { index, .. } if index == end), "{refused}");
     }
     assert_eq!(
         registry.heir(&owner(1).public().id()).unwrap(),
@@ -98,6 +98,6 @@ fn a_rotation_that_was_refused_makes_no_heir() {
     // An heir rotates its own records; of those before it the old key, which has ended, would have to agree.
     rotate(&registry, 1, 3, first);
     let refused = take(&registry, &about(&registry, RecordKind::Rotation, 4, second, &[1, 3])).unwrap_err();
-    assert!(matches!(refused, RegistryError::OwnerRetired { .. }), "{refused}");
+    assert!(matches!(refused, RegistryError::OwnerRotated { .. }), "{refused}");
     assert!(take(&registry, &sealed(&registry, &owner(3), "fern", "goes on")).is_ok());
 }

@@ -185,7 +185,7 @@ fn who_may_write_about_an_earlier_record() {
     again.sign(&owner(1));
     for envelope in [before, again, about(RecordKind::Revocation, 1)] {
         let refused = take(&registry, &envelope).unwrap_err();
-        assert!(matches!(refused, RegistryError::OwnerRetired { index: 4, .. }), "{refused}");
+        assert!(matches!(refused, RegistryError::OwnerRotated { index: 4, .. }), "{refused}");
     }
     assert!(take(&registry, &rotation).unwrap().resubmitted);
     assert!(registry.check().unwrap().is_empty());
@@ -200,7 +200,7 @@ fn a_revoked_key_signs_no_more_also_after_a_restart() {
     take(&registry, &revocation.seal(&owner(1)).unwrap()).unwrap();
     let registry = reopened(&store.crash());
     let refused = submit(&registry, &owner(1), "trex", "b").unwrap_err();
-    assert!(matches!(refused, RegistryError::OwnerRetired { index: 2, .. }), "{refused}");
+    assert!(matches!(refused, RegistryError::OwnerRevoked { index: 2, .. }), "{refused}");
     submit(&registry, &owner(2), "trex", "b").unwrap();
     assert_eq!(registry.size(), 6);
 }

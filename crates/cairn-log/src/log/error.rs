@@ -80,12 +80,36 @@ pub enum RegistryError {
         /// Its owner, or after rotations the key in that one's place.
         owner: PublicKey,
     },
-    /// The owner's key was revoked, or rotated away.
-    #[error("key {owner} was ended by record {index}; sign with the key that follows it, or a new one")]
-    OwnerRetired {
+    /// Another key took the owner's key's place.
+    #[error("key {owner} was rotated by record {index}; sign with the key that follows it")]
+    OwnerRotated {
         /// The key.
         owner: String,
-        /// The revocation or rotation; where it stands in the same batch, the index that it gets.
+        /// The rotation; where it stands in the same batch, the index that it gets.
+        index: u64,
+    },
+    /// The owner's key was revoked.
+    #[error(
+        "key {owner} was revoked by record {index}, and no key follows it; make a new one (`cairn keys new`), which signs for \
+         itself"
+    )]
+    OwnerRevoked {
+        /// The key.
+        owner: String,
+        /// The revocation; where it stands in the same batch, the index that it gets.
+        index: u64,
+    },
+    /// The record named in `replaces` belongs to a key that was revoked.
+    #[error(
+        "the record {replaces} named in `replaces` belongs to the key with id {owner}, which record {index} revoked; nobody \
+         can replace it or take it back"
+    )]
+    ReplacesRevoked {
+        /// Its digest.
+        replaces: Digest,
+        /// Id of its owner's key, or of the one that rotations put in its place.
+        owner: Digest,
+        /// What ended that key.
         index: u64,
     },
     /// No such record.

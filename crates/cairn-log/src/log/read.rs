@@ -147,9 +147,13 @@ pub(super) fn ended_id(shared: &Shared, owner: &Digest) -> Result<Option<u64>, R
 
 /// How the key with this id ended, as far as the log is written.
 pub(super) fn ending(shared: &Shared, key: &Digest) -> Result<Option<Ending>, RegistryError> {
-    let Some(index) = ended_id(shared, key)? else { return Ok(None) };
+    ended_id(shared, key)?.map(|index| ending_at(shared, index)).transpose()
+}
+
+/// How the record at `index`, a revocation or rotation, ends a key.
+pub(super) fn ending_at(shared: &Shared, index: u64) -> Result<Ending, RegistryError> {
     let leaf = record_leaf(shared, index)?;
-    Ok(Some(Ending { index, to: (leaf.kind == RecordKind::Rotation).then_some(leaf.owner) }))
+    Ok(Ending { index, to: (leaf.kind == RecordKind::Rotation).then_some(leaf.owner) })
 }
 
 pub(super) fn index_of(shared: &Shared, record: &Digest) -> Result<Option<u64>, RegistryError> {

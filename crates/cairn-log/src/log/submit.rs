@@ -117,7 +117,7 @@ fn consent_of(
             agreed(candidate, replaces, key).map(Some)
         }
         Heir::Nobody { id, ended_by } => {
-            Err(RegistryError::OwnerRetired { owner: format!("with id {id}"), index: ended_by })
+            Err(RegistryError::ReplacesRevoked { replaces: *replaces, owner: id, index: ended_by })
         }
     }
 }
@@ -132,12 +132,18 @@ fn agreed(candidate: &SignedRecord, replaces: &Digest, owner: PublicKey) -> Resu
 
 /// Who speaks for a key today, the batch that is being put together included.
 fn heir_with(shared: &Shared, owner: &Digest, planned: &Planned) -> Result<Heir, RegistryError> {
-    heir(owner, u64::MAX, |key| {
-        let Some(index) = planned.retired.get(key) else { return read::ending(shared, key) };
+    heir(owner, u64::MAX, |key| ending_with(shared, key, planned))
+}
+
+/// How a key ended, the batch that is being put together included.
+fn ending_with(shared: &Shared, key: &Digest, planned: &Planned) -> Result<Option<Ending>, RegistryError> {
+    if let Some(index) = planned.retired.get(key) {
         let by = planned.records.values().find(|(at, _)| at == index).map(|(_, owner)| owner.id());
         // A revocation is by the key that it ends, a rotation never.
-        Ok(Some(Ending { index: *index, to: by.filter(|by| by != key) }))
-    })
+        return Ok(Some(Ending { index: *index, to: by.filter(|by| by != key) }));
+    }
+    let index = reload::number_at(shared.store.as_ref(), &layout::retired(key), || format!("end of key {key}"))?;
+    index.map(|index| read::ending_at(shared, index)).transpose()
 }
 
 /// The envelope with the signatures that mean something here, and the registry's.
@@ -165,12 +171,9 @@ fn countersigned(shared: &Shared, candidate: &SignedRecord, signers: &[PublicKey
 }
 
 fn check_not_retired(shared: &Shared, id: &Digest, owner: &str, planned: &Planned) -> Result<(), RegistryError> {
-    let ended = match planned.retired.get(id) {
-        Some(index) => Some(*index),
-        None => reload::number_at(shared.store.as_ref(), &layout::retired(id), || format!("end of key {owner}"))?,
-    };
-    match ended {
-        Some(index) => Err(RegistryError::OwnerRetired { owner: owner.to_owned(), index }),
+    match ending_with(shared, id, planned)? {
+        Some(Ending { index, to: Some(_) }) => Err(RegistryError::OwnerRotated { owner: owner.to_owned(), index }),
+        Some(Ending { index, to: None }) => Err(RegistryError::OwnerRevoked { owner: owner.to_owned(), index }),
         None => Ok(()),
     }
 }

@@ -163,7 +163,9 @@ fn registry(error: &RegistryError) -> Code {
         | RegistryError::NonceUsed { .. }
         | RegistryError::NonceExpired { .. }
         | RegistryError::SeenForeign { .. }
-        | RegistryError::OwnerRetired { .. }
+        | RegistryError::OwnerRotated { .. }
+        | RegistryError::OwnerRevoked { .. }
+        | RegistryError::ReplacesRevoked { .. }
         | RegistryError::ReplacesUnknown { .. } => Code::FailedPrecondition,
         RegistryError::ReplacesForeign { .. } => Code::PermissionDenied,
         RegistryError::NoSuchRecord { .. } | RegistryError::NotARecord { .. } | RegistryError::Erased { .. } => {
