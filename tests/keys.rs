@@ -136,6 +136,20 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
         assert!(said.contains(&format!("record {fifth} revoked: nobody can replace it")), "{said}");
     }
 
+    // The list says of each what became of it.
+    let listed = town.place.cairn_ok(&["owners", "list", "town", "--data", &town.data]);
+    for (index, state) in [
+        (&first, format!("stands; its key was rotated by record {second}, after it")),
+        (&second, format!("replaced by record {third}; its key was revoked by record {fifth}, after it")),
+        (&third, wanted),
+        (&fourth, "stands".to_owned()),
+    ] {
+        let of = listed.lines().find(|line| line.starts_with(&format!("{index}  "))).unwrap();
+        assert!(of.contains(&format!("  identity 1  {state}  by key ")), "{of}");
+    }
+    let listed = town.place.cairn_json(&["owners", "list", "town", "--json", "--data", &town.data]);
+    assert_eq!(listed["records"][1]["standing"]["replaced_by"], third.as_str(), "{listed}");
+
     // Nobody speaks for a revoked key, and only its owner for one in use.
     let erase = ["owners", "erase", "town", "--record", &third, "--key"];
     for key in [&ada, &next, &bob] {

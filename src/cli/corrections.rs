@@ -130,7 +130,7 @@ pub async fn show(line: &Connection, index: u64, json: Json) -> anyhow::Result<(
 }
 
 /// A record's state in words, as the daemon has it.
-fn state(standing: &v1::Standing) -> String {
+pub fn state(standing: &v1::Standing) -> String {
     let mut words = match (standing.taken_back_by, standing.replaced_by) {
         (Some(index), _) => format!("taken back by record {index}"),
         (None, Some(index)) => format!("replaced by record {index}"),

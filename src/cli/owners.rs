@@ -17,7 +17,7 @@ use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::files::write;
 use super::json::{self, Json};
 use super::records;
-use super::records::vkey;
+use super::records::{Listed, vkey};
 use super::sign::{SignArgs, sign};
 
 /// What to do with owner records.
@@ -51,7 +51,7 @@ pub enum Command {
         #[command(flatten)]
         json: Json,
     },
-    /// The records of a scene, or all
+    /// The records of a scene, or all, and whether each stands
     #[command(after_help = "Example:\n  cairn owners list liberty")]
     List {
         /// The scene
@@ -136,22 +136,30 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
     let size = Checkpoint::parse_text(&note.text)?.size;
     let records = records::list(line, &name.unwrap_or_default()).await?;
     if json.json {
-        let records = records.iter().map(records::as_json).collect::<anyhow::Result<Vec<_>>>()?;
+        let with_standing = |listed: &Listed| -> anyhow::Result<serde_json::Value> {
+            let mut value = records::as_json(&listed.record)?;
+            value["standing"] = json::of(&listed.standing)?;
+            Ok(value)
+        };
+        let records = records.iter().map(with_standing).collect::<anyhow::Result<Vec<_>>>()?;
         json::print_value(&serde_json::json!({ "size": size.to_string(), "records": records }))?;
     } else if records.is_empty() {
         eprintln!("no owner records yet; sign one with `cairn owners sign`");
     }
-    for r in records.iter().filter(|_| !json.json) {
+    for Listed { record: r, standing } in records.iter().filter(|_| !json.json) {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;
-        let about =
-            if r.envelope.is_empty() { "erased".to_owned() } else { format!("{}  identity {}", r.scene, r.identity) };
+        let about = match r.envelope.is_empty() {
+            true => "erased".to_owned(),
+            false => format!("{}  identity {}  {}", r.scene, r.identity, corrections::state(standing)),
+        };
         println!("{}  {}  {about}  by key {}", r.index, r.kind, Digest::from_bytes(owner));
     }
     if let Some(path) = out {
         let entry = |r: &v1::Record| -> anyhow::Result<LogEntry> {
             Ok(LogEntry { index: r.index, envelope: String::from_utf8(r.envelope.to_vec())? })
         };
-        let records = records.iter().filter(|r| !r.envelope.is_empty()).map(entry).collect::<Result<_, _>>()?;
+        let kept = records.iter().map(|listed| &listed.record).filter(|r| !r.envelope.is_empty());
+        let records = kept.map(entry).collect::<Result<_, _>>()?;
         write(path, &serde_json::to_vec_pretty(&LogFile { format_version: 1, size, records })?)?;
     }
     Ok(())

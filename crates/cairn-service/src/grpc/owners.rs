@@ -88,13 +88,21 @@ impl OwnerService for Shared {
         let v1::ListRecordsRequest { scene, from, limit } = request.into_inner();
         let limit = if limit == 0 { MAX_LISTED } else { limit.min(MAX_LISTED) } as usize;
         let most = self.most_bytes / 2;
-        let (records, next) = self
+        let (listed, next) = self
             .run(move |engine| {
-                let of = (!scene.is_empty()).then_some(scene.as_str());
-                records::page(engine.registry(), of, from, limit, most, |entry| to_proto::entry(entry, &scene))
+                let (of, registry) = ((!scene.is_empty()).then_some(scene.as_str()), engine.registry());
+                records::page(registry, of, from, limit, most, |entry| {
+                    let Some(record) = to_proto::entry(entry, &scene) else { return Ok(None) };
+                    let standing = match entry {
+                        LogEntry::Record(stored) => to_proto::standing(corrections::standing(registry, stored)?),
+                        LogEntry::Erased { .. } | LogEntry::Map { .. } => v1::Standing::default(),
+                    };
+                    Ok(Some((record, standing)))
+                })
             })
             .await?;
-        Ok(Response::new(v1::ListRecordsResponse { records, next }))
+        let (records, standings) = listed.into_iter().unzip();
+        Ok(Response::new(v1::ListRecordsResponse { records, next, standings }))
     }
 
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {

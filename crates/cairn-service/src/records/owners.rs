@@ -98,7 +98,7 @@ pub fn page<T>(
     from: u64,
     limit: usize,
     most: usize,
-    convert: impl Fn(&LogEntry) -> Option<T>,
+    convert: impl Fn(&LogEntry) -> Result<Option<T>, EngineError>,
 ) -> Result<(Vec<T>, Option<u64>), EngineError> {
     let (mut taken, mut bytes, mut looked_at, mut next) = (Vec::new(), 0, 0, from);
     while looked_at < limit {
@@ -113,7 +113,7 @@ pub fn page<T>(
             if let LogEntry::Record(stored) = entry {
                 bytes += stored.envelope.payload.len() * 4 / 3 + 1024;
             }
-            taken.extend(convert(entry));
+            taken.extend(convert(entry)?);
         }
     }
     Ok((taken, Some(next)))
