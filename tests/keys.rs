@@ -265,6 +265,15 @@ fn keys_are_sealed_by_what_was_asked_for_and_sealed_anew() {
     assert!(file().starts_with("-----BEGIN CAIRN SEALED KEY-----\n"));
     assert_eq!(place.path("sealed.key").metadata().unwrap().permissions().mode() & 0o777, 0o600);
 
+    // A wrong passphrase is wrong, however short; a new one may not be short.
+    let (short, other) = (place.text("short"), place.text("other.key"));
+    std::fs::write(&short, "hors\n").unwrap();
+    std::fs::set_permissions(&short, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let vkey = ["witness", "vkey", "--name", "w", "--key", &sealed, "--passphrase-file", &short];
+    assert!(place.cairn_refused(&vkey).contains("the passphrase is another than it was sealed with"));
+    let said = place.cairn_refused(&["keys", "new", &other, "--passphrase-file", &short]);
+    assert!(said.contains("fewer than 8"), "{said}");
+
     // Another seal for the same key, and not for whoever has not opened it.
     let seal = ["keys", "seal", &sealed, "--key-file", &unlock];
     let before = file();

@@ -7,7 +7,7 @@ use cairn_log::OwnerKey;
 use cairn_log::{
     KeyError,
     format::sealed::Passphrase,
-    keys::{KeyFileError, Seal, Unlock, load_key, load_passphrase, load_sealing_key},
+    keys::{KeyFileError, Seal, Unlock, load_key, load_new_passphrase, load_passphrase, load_sealing_key},
 };
 use zeroize::Zeroizing;
 
@@ -32,7 +32,7 @@ impl UnlockArgs {
         let unlock = match (&self.passphrase_file, &self.key_file) {
             (Some(file), _) => Unlock::Passphrase(load_passphrase(file)?),
             (None, Some(file)) => Unlock::KeyFile(load_sealing_key(file)?),
-            (None, None) => Unlock::Ask(&|path| ask(path, "passphrase")),
+            (None, None) => Unlock::Ask(&|path| Ok(Passphrase::typed(ask(path, "passphrase")?))),
         };
         load_key(path, &unlock)
     }
@@ -43,11 +43,11 @@ impl UnlockArgs {
     /// As [`UnlockArgs::load`]; where the two differ.
     pub fn seal(&self, path: &Path) -> Result<Seal, KeyFileError> {
         Ok(match (&self.passphrase_file, &self.key_file) {
-            (Some(file), _) => Seal::Passphrase(load_passphrase(file)?),
+            (Some(file), _) => Seal::Passphrase(load_new_passphrase(file)?),
             (None, Some(file)) => Seal::KeyFile(load_sealing_key(file)?),
             (None, None) => {
-                let first = ask(path, "new passphrase")?;
-                if first != ask(path, "the same again")? {
+                let first = Passphrase::new(ask(path, "new passphrase")?)?;
+                if first != Passphrase::typed(ask(path, "the same again")?) {
                     return Err(KeyError::Passphrase("it was typed differently the second time").into());
                 }
                 Seal::Passphrase(first)
@@ -56,8 +56,7 @@ impl UnlockArgs {
     }
 }
 
-fn ask(path: &Path, what: &str) -> Result<Passphrase, KeyFileError> {
+fn ask(path: &Path, what: &str) -> Result<Zeroizing<String>, KeyFileError> {
     let asked = rpassword::prompt_password(format!("{what} for {}: ", path.display()));
-    let typed = asked.map_err(|e| KeyFileError::Ask { path: path.into(), cause: e.to_string() })?;
-    Ok(Passphrase::new(Zeroizing::new(typed))?)
+    asked.map(Zeroizing::new).map_err(|e| KeyFileError::Ask { path: path.into(), cause: e.to_string() })
 }

@@ -16,6 +16,9 @@ use crate::format::{
     sealed::{BEGIN, MAX_TEXT, Passphrase, SealError, SealedBy, SealedKey, SealingKey, Secret},
 };
 
+/// What a passphrase's file is.
+const PASSPHRASE: &str = "a passphrase";
+
 /// Why a key file cannot be read, opened or written.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyFileError {
@@ -230,15 +233,32 @@ pub fn reseal_key(path: &Path, key: &OwnerKey, seal: &Seal) -> Result<(), KeyFil
     write(path, &seal.text(key, path)?, There::Goes)
 }
 
-/// Reads a passphrase from a file that nobody else may read: one line; its end does not count.
+/// Reads a passphrase to open a key with from a file that nobody else may read: one line; its end does not count.
 ///
 /// # Errors
-/// [`KeyFileError::TooOpen`], [`KeyFileError::Io`], [`KeyFileError::NotAKey`], [`KeyError::Passphrase`].
+/// [`KeyFileError::TooOpen`], [`KeyFileError::Io`], [`KeyFileError::NotAKey`].
 pub fn load_passphrase(path: &Path) -> Result<Passphrase, KeyFileError> {
-    let text = read(path, "a passphrase")?;
+    let line = passphrase_line(path)?;
+    if line.chars().any(char::is_control) {
+        let cause = "it has control characters or more than one line".to_owned();
+        return Err(KeyFileError::NotAKey { path: path.into(), what: PASSPHRASE, cause });
+    }
+    Ok(Passphrase::typed(line))
+}
+
+/// As [`load_passphrase`], of one to seal a key with.
+///
+/// # Errors
+/// As [`load_passphrase`]; [`KeyError::Passphrase`] where it is too short or too long.
+pub fn load_new_passphrase(path: &Path) -> Result<Passphrase, KeyFileError> {
+    Ok(Passphrase::new(passphrase_line(path)?)?)
+}
+
+fn passphrase_line(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
+    let text = read(path, PASSPHRASE)?;
     let line = text.strip_suffix('\n').unwrap_or(&text);
     let line = line.strip_suffix('\r').unwrap_or(line);
-    Ok(Passphrase::new(Zeroizing::new(line.to_owned()))?)
+    Ok(Zeroizing::new(line.to_owned()))
 }
 
 /// Reads a key file that keys are sealed with.

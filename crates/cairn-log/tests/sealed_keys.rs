@@ -7,7 +7,7 @@ use cairn_log::{
     KeyError, OwnerKey,
     format::sealed::{Passphrase, SealError, SealedBy, SealingKey},
     keys::{
-        KeyFileError, Seal, StoredKey, Unlock, load_key, load_passphrase, load_sealing_key, reseal_key, save_key,
+        KeyFileError, Seal, StoredKey, Unlock, load_key, load_new_passphrase, load_passphrase, load_sealing_key, reseal_key, save_key,
         save_sealing_key,
     },
 };
@@ -116,8 +116,10 @@ fn passphrases_and_key_files_that_are_none_are_refused_without_repeating_them() 
     let path = folder.path().join("secret");
     for text in ["", "short", "two lines\nof a song", "tab\tulators", &"x".repeat(1025)] {
         private(&path, text);
-        let refused = load_passphrase(&path).unwrap_err().to_string();
+        let refused = load_new_passphrase(&path).unwrap_err().to_string();
         assert!(text.is_empty() || !refused.contains(text), "{refused}");
+        // What opens nothing is wrong, not unfit.
+        assert_eq!(load_passphrase(&path).is_ok(), !text.contains(char::is_control), "{text:?}");
     }
     for text in ["x".repeat(5000), "\u{0}".into()] {
         private(&path, &text);

@@ -158,12 +158,17 @@ pub enum SealError {
     Argon2(String),
 }
 
-/// A passphrase: 8 (NIST SP 800-63B, 5.1.1) to 1024 characters on one line. Wiped when dropped, never printed.
+/// A passphrase; a new one has 8 (NIST SP 800-63B, 5.1.1) to 1024 characters on one line. Wiped when dropped, never printed.
 #[derive(Clone)]
 pub struct Passphrase(Zeroizing<String>);
 
 impl Passphrase {
-    /// Takes it as typed.
+    /// One to open with, as typed: whatever it is, whether it is the right one shows when it opens.
+    pub const fn typed(text: Zeroizing<String>) -> Self {
+        Self(text)
+    }
+
+    /// One to seal with from now on.
     ///
     /// # Errors
     /// [`KeyError::Passphrase`] where it is too short, too long or not one line.
