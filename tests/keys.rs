@@ -265,6 +265,14 @@ fn keys_are_sealed_by_what_was_asked_for_and_sealed_anew() {
     assert!(file().starts_with("-----BEGIN CAIRN SEALED KEY-----\n"));
     assert_eq!(place.path("sealed.key").metadata().unwrap().permissions().mode() & 0o777, 0o600);
 
+    // A file that is no secret is not called one that others may read.
+    let vkey = place.text("witness.vkey");
+    let made = place.cairn_ok(&["witness", "vkey", "--name", "w", "--key", &sealed, "--passphrase-file", &phrase]);
+    std::fs::write(&vkey, made).unwrap();
+    std::fs::set_permissions(&vkey, std::fs::Permissions::from_mode(0o644)).unwrap();
+    let said = place.cairn_refused(&["keys", "show", &vkey]);
+    assert!(said.contains("a verifier key (vkey), the public half") && !said.contains("mode"), "{said}");
+
     // A wrong passphrase is wrong, however short; a new one may not be short.
     let (short, other) = (place.text("short"), place.text("other.key"));
     std::fs::write(&short, "hors\n").unwrap();

@@ -12,7 +12,9 @@ use std::{
 use zeroize::Zeroizing;
 
 use crate::format::{
-    key::{KeyError, OwnerKey, PLAIN, PublicKey},
+    cosignature::WitnessVerifier,
+    key::{KeyError, OwnerKey, PLAIN, PublicKey, is_secret},
+    note::NoteVerifier,
     sealed::{BEGIN, MAX_TEXT, Passphrase, SealError, SealedBy, SealedKey, SealingKey, Secret},
 };
 
@@ -166,6 +168,11 @@ impl StoredKey {
             return SealedKey::parse(&text).map(Self::Sealed).map_err(sealing(path));
         }
         OwnerKey::from_pem(&text).map(Self::Plain).map_err(|e| {
+            let line = text.trim();
+            if line.parse::<NoteVerifier>().is_ok() || line.parse::<WitnessVerifier>().is_ok() {
+                let cause = "it is a verifier key (vkey), the public half".to_owned();
+                return KeyFileError::NotAKey { path: path.into(), what: PLAIN, cause };
+            }
             let cause = if let KeyError::Pem { cause } = e { cause } else { e.to_string() };
             KeyFileError::NotAKey { path: path.into(), what: PLAIN, cause }
         })
@@ -284,20 +291,28 @@ fn sealing(path: &Path) -> impl FnOnce(SealError) -> KeyFileError {
     move |error| KeyFileError::Seal { path: path.into(), error }
 }
 
-/// Reads a secret's file as text; refuses one that others may read.
+/// The permission bits of a file, where others may read it or write to it.
+#[cfg(unix)]
+fn too_open(file: &fs::File) -> io::Result<Option<u32>> {
+    use std::os::unix::fs::PermissionsExt as _;
+    let mode = file.metadata()?.permissions().mode() & 0o777;
+    Ok((mode & 0o077 != 0).then_some(mode))
+}
+
+/// The permission bits of a file, where others may read it or write to it: not known here.
+#[cfg(not(unix))]
+fn too_open(_: &fs::File) -> io::Result<Option<u32>> {
+    Ok(None)
+}
+
+/// Reads a secret's file as text; refuses one that others may read. A file that is no secret is left to the caller to
+/// refuse: its mode is nobody's concern.
 ///
 /// `what` is what a wrong file is not, for the error.
 fn read(path: &Path, what: &'static str) -> Result<Zeroizing<String>, KeyFileError> {
     let failed = |source| KeyFileError::Io { path: path.into(), what: "read", source };
     let file = fs::File::open(path).map_err(failed)?;
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt as _;
-        let mode = file.metadata().map_err(failed)?.permissions().mode() & 0o777;
-        if mode & 0o077 != 0 {
-            return Err(KeyFileError::TooOpen { path: path.into(), mode });
-        }
-    }
+    let open_to_others = too_open(&file).map_err(failed)?;
     let not = |cause: String| KeyFileError::NotAKey { path: path.into(), what, cause };
     // As large as it can get: a vector that grows leaves copies behind. What the file says of its size is not asked, since
     // a pipe says nothing.
@@ -307,7 +322,13 @@ fn read(path: &Path, what: &'static str) -> Result<Zeroizing<String>, KeyFileErr
         return Err(not(format!("more than {MAX_TEXT} bytes")));
     }
     match String::from_utf8(std::mem::take(&mut *bytes)) {
-        Ok(text) => Ok(Zeroizing::new(text)),
+        Ok(text) => {
+            let text = Zeroizing::new(text);
+            match open_to_others.filter(|_| what == PASSPHRASE || is_secret(&text)) {
+                Some(mode) => Err(KeyFileError::TooOpen { path: path.into(), mode }),
+                None => Ok(text),
+            }
+        }
         Err(e) => {
             drop(Zeroizing::new(e.into_bytes()));
             Err(not("it is no text".into()))
