@@ -293,6 +293,28 @@ fn a_refusal_names_the_command_that_helps() {
 }
 
 #[test]
+fn a_slip_in_a_path_or_a_name_is_answered_with_what_is_right() {
+    let place = Place::new();
+    let data = place.text("data");
+    place.import("town", ["--data", &data]);
+    let said = place.cairn_refused(&["owners", "list", "tow", "--data", &data]);
+    assert!(said.contains("there is no scene \"tow\"; there is: town"), "{said}");
+    let sign = ["owners", "sign", "town", "--identity", "1", "--data", &data, "--out", "bundle", "--key"];
+    let said = place.cairn_refused(&[&sign[..], &["none.key"]].concat());
+    assert!(said.contains("none.key: there is no such file") && said.contains("`cairn keys new`"), "{said}");
+    place.cairn_ok(&["keys", "new-key-file", "unlock"]);
+    place.cairn_ok(&["keys", "new", "ada.key", "--key-file", "unlock"]);
+    let said = place.cairn_refused(&[&sign[..], &["ada.key"]].concat());
+    assert!(said.contains("sealed by a key file; give that: --key-file") && !said.contains("--passphrase"), "{said}");
+    let said = place.cairn_refused(&["audit", "bundle", "bundl"]);
+    assert!(said.contains("there is no folder bundl, and no bundl.dsse.json"), "{said}");
+    let daemon = Daemon::start(&place.path("data"), "");
+    place.cairn_ok(&["owners", "vkey", "--out", "log.vkey", "--data", &data]);
+    let said = place.cairn_refused(&["audit", "follow", &daemon.url, "--vkey", "log.vkey", "--once"]);
+    assert!(said.contains("no plain HTTP is spoken there") && said.contains("`registry.http_bind`"), "{said}");
+}
+
+#[test]
 fn answers_are_there_for_programs() {
     let place = Place::new();
     let data = place.text("data");

@@ -134,7 +134,11 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
     let checkpoint = line.owners().checkpoint(v1::CheckpointRequest {}).await;
     let note = Note::parse(&checkpoint?.into_inner().checkpoint)?;
     let size = Checkpoint::parse_text(&note.text)?.size;
-    let records = records::list(line, &name.unwrap_or_default()).await?;
+    let records = records::list(line, name.as_deref().unwrap_or_default()).await?;
+    if let Some(scene) = name.as_ref().filter(|_| records.is_empty()) {
+        // The log outlives scenes: one that is gone may have records, but one of neither is a slip.
+        super::scene::get(line, scene).await?;
+    }
     if json.json {
         let with_standing = |listed: &Listed| -> anyhow::Result<serde_json::Value> {
             let mut value = records::as_json(&listed.record)?;

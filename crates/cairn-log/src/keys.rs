@@ -18,6 +18,9 @@ use crate::format::{
     sealed::{BEGIN, MAX_TEXT, Passphrase, SealError, SealedBy, SealedKey, SealingKey, Secret},
 };
 
+/// What a file to seal keys with is.
+const SEALING_KEY: &str = "a key file to seal keys with (made by `cairn keys new-key-file`)";
+
 /// What a passphrase's file is.
 const PASSPHRASE: &str = "a passphrase";
 
@@ -48,6 +51,14 @@ pub enum KeyFileError {
         /// The key file.
         path: PathBuf,
     },
+    /// There is no such file.
+    #[error("{path}: there is no such file; {remedy}", path = .path.display())]
+    Missing {
+        /// Where it should be.
+        path: PathBuf,
+        /// What makes one.
+        remedy: &'static str,
+    },
     /// Reading or writing failed.
     #[error("{path}: cannot {what} this file: {source}", path = .path.display())]
     Io {
@@ -59,16 +70,12 @@ pub enum KeyFileError {
         source: io::Error,
     },
     /// The key is sealed, and nothing was given to open it.
-    #[error(
-        "{path}: the key in it is sealed by a {by}; give that (--passphrase-file or --key-file, for a daemon \
-         `registry.key_file` in its settings)",
-        path = .path.display()
-    )]
+    #[error("{path}: the key in it is sealed by a {by}; give that: {}", .by.option(), path = .path.display())]
     Sealed {
         /// The key's file.
         path: PathBuf,
-        /// `passphrase` or `key file`.
-        by: &'static str,
+        /// What with.
+        by: Secrecy,
     },
     /// The key is plain, and a secret was given to open it.
     #[error(
@@ -98,6 +105,33 @@ pub enum KeyFileError {
     /// A key or a passphrase is wrong in itself.
     #[error(transparent)]
     Key(#[from] KeyError),
+}
+
+/// The kinds of secret that a key is sealed with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Secrecy {
+    /// A passphrase.
+    Passphrase,
+    /// A key file.
+    KeyFile,
+}
+
+impl Secrecy {
+    /// How it is given.
+    const fn option(self) -> &'static str {
+        match self {
+            Self::Passphrase => "--passphrase-file FILE",
+            Self::KeyFile => {
+                "--key-file FILE (of an account --account-key-file, of a daemon `registry.key_file` in its settings)"
+            }
+        }
+    }
+}
+
+impl fmt::Display for Secrecy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if *self == Self::KeyFile { "key file" } else { "passphrase" })
+    }
 }
 
 /// How a key goes into its file.
@@ -215,7 +249,7 @@ pub fn load_key(path: &Path, unlock: &Unlock<'_>) -> Result<OwnerKey, KeyFileErr
             Secret::Passphrase(&asked)
         }
         (Unlock::Nothing | Unlock::Ask(_), by) => {
-            let by = if by == SealedBy::KeyFile { "key file" } else { "passphrase" };
+            let by = if by == SealedBy::KeyFile { Secrecy::KeyFile } else { Secrecy::Passphrase };
             return Err(KeyFileError::Sealed { path: path.into(), by });
         }
     };
@@ -273,9 +307,8 @@ fn passphrase_line(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
 /// # Errors
 /// [`KeyFileError::TooOpen`], [`KeyFileError::NotAKey`], [`KeyFileError::Io`].
 pub fn load_sealing_key(path: &Path) -> Result<SealingKey, KeyFileError> {
-    let what = "a key file to seal keys with (made by `cairn keys new-key-file`)";
-    let text = read(path, what)?;
-    SealingKey::parse(&text).map_err(|cause| KeyFileError::NotAKey { path: path.into(), what, cause: cause.into() })
+    let not = |cause: &str| KeyFileError::NotAKey { path: path.into(), what: SEALING_KEY, cause: cause.into() };
+    SealingKey::parse(&read(path, SEALING_KEY)?).map_err(not)
 }
 
 /// Writes a key file to seal keys with, mode 600; one that is there is never replaced.
@@ -289,6 +322,15 @@ pub fn save_sealing_key(path: &Path, key: &SealingKey) -> Result<(), KeyFileErro
 /// A sealing error, in the file `path`.
 fn sealing(path: &Path) -> impl FnOnce(SealError) -> KeyFileError {
     move |error| KeyFileError::Seal { path: path.into(), error }
+}
+
+/// What makes a file of a kind that is missing.
+fn remedy(what: &str) -> &'static str {
+    match what {
+        PASSPHRASE => "write the passphrase into it, one line that you alone may read",
+        SEALING_KEY => "`cairn keys new-key-file` makes one",
+        _ => "is the path right? `cairn keys new` makes a key",
+    }
 }
 
 /// The permission bits of a file, where others may read it or write to it.
@@ -311,7 +353,10 @@ fn too_open(_: &fs::File) -> io::Result<Option<u32>> {
 /// `what` is what a wrong file is not, for the error.
 fn read(path: &Path, what: &'static str) -> Result<Zeroizing<String>, KeyFileError> {
     let failed = |source| KeyFileError::Io { path: path.into(), what: "read", source };
-    let file = fs::File::open(path).map_err(failed)?;
+    let file = fs::File::open(path).map_err(|e| match e.kind() {
+        io::ErrorKind::NotFound => KeyFileError::Missing { path: path.into(), remedy: remedy(what) },
+        _ => failed(e),
+    })?;
     let open_to_others = too_open(&file).map_err(failed)?;
     let not = |cause: String| KeyFileError::NotAKey { path: path.into(), what, cause };
     // As large as it can get: a vector that grows leaves copies behind. What the file says of its size is not asked, since

@@ -120,7 +120,7 @@ fn a_key_file_is_private_whole_and_never_overwritten() {
 fn what_is_no_key_file_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.pem");
-    assert!(matches!(load_key(&path, &Unlock::Nothing), Err(KeyFileError::Io { what: "read", .. })));
+    assert!(matches!(load_key(&path, &Unlock::Nothing), Err(KeyFileError::Missing { .. })));
     let good = OwnerKey::from_seed(&[5; 32]).to_pem().unwrap();
     let texts =
         [String::new(), "hello".into(), good.replace("PRIVATE", "PUBLIC"), good[..60].to_owned(), "x".repeat(5000)];

@@ -96,6 +96,17 @@ fn files(bundle: &Path) -> anyhow::Result<(Vec<u8>, Option<String>)> {
         // What is no text stays no proof: no check lets U+FFFD pass.
         return Ok((envelope, proof.map(|bytes| String::from_utf8_lossy(&bytes).into_owned())));
     }
+    let start = bundle.display();
+    let is_absent = [Bundle::ENVELOPE, Bundle::PROOF].iter().all(|ending| {
+        let file = format!("{start}.{ending}");
+        !bundle.exists() && !Path::new(&file).exists()
+    });
+    anyhow::ensure!(
+        !is_absent,
+        "there is no folder {start}, and no {start}.{} with {start}.{}; is the path right?",
+        Bundle::ENVELOPE,
+        Bundle::PROOF
+    );
     let Bundle { envelope, proof } = Bundle::read(bundle)?;
     Ok((envelope, Some(proof)))
 }

@@ -38,11 +38,22 @@ impl HttpLog {
     }
 }
 
+/// What went wrong, and for an answer that is none of plain HTTP what it mostly is.
+fn in_words(error: &ureq::Error) -> String {
+    match error {
+        ureq::Error::Protocol(_) | ureq::Error::Http(_) => format!(
+            "{error}: no plain HTTP is spoken there; a log's files lie at `registry.http_bind` of its daemon's settings, not \
+             where commands connect"
+        ),
+        _ => error.to_string(),
+    }
+}
+
 impl Fetch for HttpLog {
     fn fetch(&self, path: &str, limit: usize) -> Result<Option<Vec<u8>>, FollowError> {
         let url = format!("{}/{path}", self.url);
         let failed = |cause: String| FollowError::Fetch { path: url.clone(), cause };
-        let mut response = self.agent.get(&url).call().map_err(|e| failed(e.to_string()))?;
+        let mut response = self.agent.get(&url).call().map_err(|e| failed(in_words(&e)))?;
         match response.status().as_u16() {
             200 => {
                 let body = response.body_mut().with_config().limit(limit as u64 + 1).read_to_vec();

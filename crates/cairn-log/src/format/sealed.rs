@@ -98,6 +98,16 @@ pub enum SealedBy {
     KeyFile,
 }
 
+impl SealedBy {
+    /// What opens it, in words.
+    const fn remedy(&self) -> &'static str {
+        match self {
+            Self::Passphrase(_) => "give its passphrase (--passphrase-file FILE, or typed where neither is given)",
+            Self::KeyFile => "give its key file (--key-file FILE)",
+        }
+    }
+}
+
 impl fmt::Display for SealedBy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -143,7 +153,7 @@ pub enum SealError {
     #[error("does not open: {0} is another than it was sealed with, or the file was altered")]
     Wrong(&'static str),
     /// A passphrase was brought for a key sealed by a key file, or the other way round.
-    #[error("is sealed by {by}, and {brought} was given")]
+    #[error("is sealed by {by}, and {brought} was given; {}", .by.remedy())]
     OtherSecret {
         /// What it is sealed with.
         by: SealedBy,

@@ -61,7 +61,7 @@ pub fn open_begun(
 fn sealing_key(path: &Path) -> Result<SealingKey, EngineError> {
     // Never made here: a path that is misspelt must not seal the log's key with what nobody keeps.
     load_sealing_key(path).map_err(|e| match e {
-        KeyFileError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+        KeyFileError::Missing { .. } => {
             let (what, path) = ("the registry's key", path.display());
             let why = format!(
                 "the key file {path} (registry.key_file) is missing; restore it from its backup, or for a new log make \
