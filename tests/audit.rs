@@ -85,7 +85,8 @@ fn a_lost_working_state_is_made_again_from_a_folder_written_by_other_code() {
         (output.status.success(), said)
     };
     let (done, said) = run(&["registry", "rebuild"]);
-    assert!(!done && said.contains("move it away"), "{said}");
+    let working = registry.join("working");
+    assert!(!done && said.contains(&format!("{}: is there; move it away", working.display())), "{said}");
     assert!(registry.join("working.seal").exists(), "what was refused changes nothing");
     std::fs::remove_dir_all(registry.join("working")).unwrap();
     let (done, said) = run(&["registry", "rebuild"]);

@@ -71,7 +71,9 @@ pub(super) fn rebuild(
     let _lock = LockFile::take(&path.join(layout::LOCK))?;
     let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
     if working.exists() {
-        return Err(refuse(layout::WORKING, "is there; move it away first".into()));
+        let seal = path.join(layout::SEAL);
+        let what = format!("is there; move it away first, with {} where that is there", seal.display());
+        return Err(refuse(&working.display().to_string(), what));
     }
     // A seal that was left is on what is not there any more.
     drop(seal::Seal::break_open(path)?);
