@@ -273,6 +273,20 @@ fn keys_are_sealed_by_what_was_asked_for_and_sealed_anew() {
     let said = place.cairn_refused(&["keys", "show", &vkey]);
     assert!(said.contains("a verifier key (vkey), the public half") && !said.contains("mode"), "{said}");
 
+    // Where nobody can be asked, that is said.
+    let program = cairn_testkit::daemon::command();
+    let alone = std::process::Command::new("setsid")
+        .args(["-w".as_ref(), program.get_program()])
+        .args(["witness", "vkey", "--name", "w", "--key", &sealed])
+        .output();
+    match alone {
+        Ok(output) => {
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(said.contains("(there is no terminal here)") && said.contains("--passphrase-file"), "{said}");
+        }
+        Err(e) => println!("SKIPPED a command without a terminal: no setsid on this system ({e})"),
+    }
+
     // A wrong passphrase is wrong, however short; a new one may not be short.
     let (short, other) = (place.text("short"), place.text("other.key"));
     std::fs::write(&short, "hors\n").unwrap();

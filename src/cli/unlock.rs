@@ -58,5 +58,9 @@ impl UnlockArgs {
 
 fn ask(path: &Path, what: &str) -> Result<Zeroizing<String>, KeyFileError> {
     let asked = rpassword::prompt_password(format!("{what} for {}: ", path.display()));
-    asked.map(Zeroizing::new).map_err(|e| KeyFileError::Ask { path: path.into(), cause: e.to_string() })
+    asked.map(Zeroizing::new).map_err(|e| {
+        // What opening the terminal of a process without one is answered with: ENXIO, 6 on every Unix.
+        let cause = if e.raw_os_error() == Some(6) { "there is no terminal here".to_owned() } else { e.to_string() };
+        KeyFileError::Ask { path: path.into(), cause }
+    })
 }

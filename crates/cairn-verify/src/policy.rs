@@ -31,7 +31,11 @@ pub(crate) fn check(
     };
     let list = |names: Vec<String>| if names.is_empty() { "none".to_owned() } else { names.join(", ") };
     let cosigned = list(verdict.cosigned.iter().map(|(name, time)| format!("{name} at {}", utc(*time))).collect());
-    let got = format!("cosigned by {cosigned}; not by {}", list(verdict.missing.clone()));
+    let missing = match verdict.missing.is_empty() {
+        true => String::new(),
+        false => format!("; not by {}", list(verdict.missing.clone())),
+    };
+    let got = format!("cosigned by {cosigned}{missing}");
     match verdict.quorum {
         Quorum::Incomplete => findings.add(Code::PolicyQuorumMissing, place, expected, got),
         Quorum::NotRequired => findings.add(Code::PolicyQuorumMet, place, "", format!("none asked for; {got}")),
@@ -61,7 +65,27 @@ pub(crate) fn utc(unix: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::utc;
+    use cairn_log::{Checkpoint, Digest, OwnerKey, WitnessVerifier, cosign, format::Policy};
+
+    use super::*;
+
+    #[test]
+    fn who_did_not_cosign_is_told_where_there_is_one() {
+        let key = |number: u8| OwnerKey::from_seed(&[number; 32]);
+        let pinned = NoteVerifier::new("log", key(1).public()).unwrap();
+        let named = |number: u8| format!("w{number} {}", WitnessVerifier::new("w", key(number).public()).unwrap());
+        let of = |witnesses: &[u8]| {
+            let lines: String = witnesses.iter().map(|w| format!("witness {}\n", named(*w))).collect();
+            let mut note = Checkpoint::new("log", 1, Digest::of("root")).sign(&key(1)).unwrap();
+            note.signatures.push(cosign(&note.text, 1_700_000_000, "w", &key(2)).unwrap());
+            let policy = Policy::parse(format!("log {pinned}\n{lines}quorum w2\n")).unwrap();
+            let mut findings = Findings::default();
+            check(&policy, &pinned, &note.to_string(), "checkpoint", &mut findings);
+            findings.0[0].got.clone()
+        };
+        assert_eq!(of(&[2]), "cosigned by w2 at 2023-11-14T22:13:20Z");
+        assert_eq!(of(&[2, 3]), "cosigned by w2 at 2023-11-14T22:13:20Z; not by w3");
+    }
 
     #[test]
     fn times_are_told_as_dates() {

@@ -96,9 +96,12 @@ pub(crate) use report;
 
 report!(Report);
 
-/// Findings, a line each.
+/// Findings, a line each: what failed and what limits the report first, the rest in the order of the checks.
 pub(crate) fn lines(findings: &[Finding], f: &mut fmt::Formatter<'_>) -> fmt::Result {
-    findings.iter().try_for_each(|finding| writeln!(f, "{finding}"))
+    let weighty = |severity: Severity| findings.iter().filter(move |finding| finding.severity == severity);
+    let rest = findings.iter().filter(|finding| finding.severity < Severity::Warning);
+    let mut all = weighty(Severity::Error).chain(weighty(Severity::Warning)).chain(rest);
+    all.try_for_each(|finding| writeln!(f, "{finding}"))
 }
 
 /// Collects findings.
@@ -177,5 +180,42 @@ impl fmt::Display for Report {
         writeln!(f, "{}", self.outcome)?;
         writeln!(f, "{}", self.freshness)?;
         lines(&self.findings, f)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_failed_comes_first_and_what_limits_the_report_next() {
+        let mut findings = Findings::default();
+        for code in [
+            Code::CheckpointVerified,
+            Code::DetectorUnchecked,
+            Code::FreshnessUnknown,
+            Code::InclusionFailed,
+            Code::RegistryUnpinned,
+        ] {
+            findings.add(code, "", "", "");
+        }
+        let report = Report {
+            version: Report::VERSION,
+            outcome: Outcome::Invalid,
+            freshness: Freshness::CannotTell,
+            record: None,
+            findings: findings.0,
+        };
+        let said = report.to_string();
+        let order: Vec<&str> = said.lines().filter_map(|line| line.split_whitespace().nth(1)).skip(1).collect();
+        let order: Vec<&&str> = order.iter().filter(|word| word.contains('.')).collect();
+        let wanted = [
+            "inclusion.failed",
+            "freshness.unknown",
+            "registry.unpinned",
+            "checkpoint.verified",
+            "digest.detector.unchecked",
+        ];
+        assert_eq!(order, wanted.iter().collect::<Vec<_>>(), "{said}");
     }
 }
