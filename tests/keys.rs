@@ -83,7 +83,15 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     assert!(String::from_utf8_lossy(&closed.stderr).contains("sealed by a key file"), "{closed:?}");
     assert!(!town.place.path("none").exists(), "an empty bundle stays behind");
 
-    let first = town.sign(&ada, &out("first"));
+    // A folder that is there is refused before the key is looked at, and those above a new one are made, and gone again.
+    std::fs::create_dir(town.place.path("there")).unwrap();
+    let said = town.refused(&[&sign[..sign.len() - 2], &[&out("no.key"), "--out", &out("there")]].concat());
+    assert!(said.contains("there exists already; give a new folder (--out)"), "{said}");
+    town.refused(&["owners", "sign", "town", "--identity", "99", "--key", &ada, "--out", &out("some/where/new")]);
+    assert!(!town.place.path("some").exists(), "empty folders stay behind");
+
+    let first = town.sign(&ada, &out("some/first"));
+    std::fs::rename(town.place.path("some/first"), town.place.path("first")).unwrap();
     assert_eq!(town.state(&first), "stands");
     let (record, digest) = town.bundle("first", &first);
     assert!(record.views.as_ref().is_some_and(|views| !views.is_empty() && views.is_sorted()));

@@ -51,6 +51,7 @@ pub struct EraseArgs {
 
 /// Enters a dispute; its index in the log.
 pub async fn dispute(line: &Connection, args: &DisputeArgs) -> anyhow::Result<u64> {
+    Bundle::must_be_new(&args.out)?;
     let key = args.unlock.load(&args.key)?;
     let bundle = Bundle::begin(&args.out)?;
     let contested = Stored::of_scene(line, &args.name, args.record).await?;

@@ -210,6 +210,7 @@ fn seal(args: &SealArgs) -> anyhow::Result<()> {
 }
 
 async fn rotate(line: &Connection, args: &RotateArgs) -> anyhow::Result<()> {
+    Bundle::must_be_new(&args.out)?;
     let old = args.unlock.load(&args.key)?;
     let of_new = match (&args.new_passphrase_file, &args.new_key_file) {
         (None, None) => args.unlock.clone(),
@@ -233,6 +234,7 @@ async fn rotate(line: &Connection, args: &RotateArgs) -> anyhow::Result<()> {
 }
 
 async fn revoke(line: &Connection, args: &RevokeArgs) -> anyhow::Result<()> {
+    Bundle::must_be_new(&args.out)?;
     let key = args.unlock.load(&args.key)?;
     let bundle = Bundle::begin(&args.out)?;
     let about = match args.record {

@@ -177,13 +177,27 @@ const SIGNED: &str = "record.signed.json";
 /// The folder of a bundle, made before anything is signed; gone again where nothing was written.
 pub struct Bundle {
     folder: PathBuf,
+    /// The folders above it that were made for it, the innermost first.
+    above: Vec<PathBuf>,
 }
 
 impl Bundle {
-    /// Makes the folder, which must be new.
+    /// Refuses a folder that is there, before a passphrase is typed for nothing.
+    pub fn must_be_new(folder: &Path) -> anyhow::Result<()> {
+        let is_new = folder.symlink_metadata().is_err();
+        anyhow::ensure!(is_new, "{} exists already; give a new folder (--out)", folder.display());
+        Ok(())
+    }
+
+    /// Makes the folder, which must be new, and those above it that are not there.
     pub fn begin(folder: &Path) -> anyhow::Result<Self> {
-        std::fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-        Ok(Self { folder: folder.to_path_buf() })
+        Self::must_be_new(folder)?;
+        let ancestors = folder.ancestors().skip(1).filter(|above| !above.as_os_str().is_empty());
+        let above = ancestors.take_while(|above| !above.exists()).map(Path::to_path_buf).collect();
+        // First, so that it takes away what was made where not all of it can be.
+        let bundle = Self { folder: folder.to_path_buf(), above };
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        Ok(bundle)
     }
 
     /// Signs a record with its owner's key and any other that must sign, enters it, and writes what
@@ -221,7 +235,7 @@ impl Bundle {
         let record = read.record();
         let sent = send(line, record, signed).await;
         let is_refused = matches!(&sent, Err(status) if !is_open(status));
-        let done = Self { folder: folder.to_path_buf() }.finish(line, record, sent).await;
+        let done = Self { folder: folder.to_path_buf(), above: Vec::new() }.finish(line, record, sent).await;
         // Another account, or another daemon, may answer.
         let kept =
             || format!("refused; what was signed stays in {}: delete it where it is not wanted", folder.display());
@@ -305,7 +319,9 @@ impl Bundle {
 impl Drop for Bundle {
     fn drop(&mut self) {
         // Fails, as it should, where there is something in it.
-        let _ = std::fs::remove_dir(&self.folder);
+        for folder in std::iter::once(&self.folder).chain(&self.above) {
+            let _ = std::fs::remove_dir(folder);
+        }
     }
 }
 

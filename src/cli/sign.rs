@@ -57,6 +57,7 @@ pub enum Kind {
 
 /// Signs a record and enters it.
 pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<Place> {
+    Bundle::must_be_new(&args.out)?;
     let key = args.unlock.load(&args.key)?;
     let bundle = Bundle::begin(&args.out)?;
     let replaced = match args.replaces {
