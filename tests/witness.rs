@@ -9,6 +9,7 @@ use std::process::{Child, Command, Stdio};
 use cairn_log::format::{merkle::leaf_hash, testing::Tree};
 use cairn_log::witness::{WitnessClient, WitnessError, collect};
 use cairn_log::{Checkpoint, Digest, NoteVerifier, OwnerKey, Policy, Quorum};
+use cairn_testkit::daemon::{Daemon, Place};
 
 const ORIGIN: &str = "log.example/owners";
 const NAME: &str = "witness.example/w1";
@@ -148,6 +149,48 @@ fn a_witness_cosigns_refuses_a_fork_and_remembers() {
     assert_eq!((latest.checkpoint.size, latest.checkpoint.root), (12, log.root_at(12).unwrap()));
     client.cosign(&note(&log, 20), &prove).unwrap();
     assert_eq!(evidence(), 2);
+}
+
+#[test]
+fn a_bundle_from_before_its_witness_gets_a_cosigned_proof() {
+    let place = Place::new();
+    let (data, key) = (place.text("data"), place.text("ada.key"));
+    place.import("town", ["--data", &data]);
+    place.cairn_ok(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke", "--data", &data]);
+    for name in ["ada.key", "witness.key"] {
+        place.cairn_ok(&["keys", "new", &place.text(name), "--plain"]);
+    }
+    place.cairn_ok(&["owners", "vkey", "--data", &data, "--out", "log.vkey"]);
+    let witness = place.cairn_ok(&["witness", "vkey", "--key", "witness.key", "--name", NAME]);
+    let log = std::fs::read_to_string(place.path("log.vkey")).unwrap();
+    std::fs::write(place.path("policy"), format!("log {log}witness w1 {witness}quorum w1\n")).unwrap();
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let settings = format!("[registry]\nwitnesses = [\"{} http://{free}\"]", witness.trim());
+
+    let daemon = Daemon::start(&place.path("data"), &settings);
+    let sign = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--key", &key];
+    let said = place.cairn_ok(&[&sign[..], &["--out", "bundle", "--connect", &daemon.url]].concat());
+    assert!(said.contains("published, cosigned by 0 of 1 witnesses"), "{said}");
+    assert!(said.contains("`cairn owners submit bundle` fetches a newer proof"), "{said}");
+    let audit = || place.cairn(&["audit", "bundle", "bundle", "--policy", "policy"]);
+    assert_eq!(audit().status.code(), Some(1));
+    assert!(daemon.terminate().success());
+
+    let serve = ["witness", "serve", "--listen", &free, "--name", NAME, "--key", "witness.key", "--folder", "witness"];
+    let running = Running::start(cairn().args(serve).args(["--log", "log.vkey"]).current_dir(place.dir.path()), 2);
+    let daemon = Daemon::start(&place.path("data"), &settings);
+    let said = place.cairn_ok(&["owners", "submit", "bundle", "--connect", &daemon.url]);
+    assert!(said.contains("cosigned by 1 of 1 witnesses; its bundle is in bundle"), "{said}");
+    let audited = audit();
+    assert!(audited.status.success(), "{}", String::from_utf8_lossy(&audited.stdout));
+    // Another log's proof is not taken for it.
+    place.cairn_ok(&["owners", "vkey", "--data", &place.text("other"), "--out", "bundle/log.vkey"]);
+    let proof = std::fs::read(place.path("bundle/record.tlog-proof")).unwrap();
+    let said = place.cairn_refused(&["owners", "submit", "bundle", "--connect", &daemon.url]);
+    assert!(said.contains("under the bundle's log.vkey"), "{said}");
+    assert_eq!(std::fs::read(place.path("bundle/record.tlog-proof")).unwrap(), proof);
+    assert!(daemon.terminate().success());
+    running.terminate();
 }
 
 /// A request as anybody could send it; the whole answer.

@@ -29,7 +29,8 @@ pub enum Command {
     /// Who contributed to a scene or a view, as a file that proves that no contributor is left out
     #[command(after_help = "Example:\n  cairn owners answer liberty --view view_056.jpg --out answer.json")]
     Answer(AnswerArgs),
-    /// Send again what was signed into DIR and got no answer; nothing is entered twice
+    /// Send again what was signed into DIR and got no answer, or fetch a newer proof of the record in it: with the
+    /// cosignatures of witnesses that answered late; nothing is entered twice
     #[command(after_help = "Example:\n  cairn owners submit bundle")]
     Submit {
         /// The folder that `--out` named
@@ -84,11 +85,13 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Sign(args) => {
             let place = sign(line, &args).await?;
             println!("{place}; its bundle is in {}", args.out.display());
+            place.say_what_is_missing(&args.out);
             Ok(())
         }
         Command::Submit { dir } => {
             let place = records::Bundle::send_again(line, &dir).await?;
             println!("{place}; its bundle is in {}", dir.display());
+            place.say_what_is_missing(&dir);
             Ok(())
         }
         Command::Dispute(args) => {

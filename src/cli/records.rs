@@ -12,7 +12,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_log::format::record::{Digests, Seen, random_salt};
-use cairn_log::{Checkpoint, Digest, Note, OwnerKey, OwnerRecord, PublicKey, RecordKind, SignedRecord};
+use cairn_log::format::merkle;
+use cairn_log::{
+    Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, PublicKey, RecordKind, SignedRecord, TlogProof,
+};
 use tonic::{Code, Status};
 
 use super::connect::Connection;
@@ -163,16 +166,79 @@ pub struct Place {
     pub index: u64,
     /// Whether its proof is the newest; otherwise it is as of the acknowledgement, and under the log's signature alone.
     pub published: bool,
+    /// How many witnesses cosigned that proof.
+    pub cosigned: usize,
+    /// How many the daemon asks.
+    pub witnesses: usize,
+}
+
+impl Place {
+    /// Says what the bundle in `folder` still lacks, if it does.
+    pub fn say_what_is_missing(&self, folder: &Path) {
+        if self.cosigned < self.witnesses {
+            println!(
+                "where a policy asks for the others, `cairn owners submit {}` fetches a newer proof once they have cosigned",
+                folder.display()
+            );
+        }
+    }
 }
 
 impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "record {} is durable{}", self.index, if self.published { " and published" } else { "" })
+        write!(f, "record {} is durable{}", self.index, if self.published { " and published" } else { "" })?;
+        match self.witnesses {
+            0 => Ok(()),
+            asked => write!(f, ", cosigned by {} of {asked} witnesses", self.cosigned),
+        }
     }
 }
 
 /// What was signed, until there is an answer: the record's envelope with its owner's signatures alone.
 const SIGNED: &str = "record.signed.json";
+
+/// The record's envelope, as the registry signed it.
+const RECORD: &str = "record.json";
+
+/// The record's proof.
+const PROOF: &str = "record.tlog-proof";
+
+/// The log's verifier key.
+const VKEY: &str = "log.vkey";
+
+/// How many have signed a proof's checkpoint beside the log.
+fn cosignatures(proof: &TlogProof) -> anyhow::Result<usize> {
+    let (note, checkpoint) = Checkpoint::read(&proof.checkpoint).context("the proof's checkpoint")?;
+    Ok(note.signatures.iter().filter(|signature| signature.name != checkpoint.origin).count())
+}
+
+/// Puts the daemon's newest proof of a bundle's record in the place of the one that it has, where it holds under the bundle's
+/// key of the log.
+async fn prove_again(line: &Connection, folder: &Path) -> anyhow::Result<Place> {
+    let text = |name: &str| {
+        let path = folder.join(name);
+        let bytes = super::files::read(&path)?;
+        String::from_utf8(bytes).with_context(|| format!("{} is no text", path.display()))
+    };
+    let old = TlogProof::parse(&text(PROOF)?).with_context(|| format!("{}", folder.join(PROOF).display()))?;
+    let signed = SignedRecord::parse(text(RECORD)?.as_bytes());
+    let signed = signed.with_context(|| format!("{} is no signed record", folder.join(RECORD).display()))?;
+    let pinned: NoteVerifier =
+        text(VKEY)?.trim().parse().with_context(|| format!("{} is no vkey", folder.join(VKEY).display()))?;
+    let index = old.index;
+    let answer = line.owners().proof(v1::ProofRequest { index }).await?.into_inner();
+    let new = TlogProof::parse(&answer.tlog_proof).context("the daemon's proof")?;
+    let checkpoint = Checkpoint::verify(&new.checkpoint, &pinned).context("the daemon's proof, under the bundle's log.vkey")?;
+    merkle::verify_inclusion(&signed.leaf().hash(), index, checkpoint.size, &new.hashes, &checkpoint.root)
+        .with_context(|| format!("the daemon's proof is not of the record in {}", folder.display()))?;
+    let (had, cosigned) = (cosignatures(&old)?, cosignatures(&new)?);
+    anyhow::ensure!(
+        cosigned >= had,
+        "the daemon's proof has {cosigned} cosignatures and the bundle's {had}, so that one stays; ask again later"
+    );
+    write_atomic(&folder.join(PROOF), answer.tlog_proof.as_bytes())?;
+    Ok(Place { index, published: true, cosigned, witnesses: answer.witnesses as usize })
+}
 
 /// The folder of a bundle, made before anything is signed; gone again where nothing was written.
 pub struct Bundle {
@@ -226,9 +292,13 @@ impl Bundle {
         self.finish(line, record, sent).await
     }
 
-    /// Sends what [`Bundle::enter`] left in `folder` without an answer, and goes on from there.
+    /// Sends what [`Bundle::enter`] left in `folder` without an answer, and goes on from there. A bundle that had its answer
+    /// gets a newer proof.
     pub async fn send_again(line: &Connection, folder: &Path) -> anyhow::Result<Place> {
         let path = folder.join(SIGNED);
+        if !path.exists() && folder.join(PROOF).exists() {
+            return prove_again(line, folder).await;
+        }
         let signed = std::fs::read(&path)
             .with_context(|| format!("{} waits for no answer: cannot read {}", folder.display(), path.display()))?;
         let read = SignedRecord::parse(&signed).with_context(|| format!("{} is no signed record", path.display()))?;
@@ -279,10 +349,13 @@ impl Bundle {
     ) -> anyhow::Result<Place> {
         // First: with the record in hand its proof can be fetched by every caller, also where its
         // key was just ended.
-        self.add("record.json", &entered.envelope)?;
+        self.add(RECORD, &entered.envelope)?;
         let request = v1::ProofRequest { index: entered.index };
-        let (proof, published) = match line.owners().proof(request).await {
-            Ok(newest) => (newest.into_inner().tlog_proof, true),
+        let (proof, witnesses, published) = match line.owners().proof(request).await {
+            Ok(newest) => {
+                let v1::ProofResponse { tlog_proof, witnesses, .. } = newest.into_inner();
+                (tlog_proof, witnesses as usize, true)
+            }
             // Where reading is closed, a key that this very record ended reads no more: what came with the
             // acknowledgement proves it as well, if without witnesses.
             Err(status) if is_refused_caller(&status) && !acknowledged.is_empty() => {
@@ -291,7 +364,7 @@ impl Bundle {
                      for a cosigned one ask a caller who may read, or the operator",
                     entered.index
                 );
-                (acknowledged.to_owned(), false)
+                (acknowledged.to_owned(), 0, false)
             }
             Err(status) => {
                 let problem = "is in the log; its proof was not given";
@@ -299,11 +372,12 @@ impl Bundle {
                 return Err(status).with_context(|| format!("record {} {problem}, {again}", entered.index));
             }
         };
-        self.add("record.tlog-proof", proof.as_bytes())?;
-        self.add("log.vkey", format!("{vkey}\n").as_bytes())?;
+        let cosigned = cosignatures(&TlogProof::parse(&proof).context("the daemon's proof")?)?;
+        self.add(PROOF, proof.as_bytes())?;
+        self.add(VKEY, format!("{vkey}\n").as_bytes())?;
         let signed = self.folder.join(SIGNED);
         std::fs::remove_file(&signed).with_context(|| format!("cannot remove {}", signed.display()))?;
-        Ok(Place { index: entered.index, published })
+        Ok(Place { index: entered.index, published, cosigned, witnesses })
     }
 
     /// Writes one file more.

@@ -60,6 +60,8 @@ pub struct Engine {
     /// Before the registry: it publishes a last time when it is dropped.
     /// None where nothing can be written.
     publisher: Option<Publisher>,
+    /// How many witnesses are asked for cosignatures.
+    witnesses: usize,
     registry: Arc<Registry>,
     access: Arc<Access>,
     pub(crate) exclusions: Arc<Exclusions>,
@@ -140,6 +142,7 @@ impl Engine {
             jobs,
             registry,
             publisher,
+            witnesses: config.witnesses.len(),
             access,
             exclusions,
             limits: config.limits.clone(),
@@ -489,6 +492,11 @@ impl Engine {
             publisher.await_cosigned(&self.registry, index);
         }
         Ok(self.registry.tlog_proof(index)?.to_text())
+    }
+
+    /// How many witnesses are asked to cosign the log's checkpoints.
+    pub const fn witnesses(&self) -> usize {
+        self.witnesses
     }
 
     /// Checkpoints and stops training, and lets the folder go when dropped. Blocks.

@@ -241,7 +241,7 @@ codes! {
     /// The witnesses' quorum cosigned the checkpoint.
     PolicyQuorumMet = "policy.quorum.met", Passed, "";
     /// Fewer witnesses than the policy asks for cosigned the checkpoint.
-    PolicyQuorumMissing = "policy.quorum.missing", Error, "get a proof with the witnesses' cosignatures; without them a forked log cannot be told";
+    PolicyQuorumMissing = "policy.quorum.missing", Error, "get a proof with the witnesses' cosignatures (`cairn owners submit` on the bundle's folder); without them a forked log cannot be told";
     /// A witness of the policy signed this line, and the signature does not hold.
     PolicySignatureInvalid = "policy.signature.invalid", Error, "get the proof again; if it stays so, do not trust this copy";
     /// The record is not younger than this.

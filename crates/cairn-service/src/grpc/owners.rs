@@ -141,8 +141,9 @@ impl OwnerService for Shared {
 
     async fn proof(&self, request: Request<v1::ProofRequest>) -> Answer<v1::ProofResponse> {
         let v1::ProofRequest { index } = request.into_inner();
-        let tlog_proof = self.run(move |engine| engine.tlog_proof(index)).await?;
-        Ok(Response::new(v1::ProofResponse { tlog_proof }))
+        let proof = self.run(move |engine| Ok((engine.tlog_proof(index)?, engine.witnesses()))).await?;
+        let (tlog_proof, witnesses) = proof;
+        Ok(Response::new(v1::ProofResponse { tlog_proof, witnesses: witnesses as u32 }))
     }
 
     async fn erase(&self, request: Request<v1::EraseRecordRequest>) -> Answer<v1::EraseRecordResponse> {
