@@ -96,6 +96,14 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     let (record, digest) = town.bundle("first", &first);
     assert!(record.views.as_ref().is_some_and(|views| !views.is_empty() && views.is_sorted()));
 
+    // The photographs that it lists are named.
+    let shown = town.place.cairn_ok(&["owners", "show", &first, "--data", &town.data]);
+    let views = record.views.as_ref().unwrap();
+    assert!(shown.contains(&format!("views          {} photographs:", views.len())), "{shown}");
+    for view in views {
+        assert!(shown.contains(&format!("{view}  images/")), "{view}: {shown}");
+    }
+
     // Rotated: all that the record binds goes on under the new key, and the old one signs no more.
     let rotate = ["keys", "rotate", "town", "--record", &first, "--key", &ada, "--new-key", &next, "--out"];
     let second = town.enter(&[&rotate[..], &[&out("second")]].concat());

@@ -1,5 +1,6 @@
 //! `cairn owners dispute`, `show` and `erase`: what happens to a record after it was entered.
 
+use std::collections::HashMap;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
@@ -122,12 +123,24 @@ pub async fn show(line: &Connection, index: u64, json: Json) -> anyhow::Result<(
     ] {
         facts.extend(digest.map(|digest| (name, digest.to_string())));
     }
-    facts.extend(record.views.as_ref().map(|views| ("views", format!("{} photographs, listed", views.len()))));
     facts.extend(record.seed.map(|seed| ("seed", seed.to_string())));
+    let views = record.views.as_deref().unwrap_or_default();
+    facts.extend(record.views.as_ref().map(|views| ("views", format!("{} photographs:", views.len()))));
     for (name, fact) in facts {
         println!("  {name:14} {fact}");
     }
+    let names = if views.is_empty() { HashMap::new() } else { names(line, &record.scene).await };
+    for digest in views {
+        let name = names.get(digest.as_bytes().as_slice()).map_or("(not in the scene now)", String::as_str);
+        println!("  {:14} {digest}  {name}", "");
+    }
     Ok(())
+}
+
+/// What the scene's views are called, by their photographs' digests; none where it cannot be asked for.
+async fn names(line: &Connection, scene: &str) -> HashMap<Vec<u8>, String> {
+    let views = super::scene::get(line, scene).await.map(|answer| answer.views).unwrap_or_default();
+    views.into_iter().map(|view| (view.photograph_sha256.to_vec(), view.name)).collect()
 }
 
 /// A record's state in words, as the daemon has it.

@@ -105,7 +105,8 @@ pub struct ImportArgs {
     /// Resample the photographs to this height
     #[arg(long, value_name = "PX", requires = "width")]
     pub height: Option<usize>,
-    /// Resample the photographs by this factor, above 0, to 1
+    /// Resample the photographs by this factor, above 0, to 1; the scene then keeps and signs the copies, and an auditor needs
+    /// these
     #[arg(long, value_name = "FACTOR", conflicts_with = "width")]
     pub scale: Option<f64>,
 }

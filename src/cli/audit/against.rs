@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_log::OwnerRecord;
+use cairn_log::{Digest, OwnerRecord};
 use cairn_scene::SceneFolder;
 use cairn_verify::{Code, Evidence, FileInHand, Report};
 
@@ -18,7 +18,7 @@ const UNCHECKED: [Code; 4] =
 /// Files in hand one by one, as they come by mail.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct Files {
-    /// The folder of the photographs, all of the cluster's and no others, to be held to the record
+    /// The folder of the photographs, to be held to the record: all that it lists must be there, unchanged, and others may
     #[arg(long, value_name = "DIR", conflicts_with = "against")]
     pub photographs: Option<PathBuf>,
     /// The marked field, to be held to the record
@@ -33,22 +33,35 @@ pub struct Files {
 }
 
 impl Files {
-    /// Adds what is given to `evidence`.
+    /// Adds what is given to `evidence`; of the photographs those that `record` lists, where it lists them.
     ///
     /// # Errors
     /// For what cannot be read, and a folder without files.
-    pub fn gather(&self, evidence: &mut Evidence<'_>) -> anyhow::Result<()> {
+    pub fn gather(&self, evidence: &mut Evidence<'_>, record: Option<&OwnerRecord>) -> anyhow::Result<()> {
         let file = |path: &Option<PathBuf>| path.as_deref().map(FileInHand::read).transpose();
         evidence.marked_field = file(&self.field)?;
         evidence.detector = file(&self.detector)?;
         evidence.training_configuration = file(&self.settings)?;
-        evidence.photographs = self.photographs.as_deref().map(all_files).transpose()?;
+        let listed = record.and_then(|record| record.views.as_deref());
+        evidence.photographs = self.photographs.as_deref().map(|folder| in_folder(folder, listed)).transpose()?;
         Ok(())
     }
 }
 
-/// Every file of a folder is a photograph; folders in it are gone through as well.
-fn all_files(folder: &Path) -> anyhow::Result<FileInHand> {
+/// The photographs in a folder: those `listed`, or where nothing is listed every file.
+fn in_folder(folder: &Path, listed: Option<&[Digest]>) -> anyhow::Result<FileInHand> {
+    let (there, name) = (all_files(folder)?, folder.display().to_string());
+    let Some(listed) = listed else { return Ok(FileInHand::photographs(&name, &there)) };
+    let kept: Vec<Digest> = listed.iter().filter(|digest| there.contains(digest)).copied().collect();
+    if kept.len() == listed.len() && there.len() == listed.len() {
+        return Ok(FileInHand::photographs(&name, &kept));
+    }
+    let place = format!("{name}, {} of the {} that the record lists, among {} files", kept.len(), listed.len(), there.len());
+    Ok(FileInHand::photographs(&place, &kept))
+}
+
+/// The digests of every file of a folder; folders in it are gone through as well.
+fn all_files(folder: &Path) -> anyhow::Result<Vec<Digest>> {
     let (mut digests, mut left) = (Vec::new(), vec![folder.to_path_buf()]);
     while let Some(folder) = left.pop() {
         let listed = std::fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))?;
@@ -63,7 +76,7 @@ fn all_files(folder: &Path) -> anyhow::Result<FileInHand> {
         }
     }
     anyhow::ensure!(!digests.is_empty(), "there is no file in {}", folder.display());
-    Ok(FileInHand::photographs(&folder.display().to_string(), &digests))
+    Ok(digests)
 }
 
 /// Adds to `evidence` each file below `data` whose digest the record names.
@@ -178,7 +191,7 @@ pub fn all_compared(report: &Report, data: &Path) -> anyhow::Result<()> {
 mod tests {
     use super::*;
     use cairn_log::format::record::{self, Digests, Identity, Seen};
-    use cairn_log::{Digest, OwnerKey, RecordKind, format::merkle};
+    use cairn_log::{OwnerKey, RecordKind, format::merkle};
     use cairn_verify::Outcome;
 
     fn contribution(digests: Digests) -> (OwnerRecord, Vec<u8>) {
@@ -223,6 +236,26 @@ mod tests {
         let evidence = |photographs| Evidence { envelope: &envelope, photographs, ..Evidence::default() };
         assert!(all_compared(&cairn_verify::audit(&evidence(None)), Path::new("folder")).is_err());
         all_compared(&cairn_verify::audit(&evidence(Some(photographs))), Path::new("folder")).unwrap();
+    }
+
+    #[test]
+    fn of_a_folder_those_photographs_are_taken_that_the_record_lists() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("more")).unwrap();
+        for name in ["a", "b", "more/c", "stranger"] {
+            std::fs::write(dir.path().join(name), name).unwrap();
+        }
+        let root = |names: &[&str]| record::photographs_root(&names.iter().map(Digest::of).collect::<Vec<_>>());
+        let mut listed = ["a", "b", "more/c"].map(Digest::of);
+        listed.sort_unstable();
+        let some = in_folder(dir.path(), Some(&listed)).unwrap();
+        assert_eq!(some.digest, root(&["a", "b", "more/c"]));
+        assert!(some.place.contains("3 of the 3 that the record lists, among 4 files"), "{}", some.place);
+        assert_eq!(in_folder(dir.path(), None).unwrap().digest, root(&["a", "b", "more/c", "stranger"]));
+        // One that was changed is not taken, and without it the root is another.
+        std::fs::write(dir.path().join("a"), "a, scaled").unwrap();
+        let some = in_folder(dir.path(), Some(&listed)).unwrap();
+        assert!(some.digest != root(&["a", "b", "more/c"]) && some.place.contains("2 of the 3"), "{}", some.place);
     }
 
     #[test]

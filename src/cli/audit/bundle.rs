@@ -65,14 +65,12 @@ pub fn report(args: &Args) -> anyhow::Result<cairn_verify::Report> {
         log: log.as_ref(),
         ..Evidence::default()
     };
-    args.files.gather(&mut evidence)?;
+    // The record says which files to look at; whether it may be believed is the audit's to say.
+    let record = Envelope::parse(&envelope).ok().and_then(|e| OwnerRecord::parse(&e.payload).ok());
+    args.files.gather(&mut evidence, record.as_ref())?;
     let mut gathered = Ok(());
-    if let Some(data) = &args.against {
-        // The record says which files to look at; whether it may be believed is the audit's to say.
-        let parsed = Envelope::parse(&envelope).ok().and_then(|e| OwnerRecord::parse(&e.payload).ok());
-        if let Some(record) = parsed {
-            gathered = against::gather(&mut evidence, data, &record);
-        }
+    if let (Some(data), Some(record)) = (&args.against, &record) {
+        gathered = against::gather(&mut evidence, data, record);
     }
     let report = cairn_verify::audit(&evidence);
     if let Some(data) = args.against.as_ref().filter(|_| report.outcome != Outcome::Invalid) {
