@@ -85,13 +85,13 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Sign(args) => {
             let place = sign(line, &args).await?;
             println!("{place}; its bundle is in {}", args.out.display());
-            place.say_what_is_missing(&args.out);
+            place.say_more(&args.out);
             Ok(())
         }
         Command::Submit { dir } => {
             let place = records::Bundle::send_again(line, &dir).await?;
             println!("{place}; its bundle is in {}", dir.display());
-            place.say_what_is_missing(&dir);
+            place.say_more(&dir);
             Ok(())
         }
         Command::Dispute(args) => {

@@ -173,8 +173,11 @@ pub struct Place {
 }
 
 impl Place {
-    /// Says what the bundle in `folder` still lacks, if it does.
-    pub fn say_what_is_missing(&self, folder: &Path) {
+    /// Says what its owner keeps to themselves of the bundle in `folder`, and what that still lacks.
+    pub fn say_more(&self, folder: &Path) {
+        if folder.join(SALT).exists() {
+            println!("keep signal.* in it to yourself, until you choose to show what is hidden; send the other files");
+        }
         if self.cosigned < self.witnesses {
             println!(
                 "where a policy asks for the others, `cairn owners submit {}` fetches a newer proof once they have cosigned",
@@ -202,6 +205,9 @@ const RECORD: &str = "record.json";
 
 /// The record's proof.
 const PROOF: &str = "record.tlog-proof";
+
+/// What makes a hidden signal the owner's secret.
+pub const SALT: &str = "signal.salt";
 
 /// The log's verifier key.
 const VKEY: &str = "log.vkey";

@@ -11,7 +11,7 @@ use cairn_log::keys::{Seal, save_key};
 use cairn_log::{Digest, OwnerKey, OwnerRecord, RecordKind};
 
 use super::connect::Connection;
-use super::records::{Bundle, Ground, Place, Stored};
+use super::records::{Bundle, Ground, Place, SALT, Stored};
 use super::unlock::UnlockArgs;
 
 /// `cairn owners sign`.
@@ -78,7 +78,7 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<Place> {
     if record.digests.hidden_signal.is_some() {
         secrets = vec![("signal.png", files.picture), ("signal.wav", files.audio), ("signal.txt", files.text)];
         secrets.retain(|(_, bytes)| !bytes.is_empty());
-        secrets.push(("signal.salt", salt.as_bytes()));
+        secrets.push((SALT, salt.as_bytes()));
     }
     bundle.enter(line, &record, &[&key], &secrets).await
 }
