@@ -283,8 +283,8 @@ fn keys_are_sealed_by_what_was_asked_for_and_sealed_anew() {
 
     // A file that is no secret is not called one that others may read.
     let vkey = place.text("witness.vkey");
-    let made = place.cairn_ok(&["witness", "vkey", "--name", "w", "--key", &sealed, "--passphrase-file", &phrase]);
-    std::fs::write(&vkey, made).unwrap();
+    let line = place.cairn_ok(&["witness", "vkey", "--name", "w", "--key", &sealed, "--passphrase-file", &phrase]);
+    std::fs::write(&vkey, line).unwrap();
     std::fs::set_permissions(&vkey, std::fs::Permissions::from_mode(0o644)).unwrap();
     let said = place.cairn_refused(&["keys", "show", &vkey]);
     assert!(said.contains("a verifier key (vkey), the public half") && !said.contains("mode"), "{said}");
