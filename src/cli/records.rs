@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use cairn_api::v1;
-use cairn_log::format::record::{Digests, Seen, random_salt};
 use cairn_log::format::merkle;
+use cairn_log::format::record::{Digests, Seen, random_salt};
 use cairn_log::{
     Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, PublicKey, RecordKind, SignedRecord, TlogProof,
 };
@@ -234,7 +234,8 @@ async fn prove_again(line: &Connection, folder: &Path) -> anyhow::Result<Place> 
     let index = old.index;
     let answer = line.owners().proof(v1::ProofRequest { index }).await?.into_inner();
     let new = TlogProof::parse(&answer.tlog_proof).context("the daemon's proof")?;
-    let checkpoint = Checkpoint::verify(&new.checkpoint, &pinned).context("the daemon's proof, under the bundle's log.vkey")?;
+    let checkpoint =
+        Checkpoint::verify(&new.checkpoint, &pinned).context("the daemon's proof, under the bundle's log.vkey")?;
     merkle::verify_inclusion(&signed.leaf().hash(), index, checkpoint.size, &new.hashes, &checkpoint.root)
         .with_context(|| format!("the daemon's proof is not of the record in {}", folder.display()))?;
     let (had, cosigned) = (cosignatures(&old)?, cosignatures(&new)?);

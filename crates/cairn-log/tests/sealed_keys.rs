@@ -7,8 +7,8 @@ use cairn_log::{
     KeyError, OwnerKey,
     format::sealed::{Passphrase, SealError, SealedBy, SealingKey},
     keys::{
-        KeyFileError, Seal, Secrecy, StoredKey, Unlock, load_key, load_new_passphrase, load_passphrase, load_sealing_key, reseal_key, save_key,
-        save_sealing_key,
+        KeyFileError, Seal, Secrecy, StoredKey, Unlock, load_key, load_new_passphrase, load_passphrase,
+        load_sealing_key, reseal_key, save_key, save_sealing_key,
     },
 };
 use zeroize::Zeroizing;

@@ -56,7 +56,8 @@ fn in_folder(folder: &Path, listed: Option<&[Digest]>) -> anyhow::Result<FileInH
     if kept.len() == listed.len() && there.len() == listed.len() {
         return Ok(FileInHand::photographs(&name, &kept));
     }
-    let place = format!("{name}, {} of the {} that the record lists, among {} files", kept.len(), listed.len(), there.len());
+    let place =
+        format!("{name}, {} of the {} that the record lists, among {} files", kept.len(), listed.len(), there.len());
     Ok(FileInHand::photographs(&place, &kept))
 }
 

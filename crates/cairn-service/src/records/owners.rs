@@ -170,7 +170,8 @@ pub fn bearing_on(
         let next = last.index() + 1;
         for entry in &page {
             let LogEntry::Record(stored) = entry else { continue };
-            if is_about(&stored.record, marked_field, identity) && corrections::standing(registry, stored)?.is_upheld() {
+            if is_about(&stored.record, marked_field, identity) && corrections::standing(registry, stored)?.is_upheld()
+            {
                 indices.push(stored.index);
             }
         }
