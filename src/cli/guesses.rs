@@ -5,6 +5,8 @@ use clap::builder::StyledStr;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Command, Error};
 
+use cairn_scene::quoted;
+
 use super::words::job_id;
 
 /// Words that people try as a command, and the command that does it.
@@ -77,21 +79,34 @@ fn completed(program: &Command, typed: &[String], word: &str) -> Option<String> 
     // Two words of one spelling: which of them is meant is not known.
     let is_single = typed.iter().filter(|typed| *typed == word).count() == 1;
     let (before, after) = typed.split_at(at);
-    let whole: Vec<&str> =
-        before.iter().map(String::as_str).chain([*option]).chain(after.iter().map(String::as_str)).collect();
+    let before = before.iter().map(|word| quoted(word));
+    let whole: Vec<String> =
+        before.chain([(*option).to_owned()]).chain(after.iter().map(|word| quoted(word))).collect();
     is_single.then(|| format!("`cairn {}`", whole.join(" ")))
 }
 
-/// The commands that stand in `typed` before `word`.
+/// The commands that stand in `typed` before `word`. What follows an option as its value is none.
 fn commands_before<'a>(program: &'a Command, typed: &[String], word: &str) -> Vec<&'a str> {
     let (mut at, mut found) = (program, Vec::new());
-    for typed in typed.iter().take_while(|typed| *typed != word) {
+    let mut words = typed.iter().take_while(|typed| *typed != word);
+    while let Some(typed) = words.next() {
         if let Some(command) = at.find_subcommand(typed) {
             found.push(command.get_name());
             at = command;
+        } else if [program, at].iter().any(|command| wants_value(command, typed)) {
+            words.next();
         }
     }
     found
+}
+
+/// Whether `typed` is an option of `command` whose value is the next word.
+fn wants_value(command: &Command, typed: &str) -> bool {
+    let is_it = |arg: &clap::Arg| match typed.strip_prefix("--") {
+        Some(long) => arg.get_long() == Some(long),
+        None => arg.get_short().is_some_and(|short| typed.strip_prefix('-') == Some(short.to_string().as_str())),
+    };
+    command.get_arguments().any(|arg| is_it(arg) && arg.get_action().takes_values())
 }
 
 #[cfg(test)]
@@ -116,6 +131,7 @@ mod tests {
             ("list", "tip: `cairn scene list`"),
             ("version", "tip: `cairn --version`"),
             ("--data folder ls", "tip: `cairn scene list`"),
+            ("--data jobs import town", "tip: `cairn scene import NAME --from DIR`"),
             ("jobs job-000001", "tip: `cairn jobs show job-000001`"),
             ("jobs 1", "tip: `cairn jobs show job-000001`"),
             ("who tower view.png", "tip: `cairn who tower --view view.png`"),

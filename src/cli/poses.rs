@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use cairn_api::v1::{self, draw_poses_request::Clusters};
+use cairn_scene::quoted;
 
 use super::connect::Connection;
 use super::files::write;
@@ -44,7 +45,8 @@ impl Args {
         };
         anyhow::ensure!(
             self.poses.is_some(),
-            "{asked} is about the drawing; have it drawn: cairn scene show {scene} {asked} --poses cameras.png"
+            "{asked} is about the drawing; have it drawn: cairn scene show {scene} {asked} --poses cameras.png",
+            scene = quoted(scene)
         );
         Ok(())
     }

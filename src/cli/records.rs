@@ -181,7 +181,7 @@ impl Place {
         if self.cosigned < self.witnesses {
             println!(
                 "where a policy asks for the others, `cairn owners submit {}` fetches a newer proof once they have cosigned",
-                folder.display()
+                cairn_scene::quoted(&folder.display().to_string())
             );
         }
     }

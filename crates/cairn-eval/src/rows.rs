@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use cairn_scene::quoted;
 use cairn_service::query::report::{Report, Right};
 
 use crate::args::Args;
@@ -19,21 +20,12 @@ fn command(arguments: impl Iterator<Item = String>) -> String {
     for argument in arguments {
         let name = argument.split('=').next().unwrap_or_default();
         if !std::mem::take(&mut value_follows) && !LOCAL.contains(&name) {
-            said.push(quoted(argument));
+            said.push(quoted(&argument));
         } else if LOCAL.contains(&name) {
             value_follows = !argument.contains('=');
         }
     }
     said.join(" ")
-}
-
-/// As a POSIX shell takes it for one word.
-fn quoted(argument: String) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_=./:,+@%".contains(c);
-    if !argument.is_empty() && argument.chars().all(is_plain) {
-        return argument;
-    }
-    format!("'{}'", argument.replace('\'', r"'\''"))
 }
 
 /// Units of what other work on the machine changes.

@@ -13,6 +13,7 @@ use crate::images::format::Limits;
 use crate::images::mask::Mask;
 use crate::images::photograph;
 use crate::images::picture::Picture;
+use crate::shell::quoted;
 
 /// The contributor of a view that no table says anything about.
 pub const UNKNOWN_CONTRIBUTOR: &str = "unknown";
@@ -112,10 +113,13 @@ impl Capture {
         let views = if missing.len() == 1 { "view" } else { "views" };
         let missing = (!missing.is_empty())
             .then(|| format!("left out {} {views} without photographs: {}", missing.len(), missing.join(", ")));
-        let have = if without_camera.len() == 1 { "photograph has" } else { "photographs have" };
+        let (have, them) = match without_camera.len() {
+            1 => ("photograph has", "it"),
+            _ => ("photographs have", "them"),
+        };
         let without_camera = (!without_camera.is_empty()).then(|| {
             let (count, names) = (without_camera.len(), few(without_camera, NAMED));
-            format!("{count} {have} no camera, so the scene goes without: {names}")
+            format!("{count} {have} no camera, and the scene leaves {them} out: {names}")
         });
         let models = models.iter().map(|model| self.model_note(model));
         let left_out = missing.into_iter().chain(without_camera).chain(models);
@@ -130,11 +134,10 @@ impl Capture {
         };
         let images = self.views.first().and_then(folder).unwrap_or_else(|| self.root.clone());
         let images = std::path::absolute(&images).unwrap_or(images);
-        let (model, there) = (model.display(), self.root.join(model));
+        let [there, images] = [self.root.join(model), images].map(|path| quoted(&path.display().to_string()));
         format!(
-            "{model} is another model of COLMAP's and is not read; `--from {} --images {}` reads that one",
-            there.display(),
-            images.display()
+            "COLMAP made another model, {}; this import does not read it (`--from {there} --images {images}` does)",
+            model.display()
         )
     }
 

@@ -12,6 +12,7 @@ use cairn_durable::DurableError;
 use crate::cameras::fisheye::LensError;
 use crate::cameras::lens::LensModel;
 use crate::cameras::pose::PoseError;
+use crate::shell::quoted;
 
 /// Why a capture, a photograph or a stored scene was refused.
 #[derive(Debug, Error)]
@@ -275,11 +276,7 @@ fn scene_name(path: &Path) -> String {
 
 /// What helps where there are photographs and no cameras.
 fn without_cameras(folder: &Path, images: &Path, photographs: usize) -> String {
-    let shown = |path: &Path| {
-        let path = path.display().to_string();
-        let plain = path.chars().all(|c| c.is_alphanumeric() || "/._-+@,:".contains(c));
-        if plain { path } else { format!("'{}'", path.replace('\'', "'\\''")) }
-    };
+    let shown = |path: &Path| quoted(&path.display().to_string());
     let (database, sparse) = (shown(&folder.join("database.db")), shown(&folder.join("sparse")));
     format!(
         "{} holds {photographs} photographs and no cameras; COLMAP works out where each was taken (https://colmap.github.io):\n  \
@@ -287,7 +284,7 @@ fn without_cameras(folder: &Path, images: &Path, photographs: usize) -> String {
          colmap exhaustive_matcher --database_path {database} --SiftMatching.use_gpu 0\n  \
          mkdir -p {sparse} && colmap mapper --image_path {images} --database_path {database} --output_path {sparse}\n\
          (from COLMAP 3.13 on write --FeatureExtraction.use_gpu and --FeatureMatching.use_gpu; leave both away where there \
-         is a graphics card); then import the same folder again",
+         is a graphics card and a display); then import the same folder again",
         folder.display(),
         images = shown(images),
     )

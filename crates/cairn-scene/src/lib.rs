@@ -16,6 +16,7 @@ mod images;
 mod import;
 pub mod metrics;
 mod scene;
+mod shell;
 mod sound;
 mod train_view;
 
@@ -28,5 +29,6 @@ pub use images::{
 };
 pub use import::ReadOptions;
 pub use scene::{MANIFEST, SceneFolder, write_manifest};
+pub use shell::quoted;
 pub use sound::{SAMPLE_RATES_HZ, Sound, SoundLimits, decode_wav, encode_wav};
 pub use train_view::TrainView;

@@ -38,6 +38,8 @@ fn nothing_there() {
 #[test]
 fn photographs_without_cameras_are_answered_with_the_way_to_cameras() {
     let place = tempfile::tempdir().unwrap();
+    // A stray file in the folder above makes no capture of that.
+    fs::write(place.path().join("cameras.txt"), b"").unwrap();
     for (folder, images) in [("plain", "plain"), ("with images", "with images/images")] {
         let (folder, images) = (place.path().join(folder), place.path().join(images));
         fs::create_dir_all(&images).unwrap();
@@ -403,7 +405,7 @@ fn photographs_and_models_that_are_not_read_are_said() {
         (capture.views.len(), &capture.left_out.without_camera[..]),
         (3, &["4.png", "eve/5.png"].map(String::from)[..])
     );
-    assert_eq!(capture.notes(), ["2 photographs have no camera, so the scene goes without: 4.png, eve/5.png"]);
+    assert_eq!(capture.notes(), ["2 photographs have no camera, and the scene leaves them out: 4.png, eve/5.png"]);
     refuses(with(&format!("{head}6.png,eve\n")), &["line 6 (6.png)", "no photograph of that name"]);
     // Two photographs of one file name, of which one has a camera.
     fs::write(root.join("images/eve/1.png"), photograph()).unwrap();

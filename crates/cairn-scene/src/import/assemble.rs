@@ -18,7 +18,8 @@ use crate::import::{contributors, masks, named};
 /// How many photographs are decoded to see whether they are transparent.
 const LOOKED_AT: usize = 5;
 
-/// How many folders deep photographs are looked for.
+/// How many folders deep photographs are looked for. Rigs and dates make two or three; what is deeper than this is some
+/// other tree, and a walk through all of it would take long.
 const DEEPEST: usize = 8;
 
 /// How many of the photographs something is true of.

@@ -98,11 +98,9 @@ const LLFF: &str = "poses_bounds.npy";
 /// Camera files that a capture may be named by.
 const CAMERA_FILES: [&str; 3] = ["transforms.json", "transforms_train.json", LLFF];
 
-/// Whether a camera file of any format lies where [`Capture::read`] looks for it in `folder`.
+/// Whether cameras of any format lie where [`Capture::read`] looks for them in `folder`. A stray `cameras.txt` is none.
 fn has_cameras(folder: &Path) -> bool {
-    let colmap = ["sparse/0", "sparse", ""].iter().flat_map(|at| ["bin", "txt"].map(|e| format!("{at}/cameras.{e}")));
-    let named = CAMERA_FILES.iter().map(|&name| name.to_owned());
-    colmap.chain(named).any(|file| folder.join(file.trim_start_matches('/')).is_file())
+    colmap::is_in(folder) || CAMERA_FILES.iter().any(|name| folder.join(name).is_file())
 }
 
 /// The name of the camera file that `from` is, if it is one.

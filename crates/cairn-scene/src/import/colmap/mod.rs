@@ -6,4 +6,4 @@ mod parts;
 mod read;
 mod text;
 
-pub(crate) use read::read;
+pub(crate) use read::{is_in, read};

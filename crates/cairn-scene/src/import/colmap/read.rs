@@ -25,10 +25,7 @@ const MASKS: &str = "masks";
 /// # Errors
 /// For a model that is incomplete, garbled, or of an unsupported camera model.
 pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>, CaptureError> {
-    let places = [folder.join("sparse/0"), folder.join("sparse"), folder.to_path_buf()];
-    let Some((place, ending)) = places.iter().find_map(|place| Some((place, ending_in(place)?))) else {
-        return Ok(None);
-    };
+    let Some((place, ending)) = place_in(folder) else { return Ok(None) };
     let [cameras_file, images_file, points_file] =
         ["cameras", "images", "points3D"].map(|name| place.join(format!("{name}.{ending}")));
     let max_views = options.limits.max_views;
@@ -55,8 +52,19 @@ pub(crate) fn read(folder: &Path, options: &ReadOptions) -> Result<Option<Model>
         points: points.map(|points: Points| points.positions).unwrap_or_default(),
         masks: folder.join(MASKS).is_dir().then(|| MASKS.into()),
         images: Some(ImageFolder { path: photographs, is_in_names: false }),
-        left_out: LeftOut { models: models_beside(folder, place), ..LeftOut::default() },
+        left_out: LeftOut { models: models_beside(folder, &place), ..LeftOut::default() },
     }))
+}
+
+/// Whether a whole model lies where [`read`] looks for it in `folder`: cameras, and images beside them.
+pub(crate) fn is_in(folder: &Path) -> bool {
+    place_in(folder).is_some_and(|(place, ending)| place.join(format!("images.{ending}")).is_file())
+}
+
+/// Where the model of `folder` lies, and the ending of its files.
+fn place_in(folder: &Path) -> Option<(PathBuf, &'static str)> {
+    let places = [folder.join("sparse/0"), folder.join("sparse"), folder.to_path_buf()];
+    places.into_iter().find_map(|place| ending_in(&place).map(|ending| (place, ending)))
 }
 
 /// Folders of models beside the one at `place`, relative to `folder`.
