@@ -69,8 +69,11 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
     };
     let mut answer = line.about(&args.name).query().identify(request).await?.into_inner();
     let is_unmarked = matches!(answer.answer, Some(identify_response::Answer::Unmarked(_)) | None);
-    // What the detector draws from an unmarked picture is nobody's.
-    let kept_in = args.payload_out.as_deref().filter(|_| !is_unmarked);
+    if is_unmarked {
+        // What the detector draws from an unmarked picture is nobody's.
+        answer.payload = None;
+    }
+    let kept_in = args.payload_out.as_deref();
     if args.json.json {
         if let Some(payload) = &mut answer.payload {
             kept_in.iter().try_for_each(|folder| keep(payload, folder).map(drop))?;
@@ -80,7 +83,7 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
         json::print(&answer)?;
         return may_be_kept(is_unmarked, args.payload_out.as_deref(), registers);
     }
-    let names = Names::of(line, &args.name).await;
+    let names = Names(std::mem::take(&mut answer.labels));
     match &answer.answer {
         Some(identify_response::Answer::Identity(found)) => show(found, answer.confidence),
         Some(identify_response::Answer::Foreign(there)) => {
@@ -124,12 +127,6 @@ fn may_be_kept(is_unmarked: bool, folder: Option<&Path>, registered: bool) -> an
 struct Names(Vec<String>);
 
 impl Names {
-    /// Those of the newest model of `scene`; none where they cannot be asked for.
-    async fn of(line: &Connection, scene: &str) -> Self {
-        let model = super::scene::get(line, scene).await.ok().and_then(|answer| answer.model);
-        Self(model.map_or_else(Vec::new, |model| model.identities.into_iter().map(|identity| identity.label).collect()))
-    }
-
     /// The number of a class, and in brackets what it is called where that is known.
     fn class(&self, class: usize) -> String {
         match class.checked_sub(1) {

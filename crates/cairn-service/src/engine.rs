@@ -411,7 +411,8 @@ impl Engine {
         let (model, snapshot) = (self.model(scene)?, self.snapshot(scene)?);
         let found = look::read_picture(&model, &snapshot, &picture, register, &self.limits)?;
         let who = Who::of(&snapshot, found.identity, found.confidence.into())?;
-        Ok(Identified { who: self.with_records(&snapshot, who)?, found })
+        let labels = model.info.identities.iter().map(|identity| identity.label.clone()).collect();
+        Ok(Identified { who: self.with_records(&snapshot, who)?, found, labels })
     }
 
     /// `who` with the owner records that bear on the identity.

@@ -210,7 +210,7 @@ pub fn contributors(who: Who) -> v1::ContributorsResponse {
 }
 
 /// Whose mark a picture carries; with what it hides where `payload` says so.
-pub fn identified(Identified { who, found }: Identified, payload: bool) -> v1::IdentifyResponse {
+pub fn identified(Identified { who, found, labels }: Identified, payload: bool) -> v1::IdentifyResponse {
     use v1::identify_response::Answer;
     let confidence = who.confidence;
     let answer = match (found_identity(who), found.elsewhere) {
@@ -236,6 +236,7 @@ pub fn identified(Identified { who, found }: Identified, payload: bool) -> v1::I
         registered: found.registered.map(registered),
         center_crop: detection.is_center_crop,
         payload,
+        labels,
     }
 }
 

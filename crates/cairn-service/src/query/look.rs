@@ -34,6 +34,8 @@ pub struct Identified {
     pub who: Who,
     /// What was read.
     pub found: Found,
+    /// What the identities of the model are called, identity 1 first.
+    pub labels: Vec<String>,
 }
 
 impl Who {
