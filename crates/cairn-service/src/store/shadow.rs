@@ -5,7 +5,7 @@
 //! The copies are small: state files, job files, and of the log what is in no file of its own yet.
 //!
 //! A shadow holds a lock in it while its command lives. What a killed command left behind is cleared by the next that
-//! makes one.
+//! the same user makes one with. A command that is killed before it locks leaves its folder, which is empty.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{Error, ErrorKind};
@@ -74,13 +74,13 @@ pub fn of(data: &Path) -> Result<Option<Shadow>, EngineError> {
 
 /// Makes the shadow in the folder `place`, from which those go that were left behind.
 fn make(data: &Path, place: &Path) -> Result<Shadow, EngineError> {
-    clear(place);
     // Links need the whole path.
     let data = data.canonicalize().map_err(EngineError::io("find", data))?;
     let made = tempfile::Builder::new().prefix(PREFIX).tempdir_in(place);
     let folder = made.map_err(EngineError::io("make a folder in", place))?;
     let owned = LockFile::take(&folder.path().join(OWNED))?;
     let shadow = Shadow { folder, _owned: owned };
+    clear(place, owner(shadow.path()));
     for entry in fs::read_dir(&data).map_err(EngineError::io("list", &data))? {
         let entry = entry.map_err(EngineError::io("list", &data))?;
         let name = entry.file_name();
@@ -97,23 +97,38 @@ fn make(data: &Path, place: &Path) -> Result<Shadow, EngineError> {
     Ok(shadow)
 }
 
-/// Removes the shadows in `place` whose commands ended without doing so. What cannot be looked at or removed, as another
-/// user's, stays.
-fn clear(place: &Path) {
+/// Removes the shadows of the user `own` in `place` whose commands ended without doing so. What cannot be looked at or
+/// removed stays, and another user's is not touched: opening what lies in it may wait for ever.
+fn clear(place: &Path, own: Option<u32>) {
     for entry in fs::read_dir(place).into_iter().flatten().flatten() {
         // Links are not followed.
         let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        if is_folder && entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes()) && is_left(&entry.path()) {
-            let _ = fs::remove_dir_all(entry.path());
+        let is_shadow = is_folder && entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes());
+        let path = entry.path();
+        if is_shadow && own.is_some() && owner(&path) == own && is_left(&path) {
+            let _ = fs::remove_dir_all(path);
         }
     }
 }
 
-/// Whether nobody holds the lock of the shadow `folder`, and has not for a while.
+/// The user whose the folder or file is; `None` where that is not known.
+#[cfg(unix)]
+fn owner(path: &Path) -> Option<u32> {
+    use std::os::unix::fs::MetadataExt as _;
+    fs::symlink_metadata(path).ok().map(|there| there.uid())
+}
+
+#[cfg(not(unix))]
+fn owner(_: &Path) -> Option<u32> {
+    None
+}
+
+/// Whether nobody holds the lock of the shadow `folder`, and has not for a while. Only a file that can be opened tells.
 fn is_left(folder: &Path) -> bool {
     let lock = folder.join(OWNED);
-    let age = fs::metadata(&lock).and_then(|lock| lock.modified()).ok().and_then(|at| at.elapsed().ok());
-    age.is_some_and(|age| age >= IN_THE_MAKING) && LockFile::must_be_free(&lock).is_ok()
+    let Some(there) = fs::symlink_metadata(&lock).ok().filter(fs::Metadata::is_file) else { return false };
+    let age = there.modified().ok().and_then(|at| at.elapsed().ok());
+    age.is_some_and(|age| age >= IN_THE_MAKING) && File::open(&lock).is_ok() && LockFile::must_be_free(&lock).is_ok()
 }
 
 /// Copies a file or a folder, as files that can be written; folders named in `linked` become links, and so do
@@ -227,8 +242,15 @@ mod tests {
             (left("cairn-reads-killed", 3600), left("cairn-reads-young", 5), left("somebody", 3600));
         let unlocked = dir.path().join("cairn-reads-begun");
         fs::create_dir(&unlocked).unwrap();
+        // An old lock that is no file of the folder's own.
+        let linked = dir.path().join("cairn-reads-linked");
+        fs::create_dir(&linked).unwrap();
+        link(&foreign.join(OWNED), &linked.join(OWNED)).unwrap();
+        clear(dir.path(), owner(dir.path()).map(|own| own + 1));
+        assert!(killed.exists(), "a shadow of another user's is cleared");
         let held = make(&data, dir.path()).unwrap();
         assert!(!killed.exists() && young.exists() && foreign.exists() && unlocked.exists());
+        assert!(linked.exists());
         // As old, and its command lives.
         age(held.path(), 3600);
         drop(make(&data, dir.path()).unwrap());
