@@ -211,13 +211,18 @@ impl EngineError {
         Self::Invalid { what: what.into(), got: got.to_string(), expected: expected.into() }
     }
 
-    /// A thing that is not there, and some of those that are, those with the most similar names first.
-    pub fn not_found<'a>(kind: &'static str, name: &str, there: impl Iterator<Item = &'a str>) -> Self {
+    /// A thing that people named is not there: [`Self::not_found`] with the most similar names first.
+    pub fn misnamed<'a>(kind: &'static str, name: &str, there: impl Iterator<Item = &'a str>) -> Self {
         let asked: String = name.chars().take(MAX_COMPARED).flat_map(char::to_lowercase).collect();
         let mut there: Vec<&str> = there.collect();
         // Stable: of equally similar ones the order stays.
         there.sort_by_cached_key(|there| difference(&asked, there));
-        there.truncate(9);
+        Self::not_found(kind, name, there.into_iter())
+    }
+
+    /// A thing that is not there, and the first of those that are.
+    pub fn not_found<'a>(kind: &'static str, name: &str, there: impl Iterator<Item = &'a str>) -> Self {
+        let mut there: Vec<&str> = there.take(9).collect();
         if there.len() == 9 {
             there[8] = "...";
         }
@@ -253,10 +258,14 @@ mod tests {
     #[test]
     fn of_many_names_the_nearest_are_said() {
         let names: Vec<String> = (1..200).map(|n| format!("images/view_{n:03}.jpg")).collect();
-        let said = |asked: &str| EngineError::not_found("view", asked, names.iter().map(String::as_str)).to_string();
+        let said = |asked: &str| EngineError::misnamed("view", asked, names.iter().map(String::as_str)).to_string();
         assert!(said("view_57.jpg").contains("there is: images/view_057.jpg, "), "{}", said("view_57.jpg"));
         assert!(said("images/VIEW_120.jpeg").contains("there is: images/view_120.jpg, "));
         assert!(said("").ends_with(", ..."));
         assert!(said(&"x".repeat(1 << 20)).contains("there is: images/view_001.jpg, "));
+        // Of numbers the order says more than the letters.
+        let jobs = ["job-000030", "job-000029", "job-000003"].into_iter();
+        let said = EngineError::not_found("job", "job-000004", jobs).to_string();
+        assert!(said.contains("there is: job-000030, job-000029, job-000003"), "{said}");
     }
 }

@@ -144,7 +144,7 @@ pub fn assigned(given: &[Given], added: &[Added], marked: &BTreeSet<String>) -> 
             _ => ("the names of signals", "no identity has these names"),
         };
         let all = added.iter().map(|a| a.label.as_str()).collect::<Vec<_>>().join(", ");
-        let expected = format!("{all}; or no signal has an identity's name, and they go by their order");
+        let expected = format!("one file named after each of {all}, or no file named after any of them");
         return Err(EngineError::invalid(what, format!("{others} ({none})"), expected));
     }
     let mut at = Vec::with_capacity(added.len());

@@ -131,15 +131,19 @@ fn signals_that_are_nobodys_are_refused_by_name() {
         assert!(expected.iter().all(|part| error.contains(part)), "{error}");
     };
     // Bob has too few views: his logo is not to become Carol's.
-    says(&["ada", "bob", "carol"], &["ada", "carol"], &["\"bob\" (no identity has this name)", "ada, carol;"]);
+    says(
+        &["ada", "bob", "carol"],
+        &["ada", "carol"],
+        &["\"bob\" (no identity has this name)", "after each of ada, carol, or no file"],
+    );
     says(
         &["ada", "bob", "carol"],
         &["ada", "carol", "dora"],
-        &["\"bob\" (no identity has this name)", "ada, carol, dora;"],
+        &["\"bob\" (no identity has this name)", "after each of ada, carol, dora, or no file"],
     );
     says(&["ada"], &["ada", "carol"], &["none for identity 2 (carol)"]);
     says(&["ada", "ada"], &["ada", "carol"], &["\"ada\" twice"]);
-    says(&["eve", "dora"], &["dora"], &["\"eve\" (marked already", "allowed is dora;"]);
+    says(&["eve", "dora"], &["dora"], &["\"eve\" (marked already", "allowed is one file named after each of dora, or"]);
     says(&["logo"], &["ada", "carol"], &["number of signals is 1", "2 identities", "identity 2 (carol)"]);
 }
 

@@ -60,7 +60,7 @@ pub fn open(folder: &Path, name: &str) -> Result<SceneFolder, EngineError> {
     check_scene_name(name)?;
     if !folder.join(name).is_dir() {
         let there = list(folder)?;
-        return Err(EngineError::not_found("scene", name, there.iter().map(String::as_str)));
+        return Err(EngineError::misnamed("scene", name, there.iter().map(String::as_str)));
     }
     Ok(SceneFolder::open(folder, name)?)
 }
@@ -83,8 +83,8 @@ fn place_of(names: &[&str], name: &str) -> Result<usize, EngineError> {
     let meant: Vec<usize> = (0..names.len()).filter(|index| !name.is_empty() && ends_in_it(names[*index])).collect();
     match meant[..] {
         [index] => Ok(index),
-        [] => Err(EngineError::not_found("view", name, names.iter().copied())),
-        _ => Err(EngineError::not_found("single view", name, meant.iter().map(|index| names[*index]))),
+        [] => Err(EngineError::misnamed("view", name, names.iter().copied())),
+        _ => Err(EngineError::misnamed("single view", name, meant.iter().map(|index| names[*index]))),
     }
 }
 

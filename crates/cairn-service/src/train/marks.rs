@@ -216,11 +216,11 @@ fn weak_note(kept: &Judgement, whose: &[String], quietest: Option<(usize, f64)>)
         (weak.iter().any(|figure| figure.contains("SNR")), quietest.filter(|(_, db)| *db < QUIET_DB));
     let level = quietest.filter(|_| is_heard).map_or(String::new(), |(at, db)| {
         let louder = quiet.map_or("", |_| ", too quiet to come back well: bring it louder");
-        format!("; the quietest hidden sound, that of {}, is at {db:.0} dB of full scale (RMS){louder}", called(at))
+        format!(". The quietest hidden sound, that of {}, is at {db:.0} dB of full scale (RMS){louder}", called(at))
     });
     (!weak.is_empty()).then(|| {
         format!(
-            "train with a higher quality (--quality), with stronger marks (--robust) or with fewer identities: seen from \
+            "train with a higher quality (--quality), with stronger marks (--robust) or with fewer identities. Seen from \
              between the photographs, the marks do not come back well enough ({}){level}",
             weak.join("; ")
         )
