@@ -272,7 +272,7 @@ async fn remote(url: &str, place: &Where) -> anyhow::Result<Channel> {
         Ok(Ok(channel)) => channel,
         Ok(Err(error)) if last(&error).starts_with(CERTIFICATE) => {
             let said = last(&error);
-            anyhow::bail!("the certificate of {url} is refused ({said}); {}", certificate_remedy(&said))
+            anyhow::bail!("the certificate of {url} is refused: {} ({said})", certificate_remedy(&said))
         }
         Ok(Err(error)) => anyhow::bail!(
             "no daemon is reached at {url} ({}); check the address, and --tls-ca for https; `cairn serve` starts a daemon, \
@@ -306,7 +306,9 @@ fn certificate_remedy(said: &str) -> &'static str {
     } else if said.contains("for name") {
         "it is for another name: write the address with one of its names (subjectAltName), or make it again with this one"
     } else if said.contains("xpired") {
-        "make a new one (its time is over, or this machine's clock is wrong)"
+        "its time is over: make a new one, or set this machine's clock right"
+    } else if ["NotValidYet", "not valid yet"].iter().any(|early| said.contains(early)) {
+        "its time is still to come: set this machine's clock right, or make a new one"
     } else {
         "check server.tls.certificate of the daemon and --tls-ca"
     }

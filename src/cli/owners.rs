@@ -159,7 +159,7 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
             true => "erased".to_owned(),
             false => format!("{}  identity {}  {}", r.scene, r.identity, corrections::state(standing)),
         };
-        println!("{}  {}  {about}  by key {}", r.index, r.kind, Digest::from_bytes(owner));
+        println!("{}  {}  {about}  by key id {}", r.index, r.kind, Digest::from_bytes(owner));
     }
     if let Some(path) = out {
         let entry = |r: &v1::Record| -> anyhow::Result<LogEntry> {

@@ -56,6 +56,7 @@ impl UnlockArgs {
     }
 }
 
+/// What a person types at the terminal. Nothing of it is shown, not a star for a letter: its length helps who looks on.
 fn ask(path: &Path, what: &str) -> Result<Zeroizing<String>, KeyFileError> {
     let asked = rpassword::prompt_password(format!("{what} for {}: ", path.display()));
     asked.map(Zeroizing::new).map_err(|e| {
