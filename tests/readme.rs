@@ -9,6 +9,9 @@ use std::path::{Path, PathBuf};
 /// Commands that need nothing but the program.
 const ALONE: [&str; 3] = ["keys", "completions", "man"];
 
+/// A witness's verifier key.
+const VKEY: &str = "witness.example/w1+aa4a09d1+BOpKbGPinFIKvvVQexMuxfmVR3auvr57kkIe6mkURtIs";
+
 /// The README and every page of the guide.
 fn pages() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -63,7 +66,9 @@ fn every_settings_file_of_the_guide_is_taken() {
             shown += 1;
             let place = cairn_testkit::daemon::Place::new();
             place.token();
-            std::fs::write(place.path("daemon.toml"), settings).unwrap();
+            // The page leaves a witness's verifier key to its reader.
+            let settings = settings.replace("VKEY", VKEY);
+            std::fs::write(place.path("daemon.toml"), &settings).unwrap();
             // Settings are read before the folder is looked for.
             let said = place.cairn_refused(&["jobs", "--config", "daemon.toml", "--data", "absent"]);
             assert!(said.contains("there is no data folder"), "{}: {settings}\n{said}", page.display());
