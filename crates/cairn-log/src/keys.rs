@@ -197,11 +197,11 @@ impl StoredKey {
     /// # Errors
     /// [`KeyFileError::TooOpen`], [`KeyFileError::NotAKey`], [`KeyFileError::Seal`], [`KeyFileError::Io`].
     pub fn read(path: &Path) -> Result<Self, KeyFileError> {
-        let text = read(path, PLAIN)?;
+        let Read { text, open_to_others } = read(path, PLAIN)?;
         if text.starts_with(BEGIN) {
             return SealedKey::parse(&text).map(Self::Sealed).map_err(sealing(path));
         }
-        OwnerKey::from_pem(&text).map(Self::Plain).map_err(|e| {
+        let plain = OwnerKey::from_pem(&text).map_err(|e| {
             let line = text.trim();
             if line.parse::<NoteVerifier>().is_ok() || line.parse::<WitnessVerifier>().is_ok() {
                 let cause = "it is a verifier key (vkey), the public half".to_owned();
@@ -209,7 +209,10 @@ impl StoredKey {
             }
             let cause = if let KeyError::Pem { cause } = e { cause } else { e.to_string() };
             KeyFileError::NotAKey { path: path.into(), what: PLAIN, cause }
-        })
+        })?;
+        // What reads as a key is one, whatever its text looked like.
+        must_be_private(path, open_to_others)?;
+        Ok(Self::Plain(plain))
     }
 
     /// The public half. Of a sealed key it is what the file states, certain only once opened.
@@ -296,7 +299,7 @@ pub fn load_new_passphrase(path: &Path) -> Result<Passphrase, KeyFileError> {
 }
 
 fn passphrase_line(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
-    let text = read(path, PASSPHRASE)?;
+    let text = read(path, PASSPHRASE)?.text;
     let line = text.strip_suffix('\n').unwrap_or(&text);
     let line = line.strip_suffix('\r').unwrap_or(line);
     Ok(Zeroizing::new(line.to_owned()))
@@ -308,7 +311,10 @@ fn passphrase_line(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
 /// [`KeyFileError::TooOpen`], [`KeyFileError::NotAKey`], [`KeyFileError::Io`].
 pub fn load_sealing_key(path: &Path) -> Result<SealingKey, KeyFileError> {
     let not = |cause: &str| KeyFileError::NotAKey { path: path.into(), what: SEALING_KEY, cause: cause.into() };
-    SealingKey::parse(&read(path, SEALING_KEY)?).map_err(not)
+    let Read { text, open_to_others } = read(path, SEALING_KEY)?;
+    let key = SealingKey::parse(&text).map_err(not)?;
+    must_be_private(path, open_to_others)?;
+    Ok(key)
 }
 
 /// Writes a key file to seal keys with, mode 600; one that is there is never replaced.
@@ -347,11 +353,25 @@ fn too_open(_: &fs::File) -> io::Result<Option<u32>> {
     Ok(None)
 }
 
-/// Reads a secret's file as text; refuses one that others may read. A file that is no secret is left to the caller to
-/// refuse: its mode is nobody's concern.
+/// A file's text, and its permission bits where others may read it or write to it.
+struct Read {
+    text: Zeroizing<String>,
+    open_to_others: Option<u32>,
+}
+
+/// Refuses a secret's file that others may read.
+fn must_be_private(path: &Path, open_to_others: Option<u32>) -> Result<(), KeyFileError> {
+    match open_to_others {
+        Some(mode) => Err(KeyFileError::TooOpen { path: path.into(), mode }),
+        None => Ok(()),
+    }
+}
+
+/// Reads a secret's file as text; refuses one that others may read. A file that does not look like a secret is left to the
+/// caller: where it is none, its mode is nobody's concern.
 ///
 /// `what` is what a wrong file is not, for the error.
-fn read(path: &Path, what: &'static str) -> Result<Zeroizing<String>, KeyFileError> {
+fn read(path: &Path, what: &'static str) -> Result<Read, KeyFileError> {
     let failed = |source| KeyFileError::Io { path: path.into(), what: "read", source };
     let file = fs::File::open(path).map_err(|e| match e.kind() {
         io::ErrorKind::NotFound => KeyFileError::Missing { path: path.into(), remedy: remedy(what) },
@@ -369,10 +389,8 @@ fn read(path: &Path, what: &'static str) -> Result<Zeroizing<String>, KeyFileErr
     match String::from_utf8(std::mem::take(&mut *bytes)) {
         Ok(text) => {
             let text = Zeroizing::new(text);
-            match open_to_others.filter(|_| what == PASSPHRASE || is_secret(&text)) {
-                Some(mode) => Err(KeyFileError::TooOpen { path: path.into(), mode }),
-                None => Ok(text),
-            }
+            must_be_private(path, open_to_others.filter(|_| what == PASSPHRASE || is_secret(&text)))?;
+            Ok(Read { text, open_to_others })
         }
         Err(e) => {
             drop(Zeroizing::new(e.into_bytes()));

@@ -113,6 +113,16 @@ fn a_key_file_is_private_whole_and_never_overwritten() {
         fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
         let refused = load_key(&path, &Unlock::Nothing).unwrap_err();
         assert!(matches!(refused, KeyFileError::TooOpen { mode: 0o640, .. }), "{refused}");
+        // Readers of PEM pass over lines before it.
+        for before in ["Bag Attributes\n", "ada's key\n\n", "\n"] {
+            fs::write(&path, format!("{before}{text}")).unwrap();
+            fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).unwrap();
+            let refused = load_key(&path, &Unlock::Nothing).unwrap_err();
+            assert!(matches!(refused, KeyFileError::TooOpen { mode: 0o644, .. }), "{before:?}: {refused}");
+        }
+        fs::write(&path, format!("Bag Attributes\n{text}")).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+        assert_eq!(load_key(&path, &Unlock::Nothing).unwrap().public(), key.public());
     }
 }
 

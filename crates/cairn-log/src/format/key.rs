@@ -21,14 +21,15 @@ pub const SIGNATURE_LEN: usize = 64;
 /// What a plain key's text is.
 pub const PLAIN: &str = "an Ed25519 private key in PKCS#8 PEM";
 
-/// Whether a text is a private key, or a file that keys are sealed with: what no message may quote.
+/// Whether a text holds a private key, or is a file that keys are sealed with: what no message may quote.
 pub fn is_secret(text: &str) -> bool {
-    let text = text.trim_start();
-    let pem = || text.lines().next().is_some_and(|first| first.contains("PRIVATE") || first.contains("SEALED"));
-    (text.starts_with("-----BEGIN") && pem())
-        || text.starts_with("cairn-key-file-v1 ")
+    // In any line: readers of PEM pass over what stands before it (RFC 7468, 2).
+    let pem = |line: &str| line.contains("-----BEGIN") && (line.contains("PRIVATE") || line.contains("SEALED"));
+    let first = text.trim_start();
+    text.lines().any(pem)
+        || first.starts_with("cairn-key-file-v1 ")
         // As Go's note package writes a signer's key.
-        || text.starts_with("PRIVATE+KEY+")
+        || first.starts_with("PRIVATE+KEY+")
 }
 
 /// What can be wrong with a key, a passphrase or a signature.
