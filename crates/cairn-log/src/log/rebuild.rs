@@ -71,9 +71,7 @@ pub(super) fn rebuild(
     let _lock = LockFile::take(&path.join(layout::LOCK))?;
     let (working, new) = (path.join(layout::WORKING), path.join(layout::REBUILT));
     if working.exists() {
-        let seal = path.join(layout::SEAL);
-        let what = format!("is there; move it away first, with {} where that is there", seal.display());
-        return Err(refuse(&working.display().to_string(), what));
+        return Err(refuse(&working.display().to_string(), "is there; move it away first".into()));
     }
     // A seal that was left is on what is not there any more.
     drop(seal::Seal::break_open(path)?);
