@@ -113,7 +113,7 @@ codes! {
     /// The photographs in hand are the record's.
     PhotographsMatch = "digest.photographs.match", Passed, "";
     /// The photographs in hand are others, or not all of them.
-    PhotographsMismatch = "digest.photographs.mismatch", Error, "hand in all photographs of the cluster, unchanged (`cairn owners show` names them); where they were scaled at import the record is about the scene's copies: --against";
+    PhotographsMismatch = "digest.photographs.mismatch", Error, "hand in all photographs of the cluster, unchanged (`cairn owners show` names them). Where they were scaled at import, the record is about the scene's copies (--against)";
     /// The record names photographs, and none are in hand.
     PhotographsUnchecked = "digest.photographs.unchecked", Info, "hand in the photographs (--photographs, --against) to have them compared";
     /// The training configuration in hand is the record's.
@@ -273,7 +273,7 @@ codes! {
     /// The answer is to what was asked.
     AnswerQuestionMatch = "answer.question.match", Passed, "";
     /// The answer is to another question.
-    AnswerQuestionMismatch = "answer.question.mismatch", Error, "ask the registry again, and audit the answer to your own question; a photograph that was scaled at import goes by the scene's copy, or that one's SHA-256";
+    AnswerQuestionMismatch = "answer.question.mismatch", Error, "ask the registry again, and audit the answer to your own question. A photograph that was scaled at import goes by the scene's copy, or that one's SHA-256";
     /// The answer names another log than its checkpoint.
     AnswerOriginMismatch = "answer.origin.mismatch", Error, "get the answer again; it was put together from two logs";
     /// The log of the answer begins with the one of the older checkpoint asked for.

@@ -54,6 +54,16 @@ pub enum ConfigError {
         /// What would do.
         allowed: String,
     },
+    /// An entry of a list that will not do. It goes by its number, since its text may be a secret.
+    #[error("entry {number} of `{key}` {what}")]
+    Entry {
+        /// The whole key.
+        key: String,
+        /// Which entry, from 1.
+        number: usize,
+        /// What is wrong with it, behind its name.
+        what: String,
+    },
 }
 
 pub(super) fn out_of_range(key: &str, value: impl ToString, allowed: impl ToString) -> ConfigError {

@@ -34,10 +34,10 @@ impl WitnessSetting {
     fn parse(text: &str) -> Result<Self, String> {
         let mut words = text.split_ascii_whitespace();
         let (Some(vkey), Some(url), None) = (words.next(), words.next(), words.next()) else {
-            return Err("\"VKEY URL\", a witness's verifier key and its address".into());
+            return Err("is not \"VKEY URL\", a witness's verifier key and its address".into());
         };
-        let verifier: WitnessVerifier = vkey.parse().map_err(|e| format!("a witness's verifier key ({e})"))?;
-        WitnessClient::new(verifier.clone(), url).map_err(|e| format!("an address ({e})"))?;
+        let verifier: WitnessVerifier = vkey.parse().map_err(|e| format!("begins with no verifier key: {e}"))?;
+        WitnessClient::new(verifier.clone(), url).map_err(|e| format!("ends with no address: {e}"))?;
         Ok(Self { verifier, url: url.to_owned() })
     }
 }
@@ -86,11 +86,10 @@ pub(super) fn witnesses(raw: &[String]) -> Result<Vec<WitnessSetting>, ConfigErr
     }
     let mut found: Vec<WitnessSetting> = Vec::with_capacity(raw.len());
     for (number, text) in (1..).zip(raw) {
-        // Its number, since the text may be a secret.
-        let entry = format!("(entry {number})");
-        let witness = WitnessSetting::parse(text).map_err(|allowed| out_of_range(KEY, &entry, allowed))?;
+        let refused = |what| ConfigError::Entry { key: KEY.into(), number, what };
+        let witness = WitnessSetting::parse(text).map_err(refused)?;
         if found.iter().any(|other| other.verifier.key() == witness.verifier.key()) {
-            return Err(out_of_range(KEY, &entry, "each witness once; another entry has this key"));
+            return Err(refused("has the key of another entry; name each witness once".into()));
         }
         found.push(witness);
     }

@@ -142,8 +142,8 @@ fn refusals_name_key_value_and_what_is_allowed() {
         ("[registry]\nhttp_bind = \"home\"", ["`registry.http_bind` = home", "an IP address"]),
         ("[registry]\nhttp_prefix = \"log\"", ["`registry.http_prefix` = log", "as /log"]),
         ("[registry]\nhttp_prefix = \"/a/../b\"", ["`registry.http_prefix` = /a/../b", "segments"]),
-        ("[registry]\nwitnesses = [\"x\"]", ["`registry.witnesses` = (entry 1)", "VKEY URL"]),
-        ("[registry]\nwitnesses = [\"x http://w\"]", ["`registry.witnesses` = (entry 1)", "verifier key"]),
+        ("[registry]\nwitnesses = [\"x\"]", ["entry 1 of `registry.witnesses` is not", "VKEY URL"]),
+        ("[registry]\nwitnesses = [\"x http://w\"]", ["entry 1 of `registry.witnesses` begins", "no verifier key: "]),
         ("[registry]\nwitnesses = \"x\"", ["`registry.witnesses`", "array"]),
         ("[log]\nformat = \"xml\"", ["`log.format` = xml", "text"]),
         ("colour = true", ["`colour`", "limits"]),
@@ -172,7 +172,7 @@ fn witnesses_and_public_files_are_read() {
     assert_eq!(config.witnesses[0].verifier.to_string(), vkey);
     assert_eq!(config.witnesses[0].url, "https://witness.example/prefix/");
     let twice = Config::from_toml(&settings(&[entry.clone(), entry]), "test").unwrap_err();
-    assert!(twice.to_string().contains("another entry has this key"), "{twice}");
+    assert!(twice.to_string().starts_with("entry 2 of `registry.witnesses` has the key of another entry"), "{twice}");
     let odd = Config::from_toml(&settings(&[format!("{vkey} ftp://witness.example")]), "test").unwrap_err();
     assert!(odd.to_string().contains("expected http://"), "{odd}");
     let none = Config::from_toml("", "test").unwrap();
