@@ -170,8 +170,8 @@ pub fn bearing_on(
         let next = last.index() + 1;
         for entry in &page {
             let LogEntry::Record(stored) = entry else { continue };
-            if is_about(&stored.record, marked_field, identity) && corrections::standing(registry, stored)?.is_upheld()
-            {
+            let credits = stored.record.kind.credits() && is_about(&stored.record, marked_field, identity);
+            if credits && corrections::standing(registry, stored)?.is_upheld() {
                 indices.push(stored.index);
             }
         }
@@ -180,21 +180,18 @@ pub fn bearing_on(
     Ok(indices)
 }
 
-/// Whether a record credits for the marked field or the identity's photographs, by its digests. The number alone
-/// says nothing: the next training gives the same number to somebody else.
+/// Whether a record is about the marked field, for a claim, or about the identity's photographs, by its digests. The number
+/// alone says nothing: the next training gives the same number to somebody else.
 fn is_about(record: &OwnerRecord, marked_field: Option<Digest>, identity: &IdentityInfo) -> bool {
     let bound = &record.digests;
     let photographs = identity.photographs_root();
-    match record.kind {
-        RecordKind::Claim => {
-            record.identity.number == identity.number
-                && marked_field.is_some()
-                && bound.marked_field == marked_field
-                && bound.photographs.is_none_or(|root| root == photographs)
-        }
-        RecordKind::Contribution => bound.photographs == Some(photographs),
-        RecordKind::Training | RecordKind::Revocation | RecordKind::Rotation | RecordKind::Dispute => false,
+    if record.kind != RecordKind::Claim {
+        return bound.photographs == Some(photographs);
     }
+    record.identity.number == identity.number
+        && marked_field.is_some()
+        && bound.marked_field == marked_field
+        && bound.photographs.is_none_or(|root| root == photographs)
 }
 
 #[cfg(test)]
