@@ -88,9 +88,7 @@ pub async fn show(line: &Connection, index: u64, json: Json) -> anyhow::Result<(
     if json.json {
         let answer = line.owners().get(v1::GetRecordRequest { index }).await?.into_inner();
         let record = answer.record.context("the daemon's answer names no record")?;
-        let standing = json::of(&answer.standing.unwrap_or_default())?;
-        let record = records::as_json(&record)?;
-        return json::print_value(&serde_json::json!({ "record": record, "standing": standing }));
+        return json::print_value(&records::as_json(&record)?);
     }
     let Some(stored) = Stored::find(line, index).await? else {
         println!("record {index}");

@@ -262,7 +262,7 @@ async fn newest_of(line: &Connection, scene: &str, key: &OwnerKey) -> anyhow::Re
     let records = records::list(line, scene).await?;
     let id = key.public().id();
     let own = |r: &&v1::Record| r.owner_key_sha256.as_ref() == id.as_bytes() && !r.envelope.is_empty();
-    let newest = records.iter().rev().map(|listed| &listed.record).find(own).map(|r| r.index);
+    let newest = records.iter().rev().find(own).map(|r| r.index);
     newest
         .with_context(|| format!("key {} has no record about scene {scene:?}; name a scene where it has", key.public()))
 }

@@ -17,7 +17,7 @@ use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::files::write;
 use super::json::{self, Json};
 use super::records;
-use super::records::{Listed, vkey};
+use super::records::vkey;
 use super::sign::{SignArgs, sign};
 
 /// What to do with owner records.
@@ -143,21 +143,21 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
         super::scene::get(line, scene).await?;
     }
     if json.json {
-        let with_standing = |listed: &Listed| -> anyhow::Result<serde_json::Value> {
-            let mut value = records::as_json(&listed.record)?;
-            value["standing"] = json::of(&listed.standing)?;
-            Ok(value)
-        };
-        let records = records.iter().map(with_standing).collect::<anyhow::Result<Vec<_>>>()?;
+        let records = records.iter().map(records::as_json).collect::<anyhow::Result<Vec<_>>>()?;
         json::print_value(&serde_json::json!({ "size": size.to_string(), "records": records }))?;
     } else if records.is_empty() {
         eprintln!("no owner records yet; sign one with `cairn owners sign`");
     }
-    for Listed { record: r, standing } in records.iter().filter(|_| !json.json) {
+    for r in records.iter().filter(|_| !json.json) {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;
         let about = match r.envelope.is_empty() {
             true => "erased".to_owned(),
-            false => format!("{}  identity {}  {}", r.scene, r.identity, corrections::state(standing)),
+            false => format!(
+                "{}  identity {}  {}",
+                r.scene,
+                r.identity,
+                corrections::state(&r.standing.clone().unwrap_or_default())
+            ),
         };
         println!("{}  {}  {about}  by key id {}", r.index, r.kind, Digest::from_bytes(owner));
     }
@@ -165,7 +165,7 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
         let entry = |r: &v1::Record| -> anyhow::Result<LogEntry> {
             Ok(LogEntry { index: r.index, envelope: String::from_utf8(r.envelope.to_vec())? })
         };
-        let kept = records.iter().map(|listed| &listed.record).filter(|r| !r.envelope.is_empty());
+        let kept = records.iter().filter(|r| !r.envelope.is_empty());
         let records = kept.map(entry).collect::<Result<_, _>>()?;
         write(path, &serde_json::to_vec_pretty(&LogFile { format_version: 1, size, records })?)?;
     }

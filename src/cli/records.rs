@@ -32,24 +32,13 @@ pub struct Ground {
     pub seen: Seen,
 }
 
-/// A record of the log, and what the daemon says became of it.
-pub struct Listed {
-    /// The record.
-    pub record: v1::Record,
-    /// Its standing; nothing is said of an erased one.
-    pub standing: v1::Standing,
-}
-
 /// All records of a scene, or of the log where that is empty, by index.
-pub async fn list(line: &Connection, scene: &str) -> anyhow::Result<Vec<Listed>> {
+pub async fn list(line: &Connection, scene: &str) -> anyhow::Result<Vec<v1::Record>> {
     let (mut records, mut from) = (Vec::new(), 0);
     loop {
         let request = v1::ListRecordsRequest { scene: scene.to_owned(), from, limit: 0 };
         let page = line.owners().list(request).await?.into_inner();
-        let (got, of) = (page.standings.len(), page.records.len());
-        anyhow::ensure!(got == of, "the daemon lists {of} records and says what became of {got}");
-        let both = page.records.into_iter().zip(page.standings);
-        records.extend(both.map(|(record, standing)| Listed { record, standing }));
+        records.extend(page.records);
         match page.next {
             Some(next) if next > from => from = next,
             Some(next) => anyhow::bail!("the daemon says to go on at record {next}, behind {from}"),
@@ -126,7 +115,7 @@ impl Stored {
             return Ok(None);
         }
         let (_, record, leaf) = SignedRecord::parse(&found.envelope)?.into_parts();
-        Ok(Some(Self { index, digest: leaf.record, record, standing: answer.standing.unwrap_or_default() }))
+        Ok(Some(Self { index, digest: leaf.record, record, standing: found.standing.unwrap_or_default() }))
     }
 
     /// Fetches one about `scene`.

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use cairn_api::v1::{self, owner_service_server::OwnerService};
-use cairn_log::{LogEntry, RegistryError, SignedRecord};
+use cairn_log::{LogEntry, Registry, RegistryError, SignedRecord};
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
@@ -88,34 +88,22 @@ impl OwnerService for Shared {
         let v1::ListRecordsRequest { scene, from, limit } = request.into_inner();
         let limit = if limit == 0 { MAX_LISTED } else { limit.min(MAX_LISTED) } as usize;
         let most = self.most_bytes / 2;
-        let (listed, next) = self
+        let (records, next) = self
             .run(move |engine| {
                 let (of, registry) = ((!scene.is_empty()).then_some(scene.as_str()), engine.registry());
-                records::page(registry, of, from, limit, most, |entry| {
-                    let Some(record) = to_proto::entry(entry, &scene) else { return Ok(None) };
-                    let standing = match entry {
-                        LogEntry::Record(stored) => to_proto::standing(corrections::standing(registry, stored)?),
-                        LogEntry::Erased { .. } | LogEntry::Map { .. } => v1::Standing::default(),
-                    };
-                    Ok(Some((record, standing)))
-                })
+                let convert = |entry: &LogEntry| with_standing(registry, entry, &scene);
+                records::page(registry, of, from, limit, most, convert, bytes_of)
             })
             .await?;
-        let (records, standings) = listed.into_iter().unzip();
-        Ok(Response::new(v1::ListRecordsResponse { records, next, standings }))
+        Ok(Response::new(v1::ListRecordsResponse { records, next }))
     }
 
     async fn get(&self, request: Request<v1::GetRecordRequest>) -> Answer<v1::GetRecordResponse> {
         let v1::GetRecordRequest { index } = request.into_inner();
         self.run(move |engine| {
-            let entry = engine.registry().entry(index)?;
-            let standing = match &entry {
-                LogEntry::Record(stored) => Some(to_proto::standing(corrections::standing(engine.registry(), stored)?)),
-                LogEntry::Erased { .. } => None,
-                LogEntry::Map { .. } => return Err(RegistryError::NotARecord { index }.into()),
-            };
-            let record = to_proto::entry(&entry, "");
-            Ok(v1::GetRecordResponse { record, standing })
+            let record = with_standing(engine.registry(), &engine.registry().entry(index)?, "")?;
+            let record = record.ok_or(RegistryError::NotARecord { index })?;
+            Ok(v1::GetRecordResponse { record: Some(record) })
         })
         .await
         .map(Response::new)
@@ -154,6 +142,22 @@ impl OwnerService for Shared {
             while_the_disk_answers(self, move |engine| corrections::erase_record(engine.registry(), &asked)).await?;
         Ok(Response::new(v1::EraseRecordResponse { index }))
     }
+}
+
+/// A log entry as a record with its standing, `scene` being what it was asked for under; none for a map leaf.
+fn with_standing(registry: &Registry, entry: &LogEntry, scene: &str) -> Result<Option<v1::Record>, EngineError> {
+    let Some(mut record) = to_proto::entry(entry, scene) else { return Ok(None) };
+    if let LogEntry::Record(stored) = entry {
+        record.standing = Some(to_proto::standing(corrections::standing(registry, stored)?));
+    }
+    Ok(Some(record))
+}
+
+/// About how many bytes a listed record is, and no fewer. Anybody's disputes make it longer: each is a varint, 10 bytes at
+/// most.
+fn bytes_of(record: &v1::Record) -> usize {
+    let disputes = record.standing.as_ref().map_or(0, |standing| standing.disputed_by.len());
+    record.envelope.len() + 10 * disputes + 1024
 }
 
 /// As [`Shared::run`], for what writes into the log: where a disk does not answer, or the store waits for itself (sled

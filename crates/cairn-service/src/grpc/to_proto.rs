@@ -255,6 +255,7 @@ pub fn record(index: u64, leaf_hash: &cairn_log::Digest, envelope: &Envelope, re
         identity: record.identity.number,
         owner_key_sha256: record.owner_key.id().as_bytes().to_vec().into(),
         kind: kind(record.kind),
+        standing: None,
     }
 }
 
@@ -270,6 +271,7 @@ pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
             identity: 0,
             owner_key_sha256: leaf.owner.as_bytes().to_vec().into(),
             kind: kind(leaf.kind),
+            standing: None,
         }),
         LogEntry::Map { .. } => None,
     }

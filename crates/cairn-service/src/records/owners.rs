@@ -87,8 +87,8 @@ pub fn submit(
     Ok(receipt)
 }
 
-/// A page of log entries, each as `convert` makes it: at most `limit` of them, and no more than about `most` bytes of
-/// envelopes, but one at least; and where to go on, if anywhere.
+/// A page of log entries, each as `convert` makes it: at most `limit` of them, and no more than about `most` bytes as
+/// `bytes_of` counts them, but one at least; and where to go on, if anywhere.
 ///
 /// # Errors
 /// The registry's.
@@ -99,6 +99,7 @@ pub fn page<T>(
     limit: usize,
     most: usize,
     convert: impl Fn(&LogEntry) -> Result<Option<T>, EngineError>,
+    bytes_of: impl Fn(&T) -> usize,
 ) -> Result<(Vec<T>, Option<u64>), EngineError> {
     let (mut taken, mut bytes, mut looked_at, mut next) = (Vec::new(), 0, 0, from);
     while looked_at < limit {
@@ -110,10 +111,10 @@ pub fn page<T>(
             if bytes > most {
                 return Ok((taken, Some(entry.index())));
             }
-            if let LogEntry::Record(stored) = entry {
-                bytes += stored.envelope.payload.len() * 4 / 3 + 1024;
+            if let Some(converted) = convert(entry)? {
+                bytes += bytes_of(&converted);
+                taken.push(converted);
             }
-            taken.extend(convert(entry)?);
         }
     }
     Ok((taken, Some(next)))
