@@ -171,6 +171,12 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     }
     let said = town.refused(&["owners", "erase", "town", "--record", &fourth, "--key", &next]);
     assert!(said.contains("it belongs to the key with id"), "{said}");
+
+    // Where the scene is gone, so are its names, and that is said once.
+    town.place.cairn_ok(&["scene", "delete", "town", "--yes", "--data", &town.data]);
+    let shown = town.place.cairn_ok(&["owners", "show", &first, "--data", &town.data]);
+    assert!(shown.contains("the scene's names cannot be asked for: "), "{shown}");
+    assert!(views.iter().all(|view| shown.contains(&format!("{view}\n"))) && !shown.contains("(not in"), "{shown}");
 }
 
 #[test]

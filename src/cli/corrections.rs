@@ -127,18 +127,26 @@ pub async fn show(line: &Connection, index: u64, json: Json) -> anyhow::Result<(
     for (name, fact) in facts {
         println!("  {name:14} {fact}");
     }
-    let names = if views.is_empty() { HashMap::new() } else { names(line, &record.scene).await };
+    if views.is_empty() {
+        return Ok(());
+    }
+    let named = names(line, &record.scene).await;
     for digest in views {
-        let name = names.get(digest.as_bytes().as_slice()).map_or("(not in the scene now)", String::as_str);
-        println!("  {:14} {digest}  {name}", "");
+        let name = named.as_ref().map_or("", |names| {
+            names.get(digest.as_bytes().as_slice()).map_or("  (not in the scene now)", String::as_str)
+        });
+        println!("  {:14} {digest}{name}", "");
+    }
+    if let Err(error) = named {
+        println!("the scene's names cannot be asked for: {error:#}");
     }
     Ok(())
 }
 
-/// What the scene's views are called, by their photographs' digests; none where it cannot be asked for.
-async fn names(line: &Connection, scene: &str) -> HashMap<Vec<u8>, String> {
-    let views = super::scene::get(line, scene).await.map(|answer| answer.views).unwrap_or_default();
-    views.into_iter().map(|view| (view.photograph_sha256.to_vec(), view.name)).collect()
+/// What the scene's views are called, each behind two blanks, by their photographs' digests.
+async fn names(line: &Connection, scene: &str) -> anyhow::Result<HashMap<Vec<u8>, String>> {
+    let views = super::scene::get(line, scene).await?.views;
+    Ok(views.into_iter().map(|view| (view.photograph_sha256.to_vec(), format!("  {}", view.name))).collect())
 }
 
 /// A record's state in words, as the daemon has it.
