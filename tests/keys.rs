@@ -107,7 +107,7 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     // Rotated: all that the record binds goes on under the new key, and the old one signs no more.
     let rotate = ["keys", "rotate", "town", "--record", &first, "--key", &ada, "--new-key", &next, "--out"];
     let second = town.enter(&[&rotate[..], &[&out("second")]].concat());
-    let (rotation, rotated) = town.bundle("second", &second);
+    let rotation = town.bundle("second", &second).0;
     assert_eq!((rotation.kind, rotation.replaces), (RecordKind::Rotation, Some(digest)));
     assert_eq!((&rotation.digests, &rotation.views), (&record.digests, &record.views));
     assert_ne!(rotation.owner_key, record.owner_key);
@@ -115,14 +115,25 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     let said = town.refused(&[&sign[..], &[&out("old")]].concat());
     assert!(said.contains(&format!("rotated by record {second}; sign with the key that follows it")), "{said}");
 
-    // Replaced by its owner, and by nobody else.
-    let replace = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--replaces", &second];
+    // A rotation credits nobody: to replace it or to take it back would change nothing.
+    let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "the laptop is gone", "--out"];
+    let replace = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--replaces"];
+    for refused in [
+        town.refused(&[&replace[..], &[&second, "--key", &next, "--out", &out("none")]].concat()),
+        town.refused(&[&revoke[..], &[&out("none"), "--record", &second]].concat()),
+    ] {
+        let wanted = format!("record {second} is a rotation and credits nobody; name the record that it is about");
+        assert!(refused.contains(&wanted), "{refused}");
+    }
+
+    // The record that it is about is replaced by the key that follows, and by nobody else.
     let bob = town.key("bob.key");
-    let said = town.refused(&[&replace[..], &["--key", &bob, "--out", &out("bobs")]].concat());
-    assert!(said.contains(&format!("record {second} belongs to key")), "{said}");
-    let third = town.enter(&[&replace[..], &["--key", &next, "--out", &out("third")]].concat());
-    assert_eq!(town.bundle("third", &third).0.replaces, Some(rotated));
-    assert_eq!(town.state(&second), format!("replaced by record {third}"));
+    let said = town.refused(&[&replace[..], &[&first, "--key", &bob, "--out", &out("bobs")]].concat());
+    assert!(said.contains("who did not sign this one"), "{said}");
+    let third = town.enter(&[&replace[..], &[&first, "--key", &next, "--out", &out("third")]].concat());
+    assert_eq!(town.bundle("third", &third).0.replaces, Some(digest));
+    let replaced = format!("replaced by record {third}; its key was rotated by record {second}, after it");
+    assert_eq!(town.state(&first), replaced);
 
     // Contested by anybody.
     let dispute = ["owners", "dispute", "town", "--record", &third, "--key", &bob, "--purpose", "these are mine"];
@@ -130,7 +141,6 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     assert_eq!(town.state(&third), format!("stands; disputed by record {fourth}"));
 
     // Revoked, one record with it.
-    let revoke = ["keys", "revoke", "town", "--key", &next, "--purpose", "the laptop is gone", "--out"];
     let said = town.refused(&["keys", "revoke", "town", "--key", &ada, "--purpose", "late", "--out", &out("late")]);
     assert!(said.contains(&format!("rotated by record {second}")), "{said}");
     let fifth = town.enter(&[&revoke[..], &[&out("fifth"), "--record", &third]].concat());
@@ -142,9 +152,8 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     // What nobody can do any more is not advised.
     let said = town.refused(&[&revoke[..], &[&out("again")]].concat());
     assert!(said.contains(&format!("revoked by record {fifth}, and no key follows it")), "{said}");
-    let replace = ["owners", "sign", "town", "--identity", "1", "--kind", "contribution", "--replaces", &third];
     for key in [&next, &bob] {
-        let said = town.refused(&[&replace[..], &["--key", key, "--out", &out("gone")]].concat());
+        let said = town.refused(&[&replace[..], &[&third, "--key", key, "--out", &out("gone")]].concat());
         assert!(said.contains(&format!("record {third} belongs to key")), "{said}");
         assert!(said.contains(&format!("record {fifth} revoked: nobody can replace it")), "{said}");
     }
@@ -152,8 +161,8 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     // The list says of each what became of it.
     let listed = town.place.cairn_ok(&["owners", "list", "town", "--data", &town.data]);
     for (index, state) in [
-        (&first, format!("stands; its key was rotated by record {second}, after it")),
-        (&second, format!("replaced by record {third}; its key was revoked by record {fifth}, after it")),
+        (&first, replaced),
+        (&second, format!("stands; its key was revoked by record {fifth}, after it")),
         (&third, wanted),
         (&fourth, "stands".to_owned()),
     ] {
@@ -161,7 +170,7 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
         assert!(of.contains(&format!("  identity 1  {state}  by key ")), "{of}");
     }
     let listed = town.place.cairn_json(&["owners", "list", "town", "--json", "--data", &town.data]);
-    assert_eq!(listed["records"][1]["standing"]["replaced_by"], third.as_str(), "{listed}");
+    assert_eq!(listed["records"][0]["standing"]["replaced_by"], third.as_str(), "{listed}");
 
     // Nobody speaks for a revoked key, and only its owner for one in use.
     let erase = ["owners", "erase", "town", "--record", &third, "--key"];

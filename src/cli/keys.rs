@@ -221,7 +221,8 @@ async fn rotate(line: &Connection, args: &RotateArgs) -> anyhow::Result<()> {
     let earlier = Stored::of_scene(line, &args.name, args.record).await?;
     earlier.belongs_to(&old)?;
     let ground = Ground::ask(line, &args.name, &new.public()).await?;
-    // All that the earlier record binds, it binds: who asks for the photographs' owner finds the new key.
+    // It binds what the earlier record binds, so that an answer about these photographs lists it. It credits nobody: the
+    // earlier record goes on to credit, and the new key speaks for it.
     let record = OwnerRecord {
         kind: RecordKind::Rotation,
         replaces: Some(earlier.digest),

@@ -127,14 +127,19 @@ impl Stored {
     }
 
     /// Refuses a key that cannot speak for the record: another than its owner's, unless that one was rotated; then it is the
-    /// registry's to say whether this one took its place. For a revoked key nobody speaks.
+    /// registry's to say whether this one took its place. For a revoked key nobody speaks. Refuses a rotation, too: what is
+    /// said of one changes nothing.
     pub fn spoken_for_by(&self, key: &OwnerKey) -> anyhow::Result<()> {
+        let index = self.index;
+        anyhow::ensure!(
+            self.record.kind != RecordKind::Rotation,
+            "record {index} is a rotation and credits nobody; name the record that it is about (see `cairn owners show {index}`)"
+        );
         match self.standing.key_ended_by {
             None => self.belongs_to(key),
             Some(_) if self.standing.key_rotated => Ok(()),
             Some(by) => anyhow::bail!(
-                "record {} belongs to key {}, which record {by} revoked: nobody can replace it or take it back",
-                self.index,
+                "record {index} belongs to key {}, which record {by} revoked: nobody can replace it or take it back",
                 self.record.owner_key
             ),
         }
