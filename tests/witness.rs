@@ -7,8 +7,9 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use cairn_log::format::{merkle::leaf_hash, testing::Tree};
+use cairn_log::keys::{Unlock, load_key};
 use cairn_log::witness::{WitnessClient, WitnessError, collect};
-use cairn_log::{Checkpoint, Digest, NoteVerifier, OwnerKey, Policy, Quorum};
+use cairn_log::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, Policy, Quorum, TlogProof};
 use cairn_testkit::daemon::{Daemon, Place};
 
 const ORIGIN: &str = "log.example/owners";
@@ -183,6 +184,29 @@ fn a_bundle_from_before_its_witness_gets_a_cosigned_proof() {
     assert!(said.contains("cosigned by 1 of 1 witnesses; its bundle is in bundle"), "{said}");
     let audited = audit();
     assert!(audited.status.success(), "{}", String::from_utf8_lossy(&audited.stdout));
+    // A proof that says more, or that contradicts the daemon's, is not lost.
+    let kept = place.path("bundle/record.tlog-proof");
+    let good = TlogProof::parse(&std::fs::read_to_string(&kept).unwrap()).unwrap();
+    let (mut note, checkpoint) = Checkpoint::read(&good.checkpoint).unwrap();
+    let refused = |note: &Note, part: &str| {
+        let proof = TlogProof { checkpoint: note.to_string(), ..good.clone() }.to_text();
+        std::fs::write(&kept, &proof).unwrap();
+        let said = place.cairn_refused(&["owners", "submit", "bundle", "--connect", &daemon.url]);
+        assert!(said.contains(part), "{said}");
+        assert_eq!(std::fs::read_to_string(&kept).unwrap(), proof);
+    };
+    note.sign("witness.example/w2", &log_key()).unwrap();
+    refused(&note, "lacks the cosignature of witness.example/w2");
+    let other = place.path("bundle/record.other.tlog-proof");
+    assert!(!other.exists());
+    let signer = load_key(&place.path("data/registry.key"), &Unlock::Nothing).unwrap();
+    for (size, root) in [(checkpoint.size + 9, checkpoint.root), (checkpoint.size, Digest::of("another history"))] {
+        let fork = Checkpoint::new(&checkpoint.origin, size, root).sign(&signer).unwrap();
+        refused(&fork, "A log does not shrink or change");
+        assert_eq!(std::fs::read_to_string(&other).unwrap(), good.to_text());
+        std::fs::remove_file(&other).unwrap();
+    }
+    std::fs::write(&kept, good.to_text()).unwrap();
     // Another log's proof is not taken for it.
     place.cairn_ok(&["owners", "vkey", "--data", &place.text("other"), "--out", "bundle/log.vkey"]);
     let proof = std::fs::read(place.path("bundle/record.tlog-proof")).unwrap();

@@ -6,6 +6,7 @@
 //! `signal.txt` (what there is of them) with `signal.salt`, which are the owner's secret until they
 //! choose to show them. `record.signed.json` is there for as long as there is no answer.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -206,14 +207,19 @@ pub const SALT: &str = "signal.salt";
 /// The log's verifier key.
 const VKEY: &str = "log.vkey";
 
-/// How many have signed a proof's checkpoint beside the log.
-fn cosignatures(proof: &TlogProof) -> anyhow::Result<usize> {
+/// A proof of the daemon's that does not go with the bundle's: what shows that one log has two histories.
+const OTHER: &str = "record.other.tlog-proof";
+
+/// Who has signed a proof's checkpoint beside the log, by the names that the signatures give. Whether they hold is found
+/// out by whoever has a policy.
+fn cosigners(proof: &TlogProof) -> anyhow::Result<BTreeSet<String>> {
     let (note, checkpoint) = Checkpoint::read(&proof.checkpoint).context("the proof's checkpoint")?;
-    Ok(note.signatures.iter().filter(|signature| signature.name != checkpoint.origin).count())
+    let names = note.signatures.into_iter().map(|signature| signature.name);
+    Ok(names.filter(|name| *name != checkpoint.origin).collect())
 }
 
 /// Puts the daemon's newest proof of a bundle's record in the place of the one that it has, where it holds under the bundle's
-/// key of the log.
+/// key of the log and says all that the other says.
 async fn prove_again(line: &Connection, folder: &Path) -> anyhow::Result<Place> {
     let text = |name: &str| {
         let path = folder.join(name);
@@ -225,18 +231,36 @@ async fn prove_again(line: &Connection, folder: &Path) -> anyhow::Result<Place> 
     let signed = signed.with_context(|| format!("{} is no signed record", folder.join(RECORD).display()))?;
     let pinned: NoteVerifier =
         text(VKEY)?.trim().parse().with_context(|| format!("{} is no vkey", folder.join(VKEY).display()))?;
+    let known = Checkpoint::verify(&old.checkpoint, &pinned)
+        .with_context(|| format!("{}, under the bundle's log.vkey", folder.join(PROOF).display()))?;
     let index = old.index;
     let answer = line.owners().proof(v1::ProofRequest { index }).await?.into_inner();
     let new = TlogProof::parse(&answer.tlog_proof).context("the daemon's proof")?;
     let checkpoint =
         Checkpoint::verify(&new.checkpoint, &pinned).context("the daemon's proof, under the bundle's log.vkey")?;
+    if checkpoint.size < known.size || (checkpoint.size == known.size && checkpoint.root != known.root) {
+        let other = folder.join(OTHER);
+        write_atomic(&other, answer.tlog_proof.as_bytes())?;
+        anyhow::bail!(
+            "the daemon's log has {} entries and root {}, and the bundle's proof is of {} entries and root {}. A log does not \
+             shrink or change: keep both proofs ({} is the daemon's), and show them to its witnesses",
+            checkpoint.size,
+            checkpoint.root,
+            known.size,
+            known.root,
+            other.display()
+        );
+    }
     merkle::verify_inclusion(&signed.leaf().hash(), index, checkpoint.size, &new.hashes, &checkpoint.root)
         .with_context(|| format!("the daemon's proof is not of the record in {}", folder.display()))?;
-    let (had, cosigned) = (cosignatures(&old)?, cosignatures(&new)?);
+    let cosigned = cosigners(&new)?;
+    let missing: Vec<String> = cosigners(&old)?.difference(&cosigned).cloned().collect();
     anyhow::ensure!(
-        cosigned >= had,
-        "the daemon's proof has {cosigned} cosignatures and the bundle's {had}, so that one stays; ask again later"
+        missing.is_empty(),
+        "the daemon's proof lacks the cosignature of {}, so the bundle's stays; ask again later",
+        missing.join(", ")
     );
+    let cosigned = cosigned.len();
     write_atomic(&folder.join(PROOF), answer.tlog_proof.as_bytes())?;
     Ok(Place { index, published: true, cosigned, witnesses: answer.witnesses as usize })
 }
@@ -373,7 +397,7 @@ impl Bundle {
                 return Err(status).with_context(|| format!("record {} {problem}, {again}", entered.index));
             }
         };
-        let cosigned = cosignatures(&TlogProof::parse(&proof).context("the daemon's proof")?)?;
+        let cosigned = cosigners(&TlogProof::parse(&proof).context("the daemon's proof")?)?.len();
         self.add(PROOF, proof.as_bytes())?;
         self.add(VKEY, format!("{vkey}\n").as_bytes())?;
         let signed = self.folder.join(SIGNED);
