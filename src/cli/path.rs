@@ -12,7 +12,7 @@ use tempfile::NamedTempFile;
 
 use super::connect::Connection;
 use super::exit::Cancelled;
-use super::files::{must_have_folder, write};
+use super::files::{make_folder_of, write};
 use super::progress::Progress;
 
 /// How thoroughly a GIF frame's colours are chosen, 1 (best) to 30.
@@ -164,10 +164,7 @@ impl Frames {
     fn new(out: &Path, args: &PathArgs) -> anyhow::Result<Self> {
         let path = out.to_path_buf();
         match out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
-            Some("gif") => {
-                must_have_folder(&path)?;
-                Ok(Self::Gif { path, fps: args.fps, gif: None })
-            }
+            Some("gif") => Ok(Self::Gif { path, fps: args.fps, gif: None }),
             None => {
                 let is_frame = |name: &str| name.starts_with("frame-") && name.ends_with(".png");
                 let mut there = std::fs::read_dir(out).into_iter().flatten().flatten();
@@ -194,8 +191,6 @@ impl Frames {
             }
             Self::Folder { path, width, height } => {
                 (*width, *height) = (picture.width(), picture.height());
-                std::fs::create_dir_all(&*path)
-                    .with_context(|| format!("cannot make the folder {}", path.display()))?;
                 write(&path.join(format!("frame-{index:05}.png")), png)
             }
         }
@@ -231,6 +226,7 @@ impl Gif {
             path.display()
         );
         let cannot = || format!("cannot write {}", path.display());
+        make_folder_of(path)?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let file =
             tempfile::Builder::new().prefix(".cairn-").suffix(".part").tempfile_in(folder).with_context(cannot)?;

@@ -7,7 +7,7 @@ use cairn_api::v1;
 use cairn_scene::{ImageFormat, Limits, decode_picture};
 
 use super::connect::Connection;
-use super::files::{must_have_folder, write};
+use super::files::write;
 use super::light::{InLight, LightTo};
 use super::path::{self, PathArgs, Seen, Shape};
 use super::viewpoint::viewpoint;
@@ -73,8 +73,6 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
         let is_png = ImageFormat::of_path(path) == Some(ImageFormat::Png);
         anyhow::ensure!(is_png, "{}: depth and accumulation have 16 bits; the name ends in .png", path.display());
     }
-    let all = [Some(&args.out), args.depth.as_ref(), args.depth_colours.as_ref(), args.accumulation.as_ref()];
-    all.into_iter().flatten().try_for_each(|path| must_have_folder(path))?;
     let request = v1::RenderRequest {
         scene: args.name.clone(),
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),
