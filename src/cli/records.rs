@@ -210,8 +210,8 @@ const VKEY: &str = "log.vkey";
 /// A proof of the daemon's that does not go with the bundle's: what shows that one log has two histories.
 const OTHER: &str = "record.other.tlog-proof";
 
-/// Who has signed a proof's checkpoint beside the log, by the names that the signatures give. Whether they hold is found
-/// out by whoever has a policy.
+/// Who has signed a proof's checkpoint beside the log, by the names that the signatures give. An audit with a policy finds
+/// out whether they hold.
 fn cosigners(proof: &TlogProof) -> anyhow::Result<BTreeSet<String>> {
     let (note, checkpoint) = Checkpoint::read(&proof.checkpoint).context("the proof's checkpoint")?;
     let names = note.signatures.into_iter().map(|signature| signature.name);
