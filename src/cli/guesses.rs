@@ -71,7 +71,7 @@ fn meant(program: &Command, typed: &[String], word: &str) -> Option<String> {
     }
 }
 
-/// The command line with the option before `word` that was left away.
+/// The command line with the option before `word` that was left out.
 fn completed(program: &Command, typed: &[String], word: &str) -> Option<String> {
     let above = commands_before(program, typed, word);
     let (_, option) = LEFT_AWAY.iter().find(|(command, _)| *command == above)?;

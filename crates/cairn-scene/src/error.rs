@@ -283,7 +283,7 @@ fn without_cameras(folder: &Path, images: &Path, photographs: usize) -> String {
          colmap feature_extractor --image_path {images} --database_path {database} --SiftExtraction.use_gpu 0\n  \
          colmap exhaustive_matcher --database_path {database} --SiftMatching.use_gpu 0\n  \
          mkdir -p {sparse} && colmap mapper --image_path {images} --database_path {database} --output_path {sparse}\n\
-         (from COLMAP 3.13 on write --FeatureExtraction.use_gpu and --FeatureMatching.use_gpu; leave both away where there \
+         (from COLMAP 3.13 on write --FeatureExtraction.use_gpu and --FeatureMatching.use_gpu; leave both out where there \
          is a graphics card and a display); then import the same folder again",
         folder.display(),
         images = shown(images),
