@@ -140,7 +140,7 @@ impl Stored {
             None => self.belongs_to(key),
             Some(_) if self.standing.key_rotated => Ok(()),
             Some(by) => anyhow::bail!(
-                "record {index} belongs to key {}, which record {by} revoked: nobody can replace it or take it back",
+                "record {index} belongs to key {}, which record {by} revoked. It can no longer be replaced or taken back",
                 self.record.owner_key
             ),
         }

@@ -277,7 +277,7 @@ pub fn reseal_key(path: &Path, key: &OwnerKey, seal: &Seal) -> Result<(), KeyFil
     write(path, &seal.text(key, path)?, There::Goes)
 }
 
-/// Reads a passphrase to open a key with from a file that nobody else may read: one line; its end does not count.
+/// Reads a passphrase that opens a key. Its file is private to its owner and has one line, whose end does not count.
 ///
 /// # Errors
 /// [`KeyFileError::TooOpen`], [`KeyFileError::Io`], [`KeyFileError::NotAKey`].
@@ -367,8 +367,8 @@ fn must_be_private(path: &Path, open_to_others: Option<u32>) -> Result<(), KeyFi
     }
 }
 
-/// Reads a secret's file as text; refuses one that others may read. A file that does not look like a secret is left to the
-/// caller: where it is none, its mode is nobody's concern.
+/// Reads a secret's file as text; refuses one that others may read. Where a file does not look like a secret, the caller
+/// judges its mode once it is parsed.
 ///
 /// `what` is what a wrong file is not, for the error.
 fn read(path: &Path, what: &'static str) -> Result<Read, KeyFileError> {

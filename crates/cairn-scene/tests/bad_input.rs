@@ -398,7 +398,7 @@ fn photographs_and_models_that_are_not_read_are_said() {
         fs::write(&table, text).unwrap();
         Capture::read(root, &ReadOptions { contributors: Some(table.clone()), ..Default::default() })
     };
-    // A row of theirs is a good one; a row of nobody's is not.
+    // A row for one of these photographs is accepted; a row for a photograph that is not there is refused.
     let head = "image,contributor\n1.png,ana\n2.png,ben\n3.png,ana\n4.png,ana\n";
     let capture = with(&format!("{head}5.png,eve\n")).unwrap();
     assert_eq!(

@@ -56,7 +56,7 @@ pub enum RecordKind {
 /// What a record does to the one that it names in `replaces`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effect {
-    /// It stands, and somebody contests it.
+    /// It stands, contested.
     Contests,
     /// Its owner takes it back: it counts no more.
     TakesBack,

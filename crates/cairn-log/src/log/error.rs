@@ -101,8 +101,8 @@ pub enum RegistryError {
     },
     /// The record named in `replaces` belongs to a key that was revoked.
     #[error(
-        "the record {replaces} named in `replaces` belongs to the key with id {owner}, which record {index} revoked; nobody \
-         can replace it or take it back"
+        "the record {replaces} named in `replaces` belongs to the key with id {owner}, which record {index} revoked. \
+         It can no longer be replaced or taken back"
     )]
     ReplacesRevoked {
         /// Its digest.
