@@ -303,7 +303,10 @@ fn a_slip_in_a_path_or_a_name_is_answered_with_what_is_right() {
     place.cairn_ok(&["keys", "new-key-file", "unlock"]);
     place.cairn_ok(&["keys", "new", "ada.key", "--key-file", "unlock"]);
     let said = place.cairn_refused(&[&sign[..], &["ada.key"]].concat());
-    assert!(said.contains("sealed by a key file; give that: --key-file") && !said.contains("--passphrase"), "{said}");
+    assert!(
+        said.contains("sealed by a key file; give its key file (--key-file") && !said.contains("--passphrase"),
+        "{said}"
+    );
     let said = place.cairn_refused(&["audit", "bundle", "bundl"]);
     assert!(said.contains("there is no folder bundl, and no bundl.dsse.json"), "{said}");
     let daemon = Daemon::start(&place.path("data"), "");

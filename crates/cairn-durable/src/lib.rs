@@ -22,7 +22,7 @@ pub use faulty::{Fault, FaultyDisk};
 pub use files::Files;
 pub use lock::LockFile;
 pub use paths::{
-    create_secret, make_folders, read_limited, read_limited_if_there, remove, rename, sync_folder, write_atomic,
-    write_secret, write_synced,
+    create_secret, make_folders, open_to_others, read_limited, read_limited_if_there, read_secret, remove, rename,
+    sync_folder, write_atomic, write_secret, write_synced,
 };
 pub use real::RealDisk;

@@ -113,7 +113,42 @@ pub fn make_folders(folder: &Path) -> Result<(), DurableError> {
 /// # Errors
 /// [`DurableError::TooLarge`], before a byte is read where the file states its length; [`DurableError::Io`].
 pub fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, DurableError> {
+    read_open(File::open(path).map_err(DurableError::io("open", path))?, path, limit)
+}
+
+/// As [`read_limited`], of a secret; and its permission bits where others may read it or write to it ([`open_to_others`]).
+///
+/// # Errors
+/// As [`read_limited`].
+pub fn read_secret(path: &Path, limit: u64) -> Result<(Vec<u8>, Option<u32>), DurableError> {
     let file = File::open(path).map_err(DurableError::io("open", path))?;
+    let mode = open_to_others(&file).map_err(DurableError::io("look at", path))?;
+    Ok((read_open(file, path, limit)?, mode))
+}
+
+/// The permission bits of a file where others than its owner may read it or write to it. `None` for what is no regular
+/// file: a pipe's bits say nothing of who reads it.
+///
+/// # Errors
+/// The system's.
+#[cfg(unix)]
+pub fn open_to_others(file: &File) -> io::Result<Option<u32>> {
+    use std::os::unix::fs::PermissionsExt as _;
+    let about = file.metadata()?;
+    let mode = about.permissions().mode() & 0o777;
+    Ok((about.is_file() && mode & 0o077 != 0).then_some(mode))
+}
+
+/// The permission bits of a file where others than its owner may read it or write to it: not known on this system.
+///
+/// # Errors
+/// None.
+#[cfg(not(unix))]
+pub fn open_to_others(_: &File) -> io::Result<Option<u32>> {
+    Ok(None)
+}
+
+fn read_open(file: File, path: &Path, limit: u64) -> Result<Vec<u8>, DurableError> {
     let failed = DurableError::io("read", path);
     let length = file.metadata().map_err(&failed)?.len();
     let too_large = |got| DurableError::TooLarge { path: path.to_path_buf(), limit, got };

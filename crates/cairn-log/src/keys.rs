@@ -18,11 +18,36 @@ use crate::format::{
     sealed::{BEGIN, MAX_TEXT, Passphrase, SealError, SealedBy, SealedKey, SealingKey, Secret},
 };
 
-/// What a file to seal keys with is.
-const SEALING_KEY: &str = "a key file to seal keys with (made by `cairn keys new-key-file`)";
+/// What a secret's file is to hold.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// An owner's key.
+    Key,
+    /// A passphrase.
+    Passphrase,
+    /// A key file to seal keys with.
+    SealingKey,
+}
 
-/// What a passphrase's file is.
-const PASSPHRASE: &str = "a passphrase";
+impl Kind {
+    /// It, in words.
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Key => PLAIN,
+            Self::Passphrase => "a passphrase",
+            Self::SealingKey => "a key file to seal keys with (made by `cairn keys new-key-file`)",
+        }
+    }
+
+    /// What makes such a file.
+    const fn remedy(self) -> &'static str {
+        match self {
+            Self::Key => "is the path right? `cairn keys new` makes a key",
+            Self::Passphrase => "write the passphrase into it, one line that you alone may read",
+            Self::SealingKey => "`cairn keys new-key-file` makes one",
+        }
+    }
+}
 
 /// Why a key file cannot be read, opened or written.
 #[derive(Debug, thiserror::Error)]
@@ -70,12 +95,12 @@ pub enum KeyFileError {
         source: io::Error,
     },
     /// The key is sealed, and nothing was given to open it.
-    #[error("{path}: the key in it is sealed by a {by}; give that: {}", .by.option(), path = .path.display())]
+    #[error("{path}: the key in it is sealed by {by}; {}", .by.remedy(), path = .path.display())]
     Sealed {
         /// The key's file.
         path: PathBuf,
         /// What with.
-        by: Secrecy,
+        by: SealedBy,
     },
     /// The key is plain, and a secret was given to open it.
     #[error(
@@ -105,33 +130,6 @@ pub enum KeyFileError {
     /// A key or a passphrase is wrong in itself.
     #[error(transparent)]
     Key(#[from] KeyError),
-}
-
-/// The kinds of secret that a key is sealed with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Secrecy {
-    /// A passphrase.
-    Passphrase,
-    /// A key file.
-    KeyFile,
-}
-
-impl Secrecy {
-    /// How it is given.
-    const fn option(self) -> &'static str {
-        match self {
-            Self::Passphrase => "--passphrase-file FILE",
-            Self::KeyFile => {
-                "--key-file FILE (of an account --account-key-file, of a daemon `registry.key_file` in its settings)"
-            }
-        }
-    }
-}
-
-impl fmt::Display for Secrecy {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if *self == Self::KeyFile { "key file" } else { "passphrase" })
-    }
 }
 
 /// How a key goes into its file.
@@ -197,7 +195,7 @@ impl StoredKey {
     /// # Errors
     /// [`KeyFileError::TooOpen`], [`KeyFileError::NotAKey`], [`KeyFileError::Seal`], [`KeyFileError::Io`].
     pub fn read(path: &Path) -> Result<Self, KeyFileError> {
-        let Read { text, open_to_others } = read(path, PLAIN)?;
+        let Read { text, open_to_others } = read(path, Kind::Key)?;
         if text.starts_with(BEGIN) {
             return SealedKey::parse(&text).map(Self::Sealed).map_err(sealing(path));
         }
@@ -251,10 +249,7 @@ pub fn load_key(path: &Path, unlock: &Unlock<'_>) -> Result<OwnerKey, KeyFileErr
             asked = ask(path)?;
             Secret::Passphrase(&asked)
         }
-        (Unlock::Nothing | Unlock::Ask(_), by) => {
-            let by = if by == SealedBy::KeyFile { Secrecy::KeyFile } else { Secrecy::Passphrase };
-            return Err(KeyFileError::Sealed { path: path.into(), by });
-        }
+        (Unlock::Nothing | Unlock::Ask(_), by) => return Err(KeyFileError::Sealed { path: path.into(), by }),
     };
     sealed.open(secret).map_err(sealing(path))
 }
@@ -285,7 +280,7 @@ pub fn load_passphrase(path: &Path) -> Result<Passphrase, KeyFileError> {
     let line = passphrase_line(path)?;
     if line.chars().any(char::is_control) {
         let cause = "it has control characters or more than one line".to_owned();
-        return Err(KeyFileError::NotAKey { path: path.into(), what: PASSPHRASE, cause });
+        return Err(KeyFileError::NotAKey { path: path.into(), what: Kind::Passphrase.name(), cause });
     }
     Ok(Passphrase::typed(line))
 }
@@ -299,7 +294,7 @@ pub fn load_new_passphrase(path: &Path) -> Result<Passphrase, KeyFileError> {
 }
 
 fn passphrase_line(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
-    let text = read(path, PASSPHRASE)?.text;
+    let text = read(path, Kind::Passphrase)?.text;
     let line = text.strip_suffix('\n').unwrap_or(&text);
     let line = line.strip_suffix('\r').unwrap_or(line);
     Ok(Zeroizing::new(line.to_owned()))
@@ -310,8 +305,9 @@ fn passphrase_line(path: &Path) -> Result<Zeroizing<String>, KeyFileError> {
 /// # Errors
 /// [`KeyFileError::TooOpen`], [`KeyFileError::NotAKey`], [`KeyFileError::Io`].
 pub fn load_sealing_key(path: &Path) -> Result<SealingKey, KeyFileError> {
-    let not = |cause: &str| KeyFileError::NotAKey { path: path.into(), what: SEALING_KEY, cause: cause.into() };
-    let Read { text, open_to_others } = read(path, SEALING_KEY)?;
+    let not =
+        |cause: &str| KeyFileError::NotAKey { path: path.into(), what: Kind::SealingKey.name(), cause: cause.into() };
+    let Read { text, open_to_others } = read(path, Kind::SealingKey)?;
     let key = SealingKey::parse(&text).map_err(not)?;
     must_be_private(path, open_to_others)?;
     Ok(key)
@@ -328,29 +324,6 @@ pub fn save_sealing_key(path: &Path, key: &SealingKey) -> Result<(), KeyFileErro
 /// A sealing error, in the file `path`.
 fn sealing(path: &Path) -> impl FnOnce(SealError) -> KeyFileError {
     move |error| KeyFileError::Seal { path: path.into(), error }
-}
-
-/// What makes a file of a kind that is missing.
-fn remedy(what: &str) -> &'static str {
-    match what {
-        PASSPHRASE => "write the passphrase into it, one line that you alone may read",
-        SEALING_KEY => "`cairn keys new-key-file` makes one",
-        _ => "is the path right? `cairn keys new` makes a key",
-    }
-}
-
-/// The permission bits of a file, where others may read it or write to it.
-#[cfg(unix)]
-fn too_open(file: &fs::File) -> io::Result<Option<u32>> {
-    use std::os::unix::fs::PermissionsExt as _;
-    let mode = file.metadata()?.permissions().mode() & 0o777;
-    Ok((mode & 0o077 != 0).then_some(mode))
-}
-
-/// The permission bits of a file, where others may read it or write to it: not known here.
-#[cfg(not(unix))]
-fn too_open(_: &fs::File) -> io::Result<Option<u32>> {
-    Ok(None)
 }
 
 /// A file's text, and its permission bits where others may read it or write to it.
@@ -370,15 +343,15 @@ fn must_be_private(path: &Path, open_to_others: Option<u32>) -> Result<(), KeyFi
 /// Reads a secret's file as text; refuses one that others may read. Where a file does not look like a secret, the caller
 /// judges its mode once it is parsed.
 ///
-/// `what` is what a wrong file is not, for the error.
-fn read(path: &Path, what: &'static str) -> Result<Read, KeyFileError> {
+/// `kind` is what a wrong file is not, for the error.
+fn read(path: &Path, kind: Kind) -> Result<Read, KeyFileError> {
     let failed = |source| KeyFileError::Io { path: path.into(), what: "read", source };
     let file = fs::File::open(path).map_err(|e| match e.kind() {
-        io::ErrorKind::NotFound => KeyFileError::Missing { path: path.into(), remedy: remedy(what) },
+        io::ErrorKind::NotFound => KeyFileError::Missing { path: path.into(), remedy: kind.remedy() },
         _ => failed(e),
     })?;
-    let open_to_others = too_open(&file).map_err(failed)?;
-    let not = |cause: String| KeyFileError::NotAKey { path: path.into(), what, cause };
+    let open_to_others = cairn_durable::open_to_others(&file).map_err(failed)?;
+    let not = |cause: String| KeyFileError::NotAKey { path: path.into(), what: kind.name(), cause };
     // As large as it can get: a vector that grows leaves copies behind. What the file says of its size is not asked, since
     // a pipe says nothing.
     let mut bytes = Zeroizing::new(Vec::with_capacity(MAX_TEXT as usize + 1));
@@ -389,7 +362,7 @@ fn read(path: &Path, what: &'static str) -> Result<Read, KeyFileError> {
     match String::from_utf8(std::mem::take(&mut *bytes)) {
         Ok(text) => {
             let text = Zeroizing::new(text);
-            must_be_private(path, open_to_others.filter(|_| what == PASSPHRASE || is_secret(&text)))?;
+            must_be_private(path, open_to_others.filter(|_| kind == Kind::Passphrase || is_secret(&text)))?;
             Ok(Read { text, open_to_others })
         }
         Err(e) => {

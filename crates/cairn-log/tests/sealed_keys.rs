@@ -7,8 +7,8 @@ use cairn_log::{
     KeyError, OwnerKey,
     format::sealed::{Passphrase, SealError, SealedBy, SealingKey},
     keys::{
-        KeyFileError, Seal, Secrecy, StoredKey, Unlock, load_key, load_new_passphrase, load_passphrase,
-        load_sealing_key, reseal_key, save_key, save_sealing_key,
+        KeyFileError, Seal, StoredKey, Unlock, load_key, load_new_passphrase, load_passphrase, load_sealing_key,
+        reseal_key, save_key, save_sealing_key,
     },
 };
 use zeroize::Zeroizing;
@@ -45,19 +45,22 @@ fn a_key_loads_with_what_it_was_sealed_with_and_nothing_else() {
     let public = |name: &str, unlock: &Unlock<'_>| load_key(&at(name), unlock).map(|key| key.public());
     assert_eq!(public("plain", &Unlock::Nothing).unwrap(), key.public());
     assert_eq!(public("plain", &Unlock::Ask(&ask)).unwrap(), key.public());
-    assert!(matches!(public("file", &Unlock::Ask(&ask)), Err(KeyFileError::Sealed { by: Secrecy::KeyFile, .. })));
+    assert!(matches!(public("file", &Unlock::Ask(&ask)), Err(KeyFileError::Sealed { by: SealedBy::KeyFile, .. })));
     assert_eq!(asked.get(), 0, "asked for what nobody needs");
     assert_eq!(public("phrase", &Unlock::Ask(&ask)).unwrap(), key.public());
     assert_eq!(asked.get(), 1);
     assert_eq!(public("file", &Unlock::KeyFile(unlock.clone())).unwrap(), key.public());
 
     assert!(matches!(public("plain", &Unlock::KeyFile(unlock.clone())), Err(KeyFileError::NotSealed { .. })));
-    assert!(matches!(public("phrase", &Unlock::Nothing), Err(KeyFileError::Sealed { by: Secrecy::Passphrase, .. })));
+    assert!(matches!(
+        public("phrase", &Unlock::Nothing),
+        Err(KeyFileError::Sealed { by: SealedBy::Passphrase(_), .. })
+    ));
     let wrong = public("file", &Unlock::KeyFile(other)).unwrap_err();
     assert!(matches!(wrong, KeyFileError::Seal { error: SealError::Wrong(_), .. }), "{wrong}");
     assert!(wrong.to_string().contains(&at("file").display().to_string()), "{wrong}");
     assert!(matches!(public("phrase", &Unlock::KeyFile(unlock)), Err(KeyFileError::Seal { .. })));
-    assert!(matches!(public("file", &Unlock::Nothing), Err(KeyFileError::Sealed { by: Secrecy::KeyFile, .. })));
+    assert!(matches!(public("file", &Unlock::Nothing), Err(KeyFileError::Sealed { by: SealedBy::KeyFile, .. })));
 }
 
 #[test]

@@ -100,10 +100,13 @@ pub enum SealedBy {
 
 impl SealedBy {
     /// What opens it, in words.
-    const fn remedy(&self) -> &'static str {
+    pub(crate) const fn remedy(&self) -> &'static str {
         match self {
-            Self::Passphrase(_) => "give its passphrase (--passphrase-file FILE, or typed where neither is given)",
-            Self::KeyFile => "give its key file (--key-file FILE)",
+            Self::Passphrase(_) => "give its passphrase (--passphrase-file FILE, or typed at a terminal)",
+            Self::KeyFile => {
+                "give its key file (--key-file FILE; of an account --account-key-file, of a daemon `registry.key_file` in its \
+                 settings)"
+            }
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cairn_durable::read_limited;
+use cairn_durable::{read_limited, read_secret};
 
 use super::error::{ConfigError, out_of_range};
 
@@ -19,31 +19,21 @@ impl Token {
         &self.0
     }
 
-    /// Reads the token in `path`: one line of 16 to 512 printable ASCII characters, in a file that nobody else may read.
+    /// Reads the token in `path`: one line of 16 to 512 printable ASCII characters, in a file that its owner alone may read.
     ///
     /// # Errors
     /// [`ConfigError`] when it cannot be read, is no such line, or others may read it.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = read(path).map_err(|error| match error {
-            ConfigError::Read(cause) => ConfigError::Token(cause),
-            other => other,
-        })?;
+        let (bytes, open_to_others) = read_secret(path, MAX_FILE_BYTES).map_err(ConfigError::Token)?;
+        let text = text(path, bytes)?;
         let token = text.trim();
         if !(16..=512).contains(&token.len()) || !token.bytes().all(|b| b.is_ascii_graphic()) {
             // The value is a secret: its length must do.
             let value = format!("a token of {} bytes in {}", token.len(), path.display());
             return Err(out_of_range("access.token_file", value, "16 to 512 printable ASCII characters on one line"));
         }
-        // A pipe's mode says nothing of who reads it.
-        #[cfg(unix)]
-        if let Ok(file) = std::fs::metadata(path)
-            && file.is_file()
-        {
-            use std::os::unix::fs::PermissionsExt as _;
-            let mode = file.permissions().mode() & 0o777;
-            if mode & 0o077 != 0 {
-                return Err(ConfigError::TokenTooOpen { path: path.to_path_buf(), mode });
-            }
+        if let Some(mode) = open_to_others {
+            return Err(ConfigError::TokenTooOpen { path: path.to_path_buf(), mode });
         }
         Ok(Self(token.to_owned()))
     }
@@ -55,9 +45,12 @@ impl std::fmt::Debug for Token {
     }
 }
 
-/// The text of a settings or token file.
+/// The text of a settings file.
 pub(super) fn read(path: &Path) -> Result<String, ConfigError> {
-    let bytes = read_limited(path, MAX_FILE_BYTES)?;
+    text(path, read_limited(path, MAX_FILE_BYTES)?)
+}
+
+fn text(path: &Path, bytes: Vec<u8>) -> Result<String, ConfigError> {
     let no_text = |e| ConfigError::Toml { place: path.display().to_string(), cause: format!("not UTF-8: {e}") };
     String::from_utf8(bytes).map_err(no_text)
 }
