@@ -35,7 +35,7 @@ pub struct Args {
     /// Leave out times and rates: the machine has other work
     #[arg(long)]
     pub no_times: bool,
-    /// Measure this capture only; may be given several times (suites `field`, `mark`, `ablation`, `baseline`)
+    /// Measure this capture only; may be given several times (suites `field`, `mark`, `ablation`, `baseline`, `contribution`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     pub cases: Vec<Name>,
     /// Train this row only; may be given several times (suite `ablation`)
@@ -85,6 +85,8 @@ pub enum Suite {
     Ablation,
     /// Three captures marked together with one detector
     Scenes,
+    /// Shares against retraining without some of the contributors
+    Contribution,
     /// What is left of a picture hidden in photographs once a field was trained on them
     Baseline,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
@@ -105,6 +107,7 @@ impl Suite {
             Self::Mark => "mark",
             Self::Ablation => "ablation",
             Self::Scenes => "scenes",
+            Self::Contribution => "contribution",
             Self::Baseline => "baseline",
             Self::Conv => "conv",
             Self::Registry => "registry",

@@ -5,6 +5,8 @@
 pub enum Name {
     /// Forward-facing, 504 x 378 px
     Fern,
+    /// Forward-facing, 504 x 378 px
+    Flower,
     /// Forward-facing, 400 x 300 px
     Trex,
     /// An object in front of nothing, 400 x 400 px
@@ -15,12 +17,13 @@ pub enum Name {
 
 impl Name {
     /// Every capture there is.
-    pub const ALL: [Self; 4] = [Self::Fern, Self::Trex, Self::Lego, Self::Liberty];
+    pub const ALL: [Self; 5] = [Self::Fern, Self::Flower, Self::Trex, Self::Lego, Self::Liberty];
 
     /// As it stands on the command line and in the results.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Fern => "fern",
+            Self::Flower => "flower",
             Self::Trex => "trex",
             Self::Lego => "lego",
             Self::Liberty => "liberty",

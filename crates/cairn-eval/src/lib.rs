@@ -9,6 +9,7 @@ pub mod baseline;
 mod captures;
 mod chart;
 pub mod children;
+pub mod contribution;
 mod file;
 mod marked;
 mod marks;

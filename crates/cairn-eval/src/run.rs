@@ -3,7 +3,7 @@
 use crate::args::{Args, Suite};
 use crate::results::Results;
 use crate::rows::{self, Rows};
-use crate::suite::{ablation, baseline, conv, demo, field, liberty, mark, registry, scenes};
+use crate::suite::{ablation, baseline, contribution, conv, demo, field, liberty, mark, registry, scenes};
 
 /// Measures what was asked for, into the results and the page.
 ///
@@ -31,6 +31,7 @@ pub async fn run(args: &Args) -> anyhow::Result<()> {
         Suite::Mark => mark::measure(args, &mut rows).await?,
         Suite::Ablation => ablation::measure(args, &mut rows).await?,
         Suite::Scenes => scenes::measure(args, &mut rows).await?,
+        Suite::Contribution => contribution::measure(args, &mut rows).await?,
         Suite::Baseline => baseline::measure(args, &mut rows).await?,
         Suite::Conv => tokio::task::block_in_place(|| conv::measure(args, &mut rows))?,
         Suite::Registry => tokio::task::block_in_place(|| registry::measure(args, &mut rows))?,

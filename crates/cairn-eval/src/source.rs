@@ -32,7 +32,8 @@ impl Source {
     /// # Errors
     /// Those of [`Capture::read`].
     pub fn open(&self) -> anyhow::Result<Opened> {
-        let capture = Capture::read(&self.folder, &ReadOptions::default())?;
+        let contributors = Some(self.folder.join("contributors.csv")).filter(|table| table.is_file());
+        let capture = Capture::read(&self.folder, &ReadOptions { contributors, ..ReadOptions::default() })?;
         Ok(Opened { capture, source: self.clone() })
     }
 }
@@ -91,6 +92,11 @@ impl Opened {
     /// A view's name.
     pub fn name(&self, index: usize) -> &str {
         &self.capture.views[index].name
+    }
+
+    /// Who took a view, as the capture's `contributors.csv` has it; else nobody.
+    pub fn contributor(&self, index: usize) -> &str {
+        &self.capture.views[index].contributor
     }
 
     /// A view's camera, at the size it is used at.

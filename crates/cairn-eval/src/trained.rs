@@ -39,6 +39,8 @@ pub struct Train {
     pub config: FieldConfig,
     /// The seed.
     pub seed: u64,
+    /// Views that are left out, by their indices in the capture.
+    pub without: Vec<usize>,
     /// How a picture is hidden in the photographs (suite `baseline`).
     pub stego: Option<Stego>,
     /// The file to store the field in.
@@ -80,7 +82,8 @@ impl Work for Train {
             }
             Ok(view.named())
         };
-        let views = opened.training().into_iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
+        let taught = opened.training().into_iter().filter(|index| !self.without.contains(index));
+        let views = taught.map(view).collect::<anyhow::Result<Vec<_>>>()?;
         let (frame, background) = (opened.frame()?, opened.background());
         drop(opened);
         let begun = Instant::now();

@@ -5,6 +5,7 @@ mod common;
 
 mod appearance;
 mod background;
+mod coverage;
 mod extremes;
 mod few_views;
 mod finer;

@@ -222,6 +222,7 @@ impl Run {
             source: self.source.clone(),
             config: self.field.clone(),
             seed: self.seed,
+            without: Vec::new(),
             stego: None,
             field: file.clone(),
             label: format!("{}, base field", self.name),

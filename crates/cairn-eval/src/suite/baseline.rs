@@ -134,6 +134,7 @@ pub async fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
                 source: source.clone(),
                 config: settings::of(source.open()?.kind(), args.quick, false).field,
                 seed: args.seed,
+                without: Vec::new(),
                 stego: Some(stego.clone()),
                 field: args.out.join(format!("{}-{}.field", case.as_str(), stego.name().replace(' ', "-"))),
                 label: format!("{name}, base field of photographs with a picture in them ({})", stego.name()),

@@ -149,6 +149,7 @@ impl Run {
             source: self.source.clone(),
             config: FieldConfig { steps, ..self.config.clone() },
             seed: self.seed,
+            without: Vec::new(),
             stego: None,
             field: field.clone(),
             label: format!("{name}, training, {share} of the steps"),

@@ -2,6 +2,7 @@
 
 pub mod ablation;
 pub mod baseline;
+pub mod contribution;
 pub mod conv;
 pub mod demo;
 pub mod field;

@@ -4,7 +4,7 @@ use crate::appearance::code::{Appearance, FEATURES, features};
 use crate::appearance::prior::Prior;
 use crate::error::FieldError;
 use crate::grid::lattice::{Grid, ROW, fits};
-use crate::grid::sh::SH;
+use crate::grid::sh::{SH, SH_DC};
 use crate::io::tensors::{Part, TensorFile, packed, stored};
 use crate::rays::frame::SceneFrame;
 use crate::rays::lens::{Eye, Lens};
@@ -147,6 +147,11 @@ impl Field {
     /// Names and appearances of the training views; empty where the scene needs none.
     pub fn appearances(&self) -> &[(String, Appearance)] {
         &self.appearances
+    }
+
+    /// Each row's colour the same from everywhere, RGB as stored, before any light: the constant part of its harmonics.
+    pub fn constant_colours(&self) -> Vec<[f32; 3]> {
+        self.grid.colour.chunks_exact(ROW).map(|row| [0, 1, 2].map(|c| row[c] * SH_DC as f32)).collect()
     }
 
     /// What every pixel of `camera` gathers, row-major, with the spherical harmonics of its direction.

@@ -274,6 +274,37 @@ impl SceneFrame {
         }
     }
 
+    /// The place in space of a point of the unit cube, homogeneous `[x, y, z, w]` with w >= 0, which is 0 at infinity:
+    /// in the frame's own axes, about its own middle, and in lengths of its own. Angles are the world's.
+    pub(crate) fn place(&self, unit: DVec3) -> [f64; 4] {
+        match self {
+            Self::ForwardFacing { low, high, .. } => {
+                let slope = |k: usize| low[k] + unit[k] * (high[k] - low[k]);
+                [slope(0), slope(1), 1.0, 1.0 - unit.z]
+            }
+            Self::Bounded { half, .. } => {
+                let at = (unit * 2.0 - 1.0) * half / half.max_element();
+                [at.x, at.y, at.z, 1.0]
+            }
+            Self::Unbounded { half, .. } => {
+                // The inverse of `contract`: beyond the inner box x = y / (n (2 - n)).
+                let at = (unit * 4.0 - 2.0) * half / half.max_element();
+                let n = (unit * 4.0 - 2.0).abs().max_element();
+                let [at, w] = if n <= 1.0 { [at, DVec3::ONE] } else { [at / n, DVec3::splat(2.0 - n)] };
+                [at.x, at.y, at.z, w.x.max(0.0)]
+            }
+        }
+    }
+
+    /// The place of a point of the world, as [`SceneFrame::place`] has it.
+    pub(crate) fn place_of(&self, point: DVec3) -> [f64; 4] {
+        let at = match self {
+            Self::ForwardFacing { rotation, position, near, .. } => *rotation * (point - *position) / *near,
+            Self::Bounded { centre, half } | Self::Unbounded { centre, half } => (point - *centre) / half.max_element(),
+        };
+        [at.x, at.y, at.z, 1.0]
+    }
+
     /// Where a ray crosses the near plane and where it ends at infinity:
     /// (x/depth, y/depth, 1 - near/depth). `None` when it never gets there.
     fn ndc_ends(&self, origin: DVec3, direction: DVec3) -> Option<([f64; 3], [f64; 3])> {

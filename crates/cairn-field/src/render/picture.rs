@@ -53,6 +53,8 @@ struct Group {
 
 /// A pixel's ray as it is handed over.
 pub(crate) struct Seen<'a> {
+    /// The ray's number in the eye's picture, row-major.
+    pub(crate) at: usize,
     /// What it gathered,
     pub(crate) gathered: Gathered<f32>,
     /// and the spherical harmonics along it.
@@ -233,7 +235,8 @@ impl Tile<'_> {
             let shares = &group.shares[ray];
             let mut gathered = tints.sum(grid, shares, across, down, &group.harmonics[ray]);
             (gathered.end, gathered.along) = (group.ends[ray], group.along[ray]);
-            pixel(x, y, &Seen { gathered, harmonics: group.harmonics[ray], shares, grid });
+            let at = y * self.eye.lens.size().0 + x;
+            pixel(x, y, &Seen { at, gathered, harmonics: group.harmonics[ray], shares, grid });
         }
     }
 

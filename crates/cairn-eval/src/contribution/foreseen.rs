@@ -1,0 +1,161 @@
+//! What is foreseen of leaving a group out, by each way of foreseeing it, from the field of all photographs alone.
+
+use std::time::Instant;
+
+use cairn_field::{CarrierBasis, Field, MarkableField, RowWeights, VisibleField};
+use cairn_scene::Camera;
+use cairn_share::{Builder, Lesson, Necessity, Photograph, SeenFrom, ShareTable, Sharpness};
+
+use super::rank::Table;
+use super::truth::rms;
+use crate::progress::Progress;
+use crate::source::Opened;
+
+/// What rows that nobody shows are pulled by, pixels.
+const PULL: f32 = 1.0;
+/// Steps of conjugate gradients.
+const STEPS: usize = 8;
+/// Entries of a view's linear map that weigh less are left out, pixels.
+const CUTOFF: f32 = 1e-3;
+
+/// Groups of one capture, and its field of all photographs.
+pub struct Foresight<'a> {
+    /// The capture.
+    pub opened: &'a Opened,
+    /// The field.
+    pub field: &'a Field,
+    /// The views of each group.
+    pub groups: &'a [Vec<usize>],
+    table: ShareTable,
+    /// What each held-out view sees.
+    seen: Vec<(Camera, RowWeights)>,
+    /// Seconds that the table took.
+    pub table_seconds: f64,
+}
+
+impl<'a> Foresight<'a> {
+    /// Makes the share table.
+    ///
+    /// # Errors
+    /// For more photographs than a table takes.
+    pub fn new(opened: &'a Opened, field: &'a Field, groups: &'a [Vec<usize>]) -> anyhow::Result<Self> {
+        let begun = Instant::now();
+        let mut builder = Builder::new(VisibleField::rows(field));
+        for index in opened.training() {
+            let camera = opened.camera(index);
+            let photograph = Photograph { name: opened.name(index).to_owned(), position: camera.pose.position };
+            builder.add(photograph, &field.row_weights(&camera, &|_| 1.0))?;
+        }
+        let table = builder.finish();
+        let table_seconds = begun.elapsed().as_secs_f64();
+        let seen = |index: usize| {
+            let camera = opened.camera(index);
+            let right = |at: usize| at % camera.intrinsics.width >= camera.intrinsics.width / 2;
+            (camera, field.row_weights(&camera, &|pixel| f32::from(u8::from(right(pixel.at)))))
+        };
+        let seen = opened.held_out().into_iter().map(seen).collect();
+        Ok(Self { opened, field, groups, table, seen, table_seconds })
+    }
+
+    /// Each way's table, with its name.
+    ///
+    /// # Errors
+    /// For photographs that do not decode.
+    pub fn all(&self) -> anyhow::Result<Vec<(String, Table)>> {
+        let mut all = vec![
+            ("number of photographs".to_owned(), self.each_view(|_, group| group.len() as f64)),
+            ("kernel on pose".to_owned(), self.kernels()),
+        ];
+        for (name, sharpness) in
+            [("plain", None), ("cos^4", Some(2)), ("cos^8", Some(3)), ("cos^16", Some(4)), ("cos^32", Some(5))]
+        {
+            all.push((format!("coverage, {name}"), self.coverage(Sharpness(sharpness))));
+        }
+        all.extend(self.necessity()?);
+        Ok(all)
+    }
+
+    fn each_view(&self, of: impl Fn(&Camera, &[usize]) -> f64) -> Table {
+        self.seen.iter().map(|(camera, _)| self.groups.iter().map(|group| of(camera, group)).collect()).collect()
+    }
+
+    /// Each photograph counts by how near it was taken from, and how alike it looks.
+    fn kernels(&self) -> Table {
+        let positions: Vec<_> = self.opened.training().iter().map(|i| self.opened.camera(*i).pose.position).collect();
+        let middle = positions.iter().sum::<glam::DVec3>() / positions.len() as f64;
+        let size = (positions.iter().map(|p| p.distance_squared(middle)).sum::<f64>() / positions.len() as f64).sqrt();
+        let near = |camera: &Camera, other: usize| {
+            let other = self.opened.camera(other).pose;
+            let apart = camera.pose.position.distance(other.position) / (0.5 * size);
+            let turned = 1.0 - camera.pose.forward().dot(other.forward());
+            (-0.5 * apart * apart - turned / 0.1).exp()
+        };
+        self.each_view(|camera, group| group.iter().map(|i| near(camera, *i)).sum())
+    }
+
+    fn coverage(&self, sharpness: Sharpness) -> Table {
+        let place: Vec<usize> = self.opened.training();
+        let of = |(camera, seen): &(Camera, RowWeights)| {
+            let from = SeenFrom::new(&self.table, self.field, camera.pose.position, sharpness);
+            let shares = from.shares(seen).of_photographs;
+            let share = |group: &Vec<usize>| {
+                place.iter().zip(&shares).filter(|(index, _)| group.contains(index)).map(|(_, share)| share).sum()
+            };
+            self.groups.iter().map(share).collect()
+        };
+        self.seen.iter().map(of).collect()
+    }
+
+    /// How far the render moves when colours are solved for again without each group.
+    fn necessity(&self) -> anyhow::Result<Vec<(String, Table)>> {
+        let training = self.opened.training();
+        let mut lessons = Vec::new();
+        let mut progress = Progress::new("linear maps", training.len() as u64);
+        for index in &training {
+            progress.at(lessons.len() as u64, "");
+            let view = self.opened.view(*index)?;
+            let map = self.field.view(&view.camera, CUTOFF, 1);
+            let shown = map.base(self.field.appearance_of(&view.name));
+            let residual: Vec<f32> = view.picture.rgb().iter().zip(&shown).map(|(y, c)| y - c).collect();
+            let weights = vec![1.0; residual.len() / 3];
+            lessons.push(Lesson { view: map, residual, weights });
+        }
+        drop(progress);
+        let off = self.field.constant_colours().iter().flat_map(|c| c.map(|v| v - 0.5)).collect::<Vec<f32>>();
+        let mut out = Vec::new();
+        for (name, pull, steps) in [
+            ("necessity, one step, rho 1", PULL, 1),
+            ("necessity, rho 0.1", 0.1 * PULL, STEPS),
+            ("necessity, rho 1", PULL, STEPS),
+            ("necessity, rho 10", 10.0 * PULL, STEPS),
+        ] {
+            let begun = Instant::now();
+            let problem = Necessity::new(&lessons, MarkableField::rows(self.field), off.clone(), pull, steps);
+            let mut progress = Progress::new(name, self.groups.len() as u64 + 1);
+            let all = problem.solve(|_| true);
+            let mut table = vec![Vec::new(); self.seen.len()];
+            for (n, group) in self.groups.iter().enumerate() {
+                progress.at(n as u64 + 1, "");
+                let without = problem.solve(|photograph| !group.contains(&training[photograph]));
+                let moved: Vec<f32> = without.iter().zip(&all).map(|(a, b)| a - b).collect();
+                for (row, (camera, _)) in table.iter_mut().zip(&self.seen) {
+                    row.push(self.shown(camera, &moved));
+                }
+            }
+            drop(progress);
+            println!("  {name}: {:.1} s", begun.elapsed().as_secs_f64());
+            out.push((name.to_owned(), table));
+        }
+        Ok(out)
+    }
+
+    /// What a change of constant colours changes in the right half of a view, RMS.
+    fn shown(&self, camera: &Camera, moved: &[f32]) -> f64 {
+        let view = self.field.view(camera, CUTOFF, 1);
+        let mut picture = vec![0.0; 3 * view.width() * view.height()];
+        view.apply(moved, CarrierBasis::Constant, self.field.canonical_appearance(), &mut picture);
+        let from = 3 * (view.width() / 2);
+        let right: Vec<f32> = picture.chunks_exact(3 * view.width()).flat_map(|row| row[from..].to_vec()).collect();
+        rms(&right, &vec![0.0; right.len()])
+    }
+}

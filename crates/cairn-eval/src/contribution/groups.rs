@@ -1,0 +1,58 @@
+//! Which photographs are left out together.
+
+use std::collections::BTreeMap;
+
+use crate::source::Opened;
+
+/// Groups of contributors, as many as are retrained without.
+pub const GROUPS: usize = 8;
+
+/// Whose photographs a capture's are.
+#[derive(Clone, Copy, Debug)]
+pub enum Deal {
+    /// Made-up contributors, of so many views that stand together each.
+    Neighbours(usize),
+    /// As the capture's `contributors.csv` has them.
+    Table,
+}
+
+/// The views of each of [`GROUPS`] groups, by their indices in the capture. Contributors are dealt to groups one after
+/// another, so that no group is one corner of the scene.
+pub fn groups(opened: &Opened, deal: Deal) -> Vec<Vec<usize>> {
+    let contributors = match deal {
+        Deal::Neighbours(views) => neighbours(opened, views),
+        Deal::Table => table(opened),
+    };
+    let mut groups = vec![Vec::new(); GROUPS];
+    for (n, views) in contributors.into_iter().enumerate() {
+        groups[n % GROUPS].extend(views);
+    }
+    groups
+}
+
+/// Each view that is left with those of the others that stand nearest to it.
+fn neighbours(opened: &Opened, views: usize) -> Vec<Vec<usize>> {
+    let mut left = opened.training();
+    let mut contributors = Vec::new();
+    while let Some(first) = left.first().copied() {
+        let at = opened.camera(first).pose.position;
+        left.sort_by(|a, b| {
+            let away = |view: &usize| opened.camera(*view).pose.position.distance(at);
+            away(a).total_cmp(&away(b)).then(a.cmp(b))
+        });
+        contributors.push(left.drain(..views.min(left.len())).collect());
+        left.sort_unstable();
+    }
+    contributors
+}
+
+/// Those of most photographs first, so that they are dealt to different groups.
+fn table(opened: &Opened) -> Vec<Vec<usize>> {
+    let mut of: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for view in opened.training() {
+        of.entry(opened.contributor(view)).or_default().push(view);
+    }
+    let mut contributors: Vec<Vec<usize>> = of.into_values().collect();
+    contributors.sort_by_key(|views| std::cmp::Reverse(views.len()));
+    contributors
+}

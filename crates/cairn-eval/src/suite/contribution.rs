@@ -1,0 +1,118 @@
+//! Suite `contribution`: what shares say of held-out views, against what leaving contributors out of the training changes.
+//! For each capture a field of all photographs and one without each of eight groups of contributors are trained, with two
+//! seeds; a capture's trainings are kept among the work, and a run that was stopped goes on with those that are missing.
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use cairn_service::config::{Chosen, Quality};
+
+use crate::args::Args;
+use crate::captures::Name;
+use crate::children::Children;
+use crate::contribution::foreseen::Foresight;
+use crate::contribution::groups::{Deal, GROUPS, groups};
+use crate::contribution::rank::{Agreement, Table, agreement, interval};
+use crate::contribution::truth::{Trainings, Truth};
+use crate::file;
+use crate::rows::Rows;
+use crate::settings::QUICK_SIDE_PX;
+use crate::source::Source;
+
+/// Trainings of the same photographs: how well they agree is the most that can be foreseen.
+const SEEDS: u64 = 2;
+/// Views to train on, and to score on, at most, in a quick run.
+const QUICK_VIEWS: usize = 24;
+
+/// A capture, and at which size.
+struct Case {
+    name: Name,
+    longest_side_px: usize,
+    deal: Deal,
+}
+
+/// The captures. Ways of foreseeing are chosen on the first.
+const CASES: [Case; 4] = [
+    Case { name: Name::Lego, longest_side_px: 200, deal: Deal::Neighbours(4) },
+    Case { name: Name::Flower, longest_side_px: 252, deal: Deal::Neighbours(1) },
+    Case { name: Name::Fern, longest_side_px: 252, deal: Deal::Neighbours(1) },
+    Case { name: Name::Liberty, longest_side_px: 150, deal: Deal::Table },
+];
+
+/// Measures the captures that were asked for (all where none was).
+///
+/// # Errors
+/// For captures that are not there, and whatever goes wrong in a training.
+pub async fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
+    let wanted = |case: &&Case| args.cases.is_empty() || args.cases.contains(&case.name);
+    let cases: Vec<&'static Case> = CASES.iter().filter(wanted).collect();
+    let captures = args.captures_with(&cases.iter().map(|case| case.name).collect::<Vec<_>>())?;
+    file::make_folder(&args.out)?;
+    let trainings = cases.len() as u64 * SEEDS * (1 + GROUPS as u64);
+    println!("{trainings} trainings, less those in {}", args.out.display());
+    let children = Children::default();
+    for case in cases {
+        let (folder, out) = (captures.join(case.name.as_str()), args.out.join(case.name.as_str()));
+        let (seed, quick) = (args.seed, args.quick);
+        let found = children.unless_stopped(move |children| found(children, case, &folder, &out, seed, quick)).await?;
+        add(rows, &args.case_name(case.name.as_str()), &found, seed);
+        rows.save(args)?;
+    }
+    Ok(())
+}
+
+/// What was found of a capture.
+struct Found {
+    /// By each of the seeds.
+    truths: Vec<Truth>,
+    foreseen: Vec<(String, Table)>,
+    table_seconds: f64,
+}
+
+fn found(children: &Children, case: &Case, folder: &Path, out: &Path, seed: u64, quick: bool) -> anyhow::Result<Found> {
+    let folder = folder.canonicalize().with_context(|| format!("cannot find {}", folder.display()))?;
+    let side = if quick { QUICK_SIDE_PX } else { case.longest_side_px };
+    let source = Source { folder, longest_side_px: Some(side), max_views: quick.then_some(QUICK_VIEWS) };
+    let opened = source.open()?;
+    let quality = if quick { Quality::Smoke } else { Quality::Draft };
+    let settings =
+        cairn_service::config::preset::settings(Chosen { preset: opened.kind().into(), quality, robust: false });
+    let groups = groups(&opened, case.deal);
+    file::make_folder(out)?;
+    let trainings = Trainings { source: &source, config: &settings.field, groups: &groups, out };
+    let seeds: Vec<u64> = (seed..seed + SEEDS).collect();
+    trainings.run(children, &seeds)?;
+    let truths = seeds.iter().map(|seed| trainings.truth(&opened, *seed)).collect::<anyhow::Result<Vec<_>>>()?;
+    let field = trainings.field(seed, None)?;
+    let foresight = Foresight::new(&opened, &field, &groups)?;
+    Ok(Found { truths, foreseen: foresight.all()?, table_seconds: foresight.table_seconds })
+}
+
+/// Adds the rows: each way against the mean of the seeds, and the seeds against one another.
+fn add(rows: &mut Rows, case: &str, found: &Found, seed: u64) {
+    type Of = fn(&Truth) -> &Table;
+    type Kind = (&'static str, fn(&Agreement) -> f64);
+    let truths: [(&str, Of); 2] = [("change", |t| &t.change), ("growth", |t| &t.growth)];
+    rows.add(case, "share table", found.table_seconds, "s", None);
+    for (name, of) in truths {
+        let [first, second] = [0, 1].map(|n| of(&found.truths[n]));
+        let mean: Table =
+            first.iter().zip(second).map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a + b) / 2.0).collect()).collect();
+        let ceiling = ("one seed by the other".to_owned(), first, second);
+        let ways = found.foreseen.iter().map(|(way, table)| (way.clone(), table, &mean));
+        for (way, table, truth) in std::iter::once(ceiling).chain(ways) {
+            let (rho, (low, high)) = (agreement(table, truth), interval(table, truth, seed));
+            let kinds: [Kind; 4] = [
+                ("all pairs", |a| a.all),
+                ("within views", |a| a.within_views),
+                ("within groups", |a| a.within_groups),
+                ("same first", |a| a.same_first),
+            ];
+            for (kind, value) in kinds {
+                let metric = format!("{name} by {way}, {kind} ({:.2} to {:.2})", value(&low), value(&high));
+                rows.add(case, &metric, value(&rho), "", None);
+            }
+        }
+    }
+    rows.add(case, "views", found.truths[0].change.len() as f64, "", None);
+}

@@ -1,0 +1,18 @@
+//! Shares: whose photographs account for what is seen of a field.
+//!
+//! - [`table`]: what each photograph taught each row, packed ([`ShareTable`])
+//! - [`coverage`]: the shares of a view, of a part of it, and of its pixels
+//! - [`necessity`]: what would change without some photographs
+//!
+//! A share is *coverage*: how much of what is seen a photograph showed to the training. It is no measure of worth, and
+//! it does not say what would be missed without the photograph.
+
+mod coverage;
+mod error;
+mod necessity;
+mod table;
+
+pub use coverage::{SeenFrom, Shares, Sharpness};
+pub use error::ShareError;
+pub use necessity::{Lesson, Necessity};
+pub use table::{Builder, Photograph, SHARES_FORMAT, ShareTable};
