@@ -1,6 +1,7 @@
 //! Shares: whose photographs account for what is seen of a field.
 //!
 //! - [`table`]: what each photograph taught each row, packed ([`ShareTable`])
+//! - [`taught`]: what a photograph's pixels counted
 //! - [`coverage`]: the shares of a view, of a part of it, and of its pixels
 //! - [`necessity`]: what would change without some photographs
 //!
@@ -11,8 +12,10 @@ mod coverage;
 mod error;
 mod necessity;
 mod table;
+mod taught;
 
 pub use coverage::{SeenFrom, Shares, Sharpness};
 pub use error::ShareError;
 pub use necessity::{Lesson, Necessity};
 pub use table::{Builder, Photograph, SHARES_FORMAT, ShareTable};
+pub use taught::{SAMPLED_PIXELS, taught};

@@ -3,8 +3,10 @@
 use cairn_field::{
     AppearanceMode, BaseTrainer, CarrierBasis, Field, FieldConfig, MarkableField, NamedView, SceneFrame, VisibleField,
 };
-use cairn_scene::{Camera, Distortion, Intrinsics, Picture, Pose};
-use cairn_share::{Builder, Lesson, Necessity, Photograph, SeenFrom, ShareError, ShareTable, Shares, Sharpness};
+use cairn_scene::{Camera, Distortion, Intrinsics, Mask, Picture, Picture8, Pose, TrainView};
+use cairn_share::{
+    Builder, Lesson, Necessity, Photograph, SAMPLED_PIXELS, SeenFrom, ShareError, ShareTable, Shares, Sharpness, taught,
+};
 use glam::DVec3;
 use std::sync::OnceLock;
 
@@ -140,6 +142,39 @@ fn a_table_of_another_field_is_refused() {
     let other = Builder::new(VisibleField::rows(field()) + 1).finish();
     let refused = other.must_be_of(field()).expect_err("other rows");
     assert!(matches!(refused, ShareError::OtherField { .. }) && refused.to_string().contains("train the scene again"));
+}
+
+#[test]
+fn what_taught_nothing_counts_for_nothing() {
+    let camera = camera(2.0, 1);
+    let view = |picture: &Picture, mask: Option<Mask>| TrainView { camera, rgb8: Picture8::from(picture), mask };
+    let (clear, pixels) = (photograph(&camera), 40.0 * 36.0);
+    let whole = taught(field(), &name(2), &view(&clear, None), 0.0);
+    assert_eq!(whole, field().row_weights(&camera, &|_| 1.0));
+    // A mask that leaves the right half out.
+    let mask = Mask::from_fn(40, 36, |x, _| x < 20).unwrap();
+    let left = taught(field(), &name(2), &view(&clear, Some(mask)), 0.0);
+    assert_eq!(left, field().row_weights(&camera, &|pixel| f32::from(u8::from(pixel.at % 40 < 20))));
+    // A passer-by in white over the middle: what stands there teaches less, the rest as much as before.
+    let mut hidden = clear.clone();
+    for (x, y) in (12..36).flat_map(|y| (16..24).map(move |x| (x, y))) {
+        hidden.rgb_mut()[3 * (y * 40 + x)..3 * (y * 40 + x) + 3].fill(1.0);
+    }
+    let [of_clear, of_hidden] = [&clear, &hidden].map(|p| taught(field(), &name(2), &view(p, None), 0.1).pixels);
+    assert!(of_clear > 0.95 * pixels, "{of_clear} of {pixels} px count without a passer-by");
+    assert!(of_clear - of_hidden > 0.4 * 24.0 * 8.0, "{of_hidden} px count with a passer-by, {of_clear} without");
+}
+
+#[test]
+fn a_large_photograph_is_sampled_and_counts_for_all_its_pixels() {
+    let camera = camera(2.0, 14);
+    let pixels = camera.intrinsics.width * camera.intrinsics.height;
+    assert!(pixels > 4 * SAMPLED_PIXELS);
+    let view = TrainView { camera, rgb8: Picture8::from(&photograph(&camera)), mask: None };
+    let (some, all) = (taught(field(), &name(2), &view, 0.0), field().row_weights(&camera, &|_| 1.0));
+    assert!((some.pixels - pixels as f64).abs() < 1e-3 * pixels as f64 && some.rows.len() <= all.rows.len());
+    let sum = |seen: &cairn_field::RowWeights| seen.rows.iter().map(|(_, weight)| f64::from(*weight)).sum::<f64>();
+    assert!((sum(&some) / sum(&all) - 1.0).abs() < 0.01, "{} px, not {}", sum(&some), sum(&all));
 }
 
 fn lessons() -> Vec<Lesson> {

@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use cairn_field::{CarrierBasis, Field, MarkableField, RowWeights, VisibleField};
+use cairn_field::{CarrierBasis, Field, MarkableField, NamedView, RowWeights, VisibleField};
 use cairn_scene::Camera;
-use cairn_share::{Builder, Lesson, Necessity, Photograph, SeenFrom, ShareTable, Sharpness};
+use cairn_share::{Builder, Lesson, Necessity, Photograph, SeenFrom, ShareTable, Sharpness, taught};
 
 use super::rank::Table;
 use super::truth::rms;
@@ -37,17 +37,21 @@ impl<'a> Foresight<'a> {
     /// Makes the share table.
     ///
     /// # Errors
-    /// For more photographs than a table takes.
-    pub fn new(opened: &'a Opened, field: &'a Field, groups: &'a [Vec<usize>]) -> anyhow::Result<Self> {
-        let begun = Instant::now();
+    /// For more photographs than a table takes, and such as do not decode.
+    pub fn new(opened: &'a Opened, field: &'a Field, groups: &'a [Vec<usize>], huber: f64) -> anyhow::Result<Self> {
         let mut builder = Builder::new(VisibleField::rows(field));
+        let mut table_seconds = 0.0;
         for index in opened.training() {
-            let camera = opened.camera(index);
-            let photograph = Photograph { name: opened.name(index).to_owned(), position: camera.pose.position };
-            builder.add(photograph, &field.row_weights(&camera, &|_| 1.0))?;
+            // Without decoding: a training has the photographs at hand.
+            let NamedView { name, view } = opened.view(index)?.named();
+            let begun = Instant::now();
+            let photograph = Photograph { name: name.clone(), position: view.camera.pose.position };
+            builder.add(photograph, &taught(field, &name, &view, huber))?;
+            table_seconds += begun.elapsed().as_secs_f64();
         }
+        let begun = Instant::now();
         let table = builder.finish();
-        let table_seconds = begun.elapsed().as_secs_f64();
+        table_seconds += begun.elapsed().as_secs_f64();
         let seen = |index: usize| {
             let camera = opened.camera(index);
             let right = |at: usize| at % camera.intrinsics.width >= camera.intrinsics.width / 2;

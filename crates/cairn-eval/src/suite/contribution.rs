@@ -84,7 +84,7 @@ fn found(children: &Children, case: &Case, folder: &Path, out: &Path, seed: u64,
     trainings.run(children, &seeds)?;
     let truths = seeds.iter().map(|seed| trainings.truth(&opened, *seed)).collect::<anyhow::Result<Vec<_>>>()?;
     let field = trainings.field(seed, None)?;
-    let foresight = Foresight::new(&opened, &field, &groups)?;
+    let foresight = Foresight::new(&opened, &field, &groups, settings.field.huber)?;
     Ok(Found { truths, foreseen: foresight.all()?, table_seconds: foresight.table_seconds })
 }
 
