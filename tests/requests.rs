@@ -35,13 +35,18 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let mut query = QueryServiceClient::connect(daemon.url.clone()).await.unwrap();
     for identity in &model.identities {
         for name in &identity.view_names {
-            let request = v1::ContributorsRequest { scene: "town".into(), viewpoint: view(name) };
+            let request = v1::ContributorsRequest { scene: "town".into(), viewpoint: view(name), ..Default::default() };
             let who = query.contributors(request).await.unwrap().into_inner();
             let Some(v1::contributors_response::Answer::Identity(found)) = who.answer else {
                 panic!("{name}: {who:?}")
             };
             assert_eq!((found.number, found.record_indices.len()), (identity.number, 0), "{name}");
             assert!((0.0..=1.0).contains(&who.confidence), "{}", who.confidence);
+            let shares = who.contributors.iter().map(|of| of.share).sum::<f64>() + who.unseen + who.behind;
+            assert!((shares - 1.0).abs() < 1e-3 && who.excluded == 0.0, "{name}: all parts are {shares}");
+            assert_eq!(who.photographed_by, found.label, "{name}");
+            let photographs = who.contributors.iter().flat_map(|of| &of.photographs);
+            assert!(photographs.map(|of| of.share).sum::<f64>() > 0.0 && who.map_png.is_empty());
         }
     }
 

@@ -25,7 +25,16 @@ const ARROWS: [(&str, &[&str]); 12] = [
     ("cairn-verify", &["cairn-log"]),
     (
         "cairn-service",
-        &["cairn-api", "cairn-durable", "cairn-field", "cairn-log", "cairn-mark", "cairn-nn", "cairn-scene"],
+        &[
+            "cairn-api",
+            "cairn-durable",
+            "cairn-field",
+            "cairn-log",
+            "cairn-mark",
+            "cairn-nn",
+            "cairn-scene",
+            "cairn-share",
+        ],
     ),
     (
         "cairn",

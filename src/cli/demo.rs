@@ -271,7 +271,7 @@ async fn found(line: &Connection, signed: &[sign::Signed]) -> anyhow::Result<Rig
         for name in &identity.view_names {
             let from = Some(v1::viewpoint::From::ViewName(name.clone()));
             let viewpoint = Some(v1::Viewpoint { from });
-            let request = v1::ContributorsRequest { scene: SCENE.into(), viewpoint };
+            let request = v1::ContributorsRequest { scene: SCENE.into(), viewpoint, ..Default::default() };
             let answer = line.query().contributors(request).await?.into_inner().answer;
             let right = matches!(answer, Some(v1::contributors_response::Answer::Identity(who))
                 if who.number == identity.number && !records.is_empty() && who.record_indices == records);

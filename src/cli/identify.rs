@@ -1,14 +1,14 @@
-//! `cairn identify`: whose mark a picture carries and what it hides; `cairn who`: whose place a view or a camera is.
+//! `cairn identify`: whose mark a picture carries and what it hides.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_api::v1::{self, contributors_response, identify_response};
+use cairn_api::v1::{self, identify_response};
 
 use super::connect::Connection;
 use super::files::{read, write};
 use super::json::{self, Json};
-use super::viewpoint::{FromWhere, viewpoint};
+use super::viewpoint::viewpoint;
 
 /// Contributors named in one line.
 const MAX_NAMES: usize = 5;
@@ -35,18 +35,6 @@ pub struct IdentifyArgs {
     /// refused where the picture is unmarked
     #[arg(long, value_name = "DIR")]
     payload_out: Option<PathBuf>,
-    #[command(flatten)]
-    json: Json,
-}
-
-/// `cairn who`.
-#[derive(Debug, clap::Args)]
-pub struct WhoArgs {
-    /// The scene
-    #[arg(value_name = "SCENE")]
-    name: String,
-    #[command(flatten)]
-    from: FromWhere,
     #[command(flatten)]
     json: Json,
 }
@@ -134,23 +122,6 @@ impl Names {
             Some(at) => self.0.get(at).map_or_else(|| class.to_string(), |name| format!("{class} ({name})")),
         }
     }
-}
-
-/// Answers `cairn who`.
-pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
-    let viewpoint = Some(viewpoint(args.from.view, args.from.pose.as_deref())?);
-    let request = v1::ContributorsRequest { scene: args.name, viewpoint };
-    let answer = line.query().contributors(request).await?.into_inner();
-    if args.json.json {
-        return json::print(&answer);
-    }
-    match &answer.answer {
-        Some(contributors_response::Answer::Identity(found)) => show(found, answer.confidence),
-        Some(contributors_response::Answer::Unmarked(_)) | None => {
-            println!("unmarked (confidence {:.2})", answer.confidence);
-        }
-    }
-    Ok(())
 }
 
 fn show(found: &v1::FoundIdentity, confidence: f64) {

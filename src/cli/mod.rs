@@ -33,6 +33,7 @@ mod signals;
 mod train;
 mod unlock;
 mod viewpoint;
+mod who;
 mod witness;
 mod words;
 
@@ -99,8 +100,9 @@ enum Command {
     /// Ask who contributed what a view or a camera sees
     #[command(after_help = "Examples:
   cairn who liberty --view view_056.jpg
+  cairn who liberty --view view_056.jpg --map who.png
   cairn who liberty --pose camera.json --json")]
-    Who(identify::WhoArgs),
+    Who(who::WhoArgs),
     /// Find whose mark a picture carries, and recover what it hides
     #[command(after_help = "Examples:
   cairn identify liberty picture.png
@@ -234,7 +236,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Jobs(args) => jobs::run(line, args).await,
         Command::Render(args) => render::render(line, *args).await,
         Command::Identify(args) => identify::identify(line, args).await,
-        Command::Who(args) => identify::who(line, args).await,
+        Command::Who(args) => who::who(line, args).await,
         Command::Evaluate(args) => evaluate::evaluate(line, args).await,
         Command::Access(command) => access::run(line, command).await,
         Command::Owners(command) => owners::run(line, command).await,

@@ -10,6 +10,7 @@ use cairn_scene::{Capture, ReadOptions};
 use cairn_service::config::preset::settings;
 use cairn_service::config::{Chosen, Config, Preset, Quality};
 use cairn_service::engine::{Engine, Opening};
+use cairn_service::query::coverage::Asked;
 use cairn_service::query::viewpoint::Viewpoint;
 use cairn_service::train::request::{Plan, TrainingRequest};
 
@@ -39,8 +40,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         std::thread::sleep(Duration::from_millis(100));
     }
     let view = engine.scene("tower")?.capture().views[0].name.clone();
-    let who = engine.contributors("tower", &Viewpoint::View(view.clone()))?;
-    println!("{view}: {:?}", who.contributors);
+    let who = engine.contributors("tower", &Asked::about(Viewpoint::View(view.clone())))?;
+    for contributor in who.shares {
+        println!("{view}: {:.1} % {}", 100.0 * contributor.share, contributor.name);
+    }
     engine.shut_down();
     engine.close();
     Ok(())

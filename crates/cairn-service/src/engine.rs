@@ -18,6 +18,7 @@ use crate::error::EngineError;
 use crate::export::poses::{self, PoseSheet};
 use crate::export::tour::{self, PathRequest, Tour};
 use crate::query::check::{self, Checked};
+use crate::query::coverage::{self, Asked, Contributors};
 use crate::query::evaluate;
 use crate::query::light::{Light, appearance};
 use crate::query::look::{self, FieldRegistration, Identified, Who};
@@ -387,13 +388,14 @@ impl Engine {
         poses::draw_poses(scene, &folder, grouping, self.newest_model(scene)?)
     }
 
-    /// Whose cluster a viewpoint belongs to.
+    /// Who contributed to a place.
     ///
     /// # Errors
-    /// As [`camera_of`]; [`EngineError::NotTrained`].
-    pub fn contributors(&self, scene: &str, viewpoint: &Viewpoint) -> Result<Who, EngineError> {
+    /// As [`coverage::contributors`]; [`EngineError::NotTrained`].
+    pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<Contributors, EngineError> {
         let snapshot = self.snapshot(scene)?;
-        self.with_records(&snapshot, look::contributors(&snapshot, viewpoint, &self.limits)?)
+        let mark = self.with_records(&snapshot, look::marked(&snapshot, &asked.viewpoint, &self.limits)?)?;
+        coverage::contributors(&*self.model(scene)?, &snapshot, asked, mark, &self.limits)
     }
 
     /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as

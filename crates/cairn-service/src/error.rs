@@ -11,6 +11,7 @@ use cairn_mark::MarkError;
 use cairn_scene::CaptureError;
 use cairn_scene::cluster::ClusterError;
 use cairn_scene::metrics::MetricError;
+use cairn_share::ShareError;
 use thiserror::Error;
 
 use crate::config::ConfigError;
@@ -146,6 +147,9 @@ pub enum EngineError {
     /// Stage 1 and rendering.
     #[error(transparent)]
     Field(#[from] FieldError),
+    /// Shares.
+    #[error(transparent)]
+    Share(#[from] ShareError),
     /// Stage 2 and detection.
     #[error(transparent)]
     Mark(#[from] MarkError),

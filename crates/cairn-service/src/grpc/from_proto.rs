@@ -14,6 +14,7 @@ use glam::{DMat3, DVec3};
 use crate::config::{PresetChoice, Quality, TrainingOptions};
 use crate::error::EngineError;
 use crate::export::tour::{PathKind, PathRequest};
+use crate::query::coverage::{Asked, Region};
 use crate::query::light::Light;
 use crate::query::viewpoint::{FieldKind, Viewpoint};
 use crate::records::owners::AskedView;
@@ -184,6 +185,18 @@ pub fn camera(what: &str, camera: Option<&v1::Camera>) -> Result<Camera, EngineE
 /// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn viewpoint(viewpoint: Option<v1::Viewpoint>) -> Result<Viewpoint, EngineError> {
     viewpoint_of("the viewpoint", viewpoint)
+}
+
+/// Which place is asked about.
+///
+/// # Errors
+/// As [`viewpoint`].
+pub fn asked(request: &v1::ContributorsRequest) -> Result<Asked, EngineError> {
+    let region = request.region.map(|v1::Region { left, top, width, height }| {
+        let [left, top, width, height] = [left, top, width, height].map(|px| px as usize);
+        Region { left, top, width, height }
+    });
+    Ok(Asked { viewpoint: viewpoint(request.viewpoint.clone())?, region, map: request.map })
 }
 
 /// A viewpoint; `what` names it in errors.

@@ -28,10 +28,18 @@ impl QueryService for Shared {
     }
 
     async fn contributors(&self, request: Request<v1::ContributorsRequest>) -> Answer<v1::ContributorsResponse> {
-        let v1::ContributorsRequest { scene, viewpoint } = request.into_inner();
-        let viewpoint = from_proto::viewpoint(viewpoint)?;
-        let who = self.run(move |engine| engine.contributors(&scene, &viewpoint)).await?;
-        Ok(Response::new(to_proto::contributors(who)))
+        let asked = from_proto::asked(request.get_ref())?;
+        let scene = request.get_ref().scene.clone();
+        // The map shows what is rendered: without marks that is the base field, which asks for a token.
+        if asked.map {
+            let of = scene.clone();
+            let newest = self.run(move |engine| engine.newest_model(&of)).await?;
+            if newest.is_some_and(|info| info.mark.is_none()) {
+                self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&scene))?;
+            }
+        }
+        let found = self.compute(move |engine| engine.contributors(&scene, &asked)).await?;
+        Ok(Response::new(to_proto::contributors(found)))
     }
 
     async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {

@@ -10,6 +10,7 @@ use cairn_log::RegistryError;
 use cairn_mark::MarkError;
 use cairn_scene::CaptureError;
 use cairn_scene::cluster::ClusterError;
+use cairn_share::ShareError;
 use tonic::{Code, Status};
 
 use crate::error::EngineError;
@@ -50,6 +51,7 @@ fn code(error: &EngineError) -> Code {
         EngineError::Capture(error) => capture(error),
         EngineError::Cluster(error) => cluster(error),
         EngineError::Field(error) => field(error),
+        EngineError::Share(error) => share(error),
         EngineError::Mark(error) => mark(error),
         EngineError::Registry(error) => registry(error),
         EngineError::Access(error) => access(error),
@@ -133,6 +135,14 @@ fn cluster(error: &ClusterError) -> Code {
         }
         ClusterError::ContributorCount { .. } => Code::Internal,
         ClusterError::NotFinite { .. } | ClusterError::Damaged { .. } => Code::DataLoss,
+    }
+}
+
+fn share(error: &ShareError) -> Code {
+    match error {
+        ShareError::Photographs { .. } => Code::FailedPrecondition,
+        ShareError::OtherField { .. } => Code::DataLoss,
+        ShareError::File(error) => field(error),
     }
 }
 

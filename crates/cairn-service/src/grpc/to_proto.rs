@@ -7,6 +7,7 @@ use tonic::codegen::Bytes;
 
 use crate::auth::{Account, Limits, Role, Standing as AccountStanding};
 use crate::query::check::{Checked, CheckedView};
+use crate::query::coverage::{ContributorShare, Contributors};
 use crate::query::look::{Identified, Who};
 use crate::records::corrections::Standing;
 use crate::store::classes::{Elsewhere, Registered};
@@ -164,6 +165,7 @@ pub fn model(info: &ModelInfo) -> v1::Model {
         marked_field_sha256: of_mark(|m| &m.marked_field),
         detector_sha256: of_mark(|m| &m.detector),
         settings_sha256: digest(&info.settings),
+        share_table_sha256: digest(&info.share_table),
     }
 }
 
@@ -201,12 +203,27 @@ fn found_identity(who: Who) -> Option<v1::FoundIdentity> {
     Some(v1::FoundIdentity { number, label, record_indices: who.records, contributors })
 }
 
-/// Whose place it is.
-pub fn contributors(who: Who) -> v1::ContributorsResponse {
+/// Who contributed to a place.
+pub fn contributors(found: Contributors) -> v1::ContributorsResponse {
     use v1::contributors_response::Answer;
-    let confidence = who.confidence;
-    let answer = found_identity(who).map_or(Answer::Unmarked(v1::Unmarked {}), Answer::Identity);
-    v1::ContributorsResponse { answer: Some(answer), confidence }
+    let Contributors { mark, shares, excluded, unseen, behind, photographed_by, map } = found;
+    let confidence = mark.confidence;
+    let answer = found_identity(mark).map_or(Answer::Unmarked(v1::Unmarked {}), Answer::Identity);
+    let photograph = |(view_name, share)| v1::PhotographShare { view_name, share };
+    let share = |ContributorShare { name, share, photographs }| {
+        let photographs = photographs.into_iter().map(photograph).collect();
+        v1::ContributorShare { name, share, photographs }
+    };
+    v1::ContributorsResponse {
+        answer: Some(answer),
+        confidence,
+        contributors: shares.into_iter().map(share).collect(),
+        excluded,
+        unseen,
+        behind,
+        photographed_by: photographed_by.unwrap_or_default(),
+        map_png: map.map(|map| encode_png(&map)).unwrap_or_default().into(),
+    }
 }
 
 /// Whose mark a picture carries; with what it hides where `payload` says so.

@@ -1,6 +1,7 @@
 //! Questions about a trained scene: renders, who contributed, what a picture hides, how well all of that is answered.
 
 pub mod check;
+pub mod coverage;
 pub mod crowd;
 pub mod detection;
 pub mod evaluate;
@@ -10,3 +11,4 @@ pub mod maps;
 pub mod recovery;
 pub mod report;
 pub mod viewpoint;
+pub(crate) mod whose_map;

@@ -8,6 +8,7 @@ use cairn_scene::{Capture, Picture, ReadOptions, Support};
 use super::*;
 use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
 use crate::engine::{Engine, Opening};
+use crate::query::coverage::Asked;
 use crate::query::viewpoint::Viewpoint;
 use crate::records::owners::AskedView;
 use crate::store::test_folder::TestFolder;
@@ -103,7 +104,7 @@ impl World {
     }
 
     fn who(&self, view: &str) -> crate::query::look::Who {
-        self.engine.contributors("town", &Viewpoint::View(view.into())).unwrap()
+        self.engine.contributors("town", &Asked::about(Viewpoint::View(view.into()))).unwrap().mark
     }
 }
 
@@ -203,8 +204,9 @@ fn nobody_is_credited_with_what_was_excluded_since_a_model() {
     let scene = world.engine.scene("town").unwrap();
     let view = scenes::view_index(scene.capture(), "images/ada_004.png").unwrap();
     let camera = scene.capture().views[view].camera;
-    let who = world.engine.contributors("town", &Viewpoint::Camera(camera)).unwrap();
-    assert!(who.identity.is_none_or(|(_, label)| label != "ada"), "{:?}", who.contributors);
+    let who = world.engine.contributors("town", &Asked::about(Viewpoint::Camera(camera))).unwrap();
+    assert!(who.mark.identity.is_none_or(|(_, label)| label != "ada"), "{:?}", who.mark.contributors);
+    assert!(who.shares.iter().all(|share| share.name != "ada") && who.excluded > 0.1, "{:?}", who.shares);
 }
 
 #[test]

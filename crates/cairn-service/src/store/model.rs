@@ -13,6 +13,7 @@ use cairn_log::Digest;
 use cairn_log::format::record::photographs_root;
 use cairn_mark::{Detector, MarkError, MarkedField, RegisteredReader, Signal};
 use cairn_scene::cluster::Clusters;
+use cairn_share::{ShareError, ShareTable};
 use serde::{Deserialize, Serialize};
 
 use crate::config::TrainingSettings;
@@ -24,10 +25,12 @@ use crate::store::hidden::{self, Parts};
 
 /// Largest field or detector file that is read, bytes.
 const MAX_FIELD_BYTES: u64 = 64 << 30;
+/// Largest share table that is read, bytes.
+const MAX_SHARES_BYTES: u64 = 16 << 30;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 /// Format version of `model.json`, and of the settings beside it.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 /// Format version of `current.json`.
 const CURRENT_VERSION: u32 = 1;
 
@@ -49,6 +52,8 @@ pub struct ModelInfo {
     pub clusters: Clusters,
     /// SHA-256 of `base.field`.
     pub base_field: Digest,
+    /// SHA-256 of `base.shares`.
+    pub share_table: Digest,
     /// SHA-256 of `settings.toml`.
     pub settings: Digest,
     /// Stage 2's half; none where only the base field was trained.
@@ -115,10 +120,22 @@ impl MarkFiles {
     }
 }
 
+/// Stage 1's files.
+pub struct BaseFiles {
+    /// The base field's bytes.
+    pub field: Vec<u8>,
+    /// The bytes of its share table.
+    pub share_table: Vec<u8>,
+}
+
 /// A model, loaded.
 pub struct Model {
     /// What it says of itself.
     pub info: ModelInfo,
+    /// Where its files lie.
+    folder: PathBuf,
+    /// What each photograph taught the base field: read when first asked for.
+    share_table: OnceLock<ShareTable>,
     /// After stage 1.
     pub base: Arc<Field>,
     /// After stage 2, where there was one.
@@ -149,7 +166,7 @@ struct Current {
     manifest: Digest,
 }
 
-/// Puts a model in its place and makes it the scene's newest: the `base` field's bytes, the
+/// Puts a model in its place and makes it the scene's newest: what stage 1 made, the
 /// `settings`, and what stage 2 made. Durable on return.
 ///
 /// # Errors
@@ -157,7 +174,7 @@ struct Current {
 pub fn publish(
     models: &Path,
     info: &ModelInfo,
-    base: &[u8],
+    base: &BaseFiles,
     settings: &str,
     mark: Option<&MarkFiles>,
 ) -> Result<(), EngineError> {
@@ -167,7 +184,8 @@ pub fn publish(
     // A run that was cut off between the rename and the end of the job left it: the same bytes come again.
     remove(&folder)?;
     std::fs::create_dir_all(&filling).map_err(EngineError::io("create", &filling))?;
-    write_atomic(&filling.join("base.field"), base)?;
+    write_atomic(&filling.join("base.field"), &base.field)?;
+    write_atomic(&filling.join("base.shares"), &base.share_table)?;
     write_atomic(&filling.join("settings.toml"), settings.as_bytes())?;
     if let Some(mark) = mark {
         write_atomic(&filling.join("marked.field"), &mark.field)?;
@@ -253,7 +271,26 @@ impl Model {
             None => None,
             Some(mark) => Some(load_mark(&folder, mark, info.classes()?, &base, &info.base_field)?),
         };
-        Ok(Self { info, base, mark })
+        Ok(Self { info, folder, share_table: OnceLock::new(), base, mark })
+    }
+
+    /// What each photograph taught the base field.
+    ///
+    /// # Errors
+    /// The file system's; [`EngineError::Stored`] for a file that is not as it was written, or of another field.
+    pub fn share_table(&self) -> Result<&ShareTable, EngineError> {
+        if let Some(table) = self.share_table.get() {
+            return Ok(table);
+        }
+        let path = self.folder.join("base.shares");
+        let mut file = open_checked(&path, &self.info.share_table, MAX_SHARES_BYTES)?;
+        let table = ShareTable::read_from(&mut file).map_err(|error| match error {
+            ShareError::File(error) => of_file(&path, error),
+            error => error.into(),
+        })?;
+        table.must_be_of(&*self.base)?;
+        // Read twice where two ask at once; both read the same.
+        Ok(self.share_table.get_or_init(|| table))
     }
 
     /// Stage 2's half.
@@ -338,6 +375,15 @@ impl ModelInfo {
     pub fn base_field_bytes(&self, models: &Path) -> Result<Vec<u8>, EngineError> {
         let path = self.folder(models).join("base.field");
         read_checked(&path, &self.base_field, MAX_FIELD_BYTES)
+    }
+
+    /// The base field's share table.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] for one that was altered.
+    pub fn share_table_bytes(&self, models: &Path) -> Result<Vec<u8>, EngineError> {
+        let path = self.folder(models).join("base.shares");
+        read_checked(&path, &self.share_table, MAX_SHARES_BYTES)
     }
 
     /// The settings that it was trained with.

@@ -182,7 +182,8 @@ pub struct StageSeconds {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
-    /// `waiting`, `photographs`, `screening`, `base field`, `ray weights`, `marked field`, `marked renders`, `finished`.
+    /// `waiting`, `photographs`, `screening`, `base field`, `share table`, `ray weights`, `marked field`,
+    /// `marked renders`, `finished`.
     pub stage: String,
     /// Steps of this stage done; photographs decoded, views worked out, pictures rendered.
     pub step: u64,

@@ -13,7 +13,7 @@ use cairn_scene::cluster::Clusters;
 use crate::error::EngineError;
 use crate::store::classes::Share;
 use crate::store::hidden;
-use crate::store::model::{self, MarkFiles, Model, ModelInfo};
+use crate::store::model::{self, BaseFiles, MarkFiles, Model, ModelInfo};
 use crate::store::scenes;
 use crate::train::clusters::{all_are_kept, clusters_if_any, identities};
 use crate::train::job::Job;
@@ -85,7 +85,7 @@ pub(crate) fn are_published(models: &Path, parts: &[Part]) -> Result<bool, Engin
 pub(crate) fn publish(
     models: &Path,
     part: &Part,
-    base: &[u8],
+    base: &BaseFiles,
     mark: Option<&MarkFiles>,
     shares: &[Share],
 ) -> Result<(), EngineError> {
@@ -98,7 +98,8 @@ pub(crate) fn publish(
         seed: spec.seed.to_string(),
         identities: identities(&part.scene, &part.clusters),
         clusters: part.clusters.clone(),
-        base_field: Digest::of(base),
+        base_field: Digest::of(&base.field),
+        share_table: Digest::of(&base.share_table),
         settings: Digest::of(&settings),
         mark: mark.map(|files| files.info(shares)),
     };

@@ -2,6 +2,7 @@
 
 pub(crate) mod ahead;
 pub mod clusters;
+pub(crate) mod coverage;
 pub(crate) mod drive;
 pub mod job;
 pub mod jobs;

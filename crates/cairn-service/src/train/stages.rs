@@ -17,6 +17,8 @@ use crate::error::EngineError;
 pub const BASE: &str = "base field";
 /// Name of screening, before stage 1.
 pub const SCREENING: &str = "screening";
+/// Name of working out which photograph taught what, after stage 1.
+pub const SHARE_TABLE: &str = "share table";
 /// Name of stage 2.
 pub const MARK: &str = "marked field";
 /// Name of decoding the training views' photographs, before each stage.

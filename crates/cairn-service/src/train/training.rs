@@ -15,7 +15,8 @@ use cairn_field::Field;
 use crate::error::EngineError;
 use crate::store::exclusions::Exclusions;
 use crate::store::hidden;
-use crate::store::model::MarkFiles;
+use crate::store::model::{BaseFiles, MarkFiles};
+use crate::train::coverage;
 use crate::train::drive::{MAX_CHECKPOINT_BYTES, Run, drive, preparing, read_checkpoint, stopped};
 use crate::train::job::{Job, Progress};
 use crate::train::jobs::{Control, Outcome, Work};
@@ -52,8 +53,11 @@ impl Work for Training {
         let mut bases = Vec::with_capacity(parts.len());
         for part in &parts {
             let base = match &part.earlier {
-                Some(info) => Some(info.base_field_bytes(&self.models)?),
-                None => self.base_field(part, control)?,
+                Some(info) => Some(BaseFiles {
+                    field: info.base_field_bytes(&self.models)?,
+                    share_table: info.share_table_bytes(&self.models)?,
+                }),
+                None => self.base(part, control)?,
             };
             let Some(base) = base else { return Ok(Outcome::Stopped) };
             if job.spec.base_only {
@@ -78,7 +82,7 @@ impl Work for Training {
 /// Removes what is of no more use once the models are published, and says so.
 fn finished(parts: &[Part], control: &Control<'_>) -> Result<Outcome, EngineError> {
     for part in parts {
-        for left in ["base.checkpoint", "base.field", "mark.checkpoint"] {
+        for left in ["base.checkpoint", "base.field", "base.shares", "mark.checkpoint"] {
             remove(&part.folder.join(left))?;
         }
     }
@@ -91,7 +95,23 @@ impl Training {
         Run { name, counted: name, since, checkpoint_every: self.checkpoint_every }
     }
 
-    /// Stage 1: the base field's bytes, or `None` when it was asked to stop.
+    /// Stage 1's files, or `None` when it was asked to stop.
+    fn base(&self, part: &Part, control: &Control<'_>) -> Result<Option<BaseFiles>, EngineError> {
+        let Some(field) = self.base_field(part, control)? else { return Ok(None) };
+        let done = part.folder.join("base.shares");
+        if done.exists() {
+            let share_table = read_limited(&done, MAX_CHECKPOINT_BYTES)?;
+            return Ok(Some(BaseFiles { field, share_table }));
+        }
+        let clock = Instant::now();
+        let made = coverage::share_table(part, &field, &mut preparing(control))?;
+        let Some(share_table) = made else { return stopped(stages::SHARE_TABLE, clock, control) };
+        write_atomic(&done, &share_table)?;
+        control.spent(stages::SHARE_TABLE, clock.elapsed().as_secs_f64())?;
+        Ok(Some(BaseFiles { field, share_table }))
+    }
+
+    /// The base field's bytes, or `None` when it was asked to stop.
     fn base_field(&self, part: &Part, control: &Control<'_>) -> Result<Option<Vec<u8>>, EngineError> {
         let Part { job, folder, scene, photographs, .. } = part;
         let done = folder.join("base.field");
@@ -122,7 +142,7 @@ impl Training {
         &self,
         job: &Job,
         parts: &[Part],
-        bases: &[Vec<u8>],
+        bases: &[BaseFiles],
         control: &Control<'_>,
     ) -> Result<Option<Vec<MarkFiles>>, EngineError> {
         let clock = Instant::now();
@@ -133,7 +153,7 @@ impl Training {
         let checkpoint = read_checkpoint(&file)?;
         let mut scenes = Vec::with_capacity(parts.len());
         for ((part, base), signals) in parts.iter().zip(bases).zip(&signals) {
-            let (base, signals) = (Field::from_bytes(base)?, signals.clone());
+            let (base, signals) = (Field::from_bytes(&base.field)?, signals.clone());
             scenes.push(ToMark {
                 name: &part.job.spec.scene,
                 scene: &part.scene,

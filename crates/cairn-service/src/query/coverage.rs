@@ -1,0 +1,222 @@
+//! Whose photographs show what a place sees: shares of contributors, and the map of them.
+
+use std::collections::BTreeMap;
+
+use cairn_field::{RowWeights, VisibleField as _};
+use cairn_scene::{Camera, Picture};
+use cairn_share::{SeenFrom, Shares, Sharpness};
+
+use crate::config::Limits;
+use crate::error::EngineError;
+use crate::query::look::Who;
+use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of};
+use crate::query::whose_map::WhoseMap;
+use crate::store::model::Model;
+use crate::store::snapshot::SceneSnapshot;
+
+/// Rays that a view's shares are worked out from, at most about so many: of a larger picture every second pixel each
+/// way, every third, and so on.
+const MAX_RAYS: usize = 60_000;
+/// Shares below this are rounding, not photographs.
+const MIN_SHARE: f64 = 1e-6;
+/// The map's longest side, px: a camera may ask for a picture that no screen shows.
+const MAX_MAP_SIDE_PX: usize = 800;
+
+/// Which place is asked about.
+#[derive(Clone, Debug)]
+pub struct Asked {
+    /// From where.
+    pub viewpoint: Viewpoint,
+    /// The part of the picture; `None` is all of it.
+    pub region: Option<Region>,
+    /// Whether the map is drawn, too.
+    pub map: bool,
+}
+
+/// A rectangle of a picture, px. What of it lies outside of the picture is left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// Its left edge.
+    pub left: usize,
+    /// Its upper edge.
+    pub top: usize,
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+}
+
+/// Who contributed to a place. All shares together are 1.
+#[derive(Clone, Debug)]
+pub struct Contributors {
+    /// Whose mark a render from there carries.
+    pub mark: Who,
+    /// Whose photographs show it, largest share first, then by name.
+    pub shares: Vec<ContributorShare>,
+    /// What photographs show that were excluded since the training.
+    pub excluded: f64,
+    /// What no photograph shows.
+    pub unseen: f64,
+    /// What lies behind the scene.
+    pub behind: f64,
+    /// Who took the view that was asked about; `None` for a camera, and for a view that is excluded.
+    pub photographed_by: Option<String>,
+    /// The map, where it was asked for.
+    pub map: Option<Picture>,
+}
+
+/// A contributor's part of what is seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ContributorShare {
+    /// Their name.
+    pub name: String,
+    /// Above 0, to 1.
+    pub share: f64,
+    /// Their photographs that show some of it, by the views' names, largest share first, then by name.
+    pub photographs: Vec<(String, f64)>,
+}
+
+impl Asked {
+    /// All that is seen from `viewpoint`, without a map.
+    pub fn about(viewpoint: Viewpoint) -> Self {
+        Self { viewpoint, region: None, map: false }
+    }
+}
+
+impl Region {
+    /// Refuses a region without a pixel in the picture of `camera`.
+    fn check(&self, camera: &Camera) -> Result<(), EngineError> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        if self.width > 0 && self.height > 0 && self.left < width && self.top < height {
+            return Ok(());
+        }
+        let got = format!("{} x {} px from ({}, {})", self.width, self.height, self.left, self.top);
+        Err(EngineError::invalid("the region", got, format!("a rectangle that begins within {width} x {height} px")))
+    }
+
+    /// Whether a place in the picture, px from its top left corner, lies inside.
+    fn holds(&self, x: f64, y: f64) -> bool {
+        let within = |at: f64, from: usize, size: usize| at >= from as f64 && at < (from as f64 + size as f64);
+        within(x, self.left, self.width) && within(y, self.top, self.height)
+    }
+}
+
+/// Whose photographs show what is asked about; `mark` is whose mark a render from there carries.
+///
+/// # Errors
+/// As [`camera_of`]; [`EngineError::Invalid`] for a region outside of the picture; what is said of
+/// [`Model::share_table`].
+pub fn contributors(
+    model: &Model,
+    snapshot: &SceneSnapshot,
+    asked: &Asked,
+    mark: Who,
+    limits: &Limits,
+) -> Result<Contributors, EngineError> {
+    let camera = camera_of("the view", snapshot, &asked.viewpoint, limits)?;
+    asked.region.map_or(Ok(()), |region| region.check(&camera))?;
+    let table = model.share_table()?;
+    let from = SeenFrom::new(table, &*model.base, camera.pose.position, Sharpness::default());
+    let Shares { of_photographs, unseen, behind } = from.shares(&sampled(model, &camera, asked.region));
+
+    let views = &snapshot.scene.capture().views;
+    let takers: BTreeMap<&str, &str> =
+        views.iter().map(|view| (view.name.as_str(), view.contributor.as_str())).collect();
+    // Nobody is credited with what was excluded.
+    let taker = |view: &str| takers.get(view).copied().filter(|_| !snapshot.is_out(view));
+    let mut of: BTreeMap<&str, Vec<(String, f64)>> = BTreeMap::new();
+    let mut excluded = 0.0;
+    for (photograph, share) in table.photographs().iter().zip(&of_photographs) {
+        match taker(&photograph.name) {
+            None => excluded += share,
+            Some(_) if *share < MIN_SHARE => {}
+            Some(name) => of.entry(name).or_default().push((photograph.name.clone(), *share)),
+        }
+    }
+    let mut shares: Vec<ContributorShare> = of.into_iter().map(ContributorShare::of).collect();
+    shares.sort_by(|a, b| b.share.total_cmp(&a.share).then_with(|| a.name.cmp(&b.name)));
+    let photographed_by = match &asked.viewpoint {
+        Viewpoint::View(name) => taker(name).map(str::to_owned),
+        Viewpoint::Camera(_) => None,
+    };
+    let mut found = Contributors { mark, shares, excluded, unseen, behind, photographed_by, map: None };
+    if asked.map {
+        let camera = within(&camera, MAX_MAP_SIDE_PX);
+        let contributors: Vec<(&str, f64)> = found.shares.iter().map(|of| (of.name.as_str(), of.share)).collect();
+        let group = |view: &str| taker(view).map_or(WhoseMap::OTHERS, |name| WhoseMap::group_of(&contributors, name));
+        let group_of: Vec<usize> = table.photographs().iter().map(|photograph| group(&photograph.name)).collect();
+        let pixels = from.map(&camera, &model.base.row_weights(&camera, &|_| 1.0), &group_of);
+        let kind = if model.mark.is_some() { FieldKind::Marked } else { FieldKind::Base };
+        let render = model.look(kind, &camera, model.base.canonical_appearance())?;
+        let (excluded, nobodys) = (found.excluded, found.unseen + found.behind);
+        let map = WhoseMap { render: &render, pixels: &pixels, contributors: &contributors, excluded, nobodys };
+        found.map = Some(map.draw());
+    }
+    Ok(found)
+}
+
+/// What some pixels of `camera` see of the base field: of a large picture every second one each way, or every third, and
+/// so on.
+fn sampled(model: &Model, camera: &Camera, region: Option<Region>) -> RowWeights {
+    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+    let pixels = region.map_or(w * h, |r| r.width.min(w) * r.height.min(h));
+    let every = (pixels as f64 / MAX_RAYS as f64).sqrt().ceil().max(1.0) as usize;
+    let small = camera.resized((w / every).max(1), (h / every).max(1));
+    let (across, down) = (small.intrinsics.width, small.intrinsics.height);
+    let scale = [w as f64 / across as f64, h as f64 / down as f64];
+    let place = |at: usize| [(at % across) as f64 + 0.5, (at / across) as f64 + 0.5];
+    let counts = |at: usize| {
+        let [x, y] = place(at);
+        region.is_none_or(|region| region.holds(x * scale[0], y * scale[1]))
+    };
+    model.base.row_weights(&small, &|pixel| f32::from(u8::from(counts(pixel.at))))
+}
+
+/// The camera, made smaller where a side is longer than so many px.
+fn within(camera: &Camera, longest_px: usize) -> Camera {
+    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+    let longest = w.max(h);
+    if longest <= longest_px {
+        return *camera;
+    }
+    let side = |px: usize| (px * longest_px / longest).max(1);
+    camera.resized(side(w), side(h))
+}
+
+impl ContributorShare {
+    fn of((name, mut photographs): (&str, Vec<(String, f64)>)) -> Self {
+        photographs.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+        let share = photographs.iter().map(|(_, share)| share).sum();
+        Self { name: name.to_owned(), share, photographs }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_region_begins_within_the_picture() {
+        let intrinsics = cairn_scene::Intrinsics {
+            width: 40,
+            height: 30,
+            fx: 40.0,
+            fy: 40.0,
+            cx: 20.0,
+            cy: 15.0,
+            distortion: cairn_scene::Distortion::default(),
+        };
+        let pose = cairn_scene::Pose::look_at(glam::DVec3::ZERO, glam::DVec3::X, glam::DVec3::Z).unwrap();
+        let camera = Camera { intrinsics, pose };
+        let at = |left, top, width, height| Region { left, top, width, height };
+        assert!(at(39, 29, 1, 1).check(&camera).is_ok() && at(0, 0, 500, 500).check(&camera).is_ok());
+        for outside in [at(40, 0, 1, 1), at(0, 30, 1, 1), at(0, 0, 0, 1), at(0, 0, 1, 0)] {
+            let refused = outside.check(&camera).unwrap_err().to_string();
+            assert!(refused.contains("the region") && refused.contains("40 x 30 px"), "{refused}");
+        }
+        let part = at(10, 5, 3, 2);
+        assert!(part.holds(10.0, 5.0) && part.holds(12.9, 6.9) && !part.holds(13.0, 5.0) && !part.holds(10.0, 4.9));
+        assert_eq!(within(&camera, 20).intrinsics.height, 15);
+        assert_eq!(within(&camera, 40), camera);
+    }
+}

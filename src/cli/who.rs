@@ -1,0 +1,217 @@
+//! `cairn who`: whose photographs show what a view or a camera sees.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use cairn_api::v1::{self, contributors_response};
+
+use super::connect::Connection;
+use super::files::write;
+use super::json::{self, Json};
+use super::viewpoint::{FromWhere, viewpoint};
+
+/// Photographs named beside a contributor.
+const MAX_PHOTOGRAPHS: usize = 3;
+
+/// `cairn who`.
+#[derive(Debug, clap::Args)]
+pub struct WhoArgs {
+    /// The scene
+    #[arg(value_name = "SCENE")]
+    name: String,
+    #[command(flatten)]
+    from: FromWhere,
+    /// Ask about a part of the picture alone: its left and upper edge, width and height, px
+    #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT")]
+    region: Option<Region>,
+    /// Leave contributors out of the text and the table who show less than so many per cent; they are summed up in one
+    /// line
+    #[arg(long, value_name = "PER CENT", default_value_t = 1.0)]
+    min_share: f64,
+    /// Also draw a map: the render, beside it every pixel in the colour of whose photographs show it, and a legend, PNG
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
+    /// Print a table for spreadsheets: contributor, share, photographs
+    #[arg(long, conflicts_with = "json")]
+    csv: bool,
+    #[command(flatten)]
+    json: Json,
+}
+
+/// A rectangle as it is written on the command line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Region(v1::Region);
+
+impl FromStr for Region {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Vec<u32> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+        match (&numbers[..], text.split(',').count()) {
+            (&[left, top, width, height], 4) => Ok(Self(v1::Region { left, top, width, height })),
+            _ => Err("expected four whole numbers: left,top,width,height, such as 0,120,64,48".to_owned()),
+        }
+    }
+}
+
+/// Answers `cairn who`.
+pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        (0.0..=100.0).contains(&args.min_share),
+        "--min-share is {}; expected a number from 0 to 100",
+        args.min_share
+    );
+    let viewpoint = Some(viewpoint(args.from.view, args.from.pose.as_deref())?);
+    let (region, map) = (args.region.map(|region| region.0), args.map.is_some());
+    let request = v1::ContributorsRequest { scene: args.name.clone(), viewpoint, region, map };
+    let mut answer = line.about(&args.name).query().contributors(request).await?.into_inner();
+    let drawn = std::mem::take(&mut answer.map_png);
+    if let Some(path) = &args.map {
+        write(path, &drawn)?;
+    }
+    if args.json.json {
+        return json::print(&answer);
+    }
+    let said = if args.csv { table(&answer, args.min_share / 100.0) } else { text(&answer, args.min_share / 100.0) };
+    print!("{said}");
+    if let (Some(path), false) = (&args.map, args.csv) {
+        println!("map in {}", path.display());
+    }
+    Ok(())
+}
+
+/// Those who show `min_share` or more; how many others there are, and what they show together.
+fn shown(answer: &v1::ContributorsResponse, min_share: f64) -> (&[v1::ContributorShare], usize, f64) {
+    let all = &answer.contributors;
+    // They come with the largest share first.
+    let (shown, others) = all.split_at(all.partition_point(|of| of.share >= min_share));
+    (shown, others.len(), others.iter().map(|of| of.share).sum())
+}
+
+/// The answer for people.
+fn text(answer: &v1::ContributorsResponse, min_share: f64) -> String {
+    let mut lines = Vec::new();
+    let mut line = |share: f64, what: String| lines.push(format!("{:6.1} %  {what}", 100.0 * share));
+    let (shown, others, theirs) = shown(answer, min_share);
+    for of in shown {
+        line(of.share, format!("{}: {}", of.name, photographs(&of.photographs)));
+    }
+    match others {
+        0 => {}
+        1 => line(theirs, "one other contributor".into()),
+        others => line(theirs, format!("{others} other contributors together")),
+    }
+    for (share, what) in [
+        (answer.excluded, "photographs that were excluded since the training"),
+        (answer.unseen, "shown by no photograph"),
+        (answer.behind, "behind the scene (sky or background)"),
+    ] {
+        if share >= 0.0005 {
+            line(share, what.into());
+        }
+    }
+    if !answer.photographed_by.is_empty() {
+        lines.push(format!("the view itself was photographed by {}", answer.photographed_by));
+    }
+    lines.push(match &answer.answer {
+        Some(contributors_response::Answer::Identity(found)) => {
+            let records: Vec<String> = found.record_indices.iter().map(u64::to_string).collect();
+            let records = match records[..] {
+                [] => "no owner record yet; `cairn owners sign` makes one".to_owned(),
+                _ => format!("owner records at index: {}", records.join(", ")),
+            };
+            format!("a render from there carries the mark of identity {}: {}; {records}", found.number, found.label)
+        }
+        _ => "a render from there carries no mark".to_owned(),
+    });
+    lines.push(String::new());
+    lines.join("\n")
+}
+
+/// A contributor's photographs that show most of it.
+fn photographs(all: &[v1::PhotographShare]) -> String {
+    let first = all.iter().take(MAX_PHOTOGRAPHS).map(|of| format!("{} {:.1} %", of.view_name, 100.0 * of.share));
+    let mut named = first.collect::<Vec<_>>().join(", ");
+    if all.len() > MAX_PHOTOGRAPHS {
+        named.push_str(&format!(" and {} more", all.len() - MAX_PHOTOGRAPHS));
+    }
+    named
+}
+
+/// The answer as comma-separated values (RFC 4180).
+fn table(answer: &v1::ContributorsResponse, min_share: f64) -> String {
+    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
+    let mut lines = vec!["contributor,share,photographs".to_owned()];
+    let (shown, _, theirs) = shown(answer, min_share);
+    for of in shown {
+        let names: Vec<&str> = of.photographs.iter().map(|p| p.view_name.as_str()).collect();
+        lines.push(format!("{},{:.6},{}", quoted(&of.name), of.share, quoted(&names.join(" "))));
+    }
+    for (what, share) in [
+        ("(others)", theirs),
+        ("(excluded)", answer.excluded),
+        ("(shown by no photograph)", answer.unseen),
+        ("(behind the scene)", answer.behind),
+    ] {
+        lines.push(format!("{what},{share:.6},"));
+    }
+    lines.push(String::new());
+    lines.join("\r\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer() -> v1::ContributorsResponse {
+        let photograph = |n: usize, share| v1::PhotographShare { view_name: format!("view_{n}.jpg"), share };
+        let of = |name: &str, shares: &[f64]| v1::ContributorShare {
+            name: name.into(),
+            share: shares.iter().sum(),
+            photographs: shares.iter().enumerate().map(|(n, share)| photograph(n, *share)).collect(),
+        };
+        v1::ContributorsResponse {
+            contributors: vec![
+                of("ada", &[0.3, 0.1, 0.05, 0.05]),
+                of("bob \"B\"", &[0.1]),
+                of("cy", &[0.004]),
+                of("di", &[0.002]),
+            ],
+            unseen: 0.194,
+            behind: 0.2,
+            photographed_by: "eve".into(),
+            ..v1::ContributorsResponse::default()
+        }
+    }
+
+    #[test]
+    fn people_read_shares_and_who_shows_little_is_summed_up() {
+        let said = text(&answer(), 0.01);
+        let lines: Vec<&str> = said.lines().collect();
+        assert_eq!(lines[0], "  50.0 %  ada: view_0.jpg 30.0 %, view_1.jpg 10.0 %, view_2.jpg 5.0 % and 1 more");
+        assert_eq!(lines[2], "   0.6 %  2 other contributors together");
+        assert_eq!(lines[3..5], ["  19.4 %  shown by no photograph", "  20.0 %  behind the scene (sky or background)"]);
+        assert_eq!(lines[5], "the view itself was photographed by eve");
+        assert!(!said.contains("excluded") && text(&answer(), 0.0).contains("cy: view_0.jpg 0.4 %"));
+    }
+
+    #[test]
+    fn a_table_adds_up_and_quotes_names() {
+        let said = table(&answer(), 0.01);
+        assert!(said.contains("\r\n\"bob \"\"B\"\"\",0.100000,\"view_0.jpg\"\r\n(others),0.006000,\r\n"), "{said}");
+        let shares = said.lines().skip(1).map(|line| {
+            let fields: Vec<&str> = line.split(',').collect();
+            fields[fields.len() - 2].parse::<f64>().unwrap()
+        });
+        assert!((shares.sum::<f64>() - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_region_is_four_numbers() {
+        let region = "3, 4,50,60".parse::<Region>().unwrap().0;
+        assert_eq!((region.left, region.top, region.width, region.height), (3, 4, 50, 60));
+        for wrong in ["3,4,50", "3,4,50,60,70", "3,4,-50,60", "a,b,c,d", ""] {
+            assert!(wrong.parse::<Region>().unwrap_err().contains("four whole numbers"), "{wrong:?}");
+        }
+    }
+}
