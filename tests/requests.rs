@@ -51,6 +51,20 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     }
 
     let name = scene.views[1].name.clone();
+    let map = place.text("who.png");
+    let said = place.cairn_ok(&["who", "town", "--view", &name, "--map", &map, connect[0], connect[1]]);
+    assert!(said.contains(" %  ") && said.contains("behind the scene") && said.contains("photographed by"), "{said}");
+    let drawn = std::fs::read(&map).unwrap();
+    let drawn = cairn_scene::decode_picture(&drawn, &cairn_scene::Limits::default(), None).unwrap();
+    assert!(drawn.width() >= 64 && drawn.height() > 32, "{} x {} px", drawn.width(), drawn.height());
+    let table = place.cairn_ok(&["who", "town", "--view", &name, "--csv", connect[0], connect[1]]);
+    assert!(table.starts_with("contributor,share,photographs\r\n"), "{table}");
+    // A pixel in the middle has shares of its own; a region beside the picture is refused by name.
+    let part = place.cairn_ok(&["who", "town", "--view", &name, "--region", "16,16,1,1", connect[0], connect[1]]);
+    assert_ne!(part, said.replace(&format!("map in {map}\n"), ""));
+    let beside = place.cairn_refused(&["who", "town", "--view", &name, "--region", "32,0,4,4", connect[0], connect[1]]);
+    assert!(beside.contains("the region") && beside.contains("within 32 x 32 px"), "{beside}");
+
     let png = place.text("view.png");
     place.cairn_ok(&["render", "town", "--view", &name, "--out", &png, "--base", connect[0], connect[1]]);
     let bytes = std::fs::read(&png).unwrap();

@@ -152,6 +152,7 @@ fn a_published_model_is_not_trained_again() {
     let witness = trained.model().join("witness");
     std::fs::write(&witness, "").unwrap();
     std::fs::copy(trained.model().join("base.field"), trained.folder().join("base.field")).unwrap();
+    std::fs::write(trained.folder().join("base.shares"), "left").unwrap();
     std::fs::write(trained.folder().join("mark.checkpoint"), "left").unwrap();
     let job = trained.killed_after_publishing(|_| ());
     assert!(witness.exists(), "the model was published again");
@@ -161,7 +162,7 @@ fn a_published_model_is_not_trained_again() {
     assert!(spacing.contains("degrees apart") && light.contains("light"), "{:?}", job.notes);
     // So few steps teach nothing, and nobody is left to find that out.
     assert!(weak.contains("answers right:") && weak.contains("--quality"), "{:?}", job.notes);
-    for left in ["base.field", "mark.checkpoint"] {
+    for left in ["base.field", "base.shares", "mark.checkpoint"] {
         assert!(!trained.folder().join(left).exists(), "{left} was left behind");
     }
     // Another training under the same number is another one.
@@ -332,26 +333,33 @@ fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time(
 #[test]
 fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
     let trained = Trained::new();
-    let mut job = trained.job.clone();
-    (job.id, job.spec.seed) = ("job-000009".into(), 9);
-    job.stages.clear();
-    let folder = trained.path("jobs").join(&job.id);
-    std::fs::create_dir(&folder).unwrap();
-    std::fs::copy(trained.model().join("base.field"), folder.join("base.field")).unwrap();
-    let (stop, sender) = (Arc::new(AtomicU8::new(0)), watch::Sender::new(job.clone()));
-    let control = Control::stopping(&stop, &sender, folder.join("job.json"));
-    let mut training = Training {
-        scenes: trained.path("scenes"),
-        models: trained.path("models"),
-        jobs: trained.path("jobs"),
-        exclusions: Arc::new(Exclusions::open(trained.path("exclusions"), &trained.path("scenes")).unwrap()),
-        checkpoint_every: Duration::from_secs(30),
-    };
-    assert_eq!(training.run(&job, &control).unwrap(), Outcome::Stopped);
-    let written: Job = crate::store::folder::read_json(&folder.join("job.json"), crate::train::job::VERSION).unwrap();
-    assert_eq!(written.stages.iter().map(|s| s.stage.as_str()).collect::<Vec<_>>(), [stages::MARK]);
-    assert_eq!(sender.borrow().progress.stage, stages::PHOTOGRAPHS);
-    assert!(folder.join("base.field").exists() && !folder.join("mark.checkpoint").exists());
+    for (there, stopped_in) in
+        [(&["base.field"][..], stages::SHARE_TABLE), (&["base.field", "base.shares"], stages::MARK)]
+    {
+        let mut job = trained.job.clone();
+        (job.id, job.spec.seed) = (format!("job-00000{}", 7 + there.len()), 9);
+        job.stages.clear();
+        let folder = trained.path("jobs").join(&job.id);
+        std::fs::create_dir(&folder).unwrap();
+        for file in there {
+            std::fs::copy(trained.model().join(file), folder.join(file)).unwrap();
+        }
+        let (stop, sender) = (Arc::new(AtomicU8::new(0)), watch::Sender::new(job.clone()));
+        let control = Control::stopping(&stop, &sender, folder.join("job.json"));
+        let mut training = Training {
+            scenes: trained.path("scenes"),
+            models: trained.path("models"),
+            jobs: trained.path("jobs"),
+            exclusions: Arc::new(Exclusions::open(trained.path("exclusions"), &trained.path("scenes")).unwrap()),
+            checkpoint_every: Duration::from_secs(30),
+        };
+        assert_eq!(training.run(&job, &control).unwrap(), Outcome::Stopped);
+        let version = crate::train::job::VERSION;
+        let written: Job = crate::store::folder::read_json(&folder.join("job.json"), version).unwrap();
+        assert_eq!(written.stages.iter().map(|s| s.stage.as_str()).collect::<Vec<_>>(), [stopped_in]);
+        assert_eq!(sender.borrow().progress.stage, stages::PHOTOGRAPHS);
+        assert!(there.iter().all(|file| folder.join(file).exists()) && !folder.join("mark.checkpoint").exists());
+    }
 }
 
 /// The labels of a model's identities.
