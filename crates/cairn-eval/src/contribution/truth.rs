@@ -24,12 +24,16 @@ pub struct Trainings<'a> {
     pub out: &'a Path,
 }
 
-/// What the held-out views are in a field without some photographs, by view and group.
+/// What the held-out views are in fields without some photographs, by view and group.
 pub struct Truth {
-    /// How far the render moves, RMS over colours in [0, 1].
-    pub change: Table,
-    /// By how much the mean squared error against the photograph grows.
-    pub growth: Table,
+    /// How far the render moves, RMS over colours in [0, 1], by each seed.
+    pub change: Vec<Table>,
+    /// By how much the mean squared error against the photograph grows, by each seed.
+    pub growth: Vec<Table>,
+    /// What of the render's move two seeds have in common: `sqrt(max(0, mean D_1 D_2))`, D what leaving the group out
+    /// changes of each colour. Two trainings differ wherever photographs do not say how things are; that is independent
+    /// between seeds, and its mean here is 0.
+    pub shared: Table,
 }
 
 impl Trainings<'_> {
@@ -73,34 +77,51 @@ impl Trainings<'_> {
         Ok(())
     }
 
-    /// What leaving each group out changes, by one seed.
+    /// What leaving each group out changes, by some seeds.
     ///
     /// # Errors
     /// For fields and photographs that do not read.
-    pub fn truth(&self, opened: &Opened, seed: u64) -> anyhow::Result<Truth> {
+    pub fn truth(&self, opened: &Opened, seeds: &[u64]) -> anyhow::Result<Truth> {
         let held_out = opened.held_out();
-        let shown = |field: &Field| -> anyhow::Result<Vec<(Vec<f32>, f64)>> {
-            held_out.iter().map(|index| self.shown(opened, field, *index)).collect()
+        let shown = |seed: &u64, without: Option<usize>| -> anyhow::Result<Vec<Shown>> {
+            let field = self.field(*seed, without)?;
+            held_out.iter().map(|index| shown(opened, &field, *index)).collect()
         };
-        let of_all = shown(&self.field(seed, None)?)?;
-        let (mut change, mut growth) = (vec![Vec::new(); held_out.len()], vec![Vec::new(); held_out.len()]);
+        let of_all = seeds.iter().map(|seed| shown(seed, None)).collect::<anyhow::Result<Vec<_>>>()?;
+        let none: Table = vec![Vec::new(); held_out.len()];
+        let (mut change, mut growth) = (vec![none.clone(); seeds.len()], vec![none.clone(); seeds.len()]);
+        let mut shared = none;
         for group in 0..self.groups.len() {
-            let without = shown(&self.field(seed, Some(group))?)?;
-            for (view, (a, b)) in of_all.iter().zip(&without).enumerate() {
-                change[view].push(rms(&a.0, &b.0));
-                growth[view].push(b.1 - a.1);
+            let without = seeds.iter().map(|seed| shown(seed, Some(group))).collect::<anyhow::Result<Vec<_>>>()?;
+            for view in 0..held_out.len() {
+                let mut moves = Vec::new();
+                for (at, (all, without)) in of_all.iter().zip(&without).enumerate() {
+                    let (a, b) = (&all[view], &without[view]);
+                    change[at][view].push(rms(&a.colours, &b.colours));
+                    growth[at][view].push(b.error - a.error);
+                    moves.push(a.colours.iter().zip(&b.colours).map(|(a, b)| f64::from(b - a)).collect::<Vec<f64>>());
+                }
+                let (one, other) = (&moves[0], &moves[moves.len() - 1]);
+                let common = one.iter().zip(other).map(|(a, b)| a * b).sum::<f64>() / one.len() as f64;
+                shared[view].push(common.max(0.0).sqrt());
             }
         }
-        Ok(Truth { change, growth })
+        Ok(Truth { change, growth, shared })
     }
+}
 
-    /// The right half of a held-out view as `field` shows it in the light of the left half, and its mean squared error.
-    fn shown(&self, opened: &Opened, field: &Field, index: usize) -> anyhow::Result<(Vec<f32>, f64)> {
-        let view = opened.view(index)?;
-        let render = half(&render(field, &view.camera, &view.picture)?)?.into_rgb();
-        let error = rms(half(&view.picture)?.rgb(), &render).powi(2);
-        Ok((render, error))
-    }
+/// The right half of a held-out view as a field shows it in the light of the left half.
+struct Shown {
+    colours: Vec<f32>,
+    /// Its mean squared error.
+    error: f64,
+}
+
+fn shown(opened: &Opened, field: &Field, index: usize) -> anyhow::Result<Shown> {
+    let view = opened.view(index)?;
+    let colours = half(&render(field, &view.camera, &view.picture)?)?.into_rgb();
+    let error = rms(half(&view.picture)?.rgb(), &colours).powi(2);
+    Ok(Shown { colours, error })
 }
 
 /// `camera`'s view in the light of the left half of `photograph`, where the scene has lights.

@@ -63,8 +63,7 @@ pub async fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
 
 /// What was found of a capture.
 struct Found {
-    /// By each of the seeds.
-    truths: Vec<Truth>,
+    truth: Truth,
     foreseen: Vec<(String, Table)>,
     table_seconds: f64,
 }
@@ -82,37 +81,45 @@ fn found(children: &Children, case: &Case, folder: &Path, out: &Path, seed: u64,
     let trainings = Trainings { source: &source, config: &settings.field, groups: &groups, out };
     let seeds: Vec<u64> = (seed..seed + SEEDS).collect();
     trainings.run(children, &seeds)?;
-    let truths = seeds.iter().map(|seed| trainings.truth(&opened, *seed)).collect::<anyhow::Result<Vec<_>>>()?;
+    let truth = trainings.truth(&opened, &seeds)?;
     let field = trainings.field(seed, None)?;
     let foresight = Foresight::new(&opened, &field, &groups, settings.field.huber)?;
-    Ok(Found { truths, foreseen: foresight.all()?, table_seconds: foresight.table_seconds })
+    Ok(Found { truth, foreseen: foresight.all()?, table_seconds: foresight.table_seconds })
 }
 
-/// Adds the rows: each way against the mean of the seeds, and the seeds against one another.
+/// Adds the rows: each way against the mean of the seeds, the seeds against one another, and each way against what two
+/// seeds have in common.
 fn add(rows: &mut Rows, case: &str, found: &Found, seed: u64) {
-    type Of = fn(&Truth) -> &Table;
-    type Kind = (&'static str, fn(&Agreement) -> f64);
-    let truths: [(&str, Of); 2] = [("change", |t| &t.change), ("growth", |t| &t.growth)];
+    let Truth { change, growth, shared } = &found.truth;
     rows.add(case, "share table", found.table_seconds, "s", None);
-    for (name, of) in truths {
-        let [first, second] = [0, 1].map(|n| of(&found.truths[n]));
-        let mean: Table =
-            first.iter().zip(second).map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a + b) / 2.0).collect()).collect();
-        let ceiling = ("one seed by the other".to_owned(), first, second);
-        let ways = found.foreseen.iter().map(|(way, table)| (way.clone(), table, &mean));
-        for (way, table, truth) in std::iter::once(ceiling).chain(ways) {
-            let (rho, (low, high)) = (agreement(table, truth), interval(table, truth, seed));
-            let kinds: [Kind; 4] = [
-                ("all pairs", |a| a.all),
-                ("within views", |a| a.within_views),
-                ("within groups", |a| a.within_groups),
-                ("same first", |a| a.same_first),
-            ];
-            for (kind, value) in kinds {
-                let metric = format!("{name} by {way}, {kind} ({:.2} to {:.2})", value(&low), value(&high));
-                rows.add(case, &metric, value(&rho), "", None);
-            }
+    rows.add(case, "views", shared.len() as f64, "", None);
+    for (name, of) in [("change", change), ("growth", growth)] {
+        add_agreement(rows, case, &format!("{name} by one seed by the other"), [&of[0], &of[1]], seed);
+    }
+    let mean = |of: &[Table]| -> Table {
+        let row = |(a, b): (&Vec<f64>, &Vec<f64>)| a.iter().zip(b).map(|(a, b)| (a + b) / 2.0).collect();
+        of[0].iter().zip(&of[1]).map(row).collect()
+    };
+    let truths = [("change", mean(change)), ("growth", mean(growth)), ("shared change", shared.clone())];
+    for (name, truth) in &truths {
+        for (way, table) in &found.foreseen {
+            add_agreement(rows, case, &format!("{name} by {way}"), [table, truth], seed);
         }
     }
-    rows.add(case, "views", found.truths[0].change.len() as f64, "", None);
+}
+
+/// Adds how two tables agree, each figure with its interval in brackets.
+fn add_agreement(rows: &mut Rows, case: &str, what: &str, [a, b]: [&Table; 2], seed: u64) {
+    type Kind = (&'static str, fn(&Agreement) -> f64);
+    const KINDS: [Kind; 4] = [
+        ("all pairs", |a| a.all),
+        ("within views", |a| a.within_views),
+        ("within groups", |a| a.within_groups),
+        ("same first", |a| a.same_first),
+    ];
+    let (rho, (low, high)) = (agreement(a, b), interval(a, b, seed));
+    for (kind, value) in KINDS {
+        let metric = format!("{what}, {kind} ({:.2} to {:.2})", value(&low), value(&high));
+        rows.add(case, &metric, value(&rho), "", None);
+    }
 }

@@ -61,8 +61,6 @@ group! {
     /// Something lies behind every pixel; haze is met by dropping what hardly shows.
     field.initial_opacity = 0.5;
     field.prune_weight = 0.03;
-    /// Surfaces are drawn thin: rays look at fewer places, and views from elsewhere are no worse.
-    field.distortion = 0.04;
     /// Two dozen photographs of one place from one side show few colours: what a mark looks like is
     /// learnt from more of what is none.
     mark.others = 2;
@@ -88,8 +86,8 @@ group! {
     field.learning_rate_density = 0.5;
     /// Thin air to begin with: what stands where is seen through it.
     field.initial_opacity = 0.05;
-    /// Surfaces are drawn thin; haze the known background clears away.
-    field.distortion = 0.02;
+    /// The known background clears haze away: rays need little drawing together beyond that.
+    field.distortion = 0.005;
     /// Renders come within 33 dB of the photographs; a mark of 52.2 dB takes 0.05 dB of that.
     mark.budget_db = 52.2;
     /// A mark as faint as that needs four times the pixels to be read.
@@ -124,7 +122,7 @@ group! {
     field.smooth_in_one_light = 0.3;
     /// In the open nothing ends a ray: what there is has to stand in one place, or every
     /// photograph's own sky becomes haze before it.
-    field.distortion = 0.12;
+    field.distortion = 0.03;
     /// The field explains visitors' photographs to some 22 dB, of which a mark of 39.5 dB takes some 0.08 dB.
     /// A fainter mark takes longer to learn and is missed more often.
     mark.budget_db = 39.5;

@@ -136,7 +136,7 @@ pub fn contributors(
     let mut shares: Vec<ContributorShare> = of.into_iter().map(ContributorShare::of).collect();
     shares.sort_by(|a, b| b.share.total_cmp(&a.share).then_with(|| a.name.cmp(&b.name)));
     let photographed_by = match &asked.viewpoint {
-        Viewpoint::View(name) => taker(name).map(str::to_owned),
+        Viewpoint::View(name) => taker(snapshot.full_name(name)?).map(str::to_owned),
         Viewpoint::Camera(_) => None,
     };
     let mut found = Contributors { mark, shares, excluded, unseen, behind, photographed_by, map: None };

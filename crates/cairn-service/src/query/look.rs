@@ -98,7 +98,9 @@ pub fn marked(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Limits) 
     let camera = camera_of("the render", snapshot, viewpoint, limits)?;
     let found = snapshot.info()?.clusters.identity_of_without(&camera.pose, &snapshot.out_of_clusters);
     // Nobody is credited with a view that is left out, wherever it says that it was taken.
-    if matches!(viewpoint, Viewpoint::View(name) if snapshot.is_out(name)) {
+    if let Viewpoint::View(name) = viewpoint
+        && snapshot.is_out(snapshot.full_name(name)?)
+    {
         return Ok(Who::nobody(1.0));
     }
     // How far from the border, in units of the way from the middle to the border.

@@ -22,6 +22,8 @@ const INK: Colour = [40, 40, 40];
 const GAP: usize = 8;
 /// Least pixels across: a legend has names.
 const MIN_WIDTH: usize = 420;
+/// Pictures are shown about so many times as large as fit into so many pixels, or as they are.
+const MIN_SIDE: usize = 256;
 
 /// What a map shows.
 pub(crate) struct WhoseMap<'a> {
@@ -49,7 +51,9 @@ impl WhoseMap<'_> {
 
     /// Draws it.
     pub(crate) fn draw(&self) -> Picture {
-        let (w, h) = (self.render.width(), self.render.height());
+        // A small picture is shown larger, each of its pixels as a square.
+        let times = (MIN_SIDE / self.render.width().max(self.render.height())).max(1);
+        let (w, h) = (times * self.render.width(), times * self.render.height());
         let lines = self.legend();
         let width = (2 * w + 3 * GAP).max(MIN_WIDTH);
         let height = h + 3 * GAP + (lines.len() as f64 * LINE_PX).ceil() as usize;
@@ -68,10 +72,12 @@ impl WhoseMap<'_> {
         let mut put = |left: usize, colour: &dyn Fn(usize) -> [f32; 3]| {
             for at in 0..w * h {
                 let to = 3 * ((at / w + GAP) * width + left + at % w);
-                picture.rgb_mut()[to..to + 3].copy_from_slice(&colour(at));
+                let own = at / w / times * self.render.width() + at % w / times;
+                picture.rgb_mut()[to..to + 3].copy_from_slice(&colour(own));
             }
         };
-        put(GAP, &|at| self.render.pixel(at % w, at / w));
+        let across = self.render.width();
+        put(GAP, &|at| self.render.pixel(at % across, at / across));
         put(2 * GAP + w, &|at| self.colour(at));
         picture
     }
@@ -108,7 +114,7 @@ impl WhoseMap<'_> {
         if self.excluded > 0.0 {
             lines.push((OTHERS_COLOUR, format!("{}  photographs that were excluded", per_cent(self.excluded))));
         }
-        lines.push((PAPER, format!("{}  shown by no photograph, or behind the scene", per_cent(self.nobodys))));
+        lines.push((PAPER, format!("{}  nobody's: unseen, sky or background", per_cent(self.nobodys))));
         lines
     }
 }
@@ -134,9 +140,13 @@ mod tests {
         let lines: Vec<String> = map.legend().into_iter().map(|(_, text)| text).collect();
         assert_eq!(lines.len(), 9);
         assert!(lines[0].contains("5.0 %  person-0") && lines[7].contains("15.0 %  3 others"), "{lines:?}");
-        assert!(lines[8].contains("50.0 %  shown by no photograph"), "{lines:?}");
+        assert!(lines[8].contains("50.0 %  nobody's"), "{lines:?}");
         let picture = map.draw();
-        assert!(picture.width() == MIN_WIDTH && near(picture.pixel(2 * GAP + 2, GAP), COLOURS[1]));
+        // Two pixels, each 128 x 128 px large.
+        assert_eq!((picture.width(), picture.height() > 128 + GAP), (2 * 256 + 3 * GAP, true));
+        assert!(near(picture.pixel(2 * GAP + 256, GAP), COLOURS[1]));
+        assert!(near(picture.pixel(2 * GAP + 256 + 127, GAP + 127), COLOURS[1]));
+        assert!(near(picture.pixel(2 * GAP + 256 + 128, GAP), PAPER));
         assert_eq!(picture.pixel(GAP, GAP), [1.0; 3], "the render stands beside it");
     }
 }

@@ -126,7 +126,7 @@ pub fn page<T>(
 /// [`EngineError::NotFound`] for a view's name, [`EngineError::WrongState`] for one that is excluded.
 pub fn photograph_of(snapshot: &SceneSnapshot, name: &str) -> Result<Digest, EngineError> {
     let photograph = snapshot.photograph_of(name)?;
-    if snapshot.is_out(name) {
+    if snapshot.is_out(snapshot.full_name(name)?) {
         let why = "it is excluded, and nobody is credited with it; what the log says of its photograph is there to \
                    ask by its SHA-256";
         let what = format!("view {name:?} of scene {:?}", snapshot.name);

@@ -191,12 +191,19 @@ fn nobody_is_credited_with_what_was_excluded_since_a_model() {
 
     world.decide(State::Excluded, &BAD[..1]).unwrap();
     assert_eq!(world.who(BAD[0]).identity, None, "nobody is credited with it");
+    let short = BAD[0].trim_start_matches("images/");
+    assert_eq!(world.who(short).identity, None, "nor by a name without its folder");
     assert_eq!(world.who("images/ada_004.png").contributors, [("ada".to_owned(), count - 1)]);
     let refused = world.engine.material("town", number).map(drop).unwrap_err().to_string();
     assert!(refused.contains(BAD[0]) && refused.contains("train the scene again"), "{refused}");
-    let named = Some(AskedView::Named(BAD[0].into()));
-    let refused = world.engine.complete_answer("town", named, None, 1 << 20).unwrap_err().to_string();
-    assert!(refused.contains("excluded") && refused.contains("SHA-256"), "{refused}");
+    for name in [BAD[0], short] {
+        let named = Some(AskedView::Named(name.into()));
+        let refused = world.engine.complete_answer("town", named, None, 1 << 20).unwrap_err().to_string();
+        assert!(refused.contains("excluded") && refused.contains("SHA-256"), "{refused}");
+    }
+    let asked = Asked::about(Viewpoint::View(short.into()));
+    let shares = world.engine.contributors("town", &asked).unwrap();
+    assert!(shares.photographed_by.is_none() && shares.excluded > 0.0, "{:?}", shares.shares);
 
     // A contributor all of whose views are out is named no more.
     let all = names(&info, "ada");

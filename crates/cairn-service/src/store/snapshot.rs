@@ -66,9 +66,18 @@ impl SceneSnapshot {
         self.newest.as_ref().ok_or_else(|| EngineError::NotTrained { scene: self.name.clone() })
     }
 
-    /// Whether the view `name` is left out.
+    /// Whether the view of the full name `name` is left out.
     pub fn is_out(&self, name: &str) -> bool {
         self.out.contains(name)
+    }
+
+    /// The full name of view `name`, which may lack its folders.
+    ///
+    /// # Errors
+    /// [`EngineError::NotFound`] lists some that there are.
+    pub fn full_name(&self, name: &str) -> Result<&str, EngineError> {
+        let capture = self.scene.capture();
+        Ok(&capture.views[scenes::view_index(capture, name)?].name)
     }
 
     /// The camera of view `name`.
