@@ -84,20 +84,23 @@ impl Asked {
 }
 
 impl Region {
-    /// Refuses a region without a pixel in the picture of `camera`.
-    fn check(&self, camera: &Camera) -> Result<(), EngineError> {
+    /// The camera that takes this part of the picture of `camera` alone, pixel by pixel.
+    ///
+    /// # Errors
+    /// [`EngineError::Invalid`] for a region without a pixel in the picture.
+    fn of(&self, camera: &Camera) -> Result<Camera, EngineError> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        if self.width > 0 && self.height > 0 && self.left < width && self.top < height {
-            return Ok(());
+        if self.width == 0 || self.height == 0 || self.left >= width || self.top >= height {
+            let got = format!("{} x {} px from ({}, {})", self.width, self.height, self.left, self.top);
+            let allowed = format!("a rectangle that begins within {width} x {height} px");
+            return Err(EngineError::invalid("the region", got, allowed));
         }
-        let got = format!("{} x {} px from ({}, {})", self.width, self.height, self.left, self.top);
-        Err(EngineError::invalid("the region", got, format!("a rectangle that begins within {width} x {height} px")))
-    }
-
-    /// Whether a place in the picture, px from its top left corner, lies inside.
-    fn holds(&self, x: f64, y: f64) -> bool {
-        let within = |at: f64, from: usize, size: usize| at >= from as f64 && at < (from as f64 + size as f64);
-        within(x, self.left, self.width) && within(y, self.top, self.height)
+        let mut part = *camera;
+        part.intrinsics.width = self.width.min(width - self.left);
+        part.intrinsics.height = self.height.min(height - self.top);
+        part.intrinsics.cx -= self.left as f64;
+        part.intrinsics.cy -= self.top as f64;
+        Ok(part)
     }
 }
 
@@ -113,11 +116,11 @@ pub fn contributors(
     mark: Who,
     limits: &Limits,
 ) -> Result<Contributors, EngineError> {
-    let camera = camera_of("the view", snapshot, &asked.viewpoint, limits)?;
-    asked.region.map_or(Ok(()), |region| region.check(&camera))?;
+    let whole = camera_of("the view", snapshot, &asked.viewpoint, limits)?;
+    let camera = asked.region.map_or(Ok(whole), |region| region.of(&whole))?;
     let table = model.share_table()?;
     let from = SeenFrom::new(table, &*model.base, camera.pose.position, Sharpness::default());
-    let Shares { of_photographs, unseen, behind } = from.shares(&sampled(model, &camera, asked.region));
+    let Shares { of_photographs, unseen, behind } = from.shares(&sampled(model, &camera));
 
     let views = &snapshot.scene.capture().views;
     let takers: BTreeMap<&str, &str> =
@@ -155,21 +158,13 @@ pub fn contributors(
     Ok(found)
 }
 
-/// What some pixels of `camera` see of the base field: of a large picture every second one each way, or every third, and
+/// What the pixels of `camera` see of the base field: of a large picture every second one each way, or every third, and
 /// so on.
-fn sampled(model: &Model, camera: &Camera, region: Option<Region>) -> RowWeights {
+fn sampled(model: &Model, camera: &Camera) -> RowWeights {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-    let pixels = region.map_or(w * h, |r| r.width.min(w) * r.height.min(h));
-    let every = (pixels as f64 / MAX_RAYS as f64).sqrt().ceil().max(1.0) as usize;
+    let every = ((w * h) as f64 / MAX_RAYS as f64).sqrt().ceil().max(1.0) as usize;
     let small = camera.resized((w / every).max(1), (h / every).max(1));
-    let (across, down) = (small.intrinsics.width, small.intrinsics.height);
-    let scale = [w as f64 / across as f64, h as f64 / down as f64];
-    let place = |at: usize| [(at % across) as f64 + 0.5, (at / across) as f64 + 0.5];
-    let counts = |at: usize| {
-        let [x, y] = place(at);
-        region.is_none_or(|region| region.holds(x * scale[0], y * scale[1]))
-    };
-    model.base.row_weights(&small, &|pixel| f32::from(u8::from(counts(pixel.at))))
+    model.base.row_weights(&small, &|_| 1.0)
 }
 
 /// The camera, made smaller where a side is longer than so many px.
@@ -196,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_region_begins_within_the_picture() {
+    fn a_region_is_a_part_of_the_picture() {
         let intrinsics = cairn_scene::Intrinsics {
             width: 40,
             height: 30,
@@ -208,14 +203,15 @@ mod tests {
         };
         let pose = cairn_scene::Pose::look_at(glam::DVec3::ZERO, glam::DVec3::X, glam::DVec3::Z).unwrap();
         let camera = Camera { intrinsics, pose };
-        let at = |left, top, width, height| Region { left, top, width, height };
-        assert!(at(39, 29, 1, 1).check(&camera).is_ok() && at(0, 0, 500, 500).check(&camera).is_ok());
+        let at = |left, top, width, height| Region { left, top, width, height }.of(&camera);
         for outside in [at(40, 0, 1, 1), at(0, 30, 1, 1), at(0, 0, 0, 1), at(0, 0, 1, 0)] {
-            let refused = outside.check(&camera).unwrap_err().to_string();
+            let refused = outside.unwrap_err().to_string();
             assert!(refused.contains("the region") && refused.contains("40 x 30 px"), "{refused}");
         }
-        let part = at(10, 5, 3, 2);
-        assert!(part.holds(10.0, 5.0) && part.holds(12.9, 6.9) && !part.holds(13.0, 5.0) && !part.holds(10.0, 4.9));
+        // The same rays, and no more than the picture has.
+        let part = at(10, 5, 500, 2).unwrap();
+        assert_eq!((part.intrinsics.width, part.intrinsics.height), (30, 2));
+        assert!((part.ray(0.5, 1.5).1 - camera.ray(10.5, 6.5).1).length() < 1e-12);
         assert_eq!(within(&camera, 20).intrinsics.height, 15);
         assert_eq!(within(&camera, 40), camera);
     }
