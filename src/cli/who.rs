@@ -24,14 +24,14 @@ pub struct WhoArgs {
     /// Ask about a part of the picture alone: its left and upper edge, width and height, px
     #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT")]
     region: Option<Region>,
-    /// Leave contributors out of the text and the table who show less than so many per cent; they are summed up in one
-    /// line
+    /// Leave contributors out of the text who show less than so many per cent; they are summed up in one line
     #[arg(long, value_name = "PER CENT", default_value_t = 1.0)]
     min_share: f64,
-    /// Also draw a map: the render, beside it every pixel in the colour of whose photographs show it, and a legend, PNG
+    /// Also draw a map: the render, beside it every pixel in the colour of whose photographs show most of it, and a
+    /// legend, PNG
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
-    /// Print a table for spreadsheets: contributor, share, photographs
+    /// Print a table for spreadsheets, a line for each photograph
     #[arg(long, conflicts_with = "json")]
     csv: bool,
     #[command(flatten)]
@@ -72,7 +72,7 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     if args.json.json {
         return json::print(&answer);
     }
-    let said = if args.csv { table(&answer, args.min_share / 100.0) } else { text(&answer, args.min_share / 100.0) };
+    let said = if args.csv { table(&answer) } else { text(&answer, args.min_share / 100.0) };
     print!("{said}");
     if let (Some(path), false) = (&args.map, args.csv) {
         println!("map in {}", path.display());
@@ -120,9 +120,9 @@ fn text(answer: &v1::ContributorsResponse, min_share: f64) -> String {
                 [] => "no owner record yet; `cairn owners sign` makes one".to_owned(),
                 _ => format!("owner records at index: {}", records.join(", ")),
             };
-            format!("a render from there carries the mark of identity {}: {}; {records}", found.number, found.label)
+            format!("the place is identity {}'s: {}; {records}", found.number, found.label)
         }
-        _ => "a render from there carries no mark".to_owned(),
+        _ => "the place is no identity's".to_owned(),
     });
     lines.push(String::new());
     lines.join("\n")
@@ -138,25 +138,28 @@ fn photographs(all: &[v1::PhotographShare]) -> String {
     named
 }
 
-/// The answer as comma-separated values (RFC 4180).
-fn table(answer: &v1::ContributorsResponse, min_share: f64) -> String {
-    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    let mut lines = vec!["contributor,share,photographs".to_owned()];
-    let (shown, _, theirs) = shown(answer, min_share);
-    for of in shown {
-        let names: Vec<&str> = of.photographs.iter().map(|p| p.view_name.as_str()).collect();
-        lines.push(format!("{},{:.6},{}", quoted(&of.name), of.share, quoted(&names.join(" "))));
+/// The answer as comma-separated values (RFC 4180): a line for each photograph, and one for each part that is no
+/// contributor's. The last column's sum is 100.
+fn table(answer: &v1::ContributorsResponse) -> String {
+    let mut lines = vec!["kind,contributor,photograph,share_percent".to_owned()];
+    let per_cent = |share: f64| format!("{:.4}", 100.0 * share);
+    for of in &answer.contributors {
+        for photograph in &of.photographs {
+            let [name, view] = [&of.name, &photograph.view_name].map(|text| cell(text));
+            lines.push(format!("photograph,{name},{view},{}", per_cent(photograph.share)));
+        }
     }
-    for (what, share) in [
-        ("(others)", theirs),
-        ("(excluded)", answer.excluded),
-        ("(shown by no photograph)", answer.unseen),
-        ("(behind the scene)", answer.behind),
-    ] {
-        lines.push(format!("{what},{share:.6},"));
+    for (kind, share) in [("excluded", answer.excluded), ("unseen", answer.unseen), ("behind", answer.behind)] {
+        lines.push(format!("{kind},,,{}", per_cent(share)));
     }
     lines.push(String::new());
     lines.join("\r\n")
+}
+
+/// A cell in quotes, which spreadsheets take for text: what begins like a formula has an apostrophe before it.
+fn cell(text: &str) -> String {
+    let formula = text.starts_with(['=', '+', '-', '@', '\t', '\r']);
+    format!("\"{}{}\"", if formula { "'" } else { "" }, text.replace('"', "\"\""))
 }
 
 #[cfg(test)]
@@ -197,13 +200,11 @@ mod tests {
 
     #[test]
     fn a_table_adds_up_and_quotes_names() {
-        let said = table(&answer(), 0.01);
-        assert!(said.contains("\r\n\"bob \"\"B\"\"\",0.100000,\"view_0.jpg\"\r\n(others),0.006000,\r\n"), "{said}");
-        let shares = said.lines().skip(1).map(|line| {
-            let fields: Vec<&str> = line.split(',').collect();
-            fields[fields.len() - 2].parse::<f64>().unwrap()
-        });
-        assert!((shares.sum::<f64>() - 1.0).abs() < 1e-6);
+        let said = table(&answer());
+        assert!(said.contains("\r\nphotograph,\"bob \"\"B\"\"\",\"view_0.jpg\",10.0000\r\n"), "{said}");
+        let shares = said.lines().skip(1).map(|line| line.rsplit(',').next().unwrap().parse::<f64>().unwrap());
+        assert!((shares.sum::<f64>() - 100.0).abs() < 1e-6);
+        assert_eq!(cell("=HYPERLINK(1)"), "\"'=HYPERLINK(1)\"");
     }
 
     #[test]

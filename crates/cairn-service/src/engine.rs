@@ -394,8 +394,13 @@ impl Engine {
     /// As [`coverage::contributors`]; [`EngineError::NotTrained`].
     pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<Contributors, EngineError> {
         let snapshot = self.snapshot(scene)?;
-        let mark = self.with_records(&snapshot, look::marked(&snapshot, &asked.viewpoint, &self.limits)?)?;
-        coverage::contributors(&*self.model(scene)?, &snapshot, asked, mark, &self.limits)
+        let place = look::place_of(&snapshot, &asked.viewpoint, &self.limits)?;
+        let (mark, model) = (self.with_records(&snapshot, place)?, self.model(scene)?);
+        if snapshot.newest.as_ref() != Some(&model.info) {
+            let why = "a training published another model just now; ask again";
+            return Err(EngineError::wrong_state(format!("scene {scene:?}"), "asked about", why));
+        }
+        coverage::contributors(&model, &snapshot, asked, mark, &self.limits)
     }
 
     /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as

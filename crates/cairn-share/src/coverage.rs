@@ -12,17 +12,30 @@ use rayon::prelude::*;
 use crate::table::{ShareTable, weights};
 
 /// The smallest cosine that counts: photographs from farther aside share what nobody shows from nearer by.
-const LEAST_COSINE: f32 = 0.1;
+const MIN_COSINE: f32 = 0.1;
 /// Rows that a task goes through.
 const ROWS_A_TASK: usize = 4096;
 
-/// How sharply coverage goes by the angle: a cosine's power is 2 to so many. 0 counts all photographs of a place alike.
+/// How sharply coverage goes by the angle: the power of its cosine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Sharpness(pub Option<u32>);
+pub struct Sharpness {
+    power: u32,
+}
+
+impl Sharpness {
+    /// Of a power, 0 (all photographs of a place count alike) or 1, 2, 4, 8, 16 or 32.
+    ///
+    /// # Panics
+    /// For another power.
+    pub fn new(power: u32) -> Self {
+        assert!(power == 0 || (power.is_power_of_two() && power <= 32), "a power of two up to 32, or 0");
+        Self { power }
+    }
+}
 
 impl Default for Sharpness {
     fn default() -> Self {
-        Self(Some(3))
+        Self::new(8)
     }
 }
 
@@ -64,11 +77,11 @@ impl<'a> SeenFrom<'a> {
         let place = self.field.place(row);
         let to_eye = way(place, self.eye);
         for (photograph, code) in self.table.of_row(row) {
-            let angle = match self.sharpness.0 {
-                None => 1.0,
-                Some(doublings) => {
-                    let cosine = cosine(to_eye, way(place, self.cameras[photograph])).max(LEAST_COSINE);
-                    (0..doublings).fold(cosine, |power, _| power * power)
+            let angle = match self.sharpness.power {
+                0 => 1.0,
+                power => {
+                    let cosine = cosine(to_eye, way(place, self.cameras[photograph])).max(MIN_COSINE);
+                    (0..power.trailing_zeros()).fold(cosine, |power, _| power * power)
                 }
             };
             out.push((photograph, self.weights[usize::from(code)] * angle));
@@ -174,27 +187,27 @@ mod tests {
         };
         add("before", DVec3::new(0.0, 0.0, -1.0), &[(1, 2.0), (3, 1.0)]);
         add("beside", DVec3::new(-1.0, 0.0, -1.0), &[(1, 4.0), (2, 8.0), (3, 1.0)]);
-        builder.finish()
+        builder.finish().expect("few entries")
     }
 
     #[test]
     fn shares_are_what_photographs_showed_of_each_row_by_angle() {
         let (table, eye) = (table(), DVec3::new(0.0, 0.0, -3.0));
-        let of = |sharpness, rows: &[(u32, f32)]| {
+        let of = |power, rows: &[(u32, f32)]| {
             let seen = RowWeights { rows: rows.to_vec(), behind: 1.0, pixels: 4.0 };
-            SeenFrom::new(&table, &Rows, eye, Sharpness(sharpness)).shares(&seen)
+            SeenFrom::new(&table, &Rows, eye, Sharpness::new(power)).shares(&seen)
         };
         let near = |got: Shares, want: [f64; 4]| {
             let got = [got.of_photographs[0], got.of_photographs[1], got.unseen, got.behind];
             assert!(got.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-6), "{got:?} is not {want:?}");
         };
         // Two thirds of the first row are `beside`'s; the fourth row has been shown by nobody.
-        near(of(None, &[(1, 1.0)]), [1.0 / 12.0, 2.0 / 12.0, 0.5, 0.25]);
-        near(of(None, &[(1, 1.0), (2, 1.0), (4, 1.0)]), [1.0 / 12.0, 5.0 / 12.0, 0.25, 0.25]);
+        near(of(0, &[(1, 1.0)]), [1.0 / 12.0, 2.0 / 12.0, 0.5, 0.25]);
+        near(of(0, &[(1, 1.0), (2, 1.0), (4, 1.0)]), [1.0 / 12.0, 5.0 / 12.0, 0.25, 0.25]);
         // From the eye `beside` lies 45 degrees aside: 4 cos^2 = 2, as much as `before`.
-        near(of(Some(1), &[(1, 1.0)]), [1.0 / 8.0, 1.0 / 8.0, 0.5, 0.25]);
+        near(of(2, &[(1, 1.0)]), [1.0 / 8.0, 1.0 / 8.0, 0.5, 0.25]);
         // What is infinitely far is seen by all alike, however sharply.
-        near(of(Some(5), &[(3, 2.0)]), [0.25, 0.25, 0.25, 0.25]);
+        near(of(32, &[(3, 2.0)]), [0.25, 0.25, 0.25, 0.25]);
     }
 
     #[test]

@@ -78,7 +78,7 @@ impl Builder {
     pub fn add(&mut self, photograph: Photograph, weights: &RowWeights) -> Result<(), ShareError> {
         let got = self.photographs.len() + 1;
         if got > MAX_PHOTOGRAPHS {
-            return Err(ShareError::Photographs { got, most: MAX_PHOTOGRAPHS });
+            return Err(ShareError::Photographs { got, max: MAX_PHOTOGRAPHS });
         }
         assert!(weights.rows.last().is_none_or(|(row, _)| (*row as usize) < self.rows), "rows of the field");
         let seen = weights.rows.iter().filter_map(|(row, weight)| Some((*row, code(*weight)?))).unzip();
@@ -89,15 +89,15 @@ impl Builder {
 
     /// The table of all photographs that were added.
     ///
-    /// # Panics
-    /// When there are more than four thousand million entries.
-    pub fn finish(self) -> ShareTable {
+    /// # Errors
+    /// [`ShareError::Entries`].
+    pub fn finish(self) -> Result<ShareTable, ShareError> {
         let mut starts = vec![0u32; self.rows + 1];
         for row in self.seen.iter().flat_map(|(rows, _)| rows) {
             starts[*row as usize + 1] += 1;
         }
         for row in 0..self.rows {
-            starts[row + 1] = starts[row + 1].checked_add(starts[row]).expect("entries that a u32 counts");
+            starts[row + 1] = starts[row + 1].checked_add(starts[row]).ok_or(ShareError::Entries)?;
         }
         let entries = starts[self.rows] as usize;
         let (mut next, mut of, mut codes) = (starts.clone(), vec![0; entries], vec![0; entries]);
@@ -108,7 +108,7 @@ impl Builder {
                 *at += 1;
             }
         }
-        ShareTable { photographs: self.photographs, starts, of, codes }
+        Ok(ShareTable { photographs: self.photographs, starts, of, codes })
     }
 }
 
@@ -133,11 +133,6 @@ impl ShareTable {
     /// Rows of the field, the unused row 0 included.
     pub fn rows(&self) -> usize {
         self.starts.len() - 1
-    }
-
-    /// Entries: pairs of a row and a photograph that shows it.
-    pub fn entries(&self) -> usize {
-        self.of.len()
     }
 
     /// The photographs that show `row` by their numbers, which rise, and the codes of what they show of it.
@@ -239,7 +234,7 @@ mod tests {
         builder.add(at("a"), &seen(&[(1, 1.0), (3, 2.0)])).unwrap();
         builder.add(at("b"), &seen(&[])).unwrap();
         builder.add(at("c"), &seen(&[(1, 0.5), (2, 1e-6), (4, 8.0)])).unwrap();
-        builder.finish()
+        builder.finish().unwrap()
     }
 
     #[test]

@@ -14,7 +14,8 @@ pub fn taught(field: &Field, name: &str, view: &TrainView, huber: f64) -> RowWei
     let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
     let every = ((w * h) as f64 / SAMPLED_PIXELS as f64).sqrt().ceil().max(1.0) as usize;
     let small = (every > 1).then(|| view.resized((w / every).max(1), (h / every).max(1)));
-    let view = small.as_ref().unwrap_or(view);
+    let whole = view;
+    let view = small.as_ref().unwrap_or(whole);
     let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
     // Each stands for as many as were made into it.
     let stands_for = (w * h) as f32 / (width * height) as f32;
@@ -27,10 +28,21 @@ pub fn taught(field: &Field, name: &str, view: &TrainView, huber: f64) -> RowWei
         };
         (share(0) + share(1) + share(2)) / 3.0
     };
+    let used: Option<Vec<f32>> = whole.mask.as_ref().map(|_| used_shares(whole, width, height));
     field.row_weights(&view.camera, &|pixel| {
-        if !view.uses(pixel.at % width, pixel.at / width) {
-            return 0.0;
-        }
-        stands_for * if huber > 0.0 { robust(pixel) } else { 1.0 }
+        let used = used.as_ref().map_or(1.0, |used| used[pixel.at]);
+        used * stands_for * if huber > 0.0 { robust(pixel) } else { 1.0 }
     })
+}
+
+/// The share of the pixels to be used of each pixel of `view` made as small as `width x height`, row-major.
+fn used_shares(view: &TrainView, width: usize, height: usize) -> Vec<f32> {
+    let (w, h) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
+    let mut counts = vec![[0u32; 2]; width * height];
+    for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
+        let [used, all] = &mut counts[y * height / h * width + x * width / w];
+        *used += u32::from(view.uses(x, y));
+        *all += 1;
+    }
+    counts.into_iter().map(|[used, all]| used as f32 / all.max(1) as f32).collect()
 }

@@ -77,7 +77,7 @@ fn table(scale: usize) -> ShareTable {
         let photograph = Photograph { name: name(k), position: camera.pose.position };
         builder.add(photograph, &field().row_weights(&camera, &|_| 1.0)).unwrap();
     }
-    builder.finish()
+    builder.finish().unwrap()
 }
 
 fn shares(table: &ShareTable, from: &Camera, sharpness: Sharpness) -> Shares {
@@ -88,7 +88,7 @@ fn shares(table: &ShareTable, from: &Camera, sharpness: Sharpness) -> Shares {
 #[test]
 fn who_stands_nearest_has_the_largest_share_and_who_stands_behind_none() {
     let table = table(1);
-    for sharpness in [Sharpness(None), Sharpness::default()] {
+    for sharpness in [Sharpness::new(0), Sharpness::default()] {
         let Shares { of_photographs, unseen, behind } = shares(&table, &camera(4.2, 1), sharpness);
         let sum = of_photographs.iter().sum::<f64>() + unseen + behind;
         assert!((sum - 1.0).abs() < 1e-3, "all parts together are {sum}");
@@ -100,8 +100,8 @@ fn who_stands_nearest_has_the_largest_share_and_who_stands_behind_none() {
         assert!(of_photographs[10] < 0.01, "{sharpness:?}: from behind {}", of_photographs[10]);
         assert!(of_photographs[4] > of_photographs[5] && of_photographs[5] > of_photographs[6]);
     }
-    let sharp = shares(&table, &camera(4.2, 1), Sharpness(Some(5))).of_photographs[4];
-    assert!(sharp > shares(&table, &camera(4.2, 1), Sharpness(None)).of_photographs[4] * 1.3, "{sharp}");
+    let sharp = shares(&table, &camera(4.2, 1), Sharpness::new(32)).of_photographs[4];
+    assert!(sharp > shares(&table, &camera(4.2, 1), Sharpness::new(0)).of_photographs[4] * 1.3, "{sharp}");
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn a_map_s_pixels_add_up_to_the_view_s_shares() {
 
 #[test]
 fn a_table_of_another_field_is_refused() {
-    let other = Builder::new(VisibleField::rows(field()) + 1).finish();
+    let other = Builder::new(VisibleField::rows(field()) + 1).finish().unwrap();
     let refused = other.must_be_of(field()).expect_err("other rows");
     assert!(matches!(refused, ShareError::OtherField { .. }) && refused.to_string().contains("train the scene again"));
 }
@@ -155,6 +155,12 @@ fn what_taught_nothing_counts_for_nothing() {
     let mask = Mask::from_fn(40, 36, |x, _| x < 20).unwrap();
     let left = taught(field(), &name(2), &view(&clear, Some(mask)), 0.0);
     assert_eq!(left, field().row_weights(&camera, &|pixel| f32::from(u8::from(pixel.at % 40 < 20))));
+    // Of a large photograph every second column is used: each pixel of the smaller one counts half.
+    let large = self::camera(2.0, 14);
+    let mask = Mask::from_fn(560, 504, |x, _| x.is_multiple_of(2)).unwrap();
+    let striped = TrainView { camera: large, rgb8: Picture8::from(&photograph(&large)), mask: Some(mask) };
+    let striped = taught(field(), &name(2), &striped, 0.0).pixels;
+    assert!((striped / (560.0 * 504.0) - 0.5).abs() < 0.02, "{striped} px count");
     // A passer-by in white over the middle: what stands there teaches less, the rest as much as before.
     let mut hidden = clear.clone();
     for (x, y) in (12..36).flat_map(|y| (16..24).map(move |x| (x, y))) {

@@ -11,8 +11,6 @@ use super::truth::rms;
 use crate::progress::Progress;
 use crate::source::Opened;
 
-/// What rows that nobody shows are pulled by, pixels.
-const PULL: f32 = 1.0;
 /// Steps of conjugate gradients.
 const STEPS: usize = 8;
 /// Entries of a view's linear map that weigh less are left out, pixels.
@@ -50,7 +48,7 @@ impl<'a> Foresight<'a> {
             table_seconds += begun.elapsed().as_secs_f64();
         }
         let begun = Instant::now();
-        let table = builder.finish();
+        let table = builder.finish()?;
         table_seconds += begun.elapsed().as_secs_f64();
         let seen = |index: usize| {
             let camera = opened.camera(index);
@@ -70,10 +68,8 @@ impl<'a> Foresight<'a> {
             ("number of photographs".to_owned(), self.each_view(|_, group| group.len() as f64)),
             ("kernel on pose".to_owned(), self.kernels()),
         ];
-        for (name, sharpness) in
-            [("plain", None), ("cos^4", Some(2)), ("cos^8", Some(3)), ("cos^16", Some(4)), ("cos^32", Some(5))]
-        {
-            all.push((format!("coverage, {name}"), self.coverage(Sharpness(sharpness))));
+        for power in [0, 4, 8, 16, 32] {
+            all.push((format!("coverage, power {power}"), self.coverage(Sharpness::new(power))));
         }
         all.extend(self.necessity()?);
         Ok(all)
@@ -127,9 +123,7 @@ impl<'a> Foresight<'a> {
         drop(progress);
         let off = self.field.constant_colours().iter().flat_map(|c| c.map(|v| v - 0.5)).collect::<Vec<f32>>();
         let mut out = Vec::new();
-        for (name, pull, steps) in
-            [("necessity, rho 0.1", 0.1 * PULL, STEPS), ("necessity, rho 0.01", 0.01 * PULL, STEPS)]
-        {
+        for (name, pull, steps) in [("necessity, rho 0.1", 0.1, STEPS), ("necessity, rho 0.01", 0.01, STEPS)] {
             let begun = Instant::now();
             let problem = Necessity::new(&lessons, MarkableField::rows(self.field), off.clone(), pull, steps);
             let mut progress = Progress::new(name, self.groups.len() as u64 + 1);

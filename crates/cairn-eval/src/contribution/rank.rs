@@ -45,7 +45,7 @@ pub struct Agreement {
     pub within_views: f64,
     /// Mean over groups.
     pub within_groups: f64,
-    /// Views on which both name the same group first.
+    /// Views on which `a` puts the group first that `b` does; where `a` puts several first, a part.
     pub same_first: f64,
 }
 
@@ -86,12 +86,19 @@ fn over(a: &Table, b: &Table, rows: &[usize]) -> Agreement {
         let known: Vec<f64> = values.into_iter().flatten().collect();
         if known.is_empty() { 0.0 } else { known.iter().sum::<f64>() / known.len() as f64 }
     };
-    let first = |row: &[f64]| (0..row.len()).max_by(|x, y| row[*x].total_cmp(&row[*y]));
+    let firsts = |row: &[f64]| {
+        let max = row.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        (0..row.len()).filter(|k| row[*k] == max).collect::<Vec<usize>>()
+    };
+    let named = |row: &usize| {
+        let (said, right) = (firsts(&a[*row]), firsts(&b[*row]));
+        said.iter().filter(|k| right.contains(k)).count() as f64 / said.len().max(1) as f64
+    };
     Agreement {
         all: spearman(&flat(a), &flat(b)).unwrap_or_default(),
         within_views: mean(rows.iter().map(|row| spearman(&a[*row], &b[*row])).collect()),
         within_groups: mean((0..a[0].len()).map(|k| spearman(&column(a, k), &column(b, k))).collect()),
-        same_first: rows.iter().filter(|row| first(&a[**row]) == first(&b[**row])).count() as f64 / rows.len() as f64,
+        same_first: rows.iter().map(named).sum::<f64>() / rows.len() as f64,
     }
 }
 
@@ -117,6 +124,8 @@ mod tests {
         let found = agreement(&a, &b);
         assert!((found.within_views - (1.0 - 0.5) / 2.0).abs() < 1e-12 && (found.same_first - 0.5).abs() < 1e-12);
         assert!((found.within_groups - 1.0 / 3.0).abs() < 1e-12, "two columns rise in both, one falls");
+        let tied = vec![vec![5.0; 3], vec![5.0; 3]];
+        assert!((agreement(&tied, &b).same_first - 1.0 / 3.0).abs() < 1e-12, "a third of each");
         let (low, high) = interval(&a, &a, 1);
         assert!(low.all > 0.999 && high.same_first > 0.999);
     }

@@ -171,7 +171,8 @@ settings! {
         /// Seconds of training between checkpoints; 0 writes one after every step.
         checkpoint_every_s: u64 = 30, Allowed::Whole(0, 86_400),
             "The disk is slow, or the machine loses power often.";
-        /// The most vertices of the field's grid. Training takes some 24 bytes for each, a daemon that serves it 8.
+        /// The most vertices of the field's grid. Training takes some 24 bytes for each, a daemon that
+        /// serves it 8, and questions about contributors 3 more for each photograph that shows it.
         max_voxels: usize = 0, Allowed::WholeOrPreset(4096, 500_000_000),
             "Memory is short.";
         /// Whether every view gets an appearance of its own: `on`, `off`, or `auto`, where the photographs turn out to

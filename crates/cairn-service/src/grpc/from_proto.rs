@@ -196,7 +196,8 @@ pub fn asked(request: &v1::ContributorsRequest) -> Result<Asked, EngineError> {
         let [left, top, width, height] = [left, top, width, height].map(|px| px as usize);
         Region { left, top, width, height }
     });
-    Ok(Asked { viewpoint: viewpoint(request.viewpoint.clone())?, region, map: request.map })
+    let viewpoint = viewpoint(request.viewpoint.clone())?;
+    Ok(Asked { region, map: request.map, ..Asked::about(viewpoint) })
 }
 
 /// A viewpoint; `what` names it in errors.

@@ -28,7 +28,7 @@ impl QueryService for Shared {
     }
 
     async fn contributors(&self, request: Request<v1::ContributorsRequest>) -> Answer<v1::ContributorsResponse> {
-        let asked = from_proto::asked(request.get_ref())?;
+        let mut asked = from_proto::asked(request.get_ref())?;
         let scene = request.get_ref().scene.clone();
         // The map shows what is rendered: without marks that is the base field, which asks for a token.
         if asked.map {
@@ -36,10 +36,11 @@ impl QueryService for Shared {
             let newest = self.run(move |engine| engine.newest_model(&of)).await?;
             if newest.is_some_and(|info| info.mark.is_none()) {
                 self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&scene))?;
+                asked.may_see_base = true;
             }
         }
-        let found = self.compute(move |engine| engine.contributors(&scene, &asked)).await?;
-        Ok(Response::new(to_proto::contributors(found)))
+        let found = self.compute(move |engine| Ok(to_proto::contributors(engine.contributors(&scene, &asked)?)));
+        found.await.map(Response::new)
     }
 
     async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {

@@ -140,7 +140,7 @@ fn cluster(error: &ClusterError) -> Code {
 
 fn share(error: &ShareError) -> Code {
     match error {
-        ShareError::Photographs { .. } => Code::FailedPrecondition,
+        ShareError::Photographs { .. } | ShareError::Entries => Code::FailedPrecondition,
         ShareError::OtherField { .. } => Code::DataLoss,
         ShareError::File(error) => field(error),
     }

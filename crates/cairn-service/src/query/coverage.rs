@@ -17,8 +17,6 @@ use crate::store::snapshot::SceneSnapshot;
 /// Rays that a view's shares are worked out from, at most about so many: of a larger picture every second pixel each
 /// way, every third, and so on.
 const MAX_RAYS: usize = 60_000;
-/// Shares below this are rounding, not photographs.
-const MIN_SHARE: f64 = 1e-6;
 /// The map's longest side, px: a camera may ask for a picture that no screen shows.
 const MAX_MAP_SIDE_PX: usize = 800;
 
@@ -31,6 +29,8 @@ pub struct Asked {
     pub region: Option<Region>,
     /// Whether the map is drawn, too.
     pub map: bool,
+    /// Whether the caller may see renders of the base field: a map of a scene without marks shows one.
+    pub may_see_base: bool,
 }
 
 /// A rectangle of a picture, px. What of it lies outside of the picture is left out.
@@ -49,7 +49,7 @@ pub struct Region {
 /// Who contributed to a place. All shares together are 1.
 #[derive(Clone, Debug)]
 pub struct Contributors {
-    /// Whose mark a render from there carries.
+    /// The identity that the place is of, by where the camera stands: renders of a marked model carry its mark there.
     pub mark: Who,
     /// Whose photographs show it, largest share first, then by name.
     pub shares: Vec<ContributorShare>,
@@ -79,7 +79,7 @@ pub struct ContributorShare {
 impl Asked {
     /// All that is seen from `viewpoint`, without a map.
     pub fn about(viewpoint: Viewpoint) -> Self {
-        Self { viewpoint, region: None, map: false }
+        Self { viewpoint, region: None, map: false, may_see_base: false }
     }
 }
 
@@ -104,11 +104,11 @@ impl Region {
     }
 }
 
-/// Whose photographs show what is asked about; `mark` is whose mark a render from there carries.
+/// Whose photographs show what is asked about; `mark` is the identity that the place is of.
 ///
 /// # Errors
-/// As [`camera_of`]; [`EngineError::Invalid`] for a region outside of the picture; what is said of
-/// [`Model::share_table`].
+/// As [`camera_of`]; [`EngineError::Invalid`] for a region outside of the picture; [`EngineError::WrongState`] for a map
+/// that would show what the caller may not see; what is said of [`Model::share_table`].
 pub fn contributors(
     model: &Model,
     snapshot: &SceneSnapshot,
@@ -132,27 +132,32 @@ pub fn contributors(
     for (photograph, share) in table.photographs().iter().zip(&of_photographs) {
         match taker(&photograph.name) {
             None => excluded += share,
-            Some(_) if *share < MIN_SHARE => {}
+            Some(_) if *share <= 0.0 => {}
             Some(name) => of.entry(name).or_default().push((photograph.name.clone(), *share)),
         }
     }
-    let mut shares: Vec<ContributorShare> = of.into_iter().map(ContributorShare::of).collect();
+    let mut shares: Vec<ContributorShare> = of.into_iter().map(|(name, own)| ContributorShare::of(name, own)).collect();
     shares.sort_by(|a, b| b.share.total_cmp(&a.share).then_with(|| a.name.cmp(&b.name)));
     let photographed_by = match &asked.viewpoint {
         Viewpoint::View(name) => taker(snapshot.full_name(name)?).map(str::to_owned),
         Viewpoint::Camera(_) => None,
     };
+    if asked.map && model.mark.is_none() && !asked.may_see_base {
+        let what = format!("scene {:?}", snapshot.name);
+        let why = "its newest model has no marks, and a map of it shows the base field; ask again with a token";
+        return Err(EngineError::wrong_state(what, "drawn", why));
+    }
     let mut found = Contributors { mark, shares, excluded, unseen, behind, photographed_by, map: None };
     if asked.map {
         let camera = within(&camera, MAX_MAP_SIDE_PX);
         let contributors: Vec<(&str, f64)> = found.shares.iter().map(|of| (of.name.as_str(), of.share)).collect();
-        let group = |view: &str| taker(view).map_or(WhoseMap::OTHERS, |name| WhoseMap::group_of(&contributors, name));
+        let group = |view: &str| taker(view).map_or(WhoseMap::EXCLUDED, |name| WhoseMap::group_of(&contributors, name));
         let group_of: Vec<usize> = table.photographs().iter().map(|photograph| group(&photograph.name)).collect();
         let pixels = from.map(&camera, &model.base.row_weights(&camera, &|_| 1.0), &group_of);
         let kind = if model.mark.is_some() { FieldKind::Marked } else { FieldKind::Base };
         let render = model.look(kind, &camera, model.base.canonical_appearance())?;
-        let (excluded, nobodys) = (found.excluded, found.unseen + found.behind);
-        let map = WhoseMap { render: &render, pixels: &pixels, contributors: &contributors, excluded, nobodys };
+        let Contributors { excluded, unseen, behind, .. } = found;
+        let map = WhoseMap { render: &render, pixels: &pixels, contributors: &contributors, excluded, unseen, behind };
         found.map = Some(map.draw());
     }
     Ok(found)
@@ -179,7 +184,7 @@ fn within(camera: &Camera, longest_px: usize) -> Camera {
 }
 
 impl ContributorShare {
-    fn of((name, mut photographs): (&str, Vec<(String, f64)>)) -> Self {
+    fn of(name: &str, mut photographs: Vec<(String, f64)>) -> Self {
         photographs.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
         let share = photographs.iter().map(|(_, share)| share).sum();
         Self { name: name.to_owned(), share, photographs }

@@ -90,11 +90,11 @@ pub fn render(
     Ok((picture, Some(maps)))
 }
 
-/// Whose cluster a viewpoint belongs to, and so whose mark a render from there carries; without the owner's records.
+/// Whose cluster a viewpoint belongs to, without the owner's records.
 ///
 /// # Errors
 /// As [`camera_of`]; [`EngineError::NotTrained`].
-pub fn marked(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Limits) -> Result<Who, EngineError> {
+pub fn place_of(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Limits) -> Result<Who, EngineError> {
     let camera = camera_of("the render", snapshot, viewpoint, limits)?;
     let found = snapshot.info()?.clusters.identity_of_without(&camera.pose, &snapshot.out_of_clusters);
     // Nobody is credited with a view that is left out, wherever it says that it was taken.

@@ -1,5 +1,5 @@
-//! The map of contributors: the render, beside it every pixel in the colours of whose photographs show it, and below a
-//! legend with names and per cent.
+//! The map of contributors: the render, beside it every pixel in the colour of whose photographs show most of it, and
+//! below a legend with names and per cent.
 
 use cairn_field::{CHANNELS, Mixed};
 use cairn_scene::Picture;
@@ -10,17 +10,25 @@ use crate::export::words::{Colour, cut};
 
 /// Colours of the contributors with the largest shares, told apart by people who see red and green alike (Okabe and Ito
 /// 2008).
-const COLOURS: [Colour; CHANNELS - 1] =
-    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 228, 66], [213, 94, 0], [0, 114, 178]];
-/// All other photographs'.
+const COLOURS: [Colour; CHANNELS - 2] =
+    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 228, 66], [213, 94, 0]];
+/// All other contributors' photographs.
 const OTHERS_COLOUR: Colour = [150, 150, 150];
-/// What no photograph shows, and what lies behind the scene.
+/// Photographs that were excluded.
+const EXCLUDED_COLOUR: Colour = [120, 60, 60];
+/// What no photograph shows.
+const UNSEEN_COLOUR: Colour = [60, 60, 70];
+/// What lies behind the scene.
+const BEHIND_COLOUR: Colour = [225, 235, 245];
+/// How far towards white a colour goes whose share of the pixel is next to none, 0 to 1.
+const PALE: f32 = 0.75;
+/// The page.
 const PAPER: Colour = [250, 250, 246];
 /// Ink.
 const INK: Colour = [40, 40, 40];
 /// Room around things, px.
 const GAP: usize = 8;
-/// Least pixels across: a legend has names.
+/// Pixels across at least: a legend has names.
 const MIN_WIDTH: usize = 420;
 /// Pictures are shown about so many times as large as fit into so many pixels, or as they are.
 const MIN_SIDE: usize = 256;
@@ -34,15 +42,19 @@ pub(crate) struct WhoseMap<'a> {
     /// Names and shares of the contributors, largest share first: of all that is seen, or of the part that was asked
     /// about.
     pub(crate) contributors: &'a [(&'a str, f64)],
-    /// The share of what was excluded,
+    /// The share of photographs that were excluded,
     pub(crate) excluded: f64,
-    /// and of what no photograph shows.
-    pub(crate) nobodys: f64,
+    /// of what no photograph shows,
+    pub(crate) unseen: f64,
+    /// and of what lies behind the scene.
+    pub(crate) behind: f64,
 }
 
 impl WhoseMap<'_> {
     /// The group of those who have no colour of their own.
-    pub(crate) const OTHERS: usize = CHANNELS - 1;
+    pub(crate) const OTHERS: usize = CHANNELS - 2;
+    /// The group of photographs that were excluded.
+    pub(crate) const EXCLUDED: usize = CHANNELS - 1;
 
     /// The group of the contributor `name`: one each of those with the largest shares.
     pub(crate) fn group_of(contributors: &[(&str, f64)], name: &str) -> usize {
@@ -82,21 +94,15 @@ impl WhoseMap<'_> {
         picture
     }
 
-    /// The colours of whose photographs show pixel `at`, by their shares; as dark as what is seen there.
+    /// The colour of what shows most of pixel `at`, the paler the smaller its share is.
     fn colour(&self, at: usize) -> [f32; 3] {
-        let (pixel, width) = (&self.pixels[at], self.render.width());
-        let [red, green, blue] = self.render.pixel(at % width, at / width);
-        // Rec. 709's weights.
-        let light = 0.4 + 0.6 * (0.2126 * red + 0.7152 * green + 0.0722 * blue);
-        let all = COLOURS.iter().chain([&OTHERS_COLOUR]).zip(pixel.channels);
-        let nobody = (1.0 - pixel.channels.iter().sum::<f32>()).max(0.0);
-        let mut sum = PAPER.map(|v| nobody * f32::from(v) / 255.0);
-        for (colour, share) in all {
-            for (sum, v) in sum.iter_mut().zip(colour) {
-                *sum += share * light * f32::from(*v) / 255.0;
-            }
-        }
-        sum.map(|v| v.clamp(0.0, 1.0))
+        let pixel = &self.pixels[at];
+        let unseen = (1.0 - pixel.behind - pixel.channels.iter().sum::<f32>()).max(0.0);
+        let groups = COLOURS.iter().chain([&OTHERS_COLOUR, &EXCLUDED_COLOUR]).zip(pixel.channels);
+        let all = groups.chain([(&UNSEEN_COLOUR, unseen), (&BEHIND_COLOUR, pixel.behind)]);
+        let (colour, share) = all.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((&UNSEEN_COLOUR, 1.0));
+        let pale = PALE * (1.0 - share.clamp(0.0, 1.0));
+        colour.map(|v| pale + (1.0 - pale) * f32::from(v) / 255.0)
     }
 
     /// The lines of the legend.
@@ -111,10 +117,15 @@ impl WhoseMap<'_> {
             1 => lines.push((OTHERS_COLOUR, format!("{}  one other", per_cent(rest)))),
             more => lines.push((OTHERS_COLOUR, format!("{}  {more} others", per_cent(rest)))),
         }
-        if self.excluded > 0.0 {
-            lines.push((OTHERS_COLOUR, format!("{}  photographs that were excluded", per_cent(self.excluded))));
+        for (share, colour, what) in [
+            (self.excluded, EXCLUDED_COLOUR, "photographs that were excluded"),
+            (self.unseen, UNSEEN_COLOUR, "shown by no photograph"),
+            (self.behind, BEHIND_COLOUR, "sky or background"),
+        ] {
+            if share >= 0.0005 {
+                lines.push((colour, format!("{}  {what}", per_cent(share))));
+            }
         }
-        lines.push((PAPER, format!("{}  nobody's: unseen, sky or background", per_cent(self.nobodys))));
         lines
     }
 }
@@ -127,26 +138,31 @@ mod tests {
     fn a_pixel_has_the_colour_of_whose_it_is_and_a_legend_names_them() {
         let names: Vec<String> = (0..10).map(|n| format!("person-{n}")).collect();
         let contributors: Vec<(&str, f64)> = names.iter().map(|name| (name.as_str(), 0.05)).collect();
-        let groups = ["person-0", "person-6", "person-7", "person-9", "nobody"];
-        assert_eq!(groups.map(|name| WhoseMap::group_of(&contributors, name)), [0, 6, 7, 7, WhoseMap::OTHERS]);
+        let groups = ["person-0", "person-5", "person-6", "person-9", "not-there"];
+        assert_eq!(groups.map(|name| WhoseMap::group_of(&contributors, name)), [0, 5, 6, 6, WhoseMap::OTHERS]);
         let render = Picture::constant(2, 1, [1.0; 3]);
         let mut pixels = vec![Mixed::default(); 2];
-        pixels[0].channels[1] = 1.0;
+        (pixels[0].channels[1], pixels[0].channels[2]) = (0.6, 0.4);
         pixels[1].behind = 1.0;
-        let map =
-            WhoseMap { render: &render, pixels: &pixels, contributors: &contributors, excluded: 0.0, nobodys: 0.5 };
+        let (excluded, unseen, behind) = (0.0, 0.2, 0.3);
+        let map = WhoseMap { render: &render, pixels: &pixels, contributors: &contributors, excluded, unseen, behind };
         let near = |a: [f32; 3], b: Colour| a.iter().zip(b).all(|(a, b)| (a - f32::from(b) / 255.0).abs() < 1e-5);
-        assert!(near(map.colour(0), COLOURS[1]) && near(map.colour(1), PAPER));
+        // Three tenths of the way to white.
+        let pale = COLOURS[1].map(|v| (0.3 + 0.7 * f32::from(v) / 255.0, v));
+        assert!(
+            map.colour(0).iter().zip(pale).all(|(got, (want, _))| (got - want).abs() < 1e-5),
+            "{:?}",
+            map.colour(0)
+        );
+        assert!(near(map.colour(1), BEHIND_COLOUR));
         let lines: Vec<String> = map.legend().into_iter().map(|(_, text)| text).collect();
-        assert_eq!(lines.len(), 9);
-        assert!(lines[0].contains("5.0 %  person-0") && lines[7].contains("15.0 %  3 others"), "{lines:?}");
-        assert!(lines[8].contains("50.0 %  nobody's"), "{lines:?}");
+        assert!(lines[0].contains("5.0 %  person-0") && lines[6].contains("20.0 %  4 others"), "{lines:?}");
+        assert!(lines[7].contains("20.0 %  shown by no photograph") && lines[8].contains("30.0 %  sky"), "{lines:?}");
         let picture = map.draw();
         // Two pixels, each 128 x 128 px large.
         assert_eq!((picture.width(), picture.height() > 128 + GAP), (2 * 256 + 3 * GAP, true));
-        assert!(near(picture.pixel(2 * GAP + 256, GAP), COLOURS[1]));
-        assert!(near(picture.pixel(2 * GAP + 256 + 127, GAP + 127), COLOURS[1]));
-        assert!(near(picture.pixel(2 * GAP + 256 + 128, GAP), PAPER));
+        assert_eq!(picture.pixel(2 * GAP + 256, GAP), picture.pixel(2 * GAP + 256 + 127, GAP + 127));
+        assert!(near(picture.pixel(2 * GAP + 256 + 128, GAP), BEHIND_COLOUR));
         assert_eq!(picture.pixel(GAP, GAP), [1.0; 3], "the render stands beside it");
     }
 }

@@ -5,7 +5,7 @@
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use cairn_durable::{remove, rename, sync_folder, write_atomic};
 use cairn_field::{Field, FieldError};
@@ -136,6 +136,8 @@ pub struct Model {
     folder: PathBuf,
     /// What each photograph taught the base field: read when first asked for.
     share_table: OnceLock<ShareTable>,
+    /// One reads it, and those who ask meanwhile wait for that.
+    reading: Mutex<()>,
     /// After stage 1.
     pub base: Arc<Field>,
     /// After stage 2, where there was one.
@@ -271,7 +273,7 @@ impl Model {
             None => None,
             Some(mark) => Some(load_mark(&folder, mark, info.classes()?, &base, &info.base_field)?),
         };
-        Ok(Self { info, folder, share_table: OnceLock::new(), base, mark })
+        Ok(Self { info, folder, share_table: OnceLock::new(), reading: Mutex::default(), base, mark })
     }
 
     /// What each photograph taught the base field.
@@ -282,6 +284,10 @@ impl Model {
         if let Some(table) = self.share_table.get() {
             return Ok(table);
         }
+        let _reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(table) = self.share_table.get() {
+            return Ok(table);
+        }
         let path = self.folder.join("base.shares");
         let mut file = open_checked(&path, &self.info.share_table, MAX_SHARES_BYTES)?;
         let table = ShareTable::read_from(&mut file).map_err(|error| match error {
@@ -289,7 +295,6 @@ impl Model {
             error => error.into(),
         })?;
         table.must_be_of(&*self.base)?;
-        // Read twice where two ask at once; both read the same.
         Ok(self.share_table.get_or_init(|| table))
     }
 

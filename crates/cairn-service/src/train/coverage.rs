@@ -24,5 +24,5 @@ pub(crate) fn share_table(part: &Part, base: &[u8], preparing: Preparing<'_>) ->
         let photograph = Photograph { name: name.clone(), position: view.camera.pose.position };
         builder.add(photograph, &taught(&base, name, view, huber))?;
     }
-    Ok(Some(builder.finish().to_bytes()?))
+    Ok(Some(builder.finish()?.to_bytes()?))
 }
