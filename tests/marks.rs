@@ -60,13 +60,13 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     place.cairn_ok(&[&larger[..], &[&place.text("marked.webp")], &to].concat());
     let lossy = place.cairn(&[&larger[..], &[&place.text("marked.jpg")], &to].concat());
     assert!(String::from_utf8_lossy(&lossy.stderr).contains("a JPEG may take a faint mark"), "{lossy:?}");
-    let owner = place.cairn_ok(&["who", "town", "--view", "images/ada_002.png", to[0], to[1]]);
-    let owner = owner.split(" (").next().unwrap();
+    let who = place.cairn_json(&["who", "town", "--view", "images/ada_002.png", "--json", to[0], to[1]]);
+    let owner = format!("identity {}: {}", who["identity"]["number"], who["identity"]["label"].as_str().unwrap());
     let identify =
         |picture: &str, how: &[&str]| place.cairn_ok(&[&["identify", "town", &place.text(picture)], how, &to].concat());
     for how in [["--view", "images/ada_002.png"], ["--pose", &pose]] {
         let said = identify("marked.png", &how);
-        assert!(said.starts_with(owner) && stands_out(&said), "{how:?}: {said}");
+        assert!(said.starts_with(&owner) && stands_out(&said), "{how:?}: {said}");
         assert_eq!(identify("marked.webp", &how), said, "the pixels are the same");
         let said = identify("base.png", &how);
         assert!(said.contains("registered: the field explains ") && !stands_out(&said), "{how:?}: {said}");
@@ -123,15 +123,15 @@ fn a_record_outlives_the_next_training_and_speaks_for_its_own_alone() {
     let who = || place.cairn_ok(&["who", "town", "--view", "images/ada_002.png", "--data", &data]);
     train("1", "first");
     let before = who();
-    let number = if before.starts_with("identity 1: ada") { 1 } else { 2 };
-    assert!(before.starts_with(&format!("identity {number}: ada ")), "{before}");
-    assert!(before.contains("\nada: photographs by ada (5)\n"), "{before}");
+    let number = if before.contains("identity 1's: ada") { 1 } else { 2 };
+    assert!(before.contains(" %  ada: images/ada_002.png "), "{before}");
     // A map leaf follows each record.
-    assert!(before.ends_with(&format!("\nowner records at index: {}\n", 2 * (number - 1))), "{before}");
+    let last = format!("\nthe place is identity {number}'s: ada; owner records at index: {}\n", 2 * (number - 1));
+    assert!(before.ends_with(&last), "{before}");
 
     // The second training has marks and records of its own; the first one's say nothing about them.
     train("2", "second");
-    assert!(who().ends_with(&format!("\nowner records at index: {}\n", 2 * (number + 1))), "{}", who());
+    assert!(who().ends_with(&format!("; owner records at index: {}\n", 2 * (number + 1))), "{}", who());
     for keys in ["first", "second"] {
         let (bundle, vkey) = (place.text(&format!("{keys}/1")), place.text(&format!("{keys}/1/log.vkey")));
         let report = place.cairn_ok(&["audit", "bundle", &bundle, "--vkey", &vkey, "--against", &data]);
@@ -189,11 +189,11 @@ fn anchors_and_signals_of_ones_own_go_all_the_way() {
     let shown = place.cairn_ok(&["scene", "show", "town", "--data", &data]);
     let label = shown.lines().find_map(|l| l.trim().strip_prefix("identity 1: ")?.split(',').next()).unwrap();
     let anchor = label.strip_prefix("anchor-").unwrap();
-    let who = place.cairn_ok(&["who", "town", "--view", anchor, "--data", &data]);
-    let by = who.lines().find_map(|l| l.strip_prefix(&format!("{label}: photographs by "))).expect(&who);
-    let counts: Vec<usize> = by.split(", ").map(|c| c.rsplit(['(', ')']).nth(1).unwrap().parse().unwrap()).collect();
+    let who = place.cairn_json(&["who", "town", "--view", anchor, "--json", "--data", &data]);
+    let by = who["identity"]["contributors"].as_array().unwrap();
+    let counts: Vec<u64> = by.iter().map(|of| of["photographs"].as_u64().unwrap()).collect();
     assert!(counts.is_sorted_by(|a, b| a >= b), "{who}");
-    assert_eq!(counts.iter().sum::<usize>(), 4, "{who}");
+    assert_eq!((counts.iter().sum::<u64>(), who["identity"]["label"].as_str()), (4, Some(label)), "{who}");
     // One signal too few is refused before anything is trained.
     let short = ["train", "town", "--anchors", "3", "--neighbours", "3", "--signals", &signals, "--quality", "smoke"];
     let refused = place.cairn(&[&short[..], &["--data", &data]].concat());
