@@ -90,19 +90,40 @@ impl WhoseMap<'_> {
         };
         let across = self.render.width();
         put(GAP, &|at| self.render.pixel(at % across, at / across));
-        put(2 * GAP + w, &|at| self.colour(at));
+        let colours = self.colours();
+        put(2 * GAP + w, &|at| colours[at]);
         picture
     }
 
-    /// The colour of what shows most of pixel `at`, the paler the smaller its share is.
-    fn colour(&self, at: usize) -> [f32; 3] {
-        let pixel = &self.pixels[at];
-        let unseen = (1.0 - pixel.behind - pixel.channels.iter().sum::<f32>()).max(0.0);
-        let groups = COLOURS.iter().chain([&OTHERS_COLOUR, &EXCLUDED_COLOUR]).zip(pixel.channels);
-        let all = groups.chain([(&UNSEEN_COLOUR, unseen), (&BEHIND_COLOUR, pixel.behind)]);
-        let (colour, share) = all.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((&UNSEEN_COLOUR, 1.0));
-        let pale = PALE * (1.0 - share.clamp(0.0, 1.0));
-        colour.map(|v| pale + (1.0 - pale) * f32::from(v) / 255.0)
+    /// The colour of what shows most of each pixel, the paler the smaller its share is beside the largest shares of the
+    /// map.
+    fn colours(&self) -> Vec<[f32; 3]> {
+        let firsts: Vec<(Colour, f32)> = self.pixels.iter().map(|pixel| self.first(pixel)).collect();
+        let mut shares: Vec<f32> =
+            firsts.iter().filter(|(c, _)| COLOURS.contains(c)).map(|(_, share)| *share).collect();
+        shares.sort_by(f32::total_cmp);
+        let full = shares.get(shares.len() * 19 / 20).copied().unwrap_or(1.0);
+        let shown = |(colour, share): (Colour, f32)| {
+            let pale = PALE * (1.0 - (share / full).clamp(0.0, 1.0));
+            colour.map(|v| pale + (1.0 - pale) * f32::from(v) / 255.0)
+        };
+        firsts.into_iter().map(shown).collect()
+    }
+
+    /// What shows most of a pixel, and its share: one of the contributors with a colour, where none of those without one
+    /// shows more on average, or what is no contributor's.
+    fn first(&self, pixel: &Mixed) -> (Colour, f32) {
+        let attributed = pixel.channels.iter().sum::<f32>();
+        let unseen = (1.0 - pixel.behind - attributed).max(0.0);
+        let no_contributors = [(UNSEEN_COLOUR, unseen), (BEHIND_COLOUR, pixel.behind)];
+        if let Some(largest) = no_contributors.into_iter().find(|(_, share)| *share > 0.5) {
+            return largest;
+        }
+        let others = self.contributors.len().saturating_sub(COLOURS.len()).max(1) as f32;
+        let own = COLOURS.into_iter().zip(pixel.channels);
+        let rest =
+            [(OTHERS_COLOUR, pixel.channels[Self::OTHERS] / others), (EXCLUDED_COLOUR, pixel.channels[Self::EXCLUDED])];
+        own.chain(rest).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((UNSEEN_COLOUR, 1.0))
     }
 
     /// The lines of the legend.
@@ -147,14 +168,15 @@ mod tests {
         let (excluded, unseen, behind) = (0.0, 0.2, 0.3);
         let map = WhoseMap { render: &render, pixels: &pixels, contributors: &contributors, excluded, unseen, behind };
         let near = |a: [f32; 3], b: Colour| a.iter().zip(b).all(|(a, b)| (a - f32::from(b) / 255.0).abs() < 1e-5);
-        // Three tenths of the way to white.
-        let pale = COLOURS[1].map(|v| (0.3 + 0.7 * f32::from(v) / 255.0, v));
-        assert!(
-            map.colour(0).iter().zip(pale).all(|(got, (want, _))| (got - want).abs() < 1e-5),
-            "{:?}",
-            map.colour(0)
-        );
-        assert!(near(map.colour(1), BEHIND_COLOUR));
+        let colours = map.colours();
+        assert!(near(colours[0], COLOURS[1]) && near(colours[1], BEHIND_COLOUR), "{colours:?}");
+        // Four others show 0.1 each on average, less than one with a colour; with 0.3 each they show more.
+        let shown = |named: f32, others: f32| {
+            let mut pixel = Mixed::default();
+            (pixel.channels[3], pixel.channels[WhoseMap::OTHERS]) = (named, others);
+            map.first(&pixel).0
+        };
+        assert_eq!([shown(0.2, 0.4), shown(0.2, 1.2)], [COLOURS[3], OTHERS_COLOUR]);
         let lines: Vec<String> = map.legend().into_iter().map(|(_, text)| text).collect();
         assert!(lines[0].contains("5.0 %  person-0") && lines[6].contains("20.0 %  4 others"), "{lines:?}");
         assert!(lines[7].contains("20.0 %  shown by no photograph") && lines[8].contains("30.0 %  sky"), "{lines:?}");
