@@ -1,9 +1,9 @@
 //! Shares: whose photographs account for what is seen of a field.
 //!
-//! - [`table`]: what each photograph taught each row, packed ([`ShareTable`])
 //! - [`taught`]: what a photograph's pixels counted
-//! - [`coverage`]: the shares of a view, of a part of it, and of its pixels
-//! - [`necessity`]: what would change without some photographs
+//! - [`ShareTable`]: what each photograph taught each row, packed
+//! - [`SeenFrom`]: the shares of a view, of a part of it, and of its pixels
+//! - [`Necessity`]: what would change without some photographs
 //!
 //! A share is *coverage*: how much of what is seen a photograph showed to the training. It is no measure of worth, and
 //! it does not say what would be missed without the photograph.
