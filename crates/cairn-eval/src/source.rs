@@ -94,7 +94,7 @@ impl Opened {
         &self.capture.views[index].name
     }
 
-    /// Who took a view, as the capture's `contributors.csv` has it; else nobody.
+    /// Who took a view, as the capture's `contributors.csv` says; `unknown` without one.
     pub fn contributor(&self, index: usize) -> &str {
         &self.capture.views[index].contributor
     }

@@ -2,7 +2,7 @@
 //!
 //! Photograph i's share of pixel p is `S[p,i] = sum_v W[p,v] a[v,i]`, where `a[v,i] = A[v,i] c / sum_j A[v,j] c_j` and
 //! `c = cos^k` of the angle at v between the ways to the photograph's camera and to the eye: what was seen from beside
-//! the eye says more of what the eye sees. What no photograph showed, and what lies behind the field, is nobody's.
+//! the eye says more of what the eye sees. What no photograph showed, and what lies behind the field, is no photograph's.
 
 use cairn_field::{CHANNELS, Mixed, RowWeights, VisibleField};
 use cairn_scene::Camera;
@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::table::{ShareTable, weights};
 
-/// The smallest cosine that counts: photographs from farther aside share what nobody shows from nearer by.
+/// The smallest cosine that counts: photographs from farther aside share what no photograph shows from nearer by.
 const MIN_COSINE: f32 = 0.1;
 /// Rows that a task goes through.
 const ROWS_A_TASK: usize = 4096;
@@ -201,7 +201,7 @@ mod tests {
             let got = [got.of_photographs[0], got.of_photographs[1], got.unseen, got.behind];
             assert!(got.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-6), "{got:?} is not {want:?}");
         };
-        // Two thirds of the first row are `beside`'s; the fourth row has been shown by nobody.
+        // Two thirds of the first row are `beside`'s; no photograph shows the fourth row.
         near(of(0, &[(1, 1.0)]), [1.0 / 12.0, 2.0 / 12.0, 0.5, 0.25]);
         near(of(0, &[(1, 1.0), (2, 1.0), (4, 1.0)]), [1.0 / 12.0, 5.0 / 12.0, 0.25, 0.25]);
         // From the eye `beside` lies 45 degrees aside: 4 cos^2 = 2, as much as `before`.

@@ -93,8 +93,7 @@ fn who_stands_nearest_has_the_largest_share_and_who_stands_behind_none() {
         let sum = of_photographs.iter().sum::<f64>() + unseen + behind;
         assert!((sum - 1.0).abs() < 1e-3, "all parts together are {sum}");
         assert!(unseen < 0.02, "every part of the ball was photographed, {unseen} was not");
-        let plain = Picture::constant(1, 1, [0.8; 3]);
-        assert!(behind > 0.3 && plain.pixel(0, 0)[0] > 0.5, "the sky lies behind the ball: {behind}");
+        assert!(behind > 0.3, "the sky lies behind the ball: {behind}");
         let first = (0..PHOTOGRAPHS).max_by(|a, b| of_photographs[*a].total_cmp(&of_photographs[*b])).unwrap();
         assert_eq!(first, 4, "{sharpness:?}: {of_photographs:?}");
         assert!(of_photographs[10] < 0.01, "{sharpness:?}: from behind {}", of_photographs[10]);

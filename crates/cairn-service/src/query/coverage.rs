@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use cairn_field::{RowWeights, VisibleField as _};
+use cairn_field::VisibleField as _;
 use cairn_scene::{Camera, Picture};
 use cairn_share::{SeenFrom, Shares, Sharpness};
 
@@ -120,12 +120,14 @@ pub fn contributors(
     let camera = asked.region.map_or(Ok(whole), |region| region.of(&whole))?;
     let table = model.share_table()?;
     let from = SeenFrom::new(table, &*model.base, camera.pose.position, Sharpness::default());
-    let Shares { of_photographs, unseen, behind } = from.shares(&sampled(model, &camera));
+    let sampled = sampled(&camera);
+    let seen = model.base.row_weights(&sampled, &|_| 1.0);
+    let Shares { of_photographs, unseen, behind } = from.shares(&seen);
 
     let views = &snapshot.scene.capture().views;
     let takers: BTreeMap<&str, &str> =
         views.iter().map(|view| (view.name.as_str(), view.contributor.as_str())).collect();
-    // Nobody is credited with what was excluded.
+    // An excluded photograph is credited to no contributor.
     let taker = |view: &str| takers.get(view).copied().filter(|_| !snapshot.is_out(view));
     let mut of: BTreeMap<&str, Vec<(String, f64)>> = BTreeMap::new();
     let mut excluded = 0.0;
@@ -153,7 +155,8 @@ pub fn contributors(
         let contributors: Vec<(&str, f64)> = found.shares.iter().map(|of| (of.name.as_str(), of.share)).collect();
         let group = |view: &str| taker(view).map_or(WhoseMap::EXCLUDED, |name| WhoseMap::group_of(&contributors, name));
         let group_of: Vec<usize> = table.photographs().iter().map(|photograph| group(&photograph.name)).collect();
-        let pixels = from.map(&camera, &model.base.row_weights(&camera, &|_| 1.0), &group_of);
+        let seen = if camera == sampled { seen } else { model.base.row_weights(&camera, &|_| 1.0) };
+        let pixels = from.map(&camera, &seen, &group_of);
         let kind = if model.mark.is_some() { FieldKind::Marked } else { FieldKind::Base };
         let render = model.look(kind, &camera, model.base.canonical_appearance())?;
         let Contributors { excluded, unseen, behind, .. } = found;
@@ -163,13 +166,12 @@ pub fn contributors(
     Ok(found)
 }
 
-/// What the pixels of `camera` see of the base field: of a large picture every second one each way, or every third, and
-/// so on.
-fn sampled(model: &Model, camera: &Camera) -> RowWeights {
+/// The camera that takes the pixels that shares are worked out from: of a large picture every second one each way, or
+/// every third, and so on.
+fn sampled(camera: &Camera) -> Camera {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let every = ((w * h) as f64 / MAX_RAYS as f64).sqrt().ceil().max(1.0) as usize;
-    let small = camera.resized((w / every).max(1), (h / every).max(1));
-    model.base.row_weights(&small, &|_| 1.0)
+    if every == 1 { *camera } else { camera.resized((w / every).max(1), (h / every).max(1)) }
 }
 
 /// The camera, made smaller where a side is longer than so many px.
