@@ -202,3 +202,26 @@ fn pictures_of_any_size_are_put_together_in_order() {
         assert!(apart(&picture, &smaller(&after)) < 1e-4, "{width} x {height} px, {rays} rays across one, marked");
     }
 }
+
+/// A change of the field's own constant colours is what harmonics of degree 0 are, in any light, and has a transpose.
+#[test]
+fn constant_colours_are_seen_in_the_light_of_the_field_s_own() {
+    for (frame, from) in cases() {
+        let (field, _, carrier) = pair(&frame, CarrierBasis::Constant);
+        let (linear, _) = view(&field, from, 0.0);
+        let look = random_appearance(12);
+        let mut harmonics = vec![0.0; carrier.len() * SH];
+        harmonics.iter_mut().step_by(SH).zip(&carrier).for_each(|(h, c)| *h = c / SH_DC as f32);
+        let (mut lit, mut expected) = (vec![0.0; 24 * 24 * 3], vec![0.0; 24 * 24 * 3]);
+        linear.apply_lit(&carrier, &look, &mut lit);
+        linear.apply(&harmonics, CarrierBasis::Harmonics, &look, &mut expected);
+        let size = expected.iter().fold(0.0, |max: f32, v| max.max(v.abs()));
+        assert!(size > 0.1 && apart(&lit, &expected) < 1e-5 * size, "{frame:?}: {}", apart(&lit, &expected));
+        let mut numbers = Numbers(5);
+        let y: Vec<f32> = (0..lit.len()).map(|_| numbers.within(-1.0, 1.0) as f32).collect();
+        let mut back = vec![0.0; carrier.len()];
+        linear.push_back_lit(&y, &look, &mut back);
+        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+        assert!((dot(&lit, &y) - dot(&carrier, &back)).abs() < 1e-6 * dot(&lit, &lit).sqrt() * dot(&y, &y).sqrt());
+    }
+}

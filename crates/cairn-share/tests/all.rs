@@ -1,7 +1,7 @@
 //! Shares of a ball that twelve photographers stand around.
 
 use cairn_field::{
-    AppearanceMode, BaseTrainer, CarrierBasis, Field, FieldConfig, MarkableField, NamedView, SceneFrame, VisibleField,
+    Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, MarkableField, NamedView, SceneFrame, VisibleField,
 };
 use cairn_scene::{Camera, Distortion, Intrinsics, Mask, Picture, Picture8, Pose, TrainView};
 use cairn_share::{
@@ -182,13 +182,24 @@ fn a_large_photograph_is_sampled_and_counts_for_all_its_pixels() {
     assert!((sum(&some) / sum(&all) - 1.0).abs() < 0.01, "{} px, not {}", sum(&some), sum(&all));
 }
 
+/// A light for each photograph, which dims its colours and mixes them.
+fn light(k: usize) -> Appearance {
+    let mut code = field().canonical_appearance().code().to_vec();
+    let features = code.len() / 3;
+    for c in 0..3 {
+        code[c * features + c] *= 1.0 - 0.05 * (k % 5) as f32;
+        code[c * features + (c + 1) % 3] += 0.02 * (k % 3) as f32;
+    }
+    Appearance::from_code(code).unwrap()
+}
+
 fn lessons() -> Vec<Lesson> {
     let lesson = |k: usize| {
         let camera = camera(k as f64, 1);
         let view = field().view(&camera, 1e-4, 1);
         let shown = view.base(field().canonical_appearance());
         let residual = photograph(&camera).rgb().iter().zip(&shown).map(|(y, c)| y - c).collect();
-        Lesson { view, residual, weights: vec![1.0; 40 * 36] }
+        Lesson { view, light: light(k), residual, weights: vec![1.0; 40 * 36] }
     };
     (0..PHOTOGRAPHS).map(lesson).collect()
 }
@@ -198,7 +209,7 @@ fn price(lessons: &[Lesson], off: &[f32], pull: f32, moved: &[f32]) -> f64 {
     let mut price = 0.0;
     for lesson in lessons {
         let mut shown = vec![0.0; lesson.residual.len()];
-        lesson.view.apply(moved, CarrierBasis::Constant, field().canonical_appearance(), &mut shown);
+        lesson.view.apply_lit(moved, &lesson.light, &mut shown);
         price += lesson.residual.iter().zip(&shown).map(|(r, s)| f64::from(r - s).powi(2)).sum::<f64>();
     }
     price + f64::from(pull) * moved.iter().zip(off).map(|(m, o)| f64::from(m + o).powi(2)).sum::<f64>()
@@ -237,7 +248,7 @@ fn what_only_one_side_shows_needs_that_side() {
         let solved = problem.solve(|photograph| !without.contains(&photograph));
         let moved: Vec<f32> = solved.iter().zip(&all).map(|(a, b)| a - b).collect();
         let mut shown = vec![0.0; 3 * 40 * 36];
-        view.apply(&moved, CarrierBasis::Constant, field().canonical_appearance(), &mut shown);
+        view.apply_lit(&moved, field().canonical_appearance(), &mut shown);
         (shown.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / shown.len() as f64).sqrt()
     };
     let (before, one, behind) = (change(1..=5), change(3..=3), change(7..=11));

@@ -2,12 +2,12 @@
 
 use std::time::Instant;
 
-use cairn_field::{CarrierBasis, Field, MarkableField, NamedView, RowWeights, VisibleField};
+use cairn_field::{Appearance, Field, MarkableField, NamedView, RowWeights, VisibleField};
 use cairn_scene::Camera;
 use cairn_share::{Builder, Lesson, Necessity, Photograph, SeenFrom, ShareTable, Sharpness, taught};
 
 use super::rank::Table;
-use super::truth::rms;
+use super::truth::{light_of, rms};
 use crate::progress::Progress;
 use crate::source::Opened;
 
@@ -25,10 +25,17 @@ pub struct Foresight<'a> {
     /// The views of each group.
     pub groups: &'a [Vec<usize>],
     table: ShareTable,
-    /// What each held-out view sees.
-    seen: Vec<(Camera, RowWeights)>,
+    /// What the right half of each held-out view sees, and its light, fitted to the left half.
+    seen: Vec<Sight>,
     /// Seconds that the table took.
     pub table_seconds: f64,
+}
+
+/// What a held-out view sees.
+struct Sight {
+    camera: Camera,
+    weights: RowWeights,
+    light: Appearance,
 }
 
 impl<'a> Foresight<'a> {
@@ -36,7 +43,13 @@ impl<'a> Foresight<'a> {
     ///
     /// # Errors
     /// For more photographs than a table takes, and such as do not decode.
-    pub fn new(opened: &'a Opened, field: &'a Field, groups: &'a [Vec<usize>], huber: f64) -> anyhow::Result<Self> {
+    pub fn new(
+        opened: &'a Opened,
+        held_out: &[usize],
+        field: &'a Field,
+        groups: &'a [Vec<usize>],
+        huber: f64,
+    ) -> anyhow::Result<Self> {
         let mut builder = Builder::new(VisibleField::rows(field));
         let mut table_seconds = 0.0;
         for index in opened.training() {
@@ -50,12 +63,14 @@ impl<'a> Foresight<'a> {
         let begun = Instant::now();
         let table = builder.finish()?;
         table_seconds += begun.elapsed().as_secs_f64();
-        let seen = |index: usize| {
-            let camera = opened.camera(index);
+        let seen = |index: &usize| -> anyhow::Result<Sight> {
+            let view = opened.view(*index)?;
+            let camera = view.camera;
             let right = |at: usize| at % camera.intrinsics.width >= camera.intrinsics.width / 2;
-            (camera, field.row_weights(&camera, &|pixel| f32::from(u8::from(right(pixel.at)))))
+            let weights = field.row_weights(&camera, &|pixel| f32::from(u8::from(right(pixel.at))));
+            Ok(Sight { camera, weights, light: light_of(field, &camera, &view.picture)? })
         };
-        let seen = opened.held_out().into_iter().map(seen).collect();
+        let seen = held_out.iter().map(seen).collect::<anyhow::Result<_>>()?;
         Ok(Self { opened, field, groups, table, seen, table_seconds })
     }
 
@@ -76,7 +91,7 @@ impl<'a> Foresight<'a> {
     }
 
     fn each_view(&self, of: impl Fn(&Camera, &[usize]) -> f64) -> Table {
-        self.seen.iter().map(|(camera, _)| self.groups.iter().map(|group| of(camera, group)).collect()).collect()
+        self.seen.iter().map(|seen| self.groups.iter().map(|group| of(&seen.camera, group)).collect()).collect()
     }
 
     /// Each photograph counts by how near it was taken from, and how alike it looks.
@@ -95,9 +110,9 @@ impl<'a> Foresight<'a> {
 
     fn coverage(&self, sharpness: Sharpness) -> Table {
         let place: Vec<usize> = self.opened.training();
-        let of = |(camera, seen): &(Camera, RowWeights)| {
-            let from = SeenFrom::new(&self.table, self.field, camera.pose.position, sharpness);
-            let shares = from.shares(seen).of_photographs;
+        let of = |seen: &Sight| {
+            let from = SeenFrom::new(&self.table, self.field, seen.camera.pose.position, sharpness);
+            let shares = from.shares(&seen.weights).of_photographs;
             let share = |group: &Vec<usize>| {
                 place.iter().zip(&shares).filter(|(index, _)| group.contains(index)).map(|(_, share)| share).sum()
             };
@@ -118,14 +133,15 @@ impl<'a> Foresight<'a> {
             let shown = map.base(self.field.appearance_of(&view.name));
             let residual: Vec<f32> = view.picture.rgb().iter().zip(&shown).map(|(y, c)| y - c).collect();
             let weights = vec![1.0; residual.len() / 3];
-            lessons.push(Lesson { view: map, residual, weights });
+            lessons.push(Lesson { view: map, light: self.field.appearance_of(&view.name).clone(), residual, weights });
         }
         drop(progress);
         let off = self.field.constant_colours().iter().flat_map(|c| c.map(|v| v - 0.5)).collect::<Vec<f32>>();
         let mut out = Vec::new();
-        for (name, pull, steps) in [("necessity, rho 0.1", 0.1, STEPS), ("necessity, rho 0.01", 0.01, STEPS)] {
+        for pull in [0.1, 0.01] {
+            let name = &format!("necessity, rho {pull}");
             let begun = Instant::now();
-            let problem = Necessity::new(&lessons, MarkableField::rows(self.field), off.clone(), pull, steps);
+            let problem = Necessity::new(&lessons, MarkableField::rows(self.field), off.clone(), pull, STEPS);
             let mut progress = Progress::new(name, self.groups.len() as u64 + 1);
             let all = problem.solve(|_| true);
             let mut table = vec![Vec::new(); self.seen.len()];
@@ -133,8 +149,8 @@ impl<'a> Foresight<'a> {
                 progress.at(n as u64 + 1, "");
                 let without = problem.solve(|photograph| !group.contains(&training[photograph]));
                 let moved: Vec<f32> = without.iter().zip(&all).map(|(a, b)| a - b).collect();
-                for (row, (camera, _)) in table.iter_mut().zip(&self.seen) {
-                    row.push(self.shown(camera, &moved));
+                for (row, seen) in table.iter_mut().zip(&self.seen) {
+                    row.push(self.shown(seen, &moved));
                 }
             }
             drop(progress);
@@ -145,10 +161,10 @@ impl<'a> Foresight<'a> {
     }
 
     /// What a change of constant colours changes in the right half of a view, RMS.
-    fn shown(&self, camera: &Camera, moved: &[f32]) -> f64 {
-        let view = self.field.view(camera, CUTOFF, 1);
+    fn shown(&self, seen: &Sight, moved: &[f32]) -> f64 {
+        let view = self.field.view(&seen.camera, CUTOFF, 1);
         let mut picture = vec![0.0; 3 * view.width() * view.height()];
-        view.apply(moved, CarrierBasis::Constant, self.field.canonical_appearance(), &mut picture);
+        view.apply_lit(moved, &seen.light, &mut picture);
         let from = 3 * (view.width() / 2);
         let right: Vec<f32> = picture.chunks_exact(3 * view.width()).flat_map(|row| row[from..].to_vec()).collect();
         rms(&right, &vec![0.0; right.len()])

@@ -2,10 +2,29 @@
 
 use std::collections::BTreeMap;
 
+use rand::SeedableRng as _;
+use rand::seq::SliceRandom as _;
+use rand_chacha::ChaCha8Rng;
+
 use crate::source::Opened;
 
 /// Groups of contributors, as many as are retrained without.
 pub const GROUPS: usize = 8;
+
+/// Draws of half of the groups: each is retrained without, and so is the other half.
+const HALVES: usize = 4;
+
+/// Halves of the groups, by their numbers, drawn at random, and their other halves.
+pub fn subsets(seed: u64) -> Vec<Vec<usize>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut drawn = Vec::new();
+    for _ in 0..HALVES {
+        let mut order: Vec<usize> = (0..GROUPS).collect();
+        order.shuffle(&mut rng);
+        drawn.extend([order[..GROUPS / 2].to_vec(), order[GROUPS / 2..].to_vec()]);
+    }
+    drawn
+}
 
 /// Whose photographs a capture's are.
 #[derive(Clone, Copy, Debug)]

@@ -49,34 +49,69 @@ pub struct Agreement {
     pub same_first: f64,
 }
 
-/// How `a` and `b` agree.
+impl Agreement {
+    fn less(self, other: &Self) -> Self {
+        Self {
+            all: self.all - other.all,
+            within_views: self.within_views - other.within_views,
+            within_groups: self.within_groups - other.within_groups,
+            same_first: self.same_first - other.same_first,
+        }
+    }
+}
+
+/// How much better `a` agrees with `truth` than `rival` does, on the same draws of views: see [`interval`].
+pub fn advantage(a: &Table, rival: &Table, truth: &Table, seed: u64) -> Spread {
+    let ahead = |rows: &[usize]| over(a, truth, rows).less(&over(rival, truth, rows));
+    Spread::of(a.len(), seed, ahead)
+}
+
+/// How well sums over the columns of a subset foresee what leaving that subset out does (the linear datamodeling score of
+/// Park et al. 2023, "TRAK", section 2): Spearman's rank correlation over the subsets, its mean over views. `truth` has a
+/// column for each of `subsets`.
+pub fn datamodeling(a: &Table, subsets: &[Vec<usize>], truth: &Table) -> Vec<f64> {
+    let foreseen = |row: &Vec<f64>| subsets.iter().map(|of| of.iter().map(|k| row[*k]).sum()).collect::<Vec<f64>>();
+    a.iter().zip(truth).map(|(row, truth)| spearman(&foreseen(row), truth).unwrap_or_default()).collect()
+}
+
+/// A figure over all views, and the limits between which 95 % of draws of as many views lie, each view as often as it is
+/// drawn (Efron's bootstrap).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spread {
+    /// Over all views.
+    pub whole: Agreement,
+    /// The lower limit of each figure,
+    pub low: Agreement,
+    /// and the upper one.
+    pub high: Agreement,
+}
+
+impl Spread {
+    fn of(views: usize, seed: u64, figure: impl Fn(&[usize]) -> Agreement) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut drawn = || (0..views).map(|_| rng.random_range(0..views)).collect::<Vec<_>>();
+        let draws: Vec<Agreement> = (0..DRAWS).map(|_| figure(&drawn())).collect();
+        let at = |of: fn(&Agreement) -> f64, share: f64| {
+            let mut sorted: Vec<f64> = draws.iter().map(of).collect();
+            sorted.sort_by(f64::total_cmp);
+            sorted[((DRAWS - 1) as f64 * share).round() as usize]
+        };
+        let of = |share: f64| Agreement {
+            all: at(|v| v.all, share),
+            within_views: at(|v| v.within_views, share),
+            within_groups: at(|v| v.within_groups, share),
+            same_first: at(|v| v.same_first, share),
+        };
+        Self { whole: figure(&(0..views).collect::<Vec<_>>()), low: of(0.025), high: of(0.975) }
+    }
+}
+
+/// How `a` and `b` agree, with an interval.
 ///
 /// # Panics
 /// When they are of different sizes.
-pub fn agreement(a: &Table, b: &Table) -> Agreement {
-    let rows: Vec<usize> = (0..a.len()).collect();
-    over(a, b, &rows)
-}
-
-/// As [`agreement`], the limits between which 95 % of draws of as many views lie, each view as often as it is drawn
-/// (Efron's bootstrap): low, high.
-pub fn interval(a: &Table, b: &Table, seed: u64) -> (Agreement, Agreement) {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let draws: Vec<Agreement> = (0..DRAWS)
-        .map(|_| over(a, b, &(0..a.len()).map(|_| rng.random_range(0..a.len())).collect::<Vec<_>>()))
-        .collect();
-    let at = |of: fn(&Agreement) -> f64, share: f64| {
-        let mut sorted: Vec<f64> = draws.iter().map(of).collect();
-        sorted.sort_by(f64::total_cmp);
-        sorted[((DRAWS - 1) as f64 * share).round() as usize]
-    };
-    let of = |share: f64| Agreement {
-        all: at(|v| v.all, share),
-        within_views: at(|v| v.within_views, share),
-        within_groups: at(|v| v.within_groups, share),
-        same_first: at(|v| v.same_first, share),
-    };
-    (of(0.025), of(0.975))
+pub fn interval(a: &Table, b: &Table, seed: u64) -> Spread {
+    Spread::of(a.len(), seed, |rows| over(a, b, rows))
 }
 
 fn over(a: &Table, b: &Table, rows: &[usize]) -> Agreement {
@@ -121,12 +156,22 @@ mod tests {
     fn tables_agree_by_rows_columns_and_first_places() {
         let a = vec![vec![1.0, 2.0, 3.0], vec![2.0, 3.0, 9.0]];
         let b = vec![vec![1.0, 2.0, 3.0], vec![3.0, 4.0, 0.0]];
-        let found = agreement(&a, &b);
+        let found = interval(&a, &b, 1).whole;
         assert!((found.within_views - (1.0 - 0.5) / 2.0).abs() < 1e-12 && (found.same_first - 0.5).abs() < 1e-12);
         assert!((found.within_groups - 1.0 / 3.0).abs() < 1e-12, "two columns rise in both, one falls");
         let tied = vec![vec![5.0; 3], vec![5.0; 3]];
-        assert!((agreement(&tied, &b).same_first - 1.0 / 3.0).abs() < 1e-12, "a third of each");
-        let (low, high) = interval(&a, &a, 1);
+        assert!((interval(&tied, &b, 1).whole.same_first - 1.0 / 3.0).abs() < 1e-12, "a third of each");
+        let Spread { low, high, .. } = interval(&a, &a, 1);
         assert!(low.all > 0.999 && high.same_first > 0.999);
+        let ahead = advantage(&b, &tied, &b, 1);
+        assert!((ahead.whole.same_first - 2.0 / 3.0).abs() < 1e-12 && ahead.low.same_first > 0.6);
+    }
+
+    #[test]
+    fn subsets_are_foreseen_by_sums() {
+        let a = vec![vec![1.0, 2.0, 4.0]];
+        let subsets = [vec![0, 1], vec![2], vec![0, 2]];
+        assert_eq!(datamodeling(&a, &subsets, &vec![vec![10.0, 20.0, 30.0]]), [1.0]);
+        assert_eq!(datamodeling(&a, &subsets, &vec![vec![30.0, 20.0, 10.0]]), [-1.0]);
     }
 }

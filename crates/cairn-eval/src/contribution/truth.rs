@@ -1,8 +1,8 @@
-//! What leaving a group out changes: trainings without it, and held-out views rendered by both fields.
+//! What leaving groups out changes: trainings without them, and held-out views rendered by both fields.
 
 use std::path::{Path, PathBuf};
 
-use cairn_field::{Field, FieldConfig};
+use cairn_field::{Appearance, Field, FieldConfig};
 use cairn_scene::{Camera, Picture};
 use cairn_service::query::evaluate::half;
 
@@ -20,6 +20,8 @@ pub struct Trainings<'a> {
     pub config: &'a FieldConfig,
     /// The views of each group.
     pub groups: &'a [Vec<usize>],
+    /// Groups that are left out together, by their numbers; with the first seed alone.
+    pub subsets: &'a [Vec<usize>],
     /// Where fields are kept: one that is there is not trained again.
     pub out: &'a Path,
 }
@@ -34,21 +36,52 @@ pub struct Truth {
     /// changes of each colour. Two trainings differ wherever photographs do not say how things are; that is independent
     /// between seeds, and its mean here is 0.
     pub shared: Table,
+    /// As `change` and `growth`, by the first seed, a column for each subset of the groups.
+    pub of_subsets: [Table; 2],
+}
+
+/// What a training is without.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Without {
+    /// Nothing: it has all photographs.
+    None,
+    /// A group.
+    Group(usize),
+    /// A subset of the groups.
+    Subset(usize),
+}
+
+impl Without {
+    fn in_words(self) -> String {
+        match self {
+            Self::None => "of-all".to_owned(),
+            Self::Group(group) => format!("without-{group}"),
+            Self::Subset(subset) => format!("without-subset-{subset}"),
+        }
+    }
 }
 
 impl Trainings<'_> {
-    /// The file of the field of `seed`, of all photographs or without a group.
-    fn field_file(&self, seed: u64, without: Option<usize>) -> PathBuf {
-        let left_out = without.map_or("of-all".to_owned(), |group| format!("without-{group}"));
-        self.out.join(format!("seed-{seed}-{left_out}.field"))
+    /// The file of the field of `seed`.
+    fn field_file(&self, seed: u64, without: Without) -> PathBuf {
+        self.out.join(format!("seed-{seed}-{}.field", without.in_words()))
     }
 
-    /// The field of `seed`, of all photographs or without a group.
+    /// The field of `seed`.
     ///
     /// # Errors
     /// For one that was not trained yet, or does not read.
-    pub fn field(&self, seed: u64, without: Option<usize>) -> anyhow::Result<Field> {
+    pub fn field(&self, seed: u64, without: Without) -> anyhow::Result<Field> {
         Ok(Field::from_bytes(&read(&self.field_file(seed, without))?)?)
+    }
+
+    /// The views that a training is without.
+    fn views(&self, without: Without) -> Vec<usize> {
+        match without {
+            Without::None => Vec::new(),
+            Without::Group(group) => self.groups[group].clone(),
+            Without::Subset(subset) => self.subsets[subset].iter().flat_map(|group| self.groups[*group].clone()).collect(),
+        }
     }
 
     /// Trains what is not there yet, of some seeds.
@@ -56,43 +89,43 @@ impl Trainings<'_> {
     /// # Errors
     /// Those of a training.
     pub fn run(&self, children: &Children, seeds: &[u64]) -> anyhow::Result<()> {
-        let wanted = seeds.iter().flat_map(|seed| (0..=self.groups.len()).map(|n| (*seed, n.checked_sub(1))));
+        let each = || std::iter::once(Without::None).chain((0..self.groups.len()).map(Without::Group));
+        let subsets = (0..self.subsets.len()).map(|subset| (seeds[0], Without::Subset(subset)));
+        let wanted = seeds.iter().flat_map(|seed| each().map(|without| (*seed, without))).chain(subsets);
         let missing: Vec<_> = wanted.filter(|(seed, without)| !self.field_file(*seed, *without).is_file()).collect();
         for (n, (seed, without)) in missing.iter().enumerate() {
             let field = self.field_file(*seed, *without);
             // Under its own name only once it is whole: a run that was stopped goes on there.
             let filling = field.with_extension("part");
-            let which = without.map_or("all".to_owned(), |group| format!("without group {}", group + 1));
             children.run(&Train {
                 source: self.source.clone(),
                 config: self.config.clone(),
                 seed: *seed,
-                without: without.map_or(Vec::new(), |group| self.groups[group].clone()),
+                without: self.views(*without),
                 stego: None,
                 field: filling.clone(),
-                label: format!("training {} of {} ({which}, seed {seed})", n + 1, missing.len()),
+                label: format!("training {} of {} ({}, seed {seed})", n + 1, missing.len(), without.in_words()),
             })?;
             std::fs::rename(&filling, &field)?;
         }
         Ok(())
     }
 
-    /// What leaving each group out changes, by some seeds.
+    /// What leaving each group out changes in the views `held_out`, by some seeds.
     ///
     /// # Errors
     /// For fields and photographs that do not read.
-    pub fn truth(&self, opened: &Opened, seeds: &[u64]) -> anyhow::Result<Truth> {
-        let held_out = opened.held_out();
-        let shown = |seed: &u64, without: Option<usize>| -> anyhow::Result<Vec<Shown>> {
+    pub fn truth(&self, opened: &Opened, held_out: &[usize], seeds: &[u64]) -> anyhow::Result<Truth> {
+        let shown = |seed: &u64, without: Without| -> anyhow::Result<Vec<Shown>> {
             let field = self.field(*seed, without)?;
             held_out.iter().map(|index| shown(opened, &field, *index)).collect()
         };
-        let of_all = seeds.iter().map(|seed| shown(seed, None)).collect::<anyhow::Result<Vec<_>>>()?;
+        let of_all = seeds.iter().map(|seed| shown(seed, Without::None)).collect::<anyhow::Result<Vec<_>>>()?;
         let none: Table = vec![Vec::new(); held_out.len()];
         let (mut change, mut growth) = (vec![none.clone(); seeds.len()], vec![none.clone(); seeds.len()]);
-        let mut shared = none;
+        let (mut shared, mut of_subsets) = (none.clone(), [none.clone(), none]);
         for group in 0..self.groups.len() {
-            let without = seeds.iter().map(|seed| shown(seed, Some(group))).collect::<anyhow::Result<Vec<_>>>()?;
+            let without = seeds.iter().map(|seed| shown(seed, Without::Group(group))).collect::<anyhow::Result<Vec<_>>>()?;
             for view in 0..held_out.len() {
                 let mut moves = Vec::new();
                 for (at, (all, without)) in of_all.iter().zip(&without).enumerate() {
@@ -106,7 +139,14 @@ impl Trainings<'_> {
                 shared[view].push(common.max(0.0).sqrt());
             }
         }
-        Ok(Truth { change, growth, shared })
+        for subset in 0..self.subsets.len() {
+            for (view, without) in shown(&seeds[0], Without::Subset(subset))?.iter().enumerate() {
+                let all = &of_all[0][view];
+                of_subsets[0][view].push(rms(&all.colours, &without.colours));
+                of_subsets[1][view].push(without.error - all.error);
+            }
+        }
+        Ok(Truth { change, growth, shared, of_subsets })
     }
 }
 
@@ -126,12 +166,19 @@ fn shown(opened: &Opened, field: &Field, index: usize) -> anyhow::Result<Shown> 
 
 /// `camera`'s view in the light of the left half of `photograph`, where the scene has lights.
 fn render(field: &Field, camera: &Camera, photograph: &Picture) -> anyhow::Result<Picture> {
-    let light = if field.appearances().is_empty() {
-        field.canonical_appearance().clone()
+    Ok(field.render(camera, &light_of(field, camera, photograph)?).clamped())
+}
+
+/// The light of the left half of `photograph`, where the scene has lights.
+///
+/// # Errors
+/// Those of the fit.
+pub fn light_of(field: &Field, camera: &Camera, photograph: &Picture) -> anyhow::Result<Appearance> {
+    if field.appearances().is_empty() {
+        Ok(field.canonical_appearance().clone())
     } else {
-        field.fit_appearance_left_half(camera, photograph)?
-    };
-    Ok(field.render(camera, &light).clamped())
+        Ok(field.fit_appearance_left_half(camera, photograph)?)
+    }
 }
 
 /// How far two pictures lie apart, RMS.

@@ -6,7 +6,7 @@
 //! weights are worked out once a view and kept as one sparse matrix; applying it
 //! and its transpose is all the rendering that stage 2 does.
 
-use super::basis::CarrierBasis;
+use super::basis::{CarrierBasis, Tints, lit};
 use super::model::Field;
 use super::weights::{FAR, ViewWeights};
 use crate::appearance::code::Appearance;
@@ -129,8 +129,20 @@ impl LinearView {
     /// # Panics
     /// When `picture` is of another size.
     pub fn apply(&self, carrier: &[f32], basis: CarrierBasis, appearance: &Appearance, picture: &mut [f32]) {
+        self.tinted(carrier, basis, basis.tints(appearance), picture);
+    }
+
+    /// Adds to `picture` (`height x width x 3`) what a change of the field's own colours by `colours` (`rows x 3`, the same
+    /// from everywhere) changes, seen with `appearance`.
+    ///
+    /// # Panics
+    /// When `picture` is of another size.
+    pub fn apply_lit(&self, colours: &[f32], appearance: &Appearance, picture: &mut [f32]) {
+        self.tinted(colours, CarrierBasis::Constant, lit(appearance), picture);
+    }
+
+    fn tinted(&self, carrier: &[f32], basis: CarrierBasis, [near, far]: Tints, picture: &mut [f32]) {
         assert_eq!(picture.len(), self.width * self.height * 3, "a picture of this view's size");
-        let [near, far] = basis.tints(appearance);
         picture.par_chunks_exact_mut(3).with_min_len(512).enumerate().for_each(|(pixel, out)| {
             self.ask_ahead(pixel, carrier, basis.width(), 0);
             let sums = match basis {
@@ -193,16 +205,31 @@ impl LinearView {
         gradient: &mut [f32],
         touched: &mut [bool],
     ) {
+        self.push_tinted(slope, basis, basis.tints(appearance), Owed { first: 0, gradient, touched });
+    }
+
+    /// The transpose of [`LinearView::apply_lit`], as [`LinearView::push_back`] is that of [`LinearView::apply`].
+    ///
+    /// # Panics
+    /// When `slope` is of another size.
+    pub fn push_back_lit(&self, slope: &[f32], appearance: &Appearance, colours: &mut [f32]) {
+        let mut touched = vec![false; colours.len() / 3];
+        let owed = Owed { first: 0, gradient: colours, touched: &mut touched };
+        self.push_tinted(slope, CarrierBasis::Constant, lit(appearance), owed);
+    }
+
+    fn push_tinted(&self, slope: &[f32], basis: CarrierBasis, tints: Tints, owed: Owed<'_>) {
+        let (gradient, touched) = (&*owed.gradient, &*owed.touched);
         assert_eq!(slope.len(), self.width * self.height * 3, "a picture of this view's size");
         assert_eq!(gradient.len(), touched.len() * basis.width(), "a place for each row");
         rayon::scope(|scope| {
-            let mut rest = Owed { first: 0, gradient, touched };
+            let mut rest = owed;
             for end in self.shares(rayon::current_num_threads().min(MAX_SHARES)) {
                 let (part, behind) = rest.split_at(end, basis.width());
                 rest = behind;
-                scope.spawn(move |_| self.push_rows(slope, basis, appearance, part));
+                scope.spawn(move |_| self.push_rows(slope, basis, tints, part));
             }
-            self.push_rows(slope, basis, appearance, rest);
+            self.push_rows(slope, basis, tints, rest);
         });
     }
 
@@ -219,10 +246,9 @@ impl LinearView {
         (1..parts).filter_map(|part| rows.get(rows.len() * part / parts)).map(|row| *row as usize).collect()
     }
 
-    /// [`LinearView::push_back`] to some of the rows.
-    fn push_rows(&self, slope: &[f32], basis: CarrierBasis, appearance: &Appearance, owed: Owed<'_>) {
+    /// Goes back to some of the rows.
+    fn push_rows(&self, slope: &[f32], basis: CarrierBasis, tints: Tints, owed: Owed<'_>) {
         let Owed { first, gradient, touched } = owed;
-        let tints = basis.tints(appearance);
         for (pixel, g) in slope.chunks_exact(3).enumerate() {
             self.ask_ahead(pixel, gradient, basis.width(), first);
             for (entries, tint) in self.seen_by(pixel).into_iter().zip(&tints) {
