@@ -3,11 +3,14 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use anyhow::Context as _;
 use cairn_api::v1::{self, contributors_response};
 
 use super::connect::Connection;
+use super::exit::Cancelled;
 use super::files::write;
 use super::json::{self, Json};
+use super::progress::Progress;
 use super::viewpoint::{FromWhere, viewpoint};
 
 /// Photographs named beside a contributor.
@@ -31,6 +34,10 @@ pub struct WhoArgs {
     /// legend, PNG
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
+    /// Instead, work out how much the view would change without each of the N contributors who show most of it, 1 to 20;
+    /// what that takes is said first
+    #[arg(long, value_name = "N", conflicts_with_all = ["region", "map", "csv", "min_share"])]
+    necessity: Option<u32>,
     /// Print a table for spreadsheets, a line for each photograph
     #[arg(long, conflicts_with = "json")]
     csv: bool,
@@ -62,6 +69,11 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         args.min_share
     );
     let viewpoint = Some(viewpoint(args.from.view, args.from.pose.as_deref())?);
+    if let Some(contributors) = args.necessity {
+        anyhow::ensure!(contributors > 0, "--necessity is 0; expected a number of contributors, 1 to 20");
+        let request = v1::NecessityRequest { scene: args.name, viewpoint, contributors };
+        return necessity(line, request, args.json.json).await;
+    }
     let (region, map) = (args.region.map(|region| region.0), args.map.is_some());
     let request = v1::ContributorsRequest { scene: args.name.clone(), viewpoint, region, map };
     let mut answer = line.about(&args.name).query().contributors(request).await?.into_inner();
@@ -78,6 +90,50 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         println!("map in {}", path.display());
     }
     Ok(())
+}
+
+/// Has necessity worked out, and shows how far it is. The first Ctrl-C ends it.
+async fn necessity(line: &Connection, request: v1::NecessityRequest, as_json: bool) -> anyhow::Result<()> {
+    use v1::necessity_response::What;
+    let mut interrupt = tokio::spawn(tokio::signal::ctrl_c());
+    let scene = request.scene.clone();
+    let mut stream = line.about(&scene).query().necessity(request).await?.into_inner();
+    let mut shown = Progress::new(true);
+    let answer = loop {
+        let message = tokio::select! {
+            message = stream.message() => message?,
+            interrupt = &mut interrupt => {
+                interrupt??;
+                shown.end();
+                return Err(Cancelled("cancelled before there was an answer".into()).into());
+            }
+        };
+        match message.context("the line ended before there was an answer")?.what {
+            Some(What::Cost(cost)) => eprintln!("{}", cost_in_words(&cost)),
+            Some(What::Progress(at)) => shown.draw("per cent", (100.0 * at.done) as u64, 100, "", at.seconds_left),
+            Some(What::Answer(answer)) => break answer,
+            None => anyhow::bail!("the daemon sent a message that says nothing"),
+        }
+    };
+    shown.end();
+    if as_json {
+        return json::print(&answer);
+    }
+    for of in &answer.contributors {
+        println!("{}", needed_in_words(of));
+    }
+    Ok(())
+}
+
+fn cost_in_words(cost: &v1::NecessityCost) -> String {
+    let v1::NecessityCost { contributors, photographs, bytes, seconds } = cost;
+    let mib = *bytes as f64 / f64::from(1 << 20);
+    format!("solving for the colours of {photographs} photographs without each of {contributors} contributors takes about {seconds:.0} s and {mib:.0} MiB")
+}
+
+fn needed_in_words(of: &v1::NeededContributor) -> String {
+    let levels = 255.0 * of.change;
+    format!("without {}: colours move by {levels:.1} of 255 levels (shows {:.1} %)", of.name, 100.0 * of.share)
 }
 
 /// Those who show `min_share` or more; how many others there are, and what they show together.

@@ -36,7 +36,7 @@ pub use chance::mixed;
 pub use config::{AppearanceMode, FieldConfig};
 pub use error::FieldError;
 pub use field::basis::CarrierBasis;
-pub use field::coverage::{CHANNELS, Mixed, Pixel, RowWeights, VisibleField};
+pub use field::coverage::{CHANNELS, Mixed, OfPixel, Pixel, RowWeights, VisibleField};
 pub use field::linear::{LinearView, MarkableField};
 pub use field::marched::MarchedView;
 pub use field::model::{CHANGE, FIELD_FORMAT, Field, Rendering};

@@ -2,7 +2,7 @@
 
 use crate::common::{Numbers, ahead, ball_box, ball_in_the_open, camera, field_of, random_appearance, random_grid};
 use cairn_field::grid::lattice::Grid;
-use cairn_field::{Appearance, CHANNELS, CarrierBasis, Field, MarkableField, SceneFrame, VisibleField};
+use cairn_field::{Appearance, CHANNELS, CarrierBasis, Field, MarkableField, OfPixel, SceneFrame, VisibleField};
 use glam::{DVec3, Vec4};
 
 fn cases() -> [(SceneFrame, DVec3, DVec3); 3] {
@@ -26,7 +26,7 @@ fn rows_weigh_what_the_transposed_view_says() {
     for (frame, from, at) in cases() {
         let (field, camera) = (field(&frame), camera(from, at, SIDE));
         let weight = |pixel: usize| if pixel.is_multiple_of(3) { 0.0 } else { 1.0 + (pixel % 7) as f32 };
-        let seen = field.row_weights(&camera, &|pixel| weight(pixel.at));
+        let seen = field.row_weights(&camera, OfPixel::ByPlace(&weight));
 
         let plain = Appearance::neutral([0.0; 3]);
         let view = field.view(&camera, 0.0, 1);
@@ -39,6 +39,8 @@ fn rows_weigh_what_the_transposed_view_says() {
         seen.rows.iter().for_each(|(row, weight)| found[*row as usize] = *weight);
         assert!(seen.rows.windows(2).all(|two| two[0].0 < two[1].0) && seen.rows[0].0 > 0, "ascending, not row 0");
         assert!(seen.rows.len() > 200, "{} rows are seen", seen.rows.len());
+        let by_colour = field.row_weights(&camera, OfPixel::ByColour(&|pixel| weight(pixel.at)));
+        assert!(by_colour == seen, "colours change nothing but what they are asked for");
         for (row, (found, sum)) in found.iter().zip(sums.chunks_exact(3)).enumerate() {
             assert!((found - sum[0]).abs() < 1e-4 * (1.0 + sum[0]), "{frame:?}, row {row}: {found}, not {}", sum[0]);
         }
@@ -55,7 +57,7 @@ fn any_number_of_threads_weighs_alike() {
     let (field, camera) = (field(&frame), camera(from, at, 40));
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        pool.install(|| field.row_weights(&camera, &|pixel| 1.0 / (1 + pixel.at) as f32))
+        pool.install(|| field.row_weights(&camera, OfPixel::ByPlace(&|at| 1.0 / (1 + at) as f32)))
     };
     let one = with(1);
     assert!([2, 3, 8].into_iter().all(|threads| with(threads) == one));
@@ -72,7 +74,7 @@ fn a_pixel_is_given_with_its_colour() {
             assert!(apart < 1e-6, "{frame:?}, pixel {}", pixel.at);
             1.0
         };
-        field.row_weights(&camera, &off);
+        field.row_weights(&camera, OfPixel::ByColour(&off));
     }
 }
 

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cairn_log::witness::WitnessClient;
 use cairn_log::{Digest, PublicKey, Registry, RegistryError};
@@ -23,6 +23,7 @@ use crate::query::evaluate;
 use crate::query::light::{Light, appearance};
 use crate::query::look::{self, FieldRegistration, Identified, Who};
 use crate::query::maps::Maps;
+use crate::query::necessity::{Question, Said};
 use crate::query::report::Report;
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
 use crate::records::owners::{self, AskedView, Material};
@@ -395,12 +396,48 @@ impl Engine {
     pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<Contributors, EngineError> {
         let snapshot = self.snapshot(scene)?;
         let place = look::place_of(&snapshot, &asked.viewpoint, &self.limits)?;
-        let (mark, model) = (self.with_records(&snapshot, place)?, self.model(scene)?);
-        if snapshot.newest.as_ref() != Some(&model.info) {
-            let why = "a training published another model just now; ask again";
-            return Err(EngineError::wrong_state(format!("scene {scene:?}"), "asked about", why));
-        }
+        let (mark, model) = (self.with_records(&snapshot, place)?, self.current_model(&snapshot)?);
         coverage::contributors(&model, &snapshot, asked, mark, &self.limits)
+    }
+
+    /// How much a view would change without some contributors. `goes_on` hears the cost first, then how far it is, then
+    /// the answer; where it says no, the work ends without one.
+    ///
+    /// # Errors
+    /// As [`Question::plan`] and [`Plan::work_out`](crate::query::necessity::Plan::work_out); [`EngineError::NotTrained`].
+    pub fn necessity(
+        &self,
+        scene: &str,
+        question: &Question,
+        goes_on: &mut dyn FnMut(Said) -> bool,
+    ) -> Result<(), EngineError> {
+        let snapshot = self.snapshot(scene)?;
+        let model = self.current_model(&snapshot)?;
+        let mark = look::place_of(&snapshot, &question.viewpoint, &self.limits)?;
+        let plan = question.plan(&model, &snapshot, mark, &self.limits)?;
+        if !goes_on(Said::Cost(plan.cost)) {
+            return Ok(());
+        }
+        let begun = Instant::now();
+        let mut progress = |done: f64| {
+            let seconds_left = begun.elapsed().as_secs_f64() / done * (1.0 - done);
+            goes_on(Said::Progress { done, seconds_left })
+        };
+        let huber = model.info.settings(&self.folder.models())?.field.huber;
+        if let Some(needed) = plan.work_out(&model, &snapshot, huber, &mut progress)? {
+            goes_on(Said::Answer(needed));
+        }
+        Ok(())
+    }
+
+    /// The newest model, which `snapshot` is of.
+    fn current_model(&self, snapshot: &SceneSnapshot) -> Result<Arc<Model>, EngineError> {
+        let model = self.model(&snapshot.name)?;
+        if snapshot.newest.as_ref() == Some(&model.info) {
+            return Ok(model);
+        }
+        let why = "a training published another model just now; ask again";
+        Err(EngineError::wrong_state(format!("scene {:?}", snapshot.name), "asked about", why))
     }
 
     /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as

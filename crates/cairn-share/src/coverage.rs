@@ -11,8 +11,12 @@ use rayon::prelude::*;
 
 use crate::table::{ShareTable, weights};
 
-/// The smallest cosine that counts: photographs from farther aside share what no photograph shows from nearer by.
-const MIN_COSINE: f32 = 0.1;
+/// The smallest square of a cosine that counts: photographs from farther aside share what no photograph shows from nearer by.
+const MIN_COSINE_SQUARED: f32 = 0.01;
+/// The faintest rows are passed over that together weigh at most this part of what is seen: most rows weigh next to nothing.
+const FAINT: f64 = 1e-3;
+/// Octaves of weights that are told apart to find the faintest rows.
+const OCTAVES: usize = 64;
 /// Rows that a task goes through.
 const ROWS_A_TASK: usize = 4096;
 
@@ -23,13 +27,22 @@ pub struct Sharpness {
 }
 
 impl Sharpness {
-    /// Of a power, 0 (all photographs of a place count alike) or 1, 2, 4, 8, 16 or 32.
+    /// Of a power, 0 (all photographs of a place count alike) or 2, 4, 8, 16 or 32.
     ///
     /// # Panics
     /// For another power.
     pub fn new(power: u32) -> Self {
-        assert!(power == 0 || (power.is_power_of_two() && power <= 32), "a power of two up to 32, or 0");
+        assert!(
+            power == 0 || (power.is_power_of_two() && (2..=32).contains(&power)),
+            "0, or a power of two from 2 to 32"
+        );
         Self { power }
+    }
+
+    /// What a cosine counts whose square this is.
+    #[inline(always)]
+    fn of(self, squared: f32) -> f32 {
+        (1..self.power.trailing_zeros()).fold(squared, |power, _| power * power)
     }
 }
 
@@ -71,42 +84,59 @@ impl<'a> SeenFrom<'a> {
         Self { table, field, eye: field.place_of(eye), cameras, weights: weights(), sharpness }
     }
 
-    /// Puts the photographs that show `row` and their shares of it in `out`; the shares' sum is 1, or there are none.
-    fn row(&self, row: usize, out: &mut Vec<(usize, f32)>) {
+    /// Puts what each entry of `row` counts in `out`, in the table's order, and gives the photographs of those entries and
+    /// one over the sum of what they count.
+    #[inline(always)]
+    fn row(&self, row: usize, out: &mut Vec<f32>) -> (&[u16], f32) {
+        let (photographs, codes) = self.table.of_row(row);
         out.clear();
-        let place = self.field.place(row);
-        let to_eye = way(place, self.eye);
-        for (photograph, code) in self.table.of_row(row) {
-            let angle = match self.sharpness.power {
-                0 => 1.0,
-                power => {
-                    let cosine = cosine(to_eye, way(place, self.cameras[photograph])).max(MIN_COSINE);
-                    (0..power.trailing_zeros()).fold(cosine, |power, _| power * power)
-                }
+        let weights = codes.iter().map(|code| self.weights[usize::from(*code)]);
+        if self.sharpness.power == 0 {
+            out.extend(weights);
+        } else {
+            let place = self.field.place(row);
+            let to_eye = way(place, self.eye);
+            let length = dot(to_eye, to_eye);
+            let angle = |photograph: &u16| {
+                let to_camera = way(place, self.cameras[usize::from(*photograph)]);
+                let (along, lengths) = (dot(to_eye, to_camera), length * dot(to_camera, to_camera));
+                let squared = if along > 0.0 { along * along / lengths } else { 0.0 };
+                self.sharpness.of(squared.max(MIN_COSINE_SQUARED))
             };
-            out.push((photograph, self.weights[usize::from(code)] * angle));
+            out.extend(photographs.iter().zip(weights).map(|(photograph, weight)| weight * angle(photograph)));
         }
-        let sum: f32 = out.iter().map(|(_, share)| share).sum();
-        out.iter_mut().for_each(|(_, share)| *share /= sum);
+        (photographs, 1.0 / out.iter().sum::<f32>())
     }
 
-    /// Whose photographs show what `seen` says that some pixels see.
+    /// Whose photographs show what `seen` says that some pixels see. What the faintest rows show, a thousandth at most, is
+    /// shared like the rest.
     pub fn shares(&self, seen: &RowWeights) -> Shares {
         let photographs = self.table.photographs().len();
+        let faint = faintest(&seen.rows);
         let of_task = |rows: &[(u32, f32)]| {
-            let (mut sums, mut own) = (vec![0f64; photographs], Vec::new());
+            let mut task = Task { sums: vec![0.0; photographs], seen: 0.0, all: 0.0 };
+            let mut counts = Vec::new();
             for (row, weight) in rows {
-                self.row(*row as usize, &mut own);
-                own.iter().for_each(|(photograph, share)| sums[*photograph] += f64::from(weight * share));
+                task.all += f64::from(*weight);
+                if *weight < faint {
+                    continue;
+                }
+                task.seen += f64::from(*weight);
+                let (own, share) = self.row(*row as usize, &mut counts);
+                for (photograph, count) in own.iter().zip(&counts) {
+                    task.sums[usize::from(*photograph)] += f64::from(weight * (count * share));
+                }
             }
-            sums
+            task
         };
         // Collected in order: the sums come out the same with any number of threads.
-        let tasks: Vec<Vec<f64>> = seen.rows.par_chunks(ROWS_A_TASK).map(of_task).collect();
+        let tasks: Vec<Task> = seen.rows.par_chunks(ROWS_A_TASK).map(of_task).collect();
+        let [known, all] = tasks.iter().fold([0.0; 2], |[known, all], task| [known + task.seen, all + task.all]);
         let pixels = if seen.pixels > 0.0 { seen.pixels } else { 1.0 };
+        let scale = if known > 0.0 { all / known / pixels } else { 0.0 };
         let mut of_photographs = vec![0.0; photographs];
         for task in tasks {
-            of_photographs.iter_mut().zip(task).for_each(|(sum, share)| *sum += share / pixels);
+            of_photographs.iter_mut().zip(task.sums).for_each(|(sum, share)| *sum += share * scale);
         }
         let behind = seen.behind / pixels;
         let unseen = (1.0 - behind - of_photographs.iter().sum::<f64>()).max(0.0);
@@ -122,10 +152,11 @@ impl<'a> SeenFrom<'a> {
         assert_eq!(group_of.len(), self.cameras.len(), "a group for each photograph");
         let mut numbers = vec![[0.0; CHANNELS]; seen.rows.len() + 1];
         numbers[1..].par_chunks_mut(ROWS_A_TASK).zip(seen.rows.par_chunks(ROWS_A_TASK)).for_each(|(numbers, rows)| {
-            let mut own = Vec::new();
+            let mut counts = Vec::new();
             for (numbers, (row, _)) in numbers.iter_mut().zip(rows) {
-                self.row(*row as usize, &mut own);
-                own.iter().for_each(|(photograph, share)| numbers[group_of[*photograph]] += share);
+                let (own, share) = self.row(*row as usize, &mut counts);
+                let of = own.iter().zip(&counts);
+                of.for_each(|(photograph, count)| numbers[group_of[usize::from(*photograph)]] += count * share);
             }
         });
         let mut slot_of = vec![0; self.field.rows()];
@@ -141,18 +172,42 @@ fn way(from: [f32; 4], to: [f32; 4]) -> [f32; 3] {
     [0, 1, 2].map(|k| to[k] * from[3] - from[k])
 }
 
-/// The cosine between two ways; 0 where one has no length.
-fn cosine(a: [f32; 3], b: [f32; 3]) -> f32 {
-    let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let lengths = dot(a, a) * dot(b, b);
-    if lengths > 0.0 { dot(a, b) / lengths.sqrt() } else { 0.0 }
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// What some rows show.
+struct Task {
+    /// Of each photograph, pixels.
+    sums: Vec<f64>,
+    /// What the rows weigh that were looked at, and all, pixels.
+    seen: f64,
+    all: f64,
+}
+
+/// A power of two below which rows are [`FAINT`]; 0 where that would be too much.
+fn faintest(rows: &[(u32, f32)]) -> f32 {
+    // Weights of an octave have the same exponent; all that are too small to tell apart come first.
+    let octave =
+        |weight: f32| (weight.to_bits() >> 23).saturating_sub(127 - OCTAVES as u32 / 2).min(OCTAVES as u32 - 1);
+    let mut sums = [0f64; OCTAVES];
+    rows.iter().for_each(|(_, weight)| sums[octave(*weight) as usize] += f64::from(*weight));
+    let mut left = FAINT * sums.iter().sum::<f64>();
+    let faint = sums.iter().take_while(|sum| {
+        left -= **sum;
+        left >= 0.0
+    });
+    match faint.count() {
+        0 => 0.0,
+        n => f32::from_bits((n as u32 + 127 - OCTAVES as u32 / 2) << 23),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::table::{Builder, Photograph};
-    use cairn_field::Pixel;
+    use cairn_field::OfPixel;
 
     /// Rows of which the second lies to the right of the first, and the third infinitely far ahead.
     struct Rows;
@@ -170,7 +225,7 @@ mod tests {
             [point.x as f32, point.y as f32, point.z as f32, 1.0]
         }
 
-        fn row_weights(&self, _: &Camera, _: &(dyn Fn(&Pixel) -> f32 + Sync)) -> RowWeights {
+        fn row_weights(&self, _: &Camera, _: OfPixel<'_>) -> RowWeights {
             unreachable!("pixels are given")
         }
 
@@ -208,6 +263,21 @@ mod tests {
         near(of(2, &[(1, 1.0)]), [1.0 / 8.0, 1.0 / 8.0, 0.5, 0.25]);
         // What is infinitely far is seen by all alike, however sharply.
         near(of(32, &[(3, 2.0)]), [0.25, 0.25, 0.25, 0.25]);
+    }
+
+    #[test]
+    fn the_faintest_rows_are_passed_over_and_shared_like_the_rest() {
+        assert!(
+            faintest(&[(1, 1.0)]) <= 1.0 && faintest(&[(1, 1.0), (2, 0.002)]) <= 0.002,
+            "two thousandths are too much"
+        );
+        // Two of 2^-12 and 2^-11 are below a thousandth together, and a third row would be too much.
+        let rows = [(1, 1.0), (2, 0.000_25), (3, 0.000_5), (4, 0.001_1)];
+        assert_eq!(faintest(&rows), 1.0 / 1024.0);
+        let table = table();
+        let seen = RowWeights { rows: vec![(1, 1.0), (2, 0.000_5)], behind: 0.0, pixels: 1.000_5 };
+        let shares = SeenFrom::new(&table, &Rows, DVec3::new(0.0, 0.0, -3.0), Sharpness::new(0)).shares(&seen);
+        assert!((shares.of_photographs[0] - 1.0 / 3.0).abs() < 1e-6 && shares.unseen < 1e-6, "{shares:?}");
     }
 
     #[test]

@@ -16,6 +16,6 @@ mod taught;
 
 pub use coverage::{SeenFrom, Shares, Sharpness};
 pub use error::ShareError;
-pub use necessity::{Lesson, Necessity};
+pub use necessity::{Lesson, Necessity, PULL, STEPS};
 pub use table::{Builder, Photograph, SHARES_FORMAT, ShareTable};
 pub use taught::{SAMPLED_PIXELS, taught};

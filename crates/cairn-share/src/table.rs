@@ -136,9 +136,9 @@ impl ShareTable {
     }
 
     /// The photographs that show `row` by their numbers, which rise, and the codes of what they show of it.
-    pub(crate) fn of_row(&self, row: usize) -> impl Iterator<Item = (usize, u8)> + '_ {
+    pub(crate) fn of_row(&self, row: usize) -> (&[u16], &[u8]) {
         let range = self.starts[row] as usize..self.starts[row + 1] as usize;
-        self.of[range.clone()].iter().zip(&self.codes[range]).map(|(of, code)| (usize::from(*of), *code))
+        (&self.of[range.clone()], &self.codes[range])
     }
 
     /// Refuses another field than the one that the photographs taught.
@@ -240,7 +240,10 @@ mod tests {
     #[test]
     fn rows_know_who_shows_them_and_a_file_brings_the_table_back() {
         let (table, known) = (some(), weights());
-        let of = |row| table.of_row(row).map(|(of, code)| (of, known[usize::from(code)])).collect::<Vec<_>>();
+        let of = |row| {
+            let (of, codes) = table.of_row(row);
+            of.iter().zip(codes).map(|(of, code)| (*of, known[usize::from(*code)])).collect::<Vec<_>>()
+        };
         assert_eq!(
             [of(0), of(1), of(2), of(3), of(4)],
             [vec![], vec![(0, 1.0), (2, 0.5)], vec![], vec![(0, 2.0)], vec![(2, 8.0)],]

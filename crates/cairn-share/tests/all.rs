@@ -1,7 +1,8 @@
 //! Shares of a ball that twelve photographers stand around.
 
 use cairn_field::{
-    Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, MarkableField, NamedView, SceneFrame, VisibleField,
+    Appearance, AppearanceMode, BaseTrainer, Field, FieldConfig, MarkableField, NamedView, OfPixel, SceneFrame,
+    VisibleField,
 };
 use cairn_scene::{Camera, Distortion, Intrinsics, Mask, Picture, Picture8, Pose, TrainView};
 use cairn_share::{
@@ -75,13 +76,13 @@ fn table(scale: usize) -> ShareTable {
     for k in 0..PHOTOGRAPHS {
         let camera = camera(k as f64, scale);
         let photograph = Photograph { name: name(k), position: camera.pose.position };
-        builder.add(photograph, &field().row_weights(&camera, &|_| 1.0)).unwrap();
+        builder.add(photograph, &field().row_weights(&camera, OfPixel::All)).unwrap();
     }
     builder.finish().unwrap()
 }
 
 fn shares(table: &ShareTable, from: &Camera, sharpness: Sharpness) -> Shares {
-    let seen = field().row_weights(from, &|_| 1.0);
+    let seen = field().row_weights(from, OfPixel::All);
     SeenFrom::new(table, field(), from.pose.position, sharpness).shares(&seen)
 }
 
@@ -117,7 +118,7 @@ fn a_quarter_of_the_pixels_says_the_same_to_a_hundredth() {
 #[test]
 fn a_map_s_pixels_add_up_to_the_view_s_shares() {
     let (table, camera) = (table(1), camera(1.4, 1));
-    let seen = field().row_weights(&camera, &|_| 1.0);
+    let seen = field().row_weights(&camera, OfPixel::All);
     let from = SeenFrom::new(&table, field(), camera.pose.position, Sharpness::default());
     let whole = from.shares(&seen);
     let group_of: Vec<usize> = (0..PHOTOGRAPHS).map(|k| k / 2).collect();
@@ -131,7 +132,7 @@ fn a_map_s_pixels_add_up_to_the_view_s_shares() {
     let behind = map.iter().map(|pixel| f64::from(pixel.behind)).sum::<f64>() / map.len() as f64;
     assert!((behind - whole.behind).abs() < 1e-5);
     // A part of the picture has shares of its own: the left edge sees only sky.
-    let edge = field().row_weights(&camera, &|pixel| f32::from(u8::from(pixel.at % 40 < 3)));
+    let edge = field().row_weights(&camera, OfPixel::ByPlace(&|at| f32::from(u8::from(at % 40 < 3))));
     let sky = from.shares(&edge).behind;
     assert!(sky > 0.9 && sky > 1.5 * whole.behind && edge.pixels == 3.0 * 36.0, "{sky}");
 }
@@ -149,11 +150,11 @@ fn what_taught_nothing_counts_for_nothing() {
     let view = |picture: &Picture, mask: Option<Mask>| TrainView { camera, rgb8: Picture8::from(picture), mask };
     let (clear, pixels) = (photograph(&camera), 40.0 * 36.0);
     let whole = taught(field(), &name(2), &view(&clear, None), 0.0);
-    assert_eq!(whole, field().row_weights(&camera, &|_| 1.0));
+    assert_eq!(whole, field().row_weights(&camera, OfPixel::All));
     // A mask that leaves the right half out.
     let mask = Mask::from_fn(40, 36, |x, _| x < 20).unwrap();
     let left = taught(field(), &name(2), &view(&clear, Some(mask)), 0.0);
-    assert_eq!(left, field().row_weights(&camera, &|pixel| f32::from(u8::from(pixel.at % 40 < 20))));
+    assert_eq!(left, field().row_weights(&camera, OfPixel::ByPlace(&|at| f32::from(u8::from(at % 40 < 20)))));
     // Of a large photograph every second column is used: each pixel of the smaller one counts half.
     let large = self::camera(2.0, 14);
     let mask = Mask::from_fn(560, 504, |x, _| x.is_multiple_of(2)).unwrap();
@@ -176,7 +177,7 @@ fn a_large_photograph_is_sampled_and_counts_for_all_its_pixels() {
     let pixels = camera.intrinsics.width * camera.intrinsics.height;
     assert!(pixels > 4 * SAMPLED_PIXELS);
     let view = TrainView { camera, rgb8: Picture8::from(&photograph(&camera)), mask: None };
-    let (some, all) = (taught(field(), &name(2), &view, 0.0), field().row_weights(&camera, &|_| 1.0));
+    let (some, all) = (taught(field(), &name(2), &view, 0.0), field().row_weights(&camera, OfPixel::All));
     assert!((some.pixels - pixels as f64).abs() < 1e-3 * pixels as f64 && some.rows.len() <= all.rows.len());
     let sum = |seen: &cairn_field::RowWeights| seen.rows.iter().map(|(_, weight)| f64::from(*weight)).sum::<f64>();
     assert!((sum(&some) / sum(&all) - 1.0).abs() < 0.01, "{} px, not {}", sum(&some), sum(&all));

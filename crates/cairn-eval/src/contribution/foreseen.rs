@@ -2,17 +2,17 @@
 
 use std::time::Instant;
 
-use cairn_field::{Appearance, Field, MarkableField, NamedView, RowWeights, VisibleField};
+use cairn_field::{Appearance, Field, MarkableField, NamedView, OfPixel, RowWeights, VisibleField};
 use cairn_scene::Camera;
-use cairn_share::{Builder, Lesson, Necessity, Photograph, SeenFrom, ShareTable, Sharpness, taught};
+use cairn_share::{Builder, Lesson, Necessity, PULL, Photograph, STEPS, SeenFrom, ShareTable, Sharpness, taught};
 
 use super::rank::Table;
 use super::truth::{light_of, rms};
 use crate::progress::Progress;
 use crate::source::Opened;
 
-/// Steps of conjugate gradients.
-const STEPS: usize = 8;
+/// Pixels of all photographs together where few are looked at.
+const MAX_PIXELS: usize = cairn_service::query::necessity::MAX_PIXELS;
 /// Entries of a view's linear map that weigh less are left out, pixels.
 const CUTOFF: f32 = 1e-3;
 
@@ -24,6 +24,8 @@ pub struct Foresight<'a> {
     pub field: &'a Field,
     /// The views of each group.
     pub groups: &'a [Vec<usize>],
+    /// From which residual on a colour counted less in training.
+    huber: f64,
     table: ShareTable,
     /// What the right half of each held-out view sees, and its light, fitted to the left half.
     seen: Vec<Sight>,
@@ -67,11 +69,11 @@ impl<'a> Foresight<'a> {
             let view = opened.view(*index)?;
             let camera = view.camera;
             let right = |at: usize| at % camera.intrinsics.width >= camera.intrinsics.width / 2;
-            let weights = field.row_weights(&camera, &|pixel| f32::from(u8::from(right(pixel.at))));
+            let weights = field.row_weights(&camera, OfPixel::ByPlace(&|at| f32::from(u8::from(right(at)))));
             Ok(Sight { camera, weights, light: light_of(field, &camera, &view.picture)? })
         };
         let seen = held_out.iter().map(seen).collect::<anyhow::Result<_>>()?;
-        Ok(Self { opened, field, groups, table, seen, table_seconds })
+        Ok(Self { opened, field, groups, huber, table, seen, table_seconds })
     }
 
     /// Each way's table, with its name.
@@ -121,43 +123,44 @@ impl<'a> Foresight<'a> {
         self.seen.iter().map(of).collect()
     }
 
-    /// How far the render moves when colours are solved for again without each group.
+    /// How far the render moves when colours are solved for again without each group: from all pixels, and from as few as
+    /// an answer to a caller is worked out from.
     fn necessity(&self) -> anyhow::Result<Vec<(String, Table)>> {
+        let few = MAX_PIXELS / self.opened.training().len();
+        Ok(vec![
+            ("necessity, rho 0.1".to_owned(), self.solved(0.1, usize::MAX)?),
+            (format!("necessity, rho {PULL}"), self.solved(PULL, usize::MAX)?),
+            (format!("necessity, rho {PULL}, fewer pixels"), self.solved(PULL, few)?),
+        ])
+    }
+
+    fn solved(&self, pull: f32, max_pixels: usize) -> anyhow::Result<Table> {
         let training = self.opened.training();
         let mut lessons = Vec::new();
         let mut progress = Progress::new("linear maps", training.len() as u64);
         for index in &training {
             progress.at(lessons.len() as u64, "");
-            let view = self.opened.view(*index)?;
-            let map = self.field.view(&view.camera, CUTOFF, 1);
-            let shown = map.base(self.field.appearance_of(&view.name));
-            let residual: Vec<f32> = view.picture.rgb().iter().zip(&shown).map(|(y, c)| y - c).collect();
-            let weights = vec![1.0; residual.len() / 3];
-            lessons.push(Lesson { view: map, light: self.field.appearance_of(&view.name).clone(), residual, weights });
+            let NamedView { name, view } = self.opened.view(*index)?.named();
+            lessons.push(Lesson::of(self.field, &name, &view, self.huber, max_pixels));
         }
         drop(progress);
+        let begun = Instant::now();
         let off = self.field.constant_colours().iter().flat_map(|c| c.map(|v| v - 0.5)).collect::<Vec<f32>>();
-        let mut out = Vec::new();
-        for pull in [0.1, 0.01] {
-            let name = &format!("necessity, rho {pull}");
-            let begun = Instant::now();
-            let problem = Necessity::new(&lessons, MarkableField::rows(self.field), off.clone(), pull, STEPS);
-            let mut progress = Progress::new(name, self.groups.len() as u64 + 1);
-            let all = problem.solve(|_| true);
-            let mut table = vec![Vec::new(); self.seen.len()];
-            for (n, group) in self.groups.iter().enumerate() {
-                progress.at(n as u64 + 1, "");
-                let without = problem.solve(|photograph| !group.contains(&training[photograph]));
-                let moved: Vec<f32> = without.iter().zip(&all).map(|(a, b)| a - b).collect();
-                for (row, seen) in table.iter_mut().zip(&self.seen) {
-                    row.push(self.shown(seen, &moved));
-                }
+        let problem = Necessity::new(&lessons, MarkableField::rows(self.field), off, pull, STEPS);
+        let mut progress = Progress::new("colours", self.groups.len() as u64 + 1);
+        let all = problem.solve(|_| true);
+        let mut table = vec![Vec::new(); self.seen.len()];
+        for (n, group) in self.groups.iter().enumerate() {
+            progress.at(n as u64 + 1, "");
+            let without = problem.solve(|photograph| !group.contains(&training[photograph]));
+            let moved: Vec<f32> = without.iter().zip(&all).map(|(a, b)| a - b).collect();
+            for (row, seen) in table.iter_mut().zip(&self.seen) {
+                row.push(self.shown(seen, &moved));
             }
-            drop(progress);
-            println!("  {name}: {:.1} s", begun.elapsed().as_secs_f64());
-            out.push((name.to_owned(), table));
         }
-        Ok(out)
+        drop(progress);
+        println!("  necessity, rho {pull}, {max_pixels} px a photograph: {:.1} s", begun.elapsed().as_secs_f64());
+        Ok(table)
     }
 
     /// What a change of constant colours changes in the right half of a view, RMS.

@@ -80,7 +80,9 @@ impl Trainings<'_> {
         match without {
             Without::None => Vec::new(),
             Without::Group(group) => self.groups[group].clone(),
-            Without::Subset(subset) => self.subsets[subset].iter().flat_map(|group| self.groups[*group].clone()).collect(),
+            Without::Subset(subset) => {
+                self.subsets[subset].iter().flat_map(|group| self.groups[*group].clone()).collect()
+            }
         }
     }
 
@@ -125,7 +127,8 @@ impl Trainings<'_> {
         let (mut change, mut growth) = (vec![none.clone(); seeds.len()], vec![none.clone(); seeds.len()]);
         let (mut shared, mut of_subsets) = (none.clone(), [none.clone(), none]);
         for group in 0..self.groups.len() {
-            let without = seeds.iter().map(|seed| shown(seed, Without::Group(group))).collect::<anyhow::Result<Vec<_>>>()?;
+            let without =
+                seeds.iter().map(|seed| shown(seed, Without::Group(group))).collect::<anyhow::Result<Vec<_>>>()?;
             for view in 0..held_out.len() {
                 let mut moves = Vec::new();
                 for (at, (all, without)) in of_all.iter().zip(&without).enumerate() {

@@ -93,7 +93,8 @@ fn found(children: &Children, case: &Case, folder: &Path, out: &Path, seed: u64,
     let digest = Sha256::digest(what);
     let out = out.join(digest[..4].iter().map(|byte| format!("{byte:02x}")).collect::<String>());
     std::fs::create_dir_all(&out).with_context(|| format!("cannot make the folder {}", out.display()))?;
-    let trainings = Trainings { source: &source, config: &settings.field, groups: &groups, subsets: &subsets, out: &out };
+    let trainings =
+        Trainings { source: &source, config: &settings.field, groups: &groups, subsets: &subsets, out: &out };
     let seeds: Vec<u64> = (seed..seed + SEEDS).collect();
     trainings.run(children, &seeds)?;
     let scored = |view: &usize| !case.tuned_on.contains(&opened.name(*view));

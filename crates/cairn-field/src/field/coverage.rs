@@ -6,10 +6,12 @@
 
 use super::model::Field;
 use crate::appearance::code::{Appearance, FEATURES, features};
+use crate::grid::lattice::Grid;
 use crate::grid::table::Table;
 use crate::rays::lens::{Eye, Lens};
 use crate::render::composite::Thresholds;
 use crate::render::picture::{Seen, Tiling};
+use crate::render::tints::Share;
 use cairn_scene::Camera;
 use glam::DVec3;
 
@@ -30,13 +32,24 @@ pub trait VisibleField: Sync {
     fn place_of(&self, point: DVec3) -> [f32; 4];
     /// What the pixels of `camera` see of each row, summed with the weight that `of_pixel` gives each: `W^T` times a
     /// picture of weights. It comes out the same with any number of threads.
-    fn row_weights(&self, camera: &Camera, of_pixel: &(dyn Fn(&Pixel) -> f32 + Sync)) -> RowWeights;
+    fn row_weights(&self, camera: &Camera, of_pixel: OfPixel<'_>) -> RowWeights;
     /// What `camera` sees of numbers that rows have, row-major: `W` times them. `slot_of` has for each row where in
     /// `numbers` its own are.
     ///
     /// # Panics
     /// When `slot_of` is of another length than there are rows, or names what `numbers` has not.
     fn mixed(&self, camera: &Camera, slot_of: &[u32], numbers: &[[f32; CHANNELS]]) -> Vec<Mixed>;
+}
+
+/// What each pixel weighs, >= 0.
+#[derive(Clone, Copy)]
+pub enum OfPixel<'a> {
+    /// One.
+    All,
+    /// What is said of its number, row-major.
+    ByPlace(&'a (dyn Fn(usize) -> f32 + Sync)),
+    /// What is said of what it shows; takes longer, since colours are worked out.
+    ByColour(&'a (dyn Fn(&Pixel) -> f32 + Sync)),
 }
 
 /// A pixel that is to be given a weight.
@@ -91,30 +104,40 @@ impl VisibleField for Field {
         self.frame.place_of(point).map(|v| v as f32)
     }
 
-    fn row_weights(&self, camera: &Camera, of_pixel: &(dyn Fn(&Pixel) -> f32 + Sync)) -> RowWeights {
+    fn row_weights(&self, camera: &Camera, of_pixel: OfPixel<'_>) -> RowWeights {
         let lens = Lens::new(camera);
         let tiling = Tiling::of(&self.grid, &self.frame, Eye { camera, lens: &lens }, Thresholds::SHOWN, 1);
         let add = |ray: &mut Ray, seen: &Seen<'_>| {
-            let pixel = Pixel { at: seen.at, features: features(&seen.gathered, &seen.harmonics) };
-            (ray.weight, ray.end) = (of_pixel(&pixel), seen.gathered.end);
+            ray.weight = match of_pixel {
+                OfPixel::All => 1.0,
+                OfPixel::ByPlace(weight) => weight(seen.at),
+                OfPixel::ByColour(weight) => {
+                    weight(&Pixel { at: seen.at, features: features(&seen.gathered, &seen.harmonics) })
+                }
+            };
+            ray.end = seen.gathered.end;
             if ray.weight != 0.0 {
-                seen.each_vertex(|row, weight, _| ray.met.push((row as u32, weight)));
+                ray.met.extend_from_slice(seen.shares());
             }
         };
-        let finish = |ray: &mut Ray, (): &mut (), band: &mut Band, _: usize| band.add(ray);
-        RowWeights::of(tiling.bands(|_| Band::default(), add, finish))
+        let finish = |ray: &mut Ray, table: &mut Table, band: &mut Band, _: usize| band.add(ray, table);
+        let tiling = if matches!(of_pixel, OfPixel::ByColour(_)) { tiling } else { tiling.without_colours() };
+        RowWeights::of(&self.grid, &tiling.bands(|_| Band::default(), add, finish))
     }
 
     fn mixed(&self, camera: &Camera, slot_of: &[u32], numbers: &[[f32; CHANNELS]]) -> Vec<Mixed> {
         assert_eq!(slot_of.len(), self.rows(), "a slot for each row");
-        self.each_pixel(camera, Thresholds::SHOWN, |seen| {
+        let lens = Lens::new(camera);
+        let tiling = Tiling::of(&self.grid, &self.frame, Eye { camera, lens: &lens }, Thresholds::SHOWN, 1);
+        let pixel = |seen: &Seen<'_>| {
             let mut mixed = Mixed { channels: [0.0; CHANNELS], behind: seen.gathered.end };
             seen.each_vertex(|row, weight, _| {
                 let own = &numbers[slot_of[row] as usize];
                 mixed.channels.iter_mut().zip(own).for_each(|(sum, v)| *sum += weight * v);
             });
             mixed
-        })
+        };
+        tiling.without_colours().gather(|out, seen| *out = pixel(seen), |_| {})
     }
 }
 
@@ -123,54 +146,56 @@ impl VisibleField for Field {
 struct Ray {
     weight: f32,
     end: f32,
-    met: Vec<(u32, f32)>,
+    met: Vec<Share>,
 }
 
 /// What the rays of a band met.
 #[derive(Default)]
 struct Band {
-    /// Where in `rows` a row is.
-    table: Table,
-    rows: Vec<(u32, f32)>,
+    /// Cells, by their first vertices, and what their corners weigh.
+    cells: Vec<(u32, [f32; 8])>,
     behind: f64,
     pixels: f64,
 }
 
 impl Band {
-    /// Adds a ray, and leaves a new one.
-    fn add(&mut self, ray: &mut Ray) {
+    /// Adds a ray, and leaves a new one; `table` says where in `cells` one is.
+    fn add(&mut self, ray: &mut Ray, table: &mut Table) {
+        // Its first ray: what is in the table is another band's.
+        if self.cells.is_empty() {
+            table.clear();
+        }
         let own = ray.weight;
         self.pixels += f64::from(own);
         self.behind += f64::from(own * ray.end);
-        for (row, weight) in ray.met.drain(..) {
-            let fresh = self.rows.len() as u32;
-            let found = self.table.find_or_insert(row, fresh);
+        for share in ray.met.drain(..) {
+            let fresh = self.cells.len() as u32;
+            let found = table.find_or_insert(share.cell, fresh);
             if found == fresh {
-                self.rows.push((row, 0.0));
+                self.cells.push((share.cell, [0.0; 8]));
             }
-            self.rows[found as usize].1 += own * weight;
+            let sums = &mut self.cells[found as usize].1;
+            sums.iter_mut().zip(share.corners).for_each(|(sum, weight)| *sum += own * weight);
         }
     }
 }
 
 impl RowWeights {
-    /// What all bands met. Each row's sum is taken in their order.
-    fn of(bands: Vec<Band>) -> Self {
+    /// What all bands met of `grid`. Each row's sum is taken in their order.
+    fn of(grid: &Grid<f32>, bands: &[Band]) -> Self {
         let mut all = Self::default();
-        let mut met = Vec::with_capacity(bands.iter().map(|band| band.rows.len()).sum());
+        let (corners, mut sums) = (grid.corners(), vec![0f32; grid.rows()]);
         for band in bands {
             all.behind += band.behind;
             all.pixels += band.pixels;
-            met.extend(band.rows);
-        }
-        met.sort_by_key(|(row, _)| *row);
-        for (row, weight) in met {
-            match all.rows.last_mut() {
-                Some((last, sum)) if *last == row => *sum += weight,
-                _ if row != 0 && weight > 0.0 => all.rows.push((row, weight)),
-                _ => {}
+            for (cell, weights) in &band.cells {
+                for (corner, weight) in corners.iter().zip(weights) {
+                    sums[grid.index[*cell as usize + corner] as usize] += weight;
+                }
             }
         }
+        let seen = |(row, weight): (usize, f32)| (row != 0 && weight > 0.0).then_some((row as u32, weight));
+        all.rows = sums.into_iter().enumerate().filter_map(seen).collect();
         all
     }
 }

@@ -3,4 +3,4 @@
 pub mod composite;
 pub mod patch;
 pub(crate) mod picture;
-mod tints;
+pub(crate) mod tints;

@@ -64,6 +64,12 @@ pub(crate) struct Seen<'a> {
 }
 
 impl Seen<'_> {
+    /// The cells that were met, near to far; one may come more than once.
+    #[inline(always)]
+    pub(crate) fn shares(&self) -> &[Share] {
+        self.shares
+    }
+
     /// Calls `each` with what was met: a row, what it weighs in the pixel, and whether it is
     /// in contracted space.
     #[inline(always)]
@@ -88,6 +94,8 @@ pub(crate) struct Tiling<'a> {
     /// Size of a tile, rays.
     across: usize,
     down: usize,
+    /// Whether colours are worked out.
+    coloured: bool,
 }
 
 impl<'a> Tiling<'a> {
@@ -103,7 +111,12 @@ impl<'a> Tiling<'a> {
         let within = |max: usize, focal_px: f64| ((WIDEST * focal_px) as usize).clamp(1, max) / rays * rays;
         let intrinsics = &eye.camera.intrinsics;
         let (across, down) = (within(MAX_ACROSS, intrinsics.fx), within(MAX_DOWN, intrinsics.fy));
-        Self { grid, frame, eye, limits, rays, across: across.max(rays), down: down.max(rays) }
+        Self { grid, frame, eye, limits, rays, across: across.max(rays), down: down.max(rays), coloured: true }
+    }
+
+    /// The same without colours: what a ray gathers of them stays 0.
+    pub(crate) fn without_colours(self) -> Self {
+        Self { coloured: false, ..self }
     }
 
     /// What `add` makes of each pixel's rays, and `finish` of that; row-major.
@@ -167,6 +180,7 @@ impl<'a> Tiling<'a> {
             limits: self.limits,
             x: (x, (x + self.across).min(width)),
             y,
+            coloured: self.coloured,
         })
     }
 }
@@ -181,6 +195,7 @@ struct Tile<'a> {
     x: (usize, usize),
     /// The same of rows.
     y: (usize, usize),
+    coloured: bool,
 }
 
 impl Tile<'_> {
@@ -193,7 +208,9 @@ impl Tile<'_> {
         for (n, at) in places.enumerate() {
             let [now, before] = &mut room.groups;
             now.follow(self, at);
-            now.shares.iter().for_each(|shares| room.tints.ask_for(self.grid, shares));
+            if self.coloured {
+                now.shares.iter().for_each(|shares| room.tints.ask_for(self.grid, shares));
+            }
             if n > 0 {
                 self.hand_over(before, &mut room.tints, middle, &mut pixel);
             }
@@ -233,7 +250,10 @@ impl Tile<'_> {
         for (ray, Place { x, y }) in self.rays_of(group.at) {
             let (across, down) = (x as f32 - middle.x as f32, y as f32 - middle.y as f32);
             let shares = &group.shares[ray];
-            let mut gathered = tints.sum(grid, shares, across, down, &group.harmonics[ray]);
+            let mut gathered = match self.coloured {
+                true => tints.sum(grid, shares, across, down, &group.harmonics[ray]),
+                false => Gathered::default(),
+            };
             (gathered.end, gathered.along) = (group.ends[ray], group.along[ray]);
             let at = y * self.eye.lens.size().0 + x;
             pixel(x, y, &Seen { at, gathered, harmonics: group.harmonics[ray], shares, grid });

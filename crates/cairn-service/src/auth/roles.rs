@@ -144,6 +144,7 @@ pub const METHODS: &[(&str, Need)] = &[
     // To register a picture needs what `Evaluate` needs.
     ("/cairn.v1.QueryService/Identify", Need::Read),
     ("/cairn.v1.QueryService/Contributors", Need::Read),
+    ("/cairn.v1.QueryService/Necessity", Need::Inspect),
     ("/cairn.v1.QueryService/Evaluate", Need::Inspect),
     ("/cairn.v1.OwnerService/Nonce", Need::Contribute),
     ("/cairn.v1.OwnerService/Material", Need::Account),

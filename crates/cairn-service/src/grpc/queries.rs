@@ -5,13 +5,15 @@ use std::sync::Arc;
 use crate::auth::Need;
 use cairn_api::v1::{self, query_service_server::QueryService};
 use cairn_scene::encode_png;
-use tokio::sync::OwnedSemaphorePermit;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Extensions, Request, Response, Status};
 
 use super::gate::About;
 use super::waiting::Waiting;
 use super::{Answer, Shared, from_proto, to_proto};
 use crate::query::look::FieldRegistration;
+use crate::query::necessity::Question;
 
 #[tonic::async_trait]
 impl QueryService for Shared {
@@ -41,6 +43,34 @@ impl QueryService for Shared {
         }
         let found = self.compute(move |engine| Ok(to_proto::contributors(engine.contributors(&scene, &asked)?)));
         found.await.map(Response::new)
+    }
+
+    type NecessityStream = ReceiverStream<Result<v1::NecessityResponse, Status>>;
+
+    async fn necessity(&self, request: Request<v1::NecessityRequest>) -> Answer<Self::NecessityStream> {
+        self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&request.get_ref().scene))?;
+        let v1::NecessityRequest { scene, viewpoint, contributors } = request.into_inner();
+        let (viewpoint, contributors) = (from_proto::viewpoint(viewpoint)?, contributors as usize);
+        let (sender, receiver) = mpsc::channel(1);
+        let shared = self.clone();
+        tokio::spawn(async move {
+            let says = sender.clone();
+            // Who hangs up ends the work after the part under way.
+            let work = shared.compute(move |engine| {
+                engine.necessity(&scene, &Question { viewpoint, contributors }, &mut |said| {
+                    says.blocking_send(Ok(to_proto::necessity(said))).is_ok()
+                })
+            });
+            let done = tokio::select! {
+                done = work => done,
+                () = sender.closed() => return,
+            };
+            if let Err(why) = done {
+                // A caller that is gone hears nothing.
+                let _ = sender.send(Err(why)).await;
+            }
+        });
+        Ok(Response::new(ReceiverStream::new(receiver)))
     }
 
     async fn evaluate(&self, request: Request<v1::EvaluateRequest>) -> Answer<v1::EvaluateResponse> {

@@ -9,6 +9,7 @@ use crate::auth::{Account, Limits, Role, Standing as AccountStanding};
 use crate::query::check::{Checked, CheckedView};
 use crate::query::coverage::{ContributorShare, Contributors};
 use crate::query::look::{Identified, Who};
+use crate::query::necessity::{Cost, Needed, Said};
 use crate::records::corrections::Standing;
 use crate::store::classes::{Elsewhere, Registered};
 use crate::store::exclusions::{Entries, Entry, State};
@@ -224,6 +225,25 @@ pub fn contributors(found: Contributors) -> v1::ContributorsResponse {
         photographed_by: photographed_by.unwrap_or_default(),
         map_png: map.map(|map| encode_png(&map)).unwrap_or_default().into(),
     }
+}
+
+/// What is said while necessity is worked out.
+pub fn necessity(said: Said) -> v1::NecessityResponse {
+    use v1::necessity_response::What;
+    let contributor = |Needed { name, share, change }| v1::NeededContributor { name, share, change };
+    let what = match said {
+        Said::Cost(Cost { contributors, photographs, bytes, seconds }) => What::Cost(v1::NecessityCost {
+            contributors: contributors as u32,
+            photographs: photographs as u32,
+            bytes,
+            seconds,
+        }),
+        Said::Progress { done, seconds_left } => What::Progress(v1::NecessityProgress { done, seconds_left }),
+        Said::Answer(needed) => {
+            What::Answer(v1::NecessityAnswer { contributors: needed.into_iter().map(contributor).collect() })
+        }
+    };
+    v1::NecessityResponse { what: Some(what) }
 }
 
 /// Whose mark a picture carries; with what it hides where `payload` says so.

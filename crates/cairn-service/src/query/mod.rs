@@ -8,6 +8,7 @@ pub mod evaluate;
 pub mod light;
 pub mod look;
 pub mod maps;
+pub mod necessity;
 pub mod recovery;
 pub mod report;
 pub mod viewpoint;

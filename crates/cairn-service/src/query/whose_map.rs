@@ -37,8 +37,10 @@ const MIN_SIDE: usize = 256;
 pub(crate) struct WhoseMap<'a> {
     /// What is seen.
     pub(crate) render: &'a Picture,
-    /// Each pixel's shares by group.
+    /// Shares by group, row-major, of as many pixels or of fewer: then each is a square of the map.
     pub(crate) pixels: &'a [Mixed],
+    /// Of those, across.
+    pub(crate) pixels_across: usize,
     /// Names and shares of the contributors, largest share first: of all that is seen, or of the part that was asked
     /// about.
     pub(crate) contributors: &'a [(&'a str, f64)],
@@ -81,17 +83,16 @@ impl WhoseMap<'_> {
             shapes.push(Shape::Words { at: DVec2::new(left + LINE_PX + 2.0, top), text, colour: INK });
         }
         let mut picture = Drawing { width, height, paper: PAPER, shapes }.picture();
-        let mut put = |left: usize, colour: &dyn Fn(usize) -> [f32; 3]| {
-            for at in 0..w * h {
-                let to = 3 * ((at / w + GAP) * width + left + at % w);
-                let own = at / w / times * self.render.width() + at % w / times;
-                picture.rgb_mut()[to..to + 3].copy_from_slice(&colour(own));
+        let mut put = |left: usize, colour: &dyn Fn(usize, usize) -> [f32; 3]| {
+            for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
+                let to = 3 * ((y + GAP) * width + left + x);
+                picture.rgb_mut()[to..to + 3].copy_from_slice(&colour(x, y));
             }
         };
-        let across = self.render.width();
-        put(GAP, &|at| self.render.pixel(at % across, at / across));
-        let colours = self.colours();
-        put(2 * GAP + w, &|at| colours[at]);
+        put(GAP, &|x, y| self.render.pixel(x / times, y / times));
+        let (colours, across) = (self.colours(), self.pixels_across);
+        let down = colours.len() / across;
+        put(2 * GAP + w, &|x, y| colours[y * down / h * across + x * across / w]);
         picture
     }
 
@@ -166,7 +167,8 @@ mod tests {
         (pixels[0].channels[1], pixels[0].channels[2]) = (0.6, 0.4);
         pixels[1].behind = 1.0;
         let (excluded, unseen, behind) = (0.0, 0.2, 0.3);
-        let map = WhoseMap { render: &render, pixels: &pixels, contributors: &contributors, excluded, unseen, behind };
+        let (pixels, pixels_across, contributors) = (&pixels, 2, &contributors);
+        let map = WhoseMap { render: &render, pixels, pixels_across, contributors, excluded, unseen, behind };
         let near = |a: [f32; 3], b: Colour| a.iter().zip(b).all(|(a, b)| (a - f32::from(b) / 255.0).abs() < 1e-5);
         let colours = map.colours();
         assert!(near(colours[0], COLOURS[1]) && near(colours[1], BEHIND_COLOUR), "{colours:?}");

@@ -1,0 +1,212 @@
+//! Necessity: how much a view would change without each of the contributors who show most of it. It takes long, so that
+//! what it takes is said first.
+
+use std::time::Instant;
+
+use cairn_field::{Appearance, Field, MarkableField as _};
+use cairn_scene::Camera;
+use cairn_share::{Lesson, Necessity, PULL, STEPS};
+
+use crate::config::Limits;
+use crate::error::EngineError;
+use crate::query::coverage::{Asked, Contributors, MAX_RAYS, contributors, sampled};
+use crate::query::look::Who;
+use crate::query::viewpoint::{Viewpoint, camera_of};
+use crate::store::model::Model;
+use crate::store::snapshot::SceneSnapshot;
+
+/// Contributors that are looked at, at most.
+pub const MAX_CONTRIBUTORS: usize = 20;
+/// As many where a caller does not say.
+const CONTRIBUTORS: usize = 5;
+/// Pixels of photographs that are looked at, in all: what the field makes of them takes about half a gigabyte.
+pub const MAX_PIXELS: usize = 400_000;
+/// A photograph that shows less of the view says nothing of its colours.
+const MIN_SHARE: f64 = 5e-4;
+/// Bytes of a pixel's linear map, about.
+const PIXEL_BYTES: u64 = 1300;
+/// Seconds of one pass over a pixel's linear map, in those of following its ray.
+const PASS: f64 = 0.3;
+/// Entries of the view's linear map that weigh less are left out, pixels.
+const CUTOFF: f32 = 1e-3;
+
+/// What is asked.
+#[derive(Clone, Debug)]
+pub struct Question {
+    /// From where.
+    pub viewpoint: Viewpoint,
+    /// Contributors that are looked at, those who show most: 1 to [`MAX_CONTRIBUTORS`]; 0 is five.
+    pub contributors: usize,
+}
+
+/// What an answer takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cost {
+    /// Contributors that are looked at.
+    pub contributors: usize,
+    /// Photographs whose colours are solved for.
+    pub photographs: usize,
+    /// Memory, bytes, about.
+    pub bytes: u64,
+    /// Seconds, about.
+    pub seconds: f64,
+}
+
+/// A contributor's necessity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Needed {
+    /// Their name.
+    pub name: String,
+    /// Their coverage, above 0, to 1.
+    pub share: f64,
+    /// How far the view's colours would move without their photographs: RMS over its pixels and channels, of colours in
+    /// [0, 1]. Geometry stays as it is.
+    pub change: f64,
+}
+
+/// What is said while an answer is worked out, in this order: the cost, then now and then how far it is, then the answer.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Said {
+    /// What it takes.
+    Cost(Cost),
+    /// How far it is.
+    Progress {
+        /// 0 to 1.
+        done: f64,
+        /// Seconds that are left, about.
+        seconds_left: f64,
+    },
+    /// The answer, largest change first.
+    Answer(Vec<Needed>),
+}
+
+/// What is to be done, and what it takes.
+pub struct Plan {
+    /// What it takes.
+    pub cost: Cost,
+    camera: Camera,
+    light: Appearance,
+    /// Those who are looked at, and their coverage.
+    asked: Vec<(String, f64)>,
+    /// The photographs that are looked at: their places among the scene's views, and whose they are, as far as they are
+    /// of those who are asked about.
+    photographs: Vec<(usize, Option<usize>)>,
+}
+
+impl Question {
+    /// Finds out what an answer takes: who shows most of what is seen, and which photographs show any of it.
+    ///
+    /// # Errors
+    /// As [`contributors`]; [`EngineError::Invalid`] for too many contributors; [`EngineError::WrongState`] where no
+    /// photograph shows any of it.
+    pub fn plan(&self, model: &Model, snapshot: &SceneSnapshot, mark: Who, limits: &Limits) -> Result<Plan, EngineError> {
+        if self.contributors > MAX_CONTRIBUTORS {
+            let allowed = format!("1 to {MAX_CONTRIBUTORS}");
+            return Err(EngineError::invalid("the number of contributors", self.contributors, allowed));
+        }
+        // Read before the clock starts.
+        model.share_table()?;
+        let begun = Instant::now();
+        let found = contributors(model, snapshot, &Asked::about(self.viewpoint.clone()), mark, limits)?;
+        let camera = sampled(&camera_of("the view", snapshot, &self.viewpoint, limits)?, MAX_RAYS);
+        let rays = camera.intrinsics.width * camera.intrinsics.height;
+        let seconds_a_ray = begun.elapsed().as_secs_f64() / rays as f64;
+        let plan = Plan::of(model, snapshot, self, found, camera)?;
+        let passes = (STEPS * 2 + 4) as f64 * PASS * (plan.asked.len() + 1) as f64;
+        let pixels = plan.pixels_of_each(snapshot) * plan.photographs.len();
+        let seconds = pixels as f64 * seconds_a_ray * (1.0 + passes);
+        let cost = Cost { bytes: pixels as u64 * PIXEL_BYTES, seconds, ..plan.cost };
+        Ok(Plan { cost, ..plan })
+    }
+}
+
+impl Plan {
+    fn of(
+        model: &Model,
+        snapshot: &SceneSnapshot,
+        question: &Question,
+        found: Contributors,
+        camera: Camera,
+    ) -> Result<Self, EngineError> {
+        let views = &snapshot.scene.capture().views;
+        let wanted = if question.contributors == 0 { CONTRIBUTORS } else { question.contributors };
+        let (mut asked, mut photographs) = (Vec::new(), Vec::new());
+        for of in found.shares {
+            let who = (asked.len() < wanted).then_some(asked.len());
+            let shows = of.photographs.iter().filter(|(_, share)| *share >= MIN_SHARE);
+            let places = shows.filter_map(|(name, _)| views.binary_search_by(|view| view.name.cmp(name)).ok());
+            photographs.extend(places.map(|place| (place, who)));
+            if who.is_some() {
+                asked.push((of.name, of.share));
+            }
+        }
+        if photographs.is_empty() {
+            let what = format!("the view of scene {:?}", snapshot.name);
+            return Err(EngineError::wrong_state(what, "asked about", "no photograph shows any of it; ask about another"));
+        }
+        // The same sums in any order of shares.
+        photographs.sort_unstable();
+        let light = match &question.viewpoint {
+            Viewpoint::View(name) => model.base.appearance_of(snapshot.full_name(name)?).clone(),
+            Viewpoint::Camera(_) => model.base.canonical_appearance().clone(),
+        };
+        let cost = Cost { contributors: asked.len(), photographs: photographs.len(), bytes: 0, seconds: 0.0 };
+        Ok(Self { cost, camera, light, asked, photographs })
+    }
+
+    /// Pixels of each photograph that are looked at, at most.
+    fn pixels_of_each(&self, snapshot: &SceneSnapshot) -> usize {
+        let views = &snapshot.scene.capture().views;
+        let size = |(place, _): &(usize, Option<usize>)| {
+            let intrinsics = &views[*place].camera.intrinsics;
+            intrinsics.width * intrinsics.height
+        };
+        let largest = self.photographs.iter().map(size).max().unwrap_or(0);
+        (MAX_PIXELS / self.photographs.len()).min(largest)
+    }
+
+    /// Works it out, largest change first. `goes_on` hears after each part how much is done, 0 to 1, and says whether to
+    /// go on; `None` where it did not.
+    ///
+    /// # Errors
+    /// For photographs that were altered.
+    pub fn work_out(
+        &self,
+        model: &Model,
+        snapshot: &SceneSnapshot,
+        huber: f64,
+        goes_on: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<Option<Vec<Needed>>, EngineError> {
+        let field: &Field = &model.base;
+        let (pixels, views) = (self.pixels_of_each(snapshot), &snapshot.scene.capture().views);
+        // To follow the photographs' rays takes about as long as to solve for one contributor or two.
+        let parts = self.photographs.len() as f64 * (1.0 + (self.asked.len() + 1) as f64 * 6.0);
+        let mut lessons = Vec::new();
+        for (place, _) in &self.photographs {
+            let view = snapshot.scene.train_view(*place)?;
+            lessons.push(Lesson::of(field, &views[*place].name, &view, huber, pixels));
+            if !goes_on(lessons.len() as f64 / parts) {
+                return Ok(None);
+            }
+        }
+        let off: Vec<f32> = field.constant_colours().iter().flat_map(|c| c.map(|v| v - 0.5)).collect();
+        let problem = Necessity::new(&lessons, field.rows(), off, PULL, STEPS);
+        let seen = field.view(&self.camera, CUTOFF, 1);
+        let all = problem.solve(|_| true);
+        let mut needed = Vec::new();
+        for (who, (name, share)) in self.asked.iter().enumerate() {
+            let done = self.photographs.len() as f64 * (1.0 + (who + 1) as f64 * 6.0);
+            if !goes_on(done / parts) {
+                return Ok(None);
+            }
+            let without = problem.solve(|at| self.photographs[at].1 != Some(who));
+            let moved: Vec<f32> = without.iter().zip(&all).map(|(a, b)| a - b).collect();
+            let mut picture = vec![0.0; 3 * seen.width() * seen.height()];
+            seen.apply_lit(&moved, &self.light, &mut picture);
+            let mean = picture.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / picture.len() as f64;
+            needed.push(Needed { name: name.clone(), share: *share, change: mean.sqrt() });
+        }
+        needed.sort_by(|a, b| b.change.total_cmp(&a.change).then_with(|| a.name.cmp(&b.name)));
+        Ok(Some(needed))
+    }
+}
