@@ -19,7 +19,7 @@ fn real(test: &str, name: &str) -> Option<PathBuf> {
 }
 
 /// Every 8th view is held out, or the capture's own test views.
-fn held_out() -> ReadOptions {
+fn some_held_out() -> ReadOptions {
     ReadOptions { hold_out: Some(8), ..ReadOptions::default() }
 }
 
@@ -72,7 +72,7 @@ fn fern_and_trex() {
         [("fern", 20, 3, (504, 378), 4032.0), ("trex", 55, 7, (400, 300), 4032.0)]
     {
         let Some(folder) = real("fern_and_trex", name) else { return };
-        let capture = Capture::read(&folder, &held_out()).unwrap();
+        let capture = Capture::read(&folder, &some_held_out()).unwrap();
         assert_eq!(capture.views.len(), views);
         assert_eq!(capture.held_out().count(), held_out);
         assert_eq!(capture.kind, SceneKind::ForwardFacing);
@@ -96,7 +96,7 @@ fn fern_and_trex() {
 #[test]
 fn lego() {
     let Some(folder) = real("lego", "lego") else { return };
-    let capture = Capture::read(&folder, &held_out()).unwrap();
+    let capture = Capture::read(&folder, &some_held_out()).unwrap();
     assert_eq!((capture.training().count(), capture.held_out().count()), (100, 25));
     assert_eq!(capture.kind, SceneKind::Bounded);
     assert_eq!(capture.background, Some([1.0; 3]));
