@@ -23,12 +23,12 @@ fn capture(folder: &Path, poses: &[[f64; 3]], side: usize) {
     std::fs::write(folder.join("transforms.json"), text).unwrap();
 }
 
-/// A place with that capture as the scene `few`.
-fn few(poses: &[[f64; 3]], side: usize, hold_every: &str) -> Place {
+/// A place with that capture as the scene `few`, imported with these options.
+fn few(poses: &[[f64; 3]], side: usize, options: &[&str]) -> Place {
     let place = Place { dir: tempfile::tempdir().unwrap() };
     capture(&place.path("capture"), poses, side);
     let (from, data) = (place.text("capture"), place.text("data"));
-    place.cairn_ok(&["scene", "import", "few", "--from", &from, "--hold-every", hold_every, "--data", &data]);
+    place.cairn_ok(&[&["scene", "import", "few", "--from", &from, "--data", &data][..], options].concat());
     place
 }
 
@@ -38,12 +38,12 @@ fn said(output: &std::process::Output) -> String {
 
 #[test]
 fn one_training_view_is_enough_for_a_base_field() {
-    for (what, poses, hold_every) in [
-        ("two views, one held out", vec![[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], "2"),
-        ("one view", vec![[0.0, 0.0, 3.0]], "0"),
-        ("one pose", vec![[0.0, 0.0, 3.0]; 6], "0"),
+    for (what, poses, options) in [
+        ("two views, one held out", vec![[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], &["--hold-out", "2"][..]),
+        ("one view", vec![[0.0, 0.0, 3.0]], &[]),
+        ("one pose", vec![[0.0, 0.0, 3.0]; 6], &[]),
     ] {
-        let place = few(&poses, 24, hold_every);
+        let place = few(&poses, 24, options);
         let data = place.text("data");
         let train = ["train", "few", "--quality", "smoke", "--data", &data];
         // To mark it there are too few views or poses still.
@@ -73,7 +73,7 @@ fn clusters_of_a_base_field_bind_no_later_marks() {
 
 #[test]
 fn a_base_field_alone_says_how_it_is_rendered() {
-    let place = few(&[[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], 24, "0");
+    let place = few(&[[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], 24, &[]);
     let (data, out) = (place.text("data"), place.text("out.png"));
     place.cairn_ok(&["train", "few", "--base-only", "--quality", "smoke", "--data", &data]);
     let refused = place.cairn(&["render", "few", "--view", "images/000.png", "--out", &out, "--data", &data]);
@@ -92,7 +92,7 @@ fn how_a_scene_lies_is_said() {
     let place = Place { dir: tempfile::tempdir().unwrap() };
     capture(&place.path("capture"), &[[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]], 24);
     let (from, data) = (place.text("capture"), place.text("data"));
-    let import = ["--from", &from, "--data", &data, "--hold-every"];
+    let import = ["--from", &from, "--data", &data, "--hold-out"];
     let guessed = place.cairn_ok(&[&["scene", "import", "a"][..], &import, &["2"]].concat());
     assert!(guessed.contains(" MB, unbounded (guessed; --kind says otherwise), not trained"), "{guessed}");
     let given = place.cairn_ok(&[&["scene", "import", "b", "--kind", "bounded"][..], &import, &["2"]].concat());
@@ -103,9 +103,65 @@ fn how_a_scene_lies_is_said() {
     }
     let trained = place.cairn_ok(&["train", "b", "--base-only", "--quality", "smoke", "--data", &data]);
     assert!(trained.contains(" accepted for b (bounded)"), "{trained}");
-    // A split that leaves nothing is refused in the words of the command line.
-    let refused = place.cairn(&[&["scene", "import", "c"][..], &import, &["1"]].concat());
-    assert!(said(&refused).contains("--hold-every 0") && !said(&refused).contains("hold_every"), "{refused:?}");
+    // A split that leaves nothing to train on, or nothing to score, is refused with what to do.
+    for every in ["0", "1"] {
+        let refused = place.cairn_refused(&[&["scene", "import", "c"][..], &import, &[every]].concat());
+        let wanted = format!("--hold-out) is {every}, expected 2 or more; leave it away to train on every photograph");
+        assert!(refused.contains(&wanted), "{refused}");
+    }
+}
+
+/// By default every photograph is trained on; who gets no share all the same is named, and so is the way to scores.
+#[test]
+fn every_photograph_counts_unless_it_cannot_and_who_gets_nothing_is_named() {
+    let place = Place { dir: tempfile::tempdir().unwrap() };
+    let poses: Vec<[f64; 3]> = (0..4).map(|i| [f64::from(i) * 0.3, 0.0, 3.0]).collect();
+    capture(&place.path("capture"), &poses, 24);
+    let images = place.path("capture/images");
+    // A photograph that no camera was found for, and one with a camera that is gone.
+    std::fs::copy(images.join("000.png"), images.join("004.png")).unwrap();
+    std::fs::remove_file(images.join("003.png")).unwrap();
+    let rows = "image,contributor\n000.png,ada\n001.png,bo\n002.png,cy\n003.png,di\n004.png,eve\n";
+    std::fs::write(place.path("capture/who.csv"), rows).unwrap();
+    let data = place.text("data");
+    let import = |scene: &str, options: &[&str]| {
+        let from = ["scene", "import", scene, "--from", "capture", "--contributors", "who.csv", "--skip-missing"];
+        place.cairn_ok(&[&from[..], &["--data", &data], options].concat())
+    };
+    let imported = import("all", &[]);
+    assert!(imported.contains("all: 3 views (0 held out) by 3 contributors"), "{imported}");
+    let nothing = "no share for di (1 photograph missing), eve (1 photograph without a camera)";
+    assert!(imported.contains(nothing), "{imported}");
+    let answer: serde_json::Value = serde_json::from_str(&import("some", &["--hold-out", "3", "--json"])).unwrap();
+    assert_eq!(answer["scene"]["held_out_views"], 1);
+    let row =
+        |contributor: &str, why: &str| serde_json::json!({ "contributor": contributor, "why": why, "photographs": 1 });
+    let wanted = [row("ada", "held-out"), row("di", "missing"), row("eve", "no-camera")];
+    assert_eq!(answer["without_share"], serde_json::json!(wanted));
+
+    let train = |scene: &str| place.cairn_ok(&["train", scene, "--base-only", "--quality", "smoke", "--data", &data]);
+    assert!(!train("all").contains("no share for"));
+    let refused = place.cairn_refused(&["evaluate", "all", "--data", &data]);
+    assert!(refused.contains("scene \"all\" cannot be scored") && refused.contains("--hold-out 8"), "{refused}");
+    place.cairn_ok(&["scene", "exclude", "some", "001.png", "--data", &data]);
+    let nothing = "no share for ada (1 photograph held out), bo (1 photograph excluded)";
+    let trained = train("some");
+    assert!(trained.contains(&format!("some: {nothing}")), "{trained}");
+    let shown = place.cairn_ok(&["scene", "show", "some", "--data", &data]);
+    assert!(shown.contains(&format!("\n  {nothing}\n")), "{shown}");
+    let shown = place.cairn_json(&["scene", "show", "some", "--json", "--data", &data]);
+    assert_eq!(shown["model"]["without_share"], serde_json::json!([row("ada", "held-out"), row("bo", "excluded")]));
+
+    let who = |view: &str| place.cairn_ok(&["who", "some", "--view", view, "--data", &data]);
+    assert!(
+        who("000.png").contains("photographed by ada, who gets no share for it: it is held out"),
+        "{}",
+        who("000.png")
+    );
+    assert!(who("001.png").contains("the view itself is excluded: no contributor gets a share for it"));
+    assert!(who("002.png").contains("the view itself was photographed by cy\n"));
+    let who = place.cairn_json(&["who", "some", "--view", "000.png", "--json", "--data", &data]);
+    assert_eq!((&who["photographed_by"], &who["view_unused"]), (&"ada".into(), &"held-out".into()));
 }
 
 /// The most memory that `cairn` with `arguments` held at a time, bytes.
@@ -136,7 +192,7 @@ fn peak(place: &Place, arguments: &[&str]) -> usize {
 fn photographs_are_kept_in_8_bits_as_they_are_read() {
     let (views, side) = (24, 1000);
     let poses: Vec<[f64; 3]> = (0..views).map(|i| [f64::from(i) * 0.05, 0.0, 3.0]).collect();
-    let place = few(&poses, side, "0");
+    let place = few(&poses, side, &[]);
     let data = place.text("data");
     let most = peak(&place, &["train", "few", "--base-only", "--quality", "smoke", "--data", &data]);
     let in_full = views as usize * side * side * 12;

@@ -180,17 +180,25 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         photograph_sha256: vec![0; 32].into(),
         ..v1::ImportView::default()
     };
+    let both = || vec![view("a", 8), view("b", 8)];
     let header = |views| {
         let kind = v1::SceneKind::Unbounded.into();
         let header = v1::ImportHeader { scene: "town".into(), views, kind, ..v1::ImportHeader::default() };
         v1::ImportSceneRequest { part: Some(Part::Header(header)) }
+    };
+    let listed = |why: v1::Unused, photographs| {
+        let listed = vec![v1::UnusedPhotographs { contributor: "eve".into(), why: why.into(), photographs }];
+        let mut header = header(both());
+        if let Some(Part::Header(header)) = &mut header.part {
+            header.listed = listed;
+        }
+        header
     };
     let chunk = |view_index, bytes: usize| {
         let part = Part::Chunk(v1::PhotographChunk { view_index, data: vec![1; bytes].into(), is_mask: false });
         v1::ImportSceneRequest { part: Some(part) }
     };
     let points = |xyz| v1::ImportSceneRequest { part: Some(Part::Points(v1::PointChunk { xyz })) };
-    let both = || vec![view("a", 8), view("b", 8)];
     let wide = {
         let mut views = both();
         views[0].camera.as_mut().unwrap().intrinsics.as_mut().unwrap().width = 20_000;
@@ -207,6 +215,13 @@ async fn an_import_that_breaks_its_word_leaves_nothing() {
         (vec![header(vec![view("a", 8), view("a", 8)])], Code::InvalidArgument, "twice"),
         (vec![header(vec![view("a", 8), view("b", 4096)])], Code::InvalidArgument, "limits.max_photograph_bytes"),
         (vec![header(nan)], Code::InvalidArgument, "not finite"),
+        (
+            vec![listed(v1::Unused::HeldOut, 1)],
+            Code::InvalidArgument,
+            "the reason for the photographs of eve is held out",
+        ),
+        (vec![listed(v1::Unused::Unspecified, 1)], Code::InvalidArgument, "listed: why"),
+        (vec![listed(v1::Unused::NoCamera, 0)], Code::InvalidArgument, "photographs of eve"),
         (vec![header(wide)], Code::InvalidArgument, "limits.max_side_px"),
         (vec![header(both())], Code::InvalidArgument, "0 whole views"),
         (vec![header(both()), header(both())], Code::InvalidArgument, "no chunk"),

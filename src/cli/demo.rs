@@ -227,7 +227,8 @@ async fn through(
 
 async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
     let table = capture.join("contributors.csv");
-    let words = [SCENE.as_ref(), "--from".as_ref(), capture.as_os_str(), "--contributors".as_ref(), table.as_os_str()];
+    let mut words = [SCENE, "--hold-out", "8", "--from"].map(OsStr::new).to_vec();
+    words.extend([capture.as_os_str(), OsStr::new("--contributors"), table.as_os_str()]);
     scene::import(line, &typed(&words)?).await.map(drop)
 }
 

@@ -108,8 +108,8 @@ enum Command {
   cairn identify liberty picture.png
   cairn identify liberty picture.png --register --payload-out recovered")]
     Identify(identify::IdentifyArgs),
-    /// Score a trained scene on the views it never saw
-    #[command(after_help = "Example:\n  cairn evaluate liberty --sheet contact-sheet.png")]
+    /// Score a trained scene on the views it never saw (imported with --hold-out)
+    #[command(after_help = "Example:\n  cairn evaluate liberty-test --sheet contact-sheet.png")]
     Evaluate(evaluate::EvaluateArgs),
     /// Make, seal, show, rotate and revoke owners' keys (they stay on this machine)
     #[command(subcommand)]

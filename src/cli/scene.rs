@@ -8,11 +8,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::Context as _;
 use cairn_api::v1::{self, import_scene_request::Part};
 use cairn_log::Digest;
-use cairn_scene::{Capture, CaptureError, ReadOptions, SceneKind, encode_png};
+use cairn_scene::{Capture, ReadOptions, SceneKind, encode_png, no_share};
 
 use super::connect::Connection;
 use super::json::{self, Json};
-use cairn_service::grpc::to_proto;
+use cairn_service::grpc::{from_proto, to_proto};
 
 /// Bytes of photograph a message.
 const CHUNK_BYTES: usize = 256 << 10;
@@ -93,9 +93,10 @@ pub struct ImportArgs {
     /// How the scene lies around its cameras (guessed where not given)
     #[arg(long, value_enum)]
     pub kind: Option<Kind>,
-    /// Hold out every n-th view, to score on; 0 holds out none
-    #[arg(long, value_name = "N", default_value_t = 8)]
-    pub hold_every: usize,
+    /// Hold out every n-th view in order of name, 2 and up, for `cairn evaluate`; a capture with test views of its own
+    /// holds out those (where not given, every photograph is trained on)
+    #[arg(long, value_name = "N")]
+    pub hold_out: Option<usize>,
     /// Leave out the views whose photographs are not there, and say which
     #[arg(long)]
     pub skip_missing: bool,
@@ -109,6 +110,8 @@ pub struct ImportArgs {
     /// these
     #[arg(long, value_name = "FACTOR", conflicts_with = "width")]
     pub scale: Option<f64>,
+    #[command(flatten)]
+    pub json: Json,
 }
 
 /// The kinds of scenes.
@@ -126,9 +129,13 @@ pub enum Kind {
 pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
     match command {
         Command::Import(args) => {
-            let summary = import(line, &args).await?;
+            let answer = import(line, &args).await?;
+            if args.json.json {
+                return json::print(&answer);
+            }
+            let summary = answer.scene.unwrap_or_default();
             println!("imported {}", one_line(&summary, args.kind.is_none()));
-            Ok(())
+            say_no_share(answer.without_share)
         }
         Command::List { json } => {
             let request = v1::ListScenesRequest {};
@@ -177,6 +184,14 @@ fn one_line(s: &v1::SceneSummary, guessed: bool) -> String {
     )
 }
 
+/// Names the contributors who get no share, and why, where there are any.
+fn say_no_share(rows: Vec<v1::UnusedPhotographs>) -> anyhow::Result<()> {
+    if let Some(sentence) = no_share(&from_proto::unused_photographs("without_share", rows)?) {
+        println!("  {sentence}");
+    }
+    Ok(())
+}
+
 /// How a scene lies, and what is behind it where that is known.
 pub fn lies(s: &v1::SceneSummary, guessed: bool) -> String {
     let kind = super::words::word(s.kind().as_str_name(), "SCENE_KIND_");
@@ -213,11 +228,12 @@ async fn show(line: &Connection, name: &str, json: Json) -> anyhow::Result<()> {
         let decided = view.decision.as_ref().map_or(String::new(), |d| format!("  {}", super::check::decision(d)));
         println!("  {}  by {}{held_out}{decided}", view.name, view.contributor);
     }
-    if let Some(model) = &scene.model {
+    if let Some(model) = scene.model {
         println!("model of {}, seed {}", model.job_id, model.seed);
         for identity in &model.identities {
             println!("  identity {}: {}, {} views", identity.number, identity.label, identity.view_names.len());
         }
+        say_no_share(model.without_share)?;
     }
     Ok(())
 }
@@ -241,7 +257,7 @@ enum Photograph {
 }
 
 /// Reads a capture and streams it to the services.
-pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::SceneSummary> {
+pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::ImportSceneResponse> {
     let kind = args.kind.map(|k| match k {
         Kind::ForwardFacing => SceneKind::ForwardFacing,
         Kind::Bounded => SceneKind::Bounded,
@@ -249,10 +265,10 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     });
     let contributors = args.contributors.as_deref().map(|table| found(table, Capture::folder_of(&args.from)));
     let contributors = contributors.transpose()?;
-    let (hold_every, skip_missing) = (args.hold_every, args.skip_missing);
+    let (hold_out, skip_missing) = (args.hold_out, args.skip_missing);
     let (images, masks) = (args.images.clone(), args.masks.clone());
-    let options = ReadOptions { contributors, kind, hold_every, images, masks, skip_missing, ..ReadOptions::default() };
-    let capture = Capture::read(&args.from, &options).map_err(in_flags)?;
+    let options = ReadOptions { contributors, kind, hold_out, images, masks, skip_missing, ..ReadOptions::default() };
+    let capture = Capture::read(&args.from, &options)?;
     capture.notes().iter().for_each(|note| eprintln!("{note}"));
     let (views, photographs) = prepare(&capture, args)?;
     let header = v1::ImportHeader {
@@ -260,6 +276,7 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
         views,
         kind: to_proto::scene_kind(capture.kind).into(),
         background: capture.background.map(Vec::from).unwrap_or_default(),
+        listed: to_proto::unused_photographs(&capture.left_out.listed),
     };
     let first = v1::ImportSceneRequest { part: Some(Part::Header(header)) };
     let point_chunk = |points: &[glam::DVec3]| {
@@ -275,7 +292,7 @@ pub async fn import(line: &Connection, args: &ImportArgs) -> anyhow::Result<v1::
     if let Some(error) = trouble.lock().unwrap_or_else(PoisonError::into_inner).take() {
         return Err(error);
     }
-    answer?.into_inner().scene.context("the daemon's answer names no scene")
+    Ok(answer?.into_inner())
 }
 
 /// The table of contributors: `table` as it is named, or in the folder of the capture.
@@ -297,17 +314,6 @@ fn found(table: &Path, capture: &Path) -> anyhow::Result<PathBuf> {
         _ => format!("there is {}", tables.join(", ")),
     };
     anyhow::bail!("there is no table {table}, neither here nor in {capture}; {remedy}")
-}
-
-/// The same error, in the words of the command line where it speaks of a setting.
-fn in_flags(error: CaptureError) -> CaptureError {
-    match error {
-        CaptureError::Malformed { file, entry, expected, got, remedy } if remedy.contains("hold_every") => {
-            let remedy = "give --hold-every 0, or 2 or more with several views";
-            CaptureError::Malformed { file, entry, expected, got: got.replace("hold_every", "--hold-every"), remedy }
-        }
-        other => other,
-    }
 }
 
 fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::ImportView>, Vec<Files>)> {

@@ -187,7 +187,8 @@ pub async fn run(line: &Connection, args: Args) -> anyhow::Result<()> {
     let watched = watch(line, &job.id, OnInterrupt::Cancel, &mut Shown::bar()).await?;
     ended(&watched)?;
     report(&watched.job, &told);
-    if !args.base_only {
+    let scene = scene::get(line, &args.name).await.ok().and_then(|answer| answer.summary);
+    if !args.base_only && scene.is_some_and(|summary| summary.held_out_views > 0) {
         println!("see how good it is: `cairn evaluate {} --sheet contact-sheet.png`", args.name);
     }
     if let Some(folder) = args.keys {

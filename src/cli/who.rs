@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context as _;
-use cairn_api::v1::{self, contributors_response};
+use cairn_api::v1::{self, Unused, contributors_response};
 
 use super::connect::Connection;
 use super::exit::Cancelled;
@@ -166,9 +166,7 @@ fn text(answer: &v1::ContributorsResponse, min_share: f64) -> String {
             line(share, what.into());
         }
     }
-    if !answer.photographed_by.is_empty() {
-        lines.push(format!("the view itself was photographed by {}", answer.photographed_by));
-    }
+    lines.extend(photographed(answer));
     lines.push(match &answer.answer {
         Some(contributors_response::Answer::Identity(found)) => {
             let records: Vec<String> = found.record_indices.iter().map(u64::to_string).collect();
@@ -182,6 +180,18 @@ fn text(answer: &v1::ContributorsResponse, min_share: f64) -> String {
     });
     lines.push(String::new());
     lines.join("\n")
+}
+
+/// Who took the view that was asked about, and why they get no share for it; `None` for a camera.
+fn photographed(answer: &v1::ContributorsResponse) -> Option<String> {
+    let by = &answer.photographed_by;
+    match answer.view_unused() {
+        Unused::Excluded => Some("the view itself is excluded: no contributor gets a share for it".to_owned()),
+        Unused::HeldOut => Some(format!(
+            "the view itself was photographed by {by}, who gets no share for it: it is held out of training and taught nothing"
+        )),
+        _ => (!by.is_empty()).then(|| format!("the view itself was photographed by {by}")),
+    }
 }
 
 /// A contributor's photographs that show most of it.
@@ -252,6 +262,18 @@ mod tests {
         assert_eq!(lines[3..5], ["  19.4 %  shown by no photograph", "  20.0 %  behind the scene (sky or background)"]);
         assert_eq!(lines[5], "the view itself was photographed by eve");
         assert!(!said.contains("excluded") && text(&answer(), 0.0).contains("cy: view_0.jpg 0.4 %"));
+    }
+
+    #[test]
+    fn a_view_that_taught_nothing_is_said_to_earn_no_share() {
+        let said = |why: Unused, by: &str| {
+            let answer = v1::ContributorsResponse { view_unused: why.into(), photographed_by: by.into(), ..answer() };
+            text(&answer, 0.01).lines().nth(5).unwrap().to_owned()
+        };
+        let held_out = said(Unused::HeldOut, "eve");
+        assert!(held_out.contains("photographed by eve, who gets no share for it: it is held out"), "{held_out}");
+        assert_eq!(said(Unused::Excluded, ""), "the view itself is excluded: no contributor gets a share for it");
+        assert!(said(Unused::Unspecified, "").starts_with("the place is"));
     }
 
     #[test]

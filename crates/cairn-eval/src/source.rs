@@ -33,7 +33,8 @@ impl Source {
     /// Those of [`Capture::read`].
     pub fn open(&self) -> anyhow::Result<Opened> {
         let contributors = Some(self.folder.join("contributors.csv")).filter(|table| table.is_file());
-        let capture = Capture::read(&self.folder, &ReadOptions { contributors, ..ReadOptions::default() })?;
+        let capture =
+            Capture::read(&self.folder, &ReadOptions { contributors, hold_out: Some(8), ..ReadOptions::default() })?;
         Ok(Opened { capture, source: self.clone() })
     }
 }

@@ -16,7 +16,8 @@ fn read(name: &str, scale: f64) -> Option<(Capture, Vec<Photo>)> {
         eprintln!("SKIPPED {name}: no captures at {}", data.display());
         return None;
     }
-    let capture = Capture::read(&data.join(name), &ReadOptions::default()).expect("a capture");
+    let options = ReadOptions { hold_out: Some(8), ..ReadOptions::default() };
+    let capture = Capture::read(&data.join(name), &options).expect("a capture");
     let view = |at: usize| {
         let view = &capture.views[at];
         let size = |side: usize| ((side as f64 * scale).round() as usize).max(1);

@@ -14,6 +14,7 @@ use crate::images::mask::Mask;
 use crate::images::photograph;
 use crate::images::picture::Picture;
 use crate::shell::quoted;
+use crate::unused::{Standing, Unused, UnusedPhotographs, without_share};
 
 /// The contributor of a view that no table says anything about.
 pub const UNKNOWN_CONTRIBUTOR: &str = "unknown";
@@ -97,6 +98,8 @@ pub struct LeftOut {
     /// Folders of further COLMAP models, relative to [`Capture::root`], sorted: COLMAP makes several where the
     /// photographs fall into groups that do not overlap.
     pub models: Vec<PathBuf>,
+    /// Photographs that the contributor table names and no view shows: of those above, as far as they have a row.
+    pub listed: Vec<UnusedPhotographs>,
 }
 
 /// Folders that hold one capture's photographs in several sizes.
@@ -109,7 +112,7 @@ impl Capture {
     /// photographs was taken where there are several, and which views' lenses fold
     /// within the frame.
     pub fn notes(&self) -> Vec<String> {
-        let LeftOut { missing, without_camera, models } = &self.left_out;
+        let LeftOut { missing, without_camera, models, .. } = &self.left_out;
         let views = if missing.len() == 1 { "view" } else { "views" };
         let missing = (!missing.is_empty())
             .then(|| format!("left out {} {views} without photographs: {}", missing.len(), missing.join(", ")));
@@ -124,6 +127,22 @@ impl Capture {
         let models = models.iter().map(|model| self.model_note(model));
         let left_out = missing.into_iter().chain(without_camera).chain(models);
         left_out.chain(self.folder_note()).chain(self.lens_note()).collect()
+    }
+
+    /// The contributors who get no share whatever is trained: all of their photographs are held out, missing or
+    /// without a camera. Of a stored scene the held-out ones alone are known.
+    pub fn without_share(&self) -> Vec<UnusedPhotographs> {
+        let views = self.views.iter().map(|view| Standing {
+            contributor: &view.contributor,
+            why: view.held_out.then_some(Unused::HeldOut),
+            photographs: 1,
+        });
+        let listed = self.left_out.listed.iter().map(|row| Standing {
+            contributor: &row.contributor,
+            why: Some(row.why),
+            photographs: row.photographs,
+        });
+        without_share(views.chain(listed))
     }
 
     fn model_note(&self, model: &Path) -> String {

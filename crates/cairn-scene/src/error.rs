@@ -68,6 +68,12 @@ pub enum CaptureError {
         /// What to do.
         remedy: &'static str,
     },
+    /// A split that would hold out all views, or none.
+    #[error("hold_out (--hold-out) is {every}, expected 2 or more; leave it away to train on every photograph")]
+    HoldOut {
+        /// What was asked for: 0 or 1.
+        every: usize,
+    },
     /// A mask of another size than its photograph.
     #[error(
         "the mask {} has {} x {} pixels, its photograph {} x {}; bring masks of the photographs' size, or name their folder (--masks DIR)",

@@ -19,6 +19,7 @@ mod scene;
 mod shell;
 mod sound;
 mod train_view;
+mod unused;
 
 pub use cameras::{BrownConrady, Camera, Distortion, Fisheye, Intrinsics, LensError, LensModel, Pose, PoseError};
 pub use capture::{Capture, LeftOut, SceneKind, Support, UNKNOWN_CONTRIBUTOR, View};
@@ -32,3 +33,4 @@ pub use scene::{MANIFEST, SceneFolder, write_manifest};
 pub use shell::quoted;
 pub use sound::{SAMPLE_RATES_HZ, Sound, SoundLimits, decode_wav, encode_wav};
 pub use train_view::TrainView;
+pub use unused::{Standing, Unused, UnusedPhotographs, no_share, without_share};

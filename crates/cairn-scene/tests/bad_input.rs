@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::common::{Colmap, npy, photograph, read, refuses};
-use cairn_scene::{Capture, CaptureError, Distortion, ReadOptions};
+use cairn_scene::{Capture, CaptureError, Distortion, ReadOptions, Unused, UnusedPhotographs};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Value, json};
@@ -25,7 +25,7 @@ fn colmap(change: impl FnOnce(&mut Colmap)) -> Result<Capture, CaptureError> {
 fn the_small_model_itself_is_good() {
     let capture = colmap(|_| {}).unwrap();
     assert_eq!((capture.views.len(), capture.points.len()), (3, 2));
-    assert_eq!(capture.held_out().collect::<Vec<_>>(), [0]);
+    assert_eq!(capture.training().collect::<Vec<_>>(), [0, 1, 2]);
 }
 
 #[test]
@@ -151,8 +151,6 @@ fn counts_and_sizes_over_the_limits() {
     refuses(with(|o| o.limits.max_side_px = 63), &["longest side in pixels is 64", "limit is 63"]);
     refuses(with(|o| o.limits.max_pixels = 3000), &["number of pixels is 3072", "limit is 3000"]);
     refuses(with(|o| o.limits.max_file_bytes = 40), &["1.png", "file size in bytes"]);
-    refuses(with(|o| o.hold_every = 1), &["at least one view to train on", "hold_every is 1"]);
-    assert_eq!(with(|o| o.hold_every = 0).unwrap().held_out().count(), 0);
     refuses(colmap(|m| m.images.clear()), &["images.bin", "at least one view"]);
 }
 
@@ -442,9 +440,7 @@ fn photographs_and_models_that_are_not_read_are_said() {
 
 #[test]
 fn views_without_photographs_are_left_out_where_that_is_asked_for() {
-    let skip = |folder: &Path| {
-        Capture::read(folder, &ReadOptions { skip_missing: true, hold_every: 0, ..ReadOptions::default() })
-    };
+    let skip = |folder: &Path| Capture::read(folder, &ReadOptions { skip_missing: true, ..ReadOptions::default() });
     let names = |capture: &Capture| capture.views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
     // COLMAP, with a table that knows all three.
     let folder = Colmap::small().folder();
@@ -476,10 +472,61 @@ fn views_without_photographs_are_left_out_where_that_is_asked_for() {
     // A table has endings where the file leaves them away.
     let table = folder.path().join("who.csv");
     fs::write(&table, "image,contributor\na.png,ada\nsub/c.jpg,bo\n").unwrap();
-    let listed = ReadOptions { skip_missing: true, hold_every: 0, contributors: Some(table), ..ReadOptions::default() };
+    let listed = ReadOptions { skip_missing: true, contributors: Some(table), ..ReadOptions::default() };
     assert_eq!(Capture::read(folder.path(), &listed).unwrap().views[0].contributor, "ada");
     fs::remove_file(folder.path().join("a.png")).unwrap();
     refuses(skip(folder.path()), &["frame 0 (./a.png)", "a.png is missing"]);
+}
+
+#[test]
+fn every_photograph_is_trained_on_unless_some_are_to_be_held_out() {
+    let folder = Colmap::small().folder();
+    let with = |hold_out| Capture::read(folder.path(), &ReadOptions { hold_out, ..ReadOptions::default() });
+    assert_eq!(with(None).unwrap().training().collect::<Vec<_>>(), [0, 1, 2]);
+    assert_eq!(with(Some(2)).unwrap().held_out().collect::<Vec<_>>(), [0, 2]);
+    assert_eq!(with(Some(8)).unwrap().held_out().collect::<Vec<_>>(), [0]);
+    refuses(with(Some(0)), &["--hold-out) is 0", "expected 2 or more", "leave it away to train on every photograph"]);
+    refuses(with(Some(1)), &["--hold-out) is 1", "expected 2 or more"]);
+    // Of one view none can be kept back.
+    for name in ["2.png", "3.png"] {
+        fs::remove_file(folder.path().join("images").join(name)).unwrap();
+    }
+    let options = ReadOptions { hold_out: Some(2), skip_missing: true, ..ReadOptions::default() };
+    refuses(Capture::read(folder.path(), &options), &["at least one view to train on", "all 1 held out", "--hold-out"]);
+}
+
+#[test]
+fn contributors_who_get_no_share_are_named_with_the_reason() {
+    let folder = Colmap::small().folder();
+    let images = folder.path().join("images");
+    // Photographs that no camera was found for, and one that a camera names and that is not there.
+    for name in ["4.png", "5.png"] {
+        fs::write(images.join(name), photograph()).unwrap();
+    }
+    fs::remove_file(images.join("3.png")).unwrap();
+    let table = folder.path().join("who.csv");
+    fs::write(&table, "image,contributor\n1.png,ada\n2.png,bo\n3.png,cy\n4.png,di\n5.png,bo\n").unwrap();
+    let with = |hold_out| {
+        let contributors = Some(table.clone());
+        let options = ReadOptions { contributors, hold_out, skip_missing: true, ..ReadOptions::default() };
+        Capture::read(folder.path(), &options).unwrap()
+    };
+    let row = |contributor: &str, why| UnusedPhotographs { contributor: contributor.into(), why, photographs: 1 };
+    let capture = with(None);
+    assert_eq!(
+        capture.left_out.listed,
+        [row("bo", Unused::NoCamera), row("cy", Unused::Missing), row("di", Unused::NoCamera)]
+    );
+    // bo has a photograph that teaches, too.
+    assert_eq!(capture.without_share(), [row("cy", Unused::Missing), row("di", Unused::NoCamera)]);
+    let capture = with(Some(8));
+    assert_eq!(
+        capture.without_share(),
+        [row("ada", Unused::HeldOut), row("cy", Unused::Missing), row("di", Unused::NoCamera)]
+    );
+    // Those of a capture without a table are all by one, who is credited.
+    let plain = Colmap::small().folder();
+    assert_eq!(read(plain.path()).unwrap().without_share(), []);
 }
 
 #[test]
@@ -497,7 +544,7 @@ fn a_missing_photograph_gives_its_credit_to_nobody() {
     let read = |rows: &str| {
         fs::write(&table, format!("image,contributor\n{rows}")).unwrap();
         let contributors = Some(table.clone());
-        let options = ReadOptions { skip_missing: true, hold_every: 0, contributors, ..ReadOptions::default() };
+        let options = ReadOptions { skip_missing: true, contributors, ..ReadOptions::default() };
         Capture::read(folder.path(), &options)
     };
     refuses(read("1.png,bo\n"), &["1.png", "or several"]);
@@ -515,7 +562,7 @@ fn a_split_without_its_photographs_is_none() {
     let absent = document.replace("./a.png", "./test/a").replace("\"b\"", "\"./test/b\"");
     fs::write(folder.path().join("transforms_test.json"), absent).unwrap();
     refuses(read(folder.path()), &["transforms_test.json", "--skip-missing"]);
-    let options = ReadOptions { skip_missing: true, hold_every: 2, ..ReadOptions::default() };
+    let options = ReadOptions { skip_missing: true, hold_out: Some(2), ..ReadOptions::default() };
     let capture = Capture::read(folder.path(), &options).unwrap();
     assert_eq!(capture.held_out().collect::<Vec<_>>(), [0], "every second one instead");
     assert_eq!(capture.left_out.missing, ["test/a", "test/b"]);

@@ -114,7 +114,8 @@ fn a_split_of_its_own_is_found_however_it_spells_names() {
     let mut document = document(&["./a", "./b"]);
     document["test_filenames"] = json!([".\\b"]);
     fs::write(folder.path().join("transforms.json"), document.to_string()).unwrap();
-    assert_eq!(read(folder.path()).unwrap().held_out().collect::<Vec<_>>(), [1]);
+    let options = ReadOptions { hold_out: Some(8), ..ReadOptions::default() };
+    assert_eq!(Capture::read(folder.path(), &options).unwrap().held_out().collect::<Vec<_>>(), [1]);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use cairn_scene::{BrownConrady, Capture, ReadOptions, SceneKind};
+use cairn_scene::{BrownConrady, Capture, ReadOptions, SceneKind, Unused};
 
 /// The folder of one real capture, or `None` after saying so.
 fn real(test: &str, name: &str) -> Option<PathBuf> {
@@ -16,6 +16,11 @@ fn real(test: &str, name: &str) -> Option<PathBuf> {
         return None;
     }
     Some(folder)
+}
+
+/// Every 8th view is held out, or the capture's own test views.
+fn some_held_out() -> ReadOptions {
+    ReadOptions { hold_out: Some(8), ..ReadOptions::default() }
 }
 
 /// Every photograph of some views decodes at its camera's size, within [0, 1].
@@ -31,7 +36,8 @@ fn decodes(capture: &Capture, step: usize) {
 #[test]
 fn liberty() {
     let Some(folder) = real("liberty", "liberty") else { return };
-    let options = ReadOptions { contributors: Some(folder.join("contributors.csv")), ..Default::default() };
+    let contributors = Some(folder.join("contributors.csv"));
+    let options = ReadOptions { contributors, hold_out: Some(8), ..Default::default() };
     let capture = Capture::read(&folder, &options).unwrap();
     assert_eq!(capture.views.len(), 135);
     assert_eq!(capture.kind, SceneKind::Unbounded);
@@ -40,6 +46,11 @@ fn liberty() {
     assert_eq!(capture.held_out().count(), 17);
     assert_eq!(capture.held_out().nth(1), Some(8));
     assert_eq!(capture.training().count(), 118);
+    // Visitors brought a photograph each: those whose only one is held out are named. By default there is none.
+    assert!(capture.without_share().iter().all(|row| (row.why, row.photographs) == (Unused::HeldOut, 1)));
+    assert_eq!(capture.without_share().len(), 13);
+    let all = Capture::read(&folder, &ReadOptions { hold_out: None, ..options }).unwrap();
+    assert_eq!((all.training().count(), all.without_share()), (135, Vec::new()));
     let contributors: BTreeSet<&str> = capture.views.iter().map(|v| v.contributor.as_str()).collect();
     assert_eq!(contributors.len(), 103);
     assert_eq!(capture.views.iter().filter(|v| v.contributor == "drone-2").count(), 17);
@@ -61,7 +72,7 @@ fn fern_and_trex() {
         [("fern", 20, 3, (504, 378), 4032.0), ("trex", 55, 7, (400, 300), 4032.0)]
     {
         let Some(folder) = real("fern_and_trex", name) else { return };
-        let capture = Capture::read(&folder, &ReadOptions::default()).unwrap();
+        let capture = Capture::read(&folder, &some_held_out()).unwrap();
         assert_eq!(capture.views.len(), views);
         assert_eq!(capture.held_out().count(), held_out);
         assert_eq!(capture.kind, SceneKind::ForwardFacing);
@@ -85,7 +96,7 @@ fn fern_and_trex() {
 #[test]
 fn lego() {
     let Some(folder) = real("lego", "lego") else { return };
-    let capture = Capture::read(&folder, &ReadOptions::default()).unwrap();
+    let capture = Capture::read(&folder, &some_held_out()).unwrap();
     assert_eq!((capture.training().count(), capture.held_out().count()), (100, 25));
     assert_eq!(capture.kind, SceneKind::Bounded);
     assert_eq!(capture.background, Some([1.0; 3]));

@@ -268,7 +268,9 @@ fn camera_angle_is_the_focal_length_in_disguise() {
         compare(&capture, i, case, &case.pixels_simple_centred);
     }
     // Without a test split the validation split is the one to measure on; with one it is ignored.
-    assert_eq!(capture.held_out().collect::<Vec<_>>(), [3, 4]);
+    assert_eq!(capture.held_out().count(), 0, "no view is held out unless that is asked for");
+    let options = ReadOptions { hold_out: Some(2), ..ReadOptions::default() };
+    assert_eq!(Capture::read(folder.path(), &options).unwrap().held_out().collect::<Vec<_>>(), [3, 4]);
     write("transforms_test.json", &frames[4..]);
     assert_eq!(read(folder.path()).unwrap().views.len(), 4);
 }
@@ -291,6 +293,9 @@ fn llff_agrees_with_the_reference() {
     let folder = tempfile::tempdir().unwrap();
     write_llff(folder.path(), &document, "<f8");
     let capture = read(folder.path()).unwrap();
+    assert_eq!(capture.held_out().count(), 0);
+    let options = ReadOptions { hold_out: Some(3), ..ReadOptions::default() };
+    assert_eq!(Capture::read(folder.path(), &options).unwrap().held_out().collect::<Vec<_>>(), [0, 3]);
     for (i, case) in document.cases.iter().enumerate() {
         assert_eq!(capture.views[i].bounds, Some((0.5, 6.0)));
         compare(&capture, i, case, &case.pixels_simple_centred);

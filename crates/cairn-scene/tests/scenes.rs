@@ -18,7 +18,7 @@ fn listing(dir: &Path) -> Vec<String> {
 fn capture_with_contributors(folder: &Path) -> Capture {
     let table = folder.join("who.csv");
     fs::write(&table, "image,contributor\n1.png,ana\n2.png,ben\n3.png,ana\n").unwrap();
-    Capture::read(folder, &ReadOptions { contributors: Some(table), ..Default::default() }).unwrap()
+    Capture::read(folder, &ReadOptions { contributors: Some(table), hold_out: Some(8), ..Default::default() }).unwrap()
 }
 
 #[test]

@@ -176,9 +176,15 @@ fn an_alpha_channel_that_is_full_is_not_transparent() {
 #[test]
 fn a_capture_that_brings_its_own_split_keeps_it() {
     let folder = tempfile::tempdir().unwrap();
-    let held = |capture: &Capture| capture.held_out().collect::<Vec<_>>();
-    assert_eq!(held(&transforms(folder.path(), [false; 2], |_| {})), [0]);
-    let capture = transforms(folder.path(), [false; 2], |d| d["test_filenames"] = json!(["./b.png"]));
-    assert_eq!(held(&capture), [1]);
-    assert_eq!(capture.training().collect::<Vec<_>>(), [0]);
+    let held = |change: fn(&mut Value)| {
+        let by_default = transforms(folder.path(), [false; 2], change);
+        assert_eq!(by_default.training().collect::<Vec<_>>(), [0, 1], "unless it is asked for, no view is held out");
+        let options = ReadOptions { hold_out: Some(8), ..ReadOptions::default() };
+        Capture::read(folder.path(), &options).unwrap().held_out().collect::<Vec<_>>()
+    };
+    assert_eq!(held(|_| {}), [0]);
+    assert_eq!(held(|d| d["test_filenames"] = json!(["./b.png"])), [1]);
+    // One that names no view of the capture is no split.
+    assert_eq!(held(|d| d["test_filenames"] = json!([])), [0]);
+    assert_eq!(held(|d| d["test_filenames"] = json!(["c.png"])), [0]);
 }

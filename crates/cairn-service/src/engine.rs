@@ -32,7 +32,7 @@ use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
 use crate::store::exclusions::{Decision, Exclusions, leaving_out};
 use crate::store::folder::{DataFolder, LAYOUT};
-use crate::store::import::{Import, ImportPlan};
+use crate::store::import::{Import, ImportPlan, Imported};
 use crate::store::model::{self, Model, ModelInfo};
 use crate::store::scenes;
 use crate::store::shadow::{self, Shadow};
@@ -191,14 +191,14 @@ impl Engine {
     ///
     /// # Errors
     /// As [`Import::finish`].
-    pub fn finish_import(&self, mut import: Import) -> Result<SceneFolder, EngineError> {
+    pub fn finish_import(&self, mut import: Import) -> Result<Imported, EngineError> {
         let place = self.access.place(import.scene(), self.folder.scenes().join(import.scene()))?;
         let owned = import.owned.take();
         self.access.announce(&place, owned.as_ref())?;
         match import.finish(&self.folder.scenes()) {
-            Ok(scene) => {
+            Ok(imported) => {
                 self.access.became(&place, owned);
-                Ok(scene)
+                Ok(imported)
             }
             Err(error) => {
                 // The first error is the one to tell; what is left of the second is cleared at the next start.
@@ -212,11 +212,11 @@ impl Engine {
     ///
     /// # Errors
     /// For a name that is taken or not allowed, a photograph that does not decode, and the file system's.
-    pub fn import_capture(&self, name: &str, capture: &Capture) -> Result<SceneFolder, EngineError> {
+    pub fn import_capture(&self, name: &str, capture: &Capture) -> Result<Imported, EngineError> {
         scenes::check_scene_name(name)?;
         let place = self.access.place(name, self.folder.scenes().join(name))?;
         self.access.announce(&place, None)?;
-        Ok(SceneFolder::create(&self.folder.scenes(), name, capture)?)
+        Imported::store(&self.folder.scenes(), name, capture)
     }
 
     /// Names of all scenes, sorted.

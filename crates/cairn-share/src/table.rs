@@ -130,6 +130,13 @@ impl ShareTable {
         &self.photographs
     }
 
+    /// How many rows each photograph shows, in the order of their numbers; 0 for one that taught nothing.
+    pub fn entries(&self) -> Vec<usize> {
+        let mut entries = vec![0; self.photographs.len()];
+        self.of.iter().for_each(|of| entries[usize::from(*of)] += 1);
+        entries
+    }
+
     /// Rows of the field, the unused row 0 included.
     pub fn rows(&self) -> usize {
         self.starts.len() - 1
@@ -248,6 +255,7 @@ mod tests {
             [of(0), of(1), of(2), of(3), of(4)],
             [vec![], vec![(0, 1.0), (2, 0.5)], vec![], vec![(0, 2.0)], vec![(2, 8.0)],]
         );
+        assert_eq!(table.entries(), [2, 0, 2]);
         let bytes = table.to_bytes().unwrap();
         assert_eq!(ShareTable::read_from(&mut std::io::Cursor::new(&bytes)).unwrap(), table);
         for end in 0..bytes.len() {

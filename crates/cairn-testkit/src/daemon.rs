@@ -130,13 +130,12 @@ impl Place {
         said
     }
 
-    /// Imports the capture as `scene` wherever `place` (--connect or --data) says.
+    /// Imports the capture as `scene` wherever `place` (--connect or --data) says, every 8th view held out.
     pub fn import(&self, scene: &str, place: [&str; 2]) -> String {
         let capture = self.text("capture");
         let contributors = self.text("capture/contributors.csv");
-        let arguments =
-            ["scene", "import", scene, "--from", &capture, "--contributors", &contributors, place[0], place[1]];
-        self.cairn_ok(&arguments)
+        let import = ["scene", "import", scene, "--from", &capture, "--contributors", &contributors];
+        self.cairn_ok(&[&import[..], &["--hold-out", "8"], &place].concat())
     }
 }
 

@@ -30,7 +30,7 @@ pub fn measure(args: &Args, rows: &mut Rows) -> anyhow::Result<()> {
         Ok(stdout)
     };
     let text = OsStr::new;
-    let import = ["scene", "import", "liberty", "--scale", SCALE, "--from"].map(text);
+    let import = ["scene", "import", "liberty", "--scale", SCALE, "--hold-out", "8", "--from"].map(text);
     cairn(&[&import[..], &[from.as_os_str(), text("--contributors"), contributors.as_os_str()]].concat())?;
     let [anchors, seed] = [args.anchors.unwrap_or(3).to_string(), args.seed.to_string()];
     let neighbours = if args.anchors.is_some() { args.neighbours } else { Some(20) }.map(|k| k.to_string());

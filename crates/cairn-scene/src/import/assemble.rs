@@ -14,6 +14,7 @@ use crate::images::photograph::{self, Header, WHITE};
 use crate::import::model::{Entry, Guess, ImageFolder, Model, check_count};
 use crate::import::options::ReadOptions;
 use crate::import::{contributors, masks, named};
+use crate::unused::{Standing, Unused, UnusedPhotographs, without_share};
 
 /// How many photographs are decoded to see whether they are transparent.
 const LOOKED_AT: usize = 5;
@@ -46,7 +47,9 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
             let names: Vec<&str> = model.entries.iter().map(|e| e.name.as_str()).collect();
             let LeftOut { missing, without_camera, .. } = &model.left_out;
             let left_out: Vec<&str> = missing.iter().chain(without_camera).map(String::as_str).collect();
-            contributors::read(table, &names, &left_out, &options.limits)?
+            let takers = contributors::read(table, &names, &left_out, &options.limits)?;
+            model.left_out.listed = listed(&takers.of_left_out, missing.len());
+            takers.of_views
         }
     };
     let held_out = held_out(&model, options)?;
@@ -203,13 +206,25 @@ fn headers(root: &Path, model: &Model, options: &ReadOptions) -> Result<Vec<Head
     model.entries.iter().map(|entry| photograph::header(&root.join(&entry.photograph), &options.limits)).collect()
 }
 
+/// Photographs that the contributor table names and no view shows, by contributor and reason; the first `missing` of
+/// `takers` are of those whose files are missing.
+fn listed(takers: &[Option<String>], missing: usize) -> Vec<UnusedPhotographs> {
+    let why = |at| Some(if at < missing { Unused::Missing } else { Unused::NoCamera });
+    let rows = takers.iter().enumerate().filter_map(|(at, taker)| Some((at, taker.as_deref()?)));
+    without_share(rows.map(|(at, contributor)| Standing { contributor, why: why(at), photographs: 1 }))
+}
+
+/// Which views are held out: none unless that is asked for, then the capture's own test views, or every n-th where it
+/// names none.
 fn held_out(model: &Model, options: &ReadOptions) -> Result<Vec<bool>, CaptureError> {
-    let every = |i: usize| options.hold_every > 0 && i.is_multiple_of(options.hold_every);
-    let held: Vec<bool> =
-        model.entries.iter().enumerate().map(|(i, e)| e.held_out.unwrap_or_else(|| every(i))).collect();
+    let Some(every) = options.hold_out else { return Ok(vec![false; model.entries.len()]) };
+    let own = model.entries.iter().any(|entry| entry.held_out == Some(true));
+    let is_held =
+        |(i, entry): (usize, &Entry)| if own { entry.held_out == Some(true) } else { i.is_multiple_of(every) };
+    let held: Vec<bool> = model.entries.iter().enumerate().map(is_held).collect();
     if held.iter().all(|&h| h) {
-        let got = format!("all {} held out (hold_every is {})", held.len(), options.hold_every);
-        let remedy = "set hold_every to 0, or to 2 or more with several views";
+        let got = format!("all {} held out", held.len());
+        let remedy = "leave hold_out (--hold-out) away, or bring more views";
         return Err(CaptureError::malformed(&model.file, "the split", "at least one view to train on", got, remedy));
     }
     Ok(held)

@@ -21,21 +21,23 @@ struct Row {
     contributor: String,
 }
 
-/// The contributor of each of `names`, in order, from the table at `table`.
+/// Who took a capture's photographs, as its table says.
+pub(crate) struct Takers {
+    /// Of each view.
+    pub of_views: Vec<String>,
+    /// Of each photograph that is left out; `None` where it has no row.
+    pub of_left_out: Vec<Option<String>>,
+}
+
+/// The contributor of each of `names` and of each that is `left_out`, in order, from the table at `table`.
 ///
 /// The table has a heading with at least `image` and `contributor`. An image is
 /// named as the camera file names it, or by its file name where only one
 /// photograph has that, in any Unicode normalisation.
 ///
 /// # Errors
-/// For rows that name no photograph (rows for those that are `left_out` are checked and passed
-/// over), photographs of `names` without a row, one with two rows, or an empty contributor.
-pub(crate) fn read(
-    table: &Path,
-    names: &[&str],
-    left_out: &[&str],
-    limits: &Limits,
-) -> Result<Vec<String>, CaptureError> {
+/// For rows that name no photograph, photographs of `names` without a row, one with two rows, or an empty contributor.
+pub(crate) fn read(table: &Path, names: &[&str], left_out: &[&str], limits: &Limits) -> Result<Takers, CaptureError> {
     let wrong = |entry: String, problem: String, remedy: &'static str| CaptureError::Contributors {
         table: table.to_path_buf(),
         entry,
@@ -92,7 +94,9 @@ pub(crate) fn read(
         let entry = format!("{photographs} {}", few(&without, NAMED));
         return Err(wrong(entry, format!("{it_has} no row"), "add a row that says who took it"));
     }
-    Ok(found.into_iter().flatten().take(names.len()).map(|(contributor, _)| contributor).collect())
+    let mut takers = found.into_iter().map(|row| row.map(|(contributor, _)| contributor));
+    let of_views = takers.by_ref().take(names.len()).flatten().collect();
+    Ok(Takers { of_views, of_left_out: takers.collect() })
 }
 
 /// Every name, and every file name that only one view has.

@@ -12,9 +12,9 @@ pub struct ReadOptions {
     pub contributors: Option<PathBuf>,
     /// What kind of scene it is, instead of the guess.
     pub kind: Option<SceneKind>,
-    /// Hold out views 0, n, 2n, ... in order of name; 0 holds out none. A
-    /// capture that brings its own split keeps that.
-    pub hold_every: usize,
+    /// Hold out views 0, n, 2n, ... in order of name, to measure on; n is 2 or more. A capture that names test views of
+    /// its own holds out those instead. `None` holds out no view, the capture's own test views included.
+    pub hold_out: Option<usize>,
     /// The folder of photographs, relative to the capture (or absolute),
     /// instead of the format's usual one.
     pub images: Option<PathBuf>,
@@ -28,12 +28,12 @@ pub struct ReadOptions {
 }
 
 impl Default for ReadOptions {
-    /// No table, kind guessed, every 8th view held out, default limits.
+    /// No table, kind guessed, no view held out, default limits.
     fn default() -> Self {
         Self {
             contributors: None,
             kind: None,
-            hold_every: 8,
+            hold_out: None,
             images: None,
             masks: None,
             skip_missing: false,

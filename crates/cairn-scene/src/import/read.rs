@@ -43,8 +43,11 @@ impl Capture {
     ///
     /// # Errors
     /// [`CaptureError`], naming the file and the entry, for anything missing,
-    /// malformed or over the limits.
+    /// malformed or over the limits; [`CaptureError::HoldOut`].
     pub fn read(folder: &Path, options: &ReadOptions) -> Result<Self, CaptureError> {
+        if let Some(every @ (0 | 1)) = options.hold_out {
+            return Err(CaptureError::HoldOut { every });
+        }
         let (folder, named) = (Self::folder_of(folder), camera_file(folder));
         std::fs::read_dir(folder).map_err(CaptureError::io("open", folder))?;
         let transforms = || transforms::read(folder, named, options)?.ok_or_else(|| no_cameras(folder, options));

@@ -8,7 +8,9 @@ use cairn_api::v1;
 use cairn_field::AppearanceMode;
 use cairn_log::{Digest, PublicKey, RegistryError};
 use cairn_scene::cluster::{ClusterConfig, Grouping};
-use cairn_scene::{BrownConrady, Camera, Fisheye, Intrinsics, Pose, SceneKind, Support, View};
+use cairn_scene::{
+    BrownConrady, Camera, Fisheye, Intrinsics, Pose, SceneKind, Support, Unused, UnusedPhotographs, View,
+};
 use glam::{DMat3, DVec3};
 
 use crate::config::{PresetChoice, Quality, TrainingOptions};
@@ -231,7 +233,29 @@ pub fn import_plan(header: v1::ImportHeader) -> Result<ImportPlan, EngineError> 
         }
     };
     let views = header.views.into_iter().map(planned_view).collect::<Result<_, _>>()?;
-    Ok(ImportPlan { scene: header.scene, kind: scene_kind(header.kind)?, background, views })
+    let listed = unused_photographs("listed", header.listed)?;
+    if let Some(row) = listed.iter().find(|row| !matches!(row.why, Unused::NoCamera | Unused::Missing)) {
+        let what = format!("listed: the reason for the photographs of {}", row.contributor);
+        return Err(EngineError::invalid(what, row.why.words(), "NO_CAMERA (4) or MISSING (5)"));
+    }
+    Ok(ImportPlan { scene: header.scene, kind: scene_kind(header.kind)?, background, views, listed })
+}
+
+/// Photographs that teach nothing; `what` names them in errors.
+///
+/// # Errors
+/// [`EngineError::Invalid`] with the field, what it is and what is allowed.
+pub fn unused_photographs(what: &str, rows: Vec<v1::UnusedPhotographs>) -> Result<Vec<UnusedPhotographs>, EngineError> {
+    let of = |row: v1::UnusedPhotographs| {
+        let why = named!("why", row.why, Unused => Unused { HeldOut, Excluded, Masked, NoCamera, Missing })?;
+        let why = why.ok_or_else(|| missing(&format!("{what}: why")))?;
+        let contributor = text(&format!("{what}: contributor"), row.contributor)?;
+        match row.photographs as usize {
+            0 => Err(EngineError::invalid(format!("{what}: photographs of {contributor}"), 0, "1 or more")),
+            photographs => Ok(UnusedPhotographs { contributor, why, photographs }),
+        }
+    };
+    rows.into_iter().map(of).collect()
 }
 
 /// Points of the surface.

@@ -13,6 +13,7 @@ use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::poses::PoseSheet;
 use crate::store::exclusions::{Decision, State};
+use crate::store::import::Imported;
 
 #[tonic::async_trait]
 impl SceneService for Shared {
@@ -45,10 +46,11 @@ impl SceneService for Shared {
                 })
                 .await?;
         }
-        let scene = self.run(move |engine| engine.finish_import(import)).await?;
+        let Imported { scene, without_share } = self.run(move |engine| engine.finish_import(import)).await?;
         let summary = to_proto::scene_summary(&name, &scene, false);
         tracing::info!(scene = name, views = summary.views, "scene imported");
-        Ok(Response::new(v1::ImportSceneResponse { scene: Some(summary) }))
+        let without_share = to_proto::unused_photographs(&without_share);
+        Ok(Response::new(v1::ImportSceneResponse { scene: Some(summary), without_share }))
     }
 
     async fn list(&self, _: Request<v1::ListScenesRequest>) -> Answer<v1::ListScenesResponse> {

@@ -118,6 +118,7 @@ fn capture(error: &CaptureError) -> Code {
         | CaptureError::SoundTooLong { .. }
         | CaptureError::TooLarge { .. }
         | CaptureError::SizeMismatch { .. }
+        | CaptureError::HoldOut { .. }
         | CaptureError::MaskSize { .. }
         | CaptureError::Contributors { .. }
         | CaptureError::SceneName { .. } => Code::InvalidArgument,

@@ -2,7 +2,7 @@
 
 use cairn_api::v1;
 use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind};
-use cairn_scene::{BrownConrady, Camera, Distortion, SceneFolder, SceneKind, encode_png};
+use cairn_scene::{BrownConrady, Camera, Distortion, SceneFolder, SceneKind, Unused, UnusedPhotographs, encode_png};
 use tonic::codegen::Bytes;
 
 use crate::auth::{Account, Limits, Role, Standing as AccountStanding};
@@ -88,6 +88,21 @@ pub fn scene_summary(name: &str, scene: &SceneFolder, trained: bool) -> v1::Scen
     }
 }
 
+/// Why a photograph teaches nothing.
+pub fn unused(why: Unused) -> v1::Unused {
+    of_wire!(why, Unused => Unused { HeldOut, Excluded, Masked, NoCamera, Missing })
+}
+
+/// Photographs that teach nothing.
+pub fn unused_photographs(all: &[UnusedPhotographs]) -> Vec<v1::UnusedPhotographs> {
+    let of = |row: &UnusedPhotographs| v1::UnusedPhotographs {
+        contributor: row.contributor.clone(),
+        why: unused(row.why).into(),
+        photographs: row.photographs as u32,
+    };
+    all.iter().map(of).collect()
+}
+
 /// A scene's views, with what was decided about them.
 pub fn scene_views(scene: &SceneFolder, entries: &Entries) -> Vec<v1::SceneView> {
     let of = |(index, view): (usize, &cairn_scene::View)| v1::SceneView {
@@ -167,6 +182,7 @@ pub fn model(info: &ModelInfo) -> v1::Model {
         detector_sha256: of_mark(|m| &m.detector),
         settings_sha256: digest(&info.settings),
         share_table_sha256: digest(&info.share_table),
+        without_share: unused_photographs(&info.without_share),
     }
 }
 
@@ -207,7 +223,7 @@ fn found_identity(who: Who) -> Option<v1::FoundIdentity> {
 /// Who contributed to a place.
 pub fn contributors(found: Contributors) -> v1::ContributorsResponse {
     use v1::contributors_response::Answer;
-    let Contributors { mark, shares, excluded, unseen, behind, photographed_by, map } = found;
+    let Contributors { mark, shares, excluded, unseen, behind, photographed_by, view_unused, map } = found;
     let confidence = mark.confidence;
     let answer = found_identity(mark).map_or(Answer::Unmarked(v1::Unmarked {}), Answer::Identity);
     let photograph = |(view_name, share)| v1::PhotographShare { view_name, share };
@@ -223,6 +239,7 @@ pub fn contributors(found: Contributors) -> v1::ContributorsResponse {
         unseen,
         behind,
         photographed_by: photographed_by.unwrap_or_default(),
+        view_unused: view_unused.map_or(v1::Unused::Unspecified, unused).into(),
         map_png: map.map(|map| encode_png(&map)).unwrap_or_default().into(),
     }
 }

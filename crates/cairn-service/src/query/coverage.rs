@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use cairn_field::{OfPixel, VisibleField as _};
-use cairn_scene::{Camera, Picture};
+use cairn_scene::{Camera, Picture, Unused};
 use cairn_share::{SeenFrom, Shares, Sharpness};
 
 use crate::config::Limits;
@@ -63,6 +63,8 @@ pub struct Contributors {
     pub behind: f64,
     /// Who took the view that was asked about; `None` for a camera, and for a view that is excluded.
     pub photographed_by: Option<String>,
+    /// Why that view earns its contributor no share, where it is excluded or held out.
+    pub view_unused: Option<Unused>,
     /// The map, where it was asked for.
     pub map: Option<Picture>,
 }
@@ -142,16 +144,19 @@ pub fn contributors(
     }
     let mut shares: Vec<ContributorShare> = of.into_iter().map(|(name, own)| ContributorShare::of(name, own)).collect();
     shares.sort_by(|a, b| b.share.total_cmp(&a.share).then_with(|| a.name.cmp(&b.name)));
-    let photographed_by = match &asked.viewpoint {
-        Viewpoint::View(name) => taker(snapshot.full_name(name)?).map(str::to_owned),
-        Viewpoint::Camera(_) => None,
+    let (photographed_by, view_unused) = match &asked.viewpoint {
+        Viewpoint::View(name) => {
+            let name = snapshot.full_name(name)?;
+            (taker(name).map(str::to_owned), snapshot.unused(name))
+        }
+        Viewpoint::Camera(_) => (None, None),
     };
     if asked.map && model.mark.is_none() && !asked.may_see_base {
         let what = format!("scene {:?}", snapshot.name);
         let why = "its newest model has no marks, and a map of it shows the base field; ask again with a token";
         return Err(EngineError::wrong_state(what, "drawn", why));
     }
-    let mut found = Contributors { mark, shares, excluded, unseen, behind, photographed_by, map: None };
+    let mut found = Contributors { mark, shares, excluded, unseen, behind, photographed_by, view_unused, map: None };
     if asked.map {
         let camera = within(&camera, MAX_MAP_SIDE_PX);
         let contributors: Vec<(&str, f64)> = found.shares.iter().map(|of| (of.name.as_str(), of.share)).collect();

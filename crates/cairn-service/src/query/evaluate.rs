@@ -63,7 +63,8 @@ pub fn evaluate(
     let scene = &snapshot.name;
     let scored = look(model, &snapshot.scene, &snapshot.out_of_clusters)?;
     if scored.is_empty() {
-        let why = "it holds no view out of training";
+        let why = "it holds no view out of training; import the capture again with every 8th view held out \
+                   (`cairn scene import NAME --hold-out 8`), and train that scene";
         return Err(EngineError::wrong_state(format!("scene {scene:?}"), "scored", why));
     }
     let right_half = !model.base.appearances().is_empty();

@@ -63,7 +63,8 @@ impl World {
         let source = dir.path().join("capture");
         capture.write(&source).unwrap();
         let contributors = Some(source.join("contributors.csv"));
-        let mut capture = Capture::read(&source, &ReadOptions { contributors, ..ReadOptions::default() }).unwrap();
+        let options = ReadOptions { contributors, hold_out: Some(8), ..ReadOptions::default() };
+        let mut capture = Capture::read(&source, &options).unwrap();
         for (n, view) in capture.views.iter_mut().enumerate() {
             let well = Support { points: 400, reprojection_error_px: 0.5 + 0.01 * n as f64 };
             view.support = support.map(|poor| if bad.contains(&view.name.as_str()) { poor } else { well });

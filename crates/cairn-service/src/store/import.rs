@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use cairn_log::Digest;
-use cairn_scene::{Capture, LeftOut, SceneFolder, SceneKind, View};
+use cairn_scene::{Capture, LeftOut, SceneFolder, SceneKind, UnusedPhotographs, View};
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
 
@@ -29,6 +29,17 @@ pub struct ImportPlan {
     pub background: Option<[f32; 3]>,
     /// The views, in the order of their photographs' bytes.
     pub views: Vec<PlannedView>,
+    /// Photographs that the contributor table names and no view shows.
+    pub listed: Vec<UnusedPhotographs>,
+}
+
+/// A scene that was imported.
+#[derive(Debug)]
+pub struct Imported {
+    /// It, opened.
+    pub scene: SceneFolder,
+    /// The contributors who get no share whatever is trained; see [`Capture::without_share`].
+    pub without_share: Vec<UnusedPhotographs>,
 }
 
 /// A view that is going to be brought.
@@ -178,7 +189,7 @@ impl Import {
     /// # Errors
     /// For missing bytes, a photograph that does not decode or has another size
     /// than its camera, and the file system's.
-    pub fn finish(self, scenes: &Path) -> Result<SceneFolder, EngineError> {
+    pub fn finish(self, scenes: &Path) -> Result<Imported, EngineError> {
         if self.next < self.plan.views.len() {
             let expected = format!("{} views, whole", self.plan.views.len());
             return Err(EngineError::invalid("the import", format!("{} whole views", self.next), expected));
@@ -193,14 +204,25 @@ impl Import {
         // A capture's views are sorted by name: who sent them in another order gets the same scene.
         views.sort_by(|a, b| a.name.cmp(&b.name));
         let capture = Capture {
-            left_out: LeftOut::default(),
+            left_out: LeftOut { listed: self.plan.listed, ..LeftOut::default() },
             root: self.folder.path().to_path_buf(),
             kind: self.plan.kind,
             background: self.plan.background,
             views,
             points: self.points,
         };
-        Ok(SceneFolder::create(scenes, &self.plan.scene, &capture)?)
+        Imported::store(scenes, &self.plan.scene, &capture)
+    }
+}
+
+impl Imported {
+    /// Stores `capture` as the scene `name`.
+    ///
+    /// # Errors
+    /// As [`SceneFolder::create`].
+    pub(crate) fn store(scenes: &Path, name: &str, capture: &Capture) -> Result<Self, EngineError> {
+        let scene = SceneFolder::create(scenes, name, capture)?;
+        Ok(Self { scene, without_share: capture.without_share() })
     }
 }
 
@@ -217,6 +239,8 @@ fn check_plan(plan: &ImportPlan, limits: &Limits) -> Result<(), EngineError> {
     if plan.views.iter().all(|v| v.view.held_out) {
         return Err(EngineError::invalid("the split", "all views held out", "at least one view to train on"));
     }
+    let (what, rows) = ("the number of photographs that no view shows", plan.listed.len() as u64);
+    EngineError::within(what, "limits.max_views", limits.max_views as u64, rows)?;
     let mut names: Vec<&str> = plan.views.iter().map(|v| v.view.name.as_str()).collect();
     names.sort_unstable();
     if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {

@@ -12,6 +12,7 @@ use cairn_field::{Field, FieldError};
 use cairn_log::Digest;
 use cairn_log::format::record::photographs_root;
 use cairn_mark::{Detector, MarkError, MarkedField, RegisteredReader, Signal};
+use cairn_scene::UnusedPhotographs;
 use cairn_scene::cluster::Clusters;
 use cairn_share::{ShareError, ShareTable};
 use serde::{Deserialize, Serialize};
@@ -30,7 +31,7 @@ const MAX_SHARES_BYTES: u64 = 16 << 30;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 /// Format version of `model.json`, and of the settings beside it.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 /// Format version of `current.json`.
 const CURRENT_VERSION: u32 = 1;
 
@@ -54,6 +55,9 @@ pub struct ModelInfo {
     pub base_field: Digest,
     /// SHA-256 of `base.shares`.
     pub share_table: Digest,
+    /// The contributors of the scene whom the share table gives nothing, with all of their photographs as they stood in
+    /// the training, by contributor and reason.
+    pub without_share: Vec<UnusedPhotographs>,
     /// SHA-256 of `settings.toml`.
     pub settings: Digest,
     /// Stage 2's half; none where only the base field was trained.
@@ -126,6 +130,8 @@ pub struct BaseFiles {
     pub field: Vec<u8>,
     /// The bytes of its share table.
     pub share_table: Vec<u8>,
+    /// Whom that gives nothing.
+    pub without_share: Vec<UnusedPhotographs>,
 }
 
 /// A model, loaded.

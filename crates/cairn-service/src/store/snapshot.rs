@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use cairn_log::Digest;
-use cairn_scene::{Camera, SceneFolder};
+use cairn_scene::{Camera, SceneFolder, Unused};
 
 use crate::error::EngineError;
 use crate::store::exclusions::{Credited, Entries, Exclusions};
@@ -69,6 +69,12 @@ impl SceneSnapshot {
     /// Whether the view of the full name `name` is left out.
     pub fn is_out(&self, name: &str) -> bool {
         self.out.contains(name)
+    }
+
+    /// Why the view of the full name `name` earns no share: it is excluded, or else held out.
+    pub fn unused(&self, name: &str) -> Option<Unused> {
+        let held_out = || self.scene.capture().views.iter().any(|view| view.held_out && view.name == name);
+        if self.is_out(name) { Some(Unused::Excluded) } else { held_out().then_some(Unused::HeldOut) }
     }
 
     /// The full name of view `name`, which may lack its folders.

@@ -5,12 +5,15 @@
 //! checkpoint within a stage, the base field between the stages. The same job
 //! ends in the same bytes however often it was cut off.
 
+use std::io::Cursor;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use cairn_durable::{read_limited, remove, write_atomic};
 use cairn_field::Field;
+use cairn_scene::{UnusedPhotographs, no_share};
+use cairn_share::ShareTable;
 
 use crate::error::EngineError;
 use crate::store::exclusions::Exclusions;
@@ -53,10 +56,14 @@ impl Work for Training {
         let mut bases = Vec::with_capacity(parts.len());
         for part in &parts {
             let base = match &part.earlier {
-                Some(info) => Some(BaseFiles {
-                    field: info.base_field_bytes(&self.models)?,
-                    share_table: info.share_table_bytes(&self.models)?,
-                }),
+                Some(info) => {
+                    say_no_share(part, &info.without_share, control);
+                    Some(BaseFiles {
+                        field: info.base_field_bytes(&self.models)?,
+                        share_table: info.share_table_bytes(&self.models)?,
+                        without_share: info.without_share.clone(),
+                    })
+                }
                 None => self.base(part, control)?,
             };
             let Some(base) = base else { return Ok(Outcome::Stopped) };
@@ -90,6 +97,15 @@ fn finished(parts: &[Part], control: &Control<'_>) -> Result<Outcome, EngineErro
     Ok(Outcome::Finished)
 }
 
+/// Names the contributors of a scene who get no share, with the reason, in the log and in the job's notes.
+fn say_no_share(part: &Part, without_share: &[UnusedPhotographs], control: &Control<'_>) {
+    let (job, scene) = (&part.job.id, &part.job.spec.scene);
+    if let Some(sentence) = no_share(without_share) {
+        tracing::warn!(job, scene, note = sentence, "contributors without a share");
+        control.note(format!("{scene}: {sentence}"));
+    }
+}
+
 impl Training {
     fn stage(&self, name: &'static str, since: Instant) -> Run {
         Run { name, counted: name, since, checkpoint_every: self.checkpoint_every }
@@ -101,14 +117,21 @@ impl Training {
         let done = part.folder.join("base.shares");
         if done.exists() {
             let share_table = read_limited(&done, MAX_CHECKPOINT_BYTES)?;
-            return Ok(Some(BaseFiles { field, share_table }));
+            let table = ShareTable::read_from(&mut Cursor::new(&share_table))?;
+            let without_share = coverage::without_share(part.scene.capture(), &table);
+            say_no_share(part, &without_share, control);
+            return Ok(Some(BaseFiles { field, share_table, without_share }));
         }
         let clock = Instant::now();
         let made = coverage::share_table(part, &field, &mut preparing(control))?;
-        let Some(share_table) = made else { return stopped(stages::SHARE_TABLE, clock, control) };
+        let Some(table) = made else { return stopped(stages::SHARE_TABLE, clock, control) };
+        let share_table = table.to_bytes()?;
+        let without_share = coverage::without_share(part.scene.capture(), &table);
+        say_no_share(part, &without_share, control);
         write_atomic(&done, &share_table)?;
+        // Writes down what was said, too.
         control.spent(stages::SHARE_TABLE, clock.elapsed().as_secs_f64())?;
-        Ok(Some(BaseFiles { field, share_table }))
+        Ok(Some(BaseFiles { field, share_table, without_share }))
     }
 
     /// The base field's bytes, or `None` when it was asked to stop.

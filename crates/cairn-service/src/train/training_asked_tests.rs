@@ -29,7 +29,8 @@ fn put(dir: &TestFolder, name: &str, kind: Option<SceneKind>) {
     let config = LandmarkConfig { contributors: 2, photographs: 4, width: 32, height: 32, ..LandmarkConfig::default() };
     let folder = dir.path().join(format!("capture-{name}"));
     Landmark::generate(&config, 3).unwrap().write(&folder).unwrap();
-    let table = ReadOptions { contributors: Some(folder.join("contributors.csv")), ..ReadOptions::default() };
+    let contributors = Some(folder.join("contributors.csv"));
+    let table = ReadOptions { contributors, hold_out: Some(8), ..ReadOptions::default() };
     let mut capture = Capture::read(&folder, &table).unwrap();
     capture.kind = kind.unwrap_or(capture.kind);
     if kind == Some(SceneKind::ForwardFacing) {

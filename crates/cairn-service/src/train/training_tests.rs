@@ -72,7 +72,8 @@ fn import(data: &Path, name: &str, seed: u64) {
     let config = LandmarkConfig { contributors: 2, photographs: 4, width: 32, height: 32, ..LandmarkConfig::default() };
     let folder = data.join(format!("capture-{name}"));
     Landmark::generate(&config, seed).unwrap().write(&folder).unwrap();
-    let capture = Capture::read(&folder, &ReadOptions::default()).unwrap();
+    let options = ReadOptions { hold_out: Some(8), ..ReadOptions::default() };
+    let capture = Capture::read(&folder, &options).unwrap();
     SceneFolder::create(&data.join("scenes"), name, &capture).unwrap();
 }
 

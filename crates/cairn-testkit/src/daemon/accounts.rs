@@ -72,13 +72,14 @@ impl World {
         assert!(said.contains(says), "{who}: cairn {arguments:?} was refused, but not for {says:?}: {said}");
     }
 
-    /// Imports the capture as `scene`.
+    /// Imports the capture as `scene`, every 8th view held out.
     ///
     /// # Errors
     /// As [`World::run`].
     pub fn import(&self, who: &str, scene: &str) -> Result<String, String> {
         let capture = self.place.text("capture");
-        self.run(who, &["scene", "import", scene, "--from", &capture, "--contributors", "contributors.csv"])
+        let import = ["scene", "import", scene, "--from", &capture, "--contributors", "contributors.csv"];
+        self.run(who, &[&import[..], &["--hold-out", "8"]].concat())
     }
 
     /// A connection to the daemon.
