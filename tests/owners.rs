@@ -90,6 +90,102 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     assert_eq!(place.cairn(&["audit", "bundle", &bundle]).status.code(), Some(1));
 }
 
+#[test]
+fn a_contributors_photographs_are_claimed_before_any_training_and_confirmed_by_a_curator() {
+    let place = Place::new();
+    let data = place.text("data");
+    let data = ["--data", data.as_str()];
+    place.import("town", data);
+    let cairn = |arguments: &[&str]| place.cairn_ok(&[arguments, &data].concat());
+    let key = |name: &str| {
+        let path = place.text(&format!("{name}.key"));
+        place.cairn_ok(&["keys", "new", &path, "--plain"]);
+        let public = cairn_log::keys::load_key(Path::new(&path), &cairn_log::keys::Unlock::Nothing).unwrap().public();
+        (path, public.to_string())
+    };
+    let ((ada, ada_public), (curator, _)) = (key("ada"), key("curator"));
+    let claim = place.text("claim");
+    let sign = ["owners", "sign", "town", "--contributor", "ada", "--key", &ada, "--out", &claim];
+    assert!(cairn(&sign).contains("record 0 is durable"));
+    // A claim of photographs alone has no secret.
+    assert!(!place.path("claim/signal.salt").exists());
+    // Exactly one of the two; and none of a contributor that is not there.
+    let refused = |arguments: &[&str]| place.cairn_refused(&[arguments, &data].concat());
+    let out = place.text("refused");
+    let by = ["--key", ada.as_str(), "--out", out.as_str()];
+    refused(&[&["owners", "sign", "town"][..], &by].concat());
+    refused(&[&["owners", "sign", "town", "--contributor", "ada", "--identity", "1"][..], &by].concat());
+    let said = refused(&[&["owners", "sign", "town", "--contributor", "zoe"][..], &by].concat());
+    assert!(said.contains("there is no contributor \"zoe\"") && said.contains("ada"), "{said}");
+    let said = refused(&[&["owners", "sign", "town", "--contributor", "ada", "--kind", "training"][..], &by].concat());
+    assert!(said.contains("has no model yet"), "{said}");
+    let bind = ["owners", "bind", "town", "--owner-key", &ada_public, "--key", &curator];
+    let said = refused(&[&bind[..], &["--contributor", "zoe", "--out", &out]].concat());
+    assert!(said.contains("no photograph by \"zoe\""), "{said}");
+
+    // The answer about any photograph of hers names the claim, and says whether it is confirmed.
+    let (answer, vkey) = (place.text("answer.json"), place.text("log.vkey"));
+    cairn(&["owners", "vkey", "--out", &vkey]);
+    let view = "images/ada_002.png";
+    let photograph = place.text(&format!("capture/{view}"));
+    let audited = || {
+        cairn(&["owners", "answer", "town", "--view", view, "--out", &answer]);
+        place.cairn_ok(&["audit", "answer", &answer, "--vkey", &vkey, "--scene", "town", "--view", &photograph])
+    };
+    let said = audited();
+    assert!(said.starts_with("trusted") && said.contains("1 of 1 records count"), "{said}");
+    assert!(said.contains("claim by \"ada\", unconfirmed") && said.contains("answer.record.unconfirmed"), "{said}");
+    cairn(&[&bind[..], &["--contributor", "ada", "--out", &place.text("binding")]].concat());
+    let said = audited();
+    assert!(said.contains("claim by \"ada\", confirmed at index 2"), "{said}");
+    // The photographs are the scene's own, and every one of them.
+    let bundle = place.cairn_ok(&["audit", "bundle", &claim, "--vkey", &vkey, "--against", data[1]]);
+    assert!(bundle.starts_with("trusted") && bundle.contains("digest.photographs.match"), "{bundle}");
+    // What the table of contributors says binds nothing, until a curator does.
+    let table = place.path("capture/contributors.csv");
+    let rows = std::fs::read_to_string(&table).unwrap();
+    let key_of = |row: &str| if row.ends_with(",ada") { ada_public.clone() } else { String::new() };
+    let with_keys = |first: &str| {
+        let rows: Vec<String> = rows.lines().skip(1).map(|row| format!("{row},{}", key_of(row))).collect();
+        std::fs::write(&table, format!("image,contributor,key\n{}\n", rows.join("\n").replacen(&ada_public, first, 1)))
+            .unwrap();
+    };
+    let import = ["scene", "import", "mill", "--from", &place.text("capture"), "--contributors", "contributors.csv"];
+    with_keys(&"0b".repeat(32));
+    assert!(refused(&import).contains("\"ada\" has another key in line"));
+    // All zeros is a key of small order: anybody could sign for it.
+    std::fs::write(
+        &table,
+        rows.replacen('\n', ",key\n", 1)
+            .replace(",ada\n", &format!(",ada,{}\n", "0".repeat(64)))
+            .replace(",bela\n", ",bela,\n"),
+    )
+    .unwrap();
+    let said = refused(&import);
+    assert!(said.contains("the key of contributor \"ada\"") && said.contains("small order"), "{said}");
+    with_keys(&ada_public);
+    cairn(&import);
+    let shown = cairn(&["scene", "show", "mill"]);
+    assert_eq!(shown.matches(&format!("key of ada: {ada_public}")).count(), 1, "{shown}");
+    assert!(!shown.contains("key of bela"), "{shown}");
+    let from_table = place.text("from table");
+    let said = cairn(&["owners", "bind", "mill", "--from-table", "--key", &curator, "--out", &from_table]);
+    assert!(said.contains(&format!("\"ada\" stands for key {ada_public}")) && said.lines().count() == 1, "{said}");
+    let said = refused(&["owners", "bind", "town", "--from-table", "--key", &curator, "--out", &out]);
+    assert!(said.contains("has no keys"), "{said}");
+    // A photograph that is excluded is claimed no more.
+    cairn(&["scene", "exclude", "town", view]);
+    let later = place.text("later");
+    cairn(&[&sign[..8], &[later.as_str()]].concat());
+    let count = |index: &str| {
+        let shown = cairn(&["owners", "show", index]);
+        let line = shown.lines().find(|line| line.contains(" photographs:")).unwrap().to_owned();
+        line.split_whitespace().nth(1).unwrap().parse::<usize>().unwrap()
+    };
+    let newest = cairn(&["owners", "list", "town"]).lines().last().unwrap().split("  ").next().unwrap().to_owned();
+    assert_eq!(count("0"), count(&newest) + 1);
+}
+
 /// A view of identity 1's cluster.
 fn first_view(place: &Place, connect: &[&str; 2]) -> String {
     let shown = place.cairn_ok(&["scene", "show", "town", connect[0], connect[1]]);
@@ -281,7 +377,7 @@ async fn submit_listing(
         origin: nonce.origin,
         scene: "town".into(),
         scene_salt: random_salt().unwrap(),
-        identity: Identity { number: 1, contributor: "ada".into() },
+        identity: Identity::numbered(1, "ada"),
         owner_key: key.public(),
         digests: Digests { photographs: Some(photographs), ..Digests::default() },
         seed: None,

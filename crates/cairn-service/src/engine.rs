@@ -25,13 +25,14 @@ use crate::query::look::{self, FieldRegistration, Identified, Who};
 use crate::query::maps::Maps;
 use crate::query::report::Report;
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
-use crate::records::owners::{self, AskedView, Material};
+use crate::records::credits::LookUp;
+use crate::records::owners::{self, About, AskedView, Material};
 use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
 use crate::store::exclusions::{Decision, Exclusions, leaving_out};
 use crate::store::folder::{DataFolder, LAYOUT};
-use crate::store::import::{Import, ImportPlan};
+use crate::store::import::{self, Import, ImportPlan};
 use crate::store::model::{self, Model, ModelInfo};
 use crate::store::scenes;
 use crate::store::shadow::{self, Shadow};
@@ -213,6 +214,7 @@ impl Engine {
     /// For a name that is taken or not allowed, a photograph that does not decode, and the file system's.
     pub fn import_capture(&self, name: &str, capture: &Capture) -> Result<SceneFolder, EngineError> {
         scenes::check_scene_name(name)?;
+        import::check_keys(capture.views.iter())?;
         let place = self.access.place(name, self.folder.scenes().join(name))?;
         self.access.announce(&place, None)?;
         Ok(SceneFolder::create(&self.folder.scenes(), name, capture)?)
@@ -388,19 +390,31 @@ impl Engine {
         poses::draw_poses(scene, &folder, grouping, self.newest_model(scene)?)
     }
 
-    /// Who contributed to a place.
+    /// Who contributed to a place, and which records credit them.
     ///
     /// # Errors
-    /// As [`coverage::contributors`]; [`EngineError::NotTrained`].
+    /// As [`coverage::contributors`]; [`EngineError::NotTrained`]; the registry's.
     pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<Contributors, EngineError> {
         let snapshot = self.snapshot(scene)?;
-        let place = look::place_of(&snapshot, &asked.viewpoint, &self.limits)?;
-        let (mark, model) = (self.with_records(&snapshot, place)?, self.model(scene)?);
+        let mut found = self.shown_by(&snapshot, asked)?;
+        let mut look_up = LookUp::new(&self.registry, scene);
+        for of in &mut found.shares {
+            let photographs = of.photographs.iter().map(|(view, _)| snapshot.photograph_of(view));
+            of.credits = look_up.of(&of.name, &photographs.collect::<Result<Vec<_>, _>>()?)?;
+        }
+        Ok(found)
+    }
+
+    /// Who contributed to a place of the scene as `snapshot` has it, without their records.
+    fn shown_by(&self, snapshot: &SceneSnapshot, asked: &Asked) -> Result<Contributors, EngineError> {
+        let scene = &snapshot.name;
+        let place = look::place_of(snapshot, &asked.viewpoint, &self.limits)?;
+        let (mark, model) = (self.with_records(snapshot, place)?, self.model(scene)?);
         if snapshot.newest.as_ref() != Some(&model.info) {
             let why = "a training published another model just now; ask again";
             return Err(EngineError::wrong_state(format!("scene {scene:?}"), "asked about", why));
         }
-        coverage::contributors(&model, &snapshot, asked, mark, &self.limits)
+        coverage::contributors(&model, snapshot, asked, mark, &self.limits)
     }
 
     /// Whose mark a picture carries, as the classifier reads it; or, with `register`, as
@@ -439,12 +453,12 @@ impl Engine {
         evaluate::evaluate(&*self.model(scene)?, &*self.snapshot(scene)?, sheet)
     }
 
-    /// What a record about an identity of the newest model has to state.
+    /// What a record about an identity of the newest model, or about a contributor's photographs, has to state.
     ///
     /// # Errors
     /// As [`owners::material`].
-    pub fn material(&self, scene: &str, identity: u32) -> Result<Material, EngineError> {
-        owners::material(&*self.snapshot(scene)?, &self.folder.models(), identity)
+    pub fn material(&self, scene: &str, about: &About) -> Result<Material, EngineError> {
+        owners::material(&*self.snapshot(scene)?, &self.folder.models(), about)
     }
 
     /// Takes a record in; see [`owners::submit`].
@@ -467,7 +481,7 @@ impl Engine {
         Ok(self.registry.nonce(scene, &owner)?.to_string())
     }
 
-    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
+    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes.
     ///
     /// # Errors
     /// As [`owners::photograph_of`] and [`owners::complete_answer`].

@@ -98,6 +98,18 @@ codes! {
     MarkedFieldMismatch = "digest.marked_field.mismatch", Error, "use the marked field that the record is about, or the record of this one";
     /// The record names a marked field, and none is in hand.
     MarkedFieldUnchecked = "digest.marked_field.unchecked", Info, "hand in the file (--field, --against) to have it compared";
+    /// The base field in hand is the record's.
+    BaseFieldMatch = "digest.base_field.match", Passed, "";
+    /// The base field in hand is another.
+    BaseFieldMismatch = "digest.base_field.mismatch", Error, "use the base field that the record is about, or the record of this one";
+    /// The record names a base field, and none is in hand.
+    BaseFieldUnchecked = "digest.base_field.unchecked", Info, "hand in the file (--base-field, --against) to have it compared";
+    /// The share table in hand is the record's.
+    ShareTableMatch = "digest.share_table.match", Passed, "";
+    /// The share table in hand is another.
+    ShareTableMismatch = "digest.share_table.mismatch", Error, "use the share table that the record is about, or the record of this one";
+    /// The record names a share table, and none is in hand.
+    ShareTableUnchecked = "digest.share_table.unchecked", Info, "hand in the file (--share-table, --against) to have it compared";
     /// The detector in hand is the record's.
     DetectorMatch = "digest.detector.match", Passed, "";
     /// The detector in hand is another.
@@ -113,7 +125,7 @@ codes! {
     /// The photographs in hand are the record's.
     PhotographsMatch = "digest.photographs.match", Passed, "";
     /// The photographs in hand are others, or not all of them.
-    PhotographsMismatch = "digest.photographs.mismatch", Error, "hand in all photographs of the cluster, unchanged (`cairn owners show` names them). Where they were scaled at import, the record is about the scene's copies (--against)";
+    PhotographsMismatch = "digest.photographs.mismatch", Error, "hand in all photographs of the record, unchanged (`cairn owners show` names them). Where they were scaled at import, the record is about the scene's copies (--against)";
     /// The record names photographs, and none are in hand.
     PhotographsUnchecked = "digest.photographs.unchecked", Info, "hand in the photographs (--photographs, --against) to have them compared";
     /// The training configuration in hand is the record's.
@@ -316,6 +328,10 @@ codes! {
     AnswerRecordReplaced = "answer.record.replaced", Info, "";
     /// The owner's key had ended before the record.
     AnswerRecordKeyEnded = "answer.record.key_ended", Warning, "do not count this record";
+    /// A curator bound the contributor's name to the owner's key, or to one that rotations join with it.
+    AnswerRecordConfirmed = "answer.record.confirmed", Passed, "";
+    /// No curator bound the contributor's name to the owner's key: anybody may have entered the record.
+    AnswerRecordUnconfirmed = "answer.record.unconfirmed", Warning, "ask who curates the scene whether the key is the contributor's; they say so by `cairn owners bind`";
     /// Something about the record changed behind the checkpoint asked for.
     AnswerChangedLater = "answer.record.changed_later", Info, "";
 }

@@ -368,8 +368,8 @@ impl Registry {
     /// log and none is left out. Under the newest checkpoint; where `as_of` names an older one of this log (a signed
     /// note), with the proof that the one goes on from the other.
     ///
-    /// Nothing is written while the lists are put together: log and map have to be of one moment. Envelopes and proofs are
-    /// fetched afterwards, since what stands in the log stays there.
+    /// Nothing is written while the lists are put together: log and map have to be of one moment. Proofs and the
+    /// envelopes to hand out are fetched afterwards, since what stands in the log stays there.
     ///
     /// # Errors
     /// [`RegistryError::Inconsistent`] for an `as_of` that is none of this log's; [`RegistryError::Answer`] for more

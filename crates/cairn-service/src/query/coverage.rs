@@ -11,6 +11,7 @@ use crate::error::EngineError;
 use crate::query::look::Who;
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of};
 use crate::query::whose_map::WhoseMap;
+use crate::records::credits::Credits;
 use crate::store::model::Model;
 use crate::store::snapshot::SceneSnapshot;
 
@@ -74,6 +75,8 @@ pub struct ContributorShare {
     pub share: f64,
     /// Their photographs that show some of it, by the views' names, largest share first, then by name.
     pub photographs: Vec<(String, f64)>,
+    /// The records that credit them here, where these were looked up.
+    pub credits: Credits,
 }
 
 impl Asked {
@@ -168,7 +171,7 @@ pub fn contributors(
 
 /// The camera that takes the pixels that shares are worked out from: of a large picture every second one each way, or
 /// every third, and so on.
-fn sampled(camera: &Camera) -> Camera {
+pub(crate) fn sampled(camera: &Camera) -> Camera {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let every = ((w * h) as f64 / MAX_RAYS as f64).sqrt().ceil().max(1.0) as usize;
     if every == 1 { *camera } else { camera.resized((w / every).max(1), (h / every).max(1)) }
@@ -189,7 +192,7 @@ impl ContributorShare {
     fn of(name: &str, mut photographs: Vec<(String, f64)>) -> Self {
         photographs.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
         let share = photographs.iter().map(|(_, share)| share).sum();
-        Self { name: name.to_owned(), share, photographs }
+        Self { name: name.to_owned(), share, photographs, credits: Credits::default() }
     }
 }
 

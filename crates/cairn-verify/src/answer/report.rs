@@ -15,7 +15,7 @@ pub enum Standing {
     Counts,
     /// It would count, but its envelope was erased: somebody contributed, and is not named any more.
     Erased,
-    /// A record that credits nobody: a training, revocation, rotation or dispute.
+    /// A record that credits nobody: a training, revocation, rotation, dispute or binding.
     NoCredit,
     /// Its owner put another record in its place.
     Replaced,
@@ -38,12 +38,15 @@ pub struct RecordWorth {
     pub kind: RecordKind,
     /// Key id of its owner.
     pub owner: Digest,
-    /// The contributor's name (in a dispute: whom it names), unless it was erased.
+    /// The contributor's name (in a dispute or binding: whom it names), unless it was erased.
     pub contributor: Option<String>,
-    /// The identity's number, unless it was erased.
+    /// The identity's number, where it has one and was not erased.
     pub number: Option<u32>,
     /// What it is worth.
     pub standing: Standing,
+    /// Of a record that counts the index of the binding by which its contributor's name stands for its owner's key; none
+    /// where it is unconfirmed: then anybody may have entered it.
+    pub confirmed_by: Option<u64>,
     /// Indices of the disputes about it, up to the checkpoint asked for.
     pub disputed_by: Vec<u64>,
 }
@@ -98,11 +101,17 @@ impl fmt::Display for RecordWorth {
         // Names come from strangers: quoted, so that they cannot pass for a line of the report.
         let who = self.contributor.as_ref().map_or_else(|| "(erased)".to_owned(), |name| format!("{name:?}"));
         let kind = format!("{:?}", self.kind).to_lowercase();
-        // Whom a dispute names is mostly not whoever contests: that is its key.
-        let whose = if self.kind == RecordKind::Dispute { "naming" } else { "by" };
+        // Whom a dispute or binding names is mostly not its signer: that is its key.
+        let names = matches!(self.kind, RecordKind::Dispute | RecordKind::Binding);
+        let whose = if names { "naming" } else { "by" };
         write!(f, "{:9} index {}: {kind} {whose} {who}", self.standing, self.index)?;
         if let Some(number) = self.number {
             write!(f, ", identity {number}")?;
+        }
+        match self.confirmed_by {
+            Some(index) => write!(f, ", confirmed at index {index}")?,
+            None if self.standing == Standing::Counts => write!(f, ", unconfirmed")?,
+            None => {}
         }
         if !self.disputed_by.is_empty() {
             let indices: Vec<_> = self.disputed_by.iter().map(u64::to_string).collect();
