@@ -34,7 +34,8 @@ pub enum Command {
     #[command(after_help = "Example:\n  cairn owners bind liberty --contributor ada --owner-key \
                       3d4017c3e843895a92b70aa74d1b7ebc9c982ccf2ec4968cc0cd55f12af4660c --key curator.key --out binding")]
     Bind(BindArgs),
-    /// Who contributed to a scene or a view, as a file that proves that no contributor is left out
+    /// Who contributed to a scene or a view, as a file that proves that no record is left out; for a view also whose
+    /// photographs show it, signed by the registry
     #[command(after_help = "Example:\n  cairn owners answer liberty --view view_056.jpg --out answer.json")]
     Answer(AnswerArgs),
     /// Send again what was signed into DIR and got no answer, or fetch a newer proof of the record in it: with the

@@ -24,6 +24,7 @@ use crate::query::light::{Light, appearance};
 use crate::query::look::{self, FieldRegistration, Identified, Who};
 use crate::query::maps::Maps;
 use crate::query::report::Report;
+use crate::query::statement::{self, Signer};
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
 use crate::records::credits::LookUp;
 use crate::records::owners::{self, About, AskedView, Material};
@@ -481,10 +482,11 @@ impl Engine {
         Ok(self.registry.nonce(scene, &owner)?.to_string())
     }
 
-    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes.
+    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes; with
+    /// a signed statement of shares for a view of a scene that was trained.
     ///
     /// # Errors
-    /// As [`owners::photograph_of`] and [`owners::complete_answer`].
+    /// As [`owners::photograph_of`], [`owners::complete_answer`] and [`coverage::contributors`].
     pub fn complete_answer(
         &self,
         scene: &str,
@@ -492,12 +494,32 @@ impl Engine {
         as_of: Option<&str>,
         most: usize,
     ) -> Result<Vec<u8>, EngineError> {
-        let photograph = match view {
-            None => None,
-            Some(AskedView::Photograph(digest)) => Some(digest),
-            Some(AskedView::Named(name)) => Some(owners::photograph_of(&*self.snapshot(scene)?, &name)?),
+        let (photograph, snapshot, view) = match view {
+            None => (None, None, None),
+            Some(AskedView::Photograph(digest)) => {
+                // The log outlives scenes.
+                let snapshot =
+                    if self.folder.scenes().join(scene).is_dir() { Some(self.snapshot(scene)?) } else { None };
+                let view = snapshot.as_ref().and_then(|snapshot| snapshot.view_of(&digest)).map(str::to_owned);
+                (Some(digest), snapshot, view)
+            }
+            Some(AskedView::Named(name)) => {
+                let snapshot = self.snapshot(scene)?;
+                let photograph = owners::photograph_of(&snapshot, &name)?;
+                let view = snapshot.full_name(&name)?.to_owned();
+                (Some(photograph), Some(snapshot), Some(view))
+            }
         };
-        owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most)
+        let (Some(snapshot), Some(view)) = (snapshot.filter(|s| s.newest.is_some()), view) else {
+            return owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most, None);
+        };
+        let found = self.shown_by(&snapshot, &Asked::about(Viewpoint::View(view.clone())))?;
+        let (origin, key) = (self.registry.origin(), self.registry.public_key());
+        let shares = |checkpoint| {
+            let signer = Signer { origin, key, checkpoint };
+            statement::shares(&snapshot, snapshot.info()?, &view, &found, signer)
+        };
+        owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most, Some(&shares))
     }
 
     /// The offline proof of a record (C2SP tlog-proof): index, inclusion hashes, the newest checkpoint, or the newest one

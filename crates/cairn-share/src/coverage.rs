@@ -31,6 +31,11 @@ impl Sharpness {
         assert!(power == 0 || (power.is_power_of_two() && power <= 32), "a power of two up to 32, or 0");
         Self { power }
     }
+
+    /// The power.
+    pub const fn power(self) -> u32 {
+        self.power
+    }
 }
 
 impl Default for Sharpness {

@@ -332,6 +332,40 @@ codes! {
     AnswerRecordConfirmed = "answer.record.confirmed", Passed, "";
     /// No curator bound the contributor's name to the owner's key: anybody may have entered the record.
     AnswerRecordUnconfirmed = "answer.record.unconfirmed", Warning, "ask who curates the scene whether the key is the contributor's; they say so by `cairn owners bind`";
+    /// The registry signed the shares, about what was asked, and they add up.
+    SharesVerified = "shares.verified", Passed, "";
+    /// The answer about a view has no shares.
+    SharesMissing = "shares.missing", Info, "";
+    /// The statement of shares cannot be read.
+    SharesMalformed = "shares.malformed", Error, "ask for the answer about the view again (`cairn owners answer --view`)";
+    /// The pinned registry did not sign these shares.
+    SharesSignatureInvalid = "shares.signature.invalid", Error, "get the answer again; the statement was changed, or another registry made it";
+    /// The shares are of another log, scene or photograph than the answer.
+    SharesSubjectMismatch = "shares.subject.mismatch", Error, "get the answer again; it was put together from two";
+    /// The shares were signed under another checkpoint than the answer's.
+    SharesCheckpointMismatch = "shares.checkpoint.mismatch", Error, "get the answer again; it was put together from two";
+    /// The shares do not add up.
+    SharesSumMismatch = "shares.sum.mismatch", Error, "keep the answer: the registry signed what cannot be";
+    /// The file in hand is the one that the shares were worked out from.
+    SharesFileMatch = "shares.file.match", Passed, "";
+    /// The file in hand is another than the one that the shares were worked out from.
+    SharesFileMismatch = "shares.file.mismatch", Error, "use the file whose digest the statement names";
+    /// The scene's view has the statement's camera and photograph, and its photographs are their contributors'.
+    SharesCameraMatch = "shares.camera.match", Passed, "";
+    /// The scene's view has another camera or photograph.
+    SharesCameraMismatch = "shares.camera.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares are of another view";
+    /// A photograph that the statement names is another one in the scene, or another contributor's.
+    SharesPhotographMismatch = "shares.photograph.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares credit the wrong contributor";
+    /// The shares were worked out in another way than this release's.
+    SharesMethodUnknown = "shares.method.unknown", Error, "use the release that the statement was made with";
+    /// The shares are those that field, table and camera give.
+    SharesRecomputed = "shares.recomputed", Passed, "";
+    /// A share is not the one that field, table and camera give.
+    SharesRecomputedMismatch = "shares.recomputed.mismatch", Error, "keep the answer: the registry signed a share that its own field and table contradict";
+    /// What the table says of a photograph is what it teaches the field.
+    SharesRowsMatch = "shares.rows.match", Passed, "";
+    /// What the table says of a photograph is not what it teaches the field.
+    SharesRowsMismatch = "shares.rows.mismatch", Error, "keep the files: the table was not made from this field and these photographs";
     /// Something about the record changed behind the checkpoint asked for.
     AnswerChangedLater = "answer.record.changed_later", Info, "";
 }

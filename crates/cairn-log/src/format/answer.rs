@@ -74,12 +74,16 @@ pub struct Answer {
     /// The records that the lists name, by ascending index.
     #[serde(deserialize_with = "serial::up_to::<MAX_RECORDS, _, _>")]
     pub records: Vec<ListedRecord>,
+    /// The registry's signed statement of whose photographs show the view ([`crate::format::shares`]); none for a whole
+    /// scene, and where nothing was trained. No list proves it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shares: Option<Envelope>,
 }
 
 /// The format's name and version.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Format {
-    /// The third; the second had no bindings.
+    /// The third; the second had no bindings and no shares.
     #[default]
     #[serde(rename = "cairn-answer/3")]
     V3,

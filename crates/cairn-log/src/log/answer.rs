@@ -85,6 +85,7 @@ fn outline(
         map,
         lists,
         records,
+        shares: None,
     };
     Ok((answer, source.heard.into_inner()))
 }

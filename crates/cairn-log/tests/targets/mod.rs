@@ -207,7 +207,13 @@ fn answer() -> Answer {
         as_of: Some(AsOf { checkpoint: "older\n".into(), consistency: hashes.clone() }),
         map: Some(MapPart { index: 9, leaf: map_leaf, inclusion: hashes.clone() }),
         lists,
-        records: vec![ListedRecord { index: 3, leaf: leaf.encode(), inclusion: hashes, envelope: Some(envelope) }],
+        records: vec![ListedRecord {
+            index: 3,
+            leaf: leaf.encode(),
+            inclusion: hashes,
+            envelope: Some(envelope.clone()),
+        }],
+        shares: Some(envelope),
     }
 }
 

@@ -4,7 +4,9 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use cairn_log::{Digest, LogEntry, OwnerRecord, RecordKind, Registry, SignedRecord};
+use cairn_log::format::record::Seen;
+use cairn_log::format::shares::Shares;
+use cairn_log::{Checkpoint, CheckpointError, Digest, LogEntry, OwnerRecord, RecordKind, Registry, SignedRecord};
 
 use crate::error::EngineError;
 use crate::records::corrections;
@@ -172,19 +174,28 @@ pub fn photograph_of(snapshot: &SceneSnapshot, name: &str) -> Result<Digest, Eng
     Ok(photograph)
 }
 
-/// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes.
+/// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes; with the statement that
+/// `shares` gives for the answer's checkpoint, signed.
 ///
 /// # Errors
-/// [`EngineError::OverLimit`]; the registry's.
+/// [`EngineError::OverLimit`]; the registry's; what `shares` fails with.
 pub fn complete_answer(
     registry: &Registry,
     scene: &str,
     photograph: Option<&Digest>,
     as_of: Option<&str>,
     most: usize,
+    shares: Option<&dyn Fn(Seen) -> Result<Shares, EngineError>>,
 ) -> Result<Vec<u8>, EngineError> {
     let limit = most.min(cairn_log::format::answer::MAX_ANSWER_BYTES);
-    let answer = registry.answer(scene, photograph, as_of, limit)?.to_json();
+    let mut answer = registry.answer(scene, photograph, as_of, limit)?;
+    if let Some(shares) = shares {
+        let unread = |e: CheckpointError| EngineError::wrong_state("the log's checkpoint", "read", e.to_string());
+        let checkpoint = Checkpoint::read(&answer.checkpoint).map_err(unread)?.1;
+        let shares = shares(Seen { size: checkpoint.size, root: checkpoint.root })?;
+        answer.shares = Some(registry.sign_shares(&shares)?);
+    }
+    let answer = answer.to_json();
     let what = "the complete answer in bytes (ask about a view)";
     EngineError::within(what, "limits.max_message_bytes", limit as u64, answer.len() as u64)?;
     Ok(answer.into_bytes())

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use cairn_log::format::{Digest, RecordKind};
+use cairn_log::format::{Digest, RecordKind, shares::Shares};
 use serde::Serialize;
 
 use crate::report::{Finding, Freshness, Outcome, lines, report};
@@ -52,7 +52,7 @@ pub struct RecordWorth {
 }
 
 /// The result of the audit of an answer.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AnswerReport {
     /// Format version of the report's JSON.
     pub version: u32,
@@ -69,6 +69,9 @@ pub struct AnswerReport {
     pub as_of: Option<u64>,
     /// The records listed under what was asked, by index. None where the answer is invalid: then it credits nobody.
     pub records: Vec<RecordWorth>,
+    /// Whose photographs show the view, by the registry's signed word; none where it gave none, and where the answer is
+    /// invalid.
+    pub shares: Option<Shares>,
     /// All findings, in the order of the checks.
     pub findings: Vec<Finding>,
 }
@@ -121,6 +124,26 @@ impl fmt::Display for RecordWorth {
     }
 }
 
+/// A statement's shares, a line each.
+pub(super) fn shares_lines(shares: &Shares, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    writeln!(
+        f,
+        "shares of what view {:?} shows, by the registry's word (`cairn audit shares` works them out again)",
+        shares.view.name
+    )?;
+    for of in &shares.contributors {
+        writeln!(f, "{:6.1} %  {:?}, photographs: {}", 100.0 * of.share, of.name, of.photographs.len())?;
+    }
+    for (share, what) in [
+        (shares.excluded, "excluded photographs"),
+        (shares.unseen, "no photograph"),
+        (shares.behind, "behind the scene"),
+    ] {
+        writeln!(f, "{:6.1} %  {what}", 100.0 * share)?;
+    }
+    Ok(())
+}
+
 impl fmt::Display for AnswerReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}", self.outcome)?;
@@ -140,6 +163,9 @@ impl fmt::Display for AnswerReport {
         }
         for record in &self.records {
             writeln!(f, "{record}")?;
+        }
+        if let Some(shares) = &self.shares {
+            shares_lines(shares, f)?;
         }
         lines(&self.findings, f)
     }

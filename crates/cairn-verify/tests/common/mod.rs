@@ -130,6 +130,7 @@ impl Log {
             map: self.tree.size().checked_sub(1).map(|last| self.map_part(last)),
             lists,
             records,
+            shares: None,
         }
     }
 }
