@@ -349,6 +349,60 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_binding_is_a_curators_under_their_own_key() {
+    let world = World::new(ACCOUNTS);
+    let ada = world.with("ada", "contributor").to_string();
+    for (who, role) in [("eve", "contributor"), ("cara", "curator"), ("dora", "curator"), ("dan", "auditor")] {
+        world.with(who, role);
+    }
+    world.import("ada", "town").unwrap();
+    let bind = |who: &str, key: &str, to: &str| {
+        let (key, out) =
+            (world.place.text(&format!("{key}.key")), world.place.text(&format!("{who} binds {to} by {key}")));
+        let name = ["owners", "bind", "town", "--contributor", "ada", "--owner-key", to, "--key", &key, "--out", &out];
+        world.run(who, &name)
+    };
+    let claim = |who: &str| {
+        let (key, out) = (world.place.text(&format!("{who}.key")), world.place.text(&format!("claim of {who}")));
+        world.ok(who, &["owners", "sign", "town", "--contributor", "ada", "--key", &key, "--out", &out]);
+    };
+    // A stranger claims first, without any training, and binds the name to herself: in vain.
+    claim("eve");
+    claim("ada");
+    let eve = world.key("eve").public().to_string();
+    let refused = bind("eve", "eve", &eve).unwrap_err();
+    assert!(refused.contains("needs the role curator or operator"), "{refused}");
+    // Nor does who imported the scene, or an auditor, or a curator under a key that is not their account's.
+    for (who, key, why) in [
+        ("ada", "ada", "needs the role curator or operator"),
+        ("dan", "dan", "is auditor"),
+        ("cara", "eve", "did not sign"),
+        ("cara", "dora", "did not sign"),
+    ] {
+        let refused = bind(who, key, &ada).unwrap_err();
+        assert!(refused.contains(why), "{who} under {key}'s key: {refused}");
+    }
+    let listed = world.ok("ada", &["owners", "list", "town"]);
+    assert_eq!(listed.matches("claim  town  contributor \"ada\"  stands, unconfirmed").count(), 2, "{listed}");
+    let said = bind("cara", "cara", &ada).unwrap();
+    assert!(said.contains("\"ada\" stands for key") && said.contains(&ada), "{said}");
+    let listed = world.ok("ada", &["owners", "list", "town"]);
+    let states: Vec<&str> = listed.lines().map(|line| line.split("  by key id").next().unwrap()).collect();
+    let wanted = [
+        "0  claim  town  contributor \"ada\"  stands, unconfirmed",
+        "2  claim  town  contributor \"ada\"  stands, confirmed by record 4",
+        "4  binding  town  contributor \"ada\"  stands",
+    ];
+    assert_eq!(states, wanted);
+    // Another curator, and an operator, may bind the name anew: the newest counts.
+    bind("dora", "dora", &eve).unwrap();
+    let shown = world.ok("dan", &["owners", "show", "0"]);
+    assert!(shown.contains("stands, confirmed by record 6") && shown.contains("contributor    ada"), "{shown}");
+    bind("root", "root", &ada).unwrap();
+    assert!(world.ok("dan", &["owners", "show", "0"]).contains("stands, unconfirmed"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_account_continues_under_the_key_that_took_its_keys_place_and_ends_with_it() {
     let mut world = World::new(ACCOUNTS);
     let ada = world.with("ada", "contributor").to_string();

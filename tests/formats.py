@@ -356,12 +356,13 @@ def parse_envelope(data):
     return PAYLOAD_TYPE, either_base64(json_.get("payload"), "payload"), signatures
 
 
-KINDS = {"claim": 1, "contribution": 2, "training": 3, "revocation": 4, "rotation": 5, "dispute": 6}
-DIGESTS = ("marked_field", "detector", "hidden_signal", "photographs", "training_configuration")
+KINDS = {"claim": 1, "contribution": 2, "training": 3, "revocation": 4, "rotation": 5, "dispute": 6, "binding": 8}
+DIGESTS = ("marked_field", "detector", "hidden_signal", "photographs", "base_field", "share_table", "training_configuration")
+MARK = ("marked_field", "detector", "hidden_signal")
 NEEDS = {
-    "claim": ("marked_field", "detector", "hidden_signal", "photographs"),
+    "claim": ("photographs",),
     "contribution": ("photographs",),
-    "training": ("marked_field", "detector", "training_configuration"),
+    "training": ("share_table", "training_configuration"),
 }
 
 
@@ -394,18 +395,18 @@ def whole(value, low, below, what):
 def parse_record(body):
     """The record, every rule that needs nothing else checked."""
     record = read_json(body, "record")
-    if not isinstance(record, dict) or type(record.get("version")) is not int or record["version"] != 1:
-        raise Refused("record", "not an owner record of version 1")
+    if not isinstance(record, dict) or type(record.get("version")) is not int or record["version"] != 2:
+        raise Refused("record", "not an owner record of version 2")
     needed = ("version", "kind", "origin", "scene", "scene_salt", "identity", "owner_key", "digests", "purpose")
     fields(record, (*needed, "nonce", "seen"), ("seed", "replaces", "views"), "the record")
     if record["kind"] not in KINDS:
         raise Refused("record", f"kind {record['kind']!r} is unknown")
-    identity = fields(record["identity"], ("number", "contributor"), (), "identity")
+    identity = fields(record["identity"], ("contributor",), ("number", "key"), "identity")
     seen = fields(record["seen"], ("size", "root"), (), "seen")
     digests = fields(record["digests"], NEEDS.get(record["kind"], ()), DIGESTS, "digests")
     for what, value in [*((w, record[w]) for w in ("origin", "scene", "purpose")), ("contributor", identity["contributor"])]:
         short_text(value, what)
-    whole(identity["number"], 1, 2**32, "identity.number")
+    check_identity(record, identity, digests)
     whole(seen["size"], 0, 2**53, "seen.size")
     hexes = [("seen.root", seen["root"]), *((w, record[w]) for w in ("scene_salt", "owner_key", "nonce")), *digests.items()]
     for what, value in hexes:
@@ -421,6 +422,22 @@ def parse_record(body):
     if "views" in record:
         check_views(record["views"], digests)
     return record
+
+
+def check_identity(record, identity, digests):
+    """A number belongs to a mark, a key to a binding."""
+    if "number" in identity:
+        whole(identity["number"], 1, 2**32, "identity.number")
+        if record["kind"] == "claim":
+            fields(digests, MARK, DIGESTS, "digests of a mark")
+    if record["kind"] == "training" and ("marked_field" in digests) != ("detector" in digests):
+        raise Refused("record", "a training with one of marked field and detector")
+    if ("key" in identity) != (record["kind"] == "binding"):
+        raise Refused("record", "identity.key stands in bindings, and in no other record")
+    if "key" in identity:
+        hex32(identity["key"], "identity.key")
+        if "number" in identity or "replaces" in record or "views" in record:
+            raise Refused("record", "a binding is about a name and a key alone")
 
 
 def check_views(views, digests):

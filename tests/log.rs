@@ -62,7 +62,7 @@ async fn contribute(client: &mut OwnerServiceClient<Channel>, by: u8, of: std::o
         origin: nonce.origin,
         scene: "town".into(),
         scene_salt: random_salt().unwrap(),
-        identity: Identity { number: 1, contributor: format!("contributor {by}") },
+        identity: Identity::numbered(1, &format!("contributor {by}")),
         owner_key: key.public(),
         digests: Digests { photographs: Some(photographs_root(&views)), ..Digests::default() },
         seed: None,

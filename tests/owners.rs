@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use cairn_api::v1;
 use cairn_api::v1::owner_service_client::OwnerServiceClient;
 use cairn_log::format::record::{self, Digests, Identity, Seen, random_salt};
-use cairn_log::{Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
+use cairn_log::format::shares::Shares;
+use cairn_log::{Answer, Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, RecordKind};
 use cairn_testkit::daemon::{Daemon, Place};
 use cairn_verify::{Evidence, LogView, Outcome, audit};
 use rand::{RngExt as _, SeedableRng as _};
@@ -88,6 +89,263 @@ fn a_record_is_signed_entered_verified_and_seen_through_when_forged() {
     json["payload"] = swapped.into();
     std::fs::write(&record, json.to_string()).unwrap();
     assert_eq!(place.cairn(&["audit", "bundle", &bundle]).status.code(), Some(1));
+}
+
+#[test]
+fn a_contributors_photographs_are_claimed_before_any_training_and_confirmed_by_a_curator() {
+    let place = Place::new();
+    let data = place.text("data");
+    let data = ["--data", data.as_str()];
+    place.import("town", data);
+    let cairn = |arguments: &[&str]| place.cairn_ok(&[arguments, &data].concat());
+    let key = |name: &str| {
+        let path = place.text(&format!("{name}.key"));
+        place.cairn_ok(&["keys", "new", &path, "--plain"]);
+        let public = cairn_log::keys::load_key(Path::new(&path), &cairn_log::keys::Unlock::Nothing).unwrap().public();
+        (path, public.to_string())
+    };
+    let ((ada, ada_public), (curator, _)) = (key("ada"), key("curator"));
+    let claim = place.text("claim");
+    let sign = ["owners", "sign", "town", "--contributor", "ada", "--key", &ada, "--out", &claim];
+    assert!(cairn(&sign).contains("record 0 is durable"));
+    // A claim of photographs alone has no secret.
+    assert!(!place.path("claim/signal.salt").exists());
+    // Exactly one of the two; and none of a contributor that is not there.
+    let refused = |arguments: &[&str]| place.cairn_refused(&[arguments, &data].concat());
+    let out = place.text("refused");
+    let by = ["--key", ada.as_str(), "--out", out.as_str()];
+    refused(&[&["owners", "sign", "town"][..], &by].concat());
+    refused(&[&["owners", "sign", "town", "--contributor", "ada", "--identity", "1"][..], &by].concat());
+    let said = refused(&[&["owners", "sign", "town", "--contributor", "zoe"][..], &by].concat());
+    assert!(said.contains("there is no contributor \"zoe\"") && said.contains("ada"), "{said}");
+    let said = refused(&[&["owners", "sign", "town", "--contributor", "ada", "--kind", "training"][..], &by].concat());
+    assert!(said.contains("has no model yet"), "{said}");
+    let bind = ["owners", "bind", "town", "--owner-key", &ada_public, "--key", &curator];
+    let said = refused(&[&bind[..], &["--contributor", "zoe", "--out", &out]].concat());
+    assert!(said.contains("no photograph by \"zoe\""), "{said}");
+
+    // The answer about any photograph of hers names the claim, and says whether it is confirmed.
+    let (answer, vkey) = (place.text("answer.json"), place.text("log.vkey"));
+    cairn(&["owners", "vkey", "--out", &vkey]);
+    let view = "images/ada_002.png";
+    let photograph = place.text(&format!("capture/{view}"));
+    let audited = || {
+        cairn(&["owners", "answer", "town", "--view", view, "--out", &answer]);
+        place.cairn_ok(&["audit", "answer", &answer, "--vkey", &vkey, "--scene", "town", "--view", &photograph])
+    };
+    let said = audited();
+    assert!(said.starts_with("trusted") && said.contains("1 of 1 records count"), "{said}");
+    assert!(said.contains("claim by \"ada\", unconfirmed") && said.contains("answer.record.unconfirmed"), "{said}");
+    cairn(&[&bind[..], &["--contributor", "ada", "--out", &place.text("binding")]].concat());
+    let said = audited();
+    assert!(said.contains("claim by \"ada\", confirmed at index 2"), "{said}");
+    // The photographs are the scene's own, and every one of them.
+    let bundle = place.cairn_ok(&["audit", "bundle", &claim, "--vkey", &vkey, "--against", data[1]]);
+    assert!(bundle.starts_with("trusted") && bundle.contains("digest.photographs.match"), "{bundle}");
+    // What the table of contributors says binds nothing, until a curator does.
+    let table = place.path("capture/contributors.csv");
+    let rows = std::fs::read_to_string(&table).unwrap();
+    let key_of = |row: &str| if row.ends_with(",ada") { ada_public.clone() } else { String::new() };
+    let with_keys = |first: &str| {
+        let rows: Vec<String> = rows.lines().skip(1).map(|row| format!("{row},{}", key_of(row))).collect();
+        std::fs::write(&table, format!("image,contributor,key\n{}\n", rows.join("\n").replacen(&ada_public, first, 1)))
+            .unwrap();
+    };
+    let import = ["scene", "import", "mill", "--from", &place.text("capture"), "--contributors", "contributors.csv"];
+    with_keys(&"0b".repeat(32));
+    assert!(refused(&import).contains("\"ada\" has another key in line"));
+    // All zeros is a key of small order: anybody could sign for it.
+    std::fs::write(
+        &table,
+        rows.replacen('\n', ",key\n", 1)
+            .replace(",ada\n", &format!(",ada,{}\n", "0".repeat(64)))
+            .replace(",bela\n", ",bela,\n"),
+    )
+    .unwrap();
+    let said = refused(&import);
+    assert!(said.contains("the key of contributor \"ada\"") && said.contains("small order"), "{said}");
+    with_keys(&ada_public);
+    cairn(&import);
+    let shown = cairn(&["scene", "show", "mill"]);
+    assert_eq!(shown.matches(&format!("key of ada: {ada_public}")).count(), 1, "{shown}");
+    assert!(!shown.contains("key of bela"), "{shown}");
+    let from_table = place.text("from table");
+    let said = cairn(&["owners", "bind", "mill", "--from-table", "--key", &curator, "--out", &from_table]);
+    assert!(said.contains(&format!("\"ada\" stands for key {ada_public}")) && said.lines().count() == 1, "{said}");
+    let said = refused(&["owners", "bind", "town", "--from-table", "--key", &curator, "--out", &out]);
+    assert!(said.contains("has no keys"), "{said}");
+    // A photograph that is excluded is claimed no more.
+    cairn(&["scene", "exclude", "town", view]);
+    let later = place.text("later");
+    cairn(&[&sign[..8], &[later.as_str()]].concat());
+    let count = |index: &str| {
+        let shown = cairn(&["owners", "show", index]);
+        let line = shown.lines().find(|line| line.contains(" photographs:")).unwrap().to_owned();
+        line.split_whitespace().nth(1).unwrap().parse::<usize>().unwrap()
+    };
+    let newest = cairn(&["owners", "list", "town"]).lines().last().unwrap().split("  ").next().unwrap().to_owned();
+    assert_eq!(count("0"), count(&newest) + 1);
+}
+
+#[test]
+fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
+    let place = Place::new();
+    let data = place.text("data");
+    let data = ["--data", data.as_str()];
+    place.import("town", data);
+    let cairn = |arguments: &[&str]| place.cairn_ok(&[arguments, &data].concat());
+    let key = |name: &str| {
+        let path = place.text(&format!("{name}.key"));
+        place.cairn_ok(&["keys", "new", &path, "--plain"]);
+        let public = cairn_log::keys::load_key(Path::new(&path), &cairn_log::keys::Unlock::Nothing).unwrap().public();
+        (path, public.to_string())
+    };
+    let ((ada, ada_public), (curator, _)) = (key("ada"), key("curator"));
+    cairn(&["owners", "sign", "town", "--contributor", "ada", "--key", &ada, "--out", &place.text("claim")]);
+    let (answer, vkey, view) = (place.text("answer.json"), place.text("log.vkey"), "images/ada_002.png");
+    cairn(&["owners", "vkey", "--out", &vkey]);
+    let asked = ["owners", "answer", "town", "--view", view, "--out", &answer];
+    let audit = |answer: &str| {
+        let audited = place.cairn(&["audit", "answer", answer, "--vkey", &vkey]);
+        (String::from_utf8(audited.stdout).unwrap(), audited.status.code())
+    };
+    // Before any training there are none.
+    assert!(!cairn(&asked).contains("shares"));
+    let (said, code) = audit(&answer);
+    assert!(code == Some(0) && said.contains("info     shares.missing"), "{said}");
+
+    cairn(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke"]);
+    assert!(cairn(&asked).contains("and the shares of what the view shows"));
+    let (said, code) = audit(&answer);
+    assert!(code == Some(0) && said.starts_with("trusted") && said.contains("passed   shares.verified"), "{said}");
+    assert!(
+        said.contains("shares of what view \"images/ada_002.png\" shows")
+            && said.contains(" %  \"ada\", photographs: ")
+    );
+    cairn(&[
+        "owners",
+        "bind",
+        "town",
+        "--contributor",
+        "ada",
+        "--owner-key",
+        &ada_public,
+        "--key",
+        &curator,
+        "--out",
+        &place.text("binding"),
+    ]);
+    // The records that credit ada stand beside her share, and who confirmed them.
+    let who = cairn(&["who", "town", "--view", view]);
+    let line = who.lines().find(|line| line.contains(" ada: ")).unwrap();
+    assert!(line.ends_with("; confirmed by record 0"), "{who}");
+    let json: serde_json::Value = serde_json::from_str(&cairn(&["who", "town", "--view", view, "--json"])).unwrap();
+    let of_ada = json["contributors"].as_array().unwrap().iter().find(|of| of["name"] == "ada").unwrap();
+    assert_eq!(of_ada["records"].as_array().unwrap().len(), 1);
+    // A training record names what the shares follow from.
+    let training = place.text("training");
+    cairn(&["owners", "sign", "town", "--contributor", "ada", "--kind", "training", "--key", &ada, "--out", &training]);
+    let report = place.cairn_ok(&["audit", "bundle", &training, "--vkey", &vkey, "--against", data[1]]);
+    assert!(report.contains("digest.share_table.match") && report.contains("digest.base_field.match"), "{report}");
+
+    // From the files alone.
+    let model = place.path("data/models/town");
+    let job = std::fs::read_dir(&model).unwrap().map(|entry| entry.unwrap().path()).find(|path| path.is_dir()).unwrap();
+    let file = |name: &str| job.join(name).display().to_string();
+    let (field, table, scene) = (file("base.field"), file("base.shares"), place.text("data/scenes/town"));
+    let again = |answer: &str, field: &str, table: &str, more: &[&str]| {
+        let line = ["audit", "shares", answer, "--field", field, "--table", table, "--vkey", &vkey];
+        let output = place.cairn(&[&line[..], more].concat());
+        let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
+        (said, output.status.code())
+    };
+    let (said, code) = again(&answer, &field, &table, &[]);
+    assert!(code == Some(0) && said.starts_with("trusted") && said.contains("passed   shares.recomputed"), "{said}");
+    let with_scene = ["--scene", scene.as_str(), "--photographs", "4"];
+    let (said, code) = again(&answer, &field, &table, &with_scene);
+    assert!(code == Some(0) && said.contains("shares.camera.match"), "{said}");
+    assert_eq!(said.matches("passed   shares.rows.match").count(), 4, "{said}");
+    let json = again(&answer, &field, &table, &["--json"]).0;
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&json).unwrap()["outcome"], "trusted");
+
+    // Another table, another field: their digests say so. A file that is none is named.
+    let bent = |name: &str| {
+        let mut bytes = std::fs::read(job.join(name)).unwrap();
+        let last = bytes.len() - 1;
+        bytes[last] ^= 1;
+        let path = place.text(&format!("bent {name}"));
+        std::fs::write(&path, bytes).unwrap();
+        path
+    };
+    for (field, table) in [(&field, &bent("base.shares")), (&bent("base.field"), &table)] {
+        let (said, code) = again(&answer, field, table, &[]);
+        assert!(
+            code == Some(1) && said.contains("error    shares.file.mismatch") && !said.contains("recomputed"),
+            "{said}"
+        );
+    }
+    let (said, code) = again(&answer, &field, &place.text("nothing"), &[]);
+    assert!(code == Some(2) && said.contains("nothing"), "{said}");
+
+    // A changed statement, and ones that the registry itself made up: shares moved from ada to bela, another power, and her
+    // photographs in bela's name.
+    let (registry, honest) = (place.path("data/registry.key"), std::fs::read(&answer).unwrap());
+    let registry = cairn_log::keys::load_key(&registry, &cairn_log::keys::Unlock::Nothing).unwrap();
+    let forged = |bend: &dyn Fn(&mut Shares)| {
+        let mut answer = Answer::parse(&honest).unwrap();
+        let mut shares = Shares::open(answer.shares.as_ref().unwrap()).unwrap();
+        bend(&mut shares);
+        answer.shares = Some(shares.seal(&registry).unwrap());
+        let path = place.text("forged.json");
+        std::fs::write(&path, answer.to_json()).unwrap();
+        path
+    };
+    let moved = forged(&|shares| {
+        let largest = &mut shares.contributors[0];
+        let part = largest.photographs[0].share.min(0.1);
+        largest.photographs[0].share -= part;
+        largest.share -= part;
+        shares.unseen += part;
+    });
+    let (said, code) = audit(&moved);
+    assert!(code == Some(0), "it adds up, and the registry signed it: {said}");
+    let (said, code) = again(&moved, &field, &table, &[]);
+    assert!(code == Some(1) && said.contains("error    shares.recomputed.mismatch"), "{said}");
+    let (said, code) = again(&forged(&|shares| shares.power = 0), &field, &table, &[]);
+    assert!(code == Some(1) && said.contains("error    shares.method.unknown"), "{said}");
+    let renamed = forged(&|shares| shares.contributors[0].name = "zoe".into());
+    assert_eq!(again(&renamed, &field, &table, &[]).1, Some(0), "field and table know no names");
+    let (said, code) = again(&renamed, &field, &table, &with_scene);
+    assert!(code == Some(1) && said.contains("error    shares.photograph.mismatch"), "{said}");
+    let turned = forged(&|shares| shares.camera["pose"]["position"] = serde_json::json!([1.0, 2.0, 3.0]));
+    let (said, code) = again(&turned, &field, &table, &with_scene);
+    assert!(code == Some(1) && said.contains("error    shares.camera.mismatch"), "{said}");
+    let mut changed = Answer::parse(&honest).unwrap();
+    let envelope = changed.shares.as_mut().unwrap();
+    let body = String::from_utf8(envelope.payload.clone()).unwrap();
+    envelope.payload = body.replacen("\"ada\"", "\"zoe\"", 1).into_bytes();
+    std::fs::write(place.path("changed.json"), changed.to_json()).unwrap();
+    let (said, code) = again(&place.text("changed.json"), &field, &table, &[]);
+    assert!(code == Some(1) && said.contains("error    shares.signature.invalid"), "{said}");
+    assert_eq!(audit(&place.text("changed.json")).1, Some(1));
+    // A table whose entries the photographs do not bear out, though the registry signed its digest.
+    let mut bytes = std::fs::read(&table).unwrap();
+    let weights = bytes.len() - entries(&bytes);
+    bytes[weights..].iter_mut().enumerate().for_each(|(i, code)| *code = code.wrapping_add(i as u8 % 97));
+    let wrong = place.text("wrong.shares");
+    std::fs::write(&wrong, &bytes).unwrap();
+    let signed = forged(&|shares| shares.files.share_table = Digest::of(&bytes));
+    let (said, code) = again(&signed, &field, &wrong, &with_scene);
+    assert!(code == Some(1) && said.contains("error    shares.rows.mismatch"), "{said}");
+}
+
+/// Bytes of a share table's weights, which end its file, by its header (safetensors).
+fn entries(table: &[u8]) -> usize {
+    let length = u64::from_le_bytes(table[..8].try_into().unwrap()) as usize;
+    let header: serde_json::Value = serde_json::from_slice(&table[8..8 + length]).unwrap();
+    let at = |n: usize| header["weight"]["data_offsets"][n].as_u64().unwrap() as usize;
+    assert_eq!(8 + length + at(1), table.len(), "weights come last");
+    at(1) - at(0)
 }
 
 /// A view of identity 1's cluster.
@@ -281,7 +539,7 @@ async fn submit_listing(
         origin: nonce.origin,
         scene: "town".into(),
         scene_salt: random_salt().unwrap(),
-        identity: Identity { number: 1, contributor: "ada".into() },
+        identity: Identity::numbered(1, "ada"),
         owner_key: key.public(),
         digests: Digests { photographs: Some(photographs), ..Digests::default() },
         seed: None,

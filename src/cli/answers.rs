@@ -50,6 +50,10 @@ pub async fn run(line: &Connection, args: &AnswerArgs) -> anyhow::Result<()> {
     let asked = answer.lists.iter().find(|list| list.key == answer.asked());
     let named = asked.map_or(0, |list| list.entries.len());
     write(&args.out, &json)?;
-    println!("{named} records named, with their proofs, in {}; check it with `cairn audit answer`", args.out.display());
+    let shares = if answer.shares.is_some() { ", and the shares of what the view shows" } else { "" };
+    println!(
+        "{named} records named, with their proofs{shares}, in {}; check it with `cairn audit answer`",
+        args.out.display()
+    );
     Ok(())
 }

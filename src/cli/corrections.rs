@@ -98,11 +98,16 @@ pub async fn show(line: &Connection, index: u64, json: Json) -> anyhow::Result<(
     let record = &stored.record;
     let kind = serde_json::to_value(record.kind)?;
     println!("record {index}: {}, scene {}", kind.as_str().context("the record's kind has no name")?, record.scene);
-    // A dispute mostly names another than its own owner, whom its key tells.
-    let whose = if record.kind == RecordKind::Dispute { "names" } else { "identity" };
+    // A dispute mostly names another than its own owner, whom its key tells; a binding always may.
+    let whose = match (record.kind, record.identity.number) {
+        (RecordKind::Dispute | RecordKind::Binding, _) => "names",
+        (_, Some(_)) => "identity",
+        (_, None) => "contributor",
+    };
+    let number = record.identity.number.map(|number| format!("{number}, ")).unwrap_or_default();
     let mut facts = vec![
-        ("state", state(&stored.standing)),
-        (whose, format!("{}, {}", record.identity.number, record.identity.contributor)),
+        ("state", state(&stored.standing, record.kind.credits())),
+        (whose, format!("{number}{}", record.identity.contributor)),
         ("purpose", record.purpose.clone()),
         ("owner key", record.owner_key.to_string()),
         ("key id", record.owner_key.id().to_string()),
@@ -117,10 +122,13 @@ pub async fn show(line: &Connection, index: u64, json: Json) -> anyhow::Result<(
         ("detector", digests.detector),
         ("hidden signal", digests.hidden_signal),
         ("photographs", digests.photographs),
+        ("base field", digests.base_field),
+        ("share table", digests.share_table),
         ("settings", digests.training_configuration),
     ] {
         facts.extend(digest.map(|digest| (name, digest.to_string())));
     }
+    facts.extend(record.identity.key.map(|key| ("stands for", format!("key {key}"))));
     facts.extend(record.seed.map(|seed| ("seed", seed.to_string())));
     let views = record.views.as_deref().unwrap_or_default();
     facts.extend(record.views.as_ref().map(|views| ("views", format!("{} photographs:", views.len()))));
@@ -149,12 +157,20 @@ async fn names(line: &Connection, scene: &str) -> anyhow::Result<HashMap<Vec<u8>
     Ok(views.into_iter().map(|view| (view.photograph_sha256.to_vec(), format!("  {}", view.name))).collect())
 }
 
-/// A record's state in words, as the daemon has it.
-pub fn state(standing: &v1::Standing) -> String {
-    let mut words = match (standing.taken_back_by, standing.replaced_by) {
-        (Some(index), _) => format!("taken back by record {index}"),
-        (None, Some(index)) => format!("replaced by record {index}"),
-        (None, None) => "stands".to_owned(),
+/// The state of a record that was not erased, in words.
+pub fn state_of(record: &v1::Record) -> String {
+    let credits = ["claim", "contribution"].contains(&record.kind.as_str());
+    state(&record.standing.clone().unwrap_or_default(), credits)
+}
+
+/// A record's state in words, as the daemon has it; of one that credits its owner whether a curator confirmed the name.
+fn state(standing: &v1::Standing, credits: bool) -> String {
+    let mut words = match (standing.taken_back_by, standing.replaced_by, standing.confirmed_by) {
+        (Some(index), ..) => format!("taken back by record {index}"),
+        (None, Some(index), _) => format!("replaced by record {index}"),
+        (None, None, Some(index)) => format!("stands, confirmed by record {index}"),
+        (None, None, None) if credits => "stands, unconfirmed".to_owned(),
+        (None, None, None) => "stands".to_owned(),
     };
     if !standing.disputed_by.is_empty() {
         let indices: Vec<String> = standing.disputed_by.iter().map(u64::to_string).collect();
@@ -174,7 +190,11 @@ mod tests {
     #[test]
     fn a_state_names_every_record_that_bears_on_it() {
         let standing = v1::Standing::default();
+        let state = |standing: &v1::Standing| super::state(standing, false);
         assert_eq!(state(&standing), "stands");
+        assert_eq!(super::state(&standing, true), "stands, unconfirmed");
+        let confirmed = v1::Standing { confirmed_by: Some(7), ..standing.clone() };
+        assert_eq!(super::state(&confirmed, true), "stands, confirmed by record 7");
         let disputed = v1::Standing { disputed_by: vec![3, 5], ..standing.clone() };
         assert_eq!(state(&disputed), "stands; disputed by record 3, 5");
         let rotated = v1::Standing { key_ended_by: Some(2), key_rotated: true, ..standing.clone() };

@@ -3,6 +3,7 @@
 mod access;
 mod answers;
 mod audit;
+mod bind;
 mod check;
 mod connect;
 mod corrections;

@@ -12,6 +12,7 @@ use cairn_log::{Checkpoint, Digest, Note};
 use serde::{Deserialize, Serialize};
 
 use super::answers::{self, AnswerArgs};
+use super::bind::{self, BindArgs};
 use super::connect::Connection;
 use super::corrections::{self, DisputeArgs, EraseArgs};
 use super::files::write;
@@ -23,10 +24,18 @@ use super::sign::{SignArgs, sign};
 /// What to do with owner records.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
-    /// Sign a record about an identity of a scene, and enter it into the log
-    #[command(after_help = "Example:\n  cairn owners sign liberty --identity 1 --key ada.key --out bundle")]
+    /// Sign a record about a contributor's photographs, or about an identity of a scene, and enter it into the log
+    #[command(
+        after_help = "Examples:\n  cairn owners sign liberty --contributor ada --key ada.key --out bundle\n  cairn owners sign \
+                      liberty --identity 1 --key ada.key --out bundle"
+    )]
     Sign(SignArgs),
-    /// Who contributed to a scene or a view, as a file that proves that no contributor is left out
+    /// Say as a curator which key a contributor's name stands for; without that, records in the name are unconfirmed
+    #[command(after_help = "Example:\n  cairn owners bind liberty --contributor ada --owner-key \
+                      3d4017c3e843895a92b70aa74d1b7ebc9c982ccf2ec4968cc0cd55f12af4660c --key curator.key --out binding")]
+    Bind(BindArgs),
+    /// Who contributed to a scene or a view, as a file that proves that no record is left out; for a view also whose
+    /// photographs show it, signed by the registry
     #[command(after_help = "Example:\n  cairn owners answer liberty --view view_056.jpg --out answer.json")]
     Answer(AnswerArgs),
     /// Send again what was signed into DIR and got no answer, or fetch a newer proof of the record in it: with the
@@ -88,6 +97,7 @@ pub async fn run(line: &Connection, command: Command) -> anyhow::Result<()> {
             place.say_more(&args.out);
             Ok(())
         }
+        Command::Bind(args) => bind::run(line, &args).await,
         Command::Submit { dir } => {
             let place = records::Bundle::send_again(line, &dir).await?;
             println!("{place}; its bundle is in {}", dir.display());
@@ -150,14 +160,11 @@ async fn list(line: &Connection, name: Option<String>, out: Option<&PathBuf>, js
     }
     for r in records.iter().filter(|_| !json.json) {
         let owner: [u8; 32] = r.owner_key_sha256.as_ref().try_into().context("the daemon's key id is not 32 bytes")?;
-        let about = match r.envelope.is_empty() {
-            true => "erased".to_owned(),
-            false => format!(
-                "{}  identity {}  {}",
-                r.scene,
-                r.identity,
-                corrections::state(&r.standing.clone().unwrap_or_default())
-            ),
+        let about = match (r.envelope.is_empty(), r.identity) {
+            (true, _) => "erased".to_owned(),
+            // Names come from strangers: quoted, so that they cannot pass for a column.
+            (false, 0) => format!("{}  contributor {:?}  {}", r.scene, r.contributor, corrections::state_of(r)),
+            (false, number) => format!("{}  identity {number}  {}", r.scene, corrections::state_of(r)),
         };
         println!("{}  {}  {about}  by key id {}", r.index, r.kind, Digest::from_bytes(owner));
     }

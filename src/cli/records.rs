@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use cairn_api::v1;
 use cairn_log::format::merkle;
-use cairn_log::format::record::{Digests, Seen, random_salt};
+use cairn_log::format::record::{Digests, Identity, Seen, random_salt};
 use cairn_log::{
     Checkpoint, Digest, Note, NoteVerifier, OwnerKey, OwnerRecord, PublicKey, RecordKind, SignedRecord, TlogProof,
 };
@@ -89,6 +89,8 @@ impl Ground {
             scene_salt: random_salt()?,
             owner_key: key.public(),
             purpose: purpose.to_owned(),
+            // No record but a binding names a key, and none is signed anew.
+            identity: Identity { key: None, ..earlier.record.identity.clone() },
             ..earlier.record.clone()
         })
     }

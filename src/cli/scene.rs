@@ -1,5 +1,6 @@
 //! `cairn scene`: import, list, show, check, exclude, include, delete.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{IsTerminal as _, Read};
 use std::path::{Path, PathBuf};
@@ -7,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
 use cairn_api::v1::{self, import_scene_request::Part};
-use cairn_log::Digest;
+use cairn_log::{Digest, PublicKey};
 use cairn_scene::{Capture, ReadOptions, SceneKind, encode_png, no_share};
 
 use super::connect::Connection;
@@ -87,7 +88,8 @@ pub struct ImportArgs {
     /// for the ending; white means use (where not given, COLMAP's masks folder, or nerfstudio's mask_path)
     #[arg(long, value_name = "DIR")]
     pub masks: Option<PathBuf>,
-    /// Who took what: a CSV table with the columns image,contributor; looked for here, then in the capture's folder
+    /// Who took what: a CSV table with the columns image,contributor and maybe key, the contributor's public key; looked
+    /// for here, then in the capture's folder
     #[arg(long, value_name = "CSV")]
     pub contributors: Option<PathBuf>,
     /// How the scene lies around its cameras (guessed where not given)
@@ -228,6 +230,9 @@ async fn show(line: &Connection, name: &str, json: Json) -> anyhow::Result<()> {
         let decided = view.decision.as_ref().map_or(String::new(), |d| format!("  {}", super::check::decision(d)));
         println!("  {}  by {}{held_out}{decided}", view.name, view.contributor);
     }
+    for (contributor, key) in keys(&scene)? {
+        println!("  key of {contributor}: {key}");
+    }
     if let Some(model) = scene.model {
         println!("model of {}, seed {}", model.job_id, model.seed);
         for identity in &model.identities {
@@ -236,6 +241,17 @@ async fn show(line: &Connection, name: &str, json: Json) -> anyhow::Result<()> {
         say_no_share(model.without_share)?;
     }
     Ok(())
+}
+
+/// The keys that the table of contributors gives, by their names.
+pub fn keys(scene: &v1::GetSceneResponse) -> anyhow::Result<BTreeMap<String, PublicKey>> {
+    let with_key = scene.views.iter().filter(|view| !view.contributor_key.is_empty());
+    let key = |view: &v1::SceneView| {
+        let bytes =
+            view.contributor_key.as_ref().try_into().context("the daemon's key of a contributor is not 32 bytes")?;
+        anyhow::Ok((view.contributor.clone(), PublicKey::from_bytes(bytes)?))
+    };
+    with_key.map(key).collect()
 }
 
 /// One scene.
@@ -341,6 +357,7 @@ fn prepare(capture: &Capture, args: &ImportArgs) -> anyhow::Result<(Vec<v1::Impo
             name: view.name.clone(),
             camera: Some(to_proto::camera(&camera)),
             contributor: view.contributor.clone(),
+            contributor_key: view.contributor_key.map(|key| key.to_vec()).unwrap_or_default().into(),
             photograph_bytes: bytes,
             photograph_sha256: sha256.as_bytes().to_vec().into(),
             near,

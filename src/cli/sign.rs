@@ -1,9 +1,10 @@
-//! `cairn owners sign`: records about an identity of a scene's newest model, signed at the owner's side.
+//! `cairn owners sign`: records about a contributor's photographs, or about an identity of a scene's newest model, signed
+//! at the owner's side.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_api::v1;
+use cairn_api::v1::{self, material_request::Of};
 use cairn_log::format::record::{
     Digests, Identity, MAX_VIEWS, SignalFiles, hidden_signal_commitment, photographs_root, random_salt,
 };
@@ -20,9 +21,8 @@ pub struct SignArgs {
     /// The scene
     #[arg(value_name = "SCENE")]
     pub name: String,
-    /// The identity, 1 and up (see `cairn scene show`)
-    #[arg(long, value_name = "N")]
-    pub identity: u32,
+    #[command(flatten)]
+    pub about: About,
     /// The owner's key (see `cairn keys new`)
     #[arg(long, value_name = "FILE")]
     pub key: PathBuf,
@@ -42,16 +42,40 @@ pub struct SignArgs {
     pub out: PathBuf,
 }
 
+/// What a record is about: exactly one of them.
+#[derive(Clone, Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+pub struct About {
+    /// All photographs of this contributor in the scene that are not excluded; the scene needs no model
+    #[arg(long, value_name = "NAME")]
+    pub contributor: Option<String>,
+    /// The identity, 1 and up (see `cairn scene show`): its cluster's photographs, and its mark
+    #[arg(long, value_name = "N")]
+    pub identity: Option<u32>,
+}
+
+impl About {
+    /// An identity.
+    pub const fn identity(number: u32) -> Self {
+        Self { contributor: None, identity: Some(number) }
+    }
+
+    fn asked(&self) -> Option<Of> {
+        let contributor = self.contributor.clone().map(Of::Contributor);
+        contributor.or(self.identity.map(Of::Identity))
+    }
+}
+
 const PURPOSE: &str = "credit for the photographs";
 
 /// The records that can be signed here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Kind {
-    /// The identity's mark in the marked field is the owner's
+    /// The photographs are the owner's, and so is the identity's mark in the marked field
     Claim,
-    /// The cluster's photographs are the owner's
+    /// The owner contributed the photographs
     Contribution,
-    /// This training made the marked field
+    /// This training made the share table, and the marked field where there is one
     Training,
 }
 
@@ -68,8 +92,9 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<Place> {
             Some(older.digest)
         }
     };
-    let request = v1::MaterialRequest { scene: args.name.clone(), identity: args.identity };
+    let request = v1::MaterialRequest { scene: args.name.clone(), of: args.about.asked() };
     let material = line.about(&args.name).owners().material(request).await?.into_inner();
+    must_be_there(args, &material)?;
     let ground = Ground::ask(line, &args.name, &key.public()).await?;
     let salt = random_salt()?;
     let record = OwnerRecord { replaces: replaced, ..record(args, &key, &material, ground, &salt)? };
@@ -81,6 +106,23 @@ pub async fn sign(line: &Connection, args: &SignArgs) -> anyhow::Result<Place> {
         secrets.push((SALT, salt.as_bytes()));
     }
     bundle.enter(line, &record, &[&key], &secrets).await
+}
+
+/// Refuses a record about what the scene has not.
+fn must_be_there(args: &SignArgs, material: &v1::MaterialResponse) -> anyhow::Result<()> {
+    let scene = &args.name;
+    anyhow::ensure!(
+        args.kind != Kind::Training || !material.settings_sha256.is_empty(),
+        "scene {scene:?} has no model yet; train it first"
+    );
+    let claims_a_mark = args.kind == Kind::Claim && args.about.identity.is_some();
+    anyhow::ensure!(
+        !claims_a_mark || !material.marked_field_sha256.is_empty(),
+        "scene {scene:?} has a base field alone, and no mark to claim; claim the photographs instead (--contributor {:?}), or \
+         train the scene with marks",
+        material.label
+    );
+    Ok(())
 }
 
 fn record(
@@ -103,10 +145,10 @@ fn record(
         origin: ground.origin,
         scene: args.name.clone(),
         scene_salt: random_salt()?,
-        identity: Identity { number: args.identity, contributor: material.label.clone() },
+        identity: Identity { number: args.about.identity, ..Identity::named(&material.label) },
         owner_key: key.public(),
-        digests: digests(material, &photographs, salt)?,
-        seed: Some(material.seed),
+        digests: digests(args, material, &photographs, salt)?,
+        seed: (kind == RecordKind::Training || args.about.identity.is_some()).then_some(material.seed),
         purpose: args.purpose.clone(),
         nonce: ground.nonce,
         seen: ground.seen,
@@ -143,13 +185,27 @@ fn signal_files(material: &v1::MaterialResponse) -> SignalFiles<'_> {
     SignalFiles { picture: &material.signal, audio: &material.audio, text: material.text.as_bytes() }
 }
 
-fn digests(material: &v1::MaterialResponse, photographs: &[Digest], salt: &Digest) -> anyhow::Result<Digests> {
+/// Of a training all that it made, of an identity its mark and photographs, of a contributor the photographs.
+fn digests(
+    args: &SignArgs,
+    material: &v1::MaterialResponse,
+    photographs: &[Digest],
+    salt: &Digest,
+) -> anyhow::Result<Digests> {
+    let photographs = Some(photographs_root(photographs));
+    let is_training = args.kind == Kind::Training;
+    if !is_training && args.about.identity.is_none() {
+        return Ok(Digests { photographs, ..Digests::default() });
+    }
     let signal = signal_files(material);
+    let of_training = |what: &str, bytes: &[u8]| if is_training { digest(what, bytes) } else { anyhow::Ok(None) };
     Ok(Digests {
         marked_field: digest("the marked field", &material.marked_field_sha256)?,
         detector: digest("the detector", &material.detector_sha256)?,
         hidden_signal: (!signal.is_empty()).then(|| hidden_signal_commitment(salt, &signal)),
-        photographs: Some(photographs_root(photographs)),
+        photographs,
+        base_field: of_training("the base field", &material.base_field_sha256)?,
+        share_table: of_training("the share table", &material.share_table_sha256)?,
         training_configuration: digest("the settings", &material.settings_sha256)?,
     })
 }
@@ -185,7 +241,7 @@ pub async fn sign_all(line: &Connection, scene: &str, folder: &Path) -> anyhow::
         save_key(&key, &OwnerKey::generate()?, &Seal::Plain)?;
         let args = SignArgs {
             name: scene.to_owned(),
-            identity: identity.number,
+            about: About::identity(identity.number),
             key,
             unlock: UnlockArgs::default(),
             kind,

@@ -15,6 +15,8 @@ use super::viewpoint::{FromWhere, viewpoint};
 
 /// Photographs named beside a contributor.
 const MAX_PHOTOGRAPHS: usize = 3;
+/// Records named beside a contributor, of those that a curator confirmed and of the others.
+const MAX_RECORDS: usize = 5;
 
 /// `cairn who`.
 #[derive(Debug, clap::Args)]
@@ -128,7 +130,9 @@ async fn necessity(line: &Connection, request: v1::NecessityRequest, as_json: bo
 fn cost_in_words(cost: &v1::NecessityCost) -> String {
     let v1::NecessityCost { contributors, photographs, bytes, seconds } = cost;
     let mib = *bytes as f64 / f64::from(1 << 20);
-    format!("solving for the colours of {photographs} photographs without each of {contributors} contributors takes about {seconds:.0} s and {mib:.0} MiB")
+    format!(
+        "solving for the colours of {photographs} photographs without each of {contributors} contributors takes about {seconds:.0} s and {mib:.0} MiB"
+    )
 }
 
 fn needed_in_words(of: &v1::NeededContributor) -> String {
@@ -150,7 +154,7 @@ fn text(answer: &v1::ContributorsResponse, min_share: f64) -> String {
     let mut line = |share: f64, what: String| lines.push(format!("{:6.1} %  {what}", 100.0 * share));
     let (shown, others, theirs) = shown(answer, min_share);
     for of in shown {
-        line(of.share, format!("{}: {}", of.name, photographs(&of.photographs)));
+        line(of.share, format!("{}: {}{}", of.name, photographs(&of.photographs), records(of)));
     }
     match others {
         0 => {}
@@ -204,19 +208,35 @@ fn photographs(all: &[v1::PhotographShare]) -> String {
     named
 }
 
+/// The owner records that credit a contributor, confirmed ones first; empty without any.
+fn records(of: &v1::ContributorShare) -> String {
+    let (confirmed, others): (Vec<_>, Vec<_>) = of.records.iter().partition(|record| record.confirmed);
+    let first = |records: Vec<&v1::CreditingRecord>, what: &str| {
+        let named: Vec<String> = records.iter().take(MAX_RECORDS).map(|record| record.index.to_string()).collect();
+        let more = if records.len() > MAX_RECORDS { " and more" } else { "" };
+        (!named.is_empty()).then(|| format!("{what} {}{more}", named.join(", ")))
+    };
+    let parts = [first(confirmed, "confirmed by record"), first(others, "unconfirmed record")];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    if parts.is_empty() { String::new() } else { format!("; {}", parts.join("; ")) }
+}
+
 /// The answer as comma-separated values (RFC 4180): a line for each photograph, and one for each part that is no
-/// contributor's. The last column's sum is 100.
+/// contributor's. The last column's sum is 100. Records are by log index, and a `?` behind one says that it is unconfirmed.
 fn table(answer: &v1::ContributorsResponse) -> String {
-    let mut lines = vec!["kind,contributor,photograph,share_percent".to_owned()];
+    let mut lines = vec!["kind,contributor,photograph,records,share_percent".to_owned()];
     let per_cent = |share: f64| format!("{:.4}", 100.0 * share);
     for of in &answer.contributors {
+        let record =
+            |record: &v1::CreditingRecord| format!("{}{}", record.index, if record.confirmed { "" } else { "?" });
+        let records = of.records.iter().map(record).collect::<Vec<_>>().join(" ");
         for photograph in &of.photographs {
             let [name, view] = [&of.name, &photograph.view_name].map(|text| cell(text));
-            lines.push(format!("photograph,{name},{view},{}", per_cent(photograph.share)));
+            lines.push(format!("photograph,{name},{view},{records},{}", per_cent(photograph.share)));
         }
     }
     for (kind, share) in [("excluded", answer.excluded), ("unseen", answer.unseen), ("behind", answer.behind)] {
-        lines.push(format!("{kind},,,{}", per_cent(share)));
+        lines.push(format!("{kind},,,,{}", per_cent(share)));
     }
     lines.push(String::new());
     lines.join("\r\n")
@@ -238,6 +258,7 @@ mod tests {
             name: name.into(),
             share: shares.iter().sum(),
             photographs: shares.iter().enumerate().map(|(n, share)| photograph(n, *share)).collect(),
+            ..v1::ContributorShare::default()
         };
         v1::ContributorsResponse {
             contributors: vec![
@@ -279,10 +300,22 @@ mod tests {
     #[test]
     fn a_table_adds_up_and_quotes_names() {
         let said = table(&answer());
-        assert!(said.contains("\r\nphotograph,\"bob \"\"B\"\"\",\"view_0.jpg\",10.0000\r\n"), "{said}");
+        assert!(said.contains("\r\nphotograph,\"bob \"\"B\"\"\",\"view_0.jpg\",,10.0000\r\n"), "{said}");
         let shares = said.lines().skip(1).map(|line| line.rsplit(',').next().unwrap().parse::<f64>().unwrap());
         assert!((shares.sum::<f64>() - 100.0).abs() < 1e-6);
         assert_eq!(cell("=HYPERLINK(1)"), "\"'=HYPERLINK(1)\"");
+    }
+
+    #[test]
+    fn records_stand_beside_shares_and_say_whether_a_curator_confirmed_them() {
+        let mut answer = answer();
+        let record = |index, confirmed| v1::CreditingRecord { index, confirmed };
+        answer.contributors[0].records = vec![record(0, false), record(2, true), record(8, false)];
+        answer.contributors[2].records = (0..9).map(|index| record(index, false)).collect();
+        let said = text(&answer, 0.0);
+        assert!(said.contains(" and 1 more; confirmed by record 2; unconfirmed record 0, 8\n"), "{said}");
+        assert!(said.contains("cy: view_0.jpg 0.4 %; unconfirmed record 0, 1, 2, 3, 4 and more\n"), "{said}");
+        assert!(table(&answer).contains("\r\nphotograph,\"ada\",\"view_0.jpg\",0? 2 8?,30.0000\r\n"));
     }
 
     #[test]

@@ -4,14 +4,14 @@
 
 use crate::common::*;
 use cairn_log::{
-    Checkpoint, Digest, Registry, RegistryError,
+    Checkpoint, Digest, OwnerRecord, RecordKind, Registry, RegistryError,
     format::{
-        answer::{Answer, AnswerGap, asked_key, keys_about},
+        answer::{Answer, AnswerGap, asked_key, key_said, keys_about},
         leaf::Leaf,
         map::list_root,
         map_leaf::Entry,
         merkle::{self, leaf_hash},
-        record::photographs_root,
+        record::{Digests, Identity, photographs_root},
     },
     log::store::FaultyStore,
 };
@@ -30,7 +30,7 @@ fn with_views(registry: &Registry, by: u8, scene: &str, views: std::ops::Range<u
     views.sort_unstable();
     let mut r = record(registry, &owner(by), scene, &format!("{by} {}", registry.size()));
     r.digests.photographs = Some(photographs_root(&views));
-    r.views = Some(views);
+    (r.kind, r.views) = (RecordKind::Contribution, Some(views));
     take(registry, &r.seal(&owner(by)).unwrap()).unwrap().index
 }
 
@@ -57,6 +57,17 @@ fn held_to_the_rule(registry: &Registry, scene: &str, view: Option<&Digest>) -> 
         let record = answer.records.iter().find(|record| record.index == entry.index).unwrap();
         assert_eq!(leaf_hash(&record.leaf), entry.leaf_hash);
         for key in keys_about(&Leaf::decode(&record.leaf).unwrap()) {
+            list(key);
+        }
+        let said = record.envelope.as_ref().map(|envelope| OwnerRecord::parse(&envelope.payload).unwrap());
+        if let Some(key) = said.as_ref().and_then(key_said) {
+            list(key);
+        }
+    }
+    for binding in answer.records.iter().filter(|record| record.leaf[1] == RecordKind::Binding.code()) {
+        let Some(envelope) = &binding.envelope else { continue };
+        list(key_said(&OwnerRecord::parse(&envelope.payload).unwrap()).unwrap());
+        for key in keys_about(&Leaf::of(envelope).unwrap()) {
             list(key);
         }
     }
@@ -87,6 +98,32 @@ fn an_answer_holds_what_the_rule_asks_for_as_the_log_grows_and_after_a_restart()
             registry = open(&store.crash());
         }
     }
+}
+
+#[test]
+fn an_answer_holds_the_bindings_of_its_contributors_names_also_of_a_view() {
+    let store = FaultyStore::new();
+    let mut registry = open(&store);
+    let one = with_views(&registry, 1, "fern", 0..3);
+    let bind = |registry: &Registry, scene: &str, name: &str| {
+        let identity = Identity { key: Some(owner(1).public()), ..Identity::named(name) };
+        let mut r = record(registry, &owner(7), scene, &format!("{scene} {name}"));
+        (r.kind, r.identity, r.digests, r.seed) = (RecordKind::Binding, identity, Digests::default(), None);
+        take(registry, &r.seal(&owner(7)).unwrap()).unwrap().index
+    };
+    let bound = bind(&registry, "fern", "Ada");
+    let (another, elsewhere) = (bind(&registry, "fern", "Bea"), bind(&registry, "trex", "Ada"));
+    for _ in 0..2 {
+        assert_eq!(held_to_the_rule(&registry, "fern", Some(&photograph(1))), [one]);
+        assert_eq!(held_to_the_rule(&registry, "fern", None), [one, bound, another]);
+        let answer = registry.answer("fern", Some(&photograph(1)), None, usize::MAX).unwrap();
+        let indices: Vec<u64> = answer.records.iter().map(|record| record.index).collect();
+        assert!(indices.contains(&bound) && !indices.contains(&another) && !indices.contains(&elsewhere));
+        registry.publish().unwrap();
+        registry = open(&store.crash());
+    }
+    registry.erase_index(bound).unwrap();
+    held_to_the_rule(&registry, "fern", Some(&photograph(1)));
 }
 
 #[test]

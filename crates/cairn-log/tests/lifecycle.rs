@@ -114,9 +114,9 @@ fn each_rule_refuses_by_name_and_leaves_no_trace() {
         ("kind", |r| r.kind = RecordKind::Dispute, |e| is_field(e, "replaces")),
         ("digest", |r| r.digests.detector = None, |e| is_field(e, "digests.detector")),
         ("seed", |r| r.seed = None, |e| is_field(e, "seed")),
-        ("identity", |r| r.identity.number = 0, |e| is_field(e, "identity.number")),
+        ("identity", |r| r.identity.number = Some(0), |e| is_field(e, "identity.number")),
         ("blank", |r| r.scene = " fern".into(), |e| is_field(e, "scene")),
-        ("version", |r| r.version = 2, |e| matches!(e, RegistryError::Record(RecordError::Version { got: 2, .. }))),
+        ("version", |r| r.version = 3, |e| matches!(e, RegistryError::Record(RecordError::Version { got: 3, .. }))),
     ];
     for (name, change, right) in cases {
         let mut record = record(&registry, &owner(1), "fern", "a");

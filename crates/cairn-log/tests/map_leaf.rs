@@ -30,7 +30,7 @@ fn record(kind: RecordKind) -> OwnerRecord {
         origin: ORIGIN.into(),
         scene: "liberty".into(),
         scene_salt: Digest::of("salt"),
-        identity: Identity { number: 3, contributor: "Ada".into() },
+        identity: Identity::numbered(3, "Ada"),
         owner_key: key(1).public(),
         digests: Digests { photographs: Some(photographs_root(&views())), ..Digests::default() },
         seed: None,
@@ -84,7 +84,7 @@ fn leaves_are_told_apart_by_their_kind_byte() {
     assert!(LeafError::IsMap.to_string().contains("kind 7"));
     assert_eq!(MapLeaf::decode(&leaf.encode()), Err(LeafError::IsRecord { got: 2 }));
     for (at, value, error) in
-        [(0, 2, LeafError::Version { got: 2 }), (1, 8, LeafError::Kind { got: 8 }), (1, 0, LeafError::Kind { got: 0 })]
+        [(0, 2, LeafError::Version { got: 2 }), (1, 9, LeafError::Kind { got: 9 }), (1, 0, LeafError::Kind { got: 0 })]
     {
         let mut bytes = map.encode();
         bytes[at] = value;
@@ -137,10 +137,16 @@ fn a_record_is_listed_under_everything_that_it_concerns() {
     };
     let scene = MapKey::scene("liberty");
     let plain = record(RecordKind::Contribution);
-    assert_eq!(keys_of(&plain, None), [scene]);
+    let named = MapKey::contributor("liberty", "Ada");
+    assert_eq!(keys_of(&plain, None), sorted(vec![scene, named]));
+    assert_ne!(named, MapKey::contributor("liberty", "Bea"));
+    // Bindings of the name are found by themselves, however many claim it.
+    let identity = Identity { key: Some(key(7).public()), ..Identity::named("Ada") };
+    let binding = OwnerRecord { identity, ..record(RecordKind::Binding) };
+    assert_eq!(keys_of(&binding, None), sorted(vec![scene, MapKey::binding("liberty", "Ada")]));
     let seen = OwnerRecord { views: Some(views()), ..plain };
     let mut expected: Vec<_> = views().iter().map(|view| MapKey::view("liberty", view)).collect();
-    expected.push(scene);
+    expected.extend([scene, named]);
     assert_eq!(keys_of(&seen, None), sorted(expected));
     let own = MapKey::ended(&key(1).public().id());
     let revocation = record(RecordKind::Revocation);

@@ -19,7 +19,7 @@ fn record() -> OwnerRecord {
         origin: "cairn.example/log".into(),
         scene: "liberty".into(),
         scene_salt: Digest::of("salt"),
-        identity: Identity { number: 3, contributor: "Ada \u{201c}the Lens\u{201d} Meyer".into() },
+        identity: Identity::numbered(3, "Ada \u{201c}the Lens\u{201d} Meyer"),
         owner_key: owner(1).public(),
         digests: Digests { photographs: Some(Digest::of("photographs")), ..Digests::default() },
         seed: Some(u64::MAX - 1),
@@ -80,8 +80,8 @@ fn reading_is_strict() {
         assert!(error.contains(part), "{part}: {error}");
     }
     // A later version is refused as such, whatever its fields.
-    let later = refused(r#"{"version":2,"anything":true}"#.into());
-    assert_eq!(later, RecordError::Version { what: "owner record", got: 2, expected: 1 });
+    let later = refused(r#"{"version":3,"anything":true}"#.into());
+    assert_eq!(later, RecordError::Version { what: "owner record", got: 3, expected: 2 });
     // A key of small order in the body.
     let weak = good.replace(&owner(1).public().to_string(), &"0".repeat(64));
     assert!(refused(weak).to_string().contains("small order"));
@@ -91,15 +91,17 @@ fn reading_is_strict() {
 fn each_kind_asks_for_what_it_is_about() {
     for (kind, missing) in [
         (RecordKind::Claim, "digests.marked_field"),
-        (RecordKind::Training, "digests.marked_field"),
+        (RecordKind::Training, "digests.share_table"),
+        (RecordKind::Binding, "identity.key"),
         (RecordKind::Rotation, "replaces"),
         (RecordKind::Dispute, "replaces"),
     ] {
-        let wrong = OwnerRecord { kind, ..record() };
+        let identity = if kind == RecordKind::Binding { Identity::named("Ada") } else { record().identity };
+        let wrong = OwnerRecord { kind, identity, ..record() };
         assert!(matches!(wrong.check(), Err(RecordError::Field { field, .. }) if field == missing), "{kind:?}");
         assert_eq!(RecordKind::from_code(kind.code()), Some(kind));
     }
-    assert_eq!((RecordKind::from_code(0), RecordKind::from_code(7)), (None, None));
+    assert_eq!((RecordKind::from_code(0), RecordKind::from_code(7), RecordKind::from_code(9)), (None, None, None));
 }
 
 #[test]
@@ -109,7 +111,7 @@ fn a_claim_binds_the_mark_and_the_photographs() {
         detector: Some(Digest::of("detector")),
         hidden_signal: Some(Digest::of("signal")),
         photographs: Some(Digest::of("photographs")),
-        training_configuration: None,
+        ..Digests::default()
     };
     let claim = |digests| OwnerRecord { kind: RecordKind::Claim, digests, ..record() }.check();
     claim(whole.clone()).unwrap();
@@ -122,6 +124,68 @@ fn a_claim_binds_the_mark_and_the_photographs() {
         let refused = claim(digests).unwrap_err();
         assert!(matches!(refused, RecordError::Field { field, .. } if field == missing), "{missing}: {refused}");
     }
+    // Without an identity's number a claim is about photographs, and about nothing else.
+    let photographs = Digests { photographs: whole.photographs, ..Digests::default() };
+    let identity = Identity::named("Ada");
+    OwnerRecord { kind: RecordKind::Claim, digests: photographs, identity: identity.clone(), ..record() }
+        .check()
+        .unwrap();
+    let none = OwnerRecord { kind: RecordKind::Claim, digests: Digests::default(), identity, ..record() }.check();
+    assert!(matches!(none, Err(RecordError::Field { field: "digests.photographs", .. })), "{none:?}");
+}
+
+#[test]
+fn a_training_names_its_share_table_and_a_whole_mark_or_none() {
+    let some = Some(Digest::of("a file"));
+    let training = |change: fn(&mut Digests)| {
+        let mut digests = Digests { share_table: some, training_configuration: some, ..Digests::default() };
+        change(&mut digests);
+        match (OwnerRecord { kind: RecordKind::Training, digests, ..record() }).check() {
+            Err(RecordError::Field { field, .. }) => field,
+            Err(e) => panic!("{e}"),
+            Ok(()) => "",
+        }
+    };
+    assert_eq!(training(|_| {}), "", "a base field alone has no mark");
+    assert_eq!(training(|d| (d.marked_field, d.detector) = (d.share_table, d.share_table)), "");
+    assert_eq!(training(|d| d.marked_field = d.share_table), "digests.detector");
+    assert_eq!(training(|d| d.detector = d.share_table), "digests.marked_field");
+    assert_eq!(training(|d| d.share_table = None), "digests.share_table");
+    assert_eq!(training(|d| d.training_configuration = None), "digests.training_configuration");
+}
+
+#[test]
+fn a_binding_is_about_a_name_and_a_key_alone() {
+    let of = |identity| OwnerRecord { kind: RecordKind::Binding, digests: Digests::default(), identity, ..record() };
+    let binding = of(Identity { key: Some(owner(7).public()), ..Identity::named("Ada") });
+    let sealed = binding.seal(&owner(1)).unwrap();
+    assert_eq!(OwnerRecord::open(&sealed).unwrap().0, binding);
+    assert_eq!(Leaf::of(&sealed).unwrap().encode()[..2], [1, 8]);
+    assert!(!RecordKind::Binding.credits());
+    let photograph = Digest::of("photograph");
+    let root = photographs_root(&[photograph]);
+    let views = OwnerRecord {
+        views: Some(vec![photograph]),
+        digests: Digests { photographs: Some(root), ..Digests::default() },
+        ..binding.clone()
+    };
+    let numbered = Identity { key: binding.identity.key, ..Identity::numbered(1, "Ada") };
+    for (wrong, name) in [
+        (of(Identity::named("Ada")), "identity.key"),
+        (
+            OwnerRecord { kind: RecordKind::Contribution, identity: binding.identity.clone(), ..record() },
+            "identity.key",
+        ),
+        (of(numbered), "identity.number"),
+        (OwnerRecord { replaces: Some(photograph), ..binding.clone() }, "replaces"),
+        (views, "views"),
+    ] {
+        let refused = wrong.check();
+        assert!(matches!(refused, Err(RecordError::Field { field, .. }) if field == name), "{name}: {refused:?}");
+    }
+    // A key of small order would sign for anybody.
+    let weak = serde_json::to_string(&binding).unwrap().replace(&owner(7).public().to_string(), &"0".repeat(64));
+    assert!(OwnerRecord::parse(weak.as_bytes()).unwrap_err().to_string().contains("small order"));
 }
 
 #[test]
@@ -138,7 +202,7 @@ fn a_leaf_is_162_bytes_in_the_documented_order() {
     assert_eq!(Leaf::decode(&bytes).unwrap(), leaf);
     assert_eq!(leaf.hash(), Digest::of([&[0][..], &bytes].concat()));
     assert!(Leaf::decode(&bytes[..161]).is_err());
-    for (at, value) in [(0, 0), (0, 2), (1, 0), (1, 7)] {
+    for (at, value) in [(0, 0), (0, 2), (1, 0), (1, 7), (1, 9)] {
         let mut wrong = bytes;
         wrong[at] = value;
         assert!(Leaf::decode(&wrong).is_err());

@@ -50,6 +50,9 @@ pub struct View {
     pub camera: Camera,
     /// Who took it; [`UNKNOWN_CONTRIBUTOR`] where no table was given.
     pub contributor: String,
+    /// The public key (Ed25519) that the table of contributors gives for who took it, the same for all of theirs; whether
+    /// it is a key is not looked at here. It is what a curator may bind the name to, and binds nothing by itself.
+    pub contributor_key: Option<[u8; 32]>,
     /// Where the photograph lies, relative to [`Capture::root`], or absolute.
     pub photograph: PathBuf,
     /// Whether the photograph's pixels are meant as they are stored, without EXIF orientation, where both ways have the

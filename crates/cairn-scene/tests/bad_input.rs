@@ -377,6 +377,24 @@ fn contributor_tables() {
     refuses(with("picture,person\n1.png,ana\n"), &["line 2", "image", "heading"]);
     refuses(with(&format!("{head}3.png\n")), &["line 4"]);
     refuses(with(""), &["photographs 1.png, 2.png, 3.png", "no row"]);
+    // A third column: any row of a contributor's has the key of all of theirs.
+    let (one, two) = ("0b".repeat(32), "0c".repeat(32));
+    let keyed = |rows: &str| with(&format!("image,contributor,key\n{rows}"));
+    let good = keyed(&format!("1.png,ana,\n2.png,ben,\n3.png,ana,{one}\n")).unwrap();
+    assert_eq!(
+        good.views.iter().map(|v| v.contributor_key).collect::<Vec<_>>(),
+        [Some([11; 32]), None, Some([11; 32])]
+    );
+    for (rows, parts) in [
+        (
+            format!("1.png,ana,{one}\n2.png,ben,\n3.png,ana,{two}\n"),
+            ["line 4 (3.png)", "\"ana\" has another key in line 2"],
+        ),
+        (format!("1.png,ana,{}\n2.png,ben,\n3.png,ana,\n", &one[2..]), ["line 2 (1.png)", "is no public key"]),
+        (format!("1.png,ana,{}g\n2.png,ben,\n3.png,ana,\n", &one[1..]), ["line 2 (1.png)", "64 hexadecimal digits"]),
+    ] {
+        refuses(keyed(&rows), &parts);
+    }
     fs::remove_file(&table).unwrap();
     let options = ReadOptions { contributors: Some(table), ..Default::default() };
     refuses(Capture::read(folder.path(), &options), &["cannot open", "who.csv"]);

@@ -17,7 +17,8 @@ fn listing(dir: &Path) -> Vec<String> {
 
 fn capture_with_contributors(folder: &Path) -> Capture {
     let table = folder.join("who.csv");
-    fs::write(&table, "image,contributor\n1.png,ana\n2.png,ben\n3.png,ana\n").unwrap();
+    fs::write(&table, format!("image,contributor,key\n1.png,ana,{}\n2.png,ben,\n3.png,ana,\n", "0b".repeat(32)))
+        .unwrap();
     Capture::read(folder, &ReadOptions { contributors: Some(table), hold_out: Some(8), ..Default::default() }).unwrap()
 }
 
@@ -39,8 +40,8 @@ fn what_comes_back_is_what_went_in_to_the_bit() {
     for (stored, view) in opened.capture().views.iter().zip(&capture.views) {
         assert_eq!(stored.camera, view.camera);
         assert_eq!(
-            (&stored.name, &stored.contributor, stored.held_out),
-            (&view.name, &view.contributor, view.held_out)
+            (&stored.name, &stored.contributor, stored.contributor_key, stored.held_out),
+            (&view.name, &view.contributor, view.contributor_key, view.held_out)
         );
     }
     let digest: [u8; 32] = Sha256::digest(photograph()).into();
@@ -48,6 +49,24 @@ fn what_comes_back_is_what_went_in_to_the_bit() {
     assert_eq!(opened.photograph(2).unwrap(), opened.capture().photograph(2).unwrap());
     assert_eq!(listing(dir.path()), ["square"]);
     assert_eq!(listing(&dir.path().join("square")), ["manifest.json", "photographs", "points.bin", "scene.json"]);
+}
+
+#[test]
+fn a_contributor_has_one_key_in_all_views_or_none() {
+    let (source, dir) = (Colmap::small().folder(), tempfile::tempdir().unwrap());
+    SceneFolder::create(dir.path(), "square", &capture_with_contributors(source.path())).unwrap();
+    let path = dir.path().join("square/scene.json");
+    let good: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    assert_eq!(good["views"][2]["contributor_key"], "0b".repeat(32));
+    let with = |key: serde_json::Value| {
+        let mut bad = good.clone();
+        bad["views"][2]["contributor_key"] = key;
+        fs::write(&path, bad.to_string()).unwrap();
+        SceneFolder::open(dir.path(), "square")
+    };
+    refuses(with("0c".repeat(32).into()), &["view 2 (3.png)", "one key for each contributor", "\"ana\""]);
+    refuses(with(serde_json::Value::Null), &["view 2 (3.png)", "one key for each contributor"]);
+    refuses(with("0B".repeat(32).into()), &["view 2 (3.png)", "64 lower-case hexadecimal digits"]);
 }
 
 #[test]

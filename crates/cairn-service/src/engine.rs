@@ -25,14 +25,16 @@ use crate::query::look::{self, FieldRegistration, Identified, Who};
 use crate::query::maps::Maps;
 use crate::query::necessity::{Question, Said};
 use crate::query::report::Report;
+use crate::query::statement::{self, Signer};
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
-use crate::records::owners::{self, AskedView, Material};
+use crate::records::credits::LookUp;
+use crate::records::owners::{self, About, AskedView, Material};
 use crate::records::publisher::Publisher;
 use crate::records::{anchor, registry_key};
 use crate::store::access::Access;
 use crate::store::exclusions::{Decision, Exclusions, leaving_out};
 use crate::store::folder::{DataFolder, LAYOUT};
-use crate::store::import::{Import, ImportPlan, Imported};
+use crate::store::import::{self, Import, ImportPlan, Imported};
 use crate::store::model::{self, Model, ModelInfo};
 use crate::store::scenes;
 use crate::store::shadow::{self, Shadow};
@@ -214,6 +216,7 @@ impl Engine {
     /// For a name that is taken or not allowed, a photograph that does not decode, and the file system's.
     pub fn import_capture(&self, name: &str, capture: &Capture) -> Result<Imported, EngineError> {
         scenes::check_scene_name(name)?;
+        import::check_keys(capture.views.iter())?;
         let place = self.access.place(name, self.folder.scenes().join(name))?;
         self.access.announce(&place, None)?;
         Imported::store(&self.folder.scenes(), name, capture)
@@ -389,15 +392,26 @@ impl Engine {
         poses::draw_poses(scene, &folder, grouping, self.newest_model(scene)?)
     }
 
-    /// Who contributed to a place.
+    /// Who contributed to a place, and which records credit them.
     ///
     /// # Errors
-    /// As [`coverage::contributors`]; [`EngineError::NotTrained`].
+    /// As [`coverage::contributors`]; [`EngineError::NotTrained`]; the registry's.
     pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<Contributors, EngineError> {
         let snapshot = self.snapshot(scene)?;
-        let place = look::place_of(&snapshot, &asked.viewpoint, &self.limits)?;
-        let (mark, model) = (self.with_records(&snapshot, place)?, self.current_model(&snapshot)?);
-        coverage::contributors(&model, &snapshot, asked, mark, &self.limits)
+        let mut found = self.shown_by(&snapshot, asked)?;
+        let mut look_up = LookUp::new(&self.registry, scene);
+        for of in &mut found.shares {
+            let photographs = of.photographs.iter().map(|(view, _)| snapshot.photograph_of(view));
+            of.credits = look_up.of(&of.name, &photographs.collect::<Result<Vec<_>, _>>()?)?;
+        }
+        Ok(found)
+    }
+
+    /// Who contributed to a place of the scene as `snapshot` has it, without their records.
+    fn shown_by(&self, snapshot: &SceneSnapshot, asked: &Asked) -> Result<Contributors, EngineError> {
+        let place = look::place_of(snapshot, &asked.viewpoint, &self.limits)?;
+        let (mark, model) = (self.with_records(snapshot, place)?, self.current_model(snapshot)?);
+        coverage::contributors(&model, snapshot, asked, mark, &self.limits)
     }
 
     /// How much a view would change without some contributors. `goes_on` hears the cost first, then how far it is, then
@@ -476,12 +490,12 @@ impl Engine {
         evaluate::evaluate(&*self.model(scene)?, &*self.snapshot(scene)?, sheet)
     }
 
-    /// What a record about an identity of the newest model has to state.
+    /// What a record about an identity of the newest model, or about a contributor's photographs, has to state.
     ///
     /// # Errors
     /// As [`owners::material`].
-    pub fn material(&self, scene: &str, identity: u32) -> Result<Material, EngineError> {
-        owners::material(&*self.snapshot(scene)?, &self.folder.models(), identity)
+    pub fn material(&self, scene: &str, about: &About) -> Result<Material, EngineError> {
+        owners::material(&*self.snapshot(scene)?, &self.folder.models(), about)
     }
 
     /// Takes a record in; see [`owners::submit`].
@@ -504,10 +518,11 @@ impl Engine {
         Ok(self.registry.nonce(scene, &owner)?.to_string())
     }
 
-    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
+    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes; with
+    /// a signed statement of shares for a view of a scene that was trained.
     ///
     /// # Errors
-    /// As [`owners::photograph_of`] and [`owners::complete_answer`].
+    /// As [`owners::photograph_of`], [`owners::complete_answer`] and [`coverage::contributors`].
     pub fn complete_answer(
         &self,
         scene: &str,
@@ -515,12 +530,32 @@ impl Engine {
         as_of: Option<&str>,
         most: usize,
     ) -> Result<Vec<u8>, EngineError> {
-        let photograph = match view {
-            None => None,
-            Some(AskedView::Photograph(digest)) => Some(digest),
-            Some(AskedView::Named(name)) => Some(owners::photograph_of(&*self.snapshot(scene)?, &name)?),
+        let (photograph, snapshot, view) = match view {
+            None => (None, None, None),
+            Some(AskedView::Photograph(digest)) => {
+                // The log outlives scenes.
+                let snapshot =
+                    if self.folder.scenes().join(scene).is_dir() { Some(self.snapshot(scene)?) } else { None };
+                let view = snapshot.as_ref().and_then(|snapshot| snapshot.view_of(&digest)).map(str::to_owned);
+                (Some(digest), snapshot, view)
+            }
+            Some(AskedView::Named(name)) => {
+                let snapshot = self.snapshot(scene)?;
+                let photograph = owners::photograph_of(&snapshot, &name)?;
+                let view = snapshot.full_name(&name)?.to_owned();
+                (Some(photograph), Some(snapshot), Some(view))
+            }
         };
-        owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most)
+        let (Some(snapshot), Some(view)) = (snapshot.filter(|s| s.newest.is_some()), view) else {
+            return owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most, None);
+        };
+        let found = self.shown_by(&snapshot, &Asked::about(Viewpoint::View(view.clone())))?;
+        let (origin, key) = (self.registry.origin(), self.registry.public_key());
+        let shares = |checkpoint| {
+            let signer = Signer { origin, key, checkpoint };
+            statement::shares(&snapshot, snapshot.info()?, &view, &found, signer)
+        };
+        owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most, Some(&shares))
     }
 
     /// The offline proof of a record (C2SP tlog-proof): index, inclusion hashes, the newest checkpoint, or the newest one

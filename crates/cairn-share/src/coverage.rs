@@ -44,6 +44,11 @@ impl Sharpness {
     fn of(self, squared: f32) -> f32 {
         (1..self.power.trailing_zeros()).fold(squared, |power, _| power * power)
     }
+
+    /// The power.
+    pub const fn power(self) -> u32 {
+        self.power
+    }
 }
 
 impl Default for Sharpness {

@@ -148,6 +148,17 @@ impl ShareTable {
         (&self.of[range.clone()], &self.codes[range])
     }
 
+    /// The rows that photograph `number` shows, rising, and what it shows of each, pixels, as it was rounded.
+    pub fn of_photograph(&self, number: usize) -> Vec<(u32, f32)> {
+        let known = weights();
+        let of_row = |row: usize| {
+            let (of, codes) = self.of_row(row);
+            of.iter().position(|of| usize::from(*of) == number).map(|at| codes[at])
+        };
+        let shown = (0..self.rows()).filter_map(|row| Some((row as u32, known[usize::from(of_row(row)?)])));
+        shown.collect()
+    }
+
     /// Refuses another field than the one that the photographs taught.
     ///
     /// # Errors
@@ -256,6 +267,8 @@ mod tests {
             [vec![], vec![(0, 1.0), (2, 0.5)], vec![], vec![(0, 2.0)], vec![(2, 8.0)],]
         );
         assert_eq!(table.entries(), [2, 0, 2]);
+        let of_photographs = [0, 1, 2].map(|number| table.of_photograph(number));
+        assert_eq!(of_photographs, [vec![(1, 1.0), (3, 2.0)], vec![], vec![(1, 0.5), (4, 8.0)]]);
         let bytes = table.to_bytes().unwrap();
         assert_eq!(ShareTable::read_from(&mut std::io::Cursor::new(&bytes)).unwrap(), table);
         for end in 0..bytes.len() {

@@ -125,13 +125,13 @@ fn check_envelope(json: &[u8], digest: &mut Option<Digest>, findings: &mut Findi
             let (code, expected) = match &e {
                 RecordError::Envelope(DsseError::PayloadType { .. }) => (Code::EnvelopeTypeUnknown, PAYLOAD_TYPE),
                 RecordError::Envelope(_) => (Code::EnvelopeMalformed, "a DSSE envelope"),
-                RecordError::Version { .. } => (Code::RecordVersionUnknown, "version 1"),
+                RecordError::Version { .. } => (Code::RecordVersionUnknown, "version 2"),
                 RecordError::OwnerSignature { .. } => (Code::OwnerSignatureInvalid, "a signature by the owner named"),
                 RecordError::Json { .. } if owner_key_is_weak(&envelope.payload) => {
                     (Code::KeySmallOrder, "a key of prime order")
                 }
                 RecordError::Json { .. } | RecordError::Field { .. } => {
-                    (Code::RecordMalformed, "an owner record of version 1")
+                    (Code::RecordMalformed, "an owner record of version 2")
                 }
             };
             findings.add(code, "envelope, payload", expected, e);
@@ -227,6 +227,18 @@ fn check_files(record: &OwnerRecord, evidence: &Evidence<'_>, findings: &mut Fin
             &evidence.marked_field,
             "marked_field",
             [Code::MarkedFieldMatch, Code::MarkedFieldMismatch, Code::MarkedFieldUnchecked],
+        ),
+        (
+            digests.base_field,
+            &evidence.base_field,
+            "base_field",
+            [Code::BaseFieldMatch, Code::BaseFieldMismatch, Code::BaseFieldUnchecked],
+        ),
+        (
+            digests.share_table,
+            &evidence.share_table,
+            "share_table",
+            [Code::ShareTableMatch, Code::ShareTableMismatch, Code::ShareTableUnchecked],
         ),
         (
             digests.detector,

@@ -98,6 +98,18 @@ codes! {
     MarkedFieldMismatch = "digest.marked_field.mismatch", Error, "use the marked field that the record is about, or the record of this one";
     /// The record names a marked field, and none is in hand.
     MarkedFieldUnchecked = "digest.marked_field.unchecked", Info, "hand in the file (--field, --against) to have it compared";
+    /// The base field in hand is the record's.
+    BaseFieldMatch = "digest.base_field.match", Passed, "";
+    /// The base field in hand is another.
+    BaseFieldMismatch = "digest.base_field.mismatch", Error, "use the base field that the record is about, or the record of this one";
+    /// The record names a base field, and none is in hand.
+    BaseFieldUnchecked = "digest.base_field.unchecked", Info, "hand in the file (--base-field, --against) to have it compared";
+    /// The share table in hand is the record's.
+    ShareTableMatch = "digest.share_table.match", Passed, "";
+    /// The share table in hand is another.
+    ShareTableMismatch = "digest.share_table.mismatch", Error, "use the share table that the record is about, or the record of this one";
+    /// The record names a share table, and none is in hand.
+    ShareTableUnchecked = "digest.share_table.unchecked", Info, "hand in the file (--share-table, --against) to have it compared";
     /// The detector in hand is the record's.
     DetectorMatch = "digest.detector.match", Passed, "";
     /// The detector in hand is another.
@@ -113,7 +125,7 @@ codes! {
     /// The photographs in hand are the record's.
     PhotographsMatch = "digest.photographs.match", Passed, "";
     /// The photographs in hand are others, or not all of them.
-    PhotographsMismatch = "digest.photographs.mismatch", Error, "hand in all photographs of the cluster, unchanged (`cairn owners show` names them). Where they were scaled at import, the record is about the scene's copies (--against)";
+    PhotographsMismatch = "digest.photographs.mismatch", Error, "hand in all photographs of the record, unchanged (`cairn owners show` names them). Where they were scaled at import, the record is about the scene's copies (--against)";
     /// The record names photographs, and none are in hand.
     PhotographsUnchecked = "digest.photographs.unchecked", Info, "hand in the photographs (--photographs, --against) to have them compared";
     /// The training configuration in hand is the record's.
@@ -316,6 +328,44 @@ codes! {
     AnswerRecordReplaced = "answer.record.replaced", Info, "";
     /// The owner's key had ended before the record.
     AnswerRecordKeyEnded = "answer.record.key_ended", Warning, "do not count this record";
+    /// A curator bound the contributor's name to the owner's key, or to one that rotations join with it.
+    AnswerRecordConfirmed = "answer.record.confirmed", Passed, "";
+    /// No curator bound the contributor's name to the owner's key: anybody may have entered the record.
+    AnswerRecordUnconfirmed = "answer.record.unconfirmed", Warning, "ask who curates the scene whether the key is the contributor's; they say so by `cairn owners bind`";
+    /// The registry signed the shares, about what was asked, and they add up.
+    SharesVerified = "shares.verified", Passed, "";
+    /// The answer about a view has no shares.
+    SharesMissing = "shares.missing", Info, "";
+    /// The statement of shares cannot be read.
+    SharesMalformed = "shares.malformed", Error, "ask for the answer about the view again (`cairn owners answer --view`)";
+    /// The pinned registry did not sign these shares.
+    SharesSignatureInvalid = "shares.signature.invalid", Error, "get the answer again; the statement was changed, or another registry made it";
+    /// The shares are of another log, scene or photograph than the answer.
+    SharesSubjectMismatch = "shares.subject.mismatch", Error, "get the answer again; it was put together from two";
+    /// The shares were signed under another checkpoint than the answer's.
+    SharesCheckpointMismatch = "shares.checkpoint.mismatch", Error, "get the answer again; it was put together from two";
+    /// The shares do not add up.
+    SharesSumMismatch = "shares.sum.mismatch", Error, "keep the answer: the registry signed what cannot be";
+    /// The file in hand is the one that the shares were worked out from.
+    SharesFileMatch = "shares.file.match", Passed, "";
+    /// The file in hand is another than the one that the shares were worked out from.
+    SharesFileMismatch = "shares.file.mismatch", Error, "use the file whose digest the statement names";
+    /// The scene's view has the statement's camera and photograph, and its photographs are their contributors'.
+    SharesCameraMatch = "shares.camera.match", Passed, "";
+    /// The scene's view has another camera or photograph.
+    SharesCameraMismatch = "shares.camera.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares are of another view";
+    /// A photograph that the statement names is another one in the scene, or another contributor's.
+    SharesPhotographMismatch = "shares.photograph.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares credit the wrong contributor";
+    /// The shares were worked out in another way than this release's.
+    SharesMethodUnknown = "shares.method.unknown", Error, "use the release that the statement was made with";
+    /// The shares are those that field, table and camera give.
+    SharesRecomputed = "shares.recomputed", Passed, "";
+    /// A share is not the one that field, table and camera give.
+    SharesRecomputedMismatch = "shares.recomputed.mismatch", Error, "keep the answer: the registry signed a share that its own field and table contradict";
+    /// What the table says of a photograph is what it teaches the field.
+    SharesRowsMatch = "shares.rows.match", Passed, "";
+    /// What the table says of a photograph is not what it teaches the field.
+    SharesRowsMismatch = "shares.rows.mismatch", Error, "keep the files: the table was not made from this field and these photographs";
     /// Something about the record changed behind the checkpoint asked for.
     AnswerChangedLater = "answer.record.changed_later", Info, "";
 }

@@ -108,11 +108,15 @@ pub struct Evidence<'a> {
     pub proof: Option<&'a str>,
     /// The marked field's file.
     pub marked_field: Option<FileInHand>,
+    /// The base field's file.
+    pub base_field: Option<FileInHand>,
+    /// The base field's share table.
+    pub share_table: Option<FileInHand>,
     /// The detector's file.
     pub detector: Option<FileInHand>,
     /// The hidden signal and its salt.
     pub hidden_signal: Option<FileInHand>,
-    /// The cluster's photographs.
+    /// The record's photographs.
     pub photographs: Option<FileInHand>,
     /// The training configuration's file.
     pub training_configuration: Option<FileInHand>,

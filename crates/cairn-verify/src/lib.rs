@@ -23,7 +23,9 @@ mod report;
 mod state;
 mod store;
 
-pub use answer::{AnswerReport, Question, RecordWorth, Standing, audit_answer, audit_answer_to};
+pub use answer::{
+    AnswerReport, Question, RecordWorth, SharesReport, Standing, audit_answer, audit_answer_to, audit_shares,
+};
 pub use check::audit;
 pub use code::{Code, Severity};
 pub use evidence::{Bundle, Evidence, EvidenceError, FileInHand, LogView, RecordInHand};

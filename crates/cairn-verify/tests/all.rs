@@ -9,5 +9,6 @@ mod audit;
 mod folders;
 mod follow;
 mod heirs;
+mod shares;
 mod store;
 mod store_heirs;

@@ -1,6 +1,6 @@
 //! Complete answers from logs made by hand: honest ones are trusted, and say what each record is worth.
 
-use crate::common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
+use crate::common::{Log, ORIGIN, SCENE, audited, binding, errors, key, log, pinned, record, registry, sealed, view};
 use cairn_log::format::{Checkpoint, RecordKind, answer::AsOf, merkle::leaf_hash, testing::Tree};
 use cairn_verify::{AnswerReport, Code, Freshness, Outcome, Question, Standing, audit_answer, audit_answer_to};
 
@@ -119,6 +119,102 @@ fn a_stolen_key_takes_nothing_back_once_it_was_ended() {
     assert_eq!(report.findings.iter().filter(|f| f.code == Code::LaterRecordInvalid).count(), 2, "{report}");
 }
 
+/// Of each record that counts for view `one`, the binding that confirms it.
+fn confirmed(log: &Log) -> Vec<(u64, Option<u64>)> {
+    let report = audited(&log.answer(Some("one")));
+    assert_eq!(report.outcome, Outcome::Trusted, "{report}");
+    assert_eq!(errors(&report), [""; 0]);
+    // A scene's answer says the same of the records that it has in common.
+    let scene = audited(&log.answer(None));
+    let of_scene = |index| scene.records.iter().find(|r| r.index == index).and_then(|r| r.confirmed_by);
+    report.credited().map(|r| (r.index, r.confirmed_by)).inspect(|(i, by)| assert_eq!(of_scene(*i), *by)).collect()
+}
+
+/// A claim of photographs alone, in a contributor's name.
+fn claim(by: u8, contributor: &str) -> cairn_log::format::Envelope {
+    let identity = cairn_log::format::record::Identity::named(contributor);
+    let of = record(RecordKind::Claim, by, &["one"], None);
+    cairn_log::format::OwnerRecord { identity, ..of }.seal(&key(by)).unwrap()
+}
+
+#[test]
+fn a_claim_is_unconfirmed_until_a_curator_binds_its_name_whoever_came_first() {
+    let mut log = Log::default();
+    // The stranger comes first.
+    log.add(claim(9, "ada"));
+    log.add(claim(1, "ada"));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, None), (1, None)]);
+    let report = audited(&log.answer(Some("one")));
+    assert_eq!(report.findings.iter().filter(|f| f.code == Code::AnswerRecordUnconfirmed).count(), 2, "{report}");
+    assert!(report.to_string().contains("counts    index 0: claim by \"ada\", unconfirmed\n"), "{report}");
+    log.add(binding(50, "ada", 1));
+    // Another name's binding, and another scene's, say nothing of hers.
+    log.add(binding(50, "bea", 9));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, None), (1, Some(3))]);
+    let report = audited(&log.answer(Some("one")));
+    assert!(report.has(Code::AnswerRecordConfirmed), "{report}");
+    assert!(report.to_string().contains("counts    index 1: claim by \"ada\", confirmed at index 3\n"), "{report}");
+}
+
+#[test]
+fn of_a_names_bindings_the_newest_that_stands_counts() {
+    let mut log = Log::default();
+    log.add(claim(1, "ada"));
+    log.add(claim(2, "ada"));
+    log.add(binding(50, "ada", 1));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, Some(2)), (1, None)]);
+    // By another curator.
+    let second = log.add(binding(51, "ada", 2));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, None), (1, Some(4))]);
+    // As of the checkpoint before, the first still counts.
+    let mut older = Log::default();
+    for envelope in log.entries[..3].iter().filter_map(|(_, envelope)| envelope.clone()) {
+        older.add(envelope);
+    }
+    let as_of = AsOf { checkpoint: older.close(), consistency: log.tree.prove_consistency(4, 6).unwrap() };
+    let report = audited(&cairn_log::format::Answer { as_of: Some(as_of), ..log.answer(Some("one")) });
+    assert_eq!(report.records.iter().map(|r| r.confirmed_by).collect::<Vec<_>>(), [Some(2), None], "{report}");
+    // Its curator takes the second back: then the first counts again. A stranger's word changes nothing.
+    log.add(sealed(RecordKind::Revocation, 9, &[], Some(second)));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, None), (1, Some(4))]);
+    log.add(sealed(RecordKind::Revocation, 51, &[], Some(second)));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, Some(2)), (1, None)]);
+    // One that was erased says nothing any more, and hides none that came after it.
+    log.entries[2].1 = None;
+    assert_eq!(confirmed(&log), [(0, None), (1, None)]);
+    log.add(binding(50, "ada", 1));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, Some(10)), (1, None)]);
+}
+
+#[test]
+fn a_binding_holds_for_the_keys_that_rotations_join() {
+    let mut log = Log::default();
+    let first = log.add(claim(1, "ada"));
+    log.add(binding(50, "ada", 1));
+    let mut rotation = sealed(RecordKind::Rotation, 2, &[], Some(first));
+    rotation.sign(&key(1));
+    log.add(rotation);
+    let second = log.add(claim(2, "ada"));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, Some(1)), (3, Some(1))]);
+    // Bound anew to the key in its place; and once that ended, what it signed stays confirmed.
+    log.add(binding(50, "ada", 2));
+    log.add(sealed(RecordKind::Revocation, 2, &[], None));
+    log.close();
+    assert_eq!(confirmed(&log), [(0, Some(5)), (3, Some(5))]);
+    // A rotation that the old key did not sign joins nothing, whatever the map says.
+    log.add(sealed(RecordKind::Rotation, 9, &[], Some(second)));
+    log.close();
+    assert_eq!(errors(&audited(&log.answer(Some("one")))), ["answer.record.foreign"]);
+}
+
 #[test]
 fn an_erased_record_keeps_its_place_and_loses_its_name() {
     let (mut log, _) = log();
@@ -183,7 +279,7 @@ fn answer_reports_are_readable_by_people_and_by_programs() {
         "trusted\n",
         "who contributed to scene \"liberty\", as of log size 12\n",
         "3 of 8 records count\n",
-        "counts    index 1: contribution by \"contributor 2\", identity 2, disputed at index 4\n",
+        "counts    index 1: contribution by \"contributor 2\", identity 2, unconfirmed, disputed at index 4\n",
         "no credit index 4: dispute naming \"contributor 5\", identity 5\n",
         "revoked   index 5:",
         "map.membership.proven",

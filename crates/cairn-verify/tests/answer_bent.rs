@@ -1,6 +1,6 @@
 //! Complete answers that somebody bent: every way to leave out, put in or exchange something has its code.
 
-use crate::common::{Log, ORIGIN, SCENE, audited, errors, key, log, pinned, registry, sealed, view};
+use crate::common::{Log, ORIGIN, SCENE, audited, binding, errors, key, log, pinned, registry, sealed, view};
 use cairn_log::format::{
     Answer, Checkpoint, Digest, Entry, Leaf, MapKey, MapLeaf, MapTree, RecordKind,
     answer::{AsOf, List, ListedRecord, Source as _, keys_about},
@@ -40,7 +40,8 @@ fn what_is_left_out_is_missed() {
     let codes = bent(|a, log| {
         list_at(a, asked_two()).entries.retain(|e| e.index != 1);
         let leaf = Leaf::decode(&log.entries[1].0.encode()).unwrap();
-        let keys = keys_about(&leaf);
+        let [about, ended] = keys_about(&leaf);
+        let keys = [about, ended, MapKey::binding(SCENE, "contributor 2")];
         a.lists.retain(|list| !keys.contains(&list.key));
         a.records.retain(|r| ![1, 4].contains(&r.index));
     });
@@ -57,6 +58,40 @@ fn what_is_left_out_is_missed() {
         a.records.retain(|r| r.index != 4);
     });
     assert_eq!(codes, ["answer.incomplete"]);
+}
+
+#[test]
+fn a_binding_that_is_left_out_is_missed() {
+    let (mut log, _) = log();
+    log.add(binding(50, "contributor 1", 1));
+    log.close();
+    let answer = log.answer(Some("one"));
+    assert_eq!(audited(&answer).records[0].confirmed_by, Some(12));
+    let without = |bend: &dyn Fn(&mut Answer)| {
+        let mut bent = answer.clone();
+        bend(&mut bent);
+        errors(&audited(&bent))
+    };
+    let key = MapKey::binding(SCENE, "contributor 1");
+    assert_eq!(without(&|a| a.records.retain(|r| r.index != 12)), ["answer.list.foreign", "answer.record.missing"]);
+    assert!(without(&|a| a.lists.retain(|list| list.key != key)).contains(&"answer.incomplete"));
+    assert_eq!(without(&|a| a.lists.retain(|list| list.key != MapKey::ended(&key_id(50)))), ["answer.incomplete"]);
+    // Thoroughly: as if the name had never been bound.
+    let codes = without(&|a| {
+        list_at(a, key).entries.clear();
+        let about = MapKey::about(&a.records.iter().find(|r| r.index == 12).map(digest_of).unwrap());
+        a.lists.retain(|list| ![about, MapKey::ended(&key_id(50))].contains(&list.key));
+        a.records.retain(|r| r.index != 12);
+    });
+    assert_eq!(codes, ["map.proof.failed"]);
+}
+
+fn key_id(number: u8) -> Digest {
+    key(number).public().id()
+}
+
+fn digest_of(record: &ListedRecord) -> Digest {
+    Leaf::decode(&record.leaf).unwrap().record
 }
 
 #[test]
@@ -202,7 +237,7 @@ fn answers_are_read_strictly() {
         assert_ne!(changed, json, "{from}");
         errors(&audit_answer(changed.as_bytes(), Some(&pinned())))
     };
-    assert_eq!(with("cairn-answer/2", "cairn-answer/3"), ["answer.format.unknown"]);
+    assert_eq!(with("cairn-answer/3", "cairn-answer/4"), ["answer.format.unknown"]);
     assert_eq!(with("{", r#"{"more":1,"#), ["answer.malformed"]);
     assert_eq!(with(r#""scene":"liberty""#, r#""scene":"liberty ""#), ["answer.malformed"]);
     assert_eq!(with(r#""leaf":""#, r#""leaf":"AA"#), ["answer.malformed"]);

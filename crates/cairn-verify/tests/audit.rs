@@ -14,6 +14,8 @@ use cairn_verify::{
 const ORIGIN: &str = "cairn.example/log";
 const FIELD: &[u8] = b"the marked field's bytes";
 const DETECTOR: &[u8] = b"the detector's bytes";
+const BASE_FIELD: &[u8] = b"base field";
+const SHARE_TABLE: &[u8] = b"share table";
 const SIGNAL: &[u8] = b"credit";
 const CONFIGURATION: &[u8] = b"[train]\nsteps = 55\n";
 
@@ -44,13 +46,15 @@ fn owner_record() -> OwnerRecord {
         origin: ORIGIN.into(),
         scene: "liberty".into(),
         scene_salt: Digest::of("scene salt"),
-        identity: Identity { number: 2, contributor: "Ada".into() },
+        identity: Identity::numbered(2, "Ada"),
         owner_key: key(1).public(),
         digests: Digests {
             marked_field: Some(Digest::of(FIELD)),
             detector: Some(Digest::of(DETECTOR)),
             hidden_signal: Some(hidden_signal_commitment(&salt(), &SignalFiles::picture(SIGNAL))),
             photographs: Some(photographs_root(&photographs())),
+            base_field: Some(Digest::of(BASE_FIELD)),
+            share_table: Some(Digest::of(SHARE_TABLE)),
             training_configuration: Some(Digest::of(CONFIGURATION)),
         },
         seed: Some(42),
@@ -85,6 +89,8 @@ struct Whole {
     proof: String,
     pinned: NoteVerifier,
     field: Vec<u8>,
+    base_field: Vec<u8>,
+    share_table: Vec<u8>,
     detector: Vec<u8>,
     signal: Vec<u8>,
     salt: Digest,
@@ -100,6 +106,8 @@ fn whole() -> Whole {
         envelope: envelope.to_json().into_bytes(),
         pinned: pinned(),
         field: FIELD.to_vec(),
+        base_field: BASE_FIELD.to_vec(),
+        share_table: SHARE_TABLE.to_vec(),
         detector: DETECTOR.to_vec(),
         signal: SIGNAL.to_vec(),
         salt: salt(),
@@ -117,6 +125,8 @@ impl Whole {
             policy: None,
             proof: Some(&self.proof),
             marked_field: Some(FileInHand::of("field.safetensors", &self.field)),
+            base_field: Some(FileInHand::of("base.field", &self.base_field)),
+            share_table: Some(FileInHand::of("base.shares", &self.share_table)),
             detector: Some(FileInHand::of("detector.safetensors", &self.detector)),
             hidden_signal: Some(FileInHand::hidden_signal(
                 "credit.txt",
@@ -144,7 +154,7 @@ fn whole_evidence_is_trusted() {
     assert_eq!(report.outcome, Outcome::Trusted, "{report}");
     assert_eq!(report.freshness, Freshness::AsOf(9));
     assert!(report.findings.iter().all(|f| f.severity == Severity::Passed), "{report}");
-    assert_eq!(report.findings.len(), 10, "{report}");
+    assert_eq!(report.findings.len(), 12, "{report}");
     assert_eq!(report.record, Some(countersigned().digest().to_string()));
 }
 
@@ -314,7 +324,7 @@ fn each_wrong_record_has_its_code() {
     let weak = body.replace(&key(1).public().to_string(), &"0".repeat(64));
     let cases = [
         (signed_body(&weak), "key.small_order"),
-        (signed_body(&body.replacen(":1", ":2", 1)), "record.version.unknown"),
+        (signed_body(&body.replacen(":2", ":3", 1)), "record.version.unknown"),
         (signed_body(&body.replace("liberty", "")), "record.malformed"),
         (signed_body(&body.replacen('{', r#"{"more":1,"#, 1)), "record.malformed"),
         (

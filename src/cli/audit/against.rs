@@ -12,8 +12,14 @@ use cairn_verify::{Code, Evidence, FileInHand, Report};
 use cairn_service::store::model::{self, ModelInfo};
 
 /// What is left out for want of the file, one code a digest that a data folder can be asked for.
-const UNCHECKED: [Code; 4] =
-    [Code::MarkedFieldUnchecked, Code::DetectorUnchecked, Code::PhotographsUnchecked, Code::ConfigurationUnchecked];
+const UNCHECKED: [Code; 6] = [
+    Code::MarkedFieldUnchecked,
+    Code::BaseFieldUnchecked,
+    Code::ShareTableUnchecked,
+    Code::DetectorUnchecked,
+    Code::PhotographsUnchecked,
+    Code::ConfigurationUnchecked,
+];
 
 /// Files in hand one by one, as they come by mail.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -24,6 +30,12 @@ pub struct Files {
     /// The marked field, to be held to the record
     #[arg(long, value_name = "FILE", conflicts_with = "against")]
     pub field: Option<PathBuf>,
+    /// The base field, to be held to the record
+    #[arg(long, value_name = "FILE", conflicts_with = "against")]
+    pub base_field: Option<PathBuf>,
+    /// The base field's share table, to be held to the record
+    #[arg(long, value_name = "FILE", conflicts_with = "against")]
+    pub share_table: Option<PathBuf>,
     /// The detector, to be held to the record
     #[arg(long, value_name = "FILE", conflicts_with = "against")]
     pub detector: Option<PathBuf>,
@@ -40,6 +52,8 @@ impl Files {
     pub fn gather(&self, evidence: &mut Evidence<'_>, record: Option<&OwnerRecord>) -> anyhow::Result<()> {
         let file = |path: &Option<PathBuf>| path.as_deref().map(FileInHand::read).transpose();
         evidence.marked_field = file(&self.field)?;
+        evidence.base_field = file(&self.base_field)?;
+        evidence.share_table = file(&self.share_table)?;
         evidence.detector = file(&self.detector)?;
         evidence.training_configuration = file(&self.settings)?;
         let listed = record.and_then(|record| record.views.as_deref());
@@ -86,10 +100,18 @@ fn all_files(folder: &Path) -> anyhow::Result<Vec<Digest>> {
 /// Where no model in `data` is of the training that the record names, or a file of it cannot be read.
 pub fn gather(evidence: &mut Evidence<'_>, data: &Path, record: &OwnerRecord) -> anyhow::Result<()> {
     cairn_service::store::scenes::check_scene_name(&record.scene)?;
+    let bound = &record.digests;
+    let of_training =
+        [bound.marked_field, bound.detector, bound.base_field, bound.share_table, bound.training_configuration];
+    if record.identity.number.is_none() && bound.photographs.is_some() {
+        evidence.photographs = Some(of_contributor(data, record)?);
+        if of_training.iter().all(Option::is_none) {
+            return Ok(());
+        }
+    }
     let models = data.join("models");
     let info = training_of(&models, record)?;
     let folder = models.join(&info.scene).join(&info.job);
-    let bound = &record.digests;
     let file = |name: &str| FileInHand::read(&folder.join(name));
     if bound.training_configuration.is_some() {
         evidence.training_configuration = Some(file("settings.toml")?);
@@ -97,20 +119,46 @@ pub fn gather(evidence: &mut Evidence<'_>, data: &Path, record: &OwnerRecord) ->
     if bound.marked_field.is_some() {
         evidence.marked_field = Some(file("marked.field")?);
     }
+    if bound.base_field.is_some() {
+        evidence.base_field = Some(file("base.field")?);
+    }
+    if bound.share_table.is_some() {
+        evidence.share_table = Some(file("base.shares")?);
+    }
     if bound.detector.is_some() {
         evidence.detector = Some(file("detector")?);
     }
-    if bound.photographs.is_some() {
-        evidence.photographs = Some(photographs(data, &info, record)?);
+    if let (Some(number), true) = (record.identity.number, bound.photographs.is_some()) {
+        evidence.photographs = Some(photographs(data, &info, number)?);
     }
     Ok(())
+}
+
+/// The photographs that a record about a contributor lists, as they lie in the scene; where it lists none, all of the
+/// contributor's.
+fn of_contributor(data: &Path, record: &OwnerRecord) -> anyhow::Result<FileInHand> {
+    let scene = SceneFolder::open(&data.join("scenes"), &record.scene)?;
+    let capture = scene.capture();
+    let mut digests = Vec::new();
+    for (i, view) in capture.views.iter().enumerate() {
+        let is_of = match &record.views {
+            Some(listed) => listed.binary_search(&Digest::from_bytes(scene.photograph_digest(i))).is_ok(),
+            None => view.contributor == record.identity.contributor,
+        };
+        if is_of {
+            digests.push(FileInHand::read(&capture.root.join(&view.photograph))?.digest);
+        }
+    }
+    let place = format!("{} photographs of {}", digests.len(), scene.folder().display());
+    Ok(FileInHand::photographs(&place, &digests))
 }
 
 /// The model of the record's own training: the scene may have been trained again since.
 fn training_of(models: &Path, record: &OwnerRecord) -> anyhow::Result<ModelInfo> {
     let bound = &record.digests;
     let same_photographs = |m: &ModelInfo| {
-        m.identity(record.identity.number).is_ok_and(|i| Some(i.photographs_root()) == bound.photographs)
+        let identity = record.identity.number.and_then(|number| m.identity(number).ok());
+        identity.is_some_and(|i| Some(i.photographs_root()) == bound.photographs)
     };
     let mut found = model::all(models, &record.scene)?;
     let there = found.len();
@@ -125,7 +173,7 @@ fn training_of(models: &Path, record: &OwnerRecord) -> anyhow::Result<ModelInfo>
         }
         (None, None, Some(root)) => {
             found.retain(same_photographs);
-            format!("photographs {root} as identity {}", record.identity.number)
+            format!("photographs {root} as identity {}", record.identity.number.unwrap_or(0))
         }
         (None, None, None) => anyhow::bail!(
             "the record about scene {:?} names neither marked field, training configuration nor photographs, so {} \
@@ -146,8 +194,8 @@ fn training_of(models: &Path, record: &OwnerRecord) -> anyhow::Result<ModelInfo>
     Ok(found.swap_remove(at))
 }
 
-fn photographs(data: &Path, info: &ModelInfo, record: &OwnerRecord) -> anyhow::Result<FileInHand> {
-    let identity = info.identity(record.identity.number).with_context(|| {
+fn photographs(data: &Path, info: &ModelInfo, number: u32) -> anyhow::Result<FileInHand> {
+    let identity = info.identity(number).with_context(|| {
         let (place, scene) = (data.display(), &info.scene);
         format!(
             "{place}: the photographs of the record about scene {scene:?} were not compared; give --against the data \
@@ -203,7 +251,7 @@ mod tests {
             origin: "cairn.example/log".into(),
             scene: "town".into(),
             scene_salt: Digest::of("salt"),
-            identity: Identity { number: 1, contributor: "ada".into() },
+            identity: Identity::numbered(1, "ada"),
             owner_key: key.public(),
             digests: Digests { photographs: Some(Digest::of("photographs")), ..digests },
             seed: None,

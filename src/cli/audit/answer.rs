@@ -11,7 +11,7 @@ use cairn_verify::{FileInHand, Question};
 use cairn_durable::read_limited;
 
 /// Largest answer that is opened, bytes; cairn-verify has a limit of its own.
-const MAX_ANSWER_BYTES: u64 = 256 << 20;
+pub(super) const MAX_ANSWER_BYTES: u64 = 256 << 20;
 
 /// `cairn audit answer`.
 #[derive(Clone, Debug, clap::Args)]

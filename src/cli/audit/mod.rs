@@ -11,6 +11,7 @@ mod evidence;
 mod follow;
 mod http;
 mod renders;
+mod shares;
 mod store;
 pub mod trust;
 
@@ -25,6 +26,12 @@ pub enum Command {
     /// Verify a complete answer (who contributed, and nobody left out); exit codes as for a bundle
     #[command(after_help = "Example:\n  cairn audit answer answer.json --vkey log.vkey")]
     Answer(answer::Args),
+    /// Work out again the shares in an answer about a view, from base field, share table and camera; exit codes as for a
+    /// bundle
+    #[command(
+        after_help = "Example:\n  cairn audit shares answer.json --field base.field --table base.shares --vkey log.vkey"
+    )]
+    Shares(shares::Args),
     /// Hash a whole data folder again; exit code 0 clean, 10 checkpoint, 11 log or tile, 12 record, 13 map, 14 working
     /// state, 15 scene, model or render (the smallest, where several are at fault)
     #[command(after_help = "Example:\n  cairn audit store cairn-data --vkey log.vkey")]
@@ -42,6 +49,7 @@ pub fn run(command: &Command) -> anyhow::Result<ExitCode> {
     match command {
         Command::Bundle(args) => bundle::run(args),
         Command::Answer(args) => answer::run(args),
+        Command::Shares(args) => shares::run(args),
         Command::Store(args) => store::run(args),
         Command::Follow(args) => follow::run(args),
         Command::Evidence(args) => evidence::run(args),

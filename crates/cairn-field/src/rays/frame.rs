@@ -384,6 +384,7 @@ mod tests {
                 name: format!("{i}"),
                 camera: *camera,
                 contributor: String::new(),
+                contributor_key: None,
                 photograph: "none".into(),
                 as_stored: false,
                 mask: None,

@@ -118,6 +118,7 @@ pub fn capture(kind: SceneKind, cameras: Vec<Camera>, unit: f64, at: DVec3) -> C
             name: format!("{i:03}.png"),
             camera,
             contributor: "unknown".into(),
+            contributor_key: None,
             photograph: "none".into(),
             as_stored: false,
             held_out: false,

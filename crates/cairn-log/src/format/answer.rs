@@ -7,11 +7,14 @@
 //! 1. the list of the asked key: the view's ([`MapKey::view`]) or the scene's ([`MapKey::scene`]); for a view
 //!    these are the records whose `views` list it;
 //! 2. for each record of that list, the lists of [`keys_about`] its leaf: who replaced, disputed or took
-//!    back the record, and what ended its owner's key;
-//! 3. for each rotation that a list of steps 2 and 3 names, the list of what ended the key that it leads to
+//!    back the record, and what ended its owner's key; and for a claim or contribution that is not erased the bindings
+//!    of its contributor's name ([`key_said`]);
+//! 3. for each binding that any list names, the lists of [`keys_about`] its leaf, and where it is not erased the list of
+//!    what ended the key that it names ([`key_said`]);
+//! 4. for each rotation that a list of steps 2 to 4 names, the list of what ended the key that it leads to
 //!    ([`key_after`]): so it is known who spoke for an owner at any time ([`crate::format::heir`]);
-//! 4. each record of any of these lists, once. Those that only lists of the later steps name have no further lists
-//!    of their own here: this much tells what the records of the answer are worth.
+//! 5. each record of any of these lists, once. Those that only lists of the later steps name have no further lists
+//!    of their own here: this much tells what the records of the answer are worth, and whom a curator confirmed.
 //!
 //! Every list comes with the proof that it is the whole list, or that there is none, under the map
 //! root in the last leaf of the checkpoint's log. An erased record
@@ -31,7 +34,7 @@ use crate::format::{
     leaf::{LEAF_LEN, Leaf, LeafError},
     map::{MapEntry, MapKey, MapProof},
     proof::MAX_HASHES,
-    record::{RecordError, RecordKind, check_text},
+    record::{OwnerRecord, RecordError, RecordKind, check_text},
     serial,
 };
 
@@ -41,8 +44,8 @@ pub const MAX_ANSWER_BYTES: usize = 64 << 20;
 /// Most records in an answer, and most entries in one of its lists.
 pub const MAX_RECORDS: usize = 65_536;
 
-/// Most lists: the asked one, and two for each record (a rotation of step 3 has one).
-pub const MAX_LISTS: usize = 1 + 2 * MAX_RECORDS;
+/// Most lists: the asked one, and three for each record (a rotation of step 4 has one).
+pub const MAX_LISTS: usize = 1 + 3 * MAX_RECORDS;
 
 /// An answer as it came or goes out; nothing verified.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -71,20 +74,24 @@ pub struct Answer {
     /// The records that the lists name, by ascending index.
     #[serde(deserialize_with = "serial::up_to::<MAX_RECORDS, _, _>")]
     pub records: Vec<ListedRecord>,
+    /// The registry's signed statement of whose photographs show the view ([`crate::format::shares`]); none for a whole
+    /// scene, and where nothing was trained. No list proves it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shares: Option<Envelope>,
 }
 
 /// The format's name and version.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Format {
-    /// The second; the first had no lists of step 3.
+    /// The third; the second had no bindings and no shares.
     #[default]
-    #[serde(rename = "cairn-answer/2")]
-    V2,
+    #[serde(rename = "cairn-answer/3")]
+    V3,
 }
 
 impl Format {
     /// What the field `format` holds.
-    pub const NAME: &str = "cairn-answer/2";
+    pub const NAME: &str = "cairn-answer/3";
 }
 
 /// An older checkpoint, and that the answer's log begins with its log.
@@ -243,6 +250,29 @@ pub fn key_after(leaf: &Leaf) -> Option<MapKey> {
     (leaf.kind == RecordKind::Rotation).then(|| MapKey::ended(&leaf.owner))
 }
 
+/// The key of the list that what a record says asks for: of a claim or contribution the bindings of its contributor's
+/// name, of a binding what ended the key that it names. An erased record says nothing.
+pub fn key_said(record: &OwnerRecord) -> Option<MapKey> {
+    match record.kind {
+        RecordKind::Claim | RecordKind::Contribution => {
+            Some(MapKey::binding(&record.scene, &record.identity.contributor))
+        }
+        RecordKind::Binding => record.identity.key.map(|key| MapKey::ended(&key.id())),
+        RecordKind::Training | RecordKind::Revocation | RecordKind::Rotation | RecordKind::Dispute => None,
+    }
+}
+
+/// The keys of the lists that a record with this leaf asks for, where the asked list names it (`is_asked`) or another;
+/// `said` is what it says, none where it is erased.
+pub fn keys_after(leaf: &Leaf, said: Option<&OwnerRecord>, is_asked: bool) -> Vec<MapKey> {
+    let mut keys: Vec<MapKey> = key_after(leaf).into_iter().collect();
+    if is_asked || leaf.kind == RecordKind::Binding {
+        keys.extend(keys_about(leaf));
+        keys.extend(said.and_then(key_said));
+    }
+    keys
+}
+
 /// What answers are put together from: a log and its map, at one size.
 pub trait Source {
     /// What can go wrong there.
@@ -259,6 +289,12 @@ pub trait Source {
     /// # Errors
     /// What went wrong.
     fn record(&self, index: u64) -> Result<ListedRecord, Self::Error>;
+
+    /// What the record at an index says, none where it was erased; no signature needs to be verified.
+    ///
+    /// # Errors
+    /// What went wrong.
+    fn said(&self, index: u64) -> Result<Option<OwnerRecord>, Self::Error>;
 }
 
 /// Why no answer can be put together.
@@ -288,24 +324,24 @@ pub enum AnswerGap {
 /// # Errors
 /// The source's, or [`AnswerGap`].
 pub fn collect<S: Source>(asked: &MapKey, source: &S) -> Result<(Vec<List>, Vec<ListedRecord>), S::Error> {
-    let first = source.list(asked)?;
-    let mut records = BTreeMap::new();
-    gather(&first, source, &mut records)?;
-    let mut open = BTreeSet::new();
-    for (index, record) in &records {
-        open.extend(keys_about(&leaf_of(*index, record)?));
-    }
-    let mut lists = BTreeMap::from([(*asked, first)]);
-    while let Some(key) = open.pop_first() {
+    let (mut records, mut lists) = (BTreeMap::new(), BTreeMap::new());
+    let mut open = BTreeSet::from([*asked]);
+    // The asked list first: what it names asks for more.
+    let mut next = Some(*asked);
+    while let Some(key) = next.or_else(|| open.first().copied()) {
+        next = None;
+        open.remove(&key);
         if lists.contains_key(&key) {
             continue;
         }
-        let list = source.list(&key)?;
+        let (list, is_asked) = (source.list(&key)?, key == *asked);
         gather(&list, source, &mut records)?;
         for entry in &list.entries {
-            open.extend(
-                records.get(&entry.index).map(|r| leaf_of(entry.index, r)).transpose()?.and_then(|l| key_after(&l)),
-            );
+            let Some(record) = records.get(&entry.index) else { continue };
+            let leaf = leaf_of(entry.index, record)?;
+            let speaks = leaf.kind == RecordKind::Binding || (is_asked && leaf.kind.credits());
+            let said = if speaks { source.said(entry.index)? } else { None };
+            open.extend(keys_after(&leaf, said.as_ref(), is_asked));
         }
         lists.insert(key, list);
     }

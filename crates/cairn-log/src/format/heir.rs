@@ -81,6 +81,40 @@ pub fn heir<E>(
     }
 }
 
+/// Whether two keys (ids) are one owner's just before log index `before`: they are the same, or rotations lead from one to
+/// the other. `ending` is as for [`heir`].
+///
+/// # Errors
+/// What `ending` answers with.
+pub fn same_owner<E>(
+    one: &Digest,
+    other: &Digest,
+    before: u64,
+    mut ending: impl FnMut(&Digest) -> Result<Option<Ending>, E>,
+) -> Result<bool, E> {
+    Ok(leads_to(one, other, before, &mut ending)? || leads_to(other, one, before, &mut ending)?)
+}
+
+/// Whether rotations lead from one key to another.
+fn leads_to<E>(
+    from: &Digest,
+    to: &Digest,
+    before: u64,
+    ending: &mut impl FnMut(&Digest) -> Result<Option<Ending>, E>,
+) -> Result<bool, E> {
+    let (mut id, mut since) = (*from, None);
+    // Comes to an end, as in `heir`.
+    while id != *to {
+        match ending(&id)?.filter(|end| end.index < before) {
+            Some(Ending { index, to: Some(next) }) if since.is_none_or(|since| since < index) => {
+                (id, since) = (next, Some(index));
+            }
+            _ => return Ok(false),
+        }
+    }
+    Ok(true)
+}
+
 /// Whether a record ends `key`, and then (`Some`) the id of the key that follows it, which a revocation has not.
 ///
 /// The record's own signature was verified when it was opened. A rotation ends the old key by that key's signature, not
@@ -92,7 +126,11 @@ pub fn ends(key: &PublicKey, record: &OwnerRecord, envelope: &Envelope) -> Optio
             let agreed = record.owner_key != *key && envelope.signature_by(key).is_some();
             agreed.then(|| Some(record.owner_key.id()))
         }
-        RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Dispute => None,
+        RecordKind::Claim
+        | RecordKind::Contribution
+        | RecordKind::Training
+        | RecordKind::Dispute
+        | RecordKind::Binding => None,
     }
 }
 
@@ -140,6 +178,30 @@ mod tests {
         assert_eq!(of_a(9, &revoked), Heir::Nobody { id: id("b"), ended_by: 5 });
         assert_eq!(of_a(5, &revoked), key("b", Some(3)), "until then it spoke");
         assert!(!of_a(9, &revoked).is(&id("b")));
+    }
+
+    #[test]
+    fn one_owner_has_the_keys_that_rotations_join_and_no_others() {
+        let endings = [("a", 3, Some("b")), ("b", 5, Some("c")), ("x", 4, Some("c")), ("y", 6, None)];
+        let known: BTreeMap<Digest, Ending> =
+            endings.iter().map(|(key, index, to)| (id(key), Ending { index: *index, to: to.map(id) })).collect();
+        let same = |one, other, before| {
+            same_owner(&id(one), &id(other), before, |key| Ok::<_, Infallible>(known.get(key).copied())).unwrap()
+        };
+        for (one, other, before, wanted) in [
+            ("a", "a", 0, true),
+            ("a", "b", 3, false),
+            ("a", "b", 4, true),
+            ("b", "a", 4, true),
+            ("a", "c", 5, false),
+            ("c", "a", 9, true),
+            ("y", "y", 9, true),
+            ("y", "a", 9, false),
+            // Two that lead to a third are two: each may be a thief of the other's.
+            ("a", "x", 9, false),
+        ] {
+            assert_eq!(same(one, other, before), wanted, "{one} and {other} before {before}");
+        }
     }
 
     #[test]

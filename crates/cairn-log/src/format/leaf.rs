@@ -53,8 +53,8 @@ pub enum LeafError {
         /// The version byte.
         got: u8,
     },
-    /// A kind that version 1 does not have.
-    #[error("leaf of kind {got}, 1 to 7 expected")]
+    /// A kind that there is not.
+    #[error("leaf of kind {got}, 1 to 8 expected")]
     Kind {
         /// The kind byte.
         got: u8,

@@ -146,7 +146,7 @@ impl MapLeaf {
 /// A leaf of either sort, told apart by its kind byte.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Entry {
-    /// An owner record's, kinds 1 to 6.
+    /// An owner record's, kinds 1 to 6 and 8.
     Record(Leaf),
     /// The registry's, kind 7.
     Map(MapLeaf),

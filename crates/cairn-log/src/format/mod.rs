@@ -23,6 +23,7 @@ pub mod record;
 #[cfg(feature = "sealed-keys")]
 pub mod sealed;
 mod serial;
+pub mod shares;
 pub mod signed;
 mod statement;
 #[cfg(any(test, feature = "testing"))]

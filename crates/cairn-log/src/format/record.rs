@@ -1,10 +1,10 @@
-//! The owner record, version 1: the signed sentence "this identity in this
-//! marked field is mine".
+//! The owner record, version 2: the signed sentence "these photographs, and this mark of
+//! them, are mine".
 //!
-//! It binds the owner's key to the digests of everything that made the mark, to
+//! It binds the owner's key to the digests of the photographs and of everything that made a mark, to
 //! one log, one scene and one purpose, and to a nonce of the registry and a
 //! checkpoint of its log, so that it can be neither moved elsewhere nor dated
-//! back. Serialised as JSON inside a DSSE envelope; reading is strict, since a
+//! back. That a contributor's *name* is a key's, a curator says in a record of its own, a binding. Serialised as JSON inside a DSSE envelope; reading is strict, since a
 //! field that one reader skips and another obeys is a hole.
 
 use serde::{Deserialize, Serialize};
@@ -22,7 +22,7 @@ use super::{
 pub const PAYLOAD_TYPE: &str = "application/vnd.cairn.owner-record.v1+json";
 
 /// The body's format version.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Longest scene, contributor, origin or purpose, in bytes.
 pub const MAX_TEXT_BYTES: usize = 256;
@@ -37,11 +37,11 @@ pub(crate) const EXACT_IN_JSON: u64 = 1 << 53;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordKind {
-    /// An identity of a marked field, with the photographs of its cluster, belongs to the owner.
+    /// Photographs belong to the owner; with an identity's number, so does its mark in a marked field.
     Claim,
-    /// The owner contributed the cluster's photographs.
+    /// The owner contributed the photographs.
     Contribution,
-    /// A training run made this marked field and detector.
+    /// A training run made this share table, and this marked field and detector where there are some.
     Training,
     /// The owner's key is good no longer: records behind this one do not count, those before it stay good, except
     /// the one named in `replaces`, if any, which its owner takes back.
@@ -51,6 +51,9 @@ pub enum RecordKind {
     Rotation,
     /// The record named in `replaces` is contested.
     Dispute,
+    /// A curator says that the contributor's name stands for the key `identity.key`. Of a name's bindings that stand the
+    /// newest counts, whichever curator signed it.
+    Binding,
 }
 
 /// What a record does to the one that it names in `replaces`.
@@ -77,16 +80,24 @@ impl RecordKind {
         match self {
             Self::Dispute => Effect::Contests,
             Self::Revocation => Effect::TakesBack,
-            Self::Claim | Self::Contribution | Self::Training => Effect::Replaces,
+            // A binding names no other record.
+            Self::Claim | Self::Contribution | Self::Training | Self::Binding => Effect::Replaces,
             Self::Rotation => Effect::LeavesIt,
         }
     }
 
     /// All kinds, in the order of their codes.
-    pub const ALL: [Self; 6] =
-        [Self::Claim, Self::Contribution, Self::Training, Self::Revocation, Self::Rotation, Self::Dispute];
+    pub const ALL: [Self; 7] = [
+        Self::Claim,
+        Self::Contribution,
+        Self::Training,
+        Self::Revocation,
+        Self::Rotation,
+        Self::Dispute,
+        Self::Binding,
+    ];
 
-    /// The kind's byte in a leaf: 1 to 6.
+    /// The kind's byte in a leaf: 1 to 6, and 8; 7 is the registry's own leaf's.
     pub const fn code(self) -> u8 {
         match self {
             Self::Claim => 1,
@@ -95,6 +106,7 @@ impl RecordKind {
             Self::Revocation => 4,
             Self::Rotation => 5,
             Self::Dispute => 6,
+            Self::Binding => 8,
         }
     }
 
@@ -104,14 +116,30 @@ impl RecordKind {
     }
 }
 
-/// Whose mark it is.
+/// Whom the record is about.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Identity {
-    /// The class that the classifier answers, 1..=M (0 is `unmarked`).
-    pub number: u32,
+    /// The class that the classifier answers, 1..=M (0 is `unmarked`); none where the record is about photographs alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub number: Option<u32>,
     /// The contributor's name.
     pub contributor: String,
+    /// The key that a binding says the name stands for (hex); of no other kind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<PublicKey>,
+}
+
+impl Identity {
+    /// A contributor by name alone.
+    pub fn named(contributor: &str) -> Self {
+        Self { number: None, contributor: contributor.to_owned(), key: None }
+    }
+
+    /// Identity `number` of a model, which stands for `contributor`.
+    pub fn numbered(number: u32, contributor: &str) -> Self {
+        Self { number: Some(number), ..Self::named(contributor) }
+    }
 }
 
 /// SHA-256 digests of what made the mark. Which of them a kind needs: see [`OwnerRecord::check`].
@@ -127,9 +155,15 @@ pub struct Digests {
     /// Salted commitment to the hidden signal: see [`hidden_signal_commitment`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hidden_signal: Option<Digest>,
-    /// The cluster's photographs: see [`photographs_root`].
+    /// The photographs: see [`photographs_root`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub photographs: Option<Digest>,
+    /// The base field's file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base_field: Option<Digest>,
+    /// The base field's share table: which photograph taught which part of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub share_table: Option<Digest>,
     /// The training configuration's file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training_configuration: Option<Digest>,
@@ -159,11 +193,11 @@ pub struct OwnerRecord {
     pub scene: String,
     /// 32 random bytes of the signer (hex): without them the leaf's scene commitment says nothing.
     pub scene_salt: Digest,
-    /// Whose mark.
+    /// Whose photographs, whose mark.
     pub identity: Identity,
     /// The owner's key (hex).
     pub owner_key: PublicKey,
-    /// What made the mark.
+    /// Which photographs, and what made the mark.
     pub digests: Digests,
     /// Training seed; text in JSON, since it uses all 64 bits.
     #[serde(default, with = "seed_as_text", skip_serializing_if = "Option::is_none")]
@@ -177,7 +211,7 @@ pub struct OwnerRecord {
     /// Digest (SHA-256 of the PAE) of the record that this one is about or replaces.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub replaces: Option<Digest>,
-    /// SHA-256 digests of the cluster's photographs (hex), ascending, each once, 1 to [`MAX_VIEWS`]: what makes the
+    /// SHA-256 digests of the photographs (hex), ascending, each once, 1 to [`MAX_VIEWS`]: what makes the
     /// record answer for single views. They must be the photographs under `digests.photographs`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub views: Option<Vec<Digest>>,
@@ -228,8 +262,10 @@ impl OwnerRecord {
 
     /// Checks every rule that needs nothing but the record.
     ///
-    /// Needed per kind: a claim names marked field, detector, hidden signal and the cluster's photographs, since a mark
-    /// is a hint only and the photographs are what is owned; a contribution its photographs; a training marked field, detector, training configuration and seed; a rotation or dispute the record that it is about.
+    /// Needed per kind: a claim and a contribution name their photographs, which are what is owned. A claim with an
+    /// identity's number is about its mark, too, and names marked field, detector and hidden signal. A training names
+    /// share table, training configuration and seed, and of marked field and detector both or none. A rotation or
+    /// dispute names the record that it is about. A binding names a key, and no identity's number, other record or views.
     ///
     /// # Errors
     /// [`RecordError::Version`] or [`RecordError::Field`].
@@ -241,33 +277,51 @@ impl OwnerRecord {
         check_text(Self::NAME, "scene", &self.scene)?;
         check_text(Self::NAME, "identity.contributor", &self.identity.contributor)?;
         check_text(Self::NAME, "purpose", &self.purpose)?;
-        if self.identity.number == 0 {
-            return Err(field("identity.number", "1 or more (0 is `unmarked`)", "0"));
+        if self.identity.number == Some(0) {
+            return Err(field("identity.number", "1 or more (0 is `unmarked`), or no such field", "0"));
         }
+        self.check_binding()?;
         if self.seen.size >= EXACT_IN_JSON {
             return Err(field("seen.size", "less than 2^53", self.seen.size));
         }
-        let digests = &self.digests;
+        let (digests, of_mark) = (&self.digests, self.identity.number.is_some());
         let needs: &[(&'static str, bool)] = match self.kind {
             RecordKind::Claim => &[
-                ("digests.marked_field", digests.marked_field.is_some()),
-                ("digests.detector", digests.detector.is_some()),
-                ("digests.hidden_signal", digests.hidden_signal.is_some()),
                 ("digests.photographs", digests.photographs.is_some()),
+                ("digests.marked_field", !of_mark || digests.marked_field.is_some()),
+                ("digests.detector", !of_mark || digests.detector.is_some()),
+                ("digests.hidden_signal", !of_mark || digests.hidden_signal.is_some()),
             ],
             RecordKind::Contribution => &[("digests.photographs", digests.photographs.is_some())],
             RecordKind::Training => &[
-                ("digests.marked_field", digests.marked_field.is_some()),
-                ("digests.detector", digests.detector.is_some()),
+                ("digests.share_table", digests.share_table.is_some()),
+                ("digests.marked_field", digests.marked_field.is_some() || digests.detector.is_none()),
+                ("digests.detector", digests.detector.is_some() || digests.marked_field.is_none()),
                 ("digests.training_configuration", digests.training_configuration.is_some()),
                 ("seed", self.seed.is_some()),
             ],
+            RecordKind::Binding => &[("identity.key", self.identity.key.is_some())],
             RecordKind::Revocation => &[],
             RecordKind::Rotation | RecordKind::Dispute => &[("replaces", self.replaces.is_some())],
         };
         match needs.iter().find(|(_, there)| !there) {
             Some((name, _)) => Err(field(name, "a value, for a record of this kind", "nothing")),
             None => self.check_views(),
+        }
+    }
+
+    /// A binding is about a name and a key alone, and no other kind names a key.
+    fn check_binding(&self) -> Result<(), RecordError> {
+        let is_binding = self.kind == RecordKind::Binding;
+        if !is_binding && self.identity.key.is_some() {
+            return Err(field("identity.key", "no such field, for a record of this kind", "a key"));
+        }
+        let none = "no such field, for a binding: it is about a name and a key, and of a name's the newest counts";
+        match (self.identity.number, self.replaces, &self.views) {
+            (Some(number), ..) if is_binding => Err(field("identity.number", none, number)),
+            (_, Some(replaces), _) if is_binding => Err(field("replaces", none, replaces)),
+            (.., Some(views)) if is_binding => Err(field("views", none, views.len())),
+            _ => Ok(()),
         }
     }
 

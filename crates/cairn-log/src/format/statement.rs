@@ -1,4 +1,4 @@
-//! What owner records and erasure requests have in common: a JSON body of one version that names a key, in a DSSE envelope
+//! What owner records, erasure requests and statements of shares have in common: a JSON body of one version that names a key, in a DSSE envelope
 //! which that key signed.
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};

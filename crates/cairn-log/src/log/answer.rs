@@ -1,5 +1,7 @@
 //! Complete answers, put together from the log and its map at one moment.
 
+use std::{cell::RefCell, collections::BTreeSet};
+
 use super::{
     commit::StoredBuckets,
     error::{RegistryError, inconsistent},
@@ -13,6 +15,7 @@ use crate::format::{
     leaf::LEAF_LEN,
     map::MapKey,
     merkle,
+    record::OwnerRecord,
 };
 
 /// As [`super::Registry::answer`].
@@ -23,7 +26,19 @@ pub(super) fn answer(
     as_of: Option<&str>,
     most: usize,
 ) -> Result<Answer, RegistryError> {
-    let mut answer = outline(shared, scene, view, as_of)?;
+    loop {
+        let (outline, heard) = outline(shared, scene, view, as_of)?;
+        let answer = filled(shared, outline, most)?;
+        // A record that was erased meanwhile says nothing any more, and asks for fewer lists.
+        let is_erased = |record: &ListedRecord| record.envelope.is_none() && heard.contains(&record.index);
+        if !answer.records.iter().any(is_erased) {
+            return Ok(answer);
+        }
+    }
+}
+
+/// The answer with the records' envelopes and proofs.
+fn filled(shared: &Shared, mut answer: Answer, most: usize) -> Result<Answer, RegistryError> {
     let Some(size) = answer.map.as_ref().map(|map| map.index + 1) else { return Ok(answer) };
     let mut bytes = 0;
     for record in &mut answer.records {
@@ -42,8 +57,13 @@ pub(super) fn answer(
     Ok(answer)
 }
 
-/// The answer without the records' envelopes and proofs.
-fn outline(shared: &Shared, scene: &str, view: Option<&Digest>, as_of: Option<&str>) -> Result<Answer, RegistryError> {
+/// The answer without the records' envelopes and proofs, and the records whose words it rests on, by their indices.
+fn outline(
+    shared: &Shared,
+    scene: &str,
+    view: Option<&Digest>,
+    as_of: Option<&str>,
+) -> Result<(Answer, BTreeSet<u64>), RegistryError> {
     let _turn = shared.turn()?;
     let state = shared.read();
     let size = state.size;
@@ -52,11 +72,11 @@ fn outline(shared: &Shared, scene: &str, view: Option<&Digest>, as_of: Option<&s
         None => None,
         Some(index) => Some(MapPart { index, leaf: leaf_of(shared, index)?, inclusion: state.proven(index, size)? }),
     };
-    let source = AtOneMoment { shared, state: &state };
+    let source = AtOneMoment { shared, state: &state, heard: RefCell::default() };
     let (lists, records) = answer::collect(&answer::asked_key(scene, view), &source)?;
     let cosigned = state.cosigned.as_ref().filter(|(cosigned, _)| *cosigned == size);
-    Ok(Answer {
-        format: Format::V2,
+    let answer = Answer {
+        format: Format::V3,
         origin: shared.origin.clone(),
         scene: scene.to_owned(),
         view: view.copied(),
@@ -65,7 +85,9 @@ fn outline(shared: &Shared, scene: &str, view: Option<&Digest>, as_of: Option<&s
         map,
         lists,
         records,
-    })
+        shares: None,
+    };
+    Ok((answer, source.heard.into_inner()))
 }
 
 fn going_on_from(shared: &Shared, state: &State, note: &str) -> Result<AsOf, RegistryError> {
@@ -90,6 +112,8 @@ fn leaf_of(shared: &Shared, index: u64) -> Result<[u8; LEAF_LEN], RegistryError>
 struct AtOneMoment<'a> {
     shared: &'a Shared,
     state: &'a State,
+    /// Records that said something.
+    heard: RefCell<BTreeSet<u64>>,
 }
 
 impl Source for AtOneMoment<'_> {
@@ -108,5 +132,11 @@ impl Source for AtOneMoment<'_> {
 
     fn record(&self, index: u64) -> Result<ListedRecord, RegistryError> {
         Ok(ListedRecord { index, leaf: leaf_of(self.shared, index)?, inclusion: Vec::new(), envelope: None })
+    }
+
+    fn said(&self, index: u64) -> Result<Option<OwnerRecord>, RegistryError> {
+        let said = read::said(self.shared, index)?;
+        self.heard.borrow_mut().extend(said.as_ref().map(|_| index));
+        Ok(said)
     }
 }

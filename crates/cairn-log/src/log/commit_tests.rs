@@ -77,7 +77,7 @@ fn sealed(registry: &Registry, number: u8) -> Envelope {
         origin: registry.origin().into(),
         scene: "fern".into(),
         scene_salt: Digest::of("salt"),
-        identity: Identity { number: 1, contributor: "Ada".into() },
+        identity: Identity::numbered(1, "Ada"),
         owner_key: owner.public(),
         digests: Digests { photographs: Some(Digest::of("photographs")), ..Digests::default() },
         seed: None,

@@ -26,7 +26,7 @@ use crate::{
 };
 
 /// Value of [`FORMAT`] that this release reads and writes.
-pub(super) const FORMAT_VERSION: &str = "cairn-log-store/3";
+pub(super) const FORMAT_VERSION: &str = "cairn-log-store/4";
 
 /// The lock file of the one writer.
 pub(super) const LOCK: &str = "LOCK";

@@ -79,6 +79,14 @@ impl Registry {
         read::ending(&self.shared, &owner.id())
     }
 
+    /// As [`Registry::ended`], of the key with this id.
+    ///
+    /// # Errors
+    /// [`RegistryError::Store`], [`RegistryError::Inconsistent`].
+    pub fn ending_of(&self, key: &Digest) -> Result<Option<Ending>, RegistryError> {
+        read::ending(&self.shared, key)
+    }
+
     /// Who speaks for the key with this id today: itself, or what rotations put in its place.
     ///
     /// # Errors

@@ -165,6 +165,19 @@ pub(super) fn stored(shared: &Shared, index: u64) -> Result<StoredRecord, Regist
     stored_entry(shared, index)?.into_record()
 }
 
+/// What the record at `index` says, none where it was erased; its signatures are not verified again.
+pub(super) fn said(shared: &Shared, index: u64) -> Result<Option<OwnerRecord>, RegistryError> {
+    let refuse = |what: String| inconsistent(&format!("record {index}"), what);
+    match slot(shared, index)? {
+        Slot::Record(json) => {
+            let envelope = Envelope::parse(&json).map_err(|e| refuse(e.to_string()))?;
+            OwnerRecord::parse(&envelope.payload).map(Some).map_err(|e| refuse(e.to_string()))
+        }
+        Slot::Erased(_) => Ok(None),
+        Slot::MapLeaf => Err(refuse("its envelope is missing".into())),
+    }
+}
+
 /// The leaf of a record, erased or not.
 pub(super) fn record_leaf(shared: &Shared, index: u64) -> Result<Leaf, RegistryError> {
     match decoded_leaf(shared, index)? {

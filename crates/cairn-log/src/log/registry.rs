@@ -28,11 +28,13 @@ use crate::format::{
     answer::Answer,
     checkpoint::Checkpoint,
     digest::Digest,
+    dsse::Envelope,
     erasure::Erasure,
     key::{OwnerKey, PublicKey},
     leaf::Leaf,
     map::MapKey,
     note::NoteVerifier,
+    shares::Shares,
     signed::SignedRecord,
     tile::TilePath,
 };
@@ -368,8 +370,8 @@ impl Registry {
     /// log and none is left out. Under the newest checkpoint; where `as_of` names an older one of this log (a signed
     /// note), with the proof that the one goes on from the other.
     ///
-    /// Nothing is written while the lists are put together: log and map have to be of one moment. Envelopes and proofs are
-    /// fetched afterwards, since what stands in the log stays there.
+    /// Nothing is written while the lists are put together: log and map have to be of one moment. Proofs and the
+    /// envelopes to hand out are fetched afterwards, since what stands in the log stays there.
     ///
     /// # Errors
     /// [`RegistryError::Inconsistent`] for an `as_of` that is none of this log's; [`RegistryError::Answer`] for more
@@ -382,6 +384,14 @@ impl Registry {
         most: usize,
     ) -> Result<Answer, RegistryError> {
         answer::answer(&self.shared, scene, view, as_of, most)
+    }
+
+    /// Signs a statement of shares in the registry's name. It is in no log.
+    ///
+    /// # Errors
+    /// [`RegistryError::Record`] for one that is not as it must be, or names another key.
+    pub fn sign_shares(&self, shares: &Shares) -> Result<Envelope, RegistryError> {
+        Ok(shares.seal(&self.shared.key)?)
     }
 
     /// Appends erased records in one batch, durable on return: for each its leaf and its map keys.

@@ -75,7 +75,11 @@ pub(super) fn admit(
     let retires = match record.kind {
         RecordKind::Revocation => Some(candidate.leaf().owner),
         RecordKind::Rotation => replaced_owner,
-        RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Dispute => None,
+        RecordKind::Claim
+        | RecordKind::Contribution
+        | RecordKind::Training
+        | RecordKind::Dispute
+        | RecordKind::Binding => None,
     };
     let envelope = countersigned(shared, candidate, &signers)?;
     Ok(Admitted { envelope, retires, replaced_owner })

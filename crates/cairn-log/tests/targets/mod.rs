@@ -90,7 +90,7 @@ pub fn envelope() -> Envelope {
         origin: "log".into(),
         scene: "fern".into(),
         scene_salt: Digest::of("salt"),
-        identity: Identity { number: 1, contributor: "Ada".into() },
+        identity: Identity::numbered(1, "Ada"),
         owner_key: key.public(),
         digests: Digests { photographs: Some(Digest::of("photographs")), ..Digests::default() },
         seed: Some(7),
@@ -113,6 +113,8 @@ fn full_record() -> Vec<u8> {
         detector: some("detector"),
         hidden_signal: some("signal"),
         photographs: some("photographs"),
+        base_field: some("base field"),
+        share_table: some("share table"),
         training_configuration: some("configuration"),
     };
     record.replaces = some("another");
@@ -197,7 +199,7 @@ fn answer() -> Answer {
     lists.sort_by_key(|list| list.key);
     let map_leaf = MapLeaf::sign("log", 9, map.root(), &key()).encode();
     Answer {
-        format: Format::V2,
+        format: Format::V3,
         origin: "log".into(),
         scene: "fern".into(),
         view: Some(Digest::of("photograph")),
@@ -205,7 +207,13 @@ fn answer() -> Answer {
         as_of: Some(AsOf { checkpoint: "older\n".into(), consistency: hashes.clone() }),
         map: Some(MapPart { index: 9, leaf: map_leaf, inclusion: hashes.clone() }),
         lists,
-        records: vec![ListedRecord { index: 3, leaf: leaf.encode(), inclusion: hashes, envelope: Some(envelope) }],
+        records: vec![ListedRecord {
+            index: 3,
+            leaf: leaf.encode(),
+            inclusion: hashes,
+            envelope: Some(envelope.clone()),
+        }],
+        shares: Some(envelope),
     }
 }
 

@@ -11,9 +11,10 @@ use crate::capture::{Capture, LeftOut, SceneKind, UNKNOWN_CONTRIBUTOR, View};
 use crate::error::CaptureError;
 use crate::images::format::ImageFormat;
 use crate::images::photograph::{self, Header, WHITE};
+use crate::import::contributors::{self, Contributor};
 use crate::import::model::{Entry, Guess, ImageFolder, Model, check_count};
 use crate::import::options::ReadOptions;
-use crate::import::{contributors, masks, named};
+use crate::import::{masks, named};
 use crate::unused::{Standing, Unused, UnusedPhotographs, without_share};
 
 /// How many photographs are decoded to see whether they are transparent.
@@ -42,7 +43,7 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
     model.left_out.without_camera = without_camera(root, &model, options);
     let headers = headers(root, &model, options)?;
     let contributors = match &options.contributors {
-        None => vec![UNKNOWN_CONTRIBUTOR.to_owned(); model.entries.len()],
+        None => vec![Contributor { name: UNKNOWN_CONTRIBUTOR.to_owned(), key: None }; model.entries.len()],
         Some(table) => {
             let names: Vec<&str> = model.entries.iter().map(|e| e.name.as_str()).collect();
             let LeftOut { missing, without_camera, .. } = &model.left_out;
@@ -65,7 +66,8 @@ pub(crate) fn assemble(root: &Path, mut model: Model, options: &ReadOptions) -> 
         views.push(View {
             name: entry.name.clone(),
             camera: Camera { intrinsics: entry.intrinsics.resized(width, height), pose: entry.pose },
-            contributor,
+            contributor: contributor.name,
+            contributor_key: contributor.key,
             photograph: entry.photograph.clone(),
             as_stored,
             mask: None,

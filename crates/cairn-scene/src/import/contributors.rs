@@ -1,4 +1,4 @@
-//! Who took what: a CSV table with one row a photograph. Credit is the point of
+//! Who took what, and under which key they sign: a CSV table with one row a photograph. Credit is the point of
 //! the whole program, so a table that is almost right is refused, not patched.
 
 use std::collections::HashMap;
@@ -19,24 +19,38 @@ const NAMED: usize = 20;
 struct Row {
     image: String,
     contributor: String,
+    /// 64 hexadecimal digits; a table may lack the column, and a row the key.
+    #[serde(default)]
+    key: Option<String>,
+}
+
+/// Who took a photograph.
+#[derive(Clone, Debug)]
+pub(crate) struct Contributor {
+    /// Their name.
+    pub(crate) name: String,
+    /// Their public key, where a row of theirs has one.
+    pub(crate) key: Option<[u8; 32]>,
 }
 
 /// Who took a capture's photographs, as its table says.
 pub(crate) struct Takers {
     /// Of each view.
-    pub of_views: Vec<String>,
+    pub of_views: Vec<Contributor>,
     /// Of each photograph that is left out; `None` where it has no row.
     pub of_left_out: Vec<Option<String>>,
 }
 
 /// The contributor of each of `names` and of each that is `left_out`, in order, from the table at `table`.
 ///
-/// The table has a heading with at least `image` and `contributor`. An image is
+/// The table has a heading with at least `image` and `contributor`, and may have `key`, which any row of a contributor's
+/// says for all of them. An image is
 /// named as the camera file names it, or by its file name where only one
 /// photograph has that, in any Unicode normalisation.
 ///
 /// # Errors
-/// For rows that name no photograph, photographs of `names` without a row, one with two rows, or an empty contributor.
+/// For rows that name no photograph, photographs of `names` without a row, one with two rows, an empty contributor, what is
+/// no key, or a contributor with two keys.
 pub(crate) fn read(table: &Path, names: &[&str], left_out: &[&str], limits: &Limits) -> Result<Takers, CaptureError> {
     let wrong = |entry: String, problem: String, remedy: &'static str| CaptureError::Contributors {
         table: table.to_path_buf(),
@@ -54,6 +68,7 @@ pub(crate) fn read(table: &Path, names: &[&str], left_out: &[&str], limits: &Lim
     let endings = left_away();
     let mut found: Vec<Option<(String, usize)>> = vec![None; all.len()];
     let mut unknown = Vec::new();
+    let mut keys: HashMap<String, StatedKey> = HashMap::new();
     for (number, row) in reader.deserialize::<Row>().enumerate() {
         // The heading is line 1; a quoted line break would shift this, and no file name has one.
         let line = number + 2;
@@ -79,6 +94,22 @@ pub(crate) fn read(table: &Path, names: &[&str], left_out: &[&str], limits: &Lim
             let problem = format!("the photograph already has a row, line {first}");
             return Err(wrong(entry, problem, "keep one of the rows"));
         }
+        if let Some(text) = row.key.filter(|text| !text.is_empty()) {
+            let mut key = [0; 32];
+            if hex::decode_to_slice(&text, &mut key).is_err() {
+                let problem = format!("the key {text:?} of {:?} is no public key", row.contributor);
+                return Err(wrong(
+                    entry,
+                    problem,
+                    "write its 64 hexadecimal digits (`cairn keys show`), or leave it empty",
+                ));
+            }
+            let stated = keys.entry(row.contributor.clone()).or_insert(StatedKey { key, line });
+            if stated.key != key {
+                let problem = format!("{:?} has another key in line {}", row.contributor, stated.line);
+                return Err(wrong(entry, problem, "write one key for each contributor"));
+            }
+        }
         found[view] = Some((row.contributor, line));
     }
     if !unknown.is_empty() {
@@ -94,9 +125,16 @@ pub(crate) fn read(table: &Path, names: &[&str], left_out: &[&str], limits: &Lim
         let entry = format!("{photographs} {}", few(&without, NAMED));
         return Err(wrong(entry, format!("{it_has} no row"), "add a row that says who took it"));
     }
-    let mut takers = found.into_iter().map(|row| row.map(|(contributor, _)| contributor));
+    let taker = |(name, _): (String, usize)| Contributor { key: keys.get(&name).map(|stated| stated.key), name };
+    let mut takers = found.into_iter().map(|row| row.map(taker));
     let of_views = takers.by_ref().take(names.len()).flatten().collect();
-    Ok(Takers { of_views, of_left_out: takers.collect() })
+    Ok(Takers { of_views, of_left_out: takers.map(|taker| Some(taker?.name)).collect() })
+}
+
+/// A contributor's key, and the line that says so first.
+struct StatedKey {
+    key: [u8; 32],
+    line: usize,
 }
 
 /// Every name, and every file name that only one view has.

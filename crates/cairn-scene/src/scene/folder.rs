@@ -282,6 +282,7 @@ fn copy_view(folder: &Path, capture: &Capture, index: usize) -> Result<ViewRow, 
     Ok(ViewRow {
         name: view.name.clone(),
         contributor: view.contributor.clone(),
+        contributor_key: view.contributor_key.map(hex::encode),
         held_out: view.held_out,
         bounds: view.bounds,
         camera: view.camera,

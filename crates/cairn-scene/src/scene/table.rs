@@ -2,7 +2,7 @@
 //! is read back. The version is looked at before anything else, so that a file
 //! of tomorrow is refused by its version and not by a field.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,7 @@ pub(crate) const MAX_TABLE_BYTES: u64 = 256 << 20;
 /// What `format` says in every scene file.
 pub(crate) const FORMAT: &str = "cairn-scene";
 /// The version that this program writes and reads.
-pub(crate) const VERSION: u32 = 3;
+pub(crate) const VERSION: u32 = 4;
 /// Folder of the photographs within a scene.
 pub(crate) const PHOTOGRAPHS: &str = "photographs";
 /// Folder of the masks within a scene, there where a view has one.
@@ -62,6 +62,8 @@ pub(crate) struct PointsRow {
 pub(crate) struct ViewRow {
     pub name: String,
     pub contributor: String,
+    /// Hexadecimal; the same for all views of a contributor.
+    pub contributor_key: Option<String>,
     pub held_out: bool,
     pub bounds: Option<(f64, f64)>,
     pub camera: Camera,
@@ -119,6 +121,7 @@ impl SceneFile {
             return wrong("views".to_owned(), "at least one view", "none".to_owned());
         }
         let (mut files, mut masks) = (HashSet::new(), HashSet::new());
+        let mut keys = HashMap::new();
         for (i, view) in self.views.iter().enumerate() {
             let entry = format!("view {i} ({})", view.name);
             if i > 0 && self.views[i - 1].name >= view.name {
@@ -126,6 +129,14 @@ impl SceneFile {
             }
             if view.name.is_empty() || view.contributor.is_empty() {
                 return wrong(entry, "a name and a contributor", "an empty one".to_owned());
+            }
+            if let Some(key) = &view.contributor_key
+                && key_of(key).is_none()
+            {
+                return wrong(entry, "a contributor's key of 64 lower-case hexadecimal digits", format!("{key:?}"));
+            }
+            if *keys.entry(&view.contributor).or_insert(&view.contributor_key) != &view.contributor_key {
+                return wrong(entry, "one key for each contributor", format!("another of {:?}", view.contributor));
             }
             if view.bounds.is_some_and(|(near, far)| !(near > 0.0 && far > near && far.is_finite())) {
                 return wrong(entry, "bounds with 0 < near < far", format!("{:?}", view.bounds));
@@ -159,6 +170,7 @@ impl ViewRow {
             name: self.name,
             camera: self.camera,
             contributor: self.contributor,
+            contributor_key: self.contributor_key.as_deref().and_then(key_of),
             photograph: PathBuf::from(PHOTOGRAPHS).join(self.photograph),
             as_stored: self.as_stored,
             mask: self.mask.map(|mask| PathBuf::from(MASKS).join(mask.file)),
@@ -167,6 +179,13 @@ impl ViewRow {
             bounds: self.bounds,
         }
     }
+}
+
+/// A public key from 64 lower-case hexadecimal digits.
+fn key_of(text: &str) -> Option<[u8; 32]> {
+    let mut key = [0; 32];
+    hex::decode_to_slice(text, &mut key).ok()?;
+    (hex::encode(key) == text).then_some(key)
 }
 
 fn is_file_name(name: &str) -> bool {

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 pub enum Role {
     /// Imports scenes of their own, trains on them within quota, submits records under their own key.
     Contributor,
-    /// Changes any scene, and anybody's jobs; excludes and includes views.
+    /// Changes any scene, and anybody's jobs; excludes and includes views; binds contributors' names to keys.
     Curator,
     /// Reads everything and changes nothing.
     Auditor,

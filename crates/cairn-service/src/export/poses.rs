@@ -319,6 +319,7 @@ mod tests {
             name: format!("{i:03}"),
             camera: Camera { intrinsics, pose },
             contributor: format!("person-{:02}", (i * i) % 15),
+            contributor_key: None,
             photograph: "none".into(),
             as_stored: false,
             held_out: i % 8 == 0,

@@ -19,7 +19,7 @@ use crate::export::tour::{PathKind, PathRequest};
 use crate::query::coverage::{Asked, Region};
 use crate::query::light::Light;
 use crate::query::viewpoint::{FieldKind, Viewpoint};
-use crate::records::owners::AskedView;
+use crate::records::owners::{About as SignedAbout, AskedView};
 use crate::store::given::Given;
 use crate::store::hidden::Parts;
 use crate::store::import::{ImportPlan, PlannedFile, PlannedView};
@@ -89,6 +89,19 @@ pub fn bytes32(what: &str, bytes: &[u8]) -> Result<[u8; 32], EngineError> {
 /// [`EngineError::Invalid`] with the field, what it is and what is allowed.
 pub fn public_key(what: &str, bytes: &[u8]) -> Result<PublicKey, EngineError> {
     Ok(PublicKey::from_bytes(&bytes32(what, bytes)?).map_err(RegistryError::from)?)
+}
+
+/// What a record is to be signed about.
+///
+/// # Errors
+/// [`EngineError::Invalid`] where it names neither.
+pub fn signed_about(of: Option<v1::material_request::Of>) -> Result<SignedAbout, EngineError> {
+    use v1::material_request::Of;
+    match of {
+        Some(Of::Identity(number)) => Ok(SignedAbout::Identity(number)),
+        Some(Of::Contributor(name)) => Ok(SignedAbout::Contributor(name)),
+        None => Err(EngineError::invalid("of", "nothing", "an identity's number or a contributor's name")),
+    }
 }
 
 /// Which view a complete answer is about; `None` for the whole scene.
@@ -307,6 +320,10 @@ fn planned_view(view: v1::ImportView) -> Result<PlannedView, EngineError> {
     let view = View {
         camera: camera(&format!("view {name}: camera"), view.camera.as_ref())?,
         contributor: text(&format!("view {name}: contributor"), view.contributor)?,
+        contributor_key: match view.contributor_key.is_empty() {
+            true => None,
+            false => Some(bytes32(&format!("view {name}: contributor_key"), &view.contributor_key)?),
+        },
         photograph: PathBuf::new(),
         as_stored: view.as_stored,
         mask: None,

@@ -58,6 +58,8 @@ pub enum About<'a> {
     Place(&'a str),
     /// A record about a scene, or a request about one, as somebody signed it.
     Signed(&'a str, &'a Envelope),
+    /// A record about a scene that nobody enters for another.
+    Own(&'a str, &'a Envelope),
 }
 
 impl Shared {
@@ -147,7 +149,8 @@ impl Shared {
         };
         let scene = match about {
             About::Nothing => "",
-            About::Scene(scene) | About::Beside(scene) | About::Place(scene) | About::Signed(scene, _) => scene,
+            About::Scene(scene) | About::Beside(scene) | About::Place(scene) => scene,
+            About::Signed(scene, _) | About::Own(scene, _) => scene,
             About::Job(_) => job.as_ref().map_or("", |job| job.spec.scene.as_str()),
         };
         if !matches!(about, About::Beside(_)) {
@@ -167,6 +170,9 @@ impl Shared {
                 !contributor
                     || envelope.signature_by(account.signer()).is_some()
                     || self.entered_before(account, about)?
+            }
+            About::Own(_, envelope) => {
+                envelope.signature_by(account.signer()).is_some() || self.entered_before(account, about)?
             }
             About::Nothing | About::Place(_) => true,
             _ if reach != Reach::Own => true,
@@ -195,7 +201,7 @@ impl Shared {
     /// Whether a call submits again what the log has, signed by the account's key or by one that was rotated to it: that
     /// changes nothing, and whoever ended their key since, or with it, may not have heard the first answer.
     fn entered_before(&self, account: &Account, about: About<'_>) -> Result<bool, Status> {
-        let About::Signed(_, envelope) = about else { return Ok(false) };
+        let (About::Signed(_, envelope) | About::Own(_, envelope)) = about else { return Ok(false) };
         let (engine, key) = (self.engine()?, account.signer());
         let registry = engine.registry();
         let Some(index) = registry.find(&envelope.digest()).map_err(EngineError::from)? else { return Ok(false) };
@@ -225,7 +231,7 @@ fn what(about: About<'_>) -> String {
         About::Nothing => "this".into(),
         About::Scene(scene) | About::Beside(scene) | About::Place(scene) => format!("the scene {scene:?}"),
         About::Job(id) => format!("the training {id}"),
-        About::Signed(..) => "a record that your account's key did not sign".into(),
+        About::Signed(..) | About::Own(..) => "a record that your account's key did not sign".into(),
     }
 }
 

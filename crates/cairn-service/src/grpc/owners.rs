@@ -3,14 +3,15 @@
 use std::time::{Duration, Instant};
 
 use cairn_api::v1::{self, owner_service_server::OwnerService};
-use cairn_log::{LogEntry, Registry, RegistryError, SignedRecord};
+use cairn_log::{LogEntry, RecordKind, Registry, RegistryError, SignedRecord};
 use tonic::{Request, Response, Status};
 
 use super::gate::About;
 use super::{Answer, Shared, from_proto, to_proto};
+use crate::auth::Need;
 use crate::engine::Engine;
 use crate::error::EngineError;
-use crate::records::{corrections, owners as records};
+use crate::records::{bindings, corrections, owners as records};
 
 /// Most records in one answer.
 const MAX_LISTED: u32 = 1000;
@@ -46,13 +47,14 @@ impl OwnerService for Shared {
 
     async fn material(&self, request: Request<v1::MaterialRequest>) -> Answer<v1::MaterialResponse> {
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
-        let v1::MaterialRequest { scene, identity, .. } = request.into_inner();
-        let found = self.run(move |engine| engine.material(&scene, identity)).await?;
-        let model = to_proto::model(&found.info);
+        let v1::MaterialRequest { scene, of, .. } = request.into_inner();
+        let about = from_proto::signed_about(of)?;
+        let found = self.run(move |engine| engine.material(&scene, &about)).await?;
+        let model = found.info.as_ref().map(to_proto::model).unwrap_or_default();
         let text = String::from_utf8(found.signal.text.unwrap_or_default())
             .map_err(|e| Status::data_loss(format!("the hidden text is no UTF-8: {e}")))?;
         Ok(Response::new(v1::MaterialResponse {
-            label: found.identity.label,
+            label: found.label,
             marked_field_sha256: model.marked_field_sha256,
             detector_sha256: model.detector_sha256,
             settings_sha256: model.settings_sha256,
@@ -60,7 +62,9 @@ impl OwnerService for Shared {
             signal: found.signal.picture.unwrap_or_default().into(),
             audio: found.signal.audio.unwrap_or_default().into(),
             text,
-            photograph_sha256: found.identity.photographs.iter().map(|d| d.as_bytes().to_vec().into()).collect(),
+            photograph_sha256: found.photographs.iter().map(|d| d.as_bytes().to_vec().into()).collect(),
+            base_field_sha256: model.base_field_sha256,
+            share_table_sha256: model.share_table_sha256,
         }))
     }
 
@@ -68,8 +72,14 @@ impl OwnerService for Shared {
         // Read once, here; whether the log takes it is the registry's to say.
         let signed = SignedRecord::parse(&request.get_ref().envelope).map_err(RegistryError::from);
         let signed = signed.map_err(EngineError::from)?;
-        let about = About::Signed(&signed.record().scene, signed.envelope());
-        let payer = self.authorise(request.extensions(), about)?;
+        let (scene, envelope) = (&signed.record().scene, signed.envelope());
+        let payer = match signed.record().kind {
+            // What a name stands for is a curator's to say, under a key of their own.
+            RecordKind::Binding => {
+                self.authorise_as(request.extensions(), Need::Curate, About::Own(scene, envelope))?
+            }
+            _ => self.authorise(request.extensions(), About::Signed(scene, envelope))?,
+        };
         while_the_disk_answers(self, move |engine| {
             let receipt = engine.submit_record(&signed, payer)?;
             let tlog_proof = receipt.tlog_proof().to_text();
@@ -148,7 +158,8 @@ impl OwnerService for Shared {
 fn with_standing(registry: &Registry, entry: &LogEntry, scene: &str) -> Result<Option<v1::Record>, EngineError> {
     let Some(mut record) = to_proto::entry(entry, scene) else { return Ok(None) };
     if let LogEntry::Record(stored) = entry {
-        record.standing = Some(to_proto::standing(corrections::standing(registry, stored)?));
+        let confirmed_by = bindings::confirmed_by(registry, stored)?;
+        record.standing = Some(to_proto::standing(corrections::standing(registry, stored)?, confirmed_by));
     }
     Ok(Some(record))
 }

@@ -11,6 +11,7 @@ use crate::query::coverage::{ContributorShare, Contributors};
 use crate::query::look::{Identified, Who};
 use crate::query::necessity::{Cost, Needed, Said};
 use crate::records::corrections::Standing;
+use crate::records::credits::Crediting;
 use crate::store::classes::{Elsewhere, Registered};
 use crate::store::exclusions::{Entries, Entry, State};
 use crate::store::hidden::encoded;
@@ -59,9 +60,9 @@ pub fn camera(camera: &Camera) -> v1::Camera {
 }
 
 /// What later records say of one.
-pub fn standing(standing: Standing) -> v1::Standing {
+pub fn standing(standing: Standing, confirmed_by: Option<u64>) -> v1::Standing {
     let Standing { replaced_by, taken_back_by, disputed_by, key_ended_by, key_rotated } = standing;
-    v1::Standing { replaced_by, taken_back_by, disputed_by, key_ended_by, key_rotated }
+    v1::Standing { replaced_by, taken_back_by, disputed_by, key_ended_by, key_rotated, confirmed_by }
 }
 
 /// A scene kind.
@@ -109,6 +110,7 @@ pub fn scene_views(scene: &SceneFolder, entries: &Entries) -> Vec<v1::SceneView>
         name: view.name.clone(),
         camera: Some(camera(&view.camera)),
         contributor: view.contributor.clone(),
+        contributor_key: view.contributor_key.map(|key| key.to_vec()).unwrap_or_default().into(),
         photograph_sha256: scene.photograph_digest(index).to_vec().into(),
         held_out: view.held_out,
         decision: entries.views.iter().find(|e| e.view == view.name).map(decision),
@@ -227,9 +229,11 @@ pub fn contributors(found: Contributors) -> v1::ContributorsResponse {
     let confidence = mark.confidence;
     let answer = found_identity(mark).map_or(Answer::Unmarked(v1::Unmarked {}), Answer::Identity);
     let photograph = |(view_name, share)| v1::PhotographShare { view_name, share };
-    let share = |ContributorShare { name, share, photographs }| {
+    let record = |Crediting { index, confirmed }| v1::CreditingRecord { index, confirmed };
+    let share = |ContributorShare { name, share, photographs, credits }| {
         let photographs = photographs.into_iter().map(photograph).collect();
-        v1::ContributorShare { name, share, photographs }
+        let (records, may_be_more) = (credits.records.into_iter().map(record).collect(), credits.may_be_more);
+        v1::ContributorShare { name, share, photographs, records, more_records: may_be_more }
     };
     v1::ContributorsResponse {
         answer: Some(answer),
@@ -306,7 +310,8 @@ pub fn record(index: u64, leaf_hash: &cairn_log::Digest, envelope: &Envelope, re
         envelope: envelope.to_json().into_bytes().into(),
         leaf_hash: leaf_hash.as_bytes().to_vec().into(),
         scene: record.scene.clone(),
-        identity: record.identity.number,
+        identity: record.identity.number.unwrap_or(0),
+        contributor: record.identity.contributor.clone(),
         owner_key_sha256: record.owner_key.id().as_bytes().to_vec().into(),
         kind: kind(record.kind),
         standing: None,
@@ -323,6 +328,7 @@ pub fn entry(entry: &LogEntry, scene: &str) -> Option<v1::Record> {
             leaf_hash: leaf.hash().as_bytes().to_vec().into(),
             scene: scene.to_owned(),
             identity: 0,
+            contributor: String::new(),
             owner_key_sha256: leaf.owner.as_bytes().to_vec().into(),
             kind: kind(leaf.kind),
             standing: None,

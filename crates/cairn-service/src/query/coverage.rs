@@ -11,12 +11,13 @@ use crate::error::EngineError;
 use crate::query::look::Who;
 use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of};
 use crate::query::whose_map::WhoseMap;
+use crate::records::credits::Credits;
 use crate::store::model::Model;
 use crate::store::snapshot::SceneSnapshot;
 
 /// Rays that a view's shares are worked out from, at most about so many: of a larger picture every second pixel each
 /// way, every third, and so on. No share of a photograph of liberty's is off by more than 0.0007 with a quarter of them.
-pub(crate) const MAX_RAYS: usize = 15_000;
+const MAX_RAYS: usize = 15_000;
 /// The same of a map, whose pixels people look at.
 const MAX_MAP_RAYS: usize = 60_000;
 /// The map's longest side, px: a camera may ask for a picture that no screen shows.
@@ -78,6 +79,8 @@ pub struct ContributorShare {
     pub share: f64,
     /// Their photographs that show some of it, by the views' names, largest share first, then by name.
     pub photographs: Vec<(String, f64)>,
+    /// The records that credit them here, where these were looked up.
+    pub credits: Credits,
 }
 
 impl Asked {
@@ -124,7 +127,7 @@ pub fn contributors(
     let camera = asked.region.map_or(Ok(whole), |region| region.of(&whole))?;
     let table = model.share_table()?;
     let from = SeenFrom::new(table, &*model.base, camera.pose.position, Sharpness::default());
-    let few = sampled(&camera, MAX_RAYS);
+    let few = sampled(&camera);
     let seen = model.base.row_weights(&few, OfPixel::All);
     let Shares { of_photographs, unseen, behind } = from.shares(&seen);
 
@@ -162,7 +165,7 @@ pub fn contributors(
         let contributors: Vec<(&str, f64)> = found.shares.iter().map(|of| (of.name.as_str(), of.share)).collect();
         let group = |view: &str| taker(view).map_or(WhoseMap::EXCLUDED, |name| WhoseMap::group_of(&contributors, name));
         let group_of: Vec<usize> = table.photographs().iter().map(|photograph| group(&photograph.name)).collect();
-        let coarse = sampled(&camera, MAX_MAP_RAYS);
+        let coarse = at_most(&camera, MAX_MAP_RAYS);
         let seen = if coarse == few { seen } else { model.base.row_weights(&coarse, OfPixel::All) };
         let (pixels, pixels_across) = (from.map(&coarse, &seen, &group_of), coarse.intrinsics.width);
         let kind = if model.mark.is_some() { FieldKind::Marked } else { FieldKind::Base };
@@ -175,9 +178,14 @@ pub fn contributors(
     Ok(found)
 }
 
-/// The camera that takes at most about `max` of a picture's pixels: of a large picture every second one each way, or every
-/// third, and so on.
-pub(crate) fn sampled(camera: &Camera, max: usize) -> Camera {
+/// The camera that takes the pixels that shares are worked out from: of a large picture every second one each way, or
+/// every third, and so on.
+pub(crate) fn sampled(camera: &Camera) -> Camera {
+    at_most(camera, MAX_RAYS)
+}
+
+/// The same of about so many pixels at most.
+fn at_most(camera: &Camera, max: usize) -> Camera {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let every = ((w * h) as f64 / max as f64).sqrt().ceil().max(1.0) as usize;
     if every == 1 { *camera } else { camera.resized((w / every).max(1), (h / every).max(1)) }
@@ -198,7 +206,7 @@ impl ContributorShare {
     fn of(name: &str, mut photographs: Vec<(String, f64)>) -> Self {
         photographs.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
         let share = photographs.iter().map(|(_, share)| share).sum();
-        Self { name: name.to_owned(), share, photographs }
+        Self { name: name.to_owned(), share, photographs, credits: Credits::default() }
     }
 }
 

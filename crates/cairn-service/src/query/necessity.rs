@@ -9,7 +9,7 @@ use cairn_share::{Lesson, Necessity, PULL, STEPS};
 
 use crate::config::Limits;
 use crate::error::EngineError;
-use crate::query::coverage::{Asked, Contributors, MAX_RAYS, contributors, sampled};
+use crate::query::coverage::{Asked, Contributors, contributors, sampled};
 use crate::query::look::Who;
 use crate::query::viewpoint::{Viewpoint, camera_of};
 use crate::store::model::Model;
@@ -99,7 +99,13 @@ impl Question {
     /// # Errors
     /// As [`contributors`]; [`EngineError::Invalid`] for too many contributors; [`EngineError::WrongState`] where no
     /// photograph shows any of it.
-    pub fn plan(&self, model: &Model, snapshot: &SceneSnapshot, mark: Who, limits: &Limits) -> Result<Plan, EngineError> {
+    pub fn plan(
+        &self,
+        model: &Model,
+        snapshot: &SceneSnapshot,
+        mark: Who,
+        limits: &Limits,
+    ) -> Result<Plan, EngineError> {
         if self.contributors > MAX_CONTRIBUTORS {
             let allowed = format!("1 to {MAX_CONTRIBUTORS}");
             return Err(EngineError::invalid("the number of contributors", self.contributors, allowed));
@@ -108,7 +114,7 @@ impl Question {
         model.share_table()?;
         let begun = Instant::now();
         let found = contributors(model, snapshot, &Asked::about(self.viewpoint.clone()), mark, limits)?;
-        let camera = sampled(&camera_of("the view", snapshot, &self.viewpoint, limits)?, MAX_RAYS);
+        let camera = sampled(&camera_of("the view", snapshot, &self.viewpoint, limits)?);
         let rays = camera.intrinsics.width * camera.intrinsics.height;
         let seconds_a_ray = begun.elapsed().as_secs_f64() / rays as f64;
         let plan = Plan::of(model, snapshot, self, found, camera)?;
@@ -142,7 +148,11 @@ impl Plan {
         }
         if photographs.is_empty() {
             let what = format!("the view of scene {:?}", snapshot.name);
-            return Err(EngineError::wrong_state(what, "asked about", "no photograph shows any of it; ask about another"));
+            return Err(EngineError::wrong_state(
+                what,
+                "asked about",
+                "no photograph shows any of it; ask about another",
+            ));
         }
         // The same sums in any order of shares.
         photographs.sort_unstable();

@@ -2,7 +2,7 @@
 //! erasure at its owner's request.
 
 use cairn_log::format::record::Effect;
-use cairn_log::{Envelope, Erasure, Heir, RecordError, Registry, RegistryError, StoredRecord};
+use cairn_log::{Digest, Envelope, Erasure, Heir, RecordError, Registry, RegistryError, StoredRecord};
 
 use crate::error::EngineError;
 
@@ -52,6 +52,15 @@ pub fn standing(registry: &Registry, stored: &StoredRecord) -> Result<Standing, 
         }
     }
     Ok(standing)
+}
+
+/// Whether no later record replaces this one (by its digest) or takes it back.
+///
+/// # Errors
+/// The registry's.
+pub fn is_upheld(registry: &Registry, record: &Digest) -> Result<bool, EngineError> {
+    let about = registry.about(record)?;
+    Ok(about.iter().all(|(_, kind)| matches!(kind.effect(), Effect::Contests | Effect::LeavesIt)))
 }
 
 /// A request to erase, its own signature verified, and the record that it names.

@@ -1,9 +1,12 @@
 //! Owner records as the engine serves them: what a record must state, taking it
 //! in, finding and proving it. Signing happens at the owner's, never here.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use cairn_log::{Digest, LogEntry, OwnerRecord, RecordKind, Registry, SignedRecord};
+use cairn_log::format::record::Seen;
+use cairn_log::format::shares::Shares;
+use cairn_log::{Checkpoint, CheckpointError, Digest, LogEntry, OwnerRecord, RecordKind, Registry, SignedRecord};
 
 use crate::error::EngineError;
 use crate::records::corrections;
@@ -13,14 +16,25 @@ use crate::store::hidden::Parts;
 use crate::store::model::{IdentityInfo, ModelInfo};
 use crate::store::snapshot::SceneSnapshot;
 
-/// What the daemon knows of an identity's mark.
+/// What the daemon knows of what a record is to be signed about.
 pub struct Material {
-    /// The newest model.
-    pub info: ModelInfo,
-    /// The identity.
-    pub identity: IdentityInfo,
-    /// The hidden signal's files; none where nothing is hidden.
+    /// The newest model; none before the first, where only a contributor can be signed for.
+    pub info: Option<ModelInfo>,
+    /// Who the identity stands for, or the contributor's name.
+    pub label: String,
+    /// SHA-256 of the identity's photographs, or of the contributor's that are not excluded.
+    pub photographs: Vec<Digest>,
+    /// The hidden signal's files; none where nothing is hidden, and for a contributor.
     pub signal: Parts<Vec<u8>>,
+}
+
+/// What a record is to be signed about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum About {
+    /// The identity of this number.
+    Identity(u32),
+    /// The photographs of the contributor of this name.
+    Contributor(String),
 }
 
 /// Log entries read at a time.
@@ -35,12 +49,37 @@ pub enum AskedView {
     Photograph(Digest),
 }
 
-/// What a record about an identity of the newest model has to state; the hidden signal's files lie in `models`.
+/// What a record about an identity of the newest model, or about a contributor's photographs, has to state; the hidden
+/// signal's files lie in `models`.
 ///
 /// # Errors
-/// [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`EngineError::WrongState`] where a view of it is
-/// excluded since.
-pub fn material(snapshot: &SceneSnapshot, models: &Path, identity: u32) -> Result<Material, EngineError> {
+/// [`EngineError::NotTrained`], [`EngineError::NotFound`]; [`EngineError::WrongState`] where a view of an identity is
+/// excluded since, or all of a contributor are.
+pub fn material(snapshot: &SceneSnapshot, models: &Path, about: &About) -> Result<Material, EngineError> {
+    match about {
+        About::Identity(identity) => of_identity(snapshot, models, *identity),
+        About::Contributor(name) => of_contributor(snapshot, name),
+    }
+}
+
+fn of_contributor(snapshot: &SceneSnapshot, name: &str) -> Result<Material, EngineError> {
+    let views = &snapshot.scene.capture().views;
+    let own = || (0..views.len()).filter(|i| views[*i].contributor == name);
+    if own().next().is_none() {
+        let there: BTreeSet<&str> = views.iter().map(|view| view.contributor.as_str()).collect();
+        return Err(EngineError::not_found("contributor", name, there.into_iter()));
+    }
+    let kept = own().filter(|i| !snapshot.is_out(&views[*i].name));
+    let photographs: Vec<Digest> = kept.map(|i| Digest::from_bytes(snapshot.scene.photograph_digest(i))).collect();
+    if photographs.is_empty() {
+        let what = format!("contributor {name:?} of scene {:?}", snapshot.name);
+        let why = "all their views are excluded; include one, or ask who curates the scene why";
+        return Err(EngineError::wrong_state(what, "signed for", why));
+    }
+    Ok(Material { info: snapshot.newest.clone(), label: name.to_owned(), photographs, signal: Parts::default() })
+}
+
+fn of_identity(snapshot: &SceneSnapshot, models: &Path, identity: u32) -> Result<Material, EngineError> {
     let info = snapshot.info()?;
     let known = info.identity(identity)?.clone();
     let out = &snapshot.out_of_clusters;
@@ -52,7 +91,7 @@ pub fn material(snapshot: &SceneSnapshot, models: &Path, identity: u32) -> Resul
         return Err(EngineError::wrong_state(what, "signed for", why));
     }
     let signal = if info.mark.is_some() { info.signal(models, identity)? } else { Parts::default() };
-    Ok(Material { info: info.clone(), identity: known, signal })
+    Ok(Material { info: Some(info.clone()), label: known.label, photographs: known.photographs, signal })
 }
 
 /// Takes a record in, at the cost of `payer`, an account's id, if any; durable on return, and published soon after. What
@@ -135,26 +174,35 @@ pub fn photograph_of(snapshot: &SceneSnapshot, name: &str) -> Result<Digest, Eng
     Ok(photograph)
 }
 
-/// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/2`) of at most `most` bytes.
+/// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes; with the statement that
+/// `shares` gives for the answer's checkpoint, signed.
 ///
 /// # Errors
-/// [`EngineError::OverLimit`]; the registry's.
+/// [`EngineError::OverLimit`]; the registry's; what `shares` fails with.
 pub fn complete_answer(
     registry: &Registry,
     scene: &str,
     photograph: Option<&Digest>,
     as_of: Option<&str>,
     most: usize,
+    shares: Option<&dyn Fn(Seen) -> Result<Shares, EngineError>>,
 ) -> Result<Vec<u8>, EngineError> {
     let limit = most.min(cairn_log::format::answer::MAX_ANSWER_BYTES);
-    let answer = registry.answer(scene, photograph, as_of, limit)?.to_json();
+    let mut answer = registry.answer(scene, photograph, as_of, limit)?;
+    if let Some(shares) = shares {
+        let unread = |e: CheckpointError| EngineError::wrong_state("the log's checkpoint", "read", e.to_string());
+        let checkpoint = Checkpoint::read(&answer.checkpoint).map_err(unread)?.1;
+        let shares = shares(Seen { size: checkpoint.size, root: checkpoint.root })?;
+        answer.shares = Some(registry.sign_shares(&shares)?);
+    }
+    let answer = answer.to_json();
     let what = "the complete answer in bytes (ask about a view)";
     EngineError::within(what, "limits.max_message_bytes", limit as u64, answer.len() as u64)?;
     Ok(answer.into_bytes())
 }
 
-/// Log indices of the records that count for an identity, rising: claims of this very marked field and contributions of the
-/// identity's photographs that their owners uphold. A rotation ends a key and leaves what that signed.
+/// Log indices of the records that count for an identity, rising: claims of this very marked field, and claims and
+/// contributions of the identity's photographs, that their owners uphold. A rotation ends a key and leaves what that signed.
 ///
 /// # Errors
 /// The registry's.
@@ -181,15 +229,19 @@ pub fn bearing_on(
     Ok(indices)
 }
 
-/// Whether a record is about the marked field, for a claim, or about the identity's photographs, by its digests. The number
-/// alone says nothing: the next training gives the same number to somebody else.
+/// Whether a record is about the marked field, for a claim of a mark, or about the identity's photographs, by its digests.
+/// The number alone says nothing: the next training gives the same number to somebody else. A record without a number may
+/// list more photographs than the identity's.
 fn is_about(record: &OwnerRecord, marked_field: Option<Digest>, identity: &IdentityInfo) -> bool {
     let bound = &record.digests;
     let photographs = identity.photographs_root();
-    if record.kind != RecordKind::Claim {
-        return bound.photographs == Some(photographs);
+    let lists = |views: &Vec<Digest>| identity.photographs.iter().all(|own| views.binary_search(own).is_ok());
+    match record.identity.number {
+        None => return bound.photographs == Some(photographs) || record.views.as_ref().is_some_and(lists),
+        Some(_) if record.kind != RecordKind::Claim => return bound.photographs == Some(photographs),
+        Some(_) => {}
     }
-    record.identity.number == identity.number
+    record.identity.number == Some(identity.number)
         && marked_field.is_some()
         && bound.marked_field == marked_field
         && bound.photographs.is_none_or(|root| root == photographs)

@@ -37,13 +37,15 @@ fn about(registry: &Registry, kind: RecordKind, by: u8) -> OwnerRecord {
         origin: ORIGIN.into(),
         scene: "town".into(),
         scene_salt: random_salt().unwrap(),
-        identity: Identity { number: 1, contributor: "ada".into() },
+        identity: Identity::numbered(1, "ada"),
         owner_key: key(by).public(),
         digests: Digests {
             marked_field: field(),
             detector: any,
             hidden_signal: any,
             photographs: Some(identity().photographs_root()),
+            base_field: any,
+            share_table: any,
             training_configuration: any,
         },
         seed: Some(1),
@@ -85,11 +87,11 @@ fn only_records_of_this_field_and_these_photographs_are_found() {
     older.digests.marked_field = Some(Digest::of("the field before"));
     enter(&registry, &older, 2, None);
     let mut other = about(&registry, RecordKind::Claim, 2);
-    other.identity.number = 2;
+    other.identity.number = Some(2);
     enter(&registry, &other, 2, None);
     // The same photographs under the number that they had before: the contribution is as good as it was.
     let mut renumbered = about(&registry, RecordKind::Contribution, 3);
-    (renumbered.identity.number, renumbered.digests.marked_field) = (2, Some(Digest::of("the field before")));
+    (renumbered.identity.number, renumbered.digests.marked_field) = (Some(2), Some(Digest::of("the field before")));
     wanted.push(enter(&registry, &renumbered, 3, None).0);
     assert_eq!(found(&registry), wanted);
     // Where only the base field was trained, no claim can be about it.

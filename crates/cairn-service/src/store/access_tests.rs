@@ -116,7 +116,7 @@ mod log {
             origin: "log.test".into(),
             scene: "town".into(),
             scene_salt: Digest::of("salt"),
-            identity: Identity { number: 1, contributor: "ada".into() },
+            identity: Identity::numbered(1, "ada"),
             owner_key: key(by).public(),
             digests: Digests { photographs: Some(Digest::of("photographs")), ..Digests::default() },
             seed: None,

@@ -10,7 +10,7 @@ use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
 use crate::engine::{Engine, Opening};
 use crate::query::coverage::Asked;
 use crate::query::viewpoint::Viewpoint;
-use crate::records::owners::AskedView;
+use crate::records::owners::{About, AskedView};
 use crate::store::test_folder::TestFolder;
 use crate::train::job::{Job, JobState};
 use crate::train::request::{Plan, TrainingRequest};
@@ -188,14 +188,14 @@ fn nobody_is_credited_with_what_was_excluded_since_a_model() {
     let (number, count) = (whole.identity.clone().unwrap().0, names(&info, "ada").len());
     assert_eq!(whole.contributors, [("ada".to_owned(), count)]);
     assert!(world.who(BAD[0]).identity.is_some());
-    world.engine.material("town", number).unwrap();
+    world.engine.material("town", &About::Identity(number)).unwrap();
 
     world.decide(State::Excluded, &BAD[..1]).unwrap();
     assert_eq!(world.who(BAD[0]).identity, None, "nobody is credited with it");
     let short = BAD[0].trim_start_matches("images/");
     assert_eq!(world.who(short).identity, None, "nor by a name without its folder");
     assert_eq!(world.who("images/ada_004.png").contributors, [("ada".to_owned(), count - 1)]);
-    let refused = world.engine.material("town", number).map(drop).unwrap_err().to_string();
+    let refused = world.engine.material("town", &About::Identity(number)).map(drop).unwrap_err().to_string();
     assert!(refused.contains(BAD[0]) && refused.contains("train the scene again"), "{refused}");
     for name in [BAD[0], short] {
         let named = Some(AskedView::Named(name.into()));

@@ -1,10 +1,11 @@
 //! Bringing captures in: an import is gathered in the staging folder, checked whole, and becomes a scene at once.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use cairn_log::Digest;
+use cairn_log::{Digest, PublicKey};
 use cairn_scene::{Capture, LeftOut, SceneFolder, SceneKind, UnusedPhotographs, View};
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
@@ -226,6 +227,32 @@ impl Imported {
     }
 }
 
+/// Refuses what is no public key in a view's table of contributors, and two keys for one contributor.
+///
+/// # Errors
+/// [`EngineError::Invalid`] naming the contributor.
+pub(crate) fn check_keys<'a>(views: impl Iterator<Item = &'a View>) -> Result<(), EngineError> {
+    let mut keys: BTreeMap<&str, Option<[u8; 32]>> = BTreeMap::new();
+    for view in views {
+        let (name, key) = (view.contributor.as_str(), view.contributor_key);
+        let what = || format!("the key of contributor {name:?}");
+        match keys.insert(name, key) {
+            Some(known) if known != key => {
+                let said =
+                    |key: Option<[u8; 32]>| key.map_or("none".to_owned(), |key| Digest::from_bytes(key).to_string());
+                let got = format!("{} and {}", said(known), said(key));
+                return Err(EngineError::invalid(what(), got, "one key, the same in all their views"));
+            }
+            Some(_) => {}
+            None => {
+                let checked = key.as_ref().map(PublicKey::from_bytes).transpose();
+                checked.map_err(|e| EngineError::invalid(what(), e, "an Ed25519 public key"))?;
+            }
+        }
+    }
+    Ok(())
+}
+
 fn file_path(folder: &Path, index: usize, is_mask: bool) -> PathBuf {
     folder.join(format!("{index:06}.{}", if is_mask { "mask" } else { "photograph" }))
 }
@@ -246,6 +273,7 @@ fn check_plan(plan: &ImportPlan, limits: &Limits) -> Result<(), EngineError> {
     if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
         return Err(EngineError::invalid("the views' names", format!("{:?} twice", twice[0]), "distinct names"));
     }
+    check_keys(plan.views.iter().map(|planned| &planned.view))?;
     let mut total = 0u64;
     for view in &plan.views {
         let (name, i) = (&view.view.name, &view.view.camera.intrinsics);

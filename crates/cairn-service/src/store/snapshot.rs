@@ -95,6 +95,13 @@ impl SceneSnapshot {
         Ok(capture.views[scenes::view_index(capture, name)?].camera)
     }
 
+    /// The full name of the first view with this photograph that is not left out.
+    pub fn view_of(&self, photograph: &Digest) -> Option<&str> {
+        let views = self.scene.capture().views.iter().enumerate();
+        let is_of = |i: usize| self.scene.photograph_digest(i) == *photograph.as_bytes();
+        views.filter(|(i, view)| is_of(*i) && !self.is_out(&view.name)).map(|(_, view)| view.name.as_str()).next()
+    }
+
     /// SHA-256 of view `name`'s photograph.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use cairn_log::format::{
     Answer, Checkpoint, Digest, Leaf, MapEntry, MapKey, PublicKey, RecordKind, SignedRecord,
-    answer::{List, ListedRecord, key_after, keys_about},
+    answer::{List, ListedRecord, keys_after},
     map::{keys_of, list_root},
     merkle::{self, verify_inclusion},
 };
@@ -17,6 +17,13 @@ pub(super) struct Opened {
     pub(super) leaf: Leaf,
     /// None where it was erased.
     pub(super) body: Option<SignedRecord>,
+}
+
+impl Opened {
+    /// The key that it says a contributor's name stands for, where it is a binding that was not erased.
+    pub(super) fn bound(&self) -> Option<PublicKey> {
+        self.body.as_ref().and_then(|body| body.record().identity.key)
+    }
 }
 
 /// What the answer holds, proven.
@@ -44,10 +51,10 @@ pub(super) fn check<'a>(
 ) -> Option<Proven<'a>> {
     let lists: BTreeMap<MapKey, &List> = answer.lists.iter().map(|list| (list.key, list)).collect();
     let asked = answer.asked();
-    let Some(first) = lists.get(&asked) else {
+    if !lists.contains_key(&asked) {
         findings.add(Code::AnswerIncomplete, "lists", format!("the list of what was asked, key {asked}"), "none");
         return None;
-    };
+    }
     check_proofs(answer, &asked, root, findings);
     let mut records = BTreeMap::new();
     for record in &answer.records {
@@ -56,9 +63,8 @@ pub(super) fn check<'a>(
         }
     }
     check_entries(answer, &records, findings);
-    let listed = first.entries.iter().filter_map(|entry| records.get(&entry.index));
     let owners = owners(records.values());
-    let needed = needed(asked, listed, &lists, &records);
+    let needed = needed(asked, &lists, &records);
     for key in needed.iter().filter(|key| !lists.contains_key(key)) {
         findings.add(Code::AnswerIncomplete, "lists", format!("the list of key {key}"), "none");
     }
@@ -78,25 +84,23 @@ pub(super) fn check<'a>(
     let lists = lists.into_iter().map(|(key, list)| (key, list.entries.as_slice())).collect();
     let named =
         records.values().filter_map(|opened| Some((opened.leaf.owner, opened.body.as_ref()?.record().owner_key)));
-    let keys = named.collect();
+    let bound = records.values().filter_map(Opened::bound);
+    let keys = named.chain(bound.map(|key| (key.id(), key))).collect();
     Some(Proven { lists, records, keys })
 }
 
 /// The keys of the lists that an answer must hold: what is about the asked list's records, what ended their owners' keys,
-/// and from rotation to rotation what ended the keys that followed.
-fn needed<'a>(
-    asked: MapKey,
-    listed: impl Iterator<Item = &'a Opened>,
-    lists: &BTreeMap<MapKey, &List>,
-    records: &BTreeMap<u64, Opened>,
-) -> BTreeSet<MapKey> {
-    let mut open: Vec<MapKey> = listed.flat_map(|opened| keys_about(&opened.leaf)).collect();
-    let mut needed = BTreeSet::from([asked]);
+/// which keys curators bound to their contributors' names, and from rotation to rotation what ended the keys that followed.
+fn needed(asked: MapKey, lists: &BTreeMap<MapKey, &List>, records: &BTreeMap<u64, Opened>) -> BTreeSet<MapKey> {
+    let (mut open, mut needed) = (vec![asked], BTreeSet::new());
     while let Some(key) = open.pop() {
         let entries = lists.get(&key).map_or(&[][..], |list| &list.entries);
         if needed.insert(key) {
-            let leaves = entries.iter().filter_map(|entry| records.get(&entry.index));
-            open.extend(leaves.filter_map(|opened| key_after(&opened.leaf)));
+            let listed = entries.iter().filter_map(|entry| records.get(&entry.index));
+            let said = |opened: &Opened| {
+                keys_after(&opened.leaf, opened.body.as_ref().map(SignedRecord::record), key == asked)
+            };
+            open.extend(listed.flat_map(said));
         }
     }
     needed
@@ -213,6 +217,9 @@ fn owners<'a>(listed: impl Iterator<Item = &'a Opened>) -> Owners {
         let id = opened.leaf.owner;
         let known = owners.entry(MapKey::ended(&id)).or_insert((id, None));
         known.1 = known.1.or(opened.body.as_ref().map(|body| body.record().owner_key));
+        if let Some(key) = opened.bound() {
+            owners.entry(MapKey::ended(&key.id())).or_insert((key.id(), None)).1 = Some(key);
+        }
     }
     owners
 }

@@ -9,15 +9,18 @@
 
 mod lists;
 mod report;
+mod shares;
 mod worth;
 
 pub use report::{AnswerReport, RecordWorth, Standing};
+pub use shares::{SharesReport, audit_shares};
 
 use cairn_log::format::{
     Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier,
     answer::Format,
     map,
     merkle::{verify_consistency, verify_inclusion},
+    shares::Shares,
 };
 
 use crate::{
@@ -56,7 +59,7 @@ pub fn audit_answer_to(answer: &[u8], pinned: Option<&NoteVerifier>, asked: Opti
                 | AnswerError::Order { .. } => Code::AnswerMalformed,
             };
             findings.add(code, "answer", format!("a complete answer of format {}", Format::NAME), e);
-            return report(None, None, Vec::new(), findings);
+            return report(None, None, Said::default(), findings);
         }
     };
     if pinned.is_none() {
@@ -65,15 +68,16 @@ pub fn audit_answer_to(answer: &[u8], pinned: Option<&NoteVerifier>, asked: Opti
     if let Some(asked) = asked {
         check_question(&answer, asked, &mut findings);
     }
-    let mut records = Vec::new();
+    let mut said = Said::default();
     let sizes = check_log(&answer, pinned, &mut findings);
     if let Some((sizes, root)) = &sizes
         && let Some(proven) = lists::check(&answer, &sizes.checkpoint, root, &mut findings)
         && !findings.failed()
     {
-        records = worth::weigh(&answer, &proven, sizes.as_of, &mut findings);
+        said.records = worth::weigh(&answer, &proven, sizes.as_of, &mut findings);
+        said.shares = shares::check(&answer, &sizes.checkpoint, pinned, &mut findings);
     }
-    report(Some(answer), sizes.map(|(sizes, _)| sizes), records, findings)
+    report(Some(answer), sizes.map(|(sizes, _)| sizes), said, findings)
 }
 
 fn check_question(answer: &Answer, asked: &Question, findings: &mut Findings) {
@@ -96,7 +100,14 @@ struct Sizes {
     as_of: u64,
 }
 
-fn report(answer: Option<Answer>, sizes: Option<Sizes>, records: Vec<RecordWorth>, findings: Findings) -> AnswerReport {
+/// What an answer that holds says.
+#[derive(Default)]
+struct Said {
+    records: Vec<RecordWorth>,
+    shares: Option<Shares>,
+}
+
+fn report(answer: Option<Answer>, sizes: Option<Sizes>, said: Said, findings: Findings) -> AnswerReport {
     let anchored = findings.has(Code::CheckpointVerified);
     let outcome = findings.outcome(anchored);
     // A checkpoint that nobody known signed tells nothing about what is known.
@@ -111,7 +122,8 @@ fn report(answer: Option<Answer>, sizes: Option<Sizes>, records: Vec<RecordWorth
         view: answer.as_ref().and_then(|a| a.view),
         scene: answer.map(|a| a.scene),
         as_of: sizes.filter(|_| outcome != Outcome::Invalid).map(|sizes| sizes.as_of),
-        records,
+        records: if outcome == Outcome::Invalid { Vec::new() } else { said.records },
+        shares: said.shares.filter(|_| outcome != Outcome::Invalid),
         findings: findings.0,
     }
 }

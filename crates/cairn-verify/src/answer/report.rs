@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use cairn_log::format::{Digest, RecordKind};
+use cairn_log::format::{Digest, RecordKind, shares::Shares};
 use serde::Serialize;
 
 use crate::report::{Finding, Freshness, Outcome, lines, report};
@@ -15,7 +15,7 @@ pub enum Standing {
     Counts,
     /// It would count, but its envelope was erased: somebody contributed, and is not named any more.
     Erased,
-    /// A record that credits nobody: a training, revocation, rotation or dispute.
+    /// A record that credits nobody: a training, revocation, rotation, dispute or binding.
     NoCredit,
     /// Its owner put another record in its place.
     Replaced,
@@ -38,18 +38,21 @@ pub struct RecordWorth {
     pub kind: RecordKind,
     /// Key id of its owner.
     pub owner: Digest,
-    /// The contributor's name (in a dispute: whom it names), unless it was erased.
+    /// The contributor's name (in a dispute or binding: whom it names), unless it was erased.
     pub contributor: Option<String>,
-    /// The identity's number, unless it was erased.
+    /// The identity's number, where it has one and was not erased.
     pub number: Option<u32>,
     /// What it is worth.
     pub standing: Standing,
+    /// Of a record that counts the index of the binding by which its contributor's name stands for its owner's key; none
+    /// where it is unconfirmed: then anybody may have entered it.
+    pub confirmed_by: Option<u64>,
     /// Indices of the disputes about it, up to the checkpoint asked for.
     pub disputed_by: Vec<u64>,
 }
 
 /// The result of the audit of an answer.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AnswerReport {
     /// Format version of the report's JSON.
     pub version: u32,
@@ -66,6 +69,9 @@ pub struct AnswerReport {
     pub as_of: Option<u64>,
     /// The records listed under what was asked, by index. None where the answer is invalid: then it credits nobody.
     pub records: Vec<RecordWorth>,
+    /// Whose photographs show the view, by the registry's signed word; none where it gave none, and where the answer is
+    /// invalid.
+    pub shares: Option<Shares>,
     /// All findings, in the order of the checks.
     pub findings: Vec<Finding>,
 }
@@ -98,11 +104,17 @@ impl fmt::Display for RecordWorth {
         // Names come from strangers: quoted, so that they cannot pass for a line of the report.
         let who = self.contributor.as_ref().map_or_else(|| "(erased)".to_owned(), |name| format!("{name:?}"));
         let kind = format!("{:?}", self.kind).to_lowercase();
-        // Whom a dispute names is mostly not whoever contests: that is its key.
-        let whose = if self.kind == RecordKind::Dispute { "naming" } else { "by" };
+        // Whom a dispute or binding names is mostly not its signer: that is its key.
+        let names = matches!(self.kind, RecordKind::Dispute | RecordKind::Binding);
+        let whose = if names { "naming" } else { "by" };
         write!(f, "{:9} index {}: {kind} {whose} {who}", self.standing, self.index)?;
         if let Some(number) = self.number {
             write!(f, ", identity {number}")?;
+        }
+        match self.confirmed_by {
+            Some(index) => write!(f, ", confirmed at index {index}")?,
+            None if self.standing == Standing::Counts => write!(f, ", unconfirmed")?,
+            None => {}
         }
         if !self.disputed_by.is_empty() {
             let indices: Vec<_> = self.disputed_by.iter().map(u64::to_string).collect();
@@ -110,6 +122,26 @@ impl fmt::Display for RecordWorth {
         }
         write!(f, "\n          record {}, key {}", self.record, self.owner)
     }
+}
+
+/// A statement's shares, a line each.
+pub(super) fn shares_lines(shares: &Shares, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    writeln!(
+        f,
+        "shares of what view {:?} shows, by the registry's word (`cairn audit shares` works them out again)",
+        shares.view.name
+    )?;
+    for of in &shares.contributors {
+        writeln!(f, "{:6.1} %  {:?}, photographs: {}", 100.0 * of.share, of.name, of.photographs.len())?;
+    }
+    for (share, what) in [
+        (shares.excluded, "excluded photographs"),
+        (shares.unseen, "no photograph"),
+        (shares.behind, "behind the scene"),
+    ] {
+        writeln!(f, "{:6.1} %  {what}", 100.0 * share)?;
+    }
+    Ok(())
 }
 
 impl fmt::Display for AnswerReport {
@@ -131,6 +163,9 @@ impl fmt::Display for AnswerReport {
         }
         for record in &self.records {
             writeln!(f, "{record}")?;
+        }
+        if let Some(shares) = &self.shares {
+            shares_lines(shares, f)?;
         }
         lines(&self.findings, f)
     }

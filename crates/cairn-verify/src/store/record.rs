@@ -51,7 +51,7 @@ pub(super) fn check(json: &[u8], origin: Option<&str>, registry: Option<&PublicK
     let signed = SignedRecord::open(envelope).map_err(|e| match &e {
         RecordError::OwnerSignature { .. } => fault(Code::StoreRecordSignature, "signed by the owner that it names", e),
         RecordError::Envelope(DsseError::PayloadType { .. }) => fault(Code::StoreEnvelope, "an owner record", e),
-        _ => fault(Code::StoreEnvelope, "an owner record of version 1", e),
+        _ => fault(Code::StoreEnvelope, "an owner record of version 2", e),
     })?;
     let named = &signed.record().origin;
     if let Some(origin) = origin.filter(|origin| *origin != named) {

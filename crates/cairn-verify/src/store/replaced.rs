@@ -32,7 +32,11 @@ pub(super) fn note(endings: &mut Endings, kind: RecordKind, keys: &[MapKey], ind
     let to = match kind {
         RecordKind::Revocation => None,
         RecordKind::Rotation => Some(owner),
-        RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Dispute => return,
+        RecordKind::Claim
+        | RecordKind::Contribution
+        | RecordKind::Training
+        | RecordKind::Dispute
+        | RecordKind::Binding => return,
     };
     for key in keys {
         if let Entry::Vacant(first) = endings.entry(*key) {

@@ -41,7 +41,7 @@ pub fn record(kind: RecordKind, by: u8, views: &[&str], replaces: Option<Digest>
         origin: ORIGIN.into(),
         scene: SCENE.into(),
         scene_salt: Digest::of([by]),
-        identity: Identity { number: u32::from(by), contributor: format!("contributor {by}") },
+        identity: Identity::numbered(u32::from(by), &format!("contributor {by}")),
         owner_key: key(by).public(),
         digests: Digests { photographs: Some(photographs_root(&views)), ..Digests::default() },
         seed: None,
@@ -55,6 +55,13 @@ pub fn record(kind: RecordKind, by: u8, views: &[&str], replaces: Option<Digest>
 
 pub fn sealed(kind: RecordKind, by: u8, views: &[&str], replaces: Option<Digest>) -> Envelope {
     record(kind, by, views, replaces).seal(&key(by)).unwrap()
+}
+
+/// A binding of a contributor's name to the key `to`, by the curator `by`.
+pub fn binding(by: u8, contributor: &str, to: u8) -> Envelope {
+    let identity = Identity { key: Some(key(to).public()), ..Identity::named(contributor) };
+    let record = OwnerRecord { identity, digests: Digests::default(), ..record(RecordKind::Binding, by, &[], None) };
+    record.seal(&key(by)).unwrap()
 }
 
 /// A log and its map, as a registry would keep them.
@@ -114,7 +121,7 @@ impl Log {
         let view = asked.map(view);
         let (lists, records) = collect(&asked_key(SCENE, view.as_ref()), self).unwrap();
         Answer {
-            format: Format::V2,
+            format: Format::V3,
             origin: ORIGIN.into(),
             scene: SCENE.into(),
             view,
@@ -123,6 +130,7 @@ impl Log {
             map: self.tree.size().checked_sub(1).map(|last| self.map_part(last)),
             lists,
             records,
+            shares: None,
         }
     }
 }
@@ -139,6 +147,11 @@ impl Source for Log {
         let (entry, envelope) = &self.entries[index as usize];
         let (leaf, inclusion) = (entry.encode(), self.inclusion(index));
         Ok(ListedRecord { index, leaf, inclusion, envelope: envelope.clone() })
+    }
+
+    fn said(&self, index: u64) -> Result<Option<OwnerRecord>, AnswerGap> {
+        let envelope = self.entries[index as usize].1.as_ref();
+        Ok(envelope.map(|envelope| OwnerRecord::parse(&envelope.payload).unwrap()))
     }
 }
 

@@ -105,13 +105,15 @@ impl Log {
             origin: self.origin.clone(),
             scene: scene.into(),
             scene_salt: Digest::of(self.size().to_be_bytes()),
-            identity: Identity { number: 1, contributor: "Ada".into() },
+            identity: Identity::numbered(1, "Ada"),
             owner_key: key(owner).public(),
             digests: Digests {
                 marked_field: Some(Digest::of("field")),
                 detector: Some(Digest::of("detector")),
                 hidden_signal: Some(Digest::of("signal")),
                 photographs: Some(photographs_root(&views)),
+                base_field: None,
+                share_table: None,
                 training_configuration: None,
             },
             seed: None,
@@ -180,6 +182,12 @@ impl Log {
         let mut keys = BTreeSet::from([key("cairn map scene v1", scene.clone())]);
         for view in record.views.iter().flatten() {
             keys.insert(key("cairn map view v1", [scene.clone(), field(view.as_bytes())].concat()));
+        }
+        let named = [scene.clone(), field(record.identity.contributor.as_bytes())].concat();
+        if matches!(record.kind, RecordKind::Claim | RecordKind::Contribution) {
+            keys.insert(key("cairn map contributor v1", named));
+        } else if record.kind == RecordKind::Binding {
+            keys.insert(key("cairn map binding v1", named));
         }
         if record.kind == RecordKind::Revocation {
             keys.insert(key("cairn map ended v1", field(record.owner_key.id().as_bytes())));

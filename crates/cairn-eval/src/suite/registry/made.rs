@@ -39,7 +39,7 @@ pub fn record(registry: &Registry, seed: u64, number: u64, views: u64) -> anyhow
         kind: RecordKind::Contribution,
         origin: ORIGIN.into(),
         scene_salt: Digest::of(format!("salt {seed} {number}")),
-        identity: Identity { number: 1, contributor: format!("contributor {}", number % 1000) },
+        identity: Identity::numbered(1, &format!("contributor {}", number % 1000)),
         owner_key: owner.public(),
         digests: Digests { photographs: Some(photographs_root(&listed)), ..Digests::default() },
         seed: None,

@@ -65,6 +65,16 @@ impl MapKey {
         Self::of("cairn map about v1", &[record.as_bytes()])
     }
 
+    /// Bindings of a contributor's name in a scene: label `cairn map binding v1`.
+    pub fn binding(scene: &str, contributor: &str) -> Self {
+        Self::of("cairn map binding v1", &[scene.as_bytes(), contributor.as_bytes()])
+    }
+
+    /// Claims and contributions in a contributor's name about a scene: label `cairn map contributor v1`.
+    pub fn contributor(scene: &str, contributor: &str) -> Self {
+        Self::of("cairn map contributor v1", &[scene.as_bytes(), contributor.as_bytes()])
+    }
+
     /// Takes 32 bytes as a key.
     pub const fn from_bytes(bytes: [u8; 32]) -> Self {
         Self(Digest::from_bytes(bytes))
@@ -112,8 +122,15 @@ pub fn keys_of(record: &OwnerRecord, replaced_owner: Option<Digest>) -> Vec<MapK
     let ended = match record.kind {
         RecordKind::Revocation => Some(record.owner_key.id()),
         RecordKind::Rotation => replaced_owner,
-        RecordKind::Claim | RecordKind::Contribution | RecordKind::Training | RecordKind::Dispute => None,
+        RecordKind::Claim
+        | RecordKind::Contribution
+        | RecordKind::Training
+        | RecordKind::Dispute
+        | RecordKind::Binding => None,
     };
+    let (scene, contributor) = (&record.scene, &record.identity.contributor);
+    keys.extend((record.kind == RecordKind::Binding).then(|| MapKey::binding(scene, contributor)));
+    keys.extend(record.kind.credits().then(|| MapKey::contributor(scene, contributor)));
     keys.extend(ended.map(|id| MapKey::ended(&id)));
     keys.extend(record.replaces.map(|digest| MapKey::about(&digest)));
     keys.sort_unstable();
