@@ -225,6 +225,10 @@ fn the_demo_goes_the_whole_way() {
     assert_eq!((results["format_version"].as_u64(), results["seed"].as_u64()), (Some(1), Some(1)));
     assert_eq!(results["records_trusted"], serde_json::json!({ "right": 3, "asked": 3 }));
     assert_eq!(results["evaluation"]["mark"]["identities"].as_array().unwrap().len(), 3);
+    // One of the view's own photographer's, who stood nearest to it, comes first.
+    let shares = results["shares"].as_array().unwrap();
+    assert_eq!((shares.len(), &shares[0][0]), (3, &serde_json::json!("ada")));
+    assert!(said.contains("whose photographs show ada_001.png: ada ") && place.path("demo/who.png").exists(), "{said}");
     assert_eq!(results["seconds"].as_array().unwrap().last().unwrap()[0], "whole demo");
     // Six tiles a row, each at least 96 px wide.
     let sheet = std::fs::read(place.path("demo/contact-sheet.png")).unwrap();

@@ -28,14 +28,14 @@ const VIEW: &str = "ada_001.png";
 /// The file that says whose a folder is.
 const MARKER: &str = "made-by-cairn-demo.txt";
 /// What a demo leaves in its folder.
-const LEFT: [&str; 4] = ["capture", "data", "owners", "contact-sheet.png"];
+const LEFT: [&str; 5] = ["capture", "data", "owners", "contact-sheet.png", "who.png"];
 
 /// `cairn demo`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     pub json: Json,
-    /// Where everything goes: capture, data, bundles, contact sheet. What an earlier demo left there is replaced
+    /// Where everything goes: capture, data, bundles, contact sheet, map of contributors. What an earlier demo left there is replaced
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     pub out: PathBuf,
     /// Every random number of landmark and training comes from it
@@ -64,6 +64,8 @@ pub struct Results {
     pub seed: u64,
     /// Scores on the views that no training saw.
     pub evaluation: Report,
+    /// Whose photographs show one view, and the share of each, 0 to 1; largest first.
+    pub shares: Vec<(String, f64)>,
     /// Owner records that came out trusted, of those that were signed.
     pub records_trusted: Right,
     /// Who-contributed answers by pose that named the identity's record.
@@ -82,6 +84,7 @@ pub async fn run(place: &Where, config: &Config, args: Args) -> anyhow::Result<(
         return json::print_value(&serde_json::to_value(&results)?);
     }
     print!("{}", results.evaluation);
+    println!("  whose photographs show {VIEW}: {}", in_words(&results.shares));
     println!("  owner records trusted      {}", results.records_trusted);
     println!("  records found by pose      {}", results.records_found);
     for (step, seconds) in &results.seconds {
@@ -89,6 +92,10 @@ pub async fn run(place: &Where, config: &Config, args: Args) -> anyhow::Result<(
     }
     println!("{}", what_next(&args));
     Ok(())
+}
+
+fn in_words(shares: &[(String, f64)]) -> String {
+    shares.iter().map(|(name, share)| format!("{name} {:.1} %", 100.0 * share)).collect::<Vec<_>>().join(", ")
 }
 
 /// What was shown, and what a person may try with it.
@@ -110,7 +117,8 @@ fn what_next(args: &Args) -> String {
         );
     }
     text.push_str(&format!(
-        "Look at {out}/contact-sheet.png: photograph, render, difference times 20, and whose mark is read.\n\nTry next:\n  \
+        "Look at {out}/who.png: whose photographs show {VIEW}, pixel by pixel.\n\
+         Look at {out}/contact-sheet.png: photograph, render, difference times 20, and whose mark is read.\n\nTry next:\n  \
          cairn scene show {SCENE} --poses {out}/cameras.png --data {data}\n  \
          cairn render {SCENE} --path orbit --frames 60 --out {out}/orbit.gif --data {data}\n"
     ));
@@ -221,8 +229,10 @@ async fn through(
     let records_found = found(line, &signed).await?;
     let evaluation = evaluate::report(line, SCENE, Some(&args.out.join("contact-sheet.png"))).await?;
     clock.lap("scoring");
+    let shares = shares(line, &args.out.join("who.png")).await?;
+    clock.lap("asking who");
     let seconds = std::mem::take(&mut clock.laps);
-    Ok(Results { format_version: 1, seed: args.seed, evaluation, records_trusted, records_found, seconds })
+    Ok(Results { format_version: 1, seed: args.seed, evaluation, shares, records_trusted, records_found, seconds })
 }
 
 async fn import(line: &Connection, capture: &Path) -> anyhow::Result<()> {
@@ -261,6 +271,16 @@ fn trusted(signed: &[sign::Signed], data: &Path) -> anyhow::Result<Right> {
         trusted.count(audit::bundle::report(&verify)?.outcome == Outcome::Trusted);
     }
     Ok(trusted)
+}
+
+/// Whose photographs show [`VIEW`]; the map of it goes to `map`.
+async fn shares(line: &Connection, map: &Path) -> anyhow::Result<Vec<(String, f64)>> {
+    let from = Some(v1::viewpoint::From::ViewName(VIEW.into()));
+    let viewpoint = Some(v1::Viewpoint { from });
+    let request = v1::ContributorsRequest { scene: SCENE.into(), viewpoint, region: None, map: true };
+    let answer = line.about(SCENE).query().contributors(request).await?.into_inner();
+    write(map, &answer.map_png)?;
+    Ok(answer.contributors.into_iter().map(|of| (of.name, of.share)).collect())
 }
 
 /// Asks for every training view of a cluster whether the answer leads to the identity's record and no other.
