@@ -39,7 +39,7 @@ pub struct Train {
     pub config: FieldConfig,
     /// The seed.
     pub seed: u64,
-    /// Views that are left out, by their indices in the capture.
+    /// Views that teach nothing, by their indices in the capture; see [`BaseTrainer::without`].
     pub without: Vec<usize>,
     /// How a picture is hidden in the photographs (suite `baseline`).
     pub stego: Option<Stego>,
@@ -82,12 +82,15 @@ impl Work for Train {
             }
             Ok(view.named())
         };
-        let taught = opened.training().into_iter().filter(|index| !self.without.contains(index));
-        let views = taught.map(view).collect::<anyhow::Result<Vec<_>>>()?;
+        let views = opened.training().into_iter().map(view).collect::<anyhow::Result<Vec<_>>>()?;
+        let without: Vec<String> = self.without.iter().map(|index| opened.name(*index).to_owned()).collect();
         let (frame, background) = (opened.frame()?, opened.background());
         drop(opened);
         let begun = Instant::now();
         let mut trainer = BaseTrainer::new(views, frame, background, self.config.clone(), self.seed)?;
+        if !without.is_empty() {
+            trainer = trainer.without(|name| without.iter().any(|out| out == name));
+        }
         let mut progress = Progress::new(&self.label, trainer.steps_total());
         while trainer.steps_done() < trainer.steps_total() {
             let stats = trainer.step()?;

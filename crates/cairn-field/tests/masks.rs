@@ -76,3 +76,31 @@ fn screening_judges_what_masks_use() {
     };
     assert_eq!(scores(0.0), scores(1.0));
 }
+
+/// An absent view keeps its place in the order of pixels, and whatever it shows changes no byte.
+#[test]
+fn what_an_absent_view_shows_changes_no_byte() {
+    let absent = |name: &str| name == "001.png" || name == "004.png";
+    for (frame, appearance) in [(ball_box(), AppearanceMode::Off), (ball_in_the_open(), AppearanceMode::On)] {
+        let trained = |photos: Vec<Photo>| {
+            let config = FieldConfig { appearance, ..tiny(60) };
+            let trainer = BaseTrainer::new(named(photos), frame.clone(), None, config, 3).expect("sound settings");
+            let mut trainer = trainer.without(absent);
+            while trainer.steps_done() < trainer.steps_total() {
+                trainer.step().expect("finite numbers");
+            }
+            trainer.finish()
+        };
+        let field = trained(views(7, SIDE, 1.0, DVec3::ZERO));
+        let known = field.appearances().iter().filter(|(name, _)| absent(name)).count();
+        assert_eq!(known, 0, "an absent view has no light");
+        let mut turned = views(7, SIDE, 1.0, DVec3::ZERO);
+        assert_eq!(turned.iter().filter(|view| absent(&view.name)).count(), 2);
+        for view in turned.iter_mut().filter(|view| absent(&view.name)) {
+            // Upside down: its mean colour, with which colours begin, stays.
+            let pixels: Vec<f32> = view.picture.rgb().chunks_exact(3).rev().flatten().copied().collect();
+            view.picture = Picture::new(SIDE, SIDE, pixels).expect("three numbers a pixel");
+        }
+        assert!(field.to_bytes().expect("a field") == trained(turned).to_bytes().expect("a field"), "{appearance:?}");
+    }
+}

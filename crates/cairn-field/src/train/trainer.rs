@@ -63,6 +63,8 @@ pub struct BaseTrainer {
     spacing: Spacing,
     /// The mean of the last states so far.
     pub(crate) mean: Mean,
+    /// By view, whether it teaches nothing ([`BaseTrainer::without`]); empty where all teach.
+    absent: Vec<bool>,
 }
 
 impl BaseTrainer {
@@ -123,8 +125,32 @@ impl BaseTrainer {
             background,
             appearances,
             mean: Mean::default(),
+            absent: Vec::new(),
             light: if open { LightVerdict::Open } else { LightVerdict::Settled },
         }
+    }
+
+    /// The same training in which some views teach nothing. All else stays as it is: the grid, the order of the others'
+    /// pixels, and the steps that look at them, so that two fields differ by what the views taught, and as little as can
+    /// be by chance. It is for measuring what photographs are needed for; checkpoints do not know of it, and the
+    /// photographs' mean colour, where colours begin, has the views in it.
+    ///
+    /// # Panics
+    /// When training has begun, or no view would teach.
+    #[must_use]
+    pub fn without(mut self, absent: impl Fn(&str) -> bool) -> Self {
+        assert!(self.step == 0, "views are left out before training begins");
+        self.absent = self.views.iter().map(|view| absent(&view.name)).collect();
+        assert!(self.absent.contains(&false), "a view must teach");
+        for (view, _) in self.views.iter_mut().zip(&self.absent).filter(|(_, absent)| **absent) {
+            *view = Arc::new(view.unused());
+        }
+        self
+    }
+
+    /// Whether view `n` teaches.
+    fn teaches(&self, n: usize) -> bool {
+        self.absent.get(n) != Some(&true)
     }
 
     /// The settings.
@@ -273,8 +299,9 @@ impl BaseTrainer {
             let tile = self.tiles.draw(self.seed, drawn);
             drawn += 1;
             let used = self.views[tile.view].used_in(&tile);
-            rays += used;
-            if used > 0 {
+            // What an absent view would have taught is taught by no other in its place.
+            rays += if self.teaches(tile.view) { used } else { tile.len() };
+            if used > 0 || !self.teaches(tile.view) {
                 tiles.push(tile);
             }
         }
@@ -299,10 +326,13 @@ impl BaseTrainer {
     pub fn finish_in_f32(mut self) -> Field {
         self.settle();
         let min_weight = self.config.prune_weight.min(SHOWS);
-        let names = self.views.iter().map(|v| v.name.clone());
+        let mut taught = (0..self.views.len()).map(|n| self.teaches(n)).collect::<Vec<_>>().into_iter();
+        self.appearances.retain(|_| taught.next() == Some(true));
+        let views: Vec<_> = (0..self.views.len()).filter(|n| self.teaches(*n)).map(|n| &self.views[n]).collect();
+        let names = views.iter().map(|v| v.name.clone());
         let canonical = Appearance::mean(&self.appearances.iter().collect::<Vec<_>>()).unwrap_or(self.neutral);
         let field = Field::new(self.frame, self.grid, canonical, names.zip(self.appearances).collect());
-        let eyes: Vec<Eye<'_>> = self.views.iter().map(|v| v.eye()).collect();
+        let eyes: Vec<Eye<'_>> = views.iter().map(|v| v.eye()).collect();
         if min_weight > 0.0 { only_what_shows_to(field, &eyes, min_weight) } else { field }
     }
 

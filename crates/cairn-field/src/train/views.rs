@@ -3,7 +3,7 @@
 use super::sampling::Tile;
 use crate::error::FieldError;
 use crate::rays::lens::{Eye, Lens};
-use cairn_scene::{Camera, Picture, Picture8, TrainView};
+use cairn_scene::{Camera, Mask, Picture, Picture8, TrainView};
 use std::sync::Arc;
 
 /// One photograph to learn from. Screening and training share it: it is decoded once.
@@ -36,6 +36,14 @@ impl Prepared {
     #[inline(always)]
     pub(crate) fn pixels(&self) -> &[u8] {
         self.view.rgb8.rgb()
+    }
+
+    /// The same view, none of whose pixels is to be learnt from.
+    pub(crate) fn unused(&self) -> Self {
+        let (width, height) = self.lens.size();
+        let mask = Mask::from_fn(width, height, |_, _| false);
+        let view = TrainView { camera: self.view.camera, rgb8: self.view.rgb8.clone(), mask: mask.ok() };
+        Self { name: self.name.clone(), view: Arc::new(view), lens: self.lens.clone() }
     }
 
     /// The colour of pixel `at`, in [0, 1].
