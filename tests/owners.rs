@@ -405,6 +405,22 @@ fn copy(from: &Path, to: &Path) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_answer_about_a_photograph_looks_into_no_folder_but_a_scenes() {
+    let place = Place::new();
+    let daemon = Daemon::start(&place.path("data"), "");
+    let mut client = OwnerServiceClient::connect(daemon.url.clone()).await.unwrap();
+    let photograph = Digest::of("photograph").as_bytes().to_vec();
+    for scene in ["..", "../models", "/tmp", "nowhere"] {
+        let of = Some(v1::answer_request::Of::PhotographSha256(photograph.clone().into()));
+        let request = v1::AnswerRequest { scene: scene.into(), of, as_of: String::new() };
+        let json = client.answer(request).await.unwrap().into_inner().answer;
+        let answer = Answer::parse(&json).unwrap();
+        assert!(answer.records.is_empty() && answer.shares.is_none(), "{scene}");
+    }
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_log_whose_key_is_lost_is_not_opened_with_a_new_one() {
     let place = Place::new();
     let daemon = Daemon::start(&place.path("data"), "");

@@ -170,9 +170,9 @@ fn a_table_that_cannot_be_is_refused_by_name() {
         fs::write(&path, bad.to_string()).unwrap();
         SceneFolder::open(dir.path(), "square")
     };
-    let future = with("/version", 4.into());
-    assert!(matches!(future, Err(CaptureError::UnknownVersion { got: 4, expected: 3, .. })));
-    refuses(future, &["scene.json", "version is 4", "reads version 3"]);
+    let future = with("/version", 5.into());
+    assert!(matches!(future, Err(CaptureError::UnknownVersion { got: 5, expected: 4, .. })));
+    refuses(future, &["scene.json", "version is 5", "reads version 4"]);
     refuses(with("/format", "other".into()), &["scene.json", "cairn-scene", "other"]);
     refuses(with("/views/1/photograph", "../../x.png".into()), &["view 1 (2.png)", "file name", "../../x.png"]);
     refuses(with("/views/1/photograph", "000000.png".into()), &["view 1 (2.png)", "each once"]);

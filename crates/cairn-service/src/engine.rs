@@ -533,9 +533,9 @@ impl Engine {
         let (photograph, snapshot, view) = match view {
             None => (None, None, None),
             Some(AskedView::Photograph(digest)) => {
-                // The log outlives scenes.
-                let snapshot =
-                    if self.folder.scenes().join(scene).is_dir() { Some(self.snapshot(scene)?) } else { None };
+                // The log outlives scenes, and takes names that no scene can have.
+                let is_there = scenes::check_scene_name(scene).is_ok() && self.folder.scenes().join(scene).is_dir();
+                let snapshot = if is_there { Some(self.snapshot(scene)?) } else { None };
                 let view = snapshot.as_ref().and_then(|snapshot| snapshot.view_of(&digest)).map(str::to_owned);
                 (Some(digest), snapshot, view)
             }

@@ -121,7 +121,8 @@ impl Taught {
             apart += match (one.peek(), other.peek()) {
                 (Some((a, weight)), Some((b, with))) if a == b => {
                     let difference = f64::from((weight - with).abs());
-                    (one.next(), other.next());
+                    one.next();
+                    other.next();
                     difference
                 }
                 (Some((a, weight)), with) if with.is_none_or(|(b, _)| a < b) => {
