@@ -65,6 +65,36 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let beside = place.cairn_refused(&["who", "town", "--view", &name, "--region", "32,0,4,4", connect[0], connect[1]]);
     assert!(beside.contains("the region") && beside.contains("within 32 x 32 px"), "{beside}");
 
+    // What necessity takes is said first, then how far it is, and the answer comes last.
+    let asked = |contributors, name: &str| v1::NecessityRequest {
+        scene: "town".into(),
+        viewpoint: view(name),
+        contributors,
+    };
+    let mut stream = query.necessity(asked(2, &name)).await.unwrap().into_inner();
+    let mut steps = Vec::new();
+    while let Some(message) = stream.message().await.unwrap() {
+        steps.push(message.what.unwrap());
+    }
+    use v1::necessity_response::What;
+    let (Some(What::Cost(cost)), Some(What::Answer(answer))) = (steps.first(), steps.last()) else {
+        panic!("{steps:?}")
+    };
+    assert!(cost.contributors == 2 && cost.photographs > 2 && cost.bytes > 0 && cost.seconds > 0.0, "{cost:?}");
+    let between = |step: &What| matches!(step, What::Progress(at) if at.done > 0.0 && at.done < 1.0);
+    assert!(steps.len() > 2 && steps[1..steps.len() - 1].iter().all(between), "{steps:?}");
+    let changes: Vec<f64> = answer.contributors.iter().map(|of| of.change).collect();
+    assert!(changes.len() == 2 && changes[0] >= changes[1] && changes[1] > 0.0, "{changes:?}");
+    let refused = |asked| {
+        let mut query = query.clone();
+        async move { query.necessity(asked).await.unwrap().into_inner().message().await.unwrap_err() }
+    };
+    let many = refused(asked(21, &name)).await;
+    assert!(many.code() == Code::InvalidArgument && many.message().contains("1 to 20"), "{many}");
+    assert_eq!(refused(asked(1, "none.png")).await.code(), Code::NotFound);
+    let said = place.cairn_ok(&["who", "town", "--view", &name, "--necessity", "1", connect[0], connect[1]]);
+    assert!(said.starts_with("without ") && said.contains(" of 255 levels"), "{said}");
+
     let png = place.text("view.png");
     place.cairn_ok(&["render", "town", "--view", &name, "--out", &png, "--base", connect[0], connect[1]]);
     let bytes = std::fs::read(&png).unwrap();
