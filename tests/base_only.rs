@@ -130,7 +130,7 @@ fn every_photograph_counts_unless_it_cannot_and_who_gets_nothing_is_named() {
     };
     let imported = import("all", &[]);
     assert!(imported.contains("all: 3 views (0 held out) by 3 contributors"), "{imported}");
-    let nothing = "no share for di (1 photograph missing), eve (1 photograph without a camera)";
+    let nothing = "no share for di (1 photograph missing); eve (1 photograph without a camera)";
     assert!(imported.contains(nothing), "{imported}");
     let answer: serde_json::Value = serde_json::from_str(&import("some", &["--hold-out", "3", "--json"])).unwrap();
     assert_eq!(answer["scene"]["held_out_views"], 1);
@@ -144,7 +144,7 @@ fn every_photograph_counts_unless_it_cannot_and_who_gets_nothing_is_named() {
     let refused = place.cairn_refused(&["evaluate", "all", "--data", &data]);
     assert!(refused.contains("scene \"all\" cannot be scored") && refused.contains("--hold-out 8"), "{refused}");
     place.cairn_ok(&["scene", "exclude", "some", "001.png", "--data", &data]);
-    let nothing = "no share for ada (1 photograph held out), bo (1 photograph excluded)";
+    let nothing = "no share for ada (1 photograph held out); bo (1 photograph excluded)";
     let trained = train("some");
     assert!(trained.contains(&format!("some: {nothing}")), "{trained}");
     let shown = place.cairn_ok(&["scene", "show", "some", "--data", &data]);

@@ -66,11 +66,8 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     assert!(beside.contains("the region") && beside.contains("within 32 x 32 px"), "{beside}");
 
     // What necessity takes is said first, then how far it is, and the answer comes last.
-    let asked = |contributors, name: &str| v1::NecessityRequest {
-        scene: "town".into(),
-        viewpoint: view(name),
-        contributors,
-    };
+    let asked =
+        |contributors, name: &str| v1::NecessityRequest { scene: "town".into(), viewpoint: view(name), contributors };
     let mut stream = query.necessity(asked(2, &name)).await.unwrap().into_inner();
     let mut steps = Vec::new();
     while let Some(message) = stream.message().await.unwrap() {

@@ -19,6 +19,22 @@ pub fn commit(folder: &Path) -> String {
     }
 }
 
+/// The contents of some `parts` of the repository in `folder`, as git names them; `-dirty` follows where tracked files
+/// among them differ from what is checked out. `unknown` where there is no git to ask.
+pub fn trees(folder: &Path, parts: &[&str]) -> String {
+    let named: Option<Vec<String>> =
+        parts.iter().map(|part| git(folder, &["rev-parse", "--short=12", &format!("HEAD:{part}")])).collect();
+    let Some(named) = named else { return "unknown".to_owned() };
+    let of_top: Vec<String> = parts.iter().map(|part| format!(":/{part}")).collect();
+    let mut status = vec!["status", "--porcelain", "--untracked-files=no", "--"];
+    status.extend(of_top.iter().map(String::as_str));
+    match git(folder, &status) {
+        Some(changes) if changes.is_empty() => named.join("-"),
+        // Unable to tell is not clean.
+        _ => format!("{}-dirty", named.join("-")),
+    }
+}
+
 fn git(folder: &Path, arguments: &[&str]) -> Option<String> {
     let output = Command::new("git").arg("-C").arg(folder).args(arguments).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
@@ -110,7 +126,13 @@ mod tests {
         assert!(clean.len() == 12 && clean.bytes().all(|b| b.is_ascii_hexdigit()), "{clean}");
         write("docs/results.md", "2");
         assert_eq!(commit(folder.path()), clean);
+        let parts = trees(folder.path(), &["docs"]);
+        assert!(parts.len() == 12 + "-dirty".len() && parts.ends_with("-dirty"), "{parts}");
+        write("docs/results.md", "1");
+        let docs = trees(folder.path(), &["docs"]);
         write("a", "2");
         assert_eq!(commit(folder.path()), format!("{clean}-dirty"));
+        assert_eq!(trees(folder.path(), &["docs"]), docs, "other parts do not count");
+        assert_eq!(trees(folder.path(), &["none"]), "unknown");
     }
 }

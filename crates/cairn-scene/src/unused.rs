@@ -76,22 +76,37 @@ pub fn without_share<'a>(photographs: impl IntoIterator<Item = Standing<'a>>) ->
     unused.into_iter().filter(|((contributor, _), _)| !used.contains(contributor)).map(of).collect()
 }
 
-/// A sentence that names all contributors without a share and says why; `None` where there is none. `all` is as
-/// [`without_share`] gives it.
+/// A sentence that names all contributors without a share and says why, those with one reason together; `None` where there
+/// is none. `all` is as [`without_share`] gives it.
 pub fn no_share(all: &[UnusedPhotographs]) -> Option<String> {
-    let of_one = |own: &[UnusedPhotographs]| {
-        let reasons: Vec<String> =
-            own.iter().map(|unused| format!("{} {}", unused.photographs, unused.why.words())).collect();
-        let count: usize = own.iter().map(|unused| unused.photographs).sum();
-        let reasons = reasons.join(", ");
-        match own {
-            [only] if count == 1 => format!("{} (1 photograph {})", only.contributor, only.why.words()),
-            [only] => format!("{} ({count} photographs {})", only.contributor, only.why.words()),
-            several => format!("{} ({count} photographs: {reasons})", several[0].contributor),
-        }
+    let mut groups: Vec<(String, Vec<&str>)> = Vec::new();
+    for own in all.chunk_by(|a, b| a.contributor == b.contributor) {
+        let why = reason(own);
+        let at = groups.iter().position(|(known, _)| *known == why).unwrap_or_else(|| {
+            groups.push((why, Vec::new()));
+            groups.len() - 1
+        });
+        groups[at].1.push(&own[0].contributor);
+    }
+    let in_words = |(why, names): &(String, Vec<&str>)| {
+        let each = if names.len() > 1 { " each" } else { "" };
+        format!("{} ({why}{each})", names.join(", "))
     };
-    let named: Vec<String> = all.chunk_by(|a, b| a.contributor == b.contributor).map(of_one).collect();
-    (!named.is_empty()).then(|| format!("no share for {}", named.join(", ")))
+    let said: Vec<String> = groups.iter().map(in_words).collect();
+    (!said.is_empty()).then(|| format!("no share for {}", said.join("; ")))
+}
+
+/// Why one contributor's photographs, all of `own`, are unused.
+fn reason(own: &[UnusedPhotographs]) -> String {
+    let count: usize = own.iter().map(|unused| unused.photographs).sum();
+    let photographs = if count == 1 { "1 photograph".to_owned() } else { format!("{count} photographs") };
+    match own {
+        [only] => format!("{photographs} {}", only.why.words()),
+        several => {
+            let reasons = several.iter().map(|unused| format!("{} {}", unused.photographs, unused.why.words()));
+            format!("{photographs}: {}", reasons.collect::<Vec<_>>().join(", "))
+        }
+    }
 }
 
 #[cfg(test)]
@@ -109,6 +124,7 @@ mod tests {
             of("cy", Some(Unused::HeldOut), 1),
             of("cy", Some(Unused::Excluded), 1),
             of("di", Some(Unused::Masked), 1),
+            of("ed", Some(Unused::NoCamera), 2),
         ]);
         let row = |contributor: &str, why, photographs| UnusedPhotographs {
             contributor: contributor.into(),
@@ -120,10 +136,11 @@ mod tests {
             row("cy", Unused::HeldOut, 1),
             row("cy", Unused::Excluded, 2),
             row("di", Unused::Masked, 1),
+            row("ed", Unused::NoCamera, 2),
         ];
         assert_eq!(all, wanted);
-        let said = "no share for bo (2 photographs without a camera), cy (3 photographs: 1 held out, 2 excluded), \
-                    di (1 photograph masked or beside the scene)";
+        let said = "no share for bo, ed (2 photographs without a camera each); cy (3 photographs: 1 held out, \
+                    2 excluded); di (1 photograph masked or beside the scene)";
         assert_eq!(no_share(&all).as_deref(), Some(said));
         assert_eq!(no_share(&[]), None);
     }

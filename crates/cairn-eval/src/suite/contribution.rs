@@ -1,7 +1,7 @@
 //! Suite `contribution`: what shares say of held-out views, against what leaving contributors out of the training changes.
 //! For each capture a field of all photographs and one without each of eight groups of contributors are trained, with two
 //! seeds, and with one of them without each of eight halves of the groups. A capture's fields are kept among the work, and a
-//! run that was stopped goes on with those that are missing: after a change to the training begin with an empty folder.
+//! run that was stopped goes on with those that are missing.
 
 use std::path::Path;
 
@@ -17,6 +17,7 @@ use crate::contribution::groups::{Deal, GROUPS, groups, subsets};
 use crate::contribution::rank::{Agreement, Spread, Table, advantage, datamodeling, interval};
 use crate::contribution::truth::{Trainings, Truth, Without};
 use crate::file;
+use crate::origin::trees;
 use crate::results::Target;
 use crate::rows::Rows;
 use crate::settings::QUICK_SIDE_PX;
@@ -88,8 +89,9 @@ fn found(children: &Children, case: &Case, folder: &Path, out: &Path, seed: u64,
         cairn_service::config::preset::settings(Chosen { preset: opened.kind().into(), quality, robust: false });
     let groups = groups(&opened, case.deal);
     let subsets = subsets(seed);
-    // Other settings, groups or subsets make other fields.
-    let what = serde_json::to_vec(&(&source, &settings.field, &groups, &subsets))?;
+    // Other trainers, settings, groups or subsets make other fields.
+    let trainer = trees(Path::new("."), &["crates/cairn-field", "crates/cairn-scene"]);
+    let what = serde_json::to_vec(&(trainer, &source, &settings.field, &groups, &subsets))?;
     let digest = Sha256::digest(what);
     let out = out.join(digest[..4].iter().map(|byte| format!("{byte:02x}")).collect::<String>());
     std::fs::create_dir_all(&out).with_context(|| format!("cannot make the folder {}", out.display()))?;
@@ -133,12 +135,16 @@ fn add(rows: &mut Rows, case: &str, found: &Found, seed: u64) {
                 let ahead = advantage(table, rival, truth, seed);
                 add_spread(rows, case, &format!("{name} by {way}, ahead of the {RIVAL}"), &ahead);
             }
-            if *name == "growth" {
-                for (kind, of) in KINDS {
-                    let metric = format!("{name} by {way}, part of the ceiling, {kind}");
-                    rows.add(case, &metric, of(&spread.whole) / of(&ceiling), "", target(case, &metric));
-                }
-            }
+        }
+    }
+    // By one seed at a time, as the ceiling is.
+    let by_seed = |table: &Table, kind: fn(&Agreement) -> f64| {
+        growth.iter().map(|truth| kind(&interval(table, truth, seed).whole)).sum::<f64>() / growth.len() as f64
+    };
+    for (way, table) in &found.foreseen {
+        for (kind, of) in KINDS {
+            let metric = format!("growth by {way}, part of the ceiling, {kind}");
+            rows.add(case, &metric, by_seed(table, of) / of(&ceiling), "", target(case, &metric));
         }
     }
     for (name, truth) in ["change", "growth"].into_iter().zip(of_subsets) {

@@ -63,8 +63,6 @@ pub struct BaseTrainer {
     spacing: Spacing,
     /// The mean of the last states so far.
     pub(crate) mean: Mean,
-    /// By view, whether it teaches nothing ([`BaseTrainer::without`]); empty where all teach.
-    absent: Vec<bool>,
 }
 
 impl BaseTrainer {
@@ -125,7 +123,6 @@ impl BaseTrainer {
             background,
             appearances,
             mean: Mean::default(),
-            absent: Vec::new(),
             light: if open { LightVerdict::Open } else { LightVerdict::Settled },
         }
     }
@@ -140,17 +137,11 @@ impl BaseTrainer {
     #[must_use]
     pub fn without(mut self, absent: impl Fn(&str) -> bool) -> Self {
         assert!(self.step == 0, "views are left out before training begins");
-        self.absent = self.views.iter().map(|view| absent(&view.name)).collect();
-        assert!(self.absent.contains(&false), "a view must teach");
-        for (view, _) in self.views.iter_mut().zip(&self.absent).filter(|(_, absent)| **absent) {
-            *view = Arc::new(view.unused());
+        for view in self.views.iter_mut().filter(|view| absent(&view.name)) {
+            *view = Arc::new(view.left_out());
         }
+        assert!(self.views.iter().any(|view| !view.absent), "a view must teach");
         self
-    }
-
-    /// Whether view `n` teaches.
-    fn teaches(&self, n: usize) -> bool {
-        self.absent.get(n) != Some(&true)
     }
 
     /// The settings.
@@ -299,9 +290,8 @@ impl BaseTrainer {
             let tile = self.tiles.draw(self.seed, drawn);
             drawn += 1;
             let used = self.views[tile.view].used_in(&tile);
-            // What an absent view would have taught is taught by no other in its place.
-            rays += if self.teaches(tile.view) { used } else { tile.len() };
-            if used > 0 || !self.teaches(tile.view) {
+            rays += used;
+            if used > 0 {
                 tiles.push(tile);
             }
         }
@@ -326,9 +316,9 @@ impl BaseTrainer {
     pub fn finish_in_f32(mut self) -> Field {
         self.settle();
         let min_weight = self.config.prune_weight.min(SHOWS);
-        let mut taught = (0..self.views.len()).map(|n| self.teaches(n)).collect::<Vec<_>>().into_iter();
-        self.appearances.retain(|_| taught.next() == Some(true));
-        let views: Vec<_> = (0..self.views.len()).filter(|n| self.teaches(*n)).map(|n| &self.views[n]).collect();
+        let mut all = self.views.iter();
+        self.appearances.retain(|_| all.next().is_some_and(|view| !view.absent));
+        let views: Vec<_> = self.views.iter().filter(|view| !view.absent).collect();
         let names = views.iter().map(|v| v.name.clone());
         let canonical = Appearance::mean(&self.appearances.iter().collect::<Vec<_>>()).unwrap_or(self.neutral);
         let field = Field::new(self.frame, self.grid, canonical, names.zip(self.appearances).collect());

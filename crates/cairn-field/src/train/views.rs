@@ -3,7 +3,7 @@
 use super::sampling::Tile;
 use crate::error::FieldError;
 use crate::rays::lens::{Eye, Lens};
-use cairn_scene::{Camera, Mask, Picture, Picture8, TrainView};
+use cairn_scene::{Camera, Picture, Picture8, TrainView};
 use std::sync::Arc;
 
 /// One photograph to learn from. Screening and training share it: it is decoded once.
@@ -29,6 +29,8 @@ pub(crate) struct Prepared {
     pub(crate) name: String,
     pub(crate) view: Arc<TrainView>,
     pub(crate) lens: Arc<Lens>,
+    /// Whether the view is absent: it keeps its place in the order of pixels, and teaches nothing.
+    pub(crate) absent: bool,
 }
 
 impl Prepared {
@@ -38,12 +40,9 @@ impl Prepared {
         self.view.rgb8.rgb()
     }
 
-    /// The same view, none of whose pixels is to be learnt from.
-    pub(crate) fn unused(&self) -> Self {
-        let (width, height) = self.lens.size();
-        let mask = Mask::from_fn(width, height, |_, _| false);
-        let view = TrainView { camera: self.view.camera, rgb8: self.view.rgb8.clone(), mask: mask.ok() };
-        Self { name: self.name.clone(), view: Arc::new(view), lens: self.lens.clone() }
+    /// The same view, absent.
+    pub(crate) fn left_out(&self) -> Self {
+        Self { name: self.name.clone(), view: self.view.clone(), lens: self.lens.clone(), absent: true }
     }
 
     /// The colour of pixel `at`, in [0, 1].
@@ -60,10 +59,10 @@ impl Prepared {
     #[inline(always)]
     pub(crate) fn uses(&self, at: usize) -> bool {
         let width = self.lens.size().0;
-        self.view.mask.as_ref().is_none_or(|mask| mask.uses(at % width, at / width))
+        !self.absent && self.view.mask.as_ref().is_none_or(|mask| mask.uses(at % width, at / width))
     }
 
-    /// Pixels of a tile to learn from.
+    /// Pixels of a tile to learn from, or that would be if the view were not absent.
     pub(crate) fn used_in(&self, tile: &Tile) -> usize {
         let Some(mask) = &self.view.mask else { return tile.len() };
         let pixels = (tile.y..tile.bottom).flat_map(|y| (tile.x..tile.right).map(move |x| (x, y)));
@@ -90,7 +89,7 @@ pub(crate) fn prepare(views: Vec<NamedView>) -> Result<Vec<Arc<Prepared>>, Field
         ));
     }
     let lenses = Lens::shared(views.iter().map(|v| v.view.camera));
-    let prepared = |(NamedView { name, view }, lens)| Arc::new(Prepared { name, view, lens });
+    let prepared = |(NamedView { name, view }, lens)| Arc::new(Prepared { name, view, lens, absent: false });
     Ok(views.into_iter().zip(lenses).map(prepared).collect())
 }
 

@@ -13,7 +13,7 @@ use super::gate::About;
 use super::waiting::Waiting;
 use super::{Answer, Shared, from_proto, to_proto};
 use crate::query::look::FieldRegistration;
-use crate::query::necessity::Question;
+use crate::query::necessity::{Question, Said};
 
 #[tonic::async_trait]
 impl QueryService for Shared {
@@ -48,17 +48,19 @@ impl QueryService for Shared {
     type NecessityStream = ReceiverStream<Result<v1::NecessityResponse, Status>>;
 
     async fn necessity(&self, request: Request<v1::NecessityRequest>) -> Answer<Self::NecessityStream> {
-        self.authorise_as(request.extensions(), Need::Inspect, About::Scene(&request.get_ref().scene))?;
+        self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
         let v1::NecessityRequest { scene, viewpoint, contributors } = request.into_inner();
         let (viewpoint, contributors) = (from_proto::viewpoint(viewpoint)?, contributors as usize);
-        let (sender, receiver) = mpsc::channel(1);
+        // Cost and answer always find a place, so that a caller who does not read holds nothing up.
+        let (sender, receiver) = mpsc::channel(3);
         let shared = self.clone();
         tokio::spawn(async move {
             let says = sender.clone();
             // Who hangs up ends the work after the part under way.
             let work = shared.compute(move |engine| {
                 engine.necessity(&scene, &Question { viewpoint, contributors }, &mut |said| {
-                    says.blocking_send(Ok(to_proto::necessity(said))).is_ok()
+                    let is_late = matches!(said, Said::Progress { .. }) && says.capacity() < 2;
+                    if is_late { !says.is_closed() } else { says.try_send(Ok(to_proto::necessity(said))).is_ok() }
                 })
             });
             let done = tokio::select! {

@@ -21,10 +21,12 @@ pub const MAX_CONTRIBUTORS: usize = 20;
 const CONTRIBUTORS: usize = 5;
 /// Pixels of photographs that are looked at, in all: what the field makes of them takes about half a gigabyte.
 pub const MAX_PIXELS: usize = 400_000;
-/// A photograph that shows less of the view says nothing of its colours.
-const MIN_SHARE: f64 = 5e-4;
+/// The photographs that show least of the view are passed over, as long as they show no more of it together.
+const PASSED_OVER: f64 = 0.02;
 /// Bytes of a pixel's linear map, about.
 const PIXEL_BYTES: u64 = 1300;
+/// Bytes of a row: nine vectors of three numbers while colours are solved for.
+const ROW_BYTES: u64 = 108;
 /// Seconds of one pass over a pixel's linear map, in those of following its ray.
 const PASS: f64 = 0.3;
 /// Entries of the view's linear map that weigh less are left out, pixels.
@@ -121,7 +123,8 @@ impl Question {
         let passes = (STEPS * 2 + 4) as f64 * PASS * (plan.asked.len() + 1) as f64;
         let pixels = plan.pixels_of_each(snapshot) * plan.photographs.len();
         let seconds = pixels as f64 * seconds_a_ray * (1.0 + passes);
-        let cost = Cost { bytes: pixels as u64 * PIXEL_BYTES, seconds, ..plan.cost };
+        let bytes = pixels as u64 * PIXEL_BYTES + model.base.rows() as u64 * ROW_BYTES;
+        let cost = Cost { bytes, seconds, ..plan.cost };
         Ok(Plan { cost, ..plan })
     }
 }
@@ -136,10 +139,12 @@ impl Plan {
     ) -> Result<Self, EngineError> {
         let views = &snapshot.scene.capture().views;
         let wanted = if question.contributors == 0 { CONTRIBUTORS } else { question.contributors };
+        let min_share = passed_over(found.shares.iter().flat_map(|of| &of.photographs).map(|(_, share)| *share));
         let (mut asked, mut photographs) = (Vec::new(), Vec::new());
         for of in found.shares {
             let who = (asked.len() < wanted).then_some(asked.len());
-            let shows = of.photographs.iter().filter(|(_, share)| *share >= MIN_SHARE);
+            // Of those who are asked about all count.
+            let shows = of.photographs.iter().filter(|(_, share)| who.is_some() || *share >= min_share);
             let places = shows.filter_map(|(name, _)| views.binary_search_by(|view| view.name.cmp(name)).ok());
             photographs.extend(places.map(|place| (place, who)));
             if who.is_some() {
@@ -172,7 +177,7 @@ impl Plan {
             intrinsics.width * intrinsics.height
         };
         let largest = self.photographs.iter().map(size).max().unwrap_or(0);
-        (MAX_PIXELS / self.photographs.len()).min(largest)
+        (MAX_PIXELS / self.photographs.len()).clamp(1, largest.max(1))
     }
 
     /// Works it out, largest change first. `goes_on` hears after each part how much is done, 0 to 1, and says whether to
@@ -218,5 +223,30 @@ impl Plan {
         }
         needed.sort_by(|a, b| b.change.total_cmp(&a.change).then_with(|| a.name.cmp(&b.name)));
         Ok(Some(needed))
+    }
+}
+
+/// The share below which photographs are [`PASSED_OVER`].
+fn passed_over(shares: impl Iterator<Item = f64>) -> f64 {
+    let mut shares: Vec<f64> = shares.collect();
+    shares.sort_by(f64::total_cmp);
+    let mut left = PASSED_OVER * shares.iter().sum::<f64>();
+    let kept = shares.into_iter().find(|share| {
+        left -= share;
+        left < 0.0
+    });
+    kept.unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn photographs_are_passed_over_by_what_they_show_together() {
+        assert_eq!(passed_over([0.5, 0.004, 0.49, 0.006].into_iter()), 0.49, "0.010 of 1 are less than a fiftieth");
+        // A thousand that show alike are all kept.
+        assert_eq!(passed_over((0..1000).map(|_| 0.001)), 0.001);
+        assert_eq!(passed_over(std::iter::empty()), 0.0);
     }
 }
