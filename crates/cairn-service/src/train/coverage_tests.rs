@@ -77,7 +77,7 @@ fn every_contributor_without_a_share_is_named_with_the_reason() {
     ];
     assert_eq!(info.without_share, wanted);
     let said = "town: no share for eve (1 photograph held out); fay (1 photograph excluded); gus (1 photograph masked or \
-                beside the scene), hal (2 photographs: 1 held out, 1 excluded)";
+                beside the scene); hal (2 photographs: 1 held out, 1 excluded)";
     assert!(job.notes.iter().any(|note| note == said), "{:?}", job.notes);
 
     // A view that taught nothing says so; who took one that is held out is named all the same.
