@@ -317,6 +317,13 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     assert_eq!(again(&renamed, &field, &table, &[]).1, Some(0), "field and table know no names");
     let (said, code) = again(&renamed, &field, &table, &with_scene);
     assert!(code == Some(1) && said.contains("error    shares.photograph.mismatch"), "{said}");
+    // Her photographs left out of it, or called excluded without being named, though all adds up.
+    let dropped = |shares: &mut Shares| {
+        let at = shares.contributors.iter().position(|of| of.name == "ada").unwrap();
+        shares.excluded += shares.contributors.remove(at).share;
+    };
+    let (said, code) = again(&forged(&dropped), &field, &table, &[]);
+    assert!(code == Some(1) && said.contains("neither credited nor excluded"), "{said}");
     let turned = forged(&|shares| shares.camera["pose"]["position"] = serde_json::json!([1.0, 2.0, 3.0]));
     let (said, code) = again(&turned, &field, &table, &with_scene);
     assert!(code == Some(1) && said.contains("error    shares.camera.mismatch"), "{said}");

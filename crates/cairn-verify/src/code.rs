@@ -356,6 +356,8 @@ codes! {
     SharesCameraMismatch = "shares.camera.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares are of another view";
     /// A photograph that the statement names is another one in the scene, or another contributor's.
     SharesPhotographMismatch = "shares.photograph.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares credit the wrong contributor";
+    /// A photograph of the scene that is not held out, and that the share table does not have.
+    SharesPhotographLeftOut = "shares.photograph.left_out", Warning, "ask who runs the registry why it taught the field nothing: its contributor gets no share anywhere";
     /// The shares were worked out in another way than this release's.
     SharesMethodUnknown = "shares.method.unknown", Error, "use the release that the statement was made with";
     /// The shares are those that field, table and camera give.

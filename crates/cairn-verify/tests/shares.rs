@@ -37,6 +37,7 @@ fn shares(answer: &Answer) -> Shares {
             of("contributor 1", vec![photograph("four", 0.25)]),
         ],
         excluded: 0.125,
+        excluded_views: vec![SharedView { name: "five.png".into(), photograph: view("five") }],
         unseen: 0.0625,
         behind: 0.1875,
         checkpoint: Seen { size: checkpoint.size, root: checkpoint.root },

@@ -1,15 +1,15 @@
 //! `cairn audit shares`: the shares that a registry signed, worked out again from the base field, its share table and the
 //! view's camera; with a scene in hand the table's own entries, too.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
 use cairn_durable::read_limited;
 use cairn_log::Digest;
-use cairn_log::format::shares::{PhotographShare, Shares};
-use cairn_scene::{Camera, SceneFolder};
+use cairn_log::format::shares::{PhotographShare, SharedView, Shares};
+use cairn_scene::{Camera, SceneFolder, View};
 use cairn_service::query::recount::{self, Method, Taught};
 use cairn_verify::{Code, FileInHand, Finding};
 
@@ -92,6 +92,7 @@ fn again(args: &Args, shares: &Shares) -> anyhow::Result<Vec<Finding>> {
     let taught = Taught::read(&args.field, &args.table)?;
     compare(shares, &taught.shares(&camera)?, &mut findings);
     if let Some(scene) = &scene {
+        findings.extend(left_out(shares, &taught, scene));
         lessons(args, shares, &taught, scene, &mut findings)?;
     }
     Ok(findings)
@@ -151,13 +152,19 @@ fn held_to_takers(shares: &Shares, scene: &SceneFolder) -> Vec<Finding> {
         .collect();
     let named = shares.contributors.iter().flat_map(|of| of.photographs.iter().map(move |one| (of.name.as_str(), one)));
     let wrong = named.filter(|(name, one)| known.get(one.view.as_str()) != Some(&(*name, one.photograph)));
+    let is_another = |view: &&SharedView| known.get(view.name.as_str()).is_none_or(|(_, digest)| *digest != view.photograph);
+    let wrongly_excluded = shares.excluded_views.iter().filter(is_another).map(|view| {
+        let place = format!("statement, excluded view {:?}", view.name);
+        let expected = known.get(view.name.as_str()).map_or_else(|| "none".to_owned(), |(_, digest)| digest.to_string());
+        Finding::of(Code::SharesPhotographMismatch, &place, &expected, &view.photograph.to_string())
+    });
     let words = |name: &str, photograph: &Digest| format!("{photograph} by {name:?}");
     let finding = |(name, one): (&str, &PhotographShare)| {
         let place = format!("statement, photograph {:?}", one.view);
         let expected = known.get(one.view.as_str()).map_or_else(|| "none".to_owned(), |(by, digest)| words(by, digest));
         Finding::of(Code::SharesPhotographMismatch, &place, &expected, &words(name, &one.photograph))
     };
-    wrong.map(finding).collect()
+    wrong.map(finding).chain(wrongly_excluded).collect()
 }
 
 /// Whether the shares were worked out as this release does it.
@@ -197,14 +204,35 @@ fn compare(shares: &Shares, again: &recount::Recount, findings: &mut Vec<Finding
         }
         hold(format!("share of contributor {:?}", of.name), of.share, sum);
     }
-    // What is named by none is excluded, or was left out.
-    hold("share of excluded photographs".to_owned(), shares.excluded, left.values().sum());
+    let listed = shares.excluded_views.iter();
+    let excluded = listed.filter_map(|view| left.remove(view.name.as_str())).sum();
+    hold("share of excluded photographs".to_owned(), shares.excluded, excluded);
+    // The table has others: the statement left them out.
+    for (name, again) in left {
+        hold(format!("share of photograph {name:?}, neither credited nor excluded"), 0.0, again);
+    }
     hold("share that no photograph shows".to_owned(), shares.unseen, again.unseen);
     hold("share behind the scene".to_owned(), shares.behind, again.behind);
     if findings.iter().all(|finding| finding.code != Code::SharesRecomputedMismatch) {
         let got = format!("{count} shares, {:.3} % off at most", 100.0 * worst);
         findings.push(Finding::of(Code::SharesRecomputed, "shares", "", &got));
     }
+}
+
+/// The scene's photographs that are not held out, and that the table does not have.
+fn left_out(shares: &Shares, taught: &Taught, scene: &SceneFolder) -> Vec<Finding> {
+    let has: BTreeSet<&str> = taught.names().collect();
+    let excluded: BTreeSet<&str> = shares.excluded_views.iter().map(|view| view.name.as_str()).collect();
+    let is_left_out = |view: &&View| !view.held_out && !has.contains(view.name.as_str());
+    let finding = |view: &View| {
+        let place = format!("share table, photograph {:?} by {:?}", view.name, view.contributor);
+        let got = match excluded.contains(view.name.as_str()) {
+            true => "none; the statement lists the view as excluded",
+            false => "none, and the statement does not list the view as excluded",
+        };
+        Finding::of(Code::SharesPhotographLeftOut, &place, "an entry", got)
+    };
+    scene.capture().views.iter().filter(is_left_out).map(finding).collect()
 }
 
 /// Holds the table's entries of some photographs to what these teach the field.

@@ -72,6 +72,11 @@ impl Taught {
         Ok(Self { field, table: read })
     }
 
+    /// Names of the views whose photographs the table has, in its order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.table.photographs().iter().map(|photograph| photograph.name.as_str())
+    }
+
     /// Whose photographs show what `camera` sees, by this release's method.
     ///
     /// # Errors
@@ -81,7 +86,7 @@ impl Taught {
         let from = SeenFrom::new(&self.table, &self.field, camera.pose.position, Sharpness::default());
         let seen = self.field.row_weights(&sampled(camera), OfPixel::All);
         let Shares { of_photographs, unseen, behind } = from.shares(&seen);
-        let names = self.table.photographs().iter().map(|photograph| photograph.name.clone());
+        let names = self.names().map(str::to_owned);
         Ok(Recount { photographs: names.zip(of_photographs).collect(), unseen, behind })
     }
 
