@@ -344,6 +344,24 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     let signed = forged(&|shares| shares.files.share_table = Digest::of(&bytes));
     let (said, code) = again(&signed, &field, &wrong, &with_scene);
     assert!(code == Some(1) && said.contains("error    shares.rows.mismatch"), "{said}");
+    // A table that moves a camera.
+    let mut bytes = std::fs::read(&table).unwrap();
+    let header = 8..8 + u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let moved = move_a_camera(str::from_utf8(&bytes[header.clone()]).unwrap());
+    bytes[header].copy_from_slice(moved.as_bytes());
+    let wrong = place.text("moved.shares");
+    std::fs::write(&wrong, &bytes).unwrap();
+    let signed = forged(&|shares| shares.files.share_table = Digest::of(&bytes));
+    let (said, code) = again(&signed, &field, &wrong, &with_scene);
+    assert!(code == Some(1) && said.contains("error    shares.position.mismatch"), "{said}");
+}
+
+/// The header of a share table in which the first digit behind a position's first point is another.
+fn move_a_camera(header: &str) -> String {
+    let at = header.find("position").unwrap();
+    let digit = at + header[at..].find('.').unwrap() + 1;
+    let other = if header.as_bytes()[digit] == b'5' { "6" } else { "5" };
+    format!("{}{other}{}", &header[..digit], &header[digit + 1..])
 }
 
 /// Bytes of a share table's weights, which end its file, by its header (safetensors).

@@ -358,6 +358,10 @@ codes! {
     SharesPhotographMismatch = "shares.photograph.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares credit the wrong contributor";
     /// A photograph of the scene that is not held out, and that the share table does not have.
     SharesPhotographLeftOut = "shares.photograph.left_out", Warning, "ask who runs the registry why it taught the field nothing: its contributor gets no share anywhere";
+    /// Every camera of the share table stands where the scene's does.
+    SharesPositionMatch = "shares.position.match", Passed, "";
+    /// A camera of the share table stands elsewhere in the scene, and shares go by where cameras stand.
+    SharesPositionMismatch = "shares.position.mismatch", Error, "use the scene that the statement is about; if it is that one, keep the files: the table moves a camera";
     /// The shares were worked out in another way than this release's.
     SharesMethodUnknown = "shares.method.unknown", Error, "use the release that the statement was made with";
     /// The shares are those that field, table and camera give.

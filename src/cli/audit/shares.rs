@@ -10,7 +10,7 @@ use cairn_durable::read_limited;
 use cairn_log::Digest;
 use cairn_log::format::shares::{PhotographShare, SharedView, Shares};
 use cairn_scene::{Camera, SceneFolder, View};
-use cairn_service::query::recount::{self, Method, Taught};
+use cairn_service::query::recount::{self, Method, Misplaced, Taught};
 use cairn_verify::{Code, FileInHand, Finding};
 
 use super::answer::MAX_ANSWER_BYTES;
@@ -93,6 +93,7 @@ fn again(args: &Args, shares: &Shares) -> anyhow::Result<Vec<Finding>> {
     compare(shares, &taught.shares(&camera)?, &mut findings);
     if let Some(scene) = &scene {
         findings.extend(left_out(shares, &taught, scene));
+        findings.extend(positions(&taught, scene));
         lessons(args, shares, &taught, scene, &mut findings)?;
     }
     Ok(findings)
@@ -233,6 +234,21 @@ fn left_out(shares: &Shares, taught: &Taught, scene: &SceneFolder) -> Vec<Findin
         Finding::of(Code::SharesPhotographLeftOut, &place, "an entry", got)
     };
     scene.capture().views.iter().filter(is_left_out).map(finding).collect()
+}
+
+/// Holds where the table has each photograph's camera to the scene.
+fn positions(taught: &Taught, scene: &SceneFolder) -> Vec<Finding> {
+    let misplaced = taught.misplaced(scene);
+    if misplaced.is_empty() {
+        let got = format!("{} cameras", taught.names().count());
+        return vec![Finding::of(Code::SharesPositionMatch, "share table", "", &got)];
+    }
+    let finding = |of: &Misplaced| {
+        let place = format!("share table, camera of photograph {:?}", of.view);
+        let expected = of.in_scene.map_or_else(|| "no view of this name".to_owned(), |at| format!("{at:?}"));
+        Finding::of(Code::SharesPositionMismatch, &place, &expected, &format!("{:?}", of.in_table))
+    };
+    misplaced.iter().map(finding).collect()
 }
 
 /// Holds the table's entries of some photographs to what these teach the field.

@@ -1,12 +1,14 @@
 //! Shares worked out again from files, for who audits a registry's statement of them: the base field, its share table, the
 //! view's camera, and where they are in hand the photographs that the table was made from.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
 
 use cairn_field::{Field, OfPixel, RowWeights, VisibleField as _};
 use cairn_scene::{Camera, SceneFolder};
 use cairn_share::{Builder, SeenFrom, ShareError, ShareTable, Shares, Sharpness, taught};
+use glam::DVec3;
 
 use crate::config::TrainingSettings;
 use crate::error::EngineError;
@@ -14,6 +16,9 @@ use crate::query::coverage::sampled;
 
 /// Longest side of a picture whose shares are worked out again, px.
 const MAX_SIDE_PX: usize = 65_536;
+/// How far a camera of the table may be from the scene's, as a part of its way from the origin: what reading numbers
+/// from text does.
+const MAX_POSITION_ERROR: f64 = 1e-9;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 
@@ -43,6 +48,17 @@ pub struct Method {
     pub width: usize,
     /// Pixels down.
     pub height: usize,
+}
+
+/// A photograph whose camera stands elsewhere in the scene than in the table, capture units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Misplaced {
+    /// The view's name.
+    pub view: String,
+    /// Where the table has its camera.
+    pub in_table: [f64; 3],
+    /// Where the scene has it; `None` without such a view.
+    pub in_scene: Option<[f64; 3]>,
 }
 
 /// What a photograph taught, in the table and worked out again.
@@ -88,6 +104,24 @@ impl Taught {
         let Shares { of_photographs, unseen, behind } = from.shares(&seen);
         let names = self.names().map(str::to_owned);
         Ok(Recount { photographs: names.zip(of_photographs).collect(), unseen, behind })
+    }
+
+    /// The photographs of the table whose cameras do not stand where the scene's do: shares go by these places.
+    pub fn misplaced(&self, scene: &SceneFolder) -> Vec<Misplaced> {
+        let views = scene.capture().views.iter();
+        let known: BTreeMap<&str, DVec3> =
+            views.map(|view| (view.name.as_str(), view.camera.pose.position)).collect();
+        let mut wrong = Vec::new();
+        for photograph in self.table.photographs() {
+            let (at, there) = (photograph.position, known.get(photograph.name.as_str()));
+            let is_there =
+                |there: &DVec3| at.distance(*there) <= MAX_POSITION_ERROR * at.length().max(there.length());
+            if !there.is_some_and(is_there) {
+                let in_scene = there.map(DVec3::to_array);
+                wrong.push(Misplaced { view: photograph.name.clone(), in_table: at.to_array(), in_scene });
+            }
+        }
+        wrong
     }
 
     /// What `count` photographs of the table, spread over it, taught the field, compared with what the scene's own
