@@ -254,16 +254,27 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     let file = |name: &str| job.join(name).display().to_string();
     let (field, table, scene) = (file("base.field"), file("base.shares"), place.text("data/scenes/town"));
     let again = |answer: &str, field: &str, table: &str, more: &[&str]| {
-        let line = ["audit", "shares", answer, "--field", field, "--table", table, "--vkey", &vkey];
+        let line = ["audit", "shares", answer, "--base-field", field, "--share-table", table, "--vkey", &vkey];
         let output = place.cairn(&[&line[..], more].concat());
         let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
         (said, output.status.code())
     };
     let (said, code) = again(&answer, &field, &table, &[]);
     assert!(code == Some(0) && said.starts_with("trusted") && said.contains("passed   shares.recomputed"), "{said}");
-    let with_scene = ["--scene", scene.as_str(), "--photographs", "4"];
+    let with_scene = ["--scene-folder", scene.as_str(), "--photographs", "4"];
+    assert!(said.contains("info     shares.scene.unchecked") && said.contains("info     shares.rows.unchecked"), "{said}");
+    // Of this view, and of no other.
+    let of = |view: &str| {
+        let photograph = Digest::of(std::fs::read(place.path("capture").join(view)).unwrap()).to_string();
+        again(&answer, &field, &table, &["--scene", "town", "--view", &photograph])
+    };
+    let ((said, right), (other, wrong)) = (of(view), of("images/ada_003.png"));
+    assert!(right == Some(0) && said.contains("passed   answer.question.match"), "{said}");
+    assert!(wrong == Some(1) && other.contains("error    answer.question.mismatch"), "{other}");
+    let (said, code) = again(&answer, &field, &table, &["--scene-folder", &scene, "--photographs", "0"]);
+    assert!(code == Some(2) && said.contains("--photographs"), "{said}");
     let (said, code) = again(&answer, &field, &table, &with_scene);
-    assert!(code == Some(0) && said.contains("shares.camera.match"), "{said}");
+    assert!(code == Some(0) && !said.contains("shares.scene.unchecked") && said.contains("shares.camera.match"), "{said}");
     assert_eq!(said.matches("passed   shares.rows.match").count(), 4, "{said}");
     let json = again(&answer, &field, &table, &["--json"]).0;
     assert_eq!(serde_json::from_str::<serde_json::Value>(&json).unwrap()["outcome"], "trusted");

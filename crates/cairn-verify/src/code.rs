@@ -372,6 +372,10 @@ codes! {
     SharesRowsMatch = "shares.rows.match", Passed, "";
     /// What the table says of a photograph is not what it teaches the field.
     SharesRowsMismatch = "shares.rows.mismatch", Error, "keep the files: the table was not made from this field and these photographs";
+    /// Cameras, names and photographs of the statement were not held to the scene.
+    SharesSceneUnchecked = "shares.scene.unchecked", Info, "hand in the scene's folder (--scene-folder) to have them compared";
+    /// What the table says of photographs was not worked out again.
+    SharesRowsUnchecked = "shares.rows.unchecked", Info, "hand in the scene's folder (--scene-folder), or have more photographs looked at (--photographs)";
     /// Something about the record changed behind the checkpoint asked for.
     AnswerChangedLater = "answer.record.changed_later", Info, "";
 }

@@ -13,7 +13,7 @@ use cairn_scene::{Camera, SceneFolder, View};
 use cairn_service::query::recount::{self, Method, Misplaced, Taught};
 use cairn_verify::{Code, FileInHand, Finding};
 
-use super::answer::MAX_ANSWER_BYTES;
+use super::answer::{Asked, MAX_ANSWER_BYTES};
 
 /// How far a share may be from the one that is worked out again: another machine adds in another order, and draws the
 /// same rays a little otherwise.
@@ -29,20 +29,23 @@ pub struct Args {
     pub answer: PathBuf,
     /// The base field's file
     #[arg(long, value_name = "FILE")]
-    pub field: PathBuf,
+    pub base_field: PathBuf,
     /// Its share table
     #[arg(long, value_name = "FILE")]
-    pub table: PathBuf,
-    /// The scene's folder, such as cairn-data/scenes/liberty: the camera, and what sampled photographs taught, are held
-    /// to it
+    pub share_table: PathBuf,
+    /// The scene's folder, such as cairn-data/scenes/liberty: cameras, names and photographs are held to it, and the
+    /// table's entries of sampled photographs
     #[arg(long, value_name = "DIR")]
-    pub scene: Option<PathBuf>,
-    /// The training's settings (settings.toml), for --scene; looked for beside the field where not given
-    #[arg(long, value_name = "FILE", requires = "scene")]
+    pub scene_folder: Option<PathBuf>,
+    /// The training's settings (settings.toml), for --scene-folder; looked for beside the base field where not given
+    #[arg(long, value_name = "FILE", requires = "scene_folder")]
     pub settings: Option<PathBuf>,
-    /// How many photographs are sampled, for --scene
-    #[arg(long, value_name = "N", default_value_t = 3, requires = "scene")]
-    pub photographs: usize,
+    /// How many photographs are sampled, for --scene-folder, 1 to 65,536
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "scene_folder",
+          value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    pub photographs: u32,
+    #[command(flatten)]
+    pub asked: Asked,
     /// The log's public key (see `cairn owners vkey`), obtained elsewhere; without it nothing is trusted
     #[arg(long, value_name = "FILE")]
     pub vkey: Option<PathBuf>,
@@ -53,9 +56,13 @@ pub struct Args {
 
 /// Answers `cairn audit shares`.
 pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    anyhow::ensure!(
+        args.asked.scene.is_none() || args.asked.view.is_some(),
+        "--scene is given without --view; shares are of a view, so name the photograph that was asked about, too"
+    );
     let answer = read_limited(&args.answer, MAX_ANSWER_BYTES)?;
     let pinned = args.vkey.as_deref().map(super::trust::vkey).transpose()?;
-    let report = cairn_verify::audit_shares(&answer, pinned.as_ref());
+    let report = cairn_verify::audit_shares_to(&answer, pinned.as_ref(), args.asked.question()?.as_ref());
     let more = match &report.shares {
         Some(shares) => again(args, shares)?,
         None => Vec::new(),
@@ -69,7 +76,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
 fn again(args: &Args, shares: &Shares) -> anyhow::Result<Vec<Finding>> {
     let mut findings = Vec::new();
     let mut are_the_files = true;
-    for (path, expected) in [(&args.field, shares.files.base_field), (&args.table, shares.files.share_table)] {
+    for (path, expected) in [(&args.base_field, shares.files.base_field), (&args.share_table, shares.files.share_table)] {
         are_the_files &= held_to(path, &expected, &mut findings)?;
     }
     let camera: Camera = match serde_json::from_value(shares.camera.clone()) {
@@ -81,15 +88,22 @@ fn again(args: &Args, shares: &Shares) -> anyhow::Result<Vec<Finding>> {
             return Ok(findings);
         }
     };
-    let scene = args.scene.as_deref().map(open).transpose()?;
-    if let Some(scene) = &scene {
-        findings.push(held_to_scene(shares, &camera, scene));
-        findings.extend(held_to_takers(shares, scene));
+    let scene = args.scene_folder.as_deref().map(open).transpose()?;
+    match &scene {
+        Some(scene) => {
+            findings.push(held_to_scene(shares, &camera, scene));
+            findings.extend(held_to_takers(shares, scene));
+        }
+        None => {
+            let (expected, got) = ("the scene's folder", "nothing in hand");
+            findings.push(Finding::of(Code::SharesSceneUnchecked, "statement and share table", expected, got));
+            findings.push(Finding::of(Code::SharesRowsUnchecked, "share table", expected, got));
+        }
     }
     if !are_the_files || !is_known(shares, &camera, &mut findings) {
         return Ok(findings);
     }
-    let taught = Taught::read(&args.field, &args.table)?;
+    let taught = Taught::read(&args.base_field, &args.share_table)?;
     compare(shares, &taught.shares(&camera)?, &mut findings);
     if let Some(scene) = &scene {
         findings.extend(left_out(shares, &taught, scene));
@@ -259,13 +273,13 @@ fn lessons(
     scene: &SceneFolder,
     findings: &mut Vec<Finding>,
 ) -> anyhow::Result<()> {
-    let beside = || args.field.with_file_name("settings.toml");
+    let beside = || args.base_field.with_file_name("settings.toml");
     let settings = args.settings.clone().unwrap_or_else(beside);
     let how = "the training's settings (--settings); they say how residuals counted";
     if !held_to(&settings, &shares.files.settings, findings).context(how)? {
         return Ok(());
     }
-    for compared in taught.compare(scene, recount::huber(&settings)?, args.photographs)? {
+    for compared in taught.compare(scene, recount::huber(&settings)?, args.photographs as usize)? {
         let place = format!("share table, photograph {:?}", compared.view);
         let said = |pixels: f64| format!("{pixels:.1} px of light");
         findings.push(if compared.apart <= MAX_LESSON_ERROR {
