@@ -262,7 +262,10 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     let (said, code) = again(&answer, &field, &table, &[]);
     assert!(code == Some(0) && said.starts_with("trusted") && said.contains("passed   shares.recomputed"), "{said}");
     let with_scene = ["--scene-folder", scene.as_str(), "--photographs", "4"];
-    assert!(said.contains("info     shares.scene.unchecked") && said.contains("info     shares.rows.unchecked"), "{said}");
+    assert!(
+        said.contains("info     shares.scene.unchecked") && said.contains("info     shares.rows.unchecked"),
+        "{said}"
+    );
     // Of this view, and of no other.
     let of = |view: &str| {
         let photograph = Digest::of(std::fs::read(place.path("capture").join(view)).unwrap()).to_string();
@@ -274,8 +277,12 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     let (said, code) = again(&answer, &field, &table, &["--scene-folder", &scene, "--photographs", "0"]);
     assert!(code == Some(2) && said.contains("--photographs"), "{said}");
     let (said, code) = again(&answer, &field, &table, &with_scene);
-    assert!(code == Some(0) && !said.contains("shares.scene.unchecked") && said.contains("shares.camera.match"), "{said}");
-    assert_eq!(said.matches("passed   shares.rows.match").count(), 4, "{said}");
+    assert!(
+        code == Some(0) && !said.contains("shares.scene.unchecked") && said.contains("shares.camera.match"),
+        "{said}"
+    );
+    assert_eq!(said.matches("passed   shares.rows.match").count(), 8, "{said}");
+    assert!(said.contains("info     shares.rows.unchecked") && said.contains("got      8 were looked at"), "{said}");
     let json = again(&answer, &field, &table, &["--json"]).0;
     assert_eq!(serde_json::from_str::<serde_json::Value>(&json).unwrap()["outcome"], "trusted");
 

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use cairn_durable::read_limited;
 use cairn_log::Digest;
+use cairn_log::format::record::random_salt;
 use cairn_log::format::shares::{PhotographShare, SharedView, Shares};
 use cairn_scene::{Camera, SceneFolder, View};
 use cairn_service::query::recount::{self, Method, Misplaced, Taught};
@@ -15,9 +16,9 @@ use cairn_verify::{Code, FileInHand, Finding};
 
 use super::answer::{Asked, MAX_ANSWER_BYTES};
 
-/// How far a share may be from the one that is worked out again: another machine adds in another order, and draws the
-/// same rays a little otherwise.
-const MAX_SHARE_ERROR: f64 = 0.01;
+/// How far a share may be from the one that is worked out again: the method and the rays are the same, and only the order
+/// in which a machine adds differs.
+const MAX_SHARE_ERROR: f64 = 1e-3;
 /// How far what a photograph taught may be from what the table says, as a part of it.
 const MAX_LESSON_ERROR: f64 = 0.05;
 
@@ -40,7 +41,8 @@ pub struct Args {
     /// The training's settings (settings.toml), for --scene-folder; looked for beside the base field where not given
     #[arg(long, value_name = "FILE", requires = "scene_folder")]
     pub settings: Option<PathBuf>,
-    /// How many photographs are sampled, for --scene-folder, 1 to 65,536
+    /// How many photographs are drawn at random, for --scene-folder, 1 to 65,536; as many with the largest shares are
+    /// looked at besides
     #[arg(long, value_name = "N", default_value_t = 3, requires = "scene_folder",
           value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub photographs: u32,
@@ -76,7 +78,8 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
 fn again(args: &Args, shares: &Shares) -> anyhow::Result<Vec<Finding>> {
     let mut findings = Vec::new();
     let mut are_the_files = true;
-    for (path, expected) in [(&args.base_field, shares.files.base_field), (&args.share_table, shares.files.share_table)] {
+    for (path, expected) in [(&args.base_field, shares.files.base_field), (&args.share_table, shares.files.share_table)]
+    {
         are_the_files &= held_to(path, &expected, &mut findings)?;
     }
     let camera: Camera = match serde_json::from_value(shares.camera.clone()) {
@@ -167,10 +170,12 @@ fn held_to_takers(shares: &Shares, scene: &SceneFolder) -> Vec<Finding> {
         .collect();
     let named = shares.contributors.iter().flat_map(|of| of.photographs.iter().map(move |one| (of.name.as_str(), one)));
     let wrong = named.filter(|(name, one)| known.get(one.view.as_str()) != Some(&(*name, one.photograph)));
-    let is_another = |view: &&SharedView| known.get(view.name.as_str()).is_none_or(|(_, digest)| *digest != view.photograph);
+    let is_another =
+        |view: &&SharedView| known.get(view.name.as_str()).is_none_or(|(_, digest)| *digest != view.photograph);
     let wrongly_excluded = shares.excluded_views.iter().filter(is_another).map(|view| {
         let place = format!("statement, excluded view {:?}", view.name);
-        let expected = known.get(view.name.as_str()).map_or_else(|| "none".to_owned(), |(_, digest)| digest.to_string());
+        let expected =
+            known.get(view.name.as_str()).map_or_else(|| "none".to_owned(), |(_, digest)| digest.to_string());
         Finding::of(Code::SharesPhotographMismatch, &place, &expected, &view.photograph.to_string())
     });
     let words = |name: &str, photograph: &Digest| format!("{photograph} by {name:?}");
@@ -204,7 +209,7 @@ fn compare(shares: &Shares, again: &recount::Recount, findings: &mut Vec<Finding
         let off = (said - again).abs();
         (worst, count) = (worst.max(off), count + 1);
         if off > MAX_SHARE_ERROR {
-            let expected = format!("{:.2} %, {:.0} % more or less", 100.0 * again, 100.0 * MAX_SHARE_ERROR);
+            let expected = format!("{:.2} %, {:.1} % more or less", 100.0 * again, 100.0 * MAX_SHARE_ERROR);
             let got = format!("{:.2} %", 100.0 * said);
             findings.push(Finding::of(Code::SharesRecomputedMismatch, &what, &expected, &got));
         }
@@ -265,6 +270,21 @@ fn positions(taught: &Taught, scene: &SceneFolder) -> Vec<Finding> {
     misplaced.iter().map(finding).collect()
 }
 
+/// Which of the photographs `known` are looked at: the `count` of them that are `credited` with most, and `count` others,
+/// which cannot be foreseen without `salt`.
+fn drawn(known: &[&str], credited: &[&PhotographShare], count: usize, salt: &Digest) -> BTreeSet<String> {
+    let mut largest = credited.to_vec();
+    largest.sort_by(|a, b| b.share.total_cmp(&a.share).then_with(|| a.view.cmp(&b.view)));
+    let is_known: BTreeSet<&str> = known.iter().copied().collect();
+    let largest = largest.iter().map(|of| of.view.as_str()).filter(|name| is_known.contains(name)).take(count);
+    let mut drawn: BTreeSet<String> = largest.map(str::to_owned).collect();
+    let place = |name: &str| Digest::of_parts(&[salt.as_bytes(), name.as_bytes()]);
+    let mut others: Vec<&str> = known.iter().copied().filter(|name| !drawn.contains(*name)).collect();
+    others.sort_by_cached_key(|name| place(name));
+    drawn.extend(others.into_iter().take(count).map(str::to_owned));
+    drawn
+}
+
 /// Holds the table's entries of some photographs to what these teach the field.
 fn lessons(
     args: &Args,
@@ -279,7 +299,17 @@ fn lessons(
     if !held_to(&settings, &shares.files.settings, findings).context(how)? {
         return Ok(());
     }
-    for compared in taught.compare(scene, recount::huber(&settings)?, args.photographs as usize)? {
+    let there: BTreeSet<&str> = scene.capture().views.iter().map(|view| view.name.as_str()).collect();
+    // What the scene does not have was named with the cameras.
+    let known: Vec<&str> = taught.names().filter(|name| there.contains(name)).collect();
+    let credited: Vec<&PhotographShare> = shares.contributors.iter().flat_map(|of| &of.photographs).collect();
+    let looked_at = drawn(&known, &credited, args.photographs as usize, &random_salt()?);
+    let (count, all) = (looked_at.len(), taught.names().count());
+    if count < all {
+        let got = format!("{count} were looked at");
+        findings.push(Finding::of(Code::SharesRowsUnchecked, "share table", &format!("all {all} photographs"), &got));
+    }
+    for compared in taught.compare(scene, recount::huber(&settings)?, &looked_at)? {
         let place = format!("share table, photograph {:?}", compared.view);
         let said = |pixels: f64| format!("{pixels:.1} px of light");
         findings.push(if compared.apart <= MAX_LESSON_ERROR {
@@ -292,4 +322,27 @@ fn lessons(
         });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_shares_are_always_looked_at_and_the_others_cannot_be_foreseen() {
+        let names: Vec<String> = (0..100).map(|number| format!("view_{number:02}.jpg")).collect();
+        let known: Vec<&str> = names.iter().map(String::as_str).collect();
+        let share = |name: &str, share| PhotographShare { view: name.into(), photograph: Digest::of(name), share };
+        // One with the largest share that the scene does not have is no reason to look at fewer.
+        let credited =
+            [share("gone.jpg", 0.5), share("view_07.jpg", 0.1), share("view_05.jpg", 0.3), share("view_99.jpg", 0.05)];
+        let credited: Vec<&PhotographShare> = credited.iter().collect();
+        let drawn = |salt: &str| drawn(&known, &credited, 2, &Digest::of(salt));
+        let several: BTreeSet<BTreeSet<String>> = (0..8).map(|salt| drawn(&format!("salt {salt}"))).collect();
+        assert!(several.len() > 1, "{several:?}");
+        for names in &several {
+            assert!(names.len() == 4 && names.contains("view_05.jpg") && names.contains("view_07.jpg"), "{names:?}");
+        }
+        assert_eq!(super::drawn(&known, &credited, 65_536, &Digest::of("salt")).len(), known.len());
+    }
 }

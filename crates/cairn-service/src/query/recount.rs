@@ -1,7 +1,7 @@
 //! Shares worked out again from files, for who audits a registry's statement of them: the base field, its share table, the
 //! view's camera, and where they are in hand the photographs that the table was made from.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::Path;
 
@@ -109,13 +109,11 @@ impl Taught {
     /// The photographs of the table whose cameras do not stand where the scene's do: shares go by these places.
     pub fn misplaced(&self, scene: &SceneFolder) -> Vec<Misplaced> {
         let views = scene.capture().views.iter();
-        let known: BTreeMap<&str, DVec3> =
-            views.map(|view| (view.name.as_str(), view.camera.pose.position)).collect();
+        let known: BTreeMap<&str, DVec3> = views.map(|view| (view.name.as_str(), view.camera.pose.position)).collect();
         let mut wrong = Vec::new();
         for photograph in self.table.photographs() {
             let (at, there) = (photograph.position, known.get(photograph.name.as_str()));
-            let is_there =
-                |there: &DVec3| at.distance(*there) <= MAX_POSITION_ERROR * at.length().max(there.length());
+            let is_there = |there: &DVec3| at.distance(*there) <= MAX_POSITION_ERROR * at.length().max(there.length());
             if !there.is_some_and(is_there) {
                 let in_scene = there.map(DVec3::to_array);
                 wrong.push(Misplaced { view: photograph.name.clone(), in_table: at.to_array(), in_scene });
@@ -124,21 +122,26 @@ impl Taught {
         wrong
     }
 
-    /// What `count` photographs of the table, spread over it, taught the field, compared with what the scene's own
-    /// photographs and cameras say. `huber` is the training's.
+    /// What the photographs of these views taught the field, compared with what the scene's own photographs and cameras
+    /// say. `huber` is the training's.
     ///
     /// # Errors
-    /// [`EngineError::NotFound`] for a photograph that the scene has not; for one that was altered.
-    pub fn compare(&self, scene: &SceneFolder, huber: f64, count: usize) -> Result<Vec<Compared>, EngineError> {
-        let (photographs, views) = (self.table.photographs(), &scene.capture().views);
-        let step = photographs.len().div_ceil(count.max(1)).max(1);
+    /// [`EngineError::NotFound`] for a photograph that the table or the scene has not; for one that was altered.
+    pub fn compare(
+        &self,
+        scene: &SceneFolder,
+        huber: f64,
+        names: &BTreeSet<String>,
+    ) -> Result<Vec<Compared>, EngineError> {
+        let views = &scene.capture().views;
         let mut compared = Vec::new();
-        for (number, photograph) in photographs.iter().enumerate().step_by(step).take(count) {
-            let Some(index) = views.iter().position(|view| view.name == photograph.name) else {
-                let there = views.iter().map(|view| view.name.as_str());
-                return Err(EngineError::not_found("view", &photograph.name, there));
+        for name in names {
+            let number = self.names().position(|known| known == name);
+            let number = number.ok_or_else(|| EngineError::not_found("photograph", name, self.names()))?;
+            let Some(index) = views.iter().position(|view| view.name == *name) else {
+                return Err(EngineError::not_found("view", name, views.iter().map(|view| view.name.as_str())));
             };
-            let weights = taught(&self.field, &photograph.name, &scene.train_view(index)?, huber);
+            let weights = taught(&self.field, name, &scene.train_view(index)?, huber);
             compared.push(self.compared(number, &weights)?);
         }
         Ok(compared)

@@ -42,8 +42,7 @@ pub fn shares(
     let sampled = coverage::sampled(&camera).intrinsics;
     let views = || snapshot.scene.capture().views.iter().enumerate();
     let digest_of = |i: usize| Digest::from_bytes(snapshot.scene.photograph_digest(i));
-    let digests: HashMap<&str, Digest> =
-        views().map(|(i, view)| (view.name.as_str(), digest_of(i))).collect();
+    let digests: HashMap<&str, Digest> = views().map(|(i, view)| (view.name.as_str(), digest_of(i))).collect();
     let excluded = views().filter(|(_, view)| snapshot.is_out(&view.name));
     let excluded = excluded.map(|(i, view)| SharedView { name: view.name.clone(), photograph: digest_of(i) });
     let photograph = |(name, share): &(String, f64)| {
