@@ -104,6 +104,17 @@ fn a_flood_of_claims_is_looked_at_in_part_and_that_is_said() {
     }
     let credits = LookUp::new(&registry, "town").of("ada", &[]).unwrap();
     assert!(credits.may_be_more && credits.records.len() == MAX_LISTED);
+    // Once a curator bound the name, her own claim is found behind all the others, and also after other answers' floods.
+    let (own, _) = entered(&registry, RecordKind::Claim, 1, Identity::named("ada"), &[]);
+    assert!(credits.records.iter().all(|record| record.index != own));
+    let bound = Identity { key: Some(key(1).public()), ..Identity::named("ada") };
+    entered(&registry, RecordKind::Binding, 50, bound, &[]);
+    let mut look_up = LookUp::new(&registry, "town");
+    look_up.other_records_left = 0;
+    let credits = look_up.of("ada", &[]).unwrap();
+    assert_eq!(credits.records, [Crediting { index: own, confirmed: true }]);
+    assert!(credits.may_be_more);
+    assert_eq!(LookUp::new(&registry, "town").of("ada", &[]).unwrap().records.len(), MAX_LISTED);
     let many: Vec<Digest> = (0..=MAX_PHOTOGRAPHS as u64).map(|i| Digest::of(i.to_be_bytes())).collect();
     let mut look_up = LookUp::new(&registry, "town");
     assert!(!look_up.of("bea", &many[1..]).unwrap().may_be_more);
