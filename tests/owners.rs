@@ -135,10 +135,10 @@ fn a_contributors_photographs_are_claimed_before_any_training_and_confirmed_by_a
     };
     let said = audited();
     assert!(said.starts_with("trusted") && said.contains("1 of 1 records count"), "{said}");
-    assert!(said.contains("claim by \"ada\", unconfirmed") && said.contains("answer.record.unconfirmed"), "{said}");
+    assert!(said.contains("claim by \"ada\", name unconfirmed") && said.contains("answer.record.unconfirmed"), "{said}");
     cairn(&[&bind[..], &["--contributor", "ada", "--out", &place.text("binding")]].concat());
     let said = audited();
-    assert!(said.contains("claim by \"ada\", confirmed at index 2"), "{said}");
+    assert!(said.contains("claim by \"ada\", name confirmed at index 2"), "{said}");
     // The photographs are the scene's own, and every one of them.
     let bundle = place.cairn_ok(&["audit", "bundle", &claim, "--vkey", &vkey, "--against", data[1]]);
     assert!(bundle.starts_with("trusted") && bundle.contains("digest.photographs.match"), "{bundle}");
@@ -238,7 +238,7 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     // The records that credit ada stand beside her share, and who confirmed them.
     let who = cairn(&["who", "town", "--view", view]);
     let line = who.lines().find(|line| line.contains(" ada: ")).unwrap();
-    assert!(line.ends_with("; confirmed by record 0"), "{who}");
+    assert!(line.ends_with("; name confirmed: record 0"), "{who}");
     let json: serde_json::Value = serde_json::from_str(&cairn(&["who", "town", "--view", view, "--json"])).unwrap();
     let of_ada = json["contributors"].as_array().unwrap().iter().find(|of| of["name"] == "ada").unwrap();
     assert_eq!(of_ada["records"].as_array().unwrap().len(), 1);

@@ -216,7 +216,7 @@ fn records(of: &v1::ContributorShare) -> String {
         let more = if records.len() > MAX_RECORDS { " and more" } else { "" };
         (!named.is_empty()).then(|| format!("{what} {}{more}", named.join(", ")))
     };
-    let parts = [first(confirmed, "confirmed by record"), first(others, "unconfirmed record")];
+    let parts = [first(confirmed, "name confirmed: record"), first(others, "name unconfirmed: record")];
     let parts: Vec<String> = parts.into_iter().flatten().collect();
     let more = if of.more_records { "; and maybe more" } else { "" };
     if parts.is_empty() { more.to_owned() } else { format!("; {}{more}", parts.join("; ")) }
@@ -316,11 +316,11 @@ mod tests {
         answer.contributors[0].records = vec![record(0, false), record(2, true), record(8, false)];
         answer.contributors[2].records = (0..9).map(|index| record(index, false)).collect();
         let said = text(&answer, 0.0);
-        assert!(said.contains(" and 1 more; confirmed by record 2; unconfirmed record 0, 8\n"), "{said}");
-        assert!(said.contains("cy: view_0.jpg 0.4 %; unconfirmed record 0, 1, 2, 3, 4 and more\n"), "{said}");
+        assert!(said.contains(" and 1 more; name confirmed: record 2; name unconfirmed: record 0, 8\n"), "{said}");
+        assert!(said.contains("cy: view_0.jpg 0.4 %; name unconfirmed: record 0, 1, 2, 3, 4 and more\n"), "{said}");
         assert!(table(&answer).contains("\r\nphotograph,\"ada\",\"view_0.jpg\",0? 2 8?,,30.0000\r\n"));
         answer.contributors[0].more_records = true;
-        assert!(text(&answer, 0.0).contains("; unconfirmed record 0, 8; and maybe more\n"));
+        assert!(text(&answer, 0.0).contains("; name unconfirmed: record 0, 8; and maybe more\n"));
         assert!(table(&answer).contains(",0? 2 8?,maybe,30.0000\r\n"));
     }
 

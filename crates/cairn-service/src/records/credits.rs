@@ -24,7 +24,8 @@ const MAX_PHOTOGRAPHS: usize = 4096;
 pub struct Crediting {
     /// Its place in the log.
     pub index: u64,
-    /// Whether a curator bound this contributor's name to its owner's key, or to one that rotations join with it.
+    /// Whether it is in this contributor's name, and a curator bound that to its owner's key, or to one that rotations join
+    /// with it.
     pub confirmed: bool,
 }
 
@@ -41,13 +42,22 @@ pub struct Credits {
 pub struct LookUp<'a> {
     registry: &'a Registry,
     scene: &'a str,
-    /// Owners' key ids of the records that were looked at; none of those that credit no contributor.
-    owners: BTreeMap<u64, Option<Digest>>,
+    /// What the records say that were looked at; none of those that credit no contributor.
+    known: BTreeMap<u64, Option<Said>>,
     photographs_left: usize,
     leaves_left: usize,
     /// Of keys that names are bound to.
     bound_records_left: usize,
     other_records_left: usize,
+}
+
+/// What a record says that credits its owner and stands.
+#[derive(Clone)]
+struct Said {
+    /// Its owner's key id.
+    owner: Digest,
+    /// The contributor in whose name it is.
+    name: String,
 }
 
 /// The key that a contributor's name is bound to, and which others are of one owner with it.
@@ -74,7 +84,7 @@ impl<'a> LookUp<'a> {
         Self {
             registry,
             scene,
-            owners: BTreeMap::new(),
+            known: BTreeMap::new(),
             photographs_left: MAX_PHOTOGRAPHS,
             leaves_left: MAX_LEAVES,
             bound_records_left: MAX_RECORDS,
@@ -103,20 +113,24 @@ impl<'a> LookUp<'a> {
             let bound = listed.bound.iter().map(|index| (*index, true));
             for (index, is_bound) in bound.chain(listed.others.iter().map(|index| (*index, false))) {
                 let left = if is_bound { &mut self.bound_records_left } else { &mut self.other_records_left };
-                if !self.owners.contains_key(&index) {
+                if !self.known.contains_key(&index) {
                     if *left == 0 {
                         credits.may_be_more = true;
                         continue;
                     }
                     *left -= 1;
                 }
-                if let Some(owner) = self.owner_of(index)? {
-                    found.insert(index, owner);
+                if let Some(said) = self.said(index)? {
+                    found.insert(index, said);
                 }
             }
         }
-        for (index, owner) in found {
-            let confirmed = bound.as_mut().map_or(Ok(false), |bound| bound.is_of(&owner))?;
+        for (index, Said { owner, name }) in found {
+            // The same rule as for the record alone: a curator confirms its own name.
+            let confirmed = match bound.as_mut().filter(|_| name == contributor) {
+                Some(bound) => bound.is_of(&owner)?,
+                None => false,
+            };
             credits.records.push(Crediting { index, confirmed });
         }
         Ok(credits)
@@ -145,20 +159,20 @@ impl<'a> LookUp<'a> {
         Ok(listed)
     }
 
-    /// The key id of a record's owner, where it credits them and stands.
-    fn owner_of(&mut self, index: u64) -> Result<Option<Digest>, EngineError> {
-        if let Some(known) = self.owners.get(&index) {
-            return Ok(*known);
+    /// What a record says, where it credits its owner and stands.
+    fn said(&mut self, index: u64) -> Result<Option<Said>, EngineError> {
+        if let Some(known) = self.known.get(&index) {
+            return Ok(known.clone());
         }
-        let owner = match self.registry.entry(index)? {
+        let said = match self.registry.entry(index)? {
             LogEntry::Record(stored) if stored.record.kind.credits() => {
                 let is_upheld = corrections::is_upheld(self.registry, &stored.leaf.record)?;
-                is_upheld.then_some(stored.leaf.owner)
+                is_upheld.then_some(Said { owner: stored.leaf.owner, name: stored.record.identity.contributor })
             }
             LogEntry::Record(_) | LogEntry::Erased { .. } | LogEntry::Map { .. } => None,
         };
-        self.owners.insert(index, owner);
-        Ok(owner)
+        self.known.insert(index, said.clone());
+        Ok(said)
     }
 }
 
