@@ -372,6 +372,15 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     let signed = forged(&|shares| shares.files.share_table = Digest::of(&bytes));
     let (said, code) = again(&signed, &field, &wrong, &with_scene);
     assert!(code == Some(1) && said.contains("error    shares.position.mismatch"), "{said}");
+    // Trained again with the same settings from fewer photographs: each record is held to its own training.
+    cairn(&["scene", "exclude", "town", "images/ada_003.png"]);
+    cairn(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke"]);
+    let second = place.text("second training");
+    cairn(&["owners", "sign", "town", "--contributor", "ada", "--kind", "training", "--key", &ada, "--out", &second]);
+    for training in [&training, &second] {
+        let report = place.cairn_ok(&["audit", "bundle", training, "--vkey", &vkey, "--against", data[1]]);
+        assert!(report.contains("digest.share_table.match") && report.contains("digest.base_field.match"), "{report}");
+    }
 }
 
 /// The header of a share table in which the first digit behind a position's first point is another.
