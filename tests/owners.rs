@@ -210,7 +210,7 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
         (String::from_utf8(audited.stdout).unwrap(), audited.status.code())
     };
     // Before any training there are none.
-    assert!(!cairn(&asked).contains("shares"));
+    assert!(cairn(&asked).contains("it holds no shares: scene \"town\""));
     let (said, code) = audit(&answer);
     assert!(code == Some(0) && said.contains("info     shares.missing"), "{said}");
 
@@ -372,6 +372,10 @@ fn shares_are_signed_and_worked_out_again_and_forged_ones_are_found() {
     let signed = forged(&|shares| shares.files.share_table = Digest::of(&bytes));
     let (said, code) = again(&signed, &field, &wrong, &with_scene);
     assert!(code == Some(1) && said.contains("error    shares.position.mismatch"), "{said}");
+    // A table that is not to be had takes nothing from the proof.
+    std::fs::rename(&table, place.text("kept.shares")).unwrap();
+    assert!(cairn(&asked).contains("it holds no shares: ") && audit(&answer).0.starts_with("trusted"));
+    std::fs::rename(place.text("kept.shares"), &table).unwrap();
     // Trained again with the same settings from fewer photographs: each record is held to its own training.
     cairn(&["scene", "exclude", "town", "images/ada_003.png"]);
     cairn(&["train", "town", "--by-contributor", "--base-only", "--quality", "smoke"]);
