@@ -171,7 +171,16 @@ fn a_contributors_photographs_are_claimed_before_any_training_and_confirmed_by_a
     assert!(!shown.contains("key of bela"), "{shown}");
     let from_table = place.text("from table");
     let said = cairn(&["owners", "bind", "mill", "--from-table", "--key", &curator, "--out", &from_table]);
-    assert!(said.contains(&format!("\"ada\" stands for key {ada_public}")) && said.lines().count() == 1, "{said}");
+    assert!(said.starts_with(&format!("\"ada\" is to stand for key {ada_public}\n")), "{said}");
+    assert!(said.contains(&format!("\"ada\" stands for key {ada_public}")) && said.lines().count() == 2, "{said}");
+    // A second run enters nothing anew.
+    let said = cairn(&["owners", "bind", "mill", "--from-table", "--key", &curator, "--out", &from_table]);
+    assert_eq!(said, format!("\"ada\" stands for key {ada_public} already\n"));
+    let listed = cairn(&["owners", "list", "mill"]);
+    assert_eq!(listed.matches("binding  mill").count(), 1, "{listed}");
+    let index = listed.split("  ").next().unwrap();
+    let shown = cairn(&["owners", "show", index]);
+    assert!(shown.contains("as the scene's table of contributors says"), "{shown}");
     let said = refused(&["owners", "bind", "town", "--from-table", "--key", &curator, "--out", &out]);
     assert!(said.contains("has no keys"), "{said}");
     // A photograph that is excluded is claimed no more.
