@@ -111,7 +111,10 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     assert_eq!((rotation.kind, rotation.replaces), (RecordKind::Rotation, Some(digest)));
     assert_eq!((&rotation.digests, &rotation.views), (&record.digests, &record.views));
     assert_ne!(rotation.owner_key, record.owner_key);
-    assert_eq!(town.state(&first), format!("stands, name unconfirmed; its key was rotated by record {second}, after it"));
+    assert_eq!(
+        town.state(&first),
+        format!("stands, name unconfirmed; its key was rotated by record {second}, after it")
+    );
     let said = town.refused(&[&sign[..], &[&out("old")]].concat());
     assert!(said.contains(&format!("rotated by record {second}; sign with the key that follows it")), "{said}");
 

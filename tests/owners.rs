@@ -135,7 +135,10 @@ fn a_contributors_photographs_are_claimed_before_any_training_and_confirmed_by_a
     };
     let said = audited();
     assert!(said.starts_with("trusted") && said.contains("1 of 1 records count"), "{said}");
-    assert!(said.contains("claim by \"ada\", name unconfirmed") && said.contains("answer.record.unconfirmed"), "{said}");
+    assert!(
+        said.contains("claim by \"ada\", name unconfirmed") && said.contains("answer.record.unconfirmed"),
+        "{said}"
+    );
     cairn(&[&bind[..], &["--contributor", "ada", "--out", &place.text("binding")]].concat());
     let said = audited();
     assert!(said.contains("claim by \"ada\", name confirmed at index 2"), "{said}");

@@ -99,8 +99,7 @@ async fn from_table(line: &Connection, args: &BindArgs, keys: BTreeMap<String, P
         name: Name { contributor, key: *key },
         out: args.out.join(number.to_string()),
     });
-    let (done, left): (Vec<_>, Vec<_>) =
-        numbered.partition(|of| bound.get(of.name.contributor) == Some(&of.name.key));
+    let (done, left): (Vec<_>, Vec<_>) = numbered.partition(|of| bound.get(of.name.contributor) == Some(&of.name.key));
     for Numbered { name, .. } in &done {
         println!("{:?} stands for key {} already", name.contributor, name.key);
     }

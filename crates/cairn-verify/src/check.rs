@@ -132,9 +132,7 @@ fn check_envelope(json: &[u8], digest: &mut Option<Digest>, findings: &mut Findi
                 RecordError::Json { .. } if owner_key_is_weak(&envelope.payload) => {
                     (Code::KeySmallOrder, "a key of prime order")
                 }
-                RecordError::Json { .. } | RecordError::Field { .. } => {
-                    (Code::RecordMalformed, of_version.as_str())
-                }
+                RecordError::Json { .. } | RecordError::Field { .. } => (Code::RecordMalformed, of_version.as_str()),
             };
             findings.add(code, "envelope, payload", expected, e);
             None

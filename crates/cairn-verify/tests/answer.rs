@@ -155,7 +155,10 @@ fn a_claim_is_unconfirmed_until_a_curator_binds_its_name_whoever_came_first() {
     assert_eq!(confirmed(&log), [(0, None), (1, Some(3))]);
     let report = audited(&log.answer(Some("one")));
     assert!(report.has(Code::AnswerRecordConfirmed), "{report}");
-    assert!(report.to_string().contains("counts    index 1: claim by \"ada\", name confirmed at index 3\n"), "{report}");
+    assert!(
+        report.to_string().contains("counts    index 1: claim by \"ada\", name confirmed at index 3\n"),
+        "{report}"
+    );
 }
 
 #[test]

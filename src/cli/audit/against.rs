@@ -70,8 +70,9 @@ fn in_folder(folder: &Path, listed: Option<&[Digest]>) -> anyhow::Result<FileInH
     if kept.len() == listed.len() && there.len() == listed.len() {
         return Ok(FileInHand::photographs(&name, &kept));
     }
+    let files = if there.len() == 1 { "file" } else { "files" };
     let place =
-        format!("{name}, {} of the {} that the record lists, among {} files", kept.len(), listed.len(), there.len());
+        format!("{name}, {} of the {} that the record lists, among {} {files}", kept.len(), listed.len(), there.len());
     Ok(FileInHand::photographs(&place, &kept))
 }
 
