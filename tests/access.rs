@@ -383,23 +383,23 @@ async fn a_binding_is_a_curators_under_their_own_key() {
         assert!(refused.contains(why), "{who} under {key}'s key: {refused}");
     }
     let listed = world.ok("ada", &["owners", "list", "town"]);
-    assert_eq!(listed.matches("claim  town  contributor \"ada\"  stands, unconfirmed").count(), 2, "{listed}");
+    assert_eq!(listed.matches("claim  town  contributor \"ada\"  stands, name unconfirmed").count(), 2, "{listed}");
     let said = bind("cara", "cara", &ada).unwrap();
     assert!(said.contains("\"ada\" stands for key") && said.contains(&ada), "{said}");
     let listed = world.ok("ada", &["owners", "list", "town"]);
     let states: Vec<&str> = listed.lines().map(|line| line.split("  by key id").next().unwrap()).collect();
     let wanted = [
-        "0  claim  town  contributor \"ada\"  stands, unconfirmed",
-        "2  claim  town  contributor \"ada\"  stands, confirmed by record 4",
+        "0  claim  town  contributor \"ada\"  stands, name unconfirmed",
+        "2  claim  town  contributor \"ada\"  stands, name confirmed by record 4",
         "4  binding  town  contributor \"ada\"  stands",
     ];
     assert_eq!(states, wanted);
     // Another curator, and an operator, may bind the name anew: the newest counts.
     bind("dora", "dora", &eve).unwrap();
     let shown = world.ok("dan", &["owners", "show", "0"]);
-    assert!(shown.contains("stands, confirmed by record 6") && shown.contains("contributor    ada"), "{shown}");
+    assert!(shown.contains("stands, name confirmed by record 6") && shown.contains("contributor    ada"), "{shown}");
     bind("root", "root", &ada).unwrap();
-    assert!(world.ok("dan", &["owners", "show", "0"]).contains("stands, unconfirmed"));
+    assert!(world.ok("dan", &["owners", "show", "0"]).contains("stands, name unconfirmed"));
 }
 
 #[tokio::test(flavor = "multi_thread")]

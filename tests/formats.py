@@ -395,8 +395,8 @@ def whole(value, low, below, what):
 def parse_record(body):
     """The record, every rule that needs nothing else checked."""
     record = read_json(body, "record")
-    if not isinstance(record, dict) or type(record.get("version")) is not int or record["version"] != 2:
-        raise Refused("record", "not an owner record of version 2")
+    if not isinstance(record, dict) or type(record.get("version")) is not int or record["version"] != 1:
+        raise Refused("record", "not an owner record of version 1")
     needed = ("version", "kind", "origin", "scene", "scene_salt", "identity", "owner_key", "digests", "purpose")
     fields(record, (*needed, "nonce", "seen"), ("seed", "replaces", "views"), "the record")
     if record["kind"] not in KINDS:

@@ -92,7 +92,7 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
 
     let first = town.sign(&ada, &out("some/first"));
     std::fs::rename(town.place.path("some/first"), town.place.path("first")).unwrap();
-    assert_eq!(town.state(&first), "stands, unconfirmed");
+    assert_eq!(town.state(&first), "stands, name unconfirmed");
     let (record, digest) = town.bundle("first", &first);
     assert!(record.views.as_ref().is_some_and(|views| !views.is_empty() && views.is_sorted()));
 
@@ -111,7 +111,10 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     assert_eq!((rotation.kind, rotation.replaces), (RecordKind::Rotation, Some(digest)));
     assert_eq!((&rotation.digests, &rotation.views), (&record.digests, &record.views));
     assert_ne!(rotation.owner_key, record.owner_key);
-    assert_eq!(town.state(&first), format!("stands, unconfirmed; its key was rotated by record {second}, after it"));
+    assert_eq!(
+        town.state(&first),
+        format!("stands, name unconfirmed; its key was rotated by record {second}, after it")
+    );
     let said = town.refused(&[&sign[..], &[&out("old")]].concat());
     assert!(said.contains(&format!("rotated by record {second}; sign with the key that follows it")), "{said}");
 
@@ -138,7 +141,7 @@ fn a_key_signs_is_rotated_and_revoked_and_its_records_say_so() {
     // Contested by anybody.
     let dispute = ["owners", "dispute", "town", "--record", &third, "--key", &bob, "--purpose", "these are mine"];
     let fourth = town.enter(&[&dispute[..], &["--out", &out("fourth")]].concat());
-    assert_eq!(town.state(&third), format!("stands, unconfirmed; disputed by record {fourth}"));
+    assert_eq!(town.state(&third), format!("stands, name unconfirmed; disputed by record {fourth}"));
 
     // Revoked, one record with it.
     let said = town.refused(&["keys", "revoke", "town", "--key", &ada, "--purpose", "late", "--out", &out("late")]);

@@ -58,7 +58,7 @@ async fn a_scene_is_imported_trained_rendered_and_asked() {
     let drawn = cairn_scene::decode_picture(&drawn, &cairn_scene::Limits::default(), None).unwrap();
     assert!(drawn.width() >= 64 && drawn.height() > 32, "{} x {} px", drawn.width(), drawn.height());
     let table = place.cairn_ok(&["who", "town", "--view", &name, "--csv", connect[0], connect[1]]);
-    assert!(table.starts_with("kind,contributor,photograph,records,share_percent\r\n"), "{table}");
+    assert!(table.starts_with("kind,contributor,photograph,records,more_records,share_percent\r\n"), "{table}");
     // A pixel in the middle has shares of its own; a region beside the picture is refused by name.
     let part = place.cairn_ok(&["who", "town", "--view", &name, "--region", "16,16,1,1", connect[0], connect[1]]);
     assert_ne!(part, said.replace(&format!("map in {map}\n"), ""));

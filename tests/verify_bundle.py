@@ -146,7 +146,7 @@ def make(folder, seed):
     salt, others = sha256(b"salt"), [leaf_hash(sha256(b"leaf", bytes([i])) * 5 + b"xx") for i in range(10)]
     photographs = sorted(sha256(b"photograph", bytes([i])) for i in range(3))
     seen = {"size": 3, "root": tree_root(others[:3]).hex()}
-    record = {"version": 2, "kind": "contribution", "origin": origin, "scene": "caf\u00e9", "scene_salt": salt.hex()}
+    record = {"version": 1, "kind": "contribution", "origin": origin, "scene": "caf\u00e9", "scene_salt": salt.hex()}
     record.update(identity={"number": 1, "contributor": "Ada"}, owner_key=public(owner).hex())
     record.update(digests={"photographs": tree_root([leaf_hash(p) for p in photographs]).hex()})
     record.update(seed=str(2**64 - 1), purpose="credit", nonce=sha256(b"nonce").hex(), seen=seen)

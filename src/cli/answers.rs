@@ -45,7 +45,7 @@ pub async fn run(line: &Connection, args: &AnswerArgs) -> anyhow::Result<()> {
         of: args.view.clone().map(v1::answer_request::Of::ViewName),
         as_of,
     };
-    let json = line.owners().answer(request).await?.into_inner().answer;
+    let v1::AnswerResponse { answer: json, without_shares } = line.owners().answer(request).await?.into_inner();
     let answer = Answer::parse(&json).context("the daemon's answer")?;
     let asked = answer.lists.iter().find(|list| list.key == answer.asked());
     let named = asked.map_or(0, |list| list.entries.len());
@@ -55,5 +55,8 @@ pub async fn run(line: &Connection, args: &AnswerArgs) -> anyhow::Result<()> {
         "{named} records named, with their proofs{shares}, in {}; check it with `cairn audit answer`",
         args.out.display()
     );
+    if !without_shares.is_empty() {
+        println!("it holds no shares: {without_shares}");
+    }
     Ok(())
 }

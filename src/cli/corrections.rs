@@ -168,8 +168,8 @@ fn state(standing: &v1::Standing, credits: bool) -> String {
     let mut words = match (standing.taken_back_by, standing.replaced_by, standing.confirmed_by) {
         (Some(index), ..) => format!("taken back by record {index}"),
         (None, Some(index), _) => format!("replaced by record {index}"),
-        (None, None, Some(index)) => format!("stands, confirmed by record {index}"),
-        (None, None, None) if credits => "stands, unconfirmed".to_owned(),
+        (None, None, Some(index)) => format!("stands, name confirmed by record {index}"),
+        (None, None, None) if credits => "stands, name unconfirmed".to_owned(),
         (None, None, None) => "stands".to_owned(),
     };
     if !standing.disputed_by.is_empty() {
@@ -192,9 +192,9 @@ mod tests {
         let standing = v1::Standing::default();
         let state = |standing: &v1::Standing| super::state(standing, false);
         assert_eq!(state(&standing), "stands");
-        assert_eq!(super::state(&standing, true), "stands, unconfirmed");
+        assert_eq!(super::state(&standing, true), "stands, name unconfirmed");
         let confirmed = v1::Standing { confirmed_by: Some(7), ..standing.clone() };
-        assert_eq!(super::state(&confirmed, true), "stands, confirmed by record 7");
+        assert_eq!(super::state(&confirmed, true), "stands, name confirmed by record 7");
         let disputed = v1::Standing { disputed_by: vec![3, 5], ..standing.clone() };
         assert_eq!(state(&disputed), "stands; disputed by record 3, 5");
         let rotated = v1::Standing { key_ended_by: Some(2), key_rotated: true, ..standing.clone() };

@@ -216,27 +216,30 @@ fn records(of: &v1::ContributorShare) -> String {
         let more = if records.len() > MAX_RECORDS { " and more" } else { "" };
         (!named.is_empty()).then(|| format!("{what} {}{more}", named.join(", ")))
     };
-    let parts = [first(confirmed, "confirmed by record"), first(others, "unconfirmed record")];
+    let parts = [first(confirmed, "name confirmed: record"), first(others, "name unconfirmed: record")];
     let parts: Vec<String> = parts.into_iter().flatten().collect();
-    if parts.is_empty() { String::new() } else { format!("; {}", parts.join("; ")) }
+    let more = if of.more_records { "; and maybe more" } else { "" };
+    if parts.is_empty() { more.to_owned() } else { format!("; {}{more}", parts.join("; ")) }
 }
 
 /// The answer as comma-separated values (RFC 4180): a line for each photograph, and one for each part that is no
-/// contributor's. The last column's sum is 100. Records are by log index, and a `?` behind one says that it is unconfirmed.
+/// contributor's. The last column's sum is 100. Records are by log index, and a `?` behind one says that it is unconfirmed;
+/// `more_records` says where there may be others.
 fn table(answer: &v1::ContributorsResponse) -> String {
-    let mut lines = vec!["kind,contributor,photograph,records,share_percent".to_owned()];
+    let mut lines = vec!["kind,contributor,photograph,records,more_records,share_percent".to_owned()];
     let per_cent = |share: f64| format!("{:.4}", 100.0 * share);
     for of in &answer.contributors {
         let record =
             |record: &v1::CreditingRecord| format!("{}{}", record.index, if record.confirmed { "" } else { "?" });
         let records = of.records.iter().map(record).collect::<Vec<_>>().join(" ");
+        let more = if of.more_records { "maybe" } else { "" };
         for photograph in &of.photographs {
             let [name, view] = [&of.name, &photograph.view_name].map(|text| cell(text));
-            lines.push(format!("photograph,{name},{view},{records},{}", per_cent(photograph.share)));
+            lines.push(format!("photograph,{name},{view},{records},{more},{}", per_cent(photograph.share)));
         }
     }
     for (kind, share) in [("excluded", answer.excluded), ("unseen", answer.unseen), ("behind", answer.behind)] {
-        lines.push(format!("{kind},,,,{}", per_cent(share)));
+        lines.push(format!("{kind},,,,,{}", per_cent(share)));
     }
     lines.push(String::new());
     lines.join("\r\n")
@@ -300,7 +303,7 @@ mod tests {
     #[test]
     fn a_table_adds_up_and_quotes_names() {
         let said = table(&answer());
-        assert!(said.contains("\r\nphotograph,\"bob \"\"B\"\"\",\"view_0.jpg\",,10.0000\r\n"), "{said}");
+        assert!(said.contains("\r\nphotograph,\"bob \"\"B\"\"\",\"view_0.jpg\",,,10.0000\r\n"), "{said}");
         let shares = said.lines().skip(1).map(|line| line.rsplit(',').next().unwrap().parse::<f64>().unwrap());
         assert!((shares.sum::<f64>() - 100.0).abs() < 1e-6);
         assert_eq!(cell("=HYPERLINK(1)"), "\"'=HYPERLINK(1)\"");
@@ -313,9 +316,12 @@ mod tests {
         answer.contributors[0].records = vec![record(0, false), record(2, true), record(8, false)];
         answer.contributors[2].records = (0..9).map(|index| record(index, false)).collect();
         let said = text(&answer, 0.0);
-        assert!(said.contains(" and 1 more; confirmed by record 2; unconfirmed record 0, 8\n"), "{said}");
-        assert!(said.contains("cy: view_0.jpg 0.4 %; unconfirmed record 0, 1, 2, 3, 4 and more\n"), "{said}");
-        assert!(table(&answer).contains("\r\nphotograph,\"ada\",\"view_0.jpg\",0? 2 8?,30.0000\r\n"));
+        assert!(said.contains(" and 1 more; name confirmed: record 2; name unconfirmed: record 0, 8\n"), "{said}");
+        assert!(said.contains("cy: view_0.jpg 0.4 %; name unconfirmed: record 0, 1, 2, 3, 4 and more\n"), "{said}");
+        assert!(table(&answer).contains("\r\nphotograph,\"ada\",\"view_0.jpg\",0? 2 8?,,30.0000\r\n"));
+        answer.contributors[0].more_records = true;
+        assert!(text(&answer, 0.0).contains("; name unconfirmed: record 0, 8; and maybe more\n"));
+        assert!(table(&answer).contains(",0? 2 8?,maybe,30.0000\r\n"));
     }
 
     #[test]

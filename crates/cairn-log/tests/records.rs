@@ -81,7 +81,7 @@ fn reading_is_strict() {
     }
     // A later version is refused as such, whatever its fields.
     let later = refused(r#"{"version":3,"anything":true}"#.into());
-    assert_eq!(later, RecordError::Version { what: "owner record", got: 3, expected: 2 });
+    assert_eq!(later, RecordError::Version { what: "owner record", got: 3, expected: record::VERSION });
     // A key of small order in the body.
     let weak = good.replace(&owner(1).public().to_string(), &"0".repeat(64));
     assert!(refused(weak).to_string().contains("small order"));

@@ -7,6 +7,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use cairn_log::format::record::Seen;
+use cairn_log::format::shares::Shares;
 use cairn_log::witness::WitnessClient;
 use cairn_log::{Digest, PublicKey, Registry, RegistryError};
 use cairn_log::{Receipt, SignedRecord};
@@ -56,6 +58,15 @@ pub enum Opening {
     /// For one command that reads: nothing is made, and a folder that cannot be written is read through a
     /// shadow (`store/shadow.rs`).
     Read,
+}
+
+/// A complete answer, and what is to be said of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CompleteAnswer {
+    /// JSON, format `cairn-answer/3`.
+    pub json: Vec<u8>,
+    /// Why an answer about a view has no shares; `None` where it has them, and for a whole scene.
+    pub without_shares: Option<String>,
 }
 
 /// One data folder at work.
@@ -398,20 +409,15 @@ impl Engine {
     /// As [`coverage::contributors`]; [`EngineError::NotTrained`]; the registry's.
     pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<Contributors, EngineError> {
         let snapshot = self.snapshot(scene)?;
-        let mut found = self.shown_by(&snapshot, asked)?;
+        let place = look::place_of(&snapshot, &asked.viewpoint, &self.limits)?;
+        let (mark, model) = (self.with_records(&snapshot, place)?, self.current_model(&snapshot)?);
+        let mut found = coverage::contributors(&model, &snapshot, asked, mark, &self.limits)?;
         let mut look_up = LookUp::new(&self.registry, scene);
         for of in &mut found.shares {
             let photographs = of.photographs.iter().map(|(view, _)| snapshot.photograph_of(view));
             of.credits = look_up.of(&of.name, &photographs.collect::<Result<Vec<_>, _>>()?)?;
         }
         Ok(found)
-    }
-
-    /// Who contributed to a place of the scene as `snapshot` has it, without their records.
-    fn shown_by(&self, snapshot: &SceneSnapshot, asked: &Asked) -> Result<Contributors, EngineError> {
-        let place = look::place_of(snapshot, &asked.viewpoint, &self.limits)?;
-        let (mark, model) = (self.with_records(snapshot, place)?, self.current_model(snapshot)?);
-        coverage::contributors(&model, snapshot, asked, mark, &self.limits)
     }
 
     /// How much a view would change without some contributors. `goes_on` hears the cost first, then how far it is, then
@@ -518,18 +524,19 @@ impl Engine {
         Ok(self.registry.nonce(scene, &owner)?.to_string())
     }
 
-    /// Who contributed to a scene or a view of it, complete, as JSON (format `cairn-answer/3`) of at most `most` bytes; with
-    /// a signed statement of shares for a view of a scene that was trained.
+    /// Who contributed to a scene or a view of it, complete; with a signed statement of shares for a view of a scene that
+    /// was trained. The proof does not wait for the shares: where model or share table is not to be had, the answer says
+    /// why it has none.
     ///
     /// # Errors
-    /// As [`owners::photograph_of`], [`owners::complete_answer`] and [`coverage::contributors`].
+    /// As [`owners::photograph_of`] and [`owners::complete_answer`].
     pub fn complete_answer(
         &self,
         scene: &str,
         view: Option<AskedView>,
         as_of: Option<&str>,
         most: usize,
-    ) -> Result<Vec<u8>, EngineError> {
+    ) -> Result<CompleteAnswer, EngineError> {
         let (photograph, snapshot, view) = match view {
             None => (None, None, None),
             Some(AskedView::Photograph(digest)) => {
@@ -546,16 +553,33 @@ impl Engine {
                 (Some(photograph), Some(snapshot), Some(view))
             }
         };
-        let (Some(snapshot), Some(view)) = (snapshot.filter(|s| s.newest.is_some()), view) else {
-            return owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most, None);
+        let answered = |shares: Option<&dyn Fn(Seen) -> Result<Shares, EngineError>>| {
+            owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most, shares)
         };
-        let found = self.shown_by(&snapshot, &Asked::about(Viewpoint::View(view.clone())))?;
+        let without = |why: String| Ok(CompleteAnswer { json: answered(None)?, without_shares: Some(why) });
+        let (snapshot, view) = match (snapshot, view) {
+            (Some(snapshot), Some(view)) => (snapshot, view),
+            _ if photograph.is_some() => return without(format!("scene {scene:?} has no such view to credit")),
+            _ => return Ok(CompleteAnswer { json: answered(None)?, without_shares: None }),
+        };
+        let found = match self.credited_by(&snapshot, &view) {
+            Ok(found) => found,
+            Err(e) => return without(e.to_string()),
+        };
         let (origin, key) = (self.registry.origin(), self.registry.public_key());
         let shares = |checkpoint| {
             let signer = Signer { origin, key, checkpoint };
             statement::shares(&snapshot, snapshot.info()?, &view, &found, signer)
         };
-        owners::complete_answer(&self.registry, scene, photograph.as_ref(), as_of, most, Some(&shares))
+        Ok(CompleteAnswer { json: answered(Some(&shares))?, without_shares: None })
+    }
+
+    /// Whose photographs show a view of the scene as `snapshot` has it; whose mark its renders carry is not looked up.
+    fn credited_by(&self, snapshot: &SceneSnapshot, view: &str) -> Result<Contributors, EngineError> {
+        snapshot.info()?;
+        let (model, mark) = (self.current_model(snapshot)?, Who::of(snapshot, None, 1.0)?);
+        let asked = Asked::about(Viewpoint::View(view.to_owned()));
+        coverage::contributors(&model, snapshot, &asked, mark, &self.limits)
     }
 
     /// The offline proof of a record (C2SP tlog-proof): index, inclusion hashes, the newest checkpoint, or the newest one

@@ -3,7 +3,8 @@
 
 use cairn_log::format::{
     Checkpoint, CheckpointError, Digest, DsseError, Envelope, KeyError, NoteError, NoteVerifier, OwnerRecord,
-    PublicKey, RecordError, SignedRecord, TlogProof, merkle, record::PAYLOAD_TYPE,
+    PublicKey, RecordError, SignedRecord, TlogProof, merkle,
+    record::{PAYLOAD_TYPE, VERSION},
 };
 
 use crate::{
@@ -122,17 +123,16 @@ fn check_envelope(json: &[u8], digest: &mut Option<Digest>, findings: &mut Findi
             Some(signed)
         }
         Err(e) => {
+            let of_version = format!("an owner record of version {VERSION}");
             let (code, expected) = match &e {
                 RecordError::Envelope(DsseError::PayloadType { .. }) => (Code::EnvelopeTypeUnknown, PAYLOAD_TYPE),
                 RecordError::Envelope(_) => (Code::EnvelopeMalformed, "a DSSE envelope"),
-                RecordError::Version { .. } => (Code::RecordVersionUnknown, "version 2"),
+                RecordError::Version { .. } => (Code::RecordVersionUnknown, of_version.as_str()),
                 RecordError::OwnerSignature { .. } => (Code::OwnerSignatureInvalid, "a signature by the owner named"),
                 RecordError::Json { .. } if owner_key_is_weak(&envelope.payload) => {
                     (Code::KeySmallOrder, "a key of prime order")
                 }
-                RecordError::Json { .. } | RecordError::Field { .. } => {
-                    (Code::RecordMalformed, "an owner record of version 2")
-                }
+                RecordError::Json { .. } | RecordError::Field { .. } => (Code::RecordMalformed, of_version.as_str()),
             };
             findings.add(code, "envelope, payload", expected, e);
             None

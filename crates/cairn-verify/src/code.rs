@@ -356,6 +356,12 @@ codes! {
     SharesCameraMismatch = "shares.camera.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares are of another view";
     /// A photograph that the statement names is another one in the scene, or another contributor's.
     SharesPhotographMismatch = "shares.photograph.mismatch", Error, "use the scene that the statement is about; if it is that one, the shares credit the wrong contributor";
+    /// A photograph of the scene that is not held out, and that the share table does not have.
+    SharesPhotographLeftOut = "shares.photograph.left_out", Warning, "ask who runs the registry why it taught the field nothing: its contributor gets no share anywhere";
+    /// Every camera of the share table stands where the scene's does.
+    SharesPositionMatch = "shares.position.match", Passed, "";
+    /// A camera of the share table stands elsewhere in the scene, and shares go by where cameras stand.
+    SharesPositionMismatch = "shares.position.mismatch", Error, "use the scene that the statement is about; if it is that one, keep the files: the table moves a camera";
     /// The shares were worked out in another way than this release's.
     SharesMethodUnknown = "shares.method.unknown", Error, "use the release that the statement was made with";
     /// The shares are those that field, table and camera give.
@@ -366,6 +372,10 @@ codes! {
     SharesRowsMatch = "shares.rows.match", Passed, "";
     /// What the table says of a photograph is not what it teaches the field.
     SharesRowsMismatch = "shares.rows.mismatch", Error, "keep the files: the table was not made from this field and these photographs";
+    /// Cameras, names and photographs of the statement were not held to the scene.
+    SharesSceneUnchecked = "shares.scene.unchecked", Info, "hand in the scene's folder (--scene-folder) to have them compared";
+    /// What the table says of photographs was not worked out again.
+    SharesRowsUnchecked = "shares.rows.unchecked", Info, "hand in the scene's folder (--scene-folder), or have more photographs looked at (--photographs)";
     /// Something about the record changed behind the checkpoint asked for.
     AnswerChangedLater = "answer.record.changed_later", Info, "";
 }

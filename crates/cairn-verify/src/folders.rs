@@ -20,7 +20,7 @@ use crate::{
     FileInHand,
     bounded::read,
     code::Code,
-    report::{Finding, Findings},
+    report::{self, Finding, Findings},
     state,
     store::{Covered, Stock, StoreError, compare, read_manifest},
 };
@@ -117,7 +117,7 @@ impl<'a> Folders<'a> {
         let covered = Covered { root: &folder, place: &within, folders: &[""], except: MANIFEST, changed, unknown };
         compare(&manifest, &covered, &mut self.findings)?;
         if self.findings.0.len() == before {
-            self.findings.add(Code::FolderVerified, name, "", format!("{} files", manifest.files.len()));
+            self.findings.add(Code::FolderVerified, name, "", report::files(manifest.files.len()));
         }
         Ok(manifest.files.into_iter().map(|file| (file.path, file.sha256)).collect())
     }

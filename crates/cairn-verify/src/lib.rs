@@ -25,6 +25,7 @@ mod store;
 
 pub use answer::{
     AnswerReport, Question, RecordWorth, SharesReport, Standing, audit_answer, audit_answer_to, audit_shares,
+    audit_shares_to,
 };
 pub use check::audit;
 pub use code::{Code, Severity};

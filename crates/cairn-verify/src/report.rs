@@ -104,6 +104,11 @@ pub(crate) fn lines(findings: &[Finding], f: &mut fmt::Formatter<'_>) -> fmt::Re
     all.try_for_each(|finding| writeln!(f, "{finding}"))
 }
 
+/// So many files, in words.
+pub(crate) fn files(count: usize) -> String {
+    format!("{count} {}", if count == 1 { "file" } else { "files" })
+}
+
 /// Collects findings.
 #[derive(Debug, Default)]
 pub(crate) struct Findings(pub(crate) Vec<Finding>);

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use crate::{
     code::Code,
-    report::Findings,
+    report::{self, Findings},
     store::{Covered, StoreError, compare, read_seal},
 };
 
@@ -49,7 +49,7 @@ pub(crate) fn check(dir: &Path, there: bool, findings: &mut Findings) -> Result<
     let (changed, unknown) = (Code::StateMismatch, Code::StateMismatch);
     compare(&manifest, &Covered { root: dir, place: "", folders: &FOLDERS, except: "", changed, unknown }, findings)?;
     if findings.0.len() == before {
-        findings.add(Code::StateVerified, SEAL, "", format!("{count} files"));
+        findings.add(Code::StateVerified, SEAL, "", report::files(count));
     }
     Ok(())
 }

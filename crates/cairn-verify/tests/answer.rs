@@ -147,7 +147,7 @@ fn a_claim_is_unconfirmed_until_a_curator_binds_its_name_whoever_came_first() {
     assert_eq!(confirmed(&log), [(0, None), (1, None)]);
     let report = audited(&log.answer(Some("one")));
     assert_eq!(report.findings.iter().filter(|f| f.code == Code::AnswerRecordUnconfirmed).count(), 2, "{report}");
-    assert!(report.to_string().contains("counts    index 0: claim by \"ada\", unconfirmed\n"), "{report}");
+    assert!(report.to_string().contains("counts    index 0: claim by \"ada\", name unconfirmed\n"), "{report}");
     log.add(binding(50, "ada", 1));
     // Another name's binding, and another scene's, say nothing of hers.
     log.add(binding(50, "bea", 9));
@@ -155,7 +155,10 @@ fn a_claim_is_unconfirmed_until_a_curator_binds_its_name_whoever_came_first() {
     assert_eq!(confirmed(&log), [(0, None), (1, Some(3))]);
     let report = audited(&log.answer(Some("one")));
     assert!(report.has(Code::AnswerRecordConfirmed), "{report}");
-    assert!(report.to_string().contains("counts    index 1: claim by \"ada\", confirmed at index 3\n"), "{report}");
+    assert!(
+        report.to_string().contains("counts    index 1: claim by \"ada\", name confirmed at index 3\n"),
+        "{report}"
+    );
 }
 
 #[test]
@@ -279,7 +282,7 @@ fn answer_reports_are_readable_by_people_and_by_programs() {
         "trusted\n",
         "who contributed to scene \"liberty\", as of log size 12\n",
         "3 of 8 records count\n",
-        "counts    index 1: contribution by \"contributor 2\", identity 2, unconfirmed, disputed at index 4\n",
+        "counts    index 1: contribution by \"contributor 2\", identity 2, name unconfirmed, disputed at index 4\n",
         "no credit index 4: dispute naming \"contributor 5\", identity 5\n",
         "revoked   index 5:",
         "map.membership.proven",

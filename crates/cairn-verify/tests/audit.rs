@@ -324,7 +324,7 @@ fn each_wrong_record_has_its_code() {
     let weak = body.replace(&key(1).public().to_string(), &"0".repeat(64));
     let cases = [
         (signed_body(&weak), "key.small_order"),
-        (signed_body(&body.replacen(":2", ":3", 1)), "record.version.unknown"),
+        (signed_body(&body.replacen("\"version\":1", "\"version\":2", 1)), "record.version.unknown"),
         (signed_body(&body.replace("liberty", "")), "record.malformed"),
         (signed_body(&body.replacen('{', r#"{"more":1,"#, 1)), "record.malformed"),
         (

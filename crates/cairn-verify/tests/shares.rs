@@ -6,7 +6,7 @@ use cairn_log::format::{
     record::Seen,
     shares::{ContributorShares, PhotographShare, Sampled, SharedFiles, SharedView, Shares, VERSION},
 };
-use cairn_verify::{Code, Outcome, Severity, SharesReport, audit_answer, audit_shares};
+use cairn_verify::{Code, Outcome, Question, Severity, SharesReport, audit_answer, audit_shares, audit_shares_to};
 
 /// What an honest registry would sign about view `two`.
 fn shares(answer: &Answer) -> Shares {
@@ -37,6 +37,7 @@ fn shares(answer: &Answer) -> Shares {
             of("contributor 1", vec![photograph("four", 0.25)]),
         ],
         excluded: 0.125,
+        excluded_views: vec![SharedView { name: "five.png".into(), photograph: view("five") }],
         unseen: 0.0625,
         behind: 0.1875,
         checkpoint: Seen { size: checkpoint.size, root: checkpoint.root },
@@ -130,6 +131,21 @@ fn a_statement_that_was_changed_moved_or_made_by_another_is_invalid() {
 
 fn envelope_of(answer: &mut Answer) -> &mut cairn_log::format::Envelope {
     answer.shares.as_mut().unwrap()
+}
+
+#[test]
+fn shares_of_another_view_than_the_one_asked_about_are_no_answer() {
+    let (log, _) = log();
+    let answer = with(&log, &registry(), |_| ()).to_json();
+    let audit = |scene: &str, name: &str| {
+        let asked = Question { scene: scene.into(), view: Some(view(name)) };
+        audit_shares_to(answer.as_bytes(), Some(&pinned()), Some(&asked))
+    };
+    let report = audit(SCENE, "two");
+    assert!(report.outcome == Outcome::Trusted && report.has(Code::AnswerQuestionMatch), "{report}");
+    for report in [audit(SCENE, "one"), audit("fern", "two")] {
+        assert!(report.outcome == Outcome::Invalid && report.has(Code::AnswerQuestionMismatch), "{report}");
+    }
 }
 
 #[test]

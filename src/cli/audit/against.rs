@@ -70,8 +70,9 @@ fn in_folder(folder: &Path, listed: Option<&[Digest]>) -> anyhow::Result<FileInH
     if kept.len() == listed.len() && there.len() == listed.len() {
         return Ok(FileInHand::photographs(&name, &kept));
     }
+    let files = if there.len() == 1 { "file" } else { "files" };
     let place =
-        format!("{name}, {} of the {} that the record lists, among {} files", kept.len(), listed.len(), there.len());
+        format!("{name}, {} of the {} that the record lists, among {} {files}", kept.len(), listed.len(), there.len());
     Ok(FileInHand::photographs(&place, &kept))
 }
 
@@ -162,25 +163,29 @@ fn training_of(models: &Path, record: &OwnerRecord) -> anyhow::Result<ModelInfo>
     };
     let mut found = model::all(models, &record.scene)?;
     let there = found.len();
-    let named = match (bound.marked_field, bound.training_configuration, bound.photographs) {
-        (Some(field), ..) => {
-            found.retain(|m| m.mark.as_ref().is_some_and(|mark| mark.marked_field == field));
-            format!("marked field {field}")
-        }
-        (None, Some(settings), _) => {
-            found.retain(|m| m.settings == settings);
-            format!("training configuration {settings}")
-        }
-        (None, None, Some(root)) => {
-            found.retain(same_photographs);
-            format!("photographs {root} as identity {}", record.identity.number.unwrap_or(0))
-        }
-        (None, None, None) => anyhow::bail!(
-            "the record about scene {:?} names neither marked field, training configuration nor photographs, so {} \
-             holds nothing to compare it with; leave --against out",
+    // By what is told apart best: trainings with the same settings may have learnt from other photographs.
+    let named = if let Some(field) = bound.marked_field {
+        found.retain(|m| m.mark.as_ref().is_some_and(|mark| mark.marked_field == field));
+        format!("marked field {field}")
+    } else if let Some(table) = bound.share_table {
+        found.retain(|m| m.share_table == table);
+        format!("share table {table}")
+    } else if let Some(field) = bound.base_field {
+        found.retain(|m| m.base_field == field);
+        format!("base field {field}")
+    } else if let Some(settings) = bound.training_configuration {
+        found.retain(|m| m.settings == settings);
+        format!("training configuration {settings}")
+    } else if let Some(root) = bound.photographs {
+        found.retain(same_photographs);
+        format!("photographs {root} as identity {}", record.identity.number.unwrap_or(0))
+    } else {
+        anyhow::bail!(
+            "the record about scene {:?} names neither marked field, share table, base field, training configuration nor \
+             photographs, so {} holds nothing to compare it with; leave --against out",
             record.scene,
             models.display()
-        ),
+        );
     };
     // Settings and photographs stay the same from one training to the next: any of those will do.
     let at = found.iter().position(same_photographs).unwrap_or(0);

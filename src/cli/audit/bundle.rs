@@ -26,7 +26,8 @@ pub struct Args {
     pub bundle: PathBuf,
     #[command(flatten)]
     pub trust: Trust,
-    /// A data folder whose photographs, settings, marked field and detector, of the record's own training, are held to it
+    /// A data folder whose photographs, settings, base field, share table, marked field and detector, of the record's own
+    /// training, are held to it
     #[arg(long, value_name = "DIR")]
     pub against: Option<PathBuf>,
     #[command(flatten)]

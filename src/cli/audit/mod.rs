@@ -29,7 +29,8 @@ pub enum Command {
     /// Work out again the shares in an answer about a view, from base field, share table and camera; exit codes as for a
     /// bundle
     #[command(
-        after_help = "Example:\n  cairn audit shares answer.json --field base.field --table base.shares --vkey log.vkey"
+        after_help = "Example:\n  cairn audit shares answer.json --base-field base.field --share-table base.shares \
+                      --scene liberty --view IMG_3.jpg --vkey log.vkey"
     )]
     Shares(shares::Args),
     /// Hash a whole data folder again; exit code 0 clean, 10 checkpoint, 11 log or tile, 12 record, 13 map, 14 working

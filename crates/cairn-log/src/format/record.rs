@@ -1,4 +1,4 @@
-//! The owner record, version 2: the signed sentence "these photographs, and this mark of
+//! The owner record, version 1: the signed sentence "these photographs, and this mark of
 //! them, are mine".
 //!
 //! It binds the owner's key to the digests of the photographs and of everything that made a mark, to
@@ -22,7 +22,7 @@ use super::{
 pub const PAYLOAD_TYPE: &str = "application/vnd.cairn.owner-record.v1+json";
 
 /// The body's format version.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 1;
 
 /// Longest scene, contributor, origin or purpose, in bytes.
 pub const MAX_TEXT_BYTES: usize = 256;

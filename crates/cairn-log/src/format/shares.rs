@@ -56,6 +56,9 @@ pub struct Shares {
     pub contributors: Vec<ContributorShares>,
     /// What photographs show that were excluded since the training.
     pub excluded: f64,
+    /// The scene's views that are excluded, and so credited to no contributor.
+    #[serde(deserialize_with = "serial::up_to::<MAX_SHARES, _, _>")]
+    pub excluded_views: Vec<SharedView>,
     /// What no photograph shows.
     pub unseen: f64,
     /// What lies behind the scene.
@@ -64,7 +67,7 @@ pub struct Shares {
     pub checkpoint: Seen,
 }
 
-/// The view that a statement is about.
+/// A view of the scene.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SharedView {
@@ -225,6 +228,7 @@ mod tests {
                 photographs: vec![photograph("b.png", 0.5), photograph("c.png", 0.25)],
             }],
             excluded: 0.0,
+            excluded_views: Vec::new(),
             unseen: 0.125,
             behind: 0.125,
             checkpoint: Seen { size: 3, root: Digest::of("root") },

@@ -1,6 +1,9 @@
 //! Complete answers, put together from the log and its map at one moment.
 
-use std::{cell::RefCell, collections::BTreeSet};
+use std::{
+    cell::{Cell, RefCell},
+    collections::BTreeSet,
+};
 
 use super::{
     commit::StoredBuckets,
@@ -27,7 +30,7 @@ pub(super) fn answer(
     most: usize,
 ) -> Result<Answer, RegistryError> {
     loop {
-        let (outline, heard) = outline(shared, scene, view, as_of)?;
+        let (outline, heard) = outline(shared, scene, view, as_of, most)?;
         let answer = filled(shared, outline, most)?;
         // A record that was erased meanwhile says nothing any more, and asks for fewer lists.
         let is_erased = |record: &ListedRecord| record.envelope.is_none() && heard.contains(&record.index);
@@ -63,6 +66,7 @@ fn outline(
     scene: &str,
     view: Option<&Digest>,
     as_of: Option<&str>,
+    most: usize,
 ) -> Result<(Answer, BTreeSet<u64>), RegistryError> {
     let _turn = shared.turn()?;
     let state = shared.read();
@@ -72,7 +76,7 @@ fn outline(
         None => None,
         Some(index) => Some(MapPart { index, leaf: leaf_of(shared, index)?, inclusion: state.proven(index, size)? }),
     };
-    let source = AtOneMoment { shared, state: &state, heard: RefCell::default() };
+    let source = AtOneMoment { shared, state: &state, heard: RefCell::default(), most, read: Cell::new(0) };
     let (lists, records) = answer::collect(&answer::asked_key(scene, view), &source)?;
     let cosigned = state.cosigned.as_ref().filter(|(cosigned, _)| *cosigned == size);
     let answer = Answer {
@@ -114,6 +118,10 @@ struct AtOneMoment<'a> {
     state: &'a State,
     /// Records that said something.
     heard: RefCell<BTreeSet<u64>>,
+    /// Most bytes of the answer.
+    most: usize,
+    /// Bytes of the envelopes that were read, each of which the answer will hold.
+    read: Cell<usize>,
 }
 
 impl Source for AtOneMoment<'_> {
@@ -135,8 +143,14 @@ impl Source for AtOneMoment<'_> {
     }
 
     fn said(&self, index: u64) -> Result<Option<OwnerRecord>, RegistryError> {
-        let said = read::said(self.shared, index)?;
-        self.heard.borrow_mut().extend(said.as_ref().map(|_| index));
-        Ok(said)
+        let Some(read::Said { record, bytes }) = read::said(self.shared, index)? else { return Ok(None) };
+        if self.heard.borrow_mut().insert(index) {
+            self.read.set(self.read.get() + bytes);
+        }
+        // Writers wait meanwhile: no more is read than can be answered with.
+        if self.read.get() > self.most {
+            return Err(answer::AnswerGap::TooLarge { limit: self.most }.into());
+        }
+        Ok(Some(record))
     }
 }

@@ -165,13 +165,22 @@ pub(super) fn stored(shared: &Shared, index: u64) -> Result<StoredRecord, Regist
     stored_entry(shared, index)?.into_record()
 }
 
+/// What a record says, and how large that is.
+pub(super) struct Said {
+    /// The body.
+    pub(super) record: OwnerRecord,
+    /// Bytes of its envelope.
+    pub(super) bytes: usize,
+}
+
 /// What the record at `index` says, none where it was erased; its signatures are not verified again.
-pub(super) fn said(shared: &Shared, index: u64) -> Result<Option<OwnerRecord>, RegistryError> {
+pub(super) fn said(shared: &Shared, index: u64) -> Result<Option<Said>, RegistryError> {
     let refuse = |what: String| inconsistent(&format!("record {index}"), what);
     match slot(shared, index)? {
         Slot::Record(json) => {
             let envelope = Envelope::parse(&json).map_err(|e| refuse(e.to_string()))?;
-            OwnerRecord::parse(&envelope.payload).map(Some).map_err(|e| refuse(e.to_string()))
+            let record = OwnerRecord::parse(&envelope.payload).map_err(|e| refuse(e.to_string()))?;
+            Ok(Some(Said { record, bytes: json.len() }))
         }
         Slot::Erased(_) => Ok(None),
         Slot::MapLeaf => Err(refuse("its envelope is missing".into())),

@@ -128,7 +128,8 @@ impl OwnerService for Shared {
                 engine.complete_answer(&scene, view, (!as_of.is_empty()).then_some(as_of.as_str()), most)
             })
             .await?;
-        Ok(Response::new(v1::AnswerResponse { answer: answer.into() }))
+        let without_shares = answer.without_shares.unwrap_or_default();
+        Ok(Response::new(v1::AnswerResponse { answer: answer.json.into(), without_shares }))
     }
 
     async fn checkpoint(&self, _: Request<v1::CheckpointRequest>) -> Answer<v1::CheckpointResponse> {

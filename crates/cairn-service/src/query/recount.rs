@@ -1,12 +1,14 @@
 //! Shares worked out again from files, for who audits a registry's statement of them: the base field, its share table, the
 //! view's camera, and where they are in hand the photographs that the table was made from.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::Path;
 
 use cairn_field::{Field, OfPixel, RowWeights, VisibleField as _};
 use cairn_scene::{Camera, SceneFolder};
 use cairn_share::{Builder, SeenFrom, ShareError, ShareTable, Shares, Sharpness, taught};
+use glam::DVec3;
 
 use crate::config::TrainingSettings;
 use crate::error::EngineError;
@@ -14,6 +16,9 @@ use crate::query::coverage::sampled;
 
 /// Longest side of a picture whose shares are worked out again, px.
 const MAX_SIDE_PX: usize = 65_536;
+/// How far a camera of the table may be from the scene's, as a part of its way from the origin: what reading numbers
+/// from text does.
+const MAX_POSITION_ERROR: f64 = 1e-9;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 
@@ -45,6 +50,17 @@ pub struct Method {
     pub height: usize,
 }
 
+/// A photograph whose camera stands elsewhere in the scene than in the table, capture units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Misplaced {
+    /// The view's name.
+    pub view: String,
+    /// Where the table has its camera.
+    pub in_table: [f64; 3],
+    /// Where the scene has it; `None` without such a view.
+    pub in_scene: Option<[f64; 3]>,
+}
+
 /// What a photograph taught, in the table and worked out again.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
@@ -72,6 +88,11 @@ impl Taught {
         Ok(Self { field, table: read })
     }
 
+    /// Names of the views whose photographs the table has, in its order.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.table.photographs().iter().map(|photograph| photograph.name.as_str())
+    }
+
     /// Whose photographs show what `camera` sees, by this release's method.
     ///
     /// # Errors
@@ -81,25 +102,46 @@ impl Taught {
         let from = SeenFrom::new(&self.table, &self.field, camera.pose.position, Sharpness::default());
         let seen = self.field.row_weights(&sampled(camera), OfPixel::All);
         let Shares { of_photographs, unseen, behind } = from.shares(&seen);
-        let names = self.table.photographs().iter().map(|photograph| photograph.name.clone());
+        let names = self.names().map(str::to_owned);
         Ok(Recount { photographs: names.zip(of_photographs).collect(), unseen, behind })
     }
 
-    /// What `count` photographs of the table, spread over it, taught the field, compared with what the scene's own
-    /// photographs and cameras say. `huber` is the training's.
+    /// The photographs of the table whose cameras do not stand where the scene's do: shares go by these places.
+    pub fn misplaced(&self, scene: &SceneFolder) -> Vec<Misplaced> {
+        let views = scene.capture().views.iter();
+        let known: BTreeMap<&str, DVec3> = views.map(|view| (view.name.as_str(), view.camera.pose.position)).collect();
+        let mut wrong = Vec::new();
+        for photograph in self.table.photographs() {
+            let (at, there) = (photograph.position, known.get(photograph.name.as_str()));
+            let is_there = |there: &DVec3| at.distance(*there) <= MAX_POSITION_ERROR * at.length().max(there.length());
+            if !there.is_some_and(is_there) {
+                let in_scene = there.map(DVec3::to_array);
+                wrong.push(Misplaced { view: photograph.name.clone(), in_table: at.to_array(), in_scene });
+            }
+        }
+        wrong
+    }
+
+    /// What the photographs of these views taught the field, compared with what the scene's own photographs and cameras
+    /// say. `huber` is the training's.
     ///
     /// # Errors
-    /// [`EngineError::NotFound`] for a photograph that the scene has not; for one that was altered.
-    pub fn compare(&self, scene: &SceneFolder, huber: f64, count: usize) -> Result<Vec<Compared>, EngineError> {
-        let (photographs, views) = (self.table.photographs(), &scene.capture().views);
-        let step = photographs.len().div_ceil(count.max(1)).max(1);
+    /// [`EngineError::NotFound`] for a photograph that the table or the scene has not; for one that was altered.
+    pub fn compare(
+        &self,
+        scene: &SceneFolder,
+        huber: f64,
+        names: &BTreeSet<String>,
+    ) -> Result<Vec<Compared>, EngineError> {
+        let views = &scene.capture().views;
         let mut compared = Vec::new();
-        for (number, photograph) in photographs.iter().enumerate().step_by(step).take(count) {
-            let Some(index) = views.iter().position(|view| view.name == photograph.name) else {
-                let there = views.iter().map(|view| view.name.as_str());
-                return Err(EngineError::not_found("view", &photograph.name, there));
+        for name in names {
+            let number = self.names().position(|known| known == name);
+            let number = number.ok_or_else(|| EngineError::not_found("photograph", name, self.names()))?;
+            let Some(index) = views.iter().position(|view| view.name == *name) else {
+                return Err(EngineError::not_found("view", name, views.iter().map(|view| view.name.as_str())));
             };
-            let weights = taught(&self.field, &photograph.name, &scene.train_view(index)?, huber);
+            let weights = taught(&self.field, name, &scene.train_view(index)?, huber);
             compared.push(self.compared(number, &weights)?);
         }
         Ok(compared)

@@ -40,9 +40,11 @@ pub fn shares(
 ) -> Result<Shares, EngineError> {
     let camera = snapshot.camera_of(view)?;
     let sampled = coverage::sampled(&camera).intrinsics;
-    let views = snapshot.scene.capture().views.iter().enumerate();
-    let digests: HashMap<&str, Digest> =
-        views.map(|(i, view)| (view.name.as_str(), Digest::from_bytes(snapshot.scene.photograph_digest(i)))).collect();
+    let views = || snapshot.scene.capture().views.iter().enumerate();
+    let digest_of = |i: usize| Digest::from_bytes(snapshot.scene.photograph_digest(i));
+    let digests: HashMap<&str, Digest> = views().map(|(i, view)| (view.name.as_str(), digest_of(i))).collect();
+    let excluded = views().filter(|(_, view)| snapshot.is_out(&view.name));
+    let excluded = excluded.map(|(i, view)| SharedView { name: view.name.clone(), photograph: digest_of(i) });
     let photograph = |(name, share): &(String, f64)| {
         let photograph = digests.get(name.as_str()).copied()?;
         Some(PhotographShare { view: name.clone(), photograph, share: *share })
@@ -69,6 +71,7 @@ pub fn shares(
         sampled: Sampled { width: sampled.width as u32, height: sampled.height as u32 },
         contributors: found.shares.iter().map(contributor).collect(),
         excluded: found.excluded,
+        excluded_views: excluded.collect(),
         unseen: found.unseen,
         behind: found.behind,
         checkpoint: signer.checkpoint,

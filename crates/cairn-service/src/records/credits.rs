@@ -10,7 +10,11 @@ use crate::records::{bindings, corrections};
 
 /// Entries of one list that are looked at, at most: anybody may claim anything.
 const MAX_LISTED: usize = 64;
-/// Records that are looked at for one answer, at most.
+/// Entries of one list that are gone through for those of the key that the name is bound to, at most: their leaves alone.
+const MAX_SCANNED: usize = 4096;
+/// Leaves that are gone through for one answer, at most.
+const MAX_LEAVES: usize = 16_384;
+/// Records that are looked at for one answer, at most; as many of keys that names are bound to, and as many others.
 const MAX_RECORDS: usize = 1024;
 /// Photographs whose lists are looked at for one answer, at most.
 const MAX_PHOTOGRAPHS: usize = 4096;
@@ -20,7 +24,8 @@ const MAX_PHOTOGRAPHS: usize = 4096;
 pub struct Crediting {
     /// Its place in the log.
     pub index: u64,
-    /// Whether a curator bound this contributor's name to its owner's key, or to one that rotations join with it.
+    /// Whether it is in this contributor's name, and a curator bound that to its owner's key, or to one that rotations join
+    /// with it.
     pub confirmed: bool,
 }
 
@@ -37,18 +42,58 @@ pub struct Credits {
 pub struct LookUp<'a> {
     registry: &'a Registry,
     scene: &'a str,
-    /// Owners' key ids of the records that were looked at and credit somebody.
-    owners: BTreeMap<u64, Option<Digest>>,
+    /// What the records say that were looked at; none of those that credit no contributor.
+    known: BTreeMap<u64, Option<Said>>,
     photographs_left: usize,
+    leaves_left: usize,
+    /// Of keys that names are bound to.
+    bound_records_left: usize,
+    other_records_left: usize,
+}
+
+/// What a record says that credits its owner and stands.
+#[derive(Clone)]
+struct Said {
+    /// Its owner's key id.
+    owner: Digest,
+    /// The contributor in whose name it is.
+    name: String,
+}
+
+/// The key that a contributor's name is bound to, and which others are of one owner with it.
+struct BoundKey<'a> {
+    registry: &'a Registry,
+    id: Digest,
+    known: BTreeMap<Digest, bool>,
+}
+
+/// The entries of a list that are to be looked at, by log index, in two parts.
+#[derive(Default)]
+struct Listed {
+    /// Those of the key that the name is bound to.
+    bound: Vec<u64>,
+    /// The others.
+    others: Vec<u64>,
+    /// Whether the list has more.
+    has_more: bool,
 }
 
 impl<'a> LookUp<'a> {
     /// In this log, about this scene.
     pub fn new(registry: &'a Registry, scene: &'a str) -> Self {
-        Self { registry, scene, owners: BTreeMap::new(), photographs_left: MAX_PHOTOGRAPHS }
+        Self {
+            registry,
+            scene,
+            known: BTreeMap::new(),
+            photographs_left: MAX_PHOTOGRAPHS,
+            leaves_left: MAX_LEAVES,
+            bound_records_left: MAX_RECORDS,
+            other_records_left: MAX_RECORDS,
+        }
     }
 
-    /// The claims and contributions that stand and list one of these photographs, or are in the contributor's name.
+    /// The claims and contributions that stand and list one of these photographs, or are in the contributor's name. Those
+    /// of the key that the name is bound to come first, so that a crowd of others cannot hide them.
     ///
     /// # Errors
     /// The registry's.
@@ -59,24 +104,31 @@ impl<'a> LookUp<'a> {
         credits.may_be_more = looked_at < photographs.len();
         let views = photographs[..looked_at].iter().map(|photograph| MapKey::view(self.scene, photograph));
         let lists: Vec<MapKey> = std::iter::once(MapKey::contributor(self.scene, contributor)).chain(views).collect();
+        let bound = bindings::newest(self.registry, self.scene, contributor)?.and_then(|bound| bound.key);
+        let mut bound = bound.map(|key| BoundKey { registry: self.registry, id: key.id(), known: BTreeMap::new() });
         let mut found = BTreeMap::new();
         for list in lists {
-            let entries = self.registry.listed(&list, 0, MAX_LISTED + 1)?;
-            credits.may_be_more |= entries.len() > MAX_LISTED;
-            for entry in entries.iter().take(MAX_LISTED) {
-                if self.owners.len() >= MAX_RECORDS && !self.owners.contains_key(&entry.index) {
-                    credits.may_be_more = true;
-                    break;
+            let listed = self.listed(&list, bound.as_mut())?;
+            credits.may_be_more |= listed.has_more;
+            let bound = listed.bound.iter().map(|index| (*index, true));
+            for (index, is_bound) in bound.chain(listed.others.iter().map(|index| (*index, false))) {
+                let left = if is_bound { &mut self.bound_records_left } else { &mut self.other_records_left };
+                if !self.known.contains_key(&index) {
+                    if *left == 0 {
+                        credits.may_be_more = true;
+                        continue;
+                    }
+                    *left -= 1;
                 }
-                if let Some(owner) = self.owner_of(entry.index)? {
-                    found.insert(entry.index, owner);
+                if let Some(said) = self.said(index)? {
+                    found.insert(index, said);
                 }
             }
         }
-        let bound = bindings::newest(self.registry, self.scene, contributor)?.and_then(|bound| bound.key);
-        for (index, owner) in found {
-            let confirmed = match bound {
-                Some(key) => bindings::one_owner(self.registry, &owner, &key.id())?,
+        for (index, Said { owner, name }) in found {
+            // The same rule as for the record alone: a curator confirms its own name.
+            let confirmed = match bound.as_mut().filter(|_| name == contributor) {
+                Some(bound) => bound.is_of(&owner)?,
                 None => false,
             };
             credits.records.push(Crediting { index, confirmed });
@@ -84,20 +136,55 @@ impl<'a> LookUp<'a> {
         Ok(credits)
     }
 
-    /// The key id of a record's owner, where it credits them and stands.
-    fn owner_of(&mut self, index: u64) -> Result<Option<Digest>, EngineError> {
-        if let Some(known) = self.owners.get(&index) {
-            return Ok(*known);
+    /// Which entries of a list are to be looked at.
+    fn listed(&mut self, list: &MapKey, mut bound: Option<&mut BoundKey<'_>>) -> Result<Listed, EngineError> {
+        let scanned = if bound.is_some() { MAX_SCANNED.min(self.leaves_left) } else { 0 };
+        let entries = self.registry.listed(list, 0, scanned.max(MAX_LISTED) + 1)?;
+        let mut listed = Listed { has_more: entries.len() > MAX_LISTED, ..Listed::default() };
+        for (at, entry) in entries.iter().take(scanned.max(MAX_LISTED)).enumerate() {
+            let is_bound = match bound.as_deref_mut().filter(|_| at < scanned) {
+                Some(bound) => {
+                    self.leaves_left -= 1;
+                    bound.is_of(&self.registry.leaf(entry.index)?.owner)?
+                }
+                None => false,
+            };
+            let of = if is_bound { &mut listed.bound } else { &mut listed.others };
+            if of.len() < MAX_LISTED {
+                of.push(entry.index);
+            }
         }
-        let owner = match self.registry.entry(index)? {
+        // Together no more than of a list whose name is bound to no key.
+        listed.others.truncate(MAX_LISTED - listed.bound.len());
+        Ok(listed)
+    }
+
+    /// What a record says, where it credits its owner and stands.
+    fn said(&mut self, index: u64) -> Result<Option<Said>, EngineError> {
+        if let Some(known) = self.known.get(&index) {
+            return Ok(known.clone());
+        }
+        let said = match self.registry.entry(index)? {
             LogEntry::Record(stored) if stored.record.kind.credits() => {
                 let is_upheld = corrections::is_upheld(self.registry, &stored.leaf.record)?;
-                is_upheld.then_some(stored.leaf.owner)
+                is_upheld.then_some(Said { owner: stored.leaf.owner, name: stored.record.identity.contributor })
             }
             LogEntry::Record(_) | LogEntry::Erased { .. } | LogEntry::Map { .. } => None,
         };
-        self.owners.insert(index, owner);
-        Ok(owner)
+        self.known.insert(index, said.clone());
+        Ok(said)
+    }
+}
+
+impl BoundKey<'_> {
+    /// Whether the key with this id is the bound one, or rotations join the two.
+    fn is_of(&mut self, owner: &Digest) -> Result<bool, EngineError> {
+        if let Some(known) = self.known.get(owner) {
+            return Ok(*known);
+        }
+        let is_of = bindings::one_owner(self.registry, owner, &self.id)?;
+        self.known.insert(*owner, is_of);
+        Ok(is_of)
     }
 }
 

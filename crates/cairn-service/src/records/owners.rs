@@ -166,8 +166,8 @@ pub fn page<T>(
 pub fn photograph_of(snapshot: &SceneSnapshot, name: &str) -> Result<Digest, EngineError> {
     let photograph = snapshot.photograph_of(name)?;
     if snapshot.is_out(snapshot.full_name(name)?) {
-        let why = "it is excluded, and nobody is credited with it; what the log says of its photograph is there to \
-                   ask by its SHA-256";
+        let why = "it is excluded, and no contributor is credited with it; ask by the SHA-256 of its photograph for what \
+                   the log says of that";
         let what = format!("view {name:?} of scene {:?}", snapshot.name);
         return Err(EngineError::wrong_state(what, "asked about", why));
     }

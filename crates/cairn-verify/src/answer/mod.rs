@@ -13,7 +13,7 @@ mod shares;
 mod worth;
 
 pub use report::{AnswerReport, RecordWorth, Standing};
-pub use shares::{SharesReport, audit_shares};
+pub use shares::{SharesReport, audit_shares, audit_shares_to};
 
 use cairn_log::format::{
     Answer, AnswerError, Checkpoint, Digest, MapLeaf, NoteVerifier,

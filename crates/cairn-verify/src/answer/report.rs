@@ -112,8 +112,8 @@ impl fmt::Display for RecordWorth {
             write!(f, ", identity {number}")?;
         }
         match self.confirmed_by {
-            Some(index) => write!(f, ", confirmed at index {index}")?,
-            None if self.standing == Standing::Counts => write!(f, ", unconfirmed")?,
+            Some(index) => write!(f, ", name confirmed at index {index}")?,
+            None if self.standing == Standing::Counts => write!(f, ", name unconfirmed")?,
             None => {}
         }
         if !self.disputed_by.is_empty() {

@@ -10,7 +10,7 @@ use cairn_log::format::{
 };
 use serde::Serialize;
 
-use super::report::shares_lines;
+use super::{Question, check_question, report::shares_lines};
 use crate::{
     check::check_checkpoint,
     code::Code,
@@ -63,6 +63,11 @@ impl fmt::Display for SharesReport {
 ///
 /// Never fails: whatever is wrong is a finding. Without the log's pinned key nothing is trusted.
 pub fn audit_shares(answer: &[u8], pinned: Option<&NoteVerifier>) -> SharesReport {
+    audit_shares_to(answer, pinned, None)
+}
+
+/// As [`audit_shares`]; where the question is given, an answer to another one is invalid.
+pub fn audit_shares_to(answer: &[u8], pinned: Option<&NoteVerifier>, asked: Option<&Question>) -> SharesReport {
     let mut findings = Findings::default();
     let answer = match Answer::parse(answer) {
         Ok(answer) => answer,
@@ -75,6 +80,9 @@ pub fn audit_shares(answer: &[u8], pinned: Option<&NoteVerifier>) -> SharesRepor
     };
     if pinned.is_none() {
         findings.add(Code::RegistryUnpinned, "registry", "a pinned verifier key", "none");
+    }
+    if let Some(asked) = asked {
+        check_question(&answer, asked, &mut findings);
     }
     let checkpoint = check_checkpoint(&answer.checkpoint, pinned, "checkpoint", &mut findings);
     let shares = checkpoint.and_then(|checkpoint| check(&answer, &checkpoint, pinned, &mut findings));

@@ -3,7 +3,7 @@
 
 use cairn_log::format::{
     Digest, DsseError, Envelope, OwnerRecord, PublicKey, RecordError, RecordKind, SignedRecord,
-    dsse::EnvelopeSignature, leaf::LEAF_LEN,
+    dsse::EnvelopeSignature, leaf::LEAF_LEN, record::VERSION,
 };
 
 use crate::code::Code;
@@ -51,7 +51,7 @@ pub(super) fn check(json: &[u8], origin: Option<&str>, registry: Option<&PublicK
     let signed = SignedRecord::open(envelope).map_err(|e| match &e {
         RecordError::OwnerSignature { .. } => fault(Code::StoreRecordSignature, "signed by the owner that it names", e),
         RecordError::Envelope(DsseError::PayloadType { .. }) => fault(Code::StoreEnvelope, "an owner record", e),
-        _ => fault(Code::StoreEnvelope, "an owner record of version 2", e),
+        _ => fault(Code::StoreEnvelope, format!("an owner record of version {VERSION}"), e),
     })?;
     let named = &signed.record().origin;
     if let Some(origin) = origin.filter(|origin| *origin != named) {

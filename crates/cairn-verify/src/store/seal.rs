@@ -8,7 +8,12 @@ use super::{
     StoreError,
     files::{self, Files},
 };
-use crate::{FileInHand, bounded::read, code::Code, report::Findings};
+use crate::{
+    FileInHand,
+    bounded::read,
+    code::Code,
+    report::{self, Findings},
+};
 
 /// Largest manifest that is read, bytes: some 500 000 files.
 const MAX_BYTES: usize = 64 << 20;
@@ -78,7 +83,7 @@ pub(super) fn check(files: &Files, findings: &mut Findings) -> Result<(), StoreE
     let covered = Covered { root, place: "registry/", folders: &["working"], except: "", changed, unknown };
     compare(&manifest, &covered, findings)?;
     if findings.0.len() == before {
-        findings.add(Code::WorkingVerified, place, "", format!("{} files", manifest.files.len()));
+        findings.add(Code::WorkingVerified, place, "", report::files(manifest.files.len()));
     }
     Ok(())
 }
