@@ -225,7 +225,7 @@ fn the_demo_goes_the_whole_way() {
     assert_eq!((results["format_version"].as_u64(), results["seed"].as_u64()), (Some(1), Some(1)));
     assert_eq!(results["records_trusted"], serde_json::json!({ "right": 3, "asked": 3 }));
     assert_eq!(results["evaluation"]["mark"]["identities"].as_array().unwrap().len(), 3);
-    // Everybody who took a photograph of what it shows, those who show most first.
+    // All who photographed what it shows, those who show most first.
     let shares: Vec<(String, f64)> = serde_json::from_value(results["shares"].clone()).unwrap();
     assert!(shares.is_sorted_by(|a, b| a.1 >= b.1), "{shares:?}");
     let ada = shares.iter().find(|(name, _)| name == "ada").map_or(0.0, |(_, share)| *share);
