@@ -8,10 +8,12 @@
 //! would be two leaves at one index.
 
 mod lists;
+mod question;
 mod report;
 mod shares;
 mod worth;
 
+pub use question::Question;
 pub use report::{AnswerReport, RecordWorth, Standing};
 pub use shares::{SharesReport, audit_shares, audit_shares_to};
 
@@ -28,15 +30,6 @@ use crate::{
     code::Code,
     report::{Findings, Freshness, Outcome},
 };
-
-/// What was asked: an answer says itself what it answers, and whoever asked knows better.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Question {
-    /// The scene's name.
-    pub scene: String,
-    /// SHA-256 of the photograph asked about; none for the whole scene.
-    pub view: Option<Digest>,
-}
 
 /// Verifies a complete answer of a registry: JSON of [`Answer`].
 ///
@@ -66,7 +59,7 @@ pub fn audit_answer_to(answer: &[u8], pinned: Option<&NoteVerifier>, asked: Opti
         findings.add(Code::RegistryUnpinned, "registry", "a pinned verifier key", "none");
     }
     if let Some(asked) = asked {
-        check_question(&answer, asked, &mut findings);
+        question::check(&answer, asked, &mut findings);
     }
     let mut said = Said::default();
     let sizes = check_log(&answer, pinned, &mut findings);
@@ -78,19 +71,6 @@ pub fn audit_answer_to(answer: &[u8], pinned: Option<&NoteVerifier>, asked: Opti
         said.shares = shares::check(&answer, &sizes.checkpoint, pinned, &mut findings);
     }
     report(Some(answer), sizes.map(|(sizes, _)| sizes), said, findings)
-}
-
-fn check_question(answer: &Answer, asked: &Question, findings: &mut Findings) {
-    let said = |scene: &str, view: Option<&Digest>| match view {
-        Some(view) => format!("view {view} of scene {scene:?}"),
-        None => format!("scene {scene:?}"),
-    };
-    let (expected, got) = (said(&asked.scene, asked.view.as_ref()), said(&answer.scene, answer.view.as_ref()));
-    if expected == got {
-        findings.add(Code::AnswerQuestionMatch, "answer, fields scene and view", "", got);
-    } else {
-        findings.add(Code::AnswerQuestionMismatch, "answer, fields scene and view", expected, got);
-    }
 }
 
 /// The log that the answer is about.

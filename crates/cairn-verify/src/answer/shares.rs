@@ -10,7 +10,10 @@ use cairn_log::format::{
 };
 use serde::Serialize;
 
-use super::{Question, check_question, report::shares_lines};
+use super::{
+    question::{self, Question},
+    report::shares_lines,
+};
 use crate::{
     check::check_checkpoint,
     code::Code,
@@ -82,7 +85,7 @@ pub fn audit_shares_to(answer: &[u8], pinned: Option<&NoteVerifier>, asked: Opti
         findings.add(Code::RegistryUnpinned, "registry", "a pinned verifier key", "none");
     }
     if let Some(asked) = asked {
-        check_question(&answer, asked, &mut findings);
+        question::check(&answer, asked, &mut findings);
     }
     let checkpoint = check_checkpoint(&answer.checkpoint, pinned, "checkpoint", &mut findings);
     let shares = checkpoint.and_then(|checkpoint| check(&answer, &checkpoint, pinned, &mut findings));
