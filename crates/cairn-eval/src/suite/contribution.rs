@@ -171,7 +171,8 @@ fn target(case: &str, metric: &str) -> Option<Target> {
     const FIRST: &str = "growth by coverage, power 8, ";
     if let Some(of_first) = metric.strip_prefix(FIRST) {
         return match of_first {
-            "ahead of the kernel on pose, same first, low" => Some(Target::at_least(0.0)),
+            // Above nothing: equally often is not ahead.
+            "ahead of the kernel on pose, same first, low" => Some(Target::at_least(0.001)),
             "part of the ceiling, same first" => Some(Target::at_least(0.9)),
             _ => None,
         };
