@@ -3,8 +3,7 @@
 
 use std::time::Instant;
 
-use cairn_field::{Appearance, Field, MarkableField as _};
-use cairn_scene::Camera;
+use cairn_field::{Appearance, Field, LinearView, MarkableField as _};
 use cairn_share::{Lesson, Necessity, PULL, STEPS};
 
 use crate::config::Limits;
@@ -27,8 +26,8 @@ const PASSED_OVER: f64 = 0.02;
 const PIXEL_BYTES: u64 = 1300;
 /// Bytes of a row: nine vectors of three numbers while colours are solved for.
 const ROW_BYTES: u64 = 108;
-/// Seconds of one pass over a pixel's linear map, in those of following its ray.
-const PASS: f64 = 0.3;
+/// Passes over all linear maps to solve once, where the way back counts as two: of each step, and to begin.
+const PASSES: f64 = 3.0 * STEPS as f64 + 5.0;
 /// Entries of the view's linear map that weigh less are left out, pixels.
 const CUTOFF: f32 = 1e-3;
 
@@ -86,7 +85,8 @@ pub enum Said {
 pub struct Plan {
     /// What it takes.
     pub cost: Cost,
-    camera: Camera,
+    /// What the asked view makes of colours, and in which light.
+    seen: LinearView,
     light: Appearance,
     /// Those who are looked at, and their coverage.
     asked: Vec<(String, f64)>,
@@ -112,17 +112,19 @@ impl Question {
             let allowed = format!("1 to {MAX_CONTRIBUTORS}");
             return Err(EngineError::invalid("the number of contributors", self.contributors, allowed));
         }
-        // Read before the clock starts.
-        model.share_table()?;
-        let begun = Instant::now();
         let found = contributors(model, snapshot, &Asked::about(self.viewpoint.clone()), mark, limits)?;
         let camera = sampled(&camera_of("the view", snapshot, &self.viewpoint, limits)?);
-        let rays = camera.intrinsics.width * camera.intrinsics.height;
-        let seconds_a_ray = begun.elapsed().as_secs_f64() / rays as f64;
-        let plan = Plan::of(model, snapshot, self, found, camera)?;
-        let passes = (STEPS * 2 + 4) as f64 * PASS * (plan.asked.len() + 1) as f64;
+        // What the view's own map takes, and a pass over it, is what those of the photographs take, pixel for pixel.
+        let begun = Instant::now();
+        let seen = model.base.view(&camera, CUTOFF, 1);
+        let map_seconds = begun.elapsed().as_secs_f64();
+        let plan = Plan::of(model, snapshot, self, found, seen)?;
+        let begun = Instant::now();
+        plan.shown(&vec![0.0; 3 * model.base.rows()]);
+        let pass_seconds = begun.elapsed().as_secs_f64();
         let pixels = plan.pixels_of_each(snapshot) * plan.photographs.len();
-        let seconds = pixels as f64 * seconds_a_ray * (1.0 + passes);
+        let views = pixels as f64 / (plan.seen.width() * plan.seen.height()) as f64;
+        let seconds = views * (map_seconds + PASSES * (plan.asked.len() + 1) as f64 * pass_seconds);
         let bytes = pixels as u64 * PIXEL_BYTES + model.base.rows() as u64 * ROW_BYTES;
         let cost = Cost { bytes, seconds, ..plan.cost };
         Ok(Plan { cost, ..plan })
@@ -135,7 +137,7 @@ impl Plan {
         snapshot: &SceneSnapshot,
         question: &Question,
         found: Contributors,
-        camera: Camera,
+        seen: LinearView,
     ) -> Result<Self, EngineError> {
         let views = &snapshot.scene.capture().views;
         let wanted = if question.contributors == 0 { CONTRIBUTORS } else { question.contributors };
@@ -166,7 +168,14 @@ impl Plan {
             Viewpoint::Camera(_) => model.base.canonical_appearance().clone(),
         };
         let cost = Cost { contributors: asked.len(), photographs: photographs.len(), bytes: 0, seconds: 0.0 };
-        Ok(Self { cost, camera, light, asked, photographs })
+        Ok(Self { cost, seen, light, asked, photographs })
+    }
+
+    /// What a change of constant colours (`rows x 3`) changes in the view, RMS.
+    fn shown(&self, moved: &[f32]) -> f64 {
+        let mut picture = vec![0.0; 3 * self.seen.width() * self.seen.height()];
+        self.seen.apply_lit(moved, &self.light, &mut picture);
+        (picture.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / picture.len() as f64).sqrt()
     }
 
     /// Pixels of each photograph that are looked at, at most.
@@ -206,7 +215,6 @@ impl Plan {
         }
         let off: Vec<f32> = field.constant_colours().iter().flat_map(|c| c.map(|v| v - 0.5)).collect();
         let problem = Necessity::new(&lessons, field.rows(), off, PULL, STEPS);
-        let seen = field.view(&self.camera, CUTOFF, 1);
         let all = problem.solve(|_| true);
         let mut needed = Vec::new();
         for (who, (name, share)) in self.asked.iter().enumerate() {
@@ -216,10 +224,7 @@ impl Plan {
             }
             let without = problem.solve(|at| self.photographs[at].1 != Some(who));
             let moved: Vec<f32> = without.iter().zip(&all).map(|(a, b)| a - b).collect();
-            let mut picture = vec![0.0; 3 * seen.width() * seen.height()];
-            seen.apply_lit(&moved, &self.light, &mut picture);
-            let mean = picture.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / picture.len() as f64;
-            needed.push(Needed { name: name.clone(), share: *share, change: mean.sqrt() });
+            needed.push(Needed { name: name.clone(), share: *share, change: self.shown(&moved) });
         }
         needed.sort_by(|a, b| b.change.total_cmp(&a.change).then_with(|| a.name.cmp(&b.name)));
         Ok(Some(needed))
