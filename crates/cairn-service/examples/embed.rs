@@ -40,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         std::thread::sleep(Duration::from_millis(100));
     }
     let view = engine.scene("tower")?.capture().views[0].name.clone();
-    let who = engine.contributors("tower", &Asked::about(Viewpoint::View(view.clone())))?;
+    let (_, who) = engine.contributors("tower", &Asked::about(Viewpoint::View(view.clone())))?;
     for contributor in who.shares {
         println!("{view}: {:.1} % {}", 100.0 * contributor.share, contributor.name);
     }

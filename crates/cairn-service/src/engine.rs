@@ -403,21 +403,22 @@ impl Engine {
         poses::draw_poses(scene, &folder, grouping, self.newest_model(scene)?)
     }
 
-    /// Who contributed to a place, and which records credit them.
+    /// The identity that a place is of, by where the camera stands, and who contributed to it, with the records that credit
+    /// them.
     ///
     /// # Errors
     /// As [`coverage::contributors`]; [`EngineError::NotTrained`]; the registry's.
-    pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<Contributors, EngineError> {
+    pub fn contributors(&self, scene: &str, asked: &Asked) -> Result<(Who, Contributors), EngineError> {
         let snapshot = self.snapshot(scene)?;
         let place = look::place_of(&snapshot, &asked.viewpoint, &self.limits)?;
         let (mark, model) = (self.with_records(&snapshot, place)?, self.current_model(&snapshot)?);
-        let mut found = coverage::contributors(&model, &snapshot, asked, mark, &self.limits)?;
+        let mut found = coverage::contributors(&model, &snapshot, asked, &self.limits)?;
         let mut look_up = LookUp::new(&self.registry, scene);
         for of in &mut found.shares {
             let photographs = of.photographs.iter().map(|(view, _)| snapshot.photograph_of(view));
             of.credits = look_up.of(&of.name, &photographs.collect::<Result<Vec<_>, _>>()?)?;
         }
-        Ok(found)
+        Ok((mark, found))
     }
 
     /// How much a view would change without some contributors. `goes_on` hears the cost first, then how far it is, then
@@ -433,8 +434,7 @@ impl Engine {
     ) -> Result<(), EngineError> {
         let snapshot = self.snapshot(scene)?;
         let model = self.current_model(&snapshot)?;
-        let mark = look::place_of(&snapshot, &question.viewpoint, &self.limits)?;
-        let plan = question.plan(&model, &snapshot, mark, &self.limits)?;
+        let plan = question.plan(&model, &snapshot, &self.limits)?;
         if !goes_on(Said::Cost(plan.cost)) {
             return Ok(());
         }
@@ -577,9 +577,9 @@ impl Engine {
     /// Whose photographs show a view of the scene as `snapshot` has it; whose mark its renders carry is not looked up.
     fn credited_by(&self, snapshot: &SceneSnapshot, view: &str) -> Result<Contributors, EngineError> {
         snapshot.info()?;
-        let (model, mark) = (self.current_model(snapshot)?, Who::of(snapshot, None, 1.0)?);
+        let model = self.current_model(snapshot)?;
         let asked = Asked::about(Viewpoint::View(view.to_owned()));
-        coverage::contributors(&model, snapshot, &asked, mark, &self.limits)
+        coverage::contributors(&model, snapshot, &asked, &self.limits)
     }
 
     /// The offline proof of a record (C2SP tlog-proof): index, inclusion hashes, the newest checkpoint, or the newest one

@@ -13,10 +13,6 @@ use crate::table::{ShareTable, weights};
 
 /// The smallest square of a cosine that counts: photographs from farther aside share what no photograph shows from nearer by.
 const MIN_COSINE_SQUARED: f32 = 0.01;
-/// The faintest rows are passed over that together weigh at most this part of what is seen: most rows weigh next to nothing.
-const FAINT: f64 = 1e-3;
-/// Octaves of weights that are told apart to find the faintest rows.
-const OCTAVES: usize = 64;
 /// Rows that a task goes through.
 const ROWS_A_TASK: usize = 4096;
 
@@ -113,35 +109,25 @@ impl<'a> SeenFrom<'a> {
         (photographs, 1.0 / out.iter().sum::<f32>())
     }
 
-    /// Whose photographs show what `seen` says that some pixels see. What the faintest rows show, a thousandth at most, is
-    /// shared like the rest.
+    /// Whose photographs show what `seen` says that some pixels see.
     pub fn shares(&self, seen: &RowWeights) -> Shares {
         let photographs = self.table.photographs().len();
-        let faint = faintest(&seen.rows);
         let of_task = |rows: &[(u32, f32)]| {
-            let mut task = Task { sums: vec![0.0; photographs], seen: 0.0, all: 0.0 };
-            let mut counts = Vec::new();
+            let (mut sums, mut counts) = (vec![0f64; photographs], Vec::new());
             for (row, weight) in rows {
-                task.all += f64::from(*weight);
-                if *weight < faint {
-                    continue;
-                }
-                task.seen += f64::from(*weight);
                 let (own, share) = self.row(*row as usize, &mut counts);
                 for (photograph, count) in own.iter().zip(&counts) {
-                    task.sums[usize::from(*photograph)] += f64::from(weight * (count * share));
+                    sums[usize::from(*photograph)] += f64::from(weight * (count * share));
                 }
             }
-            task
+            sums
         };
         // Collected in order: the sums come out the same with any number of threads.
-        let tasks: Vec<Task> = seen.rows.par_chunks(ROWS_A_TASK).map(of_task).collect();
-        let [known, all] = tasks.iter().fold([0.0; 2], |[known, all], task| [known + task.seen, all + task.all]);
+        let tasks: Vec<Vec<f64>> = seen.rows.par_chunks(ROWS_A_TASK).map(of_task).collect();
         let pixels = if seen.pixels > 0.0 { seen.pixels } else { 1.0 };
-        let scale = if known > 0.0 { all / known / pixels } else { 0.0 };
         let mut of_photographs = vec![0.0; photographs];
         for task in tasks {
-            of_photographs.iter_mut().zip(task.sums).for_each(|(sum, share)| *sum += share * scale);
+            of_photographs.iter_mut().zip(task).for_each(|(sum, share)| *sum += share / pixels);
         }
         let behind = seen.behind / pixels;
         let unseen = (1.0 - behind - of_photographs.iter().sum::<f64>()).max(0.0);
@@ -179,33 +165,6 @@ fn way(from: [f32; 4], to: [f32; 4]) -> [f32; 3] {
 
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// What some rows show.
-struct Task {
-    /// Of each photograph, pixels.
-    sums: Vec<f64>,
-    /// What the rows weigh that were looked at, and all, pixels.
-    seen: f64,
-    all: f64,
-}
-
-/// A power of two below which rows are [`FAINT`]; 0 where that would be too much.
-fn faintest(rows: &[(u32, f32)]) -> f32 {
-    // Weights of an octave have the same exponent; all that are too small to tell apart come first.
-    let octave =
-        |weight: f32| (weight.to_bits() >> 23).saturating_sub(127 - OCTAVES as u32 / 2).min(OCTAVES as u32 - 1);
-    let mut sums = [0f64; OCTAVES];
-    rows.iter().for_each(|(_, weight)| sums[octave(*weight) as usize] += f64::from(*weight));
-    let mut left = FAINT * sums.iter().sum::<f64>();
-    let faint = sums.iter().take_while(|sum| {
-        left -= **sum;
-        left >= 0.0
-    });
-    match faint.count() {
-        0 => 0.0,
-        n => f32::from_bits((n as u32 + 127 - OCTAVES as u32 / 2) << 23),
-    }
 }
 
 #[cfg(test)]
@@ -268,21 +227,6 @@ mod tests {
         near(of(2, &[(1, 1.0)]), [1.0 / 8.0, 1.0 / 8.0, 0.5, 0.25]);
         // What is infinitely far is seen by all alike, however sharply.
         near(of(32, &[(3, 2.0)]), [0.25, 0.25, 0.25, 0.25]);
-    }
-
-    #[test]
-    fn the_faintest_rows_are_passed_over_and_shared_like_the_rest() {
-        assert!(
-            faintest(&[(1, 1.0)]) <= 1.0 && faintest(&[(1, 1.0), (2, 0.002)]) <= 0.002,
-            "two thousandths are too much"
-        );
-        // Two of 2^-12 and 2^-11 are below a thousandth together, and a third row would be too much.
-        let rows = [(1, 1.0), (2, 0.000_25), (3, 0.000_5), (4, 0.001_1)];
-        assert_eq!(faintest(&rows), 1.0 / 1024.0);
-        let table = table();
-        let seen = RowWeights { rows: vec![(1, 1.0), (2, 0.000_5)], behind: 0.0, pixels: 1.000_5 };
-        let shares = SeenFrom::new(&table, &Rows, DVec3::new(0.0, 0.0, -3.0), Sharpness::new(0)).shares(&seen);
-        assert!((shares.of_photographs[0] - 1.0 / 3.0).abs() < 1e-6 && shares.unseen < 1e-6, "{shares:?}");
     }
 
     #[test]

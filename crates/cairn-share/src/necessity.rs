@@ -11,7 +11,8 @@
 use cairn_field::{Appearance, LinearView};
 use rayon::prelude::*;
 
-/// How strongly a row without photographs goes back to `c0`, pixels (rho). Chosen on lego at 200 px, held-out views.
+/// How strongly a row without photographs goes back to `c0`, pixels (rho): little beside the pixel that a photograph shows.
+/// On lego 0.1 and 0.01 foresee alike.
 pub const PULL: f32 = 0.01;
 /// Steps of conjugate gradients.
 pub const STEPS: usize = 8;

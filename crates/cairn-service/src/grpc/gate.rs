@@ -58,7 +58,7 @@ pub enum About<'a> {
     Place(&'a str),
     /// A record about a scene, or a request about one, as somebody signed it.
     Signed(&'a str, &'a Envelope),
-    /// A record about a scene that nobody enters for another.
+    /// A record about a scene, which each caller enters for themselves.
     Own(&'a str, &'a Envelope),
 }
 

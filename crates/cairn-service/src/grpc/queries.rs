@@ -41,8 +41,9 @@ impl QueryService for Shared {
                 asked.may_see_base = true;
             }
         }
-        let found = self.compute(move |engine| Ok(to_proto::contributors(engine.contributors(&scene, &asked)?)));
-        found.await.map(Response::new)
+        let found = self.compute(move |engine| engine.contributors(&scene, &asked));
+        let (mark, found) = found.await?;
+        Ok(Response::new(to_proto::contributors(mark, found)))
     }
 
     type NecessityStream = ReceiverStream<Result<v1::NecessityResponse, Status>>;

@@ -223,9 +223,9 @@ fn found_identity(who: Who) -> Option<v1::FoundIdentity> {
 }
 
 /// Who contributed to a place.
-pub fn contributors(found: Contributors) -> v1::ContributorsResponse {
+pub fn contributors(mark: Who, found: Contributors) -> v1::ContributorsResponse {
     use v1::contributors_response::Answer;
-    let Contributors { mark, shares, excluded, unseen, behind, photographed_by, view_unused, map } = found;
+    let Contributors { shares, excluded, unseen, behind, photographed_by, view_unused, map } = found;
     let confidence = mark.confidence;
     let answer = found_identity(mark).map_or(Answer::Unmarked(v1::Unmarked {}), Answer::Identity);
     let photograph = |(view_name, share)| v1::PhotographShare { view_name, share };

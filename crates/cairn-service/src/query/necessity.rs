@@ -9,7 +9,6 @@ use cairn_share::{Lesson, Necessity, PULL, STEPS};
 use crate::config::Limits;
 use crate::error::EngineError;
 use crate::query::coverage::{Asked, Contributors, contributors, sampled};
-use crate::query::look::Who;
 use crate::query::viewpoint::{Viewpoint, camera_of};
 use crate::store::model::Model;
 use crate::store::snapshot::SceneSnapshot;
@@ -85,6 +84,8 @@ pub enum Said {
 pub struct Plan {
     /// What it takes.
     pub cost: Cost,
+    /// The part of the seconds that the photographs' maps take, 0 to 1; the rest is for solving.
+    maps_part: f64,
     /// What the asked view makes of colours, and in which light.
     seen: LinearView,
     light: Appearance,
@@ -101,18 +102,12 @@ impl Question {
     /// # Errors
     /// As [`contributors`]; [`EngineError::Invalid`] for too many contributors; [`EngineError::WrongState`] where no
     /// photograph shows any of it.
-    pub fn plan(
-        &self,
-        model: &Model,
-        snapshot: &SceneSnapshot,
-        mark: Who,
-        limits: &Limits,
-    ) -> Result<Plan, EngineError> {
+    pub fn plan(&self, model: &Model, snapshot: &SceneSnapshot, limits: &Limits) -> Result<Plan, EngineError> {
         if self.contributors > MAX_CONTRIBUTORS {
             let allowed = format!("1 to {MAX_CONTRIBUTORS}");
             return Err(EngineError::invalid("the number of contributors", self.contributors, allowed));
         }
-        let found = contributors(model, snapshot, &Asked::about(self.viewpoint.clone()), mark, limits)?;
+        let found = contributors(model, snapshot, &Asked::about(self.viewpoint.clone()), limits)?;
         let camera = sampled(&camera_of("the view", snapshot, &self.viewpoint, limits)?);
         // What the view's own map takes, and a pass over it, is what those of the photographs take, pixel for pixel.
         let begun = Instant::now();
@@ -124,10 +119,12 @@ impl Question {
         let pass_seconds = begun.elapsed().as_secs_f64();
         let pixels = plan.pixels_of_each(snapshot) * plan.photographs.len();
         let views = pixels as f64 / (plan.seen.width() * plan.seen.height()) as f64;
-        let seconds = views * (map_seconds + PASSES * (plan.asked.len() + 1) as f64 * pass_seconds);
+        let solve_seconds = PASSES * (plan.asked.len() + 1) as f64 * pass_seconds;
+        let seconds = views * (map_seconds + solve_seconds);
+        let maps_part = map_seconds / (map_seconds + solve_seconds);
         let bytes = pixels as u64 * PIXEL_BYTES + model.base.rows() as u64 * ROW_BYTES;
         let cost = Cost { bytes, seconds, ..plan.cost };
-        Ok(Plan { cost, ..plan })
+        Ok(Plan { cost, maps_part, ..plan })
     }
 }
 
@@ -168,7 +165,7 @@ impl Plan {
             Viewpoint::Camera(_) => model.base.canonical_appearance().clone(),
         };
         let cost = Cost { contributors: asked.len(), photographs: photographs.len(), bytes: 0, seconds: 0.0 };
-        Ok(Self { cost, seen, light, asked, photographs })
+        Ok(Self { cost, maps_part: 0.0, seen, light, asked, photographs })
     }
 
     /// What a change of constant colours (`rows x 3`) changes in the view, RMS.
@@ -203,13 +200,11 @@ impl Plan {
     ) -> Result<Option<Vec<Needed>>, EngineError> {
         let field: &Field = &model.base;
         let (pixels, views) = (self.pixels_of_each(snapshot), &snapshot.scene.capture().views);
-        // To follow the photographs' rays takes about as long as to solve for one contributor or two.
-        let parts = self.photographs.len() as f64 * (1.0 + (self.asked.len() + 1) as f64 * 6.0);
         let mut lessons = Vec::new();
         for (place, _) in &self.photographs {
             let view = snapshot.scene.train_view(*place)?;
             lessons.push(Lesson::of(field, &views[*place].name, &view, huber, pixels));
-            if !goes_on(lessons.len() as f64 / parts) {
+            if !goes_on(self.maps_part * lessons.len() as f64 / self.photographs.len() as f64) {
                 return Ok(None);
             }
         }
@@ -218,8 +213,8 @@ impl Plan {
         let all = problem.solve(|_| true);
         let mut needed = Vec::new();
         for (who, (name, share)) in self.asked.iter().enumerate() {
-            let done = self.photographs.len() as f64 * (1.0 + (who + 1) as f64 * 6.0);
-            if !goes_on(done / parts) {
+            let solved = (who + 1) as f64 / (self.asked.len() + 1) as f64;
+            if !goes_on(self.maps_part + (1.0 - self.maps_part) * solved) {
                 return Ok(None);
             }
             let without = problem.solve(|at| self.photographs[at].1 != Some(who));

@@ -36,7 +36,7 @@ pub fn newest(registry: &Registry, scene: &str, contributor: &str) -> Result<Opt
 }
 
 /// The binding by which a claim's or contribution's name stands for its owner's key, or for one that rotations join with
-/// it; none where it is unconfirmed, and for records that credit nobody.
+/// it; none where it is unconfirmed, and for records that give no credit.
 ///
 /// # Errors
 /// The registry's.

@@ -1,21 +1,10 @@
 //! When a curator's word confirms a record.
 
 use cairn_log::format::record::{self, Digests, Identity, Seen, random_salt};
-use cairn_log::log::store::FaultyStore;
-use cairn_log::{OwnerKey, OwnerRecord, RecordKind, SignedRecord};
+use cairn_log::{OwnerRecord, RecordKind, SignedRecord};
 
 use super::*;
-
-const ORIGIN: &str = "cairn.example/log";
-
-fn key(number: u8) -> OwnerKey {
-    OwnerKey::from_seed(&[number; 32])
-}
-
-fn registry() -> Registry {
-    let store = FaultyStore::new();
-    Registry::open_store(Box::new(store.clone()), Box::new(store), key(200), ORIGIN).unwrap()
-}
+use crate::records::testing::{ORIGIN, key, registry};
 
 /// Enters a record in ada's name, signed by its owner and by `also`; its index and digest.
 fn enter(
@@ -65,10 +54,10 @@ fn a_record_is_confirmed_by_the_newest_binding_of_its_name_to_its_owners_key() {
     assert_eq!([squatter, ada].map(|index| confirmed(&registry, index)), [None, None]);
     let (first, _) = bind(&registry, 50, 1);
     assert_eq!([squatter, ada].map(|index| confirmed(&registry, index)), [None, Some(first)]);
-    // A dispute of hers takes nothing away, and credits nobody itself.
+    // A dispute of hers takes nothing away, and gives no credit itself.
     let (dispute, _) = enter(&registry, RecordKind::Dispute, 9, |record| record.replaces = Some(digest), None);
     assert_eq!([ada, dispute].map(|index| confirmed(&registry, index)), [Some(first), None]);
-    // Her key goes on as another; what both sign is hers.
+    // Another key takes the place of hers; what both sign is hers.
     enter(&registry, RecordKind::Rotation, 2, |record| record.replaces = Some(digest), Some(1));
     let (again, _) = claim(2);
     assert_eq!([ada, again].map(|index| confirmed(&registry, index)), [Some(first), Some(first)]);

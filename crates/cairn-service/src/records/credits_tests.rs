@@ -1,21 +1,10 @@
 //! Which records stand beside a contributor's share.
 
 use cairn_log::format::record::{self, Digests, Identity, Seen, photographs_root, random_salt};
-use cairn_log::log::store::FaultyStore;
-use cairn_log::{OwnerKey, OwnerRecord, RecordKind, SignedRecord};
+use cairn_log::{OwnerRecord, RecordKind, SignedRecord};
 
 use super::*;
-
-const ORIGIN: &str = "cairn.example/log";
-
-fn key(number: u8) -> OwnerKey {
-    OwnerKey::from_seed(&[number; 32])
-}
-
-fn registry() -> Registry {
-    let store = FaultyStore::new();
-    Registry::open_store(Box::new(store.clone()), Box::new(store), key(200), ORIGIN).unwrap()
-}
+use crate::records::testing::{ORIGIN, key, registry};
 
 fn photograph(name: &str) -> Digest {
     Digest::of(name)

@@ -8,3 +8,5 @@ pub mod owners;
 pub mod publisher;
 pub mod rebuild;
 pub(crate) mod registry_key;
+#[cfg(test)]
+pub(crate) mod testing;

@@ -230,7 +230,7 @@ pub fn bearing_on(
 }
 
 /// Whether a record is about the marked field, for a claim of a mark, or about the identity's photographs, by its digests.
-/// The number alone says nothing: the next training gives the same number to somebody else. A record without a number may
+/// The number alone says nothing: the next training may give it to another contributor. A record without a number may
 /// list more photographs than the identity's.
 fn is_about(record: &OwnerRecord, marked_field: Option<Digest>, identity: &IdentityInfo) -> bool {
     let bound = &record.digests;

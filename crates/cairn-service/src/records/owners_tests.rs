@@ -1,21 +1,9 @@
 //! Which records bear on an identity: of its marked field, its photographs, and still upheld.
 
-use cairn_log::OwnerKey;
 use cairn_log::format::record::{self, Digests, Identity, Seen, random_salt};
-use cairn_log::log::store::FaultyStore;
 
 use super::*;
-
-const ORIGIN: &str = "cairn.example/log";
-
-fn key(number: u8) -> OwnerKey {
-    OwnerKey::from_seed(&[number; 32])
-}
-
-fn registry() -> Registry {
-    let store = FaultyStore::new();
-    Registry::open_store(Box::new(store.clone()), Box::new(store), key(200), ORIGIN).unwrap()
-}
+use crate::records::testing::{ORIGIN, key, registry};
 
 /// Identity 1 of the newest model.
 fn identity() -> IdentityInfo {

@@ -105,7 +105,7 @@ impl World {
     }
 
     fn who(&self, view: &str) -> crate::query::look::Who {
-        self.engine.contributors("town", &Asked::about(Viewpoint::View(view.into()))).unwrap().mark
+        self.engine.contributors("town", &Asked::about(Viewpoint::View(view.into()))).unwrap().0
     }
 }
 
@@ -203,7 +203,7 @@ fn nobody_is_credited_with_what_was_excluded_since_a_model() {
         assert!(refused.contains("excluded") && refused.contains("SHA-256"), "{refused}");
     }
     let asked = Asked::about(Viewpoint::View(short.into()));
-    let shares = world.engine.contributors("town", &asked).unwrap();
+    let shares = world.engine.contributors("town", &asked).unwrap().1;
     assert!(shares.photographed_by.is_none() && shares.excluded > 0.0, "{:?}", shares.shares);
 
     // A contributor all of whose views are out is named no more.
@@ -212,8 +212,8 @@ fn nobody_is_credited_with_what_was_excluded_since_a_model() {
     let scene = world.engine.scene("town").unwrap();
     let view = scenes::view_index(scene.capture(), "images/ada_004.png").unwrap();
     let camera = scene.capture().views[view].camera;
-    let who = world.engine.contributors("town", &Asked::about(Viewpoint::Camera(camera))).unwrap();
-    assert!(who.mark.identity.is_none_or(|(_, label)| label != "ada"), "{:?}", who.mark.contributors);
+    let (mark, who) = world.engine.contributors("town", &Asked::about(Viewpoint::Camera(camera))).unwrap();
+    assert!(mark.identity.is_none_or(|(_, label)| label != "ada"), "{:?}", mark.contributors);
     assert!(who.shares.iter().all(|share| share.name != "ada") && who.excluded > 0.1, "{:?}", who.shares);
 }
 

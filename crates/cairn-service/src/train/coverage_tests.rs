@@ -81,7 +81,7 @@ fn every_contributor_without_a_share_is_named_with_the_reason() {
     assert!(job.notes.iter().any(|note| note == said), "{:?}", job.notes);
 
     // A view that taught nothing says so; who took one that is held out is named all the same.
-    let who = |view: &String| engine.contributors("town", &Asked::about(Viewpoint::View(view.clone()))).unwrap();
+    let who = |view: &String| engine.contributors("town", &Asked::about(Viewpoint::View(view.clone()))).unwrap().1;
     let [held_out, excluded, used] = [0, 1, 7].map(|at| who(&names[at]));
     assert_eq!((held_out.view_unused, held_out.photographed_by.as_deref()), (Some(Unused::HeldOut), Some("eve")));
     assert!(held_out.shares.iter().all(|of| of.name != "eve"), "{:?}", held_out.shares);
