@@ -19,7 +19,8 @@ use super::answer::{Asked, MAX_ANSWER_BYTES};
 /// How far a share may be from the one that is worked out again: the method and the rays are the same, and only the order
 /// in which a machine adds differs.
 const MAX_SHARE_ERROR: f64 = 1e-3;
-/// How far what a photograph taught may be from what the table says, as a part of it.
+/// How far what a photograph taught may be from what the table says, as a part of it: a number between two codes may be
+/// rounded to either on another machine, which is 7 % of it, and few numbers lie so.
 const MAX_LESSON_ERROR: f64 = 0.05;
 
 /// `cairn audit shares`.

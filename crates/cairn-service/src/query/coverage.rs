@@ -16,7 +16,7 @@ use crate::store::snapshot::SceneSnapshot;
 
 /// Rays that a view's shares are worked out from, at most about so many: of a larger picture every second pixel each
 /// way, every third, and so on. A share may be off by 0.01; with so many those of liberty's held-out views are off by 0.0005
-/// at most (400 x 600 px).
+/// at most from those with 60,000 (400 x 600 px).
 const MAX_RAYS: usize = 4_000;
 /// The same of a map, whose pixels people look at.
 const MAX_MAP_RAYS: usize = 60_000;
