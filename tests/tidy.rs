@@ -12,15 +12,16 @@ use std::sync::OnceLock;
 use modules::Sources;
 
 /// Every package and the packages of ours that it may use. Tests may use more.
-const ARROWS: [(&str, &[&str]); 12] = [
+const ARROWS: [(&str, &[&str]); 13] = [
     ("cairn-durable", &[]),
     ("cairn-nn", &["cairn-durable"]),
     ("cairn-api", &[]),
     ("cairn-scene", &["cairn-durable"]),
     ("cairn-landmark", &["cairn-durable", "cairn-scene"]),
     ("cairn-field", &["cairn-durable", "cairn-scene"]),
+    ("cairn-register", &["cairn-field", "cairn-scene"]),
     ("cairn-share", &["cairn-field", "cairn-scene"]),
-    ("cairn-mark", &["cairn-durable", "cairn-field", "cairn-nn", "cairn-scene"]),
+    ("cairn-mark", &["cairn-durable", "cairn-field", "cairn-nn", "cairn-register", "cairn-scene"]),
     ("cairn-log", &["cairn-durable"]),
     ("cairn-verify", &["cairn-log"]),
     (
@@ -32,6 +33,7 @@ const ARROWS: [(&str, &[&str]); 12] = [
             "cairn-log",
             "cairn-mark",
             "cairn-nn",
+            "cairn-register",
             "cairn-scene",
             "cairn-share",
         ],

@@ -10,7 +10,6 @@
 //! - [`appearance`]: [`Appearance`] tints what a ray gathered as a view's day and camera had it
 //! - [`io`]: safetensors files, tensor by tensor
 //! - [`field`]: [`Field`], the outcome; views as linear maps for stage 2, and as marches where densities move as well
-//! - [`register`]: where a picture was taken
 //! - [`train`]: [`BaseTrainer`], stage 1
 //! - [`screening`]: which photographs the others do not explain
 //!
@@ -25,10 +24,9 @@ pub mod field;
 pub mod grid;
 pub mod io;
 pub mod rays;
-pub mod register;
 pub mod render;
 pub mod screening;
-mod stats;
+pub mod stats;
 pub mod train;
 
 pub use appearance::code::Appearance;
@@ -43,8 +41,8 @@ pub use field::model::{CHANGE, FIELD_FORMAT, Field, Rendering};
 pub use field::survey::only_what_shows;
 pub use grid::real::Real;
 pub use io::tensors::{Part, TensorFile, packed, read_header};
+pub use rays::distance::distance;
 pub use rays::frame::{RayPath, SceneFrame, contract};
-pub use register::{Registered, Registrar};
 pub use render::composite::Thresholds;
 pub use screening::{Doubt, Screened, Screening, ViewScore};
 pub use train::light::LightVerdict;

@@ -20,7 +20,6 @@ mod operator;
 mod pictures;
 mod rays;
 mod reference;
-mod registration;
 mod repeatable;
 mod screening;
 mod screening_real;

@@ -2,9 +2,11 @@
 //! where it has to be searched for. And that they do not where there are none: in base renders, as they are and after
 //! attacks, in photographs, in a marked render from elsewhere, and in other captures.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use cairn_mark::{Detector, MarkedField, RegisteredReader};
+use cairn_register::{Index, Reference};
 use cairn_scene::{Camera, Picture};
 
 use super::attack;
@@ -30,10 +32,15 @@ pub fn ask(
     foreign: &[Source],
     views: &[View],
 ) -> anyhow::Result<Option<Registered>> {
-    let training = opened.training().into_iter().map(|i| opened.view(i).map(|v| (v.camera, v.name)));
-    let training = training.collect::<anyhow::Result<Vec<_>>>()?;
-    let training: Vec<(Camera, &str)> = training.iter().map(|(camera, name)| (*camera, name.as_str())).collect();
-    let Some(reader) = RegisteredReader::new(marked, &training) else { return Ok(None) };
+    let training = opened.training();
+    let reference = |index: usize| Reference {
+        camera: opened.camera(index),
+        name: opened.name(index),
+        photograph: Box::new(move || opened.view(index).ok().map(|view| view.picture)),
+    };
+    let references: Vec<Reference<'_>> = training.into_iter().map(reference).collect();
+    let index = Index::build(marked.base(), &references, &mut |_, _| true).map(Arc::new);
+    let Some(reader) = RegisteredReader::new(marked, index) else { return Ok(None) };
     let by = By { marked, detector, reader: &reader };
     let mut found = Registered::default();
     for (at, view) in views.iter().enumerate() {

@@ -2,7 +2,7 @@
 
 /// Cholesky's factor of a positive definite matrix, `n x n`, in place; only the
 /// lower triangle is read and written. `None` when it is not positive definite.
-pub(crate) fn factor(m: &mut [f64], n: usize) -> Option<()> {
+pub fn factor(m: &mut [f64], n: usize) -> Option<()> {
     for j in 0..n {
         for k in 0..j {
             let v = m[j * n + k];
@@ -22,7 +22,7 @@ pub(crate) fn factor(m: &mut [f64], n: usize) -> Option<()> {
 }
 
 /// Solves `L L^T x = b` in place, as many equations as `x` has numbers.
-pub(crate) fn solve(l: &[f64], x: &mut [f64]) {
+pub fn solve(l: &[f64], x: &mut [f64]) {
     let n = x.len();
     for i in 0..n {
         for k in 0..i {

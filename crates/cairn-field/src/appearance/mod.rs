@@ -1,5 +1,5 @@
 //! What a photograph's day and camera make of the field's light, and how that is fitted to a photograph.
 
-pub(crate) mod cholesky;
+pub mod cholesky;
 pub mod code;
-pub(crate) mod prior;
+pub mod prior;

@@ -13,7 +13,7 @@ use super::code::{Appearance, CODE, FEATURES};
 
 /// A normal distribution of appearance codes.
 #[derive(Clone, Debug)]
-pub(crate) struct Prior {
+pub struct Prior {
     pub(crate) mean: Appearance,
     /// `CODE x CODE`, symmetric: [`NOISE`] times the inverse covariance.
     pub(crate) precision: Vec<f64>,
@@ -30,7 +30,7 @@ const VIEWS: f64 = 4.0;
 
 impl Prior {
     /// Anything near `mean`, in no direction rather than another.
-    pub(crate) fn around(mean: Appearance) -> Self {
+    pub fn around(mean: Appearance) -> Self {
         let mut precision = vec![0.0; CODE * CODE];
         for k in 0..CODE {
             precision[k * CODE + k] = NOISE / VARIANCE;
@@ -41,7 +41,7 @@ impl Prior {
     /// Codes like `seen`: their mean and their covariance, shrunk towards what is
     /// believed where there are none. `None` where there are none, or their numbers are so
     /// large that rounding leaves their covariance no inverse.
-    pub(crate) fn of(seen: &[&Appearance]) -> Option<Self> {
+    pub fn of(seen: &[&Appearance]) -> Option<Self> {
         let mean = Appearance::mean(seen)?;
         let mut covariance = vec![0.0; CODE * CODE];
         for code in seen {
@@ -69,7 +69,7 @@ impl Prior {
     /// them: minimises the mean of `|code . f - pixel|^2` plus
     /// `(code - mean)^T precision (code - mean)`, exactly; the mean where n is 0.
     /// `None` when a number is not finite, or the code would not be.
-    pub(crate) fn fit(&self, features: &[[f32; FEATURES]], pixels: &[[f32; 3]]) -> Option<Appearance> {
+    pub fn fit(&self, features: &[[f32; FEATURES]], pixels: &[[f32; 3]]) -> Option<Appearance> {
         debug_assert_eq!(features.len(), pixels.len());
         let mean: Vec<f64> = self.mean.code().iter().map(|v| f64::from(*v)).collect();
         let share = 1.0 / features.len().max(1) as f64;

@@ -160,7 +160,7 @@ impl Field {
     }
 
     /// What every pixel gathers, row-major, `rays x rays` of the eye's pixels to each: the mean of their features.
-    pub(crate) fn features_of(&self, eye: Eye<'_>, rays: usize) -> Vec<[f32; FEATURES]> {
+    pub fn features_of(&self, eye: Eye<'_>, rays: usize) -> Vec<[f32; FEATURES]> {
         let tiling = Tiling::of(&self.grid, &self.frame, eye, Thresholds::SHOWN, rays);
         let share = 1.0 / (rays * rays) as f32;
         let add = |sum: &mut [f32; FEATURES], seen: &Seen<'_>| {

@@ -26,10 +26,11 @@ enum Directions {
 
 /// A camera and the directions of its pixels.
 #[derive(Clone, Copy)]
-pub(crate) struct Eye<'a> {
-    pub(crate) camera: &'a Camera,
+pub struct Eye<'a> {
+    /// The camera.
+    pub camera: &'a Camera,
     /// The camera's lens.
-    pub(crate) lens: &'a Lens,
+    pub lens: &'a Lens,
 }
 
 impl Eye<'_> {
@@ -51,7 +52,7 @@ impl Lens {
     ///
     /// # Panics
     /// Without cameras.
-    pub(crate) fn stacked(cameras: &[Camera]) -> Self {
+    pub fn stacked(cameras: &[Camera]) -> Self {
         let first = cameras.first().expect("a camera");
         let intrinsics = Intrinsics { height: first.intrinsics.height * cameras.len(), ..first.intrinsics };
         Self { intrinsics, directions: Directions::of(cameras) }

@@ -16,8 +16,9 @@ use crate::attack::Blur;
 use crate::marked::MarkedField;
 use crate::stega::recipe::{CarrierKind, DensityKind};
 use cairn_field::Appearance;
-use cairn_field::{Registered, Registrar};
+use cairn_register::{Index, Registered, Registrar};
 use cairn_scene::{Camera, Picture};
+use std::sync::Arc;
 
 /// From here on a mark is believed. A standard normal number does not come so far; renders without a mark that were
 /// registered a little amiss have come to 4.8. No number of blocks can come beyond its own root, so that a picture needs 64.
@@ -73,18 +74,17 @@ impl RegisteredReader {
         (width.div_ceil(BLOCK) * height.div_ceil(BLOCK)) as f64 >= BELIEVED * BELIEVED
     }
 
-    /// Prepares to read against `marked`, whose scene was photographed from `views` (cameras and names). `None` where
-    /// that cannot be: without views, and where densities moved with the mark, so that
-    /// it is no change of colours.
-    pub fn new(marked: &MarkedField, views: &[(Camera, &str)]) -> Option<Self> {
+    /// Prepares to read against `marked`; without the `index` of its places pictures whose cameras are known alone. `None`
+    /// where densities moved with the mark, so that it is no change of colours.
+    pub fn new(marked: &MarkedField, index: Option<Arc<Index>>) -> Option<Self> {
         if marked.density_kind() == DensityKind::Free {
             return None;
         }
-        Some(Self { registrar: Registrar::new(marked.base().clone(), views)? })
+        Some(Self { registrar: Registrar::new(marked.base().clone(), index) })
     }
 
     /// Registers `picture` with the field and looks for each identity's mark of `marked`, the field that it was made for. `from`
-    /// is the camera that it was rendered with, where that is known; otherwise it is searched for, which takes seconds, for as long as
+    /// is the camera that it was rendered with, where that is known; otherwise it is looked for, for as long as
     /// `wanted` says so. `None` where no place was found for it.
     pub fn read(
         &self,
@@ -95,7 +95,7 @@ impl RegisteredReader {
     ) -> Option<RegisteredReading> {
         let registered = match from {
             Some(camera) => self.registrar.register_at(picture, camera)?,
-            None => self.registrar.register_while(picture, wanted)?,
+            None => self.registrar.locate(picture, wanted).ok()?.registered,
         };
         let identities = marked.clusters().clusters.len() as u32;
         let (camera, light) = (&registered.camera, &registered.appearance);

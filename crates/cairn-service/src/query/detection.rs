@@ -37,11 +37,8 @@ impl Mark {
             let allowed = "64 x 64 px or more, to be registered with a field";
             return Err(EngineError::invalid("the picture", format!("{width} x {height} px"), allowed));
         }
-        let made = || {
-            let views = views();
-            let views: Vec<(Camera, &str)> = views.iter().map(|(camera, name)| (*camera, name.as_str())).collect();
-            RegisteredReader::new(&self.field, &views)
-        };
+        let _ = views;
+        let made = || RegisteredReader::new(&self.field, None);
         let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| {
             let why = "the field's densities moved with the marks (mark.density), or the scene has no views to train on; ask \
                        without registration, and the classifier answers";

@@ -1,6 +1,6 @@
 //! The small linear system of a step: nine numbers.
 
-use crate::appearance::cholesky::{factor, solve};
+use cairn_field::appearance::cholesky::{factor, solve};
 
 /// Numbers that say where a picture was taken: rotation, translation, focal length, principal point.
 pub(super) const NUMBERS: usize = 9;
@@ -37,6 +37,25 @@ impl Normal {
         factor(m, NUMBERS)?;
         solve(m, &mut x);
         x.iter().all(|v| v.is_finite()).then_some(x)
+    }
+
+    /// The matrix's inverse, with what no number changes held fast; `None` where there is none.
+    pub(super) fn inverse(&self) -> Option<[[f64; NUMBERS]; NUMBERS]> {
+        let mut m = self.matrix;
+        let largest = (0..NUMBERS).map(|k| m[k][k]).fold(0.0, f64::max);
+        for (k, row) in m.iter_mut().enumerate() {
+            row[k] += 1e-9 * largest;
+        }
+        let m = m.as_flattened_mut();
+        factor(m, NUMBERS)?;
+        let column = |k: usize| {
+            let mut x: [f64; NUMBERS] = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
+            solve(m, &mut x);
+            x
+        };
+        // Symmetric: columns are rows.
+        let all = std::array::from_fn(column);
+        all.as_flattened().iter().all(|v: &f64| v.is_finite()).then_some(all)
     }
 }
 

@@ -3,13 +3,13 @@
 //! renderer makes of it. What fits nowhere (a black corner, something laid over the picture) loses its say by
 //! Tukey's weights.
 
-use super::matrix::{NUMBERS, Normal};
+pub(super) use super::matrix::{NUMBERS, Normal};
 use super::windows::Level;
-use crate::appearance::code::{Appearance, FEATURES};
-use crate::appearance::prior::Prior;
-use crate::field::model::Field;
-use crate::rays::lens::{Eye, Lens};
-use crate::stats::median;
+use cairn_field::{Appearance, appearance::code::FEATURES};
+use cairn_field::appearance::prior::Prior;
+use cairn_field::Field;
+use cairn_field::rays::lens::{Eye, Lens};
+use cairn_field::stats::median;
 use cairn_scene::Camera;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -120,7 +120,7 @@ pub(super) fn refine(
 }
 
 /// How far each number goes so that pixels move by about [`PROBE_PX`] of a copy `longest` px long.
-fn units(camera: &Camera, reach: f64, longest: f64) -> [f64; NUMBERS] {
+pub(super) fn units(camera: &Camera, reach: f64, longest: f64) -> [f64; NUMBERS] {
     let i = &camera.intrinsics;
     // Of the copy's pixels one is so many of the picture's.
     let pixel = i.width.max(i.height) as f64 / longest * PROBE_PX;
@@ -132,7 +132,7 @@ fn units(camera: &Camera, reach: f64, longest: f64) -> [f64; NUMBERS] {
 
 /// `camera` with its nine numbers changed by `step`, each in its unit: turned about its own axes, moved along them, its
 /// focal length multiplied, its principal point moved.
-fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMBERS]) -> Camera {
+pub(super) fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMBERS]) -> Camera {
     let by: [f64; NUMBERS] = std::array::from_fn(|k| step[k] * units[k]);
     let mut changed = *camera;
     let turn = DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::new(by[0], by[1], by[2])));
@@ -238,6 +238,66 @@ impl Slopes {
             }
         }
         normal
+    }
+}
+
+/// How far a camera that pictures were aligned to may be off.
+#[derive(Clone, Debug)]
+pub(super) struct Covariance {
+    units: [f64; NUMBERS],
+    /// Of the numbers, in those units.
+    matrix: [[f64; NUMBERS]; NUMBERS],
+}
+
+impl Covariance {
+    /// Of `refined`, by what its level's windows say one by one: neighbouring pixels err together, windows do not. The
+    /// normal equations' inverse on either side of the windows' own sums (White 1980; clustered, Liang and Zeger 1986).
+    /// `None` where the windows do not determine a camera.
+    pub(super) fn of(against: &Against<'_>, level: &Level, refined: &Refined, min_spread: f64) -> Option<Self> {
+        let now = look(against, level, &refined.camera, None)?;
+        let slopes = Slopes::at(against, level, &now, NUMBERS);
+        let weights = Weights::of(&now.residuals, &level.tells, min_spread);
+        let whole = slopes.normal(&now.residuals, &weights);
+        let inverse = whole.inverse()?;
+        let mut middle = [[0.0; NUMBERS]; NUMBERS];
+        let (mut first, mut told) = (0, 0);
+        for window in &level.windows {
+            let own = first..first + window.width * window.height;
+            first = own.end;
+            let mut part = Normal::default();
+            for at in own.filter(|at| weights.each[*at] != 0.0) {
+                for (slopes, r) in slopes.each[at].iter().zip(&now.residuals[at]) {
+                    part.add(&slopes.map(f64::from), f64::from(*r), weights.each[at]);
+                }
+            }
+            told += usize::from(part.right.iter().any(|v| *v != 0.0));
+            for (row, a) in middle.iter_mut().zip(part.right) {
+                row.iter_mut().zip(part.right).for_each(|(m, b)| *m += a * b);
+            }
+        }
+        // As many windows as numbers leave nothing to tell errors by.
+        let free = told.checked_sub(NUMBERS).filter(|free| *free > 0)?;
+        let share = told as f64 / free as f64;
+        let times = |a: &[[f64; NUMBERS]; NUMBERS], b: &[[f64; NUMBERS]; NUMBERS]| -> [[f64; NUMBERS]; NUMBERS] {
+            std::array::from_fn(|i| std::array::from_fn(|j| (0..NUMBERS).map(|k| a[i][k] * b[k][j]).sum()))
+        };
+        let matrix = times(&times(&inverse, &middle), &inverse).map(|row| row.map(|v| v * share));
+        matrix.iter().flatten().all(|v| v.is_finite()).then_some(Self { units: slopes.units, matrix })
+    }
+
+    /// Standard deviation of where `camera` has `place`, px; `None` where it does not see it.
+    pub(super) fn off_px(&self, camera: &Camera, place: DVec3) -> Option<f64> {
+        let here = camera.project(place)?;
+        let mut slopes = [[0.0; NUMBERS]; 2];
+        for k in 0..NUMBERS {
+            let step: [f64; NUMBERS] = std::array::from_fn(|n| if n == k { 1e-2 } else { 0.0 });
+            let there = changed(camera, &step, &self.units).project(place)?;
+            (slopes[0][k], slopes[1][k]) = ((there.x - here.x) * 1e2, (there.y - here.y) * 1e2);
+        }
+        let variance = |s: &[f64; NUMBERS]| -> f64 {
+            (0..NUMBERS).flat_map(|i| (0..NUMBERS).map(move |j| (i, j))).map(|(i, j)| s[i] * self.matrix[i][j] * s[j]).sum()
+        };
+        Some(slopes.iter().map(variance).sum::<f64>().max(0.0).sqrt())
     }
 }
 

@@ -1,0 +1,272 @@
+//! A camera that many matches agree on.
+//!
+//! A match says more than a point and a place: how much larger the picture shows it than a known view does, and how far
+//! it is turned. So one match alone is a rough camera, the view's turned and with a longer lens (Lowe 2004, section
+//! 7.3, has each vote for such a pose). Among the matches that agree roughly, fours are drawn and solved for pose and
+//! focal length by Newton's steps from there (RANSAC, Fischler and Bolles 1981; a solver in closed form would need the
+//! focal length), and the best camera is refined on all that agree.
+//!
+//! What agrees by chance is counted *a contrario* (Moisan and Stival 2004; for cameras Moulon, Monasse and Marlet 2012):
+//! of n matches k lie within a share `a` of the picture from where the camera has them; were they anywhere, the
+//! number of fours and of agreements so good that one expects is
+//! `(n - 4) C(n, k) C(k, 4) a^(k - 4)`. Its logarithm says how sure a camera is, and chooses the radius by itself.
+
+use crate::alignment::{NUMBERS, Normal, changed, units};
+use crate::index::Index;
+use crate::matching::Match;
+use cairn_scene::Camera;
+use glam::{DMat3, DVec2, DVec3};
+use rand::seq::index::sample;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+/// Matches that are looked at, at most: the surest.
+const MATCHES: usize = 1000;
+/// Matches whose cameras are tried, at most.
+const ROUGH: usize = 400;
+/// Rough cameras that are followed.
+const FOLLOWED: usize = 16;
+/// Fours that are drawn for each.
+const DRAWN: usize = 300;
+/// Matches that a camera is solved from.
+const FOUR: usize = 4;
+/// How far off a match may be from a rough camera, shares of the picture's diagonal,
+const ROUGHLY: f64 = 0.12;
+/// in the logarithm of its size,
+const SIZE: f64 = 0.5;
+/// and in turn, radians.
+const TURN: f64 = 0.5;
+/// Largest distance at which a match can agree, shares of the picture's diagonal.
+const AGREES: f64 = 0.02;
+/// Smallest distance that is told from none, px: keypoints are found as well as that.
+const MIN_OFF_PX: f64 = 0.5;
+/// How far a focal length is expected from what a rough camera has, standard deviation of its logarithm.
+const FOCAL: f64 = 0.3;
+/// How far a principal point is expected from the middle, shares of the longer side: pictures are cut.
+const PRINCIPAL: f64 = 0.15;
+
+/// A camera with the matches that agree on it.
+#[derive(Clone, Debug)]
+pub(crate) struct Agreed {
+    pub(crate) camera: Camera,
+    /// Numbers of the matches that agree.
+    pub(crate) matches: Vec<usize>,
+    /// Negative decimal logarithm of how many agreements as good one expects by chance.
+    pub(crate) surprise: f64,
+    /// How far off the farthest that agrees is, px.
+    pub(crate) within_px: f64,
+}
+
+/// The camera that most surprisingly many of `matches` agree on, of a picture of `size` px; `None` where there are too
+/// few.
+pub(crate) fn agreed(index: &Index, matches: &[Match], size: (usize, usize)) -> Option<Agreed> {
+    let matches = &matches[..matches.len().min(MATCHES)];
+    if matches.len() <= FOUR {
+        return None;
+    }
+    let diagonal = (size.0 as f64).hypot(size.1 as f64);
+    let rough = |m: &Match| {
+        let camera = rough(index, m, size);
+        let with: Vec<usize> = (0..matches.len()).filter(|k| roughly(&camera, m, &matches[*k], diagonal)).collect();
+        (camera, with)
+    };
+    let mut cameras: Vec<(Camera, Vec<usize>)> = matches[..matches.len().min(ROUGH)].par_iter().map(rough).collect();
+    cameras.retain(|(_, with)| with.len() > FOUR);
+    cameras.sort_by_key(|(_, with)| std::cmp::Reverse(with.len()));
+    cameras.truncate(FOLLOWED);
+    let chance = Chance::of_picture(size);
+    let of = |(k, (camera, with)): (usize, &(Camera, Vec<usize>))| {
+        let mut rng = ChaCha8Rng::seed_from_u64(k as u64);
+        let mut best: Option<Agreed> = None;
+        for _ in 0..DRAWN {
+            let four: Vec<Match> = sample(&mut rng, with.len(), FOUR).iter().map(|k| matches[with[k]]).collect();
+            let Some(camera) = solved(camera, &four, index.reach, &Solve::FOUR) else { continue };
+            let found = chance.of(&camera, matches);
+            if best.as_ref().is_none_or(|b| found.surprise > b.surprise) {
+                best = refined(found, matches, index.reach, &chance);
+            }
+        }
+        best
+    };
+    let best = cameras.par_iter().enumerate().filter_map(of);
+    best.reduce_with(|a, b| if b.surprise > a.surprise { b } else { a })
+}
+
+/// `found`, refined on the matches that agree for as long as that surprises more.
+pub(crate) fn refined(mut found: Agreed, matches: &[Match], reach: f64, chance: &Chance) -> Option<Agreed> {
+    for _ in 0..4 {
+        let with: Vec<Match> = found.matches.iter().map(|k| matches[*k]).collect();
+        let numbers = if with.len() >= 8 { NUMBERS } else { 7 };
+        let how = Solve { numbers, steps: 10, spread_px: (found.within_px / 3.0).max(MIN_OFF_PX) };
+        let Some(camera) = solved(&found.camera, &with, reach, &how) else { break };
+        let next = chance.of(&camera, matches);
+        if next.surprise <= found.surprise {
+            break;
+        }
+        found = next;
+    }
+    Some(found)
+}
+
+/// The view's camera, turned, with the focal length and in the direction by which it shows the place where the picture does.
+fn rough(index: &Index, m: &Match, (width, height): (usize, usize)) -> Camera {
+    let view = &index.cameras[m.view as usize];
+    let mut camera = *view;
+    let i = &mut camera.intrinsics;
+    (i.width, i.height) = (width, height);
+    (i.fx, i.fy) = (i.fx * m.larger, i.fy * m.larger);
+    (i.cx, i.cy) = (width as f64 / 2.0, height as f64 / 2.0);
+    // What the view saw along d the picture shows along the turned d.
+    camera.pose.rotation = view.pose.rotation * DMat3::from_rotation_z(-m.turned);
+    let towards = (camera.pose.rotation.transpose() * (m.place - camera.pose.position)).normalize_or_zero();
+    let wanted = camera.direction(m.at.x, m.at.y).normalize_or_zero();
+    if towards != DVec3::ZERO && wanted != DVec3::ZERO {
+        let turn = DMat3::from_quat(glam::DQuat::from_rotation_arc(wanted, towards));
+        camera.pose.rotation *= turn;
+    }
+    camera
+}
+
+/// Whether `other` agrees with the rough camera of `m`.
+fn roughly(camera: &Camera, m: &Match, other: &Match, diagonal: f64) -> bool {
+    let turn = (other.turned - m.turned).rem_euclid(std::f64::consts::TAU);
+    (other.larger / m.larger).ln().abs() < SIZE
+        && turn.min(std::f64::consts::TAU - turn) < TURN
+        && camera.project(other.place).is_some_and(|at| (at - other.at).length() < ROUGHLY * diagonal)
+}
+
+/// How a camera is solved for.
+pub(crate) struct Solve {
+    /// So many of its numbers, the first ones, are moved.
+    pub(crate) numbers: usize,
+    /// Steps, at most.
+    pub(crate) steps: usize,
+    /// Spread of the matches' distances, px.
+    pub(crate) spread_px: f64,
+}
+
+impl Solve {
+    /// From four matches, exactly: no match is an outlier.
+    const FOUR: Self = Self { numbers: 7, steps: 8, spread_px: 1e3 };
+}
+
+/// The camera at which `matches` lie best: Levenberg and Marquardt's steps from `camera`, with Cauchy's weights, and what
+/// is expected of focal lengths and principal points. `None` where a number of it is not finite.
+pub(crate) fn solved(camera: &Camera, matches: &[Match], reach: f64, how: &Solve) -> Option<Camera> {
+    let longest = camera.intrinsics.width.max(camera.intrinsics.height) as f64;
+    let middle = DVec2::new(camera.intrinsics.width as f64, camera.intrinsics.height as f64) / 2.0;
+    let focal = camera.intrinsics.fx;
+    let cost = |camera: &Camera| -> f64 {
+        let off = |m: &Match| camera.project(m.place).map_or(1e6, |at| (at - m.at).length_squared());
+        let each = |m: &Match| (1.0 + off(m) / how.spread_px.powi(2)).ln() * how.spread_px.powi(2);
+        let i = &camera.intrinsics;
+        let aside = (DVec2::new(i.cx, i.cy) - middle) / (PRINCIPAL * longest);
+        matches.iter().map(each).sum::<f64>() + ((i.fx / focal).ln() / FOCAL).powi(2) + aside.length_squared()
+    };
+    let (mut now, mut damping) = (*camera, 1e-4);
+    let mut before = cost(&now);
+    for _ in 0..how.steps {
+        let units = units(&now, reach, longest);
+        let mut normal = Normal::default();
+        for m in matches {
+            let Some(at) = now.project(m.place) else { continue };
+            let mut slopes = [[0.0; NUMBERS]; 2];
+            for k in 0..how.numbers {
+                let step: [f64; NUMBERS] = std::array::from_fn(|n| if n == k { 1e-2 } else { 0.0 });
+                let Some(there) = changed(&now, &step, &units).project(m.place) else { continue };
+                (slopes[0][k], slopes[1][k]) = ((there.x - at.x) * 1e2, (there.y - at.y) * 1e2);
+            }
+            let off = m.at - at;
+            let weight = 1.0 / (1.0 + off.length_squared() / how.spread_px.powi(2));
+            normal.add(&slopes[0], off.x, weight);
+            normal.add(&slopes[1], off.y, weight);
+        }
+        let i = &now.intrinsics;
+        // Unit of the focal length: its logarithm's; of the principal point: pixels.
+        let expected = |k: usize, unit: f64, off: f64| {
+            let mut slopes = [0.0; NUMBERS];
+            slopes[k] = unit;
+            (slopes, off)
+        };
+        let all = [
+            expected(6, units[6] / FOCAL, -(i.fx / focal).ln() / FOCAL),
+            expected(7, units[7] / (PRINCIPAL * longest), (middle.x - i.cx) / (PRINCIPAL * longest)),
+            expected(8, units[8] / (PRINCIPAL * longest), (middle.y - i.cy) / (PRINCIPAL * longest)),
+        ];
+        all.iter().filter(|(slopes, _)| slopes[..how.numbers].iter().any(|s| *s != 0.0)).for_each(|(s, o)| normal.add(s, *o, 1.0));
+        let mut moved = None;
+        for _ in 0..4 {
+            let step = normal.step(damping)?;
+            let next = changed(&now, &step, &units);
+            let after = cost(&next);
+            if after < before {
+                damping = (damping * 0.1).max(1e-9);
+                moved = Some((next, after));
+                break;
+            }
+            damping *= 30.0;
+        }
+        let Some((next, after)) = moved else { break };
+        now = next;
+        if before - after < 1e-6 * before {
+            break;
+        }
+        before = after;
+    }
+    let i = &now.intrinsics;
+    let finite = now.pose.position.is_finite() && now.pose.rotation.is_finite() && (i.fx * i.fy * i.cx * i.cy).is_finite();
+    (finite && i.fx > 0.0).then_some(now)
+}
+
+/// How likely an agreement is by chance.
+pub(crate) struct Chance {
+    /// Logarithm of the share of places that a match could have that lie within a pixel.
+    pixel: f64,
+    /// Largest distance at which a match can agree, px.
+    max_px: f64,
+}
+
+impl Chance {
+    /// Matches that could be anywhere in a picture of that size, px.
+    pub(crate) fn of_picture((width, height): (usize, usize)) -> Self {
+        let (w, h) = (width as f64, height as f64);
+        Self { pixel: (std::f64::consts::PI / (w * h)).ln(), max_px: (AGREES * w.hypot(h)).max(4.0 * MIN_OFF_PX) }
+    }
+
+    /// Matches that were looked for within `radius_px`.
+    pub(crate) fn within(radius_px: f64) -> Self {
+        Self { pixel: -2.0 * radius_px.ln(), max_px: radius_px / 2.0 }
+    }
+
+    /// The matches that agree on `camera`: as many as are least expected.
+    pub(crate) fn of(&self, camera: &Camera, matches: &[Match]) -> Agreed {
+        let off = |k: usize| camera.project(matches[k].place).map(|at| ((at - matches[k].at).length(), k));
+        let mut off: Vec<(f64, usize)> = (0..matches.len()).filter_map(off).filter(|(d, _)| *d <= self.max_px).collect();
+        off.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let n = matches.len();
+        let (mut log_n_k, mut log_k_4) = (0.0, 0.0);
+        let (mut best, mut kept) = (f64::INFINITY, 0);
+        for k in 1..=off.len() {
+            log_n_k += ((n + 1 - k) as f64 / k as f64).ln();
+            if k <= FOUR {
+                continue;
+            }
+            log_k_4 += (k as f64 / (k - FOUR) as f64).ln();
+            let within = off[k - 1].0.max(MIN_OFF_PX);
+            let expected = ((n - FOUR) as f64).ln()
+                + log_n_k
+                + log_k_4
+                + (k - FOUR) as f64 * (self.pixel + 2.0 * within.ln()).min(0.0);
+            if expected < best {
+                (best, kept) = (expected, k);
+            }
+        }
+        Agreed {
+            camera: *camera,
+            within_px: if kept == 0 { 0.0 } else { off[kept - 1].0.max(MIN_OFF_PX) },
+            matches: off[..kept].iter().map(|(_, k)| *k).collect(),
+            surprise: if kept == 0 { f64::NEG_INFINITY } else { -best / std::f64::consts::LN_10 },
+        }
+    }
+}

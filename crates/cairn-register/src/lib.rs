@@ -1,0 +1,318 @@
+//! Finding where a picture was taken: the camera (and the light) from which a field looks
+//! most like it. Whoever knows that can compare the picture with what the field shows
+//! there, pixel by pixel, and need not guess from the picture alone.
+//!
+//! A picture may have been turned, cut and made smaller on its way. All of that is a change of
+//! camera (roll, principal point, focal length), so that nine numbers say it: six of the pose,
+//! three of the lens. First it is laid over small renders of the training views, turned and cut in
+//! many ways (`search`); the best places are then refined by Levenberg and Marquardt's steps on the
+//! photometric error (direct alignment, Lucas and Kanade 1981; on radiance fields iNeRF,
+//! Yen-Chen et al. 2021), from coarse to the picture's own pixels (`refine`). The light is a
+//! linear regression at every step (`prior`).
+
+mod alignment;
+mod consensus;
+mod index;
+mod keypoints;
+mod matching;
+mod matrix;
+mod windows;
+
+use alignment::{Against, Covariance, NUMBERS, Pass, Refined};
+use cairn_field::appearance::prior::Prior;
+use cairn_field::stats::median;
+use cairn_field::{Appearance, Field};
+use cairn_scene::{Camera, Picture};
+use consensus::{Agreed, Chance, Solve};
+use glam::DVec3;
+use index::{Seen, placed, shrunk, smaller};
+use keypoints::{Keypoint, keypoints};
+use matching::{Match, one_a_spot};
+use std::sync::Arc;
+use thiserror::Error;
+use windows::Level;
+
+pub use index::{INDEX_FORMAT, Index, MAX_VIEWS, Reference};
+
+/// Keypoints of a picture that are looked at, at most.
+const KEYPOINTS: usize = 1500;
+/// Longest side of a picture that keypoints are looked for in, px.
+const LOOKED_AT_PX: usize = 640;
+/// Longest side of the renders that a picture is matched with again, px.
+const REMATCHED_PX: usize = 400;
+/// How far off a keypoint of such a render may be, shares of the picture's longer side: first, and then.
+const REMATCHED: [f64; 2] = [0.04, 0.012];
+/// In such a small neighbourhood the second nearest must be farther by this.
+const REMATCH_RATIO: f64 = 0.9;
+/// Shortest side of a picture whose camera is looked for, px.
+const MIN_SIDE: usize = 20;
+/// Pictures are compared at most this large, longest side, px: a larger one is made smaller.
+pub const LONGEST_PX: usize = 800;
+/// Longest side of the level before a picture's own size, px.
+const COARSE_PX: usize = 160;
+/// What eight bits leave of a number, about.
+const MIN_SPREAD: f64 = 0.5 / 255.0;
+/// The numbers of a pose.
+const POSE: usize = 6;
+/// How the levels are gone through: what stands a pixel aside is no outlier before it can have been moved.
+const PASSES: [Pass; 3] = [
+    Pass { steps: 6, free: NUMBERS, min_spread: 0.03 },
+    Pass { steps: 8, free: NUMBERS, min_spread: 0.03 },
+    Pass { steps: 12, free: NUMBERS, min_spread: MIN_SPREAD },
+];
+
+/// Registers pictures to one field; see the module's text.
+#[derive(Debug)]
+pub struct Registrar {
+    field: Arc<Field>,
+    prior: Prior,
+    index: Option<Arc<Index>>,
+}
+
+/// A picture and where it was taken.
+#[derive(Clone, Debug)]
+pub struct Registered {
+    /// The camera, of the size of [`Registered::picture`].
+    pub camera: Camera,
+    /// The light that explains the picture best from there.
+    pub appearance: Appearance,
+    /// The picture as it was compared: at most [`LONGEST_PX`] long.
+    pub picture: Picture,
+    /// Share of the picture's variance that the field explains from there, above 0, 1 at most, where
+    /// it was looked at, outliers left out: near 1 for renders of the field, less for photographs.
+    pub explained: f64,
+}
+
+/// A picture whose camera was found.
+#[derive(Clone, Debug)]
+pub struct Located {
+    /// The picture and its camera.
+    pub registered: Registered,
+    /// Standard deviation of where the camera has what the picture shows, the median over places, px of
+    /// [`Registered::picture`].
+    pub uncertainty_px: f64,
+    /// Keypoints that agree on the camera.
+    pub agreeing: usize,
+    /// Negative decimal logarithm of how many agreements as good one expects by chance.
+    pub surprise: f64,
+    /// What was found on the way, for measurements.
+    pub trace: Trace,
+}
+
+/// What was found on the way to a camera.
+#[derive(Clone, Debug, Default)]
+pub struct Trace {
+    /// Cameras by keypoints: of the index, and of each rematch; and with how many and how surprising agreements.
+    pub cameras: Vec<(Camera, usize, f64)>,
+    /// Share that the last of them explains.
+    pub explained_before: f64,
+    /// Seconds: keypoints, matches, agreement, rematches, alignment.
+    pub seconds: Vec<f64>,
+}
+
+/// Why no camera was found.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum NotLocated {
+    /// Too small a picture.
+    #[error("the picture is {width} x {height} px; its shorter side must have {MIN_SIDE} px at least")]
+    TooSmall {
+        /// Pixels across.
+        width: usize,
+        /// Pixels down.
+        height: usize,
+    },
+    /// No index to look in.
+    #[error("the field has no index of places")]
+    NoIndex,
+    /// No camera on which enough keypoints agree.
+    #[error("no camera was found: of {matches} keypoints that look like places of the scene {agreeing} agree on one")]
+    NoAgreement {
+        /// Matches.
+        matches: usize,
+        /// Those that agree.
+        agreeing: usize,
+    },
+    /// The field explains nothing there.
+    #[error("no light makes the field look like the picture from where its keypoints lie")]
+    NotExplained,
+    /// It was no longer wanted.
+    #[error("the search was given up")]
+    GivenUp,
+}
+
+/// An agreement that one expects less often than once in a million by chance is taken.
+pub const MIN_SURPRISE: f64 = 6.0;
+
+impl Registrar {
+    /// Prepares registration to `field`: with an index of places pictures are looked for, without one those whose camera is
+    /// known are registered.
+    pub fn new(field: Arc<Field>, index: Option<Arc<Index>>) -> Self {
+        let seen: Vec<&Appearance> = field.appearances().iter().map(|(_, code)| code).collect();
+        let around = || Prior::around(field.canonical_appearance().clone());
+        let prior = if seen.is_empty() { around() } else { Prior::of(&seen).unwrap_or_else(around) };
+        Self { field, prior, index }
+    }
+
+    /// The field.
+    pub fn field(&self) -> &Arc<Field> {
+        &self.field
+    }
+
+    /// `picture` where it is known that `camera` took it, or a larger or smaller copy of it (of the same
+    /// proportions; others are stretched): the light alone is found. `None` where no light explains any of
+    /// it, or it is too small to tell.
+    pub fn register_at(&self, picture: &Picture, camera: &Camera) -> Option<Registered> {
+        let picture = bounded(picture)?;
+        let camera = camera.resized(picture.width(), picture.height());
+        let level = Level::of_parts(&picture, LONGEST_PX);
+        let pass = Pass { steps: 0, free: POSE, min_spread: MIN_SPREAD };
+        let found = alignment::refine(&self.against(1.0), &level, camera, pass, &|| true).filter(|f| f.explained > 0.0)?;
+        Some(Registered { camera, appearance: found.appearance, picture, explained: found.explained })
+    }
+
+    /// The camera and light from which the field looks most like `picture` (any size; a number that is not finite
+    /// counts as 0), for as long as it is `wanted`: that is asked before every step, of which there are some tens.
+    ///
+    /// # Errors
+    /// [`NotLocated`], with the reason.
+    pub fn locate(&self, picture: &Picture, wanted: &dyn Fn() -> bool) -> Result<Located, NotLocated> {
+        let (width, height) = (picture.width(), picture.height());
+        let picture = bounded(picture).ok_or(NotLocated::TooSmall { width, height })?;
+        let index = self.index.as_deref().ok_or(NotLocated::NoIndex)?;
+        let go_on = || if wanted() { Ok(()) } else { Err(NotLocated::GivenUp) };
+        let size = (picture.width(), picture.height());
+        let mut trace = Trace::default();
+        let mut clock = std::time::Instant::now();
+        let mut lap = |trace: &mut Trace| {
+            trace.seconds.push(clock.elapsed().as_secs_f64());
+            clock = std::time::Instant::now();
+        };
+        let found = found_in(&picture);
+        lap(&mut trace);
+        go_on()?;
+        let matches = matching::matches(index, &found);
+        lap(&mut trace);
+        go_on()?;
+        let chance = Chance::of_picture(size);
+        let agreed = consensus::agreed(index, &matches, size);
+        lap(&mut trace);
+        let agreeing = agreed.as_ref().map_or(0, |a| a.matches.len());
+        let none = NotLocated::NoAgreement { matches: matches.len(), agreeing };
+        let mut agreed = agreed.filter(|a| a.surprise > MIN_SURPRISE).ok_or(none)?;
+        let _ = &chance;
+        trace.cameras.push((agreed.camera, agreed.matches.len(), agreed.surprise));
+        let mut places: Vec<DVec3> = agreed.matches.iter().map(|k| matches[*k].place).collect();
+        let light = self.light_near(index, &agreed, &matches);
+        for share in REMATCHED {
+            go_on()?;
+            if let Some((next, all)) = self.rematched(&found, &agreed.camera, &light, share, index.reach) {
+                places = next.matches.iter().map(|k| all[*k].place).collect();
+                agreed = Agreed { surprise: agreed.surprise.max(next.surprise), ..next };
+                trace.cameras.push((agreed.camera, agreed.matches.len(), agreed.surprise));
+            }
+        }
+        lap(&mut trace);
+        let against = self.against(index.reach);
+        let levels = [Level::of_parts(&picture, COARSE_PX), Level::of_parts(&picture, LONGEST_PX)];
+        let mut place = Refined { camera: agreed.camera, appearance: light, explained: 0.0 };
+        let still = Pass { steps: 0, ..PASSES[2] };
+        trace.explained_before =
+            alignment::refine(&against, &levels[1], agreed.camera, still, wanted).map_or(0.0, |f| f.explained);
+        for (level, pass) in [&levels[0], &levels[1], &levels[1]].into_iter().zip(PASSES) {
+            let next = alignment::refine(&against, level, place.camera, pass, wanted);
+            go_on()?;
+            place = next.ok_or(NotLocated::NotExplained)?;
+        }
+        let covariance = Covariance::of(&against, &levels[1], &place, MIN_SPREAD);
+        let off = |p: &DVec3| covariance.as_ref().and_then(|c| c.off_px(&place.camera, *p));
+        let off: Vec<f64> = places.iter().filter_map(off).collect();
+        lap(&mut trace);
+        let uncertainty_px = if off.is_empty() { f64::INFINITY } else { median(off) };
+        let Refined { camera, appearance, explained } = place;
+        let registered = Registered { camera, appearance, picture, explained };
+        Ok(Located { registered, uncertainty_px, agreeing: agreed.matches.len(), surprise: agreed.surprise, trace })
+    }
+
+    fn against(&self, reach: f64) -> Against<'_> {
+        Against { field: &self.field, prior: &self.prior, reach }
+    }
+
+    /// The light of the view that most of what agrees is known from.
+    fn light_near(&self, index: &Index, agreed: &Agreed, matches: &[Match]) -> Appearance {
+        let mut counts = vec![0usize; index.names.len()];
+        agreed.matches.iter().for_each(|k| counts[matches[*k].view as usize] += 1);
+        let best = (0..counts.len()).max_by_key(|k| (counts[*k], std::cmp::Reverse(*k)));
+        best.map_or(self.field.canonical_appearance(), |k| self.field.appearance_of(&index.names[k])).clone()
+    }
+
+    /// The camera by keypoints of a render from `camera`, which lie within `share` of the picture of where they were;
+    /// with the matches that it is by.
+    fn rematched(
+        &self,
+        found: &[Keypoint],
+        camera: &Camera,
+        light: &Appearance,
+        share: f64,
+        reach: f64,
+    ) -> Option<(Agreed, Vec<Match>)> {
+        let longest = camera.intrinsics.width.max(camera.intrinsics.height);
+        let small = shrunk(camera, longest.min(REMATCHED_PX));
+        let ratio = camera.intrinsics.width as f64 / small.intrinsics.width as f64;
+        let seen = Seen::at(&self.field, &small, light);
+        let shown = placed(&seen, KEYPOINTS);
+        let radius = (share * longest as f64).max(3.0);
+        let wide: Vec<_> = shown.iter().map(|(k, _)| keypoints::widened(&k.descriptor)).collect();
+        let of = |keypoint: &Keypoint| {
+            let own = keypoints::widened(&keypoint.descriptor);
+            let near = |k: &usize| (shown[*k].0.at * ratio - keypoint.at).length() < radius;
+            let mut all: Vec<(i32, usize)> =
+                (0..shown.len()).filter(near).map(|k| (keypoints::likeness(&own, &wide[k]), k)).collect();
+            all.sort_by(|a, b| b.0.cmp(&a.0));
+            let (like, best) = *all.first()?;
+            let aside = |k: usize| (shown[k].0.at - shown[best].0.at).length() > 2.0;
+            let next = all.iter().find(|(_, k)| aside(*k)).map(|(like, _)| keypoints::distance2(*like));
+            let test = next.map_or(0.0, |next| (keypoints::distance2(like) / next.max(1e-9)).sqrt());
+            let (known, place) = &shown[best];
+            let turned = f64::from(keypoint.angle - known.angle);
+            let larger = f64::from(keypoint.scale) / (f64::from(known.scale) * ratio);
+            (test < REMATCH_RATIO).then_some(Match {
+                at: keypoint.at,
+                place: *place,
+                view: 0,
+                larger,
+                turned,
+                ratio: test,
+            })
+        };
+        let mut matches: Vec<Match> = found.iter().filter_map(of).collect();
+        matches.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
+        let matches = one_a_spot(matches);
+        let chance = Chance::within(radius);
+        let how = Solve { numbers: NUMBERS, steps: 20, spread_px: (radius / 8.0).max(0.7) };
+        let next = consensus::solved(camera, &matches, reach, &how)?;
+        let agreed = consensus::refined(chance.of(&next, &matches), &matches, reach, &chance)?;
+        (agreed.surprise > MIN_SURPRISE).then_some((agreed, matches))
+    }
+}
+
+/// The picture's keypoints, px of the picture.
+fn found_in(picture: &Picture) -> Vec<Keypoint> {
+    let small = smaller(picture, LOOKED_AT_PX);
+    let ratio = picture.width() as f64 / small.width() as f64;
+    let mut found = keypoints(&small, KEYPOINTS);
+    for keypoint in &mut found {
+        keypoint.at *= ratio;
+        keypoint.scale *= ratio as f32;
+    }
+    found
+}
+
+/// The picture at the size that it is compared at, in [0, 1]; `None` where it is smaller than [`MIN_SIDE`].
+fn bounded(picture: &Picture) -> Option<Picture> {
+    if picture.width().min(picture.height()) < MIN_SIDE {
+        return None;
+    }
+    let mut picture = smaller(picture, LONGEST_PX);
+    picture.rgb_mut().iter_mut().for_each(|v| *v = if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 });
+    Some(picture)
+}

@@ -1,0 +1,110 @@
+//! Which keypoint of the index each of a picture's is like.
+
+use crate::index::Index;
+use crate::keypoints::{DESCRIPTOR, Keypoint, distance2, likeness, widened};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+/// The nearest descriptor that shows another place must be farther by this: Lowe's ratio test, as loose as a search for
+/// an agreement of many allows (measured in a trial on two captures).
+const RATIO: f64 = 0.92;
+/// Descriptors that are looked through for one that shows another place.
+const NEAREST: usize = 12;
+/// Places nearer than this are one, spans of a pixel.
+const ELSEWHERE: f32 = 12.0;
+
+/// A keypoint of a picture and a place that looks like it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Match {
+    /// In the picture, px.
+    pub(crate) at: DVec2,
+    /// In space, capture units.
+    pub(crate) place: DVec3,
+    /// The view that shows the place so.
+    pub(crate) view: u32,
+    /// How much larger it is in the picture than in the view.
+    pub(crate) larger: f64,
+    /// How far it is turned against the view, radians, clockwise on the screen.
+    pub(crate) turned: f64,
+    /// Distance by that of the nearest that shows another place: small is sure.
+    pub(crate) ratio: f64,
+}
+
+/// Matches of `picture`'s keypoints, the surest first, one for a spot of the picture.
+pub(crate) fn matches(index: &Index, picture: &[Keypoint]) -> Vec<Match> {
+    let wide: Vec<[i16; DESCRIPTOR]> = picture.iter().map(|k| widened(&k.descriptor)).collect();
+    // Blocks of the index stay in the cache while all keypoints go by.
+    const BLOCK: usize = 256;
+    let of = |(k, chunk): (usize, &[[u8; DESCRIPTOR]])| {
+        let block: Vec<[i16; DESCRIPTOR]> = chunk.iter().map(widened).collect();
+        let near = |q: &[i16; DESCRIPTOR]| {
+            let mut near = Nearest::default();
+            for (n, d) in block.iter().enumerate() {
+                near.add(likeness(q, d), (k * BLOCK + n) as u32);
+            }
+            near
+        };
+        wide.iter().map(near).collect::<Vec<_>>()
+    };
+    let merged = |mut a: Vec<Nearest>, b: Vec<Nearest>| {
+        for (a, b) in a.iter_mut().zip(b) {
+            b.all.iter().for_each(|(like, k)| a.add(*like, *k));
+        }
+        a
+    };
+    let none = || vec![Nearest::default(); picture.len()];
+    let nearest = index.descriptors.par_chunks(BLOCK).enumerate().map(of).reduce(none, merged);
+    let mut found: Vec<Match> =
+        picture.iter().zip(&nearest).filter_map(|(keypoint, near)| near.matched(index, keypoint)).collect();
+    found.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
+    one_a_spot(found)
+}
+
+/// The first of those within a pixel of one another.
+pub(crate) fn one_a_spot(found: Vec<Match>) -> Vec<Match> {
+    let mut kept: Vec<Match> = Vec::with_capacity(found.len());
+    for m in found {
+        if kept.iter().all(|k| (k.at - m.at).length_squared() > 1.0) {
+            kept.push(m);
+        }
+    }
+    kept
+}
+
+/// The most alike descriptors, the likest first.
+#[derive(Clone, Default)]
+struct Nearest {
+    all: Vec<(i32, u32)>,
+}
+
+impl Nearest {
+    #[inline]
+    fn add(&mut self, like: i32, k: u32) {
+        if self.all.len() == NEAREST && self.all[NEAREST - 1].0 >= like {
+            return;
+        }
+        let at = self.all.partition_point(|(other, n)| (*other, std::cmp::Reverse(*n)) >= (like, std::cmp::Reverse(k)));
+        self.all.insert(at, (like, k));
+        self.all.truncate(NEAREST);
+    }
+
+    fn matched(&self, index: &Index, keypoint: &Keypoint) -> Option<Match> {
+        let (like, best) = *self.all.first()?;
+        let point = index.points[best as usize];
+        let elsewhere = self.all.iter().find(|(_, k)| {
+            let other = index.points[*k as usize];
+            (other.place - point.place).length() > ELSEWHERE * point.span.max(other.span)
+        });
+        // Where all that are alike show one place, the next that might not is at least as far as the last of them.
+        let (next, _) = *elsewhere.or(self.all.last())?;
+        let ratio = (distance2(like) / distance2(next).max(1e-9)).sqrt();
+        (ratio < RATIO).then(|| Match {
+            at: keypoint.at,
+            place: index.place(best as usize),
+            view: point.view,
+            larger: f64::from(keypoint.scale / point.scale),
+            turned: f64::from(keypoint.angle - point.angle),
+            ratio,
+        })
+    }
+}
