@@ -1,13 +1,13 @@
 //! From about where a picture was taken to exactly where: Levenberg and Marquardt's steps on the difference of
-//! colours. Slopes are differences of renders: nothing is assumed of depths, and every pixel is what the
-//! renderer makes of it. What fits nowhere (a black corner, something laid over the picture) loses its say by
+//! colours. A step is one render of the parts that are compared: it brings what they show, their slopes and their depth.
+//! What fits nowhere (a black corner, something laid over the picture) loses its say by
 //! Tukey's weights.
 
 pub(super) use super::matrix::{NUMBERS, Normal};
-use super::windows::Level;
+use super::windows::{Level, Pixel};
 use cairn_field::{Appearance, appearance::code::FEATURES};
 use cairn_field::appearance::prior::Prior;
-use cairn_field::Field;
+use cairn_field::{Field, Sampled, distance};
 use cairn_field::rays::lens::{Eye, Lens};
 use cairn_field::stats::median;
 use cairn_scene::Camera;
@@ -16,13 +16,14 @@ use rayon::prelude::*;
 
 /// Where Tukey's weights end, in robust standard deviations.
 const TUKEY: f64 = 4.685;
-/// How far a number goes for a slope, pixels of the level.
-const PROBE_PX: f64 = 0.4;
-/// Slopes serve for another step where one by them left less than this share of the cost: they are ten
-/// renders, a step is one.
-const WELL: f64 = 0.8;
-/// Steps for each time that slopes may be worked out, at most.
-const TURNS: usize = 4;
+/// A number's unit moves pixels by about so much, pixels of the level.
+const UNIT_PX: f64 = 0.4;
+/// How far a number goes for a slope, units.
+const PROBE: f64 = 0.1;
+/// Steps that are tried from a place, each shorter than the one before.
+const TRIES: usize = 4;
+/// How far off the sky is, in distances of what is seen.
+const FAR: f64 = 1e6;
 /// A step that moves pixels by less ends a level, pixels of the level.
 const SETTLED_PX: f64 = 0.01;
 
@@ -53,21 +54,17 @@ pub(super) struct Refined {
     pub(super) appearance: Appearance,
     /// Share of the pixels' variance that is explained, by the weights that they ended with.
     pub(super) explained: f64,
+    /// How far off the camera may be; `None` where the windows do not determine one.
+    pub(super) covariance: Option<Covariance>,
 }
 
 /// What the field shows at a camera, and how far off the picture is.
 struct Looked {
     camera: Camera,
     appearance: Appearance,
+    /// Each window's pixels with the margin around them.
+    shown: Vec<Sampled>,
     residuals: Vec<[f32; 3]>,
-}
-
-/// A step that was taken.
-struct Moved {
-    next: Looked,
-    /// What it left of the cost.
-    share: f64,
-    by_px: f64,
 }
 
 /// Takes steps from `camera`, as `pass` says. `None` where there is nothing to
@@ -86,44 +83,30 @@ pub(super) fn refine(
     let mut now = look(against, level, &camera, None)?;
     // Little: with much, steps along the valley of longer lenses further off were too short to go on.
     let mut damping = 1e-5;
-    let (mut known, mut worked_out) = (None::<Slopes>, 0);
     // Weights change as it goes, so that a cost that falls proves no end.
-    for _ in 0..TURNS * steps {
-        if known.is_none() && worked_out == steps {
-            break;
-        }
+    for _ in 0..steps {
         if !wanted() {
             return None;
         }
-        let fresh = known.is_none();
-        worked_out += usize::from(fresh);
-        let slopes = known.take().unwrap_or_else(|| Slopes::at(against, level, &now, free));
         let weights = Weights::of(&now.residuals, &level.tells, min_spread);
-        // Slopes from a step before that do not lead on are worked out anew, and say nothing of the next
-        // step's damping.
-        let (tries, mut damped) = (if fresh { 4 } else { 1 }, damping);
-        let moved = slopes.follow(against, level, &now, &weights, &mut damped, tries);
-        match moved {
-            Some(Moved { next, share, by_px }) => {
-                (now, damping) = (next, damped);
-                if by_px < SETTLED_PX {
-                    break;
-                }
-                known = (share < WELL).then_some(slopes);
-            }
-            None if fresh => break,
-            None => {}
+        let slopes = Slopes::at(against, level, &now, free);
+        let Some((next, by_px)) = slopes.follow(against, level, &now, &weights, &mut damping) else { break };
+        now = next;
+        if by_px < SETTLED_PX {
+            break;
         }
     }
-    let explained = Weights::of(&now.residuals, &level.tells, min_spread).explained(&now.residuals, level);
-    Some(Refined { camera: now.camera, appearance: now.appearance, explained })
+    let weights = Weights::of(&now.residuals, &level.tells, min_spread);
+    let explained = weights.explained(&now.residuals, level);
+    let covariance = Covariance::of(level, &now.residuals, &weights, &Slopes::at(against, level, &now, NUMBERS));
+    Some(Refined { camera: now.camera, appearance: now.appearance, explained, covariance })
 }
 
-/// How far each number goes so that pixels move by about [`PROBE_PX`] of a copy `longest` px long.
+/// How far each number goes so that pixels move by about [`UNIT_PX`] of a copy `longest` px long.
 pub(super) fn units(camera: &Camera, reach: f64, longest: f64) -> [f64; NUMBERS] {
     let i = &camera.intrinsics;
     // Of the copy's pixels one is so many of the picture's.
-    let pixel = i.width.max(i.height) as f64 / longest * PROBE_PX;
+    let pixel = i.width.max(i.height) as f64 / longest * UNIT_PX;
     let (angle, half) = (pixel / i.fx, i.width.max(i.height) as f64 / 2.0);
     let aside = angle * reach;
     let larger = pixel / half;
@@ -145,20 +128,21 @@ pub(super) fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMB
     changed
 }
 
-/// What the level's pixels gather from `camera`.
-fn gathered(field: &Field, level: &Level, camera: &Camera) -> Vec<[f32; FEATURES]> {
+/// What the level's windows show from `camera`, with their margins.
+fn sampled(field: &Field, level: &Level, camera: &Camera) -> Vec<Sampled> {
     let parts: Vec<Camera> = level.windows.iter().map(|w| level.camera(camera, w)).collect();
-    field.features_of(Eye { camera: &parts[0], lens: &Lens::stacked(&parts) }, level.rays)
+    field.sampled(Eye { camera: &parts[0], lens: &Lens::stacked(&parts) }, level.rays)
 }
 
 fn look(against: &Against<'_>, level: &Level, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
-    let features = gathered(against.field, level, camera);
+    let shown = sampled(against.field, level, camera);
+    let features: Vec<[f32; FEATURES]> = level.within().map(|at| shown[at].features).collect();
     let counts = |at: &usize| weights.is_none_or(|w| w.each[*at] > 0.1);
     let some: Vec<usize> = (0..features.len()).filter(counts).collect();
     let (f, p): (Vec<_>, Vec<_>) = some.iter().map(|at| (features[*at], level.pixels[*at])).unzip();
     let appearance = against.prior.fit(&f, &p)?;
     let residuals = differences(&features, &appearance, &level.pixels);
-    Some(Looked { camera: *camera, appearance, residuals })
+    Some(Looked { camera: *camera, appearance, shown, residuals })
 }
 
 /// Each pixel less what the field shows there.
@@ -171,10 +155,8 @@ fn differences(features: &[[f32; FEATURES]], light: &Appearance, pixels: &[[f32;
     features.iter().zip(pixels).map(off).collect()
 }
 
-/// How what the field shows changes with each of a camera's numbers: as a render with that one a little
-/// different differs. All of them so: a turn and a move to the side show nearly the same, and slopes of the
-/// picture for the one beside renders for the other hid the difference between them, which is all that
-/// tells how far things are.
+/// How what the field shows changes with each of a camera's numbers: by the render's own slopes and how far what a
+/// pixel shows moves, by its depth. Where a near edge hides something far that is not so; such pixels are few.
 struct Slopes {
     /// How far each number went.
     units: [f64; NUMBERS],
@@ -186,23 +168,42 @@ impl Slopes {
     /// For the first `free` numbers of the present camera; the others' are 0.
     fn at(against: &Against<'_>, level: &Level, now: &Looked, free: usize) -> Self {
         let units = units(&now.camera, against.reach, level.size.0.max(level.size.1) as f64);
-        let of = |k: usize| {
-            let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
-            differences(
-                &gathered(against.field, level, &changed(&now.camera, &step, &units)),
-                &now.appearance,
-                &level.pixels,
-            )
+        let small = now.camera.resized(level.size.0, level.size.1);
+        let changed: [Camera; NUMBERS] = std::array::from_fn(|k| {
+            let step = std::array::from_fn(|n| if n == k { PROBE } else { 0.0 });
+            changed(&now.camera, &step, &units).resized(level.size.0, level.size.1)
+        });
+        let frame = against.field.frame();
+        let of = |(place, at): (Pixel, usize)| {
+            let slope = |a: usize, b: usize| -> [f32; 3] {
+                let (a, b) = (now.shown[a].features, now.shown[b].features);
+                let (a, b) = (now.appearance.shade(&a), now.appearance.shade(&b));
+                // Files hold no colours beyond these.
+                std::array::from_fn(|c| (b[c].clamp(0.0, 1.0) - a[c].clamp(0.0, 1.0)) / 2.0)
+            };
+            let (across, down) = (slope(at - 1, at + 1), slope(at - place.stride, at + place.stride));
+            let (origin, direction) = small.ray(place.x, place.y);
+            let seen = now.shown[at];
+            // What stops no light is infinitely far.
+            let away = if seen.accumulation > 0.5 {
+                distance(frame, origin, direction, f64::from(seen.along / seen.accumulation))
+            } else {
+                None
+            };
+            let point = origin + direction * away.unwrap_or(FAR * against.reach);
+            let moved = |k: usize| {
+                let there = (k < free).then(|| changed[k].project(point)).flatten();
+                there.map_or([0.0; 2], |at| [(at.x - place.x) / PROBE, (at.y - place.y) / PROBE])
+            };
+            let moved: [[f64; 2]; NUMBERS] = std::array::from_fn(moved);
+            // The render shows at a pixel what was where the pixel came from.
+            std::array::from_fn(|c| moved.map(|[x, y]| -(across[c] * x as f32 + down[c] * y as f32)))
         };
-        let probes: Vec<Vec<[f32; 3]>> = (0..free).into_par_iter().map(of).collect();
-        // A residual falls by what the render rises.
-        let slope =
-            |at: usize, c: usize, k: usize| if k < free { now.residuals[at][c] - probes[k][at][c] } else { 0.0 };
-        let each = |at: usize| std::array::from_fn(|c| std::array::from_fn(|k| slope(at, c, k)));
-        Self { units, each: (0..now.residuals.len()).map(each).collect() }
+        let places: Vec<(Pixel, usize)> = level.places().zip(level.within()).collect();
+        Self { units, each: places.into_par_iter().map(of).collect() }
     }
 
-    /// The first of up to `tries` steps that comes to a lower cost, each damped more than the one before.
+    /// The first step that comes to a lower cost, each tried damped more than the one before; and by how many pixels.
     fn follow(
         &self,
         against: &Against<'_>,
@@ -210,11 +211,10 @@ impl Slopes {
         now: &Looked,
         weights: &Weights,
         damping: &mut f64,
-        tries: usize,
-    ) -> Option<Moved> {
+    ) -> Option<(Looked, f64)> {
         let normal = self.normal(&now.residuals, weights);
         let before = weights.cost(&now.residuals);
-        for _ in 0..tries {
+        for _ in 0..TRIES {
             let step = normal.step(*damping)?;
             let there = changed(&now.camera, &step, &self.units);
             // Light is fitted to what counted: an outlier has no say in it either.
@@ -222,8 +222,7 @@ impl Slopes {
             let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(&next.residuals));
             if let Some(next) = next.filter(|_| cost < before) {
                 *damping = (*damping * 0.1).max(1e-8);
-                let by_px = step.iter().map(|s| s * s).sum::<f64>().sqrt() * PROBE_PX;
-                return Some(Moved { next, share: cost / before, by_px });
+                return Some((next, step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX));
             }
             *damping *= 30.0;
         }
@@ -250,14 +249,11 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// Of `refined`, by what its level's windows say one by one: neighbouring pixels err together, windows do not. The
-    /// normal equations' inverse on either side of the windows' own sums (White 1980; clustered, Liang and Zeger 1986).
-    /// `None` where the windows do not determine a camera.
-    pub(super) fn of(against: &Against<'_>, level: &Level, refined: &Refined, min_spread: f64) -> Option<Self> {
-        let now = look(against, level, &refined.camera, None)?;
-        let slopes = Slopes::at(against, level, &now, NUMBERS);
-        let weights = Weights::of(&now.residuals, &level.tells, min_spread);
-        let whole = slopes.normal(&now.residuals, &weights);
+    /// By what the level's windows say one by one: neighbouring pixels err together, windows do not. The normal
+    /// equations' inverse on either side of the windows' own sums (White 1980; clustered, Liang and Zeger 1986). `None`
+    /// where the windows do not determine a camera.
+    fn of(level: &Level, residuals: &[[f32; 3]], weights: &Weights, slopes: &Slopes) -> Option<Self> {
+        let whole = slopes.normal(residuals, weights);
         let inverse = whole.inverse()?;
         let mut middle = [[0.0; NUMBERS]; NUMBERS];
         let (mut first, mut told) = (0, 0);
@@ -266,7 +262,7 @@ impl Covariance {
             first = own.end;
             let mut part = Normal::default();
             for at in own.filter(|at| weights.each[*at] != 0.0) {
-                for (slopes, r) in slopes.each[at].iter().zip(&now.residuals[at]) {
+                for (slopes, r) in slopes.each[at].iter().zip(&residuals[at]) {
                     part.add(&slopes.map(f64::from), f64::from(*r), weights.each[at]);
                 }
             }

@@ -16,8 +16,7 @@ use crate::index::Index;
 use crate::matching::Match;
 use cairn_scene::Camera;
 use glam::{DMat3, DVec2, DVec3};
-use rand::seq::index::sample;
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
@@ -80,7 +79,7 @@ pub(crate) fn agreed(index: &Index, matches: &[Match], size: (usize, usize)) -> 
         let mut rng = ChaCha8Rng::seed_from_u64(k as u64);
         let mut best: Option<Agreed> = None;
         for _ in 0..DRAWN {
-            let four: Vec<Match> = sample(&mut rng, with.len(), FOUR).iter().map(|k| matches[with[k]]).collect();
+            let four = drawn(with.len(), &mut rng).map(|k| matches[with[k]]);
             let Some(camera) = solved(camera, &four, index.reach, &Solve::FOUR) else { continue };
             let found = chance.of(&camera, matches);
             if best.as_ref().is_none_or(|b| found.surprise > b.surprise) {
@@ -91,6 +90,20 @@ pub(crate) fn agreed(index: &Index, matches: &[Match], size: (usize, usize)) -> 
     };
     let best = cameras.par_iter().enumerate().filter_map(of);
     best.reduce_with(|a, b| if b.surprise > a.surprise { b } else { a })
+}
+
+/// Four different numbers below `n`, which is above that.
+fn drawn(n: usize, rng: &mut ChaCha8Rng) -> [usize; FOUR] {
+    let mut four = [usize::MAX; FOUR];
+    for k in 0..FOUR {
+        four[k] = loop {
+            let next = rng.random_range(0..n);
+            if !four[..k].contains(&next) {
+                break next;
+            }
+        };
+    }
+    four
 }
 
 /// `found`, refined on the matches that agree for as long as that surprises more.

@@ -18,7 +18,7 @@ mod matching;
 mod matrix;
 mod windows;
 
-use alignment::{Against, Covariance, NUMBERS, Pass, Refined};
+use alignment::{Against, NUMBERS, Pass, Refined};
 use cairn_field::appearance::prior::Prior;
 use cairn_field::stats::median;
 use cairn_field::{Appearance, Field};
@@ -56,9 +56,9 @@ const MIN_SPREAD: f64 = 0.5 / 255.0;
 const POSE: usize = 6;
 /// How the levels are gone through: what stands a pixel aside is no outlier before it can have been moved.
 const PASSES: [Pass; 3] = [
-    Pass { steps: 6, free: NUMBERS, min_spread: 0.03 },
-    Pass { steps: 8, free: NUMBERS, min_spread: 0.03 },
-    Pass { steps: 12, free: NUMBERS, min_spread: MIN_SPREAD },
+    Pass { steps: 12, free: NUMBERS, min_spread: 0.03 },
+    Pass { steps: 12, free: NUMBERS, min_spread: 0.03 },
+    Pass { steps: 20, free: NUMBERS, min_spread: MIN_SPREAD },
 ];
 
 /// Registers pictures to one field; see the module's text.
@@ -214,21 +214,21 @@ impl Registrar {
         lap(&mut trace);
         let against = self.against(index.reach);
         let levels = [Level::of_parts(&picture, COARSE_PX), Level::of_parts(&picture, LONGEST_PX)];
-        let mut place = Refined { camera: agreed.camera, appearance: light, explained: 0.0 };
+        let mut place: Option<Refined> = None;
         let still = Pass { steps: 0, ..PASSES[2] };
         trace.explained_before =
             alignment::refine(&against, &levels[1], agreed.camera, still, wanted).map_or(0.0, |f| f.explained);
         for (level, pass) in [&levels[0], &levels[1], &levels[1]].into_iter().zip(PASSES) {
-            let next = alignment::refine(&against, level, place.camera, pass, wanted);
+            let camera = place.as_ref().map_or(agreed.camera, |place| place.camera);
+            let next = alignment::refine(&against, level, camera, pass, wanted);
             go_on()?;
-            place = next.ok_or(NotLocated::NotExplained)?;
+            place = Some(next.ok_or(NotLocated::NotExplained)?);
         }
-        let covariance = Covariance::of(&against, &levels[1], &place, MIN_SPREAD);
-        let off = |p: &DVec3| covariance.as_ref().and_then(|c| c.off_px(&place.camera, *p));
+        let Refined { camera, appearance, explained, covariance } = place.ok_or(NotLocated::NotExplained)?;
+        let off = |p: &DVec3| covariance.as_ref().and_then(|c| c.off_px(&camera, *p));
         let off: Vec<f64> = places.iter().filter_map(off).collect();
         lap(&mut trace);
         let uncertainty_px = if off.is_empty() { f64::INFINITY } else { median(off) };
-        let Refined { camera, appearance, explained } = place;
         let registered = Registered { camera, appearance, picture, explained };
         Ok(Located { registered, uncertainty_px, agreeing: agreed.matches.len(), surprise: agreed.surprise, trace })
     }
