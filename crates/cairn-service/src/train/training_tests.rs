@@ -154,6 +154,7 @@ fn a_published_model_is_not_trained_again() {
     std::fs::write(&witness, "").unwrap();
     std::fs::copy(trained.model().join("base.field"), trained.folder().join("base.field")).unwrap();
     std::fs::write(trained.folder().join("base.shares"), "left").unwrap();
+    std::fs::write(trained.folder().join("base.places"), "left").unwrap();
     std::fs::write(trained.folder().join("mark.checkpoint"), "left").unwrap();
     let job = trained.killed_after_publishing(|_| ());
     assert!(witness.exists(), "the model was published again");
@@ -163,7 +164,7 @@ fn a_published_model_is_not_trained_again() {
     assert!(spacing.contains("degrees apart") && light.contains("light"), "{:?}", job.notes);
     // So few steps teach nothing, and nobody is left to find that out.
     assert!(weak.contains("answers right:") && weak.contains("--quality"), "{:?}", job.notes);
-    for left in ["base.field", "base.shares", "mark.checkpoint"] {
+    for left in ["base.field", "base.shares", "base.places", "mark.checkpoint"] {
         assert!(!trained.folder().join(left).exists(), "{left} was left behind");
     }
     // Another training under the same number is another one.
@@ -334,9 +335,11 @@ fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time(
 #[test]
 fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
     let trained = Trained::new();
-    for (there, stopped_in) in
-        [(&["base.field"][..], stages::SHARE_TABLE), (&["base.field", "base.shares"], stages::MARK)]
-    {
+    for (there, stopped_in) in [
+        (&["base.field"][..], stages::SHARE_TABLE),
+        (&["base.field", "base.shares"], stages::PLACES),
+        (&["base.field", "base.shares", "base.places"], stages::MARK),
+    ] {
         let mut job = trained.job.clone();
         (job.id, job.spec.seed) = (format!("job-00000{}", 7 + there.len()), 9);
         job.stages.clear();
