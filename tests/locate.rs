@@ -10,7 +10,7 @@ use cairn_testkit::daemon::{Daemon, Place, smoke_settings, train_to_end};
 /// Pixels of a photograph along each side.
 const SIDE: usize = 96;
 /// A view that was held out.
-const HELD_OUT: &str = "images/ada_001.png";
+const HELD_OUT: &str = "images/bela_001.png";
 
 /// A landmark in one light, of photographs large enough for keypoints.
 fn landmark() -> LandmarkCapture {
@@ -26,14 +26,15 @@ fn landmark() -> LandmarkCapture {
     Landmark::generate(&config, 3).unwrap()
 }
 
-/// A place whose scene `town` has a base field that shows what it is of.
+/// A place whose scene `town` has a field that shows what it is of, and marks.
 fn trained(landmark: &LandmarkCapture) -> Place {
     let place = Place { dir: tempfile::tempdir().unwrap() };
     landmark.write(&place.path("capture")).unwrap();
     place.import("town", ["--data", &place.text("data")]);
     let mut settings = smoke_settings();
-    (settings.field.steps, settings.field.rays_per_step, settings.field.voxels) = (400, 1024, 40_000);
-    train_to_end(&place.path("data"), "town", settings, true);
+    (settings.field.steps, settings.field.rays_per_step) = (400, 1024);
+    (settings.field.voxels, settings.field.levels) = (40_000, 2);
+    train_to_end(&place.path("data"), "town", settings, false);
     place
 }
 
@@ -75,31 +76,31 @@ fn a_picture_is_located_compared_and_asked_about() {
 
     // Larger than the photographs, from where none of them taught anything.
     let render = place.text("render.png");
-    let pose = pose_file(&place, &truth.resized(3 * SIDE, 3 * SIDE));
-    cairn(&["render", "town", "--pose", &pose, "--base", "--out", &render]);
+    let pose = pose_file(&place, &truth.resized(2 * SIDE, 2 * SIDE));
+    cairn(&["render", "town", "--pose", &pose, "--out", &render]);
     let said = cairn(&["locate", "town", &render]);
-    assert!(said.starts_with("camera at (") && said.contains(&format!("of {0} x {0} px", 3 * SIDE)), "{said}");
+    assert!(said.starts_with("camera at (") && said.contains(&format!("of {0} x {0} px", 2 * SIDE)), "{said}");
     assert!(said.contains("the picture is upright") && said.contains("uncertain by 0."), "{said}");
     let blink = place.text("blink.gif");
     let found = &json(&["locate", "town", &render, "--out", &blink])["found"];
     assert!((position(found) - truth.pose.position).length() < 0.01 * away, "{found}");
-    assert!(found["explained"].as_f64().unwrap() > 0.95 && found["render_png"] == "", "{found}");
+    assert!(found["explained"].as_f64().unwrap() > 0.8 && found["render_png"] == "", "{found}");
     let mut frames = gif::DecodeOptions::new().read_info(File::open(&blink).unwrap()).unwrap();
     for _ in 0..2 {
         let frame = frames.read_next_frame().unwrap().expect("picture and render");
-        assert_eq!((frame.delay, usize::from(frame.width)), (50, 3 * SIDE));
+        assert_eq!((frame.delay, usize::from(frame.width)), (50, 2 * SIDE));
     }
     assert!(frames.read_next_frame().unwrap().is_none());
 
     // Turned and made smaller, and drawn side by side.
     let (bent, sheet) = (place.path("bent.png"), place.text("sheet.png"));
-    std::fs::write(&bent, encode_png(&turned(&picture(Path::new(&render))).resized(2 * SIDE, 2 * SIDE))).unwrap();
+    std::fs::write(&bent, encode_png(&turned(&picture(Path::new(&render))).resized(150, 150))).unwrap();
     let said = cairn(&["locate", "town", &place.text("bent.png"), "--out", &sheet]);
     let by = said.split("turned clockwise by ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
     assert!((by.parse::<f64>().unwrap() - 90.0).abs() < 1.0, "{said}");
     assert!(said.ends_with(&format!("picture, render and their difference times 5 in {sheet}\n")), "{said}");
     let drawn = picture(Path::new(&sheet));
-    assert!(drawn.width() > 6 * SIDE && drawn.height() > 2 * SIDE, "{} x {}", drawn.width(), drawn.height());
+    assert!(drawn.width() > 3 * 150 && drawn.height() > 150, "{} x {}", drawn.width(), drawn.height());
 
     // Who shows what the picture shows is who shows what its camera sees.
     let of_pose = json(&["who", "town", "--pose", &pose]);
@@ -110,6 +111,10 @@ fn a_picture_is_located_compared_and_asked_about() {
     assert!((position(&of_picture["located"]) - truth.pose.position).length() < 0.01 * away, "{of_picture}");
     let said = cairn(&["who", "town", "--picture", &render]);
     assert!(said.starts_with("camera at (") && said.contains(" %  ada: "), "{said}");
+
+    // Its mark stands out from where it was found.
+    let said = cairn(&["identify", "town", &render, "--register"]);
+    assert!(said.contains("registered: the field explains ") && said.contains(" stands out and is believed"), "{said}");
 
     // What is not of the scene is not placed, and says so.
     let stranger = place.text("stranger.png");
