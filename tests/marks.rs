@@ -74,7 +74,10 @@ async fn a_mark_is_trained_rendered_read_and_claimed() {
     // A field of forty steps shows no place that is known again: the answer says so, and the classifier's comes.
     let said = identify("marked.png", &["--register"]);
     let why = "not registered: no camera was found: of ";
-    assert!(said.contains(why) && said.contains("; the classifier answers\n") && said.contains("  class 2 ("), "{said}");
+    assert!(
+        said.contains(why) && said.contains("; the classifier answers\n") && said.contains("  class 2 ("),
+        "{said}"
+    );
     let nowhere = ["identify", "town", &place.text("marked.png"), "--view", "images/none.png"];
     let refused = place.cairn(&[&nowhere[..], &to].concat());
     assert!(String::from_utf8_lossy(&refused.stderr).contains("there is no view"), "{refused:?}");

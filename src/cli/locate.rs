@@ -88,7 +88,7 @@ pub async fn asked(line: &Connection, scene: &str, from: FromWhere) -> anyhow::R
 /// As [`asked`].
 pub async fn camera_of(line: &Connection, scene: &str, picture: &Path) -> anyhow::Result<v1::FoundCamera> {
     match ask(line, scene, read(picture)?, false).await?.answer {
-        Some(Answer::Found(found)) => Ok(found),
+        Some(Answer::Found(found)) => Ok(*found),
         Some(Answer::NotFound(why)) => anyhow::bail!("{}: {why}", picture.display()),
         None => anyhow::bail!("the daemon sent an answer that says nothing"),
     }

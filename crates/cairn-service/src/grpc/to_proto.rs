@@ -310,7 +310,7 @@ pub fn identified(Identified { who, found, labels }: Identified, payload: bool) 
 pub fn located(found: Result<FoundCamera, NotLocated>) -> v1::LocateResponse {
     use v1::locate_response::Answer;
     let answer = match found {
-        Ok(found) => Answer::Found(found_camera(found)),
+        Ok(found) => Answer::Found(Box::new(found_camera(found))),
         Err(why) => Answer::NotFound(why.to_string()),
     };
     v1::LocateResponse { answer: Some(answer) }

@@ -98,6 +98,9 @@ fn finished(parts: &[Part], control: &Control<'_>) -> Result<Outcome, EngineErro
     Ok(Outcome::Finished)
 }
 
+/// A file's bytes, or `None` when it was asked to stop.
+type FileOrStop = Result<Option<Vec<u8>>, EngineError>;
+
 /// A file that is made of a base field, and the stage that makes it.
 struct Made {
     file: &'static str,
@@ -112,8 +115,8 @@ fn kept(
     part: &Part,
     made: &Made,
     control: &Control<'_>,
-    make: &mut dyn FnMut(Preparing<'_>) -> Result<Option<Vec<u8>>, EngineError>,
-) -> Result<Option<Vec<u8>>, EngineError> {
+    make: &mut dyn FnMut(Preparing<'_>) -> FileOrStop,
+) -> FileOrStop {
     let done = part.folder.join(made.file);
     if done.exists() {
         return Ok(Some(read_limited(&done, MAX_CHECKPOINT_BYTES)?));

@@ -429,10 +429,12 @@ fn a_scene_that_grows_keeps_its_field_and_its_marks() {
     let job = end_of(&engine, &engine.train(more.clone()).unwrap().id);
     let after = engine.newest_model("town").unwrap().unwrap();
     assert_eq!((&after.job, after.base_field), (&job.id, before.base_field), "the field was trained again");
+    assert_eq!((after.share_table, after.places), (before.share_table, before.places), "made again");
     assert!(job.stages.iter().all(|s| s.stage == stages::MARK), "{:?}", job.stages);
     assert_eq!(after.identities.len(), 3);
     let models = trained.path("models");
     let [old, new] = [before, after].map(|info| model::Model::load(&models, info).unwrap());
+    assert_eq!(old.places().unwrap(), new.places().unwrap());
     let (old_mark, new_mark) = (old.mark().unwrap(), new.mark().unwrap());
     for (number, label) in (1..).zip(labels(&old.info)) {
         let now = 1 + labels(&new.info).iter().position(|l| *l == label).expect("a label that was there") as u32;
@@ -451,6 +453,18 @@ fn a_scene_that_grows_keeps_its_field_and_its_marks() {
     says(more.clone(), "all 3 identities are marked");
     import(trained.dir.path(), "mill", 4);
     says(TrainingRequest { scene: "mill".into(), ..more }, "no marks yet");
+}
+
+#[test]
+fn a_search_for_a_camera_is_given_up_when_nobody_waits_for_it() {
+    let trained = Trained::new();
+    let engine = open(trained.dir.path());
+    let photograph = engine.scene("town").unwrap().photograph(0).unwrap();
+    let bytes = cairn_scene::encode_png(&photograph);
+    let locate = |wanted: bool| engine.locate("town", &bytes, false, &|| wanted).unwrap().unwrap_err();
+    assert_eq!(locate(false), cairn_register::NotLocated::GivenUp);
+    // So short a training knows no place again.
+    assert!(matches!(locate(true), cairn_register::NotLocated::NoAgreement { .. }), "{}", locate(true));
 }
 
 #[test]
