@@ -288,10 +288,12 @@ async fn trainings_are_held_to_the_owners_quotas_and_records_to_their_key() {
     // Nor is a picture registered with the field for them.
     let picture = world.place.text("capture/images/ada_002.png");
     world.refused("bob", &["identify", "town", &picture, "--register"], "belongs to another account");
+    world.refused("bob", &["locate", "town", &picture], "belongs to another account");
     // Its owner, curators and auditors get as far as that there is no mark yet.
     let _ = (world.with("cara", "curator"), world.with("dan", "auditor"));
     for who in ["ada", "cara", "dan"] {
         world.refused(who, &["identify", "town", &picture, "--register"], "base field alone");
+        assert!(world.ok(who, &["locate", "town", &picture]).starts_with("not found: "), "{who}");
     }
 
     // Nobody takes another's scene along in a training of their own.

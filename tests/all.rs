@@ -13,6 +13,7 @@ mod chosen_light;
 mod fuzz_requests;
 mod hands;
 mod keys;
+mod locate;
 mod log;
 mod lost;
 mod marks;

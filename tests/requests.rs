@@ -293,6 +293,11 @@ async fn a_daemon_with_a_token_asks_for_it_where_something_changes() {
     assert_eq!(query.identify(identify(true)).await.unwrap_err().code(), Code::Unauthenticated);
     let at = v1::IdentifyRequest { camera: view("images/ada_002.png"), ..identify(false) };
     assert_eq!(query.identify(at).await.unwrap_err().code(), Code::Unauthenticated);
+    let locate = v1::LocateRequest { scene: "town".into(), picture: vec![7; 99].into(), compared: false };
+    assert_eq!(query.locate(locate.clone()).await.unwrap_err().code(), Code::Unauthenticated);
+    let mut request = Request::new(locate);
+    request.metadata_mut().insert("authorization", "Bearer a-token-of-the-test".parse().unwrap());
+    assert_eq!(query.locate(request).await.unwrap_err().code(), Code::NotFound);
     assert_eq!(query.identify(identify(false)).await.unwrap_err().code(), Code::InvalidArgument);
     let mut request = Request::new(identify(true));
     request.metadata_mut().insert("authorization", "Bearer a-token-of-the-test".parse().unwrap());

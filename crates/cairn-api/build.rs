@@ -30,6 +30,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut config = prost_build::Config::new();
     // A message knows its name: answers in JSON look its fields up by it.
     config.enable_type_names();
+    // Else its other answer, a sentence, would take as much room.
+    config.boxed(".cairn.v1.LocateResponse.answer.found");
     tonic_prost_build::configure().bytes(".").compile_fds_with_config(descriptors, config)?;
     Ok(())
 }

@@ -12,6 +12,16 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
+/// Reads the picture that `command` is given after a scene.
+///
+/// # Errors
+/// For the two in the wrong order, and as [`read`].
+pub fn read_picture(command: &str, scene: &str, picture: &Path) -> anyhow::Result<Vec<u8>> {
+    let swapped = !picture.is_file() && Path::new(scene).is_file();
+    anyhow::ensure!(!swapped, "the scene comes first: cairn {command} {} {scene}", picture.display());
+    read(picture)
+}
+
 /// Writes a file, and makes the folders above it that are not there.
 ///
 /// # Errors

@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use cairn_api::v1::{self, identify_response};
 
 use super::connect::Connection;
-use super::files::{read, write};
+use super::files::{read_picture, write};
 use super::json::{self, Json};
 use super::viewpoint::viewpoint;
 
@@ -21,8 +21,8 @@ pub struct IdentifyArgs {
     name: String,
     /// The picture, PNG, JPEG or WebP
     picture: PathBuf,
-    /// Also register the picture with the field and look for each mark in what the field does not explain: surer, and takes
-    /// many seconds without --view or --pose
+    /// Also find the picture's camera, and look for each mark in what the field does not explain from there: surer, and takes
+    /// seconds
     #[arg(long)]
     register: bool,
     /// Register it at this view of the scene, which it was rendered from and neither cut nor turned since
@@ -41,20 +41,14 @@ pub struct IdentifyArgs {
 
 /// Answers `cairn identify`.
 pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<()> {
-    let swapped = !args.picture.is_file() && Path::new(&args.name).is_file();
-    anyhow::ensure!(!swapped, "the scene comes first: cairn identify {} {}", args.picture.display(), args.name);
+    let picture = read_picture("identify", &args.name, &args.picture)?.into();
     let camera = match args.view.is_some() || args.pose.is_some() {
         true => Some(viewpoint(args.view, args.pose.as_deref())?),
         false => None,
     };
     let registers = args.register || camera.is_some();
-    let request = v1::IdentifyRequest {
-        scene: args.name.clone(),
-        picture: read(&args.picture)?.into(),
-        register: args.register,
-        camera,
-        payload: true,
-    };
+    let request =
+        v1::IdentifyRequest { scene: args.name.clone(), picture, register: args.register, camera, payload: true };
     let mut answer = line.about(&args.name).query().identify(request).await?.into_inner();
     let is_unmarked = matches!(answer.answer, Some(identify_response::Answer::Unmarked(_)) | None);
     if is_unmarked {
@@ -86,7 +80,7 @@ pub async fn identify(line: &Connection, args: IdentifyArgs) -> anyhow::Result<(
         println!("read in the middle of the picture: the whole says nothing surely");
     }
     if registers {
-        show_registered(answer.registered.as_ref(), &names);
+        show_registered(answer.registered.as_ref().ok_or(&answer.not_registered), &names);
     }
     for (class, probability) in answer.probabilities.iter().enumerate() {
         println!("  class {}: {probability:.4}", names.class(class));
@@ -147,11 +141,11 @@ fn unsure(probabilities: &[f32], names: &Names) -> String {
     }
 }
 
-/// What the registered picture says.
-fn show_registered(reading: Option<&v1::RegisteredReading>, names: &Names) {
-    let Some(reading) = reading else {
-        println!("it is like the field from no camera that was tried: the classifier answers");
-        return;
+/// What the registered picture says, or why it was not registered.
+fn show_registered(reading: Result<&v1::RegisteredReading, &String>, names: &Names) {
+    let reading = match reading {
+        Ok(reading) => reading,
+        Err(why) => return println!("not registered: {why}; the classifier answers"),
     };
     println!("registered: the field explains {:.0} % of it", 100.0 * reading.explained);
     for (at, score) in reading.scores.iter().enumerate() {

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use cairn_api::v1::{self, appearance::Choice};
 
+use super::connect::Connection;
 use super::files::read;
+use super::locate::{camera_of, in_words};
 use super::viewpoint::viewpoint;
 
 /// How far from --light to --light-to where that is not said.
@@ -16,8 +18,9 @@ pub struct InLight {
     /// In the light of this view, held-out ones too (where not given neutral; with --path between from the one's to the other's)
     #[arg(long, value_name = "VIEW")]
     light: Option<String>,
-    /// In the light of this photograph, PNG, JPEG or WebP, as it is fitted to the whole of it; say which camera took it
-    #[arg(long, value_name = "FILE", conflicts_with = "light", requires = "taken")]
+    /// In the light of this photograph, PNG, JPEG or WebP, as it is fitted to the whole of it. Its camera is looked for, as
+    /// `cairn locate` does, where none is given
+    #[arg(long, value_name = "FILE", conflicts_with = "light")]
     light_of: Option<PathBuf>,
     /// The photograph was taken with the camera of this view of the scene, and neither cut nor turned since
     #[arg(long, value_name = "VIEW", requires = "light_of", group = "taken")]
@@ -53,14 +56,29 @@ impl LightTo {
 }
 
 impl InLight {
-    /// The light; `None` where nothing is said.
+    /// The camera that took the photograph, which is looked for in `scene`; `None` without one, and where it is given.
+    ///
+    /// # Errors
+    /// As [`camera_of`].
+    pub async fn found(&self, line: &Connection, scene: &str) -> anyhow::Result<Option<v1::Viewpoint>> {
+        let is_given = self.taken_view.is_some() || self.taken_pose.is_some();
+        let Some(path) = self.light_of.as_ref().filter(|_| !is_given) else { return Ok(None) };
+        let found = camera_of(line, scene, path).await?;
+        for said in in_words(&found)? {
+            eprintln!("{}: {said}", path.display());
+        }
+        Ok(Some(v1::Viewpoint { from: found.camera.map(v1::viewpoint::From::Camera) }))
+    }
+
+    /// The light; `None` where nothing is said. `found` is what [`InLight::found`] gave.
     ///
     /// # Errors
     /// For a photograph or a camera's file that cannot be read.
-    pub fn asked(&self) -> anyhow::Result<Option<v1::Appearance>> {
+    pub fn asked(&self, found: Option<v1::Viewpoint>) -> anyhow::Result<Option<v1::Appearance>> {
         let choice = match (&self.light_of, &self.light) {
             (Some(path), _) => {
-                let viewpoint = Some(viewpoint(self.taken_view.clone(), self.taken_pose.as_deref())?);
+                let given = || viewpoint(self.taken_view.clone(), self.taken_pose.as_deref());
+                let viewpoint = Some(found.map_or_else(given, Ok)?);
                 Some(Choice::Photograph(v1::PhotographAppearance { photograph: read(path)?.into(), viewpoint }))
             }
             (None, Some(view)) => Some(Choice::ViewName(view.clone())),
@@ -73,8 +91,8 @@ impl InLight {
     ///
     /// # Errors
     /// As [`InLight::asked`].
-    pub fn asked_with(&self, way: LightTo) -> anyhow::Result<Option<v1::Appearance>> {
-        let (Some(from_view), Some(to_view)) = (self.light.clone(), way.light_to) else { return self.asked() };
+    pub fn asked_with(&self, way: LightTo, found: Option<v1::Viewpoint>) -> anyhow::Result<Option<v1::Appearance>> {
+        let (Some(from_view), Some(to_view)) = (self.light.clone(), way.light_to) else { return self.asked(found) };
         let share = way.light_share.unwrap_or(HALF_WAY);
         Ok(Some(v1::Appearance { choice: Some(Choice::Blend(v1::AppearanceBlend { from_view, to_view, share })) }))
     }
@@ -95,7 +113,7 @@ mod tests {
 
     fn asked(arguments: &[&str]) -> Result<Option<Choice>, String> {
         let line = Line::try_parse_from([&["cairn"], arguments].concat()).map_err(|e| e.to_string())?;
-        let light = line.light.asked_with(line.way).map_err(|e| format!("{e:#}"))?;
+        let light = line.light.asked_with(line.way, None).map_err(|e| format!("{e:#}"))?;
         Ok(light.and_then(|light| light.choice))
     }
 
@@ -124,7 +142,6 @@ mod tests {
         for (arguments, says) in [
             (&["--light-to", "b"][..], "--light <VIEW>"),
             (&["--light", "a", "--light-share", "0.5"], "--light-to <VIEW>"),
-            (&["--light-of", "x.png"], "--taken-view <VIEW>"),
             (&["--taken-view", "a"], "--light-of <FILE>"),
             (&["--light-of", "x.png", "--taken-view", "a", "--taken-pose", "p"], "cannot be used with"),
             (&["--light-of", "x.png", "--taken-view", "a", "--light", "b"], "cannot be used with"),

@@ -1,6 +1,7 @@
 //! The command line: what can be asked for, and which file answers it.
 
 mod access;
+mod animation;
 mod answers;
 mod audit;
 mod bind;
@@ -18,6 +19,7 @@ mod jobs;
 mod json;
 mod keys;
 mod light;
+mod locate;
 mod owners;
 mod path;
 mod poses;
@@ -102,13 +104,19 @@ enum Command {
     #[command(after_help = "Examples:
   cairn who liberty --view view_056.jpg
   cairn who liberty --view view_056.jpg --map who.png
-  cairn who liberty --pose camera.json --json")]
+  cairn who liberty --pose camera.json --json
+  cairn who liberty --picture picture.jpg")]
     Who(who::WhoArgs),
     /// Find whose mark a picture carries, and recover what it hides
     #[command(after_help = "Examples:
   cairn identify liberty picture.png
   cairn identify liberty picture.png --register --payload-out recovered")]
     Identify(identify::IdentifyArgs),
+    /// Find the camera that took a picture of the scene
+    #[command(after_help = "Examples:
+  cairn locate liberty picture.jpg
+  cairn locate liberty picture.jpg --out blink.gif")]
+    Locate(locate::LocateArgs),
     /// Score a trained scene on the views it never saw (imported with --hold-out)
     #[command(after_help = "Example:\n  cairn evaluate liberty-test --sheet contact-sheet.png")]
     Evaluate(evaluate::EvaluateArgs),
@@ -158,7 +166,7 @@ impl Command {
             Self::Jobs(args) => args.reads(),
             Self::Owners(command) => command.reads(),
             Self::Access(command) => command.reads(),
-            Self::Render(_) | Self::Who(_) | Self::Identify(_) | Self::Evaluate(_) => true,
+            Self::Render(_) | Self::Who(_) | Self::Identify(_) | Self::Locate(_) | Self::Evaluate(_) => true,
             _ => false,
         }
     }
@@ -237,6 +245,7 @@ async fn over(line: &Connection, command: Command) -> anyhow::Result<()> {
         Command::Jobs(args) => jobs::run(line, args).await,
         Command::Render(args) => render::render(line, *args).await,
         Command::Identify(args) => identify::identify(line, args).await,
+        Command::Locate(args) => locate::locate(line, args).await,
         Command::Who(args) => who::who(line, args).await,
         Command::Evaluate(args) => evaluate::evaluate(line, args).await,
         Command::Access(command) => access::run(line, command).await,

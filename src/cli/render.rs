@@ -61,9 +61,10 @@ struct From {
 
 /// Answers `cairn render`.
 pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
+    let found = args.light.found(line, &args.name).await?;
     let field = if args.base { v1::FieldKind::Base } else { v1::FieldKind::Marked };
     if let Some(shape) = args.from.path {
-        let (light, light_to) = (args.light.asked()?, args.light_to.of_path()?);
+        let (light, light_to) = (args.light.asked(found)?, args.light_to.of_path()?);
         let seen = Seen { scene: args.name, field, light, light_to };
         return path::run(line, shape, &args.along, seen, &args.out).await;
     }
@@ -77,7 +78,7 @@ pub async fn render(line: &Connection, args: RenderArgs) -> anyhow::Result<()> {
         scene: args.name.clone(),
         viewpoint: Some(viewpoint(args.from.view, args.from.pose.as_deref())?),
         field: field.into(),
-        appearance: args.light.asked_with(args.light_to)?,
+        appearance: args.light.asked_with(args.light_to, found)?,
         accumulation: args.accumulation.is_some(),
         depth: args.depth.is_some(),
         depth_colours: args.depth_colours.is_some(),

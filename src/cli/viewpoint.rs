@@ -20,6 +20,9 @@ pub struct FromWhere {
     /// and k1, k2, k3, p1, p2 where the lens distorts; of a fisheye camera_model "OPENCV_FISHEYE" and k1, k2, k3, k4
     #[arg(long, value_name = "FILE")]
     pub pose: Option<PathBuf>,
+    /// A picture of the scene, PNG, JPEG or WebP, whose camera is looked for first, as `cairn locate` does
+    #[arg(long, value_name = "FILE")]
+    pub picture: Option<PathBuf>,
 }
 
 /// A camera as people write it down.

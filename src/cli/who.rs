@@ -1,17 +1,19 @@
-//! `cairn who`: whose photographs show what a view or a camera sees.
+//! `cairn who`: whose photographs show what a view, a camera or a picture sees.
 
 use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context as _;
 use cairn_api::v1::{self, Unused, contributors_response};
+use prost::{Message, Name};
 
 use super::connect::Connection;
 use super::exit::Cancelled;
 use super::files::write;
 use super::json::{self, Json};
+use super::locate::{self, Asked};
 use super::progress::Progress;
-use super::viewpoint::{FromWhere, viewpoint};
+use super::viewpoint::FromWhere;
 
 /// Photographs named beside a contributor.
 const MAX_PHOTOGRAPHS: usize = 3;
@@ -70,11 +72,12 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         "--min-share is {}; expected a number from 0 to 100",
         args.min_share
     );
-    let viewpoint = Some(viewpoint(args.from.view, args.from.pose.as_deref())?);
+    let Asked { viewpoint, located } = locate::asked(line, &args.name, args.from).await?;
+    let viewpoint = Some(viewpoint);
     if let Some(contributors) = args.necessity {
         anyhow::ensure!(contributors > 0, "--necessity is 0; expected a number of contributors, 1 to 20");
         let request = v1::NecessityRequest { scene: args.name, viewpoint, contributors };
-        return necessity(line, request, args.json.json).await;
+        return necessity(line, request, located, args.json.json).await;
     }
     let (region, map) = (args.region.map(|region| region.0), args.map.is_some());
     let request = v1::ContributorsRequest { scene: args.name.clone(), viewpoint, region, map };
@@ -84,8 +87,9 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
         write(path, &drawn)?;
     }
     if args.json.json {
-        return json::print(&answer);
+        return print_json(&answer, located.as_ref());
     }
+    say_where(located.as_ref(), args.csv)?;
     let said = if args.csv { table(&answer) } else { text(&answer, args.min_share / 100.0) };
     print!("{said}");
     if let (Some(path), false) = (&args.map, args.csv) {
@@ -94,8 +98,31 @@ pub async fn who(line: &Connection, args: WhoArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Prints an answer, with the camera of the picture that it is about.
+fn print_json<M: Message + Name>(answer: &M, located: Option<&v1::FoundCamera>) -> anyhow::Result<()> {
+    let mut answer = json::of(answer)?;
+    if let (Some(found), Some(fields)) = (located, answer.as_object_mut()) {
+        fields.insert("located".to_owned(), json::of(found)?);
+    }
+    json::print_value(&answer)
+}
+
+/// Says where the picture was taken that was asked about; beside a table to standard error.
+fn say_where(located: Option<&v1::FoundCamera>, beside_a_table: bool) -> anyhow::Result<()> {
+    let Some(found) = located else { return Ok(()) };
+    for said in locate::in_words(found)? {
+        if beside_a_table { eprintln!("{said}") } else { println!("{said}") }
+    }
+    Ok(())
+}
+
 /// Has necessity worked out, and shows how far it is. The first Ctrl-C ends it.
-async fn necessity(line: &Connection, request: v1::NecessityRequest, as_json: bool) -> anyhow::Result<()> {
+async fn necessity(
+    line: &Connection,
+    request: v1::NecessityRequest,
+    located: Option<v1::FoundCamera>,
+    as_json: bool,
+) -> anyhow::Result<()> {
     use v1::necessity_response::What;
     let mut interrupt = tokio::spawn(tokio::signal::ctrl_c());
     let scene = request.scene.clone();
@@ -119,8 +146,9 @@ async fn necessity(line: &Connection, request: v1::NecessityRequest, as_json: bo
     };
     shown.end();
     if as_json {
-        return json::print(&answer);
+        return print_json(&answer, located.as_ref());
     }
+    say_where(located.as_ref(), false)?;
     for of in &answer.contributors {
         println!("{}", needed_in_words(of));
     }

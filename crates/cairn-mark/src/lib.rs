@@ -18,7 +18,7 @@ mod tensors;
 
 pub use attack::{Distortion, RobustConfig};
 pub use detect::blind::detector::{DETECTOR_FORMAT, Detection, Detector};
-pub use detect::informed::{BELIEVED, RegisteredReader, RegisteredReading};
+pub use detect::informed::{BELIEVED, NotRegistered, RegisteredReader, RegisteredReading};
 pub use emblem::emblem;
 pub use error::MarkError;
 pub use marked::{MARKED_FORMAT, MarkedField};

@@ -182,7 +182,8 @@ impl Index {
         }
         let bad = places.as_flattened().iter().any(|v| !v.is_finite())
             || views.iter().any(|view| *view as usize >= cameras.len())
-            || !(reach > 0.0 && reach.is_finite())
+            // Of a field in which nothing has a place there is no distance.
+            || !((reach > 0.0 || places.is_empty()) && reach.is_finite())
             || cameras.iter().any(|c| !c.pose.position.is_finite());
         if bad {
             return Err(damaged("it has a place or a view that there cannot be"));

@@ -12,6 +12,7 @@ use cairn_log::format::shares::Shares;
 use cairn_log::witness::WitnessClient;
 use cairn_log::{Digest, PublicKey, Registry, RegistryError};
 use cairn_log::{Receipt, SignedRecord};
+use cairn_register::NotLocated;
 use cairn_scene::cluster::Grouping;
 use cairn_scene::{Capture, Picture, SceneFolder};
 
@@ -23,12 +24,13 @@ use crate::query::check::{self, Checked};
 use crate::query::coverage::{self, Asked, Contributors};
 use crate::query::evaluate;
 use crate::query::light::{Light, appearance};
+use crate::query::locate::{self, FoundCamera};
 use crate::query::look::{self, FieldRegistration, Identified, Who};
 use crate::query::maps::Maps;
 use crate::query::necessity::{Question, Said};
 use crate::query::report::Report;
 use crate::query::statement::{self, Signer};
-use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode};
+use crate::query::viewpoint::{FieldKind, Viewpoint, camera_of, decode, decode_on};
 use crate::records::credits::LookUp;
 use crate::records::owners::{self, About, AskedView, Material};
 use crate::records::publisher::Publisher;
@@ -477,6 +479,23 @@ impl Engine {
         let who = Who::of(&snapshot, found.identity, found.confidence.into())?;
         let labels = model.info.identities.iter().map(|identity| identity.label.clone()).collect();
         Ok(Identified { who: self.with_records(&snapshot, who)?, found, labels })
+    }
+
+    /// Which camera took a picture of the scene, or why none was found; given up once it is no longer `wanted`. With what
+    /// was `compared` where that is asked for.
+    ///
+    /// # Errors
+    /// For a picture that does not decode, [`Engine::model`]'s, and [`locate::locate`]'s.
+    pub fn locate(
+        &self,
+        scene: &str,
+        bytes: &[u8],
+        compared: bool,
+        wanted: &dyn Fn() -> bool,
+    ) -> Result<Result<FoundCamera, NotLocated>, EngineError> {
+        let snapshot = self.snapshot(scene)?;
+        let picture = decode_on(bytes, &self.limits, snapshot.scene.capture().background)?;
+        locate::locate(&*self.model(scene)?, &snapshot, &picture, compared, wanted)
     }
 
     /// `who` with the owner records that bear on the identity.

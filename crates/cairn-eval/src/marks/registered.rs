@@ -96,7 +96,7 @@ struct By<'a> {
 impl By<'_> {
     /// The identity whose mark stands out of `picture`.
     fn stands_out(&self, picture: &Picture, from: Option<&Camera>) -> Option<u32> {
-        self.reader.read(self.marked, picture, from, &|| true).and_then(|read| read.identity())
+        self.reader.read(self.marked, picture, from, &|| true).ok().and_then(|read| read.identity())
     }
 }
 

@@ -16,9 +16,10 @@ use crate::attack::Blur;
 use crate::marked::MarkedField;
 use crate::stega::recipe::{CarrierKind, DensityKind};
 use cairn_field::Appearance;
-use cairn_register::{Index, Registered, Registrar};
+use cairn_register::{Index, NotLocated, Registered, Registrar};
 use cairn_scene::{Camera, Picture};
 use std::sync::Arc;
+use thiserror::Error;
 
 /// From here on a mark is believed. A standard normal number does not come so far; renders without a mark that were
 /// registered a little amiss have come to 4.8. No number of blocks can come beyond its own root, so that a picture needs 64.
@@ -36,6 +37,17 @@ const ROUNDING: f32 = 1.0 / (12.0 * 255.0 * 255.0);
 #[derive(Debug)]
 pub struct RegisteredReader {
     registrar: Registrar,
+}
+
+/// Why a picture was not registered with the field.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum NotRegistered {
+    /// The camera was known, and the field is unlike the picture there.
+    #[error("no light makes the field look like the picture from the camera that was given")]
+    Unlike,
+    /// The camera was not known, and not found.
+    #[error(transparent)]
+    NotLocated(#[from] NotLocated),
 }
 
 /// What registration of a picture with the field says.
@@ -85,17 +97,20 @@ impl RegisteredReader {
 
     /// Registers `picture` with the field and looks for each identity's mark of `marked`, the field that it was made for. `from`
     /// is the camera that it was rendered with, where that is known; otherwise it is looked for, for as long as
-    /// `wanted` says so. `None` where no place was found for it.
+    /// `wanted` says so.
+    ///
+    /// # Errors
+    /// [`NotRegistered`], with the reason.
     pub fn read(
         &self,
         marked: &MarkedField,
         picture: &Picture,
         from: Option<&Camera>,
         wanted: &dyn Fn() -> bool,
-    ) -> Option<RegisteredReading> {
+    ) -> Result<RegisteredReading, NotRegistered> {
         let registered = match from {
-            Some(camera) => self.registrar.register_at(picture, camera)?,
-            None => self.registrar.locate(picture, wanted).ok()?.registered,
+            Some(camera) => self.registrar.register_at(picture, camera).ok_or(NotRegistered::Unlike)?,
+            None => self.registrar.locate(picture, wanted)?.registered,
         };
         let identities = marked.clusters().clusters.len() as u32;
         let (camera, light) = (&registered.camera, &registered.appearance);
@@ -110,7 +125,7 @@ impl RegisteredReader {
                 (1..=identities).map(|i| if owner == Some(i) { of(i) } else { 0.0 }).collect()
             }
         };
-        Some(RegisteredReading { registered, scores })
+        Ok(RegisteredReading { registered, scores })
     }
 }
 

@@ -143,6 +143,8 @@ pub const METHODS: &[(&str, Need)] = &[
     ("/cairn.v1.RenderService/RenderPath", Need::Read),
     // To register a picture needs what `Evaluate` needs.
     ("/cairn.v1.QueryService/Identify", Need::Read),
+    // As to register a picture.
+    ("/cairn.v1.QueryService/Locate", Need::Inspect),
     ("/cairn.v1.QueryService/Contributors", Need::Read),
     ("/cairn.v1.QueryService/Necessity", Need::Inspect),
     ("/cairn.v1.QueryService/Evaluate", Need::Inspect),

@@ -1,6 +1,7 @@
 //! `QueryService`.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::auth::Need;
 use cairn_api::v1::{self, query_service_server::QueryService};
@@ -27,6 +28,19 @@ impl QueryService for Shared {
             engine.identify(&scene, &picture, register)
         });
         Ok(Response::new(to_proto::identified(found.await?, payload)))
+    }
+
+    async fn locate(&self, request: Request<v1::LocateRequest>) -> Answer<v1::LocateResponse> {
+        self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
+        let given_up = Arc::<AtomicBool>::default();
+        let _waiting = Waiting(given_up.clone());
+        let searching = self.searches.clone().acquire_owned().await.ok();
+        let v1::LocateRequest { scene, picture, compared } = request.into_inner();
+        let found = self.compute(move |engine| {
+            let _searching = searching;
+            engine.locate(&scene, &picture, compared, &|| !given_up.load(Ordering::Relaxed))
+        });
+        Ok(Response::new(to_proto::located(found.await?)))
     }
 
     async fn contributors(&self, request: Request<v1::ContributorsRequest>) -> Answer<v1::ContributorsResponse> {

@@ -2,12 +2,14 @@
 
 use cairn_api::v1;
 use cairn_log::{Envelope, LogEntry, OwnerRecord, RecordKind};
+use cairn_register::NotLocated;
 use cairn_scene::{BrownConrady, Camera, Distortion, SceneFolder, SceneKind, Unused, UnusedPhotographs, encode_png};
 use tonic::codegen::Bytes;
 
 use crate::auth::{Account, Limits, Role, Standing as AccountStanding};
 use crate::query::check::{Checked, CheckedView};
 use crate::query::coverage::{ContributorShare, Contributors};
+use crate::query::locate::{Compared, FoundCamera};
 use crate::query::look::{Identified, Who};
 use crate::query::necessity::{Cost, Needed, Said};
 use crate::records::corrections::Standing;
@@ -279,6 +281,11 @@ pub fn identified(Identified { who, found, labels }: Identified, payload: bool) 
         (None, None) => Answer::Unmarked(v1::Unmarked {}),
     };
     let detection = found.detection;
+    let (read, not_registered) = match found.registered {
+        Some(Ok(read)) => (Some(read), String::new()),
+        Some(Err(why)) => (None, why.to_string()),
+        None => (None, String::new()),
+    };
     let payload = payload.then(|| {
         let recovered = encoded(&detection.recovered);
         v1::Payload {
@@ -291,11 +298,30 @@ pub fn identified(Identified { who, found, labels }: Identified, payload: bool) 
         answer: Some(answer),
         confidence,
         probabilities: detection.probabilities,
-        registered: found.registered.map(registered),
+        registered: read.map(registered),
         center_crop: detection.is_center_crop,
         payload,
         labels,
+        not_registered,
     }
+}
+
+/// Where a picture was taken.
+pub fn located(found: Result<FoundCamera, NotLocated>) -> v1::LocateResponse {
+    use v1::locate_response::Answer;
+    let answer = match found {
+        Ok(found) => Answer::Found(Box::new(found_camera(found))),
+        Err(why) => Answer::NotFound(why.to_string()),
+    };
+    v1::LocateResponse { answer: Some(answer) }
+}
+
+fn found_camera(found: FoundCamera) -> v1::FoundCamera {
+    let FoundCamera { camera: of, turned_deg, uncertainty_px, explained, agreeing, compared } = found;
+    let encoded = compared.map(|Compared { picture, render }| [&picture, &render].map(encode_png));
+    let [compared_png, render_png] = encoded.unwrap_or_default().map(Bytes::from);
+    let (camera, agreeing) = (Some(camera(&of)), agreeing as u32);
+    v1::FoundCamera { camera, uncertainty_px, explained, agreeing, turned_deg, compared_png, render_png }
 }
 
 /// What a registered picture says.

@@ -1,6 +1,9 @@
 //! What a picture says: read by the detector, or by registration with the scene's field.
 
+use std::sync::Arc;
+
 use cairn_mark::RegisteredReader;
+use cairn_register::Index;
 use cairn_scene::{Camera, Picture};
 
 use crate::error::EngineError;
@@ -17,10 +20,9 @@ impl Mark {
     }
 
     /// As [`Mark::detect`], with the picture registered with the field as well, at `from` where
-    /// that is known: a mark that stands out there is believed, and where none does, or no place is
-    /// found, the classifier answers. What is hidden comes from the detector, told that answer.
-    /// `views` are asked for when the first picture comes: cameras and names of photographs, where
-    /// a search begins; it is given up, and the classifier answers, once it is no longer `wanted`.
+    /// that is known, else where the index of `places` finds it: a mark that stands out there is believed, and where
+    /// none does, or no place is found, the classifier answers. What is hidden comes from the detector, told that
+    /// answer. The search is given up, and the classifier answers, once it is no longer `wanted`.
     ///
     /// # Errors
     /// [`EngineError::Invalid`] for pictures that show too little; [`EngineError::WrongState`]
@@ -28,7 +30,7 @@ impl Mark {
     pub fn detect_registered(
         &self,
         picture: &Picture,
-        views: impl FnOnce() -> Vec<(Camera, String)>,
+        places: Option<Arc<Index>>,
         from: Option<&Camera>,
         wanted: &dyn Fn() -> bool,
     ) -> Result<Found, EngineError> {
@@ -37,18 +39,17 @@ impl Mark {
             let allowed = "64 x 64 px or more, to be registered with a field";
             return Err(EngineError::invalid("the picture", format!("{width} x {height} px"), allowed));
         }
-        let _ = views;
-        let made = || RegisteredReader::new(&self.field, None);
-        let reader = self.reader.get_or_init(made).as_ref().ok_or_else(|| {
-            let why = "the field's densities moved with the marks (mark.density), or the scene has no views to train on; ask \
-                       without registration, and the classifier answers";
+        let reader = RegisteredReader::new(&self.field, places).ok_or_else(|| {
+            let why = "the field's densities moved with the marks (mark.density); ask without registration, and the \
+                       classifier answers";
             EngineError::wrong_state("the picture", "registered with the scene's field", why)
         })?;
-        let Some(reading) = reader.read(&self.field, picture, from, wanted) else {
-            return self.detect(picture);
+        let reading = match reader.read(&self.field, picture, from, wanted) {
+            Ok(reading) => reading,
+            Err(why) => return Ok(Found { registered: Some(Err(why)), ..self.detect(picture)? }),
         };
         let (explained, believed) = (reading.registered.explained, reading.identity());
-        let registered = Some(Registered { explained, scores: reading.scores.clone(), believed });
+        let registered = Some(Ok(Registered { explained, scores: reading.scores.clone(), believed }));
         let Some(number) = believed else {
             return Ok(Found { registered, ..self.detect(picture)? });
         };

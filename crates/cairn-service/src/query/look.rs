@@ -113,7 +113,7 @@ pub fn place_of(snapshot: &SceneSnapshot, viewpoint: &Viewpoint, limits: &Limits
 /// well.
 ///
 /// # Errors
-/// For a picture that `register`'s camera cannot have taken whole; [`Model::mark`]'s and the
+/// For a picture that `register`'s camera cannot have taken whole; [`Model::mark`]'s, [`Model::places`]'s and the
 /// detector's.
 pub fn read_picture(
     model: &Model,
@@ -128,6 +128,6 @@ pub fn read_picture(
     if let Some(camera) = &from {
         must_be_whole("the picture", picture, camera, "what it was rendered at", "or no viewpoint at all")?;
     }
-    // Where a view that is left out says that it was taken is what is doubted.
-    mark.detect_registered(picture, || snapshot.cameras(), from.as_ref(), &|| !given_up.load(Ordering::Relaxed))
+    let places = if from.is_none() { Some(model.places()?) } else { None };
+    mark.detect_registered(picture, places, from.as_ref(), &|| !given_up.load(Ordering::Relaxed))
 }

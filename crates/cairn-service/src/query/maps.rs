@@ -143,7 +143,7 @@ fn viridis(share: f64) -> [f32; 3] {
 mod tests {
     use super::*;
     use cairn_scene::{Distortion, Fisheye, Intrinsics, Limits, Pose, decode_picture};
-    use glam::DMat3;
+    use glam::DVec3;
 
     fn maps(depth: Vec<f32>) -> Maps {
         Maps { width: depth.len(), height: 1, accumulation: vec![0.5; depth.len()], depth }

@@ -6,6 +6,7 @@ pub mod crowd;
 pub mod detection;
 pub mod evaluate;
 pub mod light;
+pub mod locate;
 pub mod look;
 pub mod maps;
 pub mod necessity;

@@ -1,7 +1,7 @@
 //! Whose class is whose: a detector counts the identities of all scenes that share it,
 //! a scene its own only.
 
-use cairn_mark::Detection;
+use cairn_mark::{Detection, NotRegistered};
 use serde::{Deserialize, Serialize};
 
 /// A scene's part of a detector's classes.
@@ -53,9 +53,8 @@ pub struct Found {
     pub elsewhere: Option<Elsewhere>,
     /// Probability of the answer, 0 to 1.
     pub confidence: f32,
-    /// What registering the picture with the field said, where that was asked for and a place was
-    /// found.
-    pub registered: Option<Registered>,
+    /// What registering the picture with the field said, or why no place was found for it, where that was asked for.
+    pub registered: Option<Result<Registered, NotRegistered>>,
     /// What the detector said, with the scene's classes alone: `unmarked`, then its identities; what is
     /// missing to 1 is other scenes'.
     pub detection: Detection,

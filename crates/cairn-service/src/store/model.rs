@@ -11,7 +11,8 @@ use cairn_durable::{remove, rename, sync_folder, write_atomic};
 use cairn_field::{Field, FieldError};
 use cairn_log::Digest;
 use cairn_log::format::record::photographs_root;
-use cairn_mark::{Detector, MarkError, MarkedField, RegisteredReader, Signal};
+use cairn_mark::{Detector, MarkError, MarkedField, Signal};
+use cairn_register::Index;
 use cairn_scene::UnusedPhotographs;
 use cairn_scene::cluster::Clusters;
 use cairn_share::{ShareError, ShareTable};
@@ -28,10 +29,12 @@ use crate::store::hidden::{self, Parts};
 const MAX_FIELD_BYTES: u64 = 64 << 30;
 /// Largest share table that is read, bytes.
 const MAX_SHARES_BYTES: u64 = 16 << 30;
+/// Largest index of places that is read, bytes: one of the most views has a twentieth of that.
+const MAX_PLACES_BYTES: u64 = 1 << 30;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 /// Format version of `model.json`, and of the settings beside it.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 /// Format version of `current.json`.
 const CURRENT_VERSION: u32 = 1;
 
@@ -55,6 +58,8 @@ pub struct ModelInfo {
     pub base_field: Digest,
     /// SHA-256 of `base.shares`.
     pub share_table: Digest,
+    /// SHA-256 of `base.places`.
+    pub places: Digest,
     /// The contributors of the scene whom the share table gives nothing, with all of their photographs as they stood in
     /// the training, by contributor and reason.
     pub without_share: Vec<UnusedPhotographs>,
@@ -132,6 +137,8 @@ pub struct BaseFiles {
     pub share_table: Vec<u8>,
     /// Whom that gives nothing.
     pub without_share: Vec<UnusedPhotographs>,
+    /// The bytes of the index of its places.
+    pub places: Vec<u8>,
 }
 
 /// A model, loaded.
@@ -142,7 +149,9 @@ pub struct Model {
     folder: PathBuf,
     /// What each photograph taught the base field: read when first asked for.
     share_table: OnceLock<ShareTable>,
-    /// One reads it, and those who ask meanwhile wait for that.
+    /// Which keypoints its places have: read when first asked for.
+    places: OnceLock<Arc<Index>>,
+    /// One reads either, and those who ask meanwhile wait for that.
     reading: Mutex<()>,
     /// After stage 1.
     pub base: Arc<Field>,
@@ -160,9 +169,6 @@ pub struct Mark {
     pub signals: Vec<Signal>,
     /// Which of the detector's classes are the scene's.
     pub classes: Classes,
-    /// What registers pictures with the field: made when first asked for, `None` where that cannot
-    /// be.
-    pub reader: OnceLock<Option<RegisteredReader>>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -194,6 +200,7 @@ pub fn publish(
     std::fs::create_dir_all(&filling).map_err(EngineError::io("create", &filling))?;
     write_atomic(&filling.join("base.field"), &base.field)?;
     write_atomic(&filling.join("base.shares"), &base.share_table)?;
+    write_atomic(&filling.join("base.places"), &base.places)?;
     write_atomic(&filling.join("settings.toml"), settings.as_bytes())?;
     if let Some(mark) = mark {
         write_atomic(&filling.join("marked.field"), &mark.field)?;
@@ -279,7 +286,8 @@ impl Model {
             None => None,
             Some(mark) => Some(load_mark(&folder, mark, info.classes()?, &base, &info.base_field)?),
         };
-        Ok(Self { info, folder, share_table: OnceLock::new(), reading: Mutex::default(), base, mark })
+        let (share_table, places) = (OnceLock::new(), OnceLock::new());
+        Ok(Self { info, folder, share_table, places, reading: Mutex::default(), base, mark })
     }
 
     /// What each photograph taught the base field.
@@ -287,21 +295,46 @@ impl Model {
     /// # Errors
     /// The file system's; [`EngineError::Stored`] for a file that is not as it was written, or of another field.
     pub fn share_table(&self) -> Result<&ShareTable, EngineError> {
-        if let Some(table) = self.share_table.get() {
-            return Ok(table);
+        self.read_once(&self.share_table, || {
+            let path = self.folder.join("base.shares");
+            let mut file = open_checked(&path, &self.info.share_table, MAX_SHARES_BYTES)?;
+            let table = ShareTable::read_from(&mut file).map_err(|error| match error {
+                ShareError::File(error) => of_file(&path, error),
+                error => error.into(),
+            })?;
+            table.must_be_of(&*self.base)?;
+            Ok(table)
+        })
+    }
+
+    /// Which keypoints the base field's places have: what a picture's camera is found with.
+    ///
+    /// # Errors
+    /// The file system's; [`EngineError::Stored`] for a file that is not as it was written.
+    pub fn places(&self) -> Result<Arc<Index>, EngineError> {
+        let places = self.read_once(&self.places, || {
+            let path = self.folder.join("base.places");
+            let mut file = open_checked(&path, &self.info.places, MAX_PLACES_BYTES)?;
+            Ok(Arc::new(Index::read_from(&mut file).map_err(|error| of_file(&path, error))?))
+        })?;
+        Ok(places.clone())
+    }
+
+    /// What `read` gives the first time.
+    fn read_once<'a, T>(
+        &self,
+        kept: &'a OnceLock<T>,
+        read: impl FnOnce() -> Result<T, EngineError>,
+    ) -> Result<&'a T, EngineError> {
+        if let Some(there) = kept.get() {
+            return Ok(there);
         }
         let _reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(table) = self.share_table.get() {
-            return Ok(table);
+        if let Some(there) = kept.get() {
+            return Ok(there);
         }
-        let path = self.folder.join("base.shares");
-        let mut file = open_checked(&path, &self.info.share_table, MAX_SHARES_BYTES)?;
-        let table = ShareTable::read_from(&mut file).map_err(|error| match error {
-            ShareError::File(error) => of_file(&path, error),
-            error => error.into(),
-        })?;
-        table.must_be_of(&*self.base)?;
-        Ok(self.share_table.get_or_init(|| table))
+        let made = read()?;
+        Ok(kept.get_or_init(|| made))
     }
 
     /// Stage 2's half.
@@ -354,7 +387,7 @@ fn load_mark(
         let problem = format!("it has {got} classes, model.json speaks of {expected}");
         return Err(EngineError::Stored { path: folder.join("detector"), problem });
     }
-    Ok(Mark { field, detector, signals, classes, reader: OnceLock::new() })
+    Ok(Mark { field, detector, signals, classes })
 }
 
 impl ModelInfo {
@@ -395,6 +428,14 @@ impl ModelInfo {
     pub fn share_table_bytes(&self, models: &Path) -> Result<Vec<u8>, EngineError> {
         let path = self.folder(models).join("base.shares");
         read_checked(&path, &self.share_table, MAX_SHARES_BYTES)
+    }
+
+    /// The index of the base field's places.
+    ///
+    /// # Errors
+    /// [`EngineError::Stored`] for one that was altered.
+    pub fn places_bytes(&self, models: &Path) -> Result<Vec<u8>, EngineError> {
+        read_checked(&self.folder(models).join("base.places"), &self.places, MAX_PLACES_BYTES)
     }
 
     /// The settings that it was trained with.

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use cairn_log::Digest;
-use cairn_scene::{Camera, SceneFolder, Unused};
+use cairn_scene::{Camera, Pose, SceneFolder, Unused};
 
 use crate::error::EngineError;
 use crate::store::exclusions::{Credited, Entries, Exclusions};
@@ -111,11 +111,11 @@ impl SceneSnapshot {
         Ok(Digest::from_bytes(self.scene.photograph_digest(view)))
     }
 
-    /// Cameras and names of the views to train on that are not left out.
-    pub fn cameras(&self) -> Vec<(Camera, String)> {
-        let views = &self.scene.capture().views;
-        let training = self.scene.capture().training().map(|i| (views[i].camera, views[i].name.clone()));
-        training.filter(|(_, name)| !self.is_out(name)).collect()
+    /// Poses of the views to train on that are not left out.
+    pub fn poses(&self) -> Vec<Pose> {
+        let capture = self.scene.capture();
+        let training = capture.training().map(|i| &capture.views[i]).filter(|view| !self.is_out(&view.name));
+        training.map(|view| view.camera.pose).collect()
     }
 
     /// Identity `number`, and whose photographs are left of it; `None` where all of them are left out.

@@ -17,11 +17,10 @@ use crate::train::stages::{Preparing, SHARE_TABLE};
 /// For photographs that were altered, and more than a table has numbers for.
 pub(crate) fn share_table(
     part: &Part,
-    base: &[u8],
+    base: &Field,
     preparing: Preparing<'_>,
 ) -> Result<Option<ShareTable>, EngineError> {
     let Some(views) = part.photographs.views(&part.scene, preparing)? else { return Ok(None) };
-    let base = Field::from_bytes(base)?;
     let huber = part.job.spec.settings.field.huber;
     let mut builder = Builder::new(base.rows());
     for (done, NamedView { name, view }) in views.iter().enumerate() {
@@ -29,7 +28,7 @@ pub(crate) fn share_table(
             return Ok(None);
         }
         let photograph = Photograph { name: name.clone(), position: view.camera.pose.position };
-        builder.add(photograph, &taught(&base, name, view, huber))?;
+        builder.add(photograph, &taught(base, name, view, huber))?;
     }
     Ok(Some(builder.finish()?))
 }

@@ -100,6 +100,7 @@ pub(crate) fn publish(
         clusters: part.clusters.clone(),
         base_field: Digest::of(&base.field),
         share_table: Digest::of(&base.share_table),
+        places: Digest::of(&base.places),
         without_share: base.without_share.clone(),
         settings: Digest::of(&settings),
         mark: mark.map(|files| files.info(shares)),

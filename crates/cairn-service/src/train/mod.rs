@@ -8,6 +8,7 @@ pub mod job;
 pub mod jobs;
 pub(crate) mod joint;
 pub mod marks;
+pub(crate) mod places;
 pub mod request;
 pub(crate) mod screen;
 pub mod stages;

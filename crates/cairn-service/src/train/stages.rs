@@ -19,6 +19,8 @@ pub const BASE: &str = "base field";
 pub const SCREENING: &str = "screening";
 /// Name of working out which photograph taught what, after stage 1.
 pub const SHARE_TABLE: &str = "share table";
+/// Name of finding the keypoints that places have, after that.
+pub const PLACES: &str = "index of places";
 /// Name of stage 2.
 pub const MARK: &str = "marked field";
 /// Name of decoding the training views' photographs, before each stage.

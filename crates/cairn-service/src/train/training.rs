@@ -19,14 +19,14 @@ use crate::error::EngineError;
 use crate::store::exclusions::Exclusions;
 use crate::store::hidden;
 use crate::store::model::{BaseFiles, MarkFiles};
-use crate::train::coverage;
 use crate::train::drive::{MAX_CHECKPOINT_BYTES, Run, drive, preparing, read_checkpoint, stopped};
 use crate::train::job::{Job, Progress};
 use crate::train::jobs::{Control, Outcome, Work};
 use crate::train::joint::{self, Part, shares, signals};
 use crate::train::marks::{Marked, Marking, ToMark};
 use crate::train::screen::Screen;
-use crate::train::stages;
+use crate::train::stages::{self, Preparing};
+use crate::train::{coverage, places};
 
 /// Runs training jobs.
 pub struct Training {
@@ -62,6 +62,7 @@ impl Work for Training {
                         field: info.base_field_bytes(&self.models)?,
                         share_table: info.share_table_bytes(&self.models)?,
                         without_share: info.without_share.clone(),
+                        places: info.places_bytes(&self.models)?,
                     })
                 }
                 None => self.base(part, control)?,
@@ -89,12 +90,42 @@ impl Work for Training {
 /// Removes what is of no more use once the models are published, and says so.
 fn finished(parts: &[Part], control: &Control<'_>) -> Result<Outcome, EngineError> {
     for part in parts {
-        for left in ["base.checkpoint", "base.field", "base.shares", "mark.checkpoint"] {
+        for left in ["base.checkpoint", "base.field", "base.shares", "base.places", "mark.checkpoint"] {
             remove(&part.folder.join(left))?;
         }
     }
     control.progress(Progress { stage: "finished".into(), seconds_left: 0.0, ..Progress::default() });
     Ok(Outcome::Finished)
+}
+
+/// A file's bytes, or `None` when it was asked to stop.
+type FileOrStop = Result<Option<Vec<u8>>, EngineError>;
+
+/// A file that is made of a base field, and the stage that makes it.
+struct Made {
+    file: &'static str,
+    stage: &'static str,
+}
+
+const SHARES: Made = Made { file: "base.shares", stage: stages::SHARE_TABLE };
+const PLACES: Made = Made { file: "base.places", stage: stages::PLACES };
+
+/// A file of the part's folder: as it is there, else as it is made; `None` when that was asked to stop.
+fn kept(
+    part: &Part,
+    made: &Made,
+    control: &Control<'_>,
+    make: &mut dyn FnMut(Preparing<'_>) -> FileOrStop,
+) -> FileOrStop {
+    let done = part.folder.join(made.file);
+    if done.exists() {
+        return Ok(Some(read_limited(&done, MAX_CHECKPOINT_BYTES)?));
+    }
+    let clock = Instant::now();
+    let Some(bytes) = make(&mut preparing(control))? else { return stopped(made.stage, clock, control) };
+    write_atomic(&done, &bytes)?;
+    control.spent(made.stage, clock.elapsed().as_secs_f64())?;
+    Ok(Some(bytes))
 }
 
 /// Names the contributors of a scene who get no share, with the reason, in the log and in the job's notes.
@@ -113,25 +144,22 @@ impl Training {
 
     /// Stage 1's files, or `None` when it was asked to stop.
     fn base(&self, part: &Part, control: &Control<'_>) -> Result<Option<BaseFiles>, EngineError> {
-        let Some(field) = self.base_field(part, control)? else { return Ok(None) };
-        let done = part.folder.join("base.shares");
-        if done.exists() {
-            let share_table = read_limited(&done, MAX_CHECKPOINT_BYTES)?;
-            let table = ShareTable::read_from(&mut Cursor::new(&share_table))?;
-            let without_share = coverage::without_share(part.scene.capture(), &table);
-            say_no_share(part, &without_share, control);
-            return Ok(Some(BaseFiles { field, share_table, without_share }));
-        }
-        let clock = Instant::now();
-        let made = coverage::share_table(part, &field, &mut preparing(control))?;
-        let Some(table) = made else { return stopped(stages::SHARE_TABLE, clock, control) };
-        let share_table = table.to_bytes()?;
+        let Some(bytes) = self.base_field(part, control)? else { return Ok(None) };
+        let field = Field::from_bytes(&bytes)?;
+        let shares = kept(part, &SHARES, control, &mut |preparing| {
+            let Some(table) = coverage::share_table(part, &field, preparing)? else { return Ok(None) };
+            Ok(Some(table.to_bytes()?))
+        })?;
+        let Some(share_table) = shares else { return Ok(None) };
+        let table = ShareTable::read_from(&mut Cursor::new(&share_table))?;
         let without_share = coverage::without_share(part.scene.capture(), &table);
+        // Written down with what comes next, and said again where it does not come.
         say_no_share(part, &without_share, control);
-        write_atomic(&done, &share_table)?;
-        // Writes down what was said, too.
-        control.spent(stages::SHARE_TABLE, clock.elapsed().as_secs_f64())?;
-        Ok(Some(BaseFiles { field, share_table, without_share }))
+        let places = kept(part, &PLACES, control, &mut |preparing| {
+            let Some(index) = places::index(part, &field, preparing)? else { return Ok(None) };
+            Ok(Some(index.to_bytes()?))
+        })?;
+        Ok(places.map(|places| BaseFiles { field: bytes, share_table, without_share, places }))
     }
 
     /// The base field's bytes, or `None` when it was asked to stop.

@@ -154,6 +154,7 @@ fn a_published_model_is_not_trained_again() {
     std::fs::write(&witness, "").unwrap();
     std::fs::copy(trained.model().join("base.field"), trained.folder().join("base.field")).unwrap();
     std::fs::write(trained.folder().join("base.shares"), "left").unwrap();
+    std::fs::write(trained.folder().join("base.places"), "left").unwrap();
     std::fs::write(trained.folder().join("mark.checkpoint"), "left").unwrap();
     let job = trained.killed_after_publishing(|_| ());
     assert!(witness.exists(), "the model was published again");
@@ -163,7 +164,7 @@ fn a_published_model_is_not_trained_again() {
     assert!(spacing.contains("degrees apart") && light.contains("light"), "{:?}", job.notes);
     // So few steps teach nothing, and nobody is left to find that out.
     assert!(weak.contains("answers right:") && weak.contains("--quality"), "{:?}", job.notes);
-    for left in ["base.field", "base.shares", "mark.checkpoint"] {
+    for left in ["base.field", "base.shares", "base.places", "mark.checkpoint"] {
         assert!(!trained.folder().join(left).exists(), "{left} was left behind");
     }
     // Another training under the same number is another one.
@@ -334,9 +335,11 @@ fn a_stop_after_the_last_step_is_heard_and_the_checkpoint_finishes_another_time(
 #[test]
 fn a_job_stopped_in_preparation_keeps_its_base_field_and_its_seconds() {
     let trained = Trained::new();
-    for (there, stopped_in) in
-        [(&["base.field"][..], stages::SHARE_TABLE), (&["base.field", "base.shares"], stages::MARK)]
-    {
+    for (there, stopped_in) in [
+        (&["base.field"][..], stages::SHARE_TABLE),
+        (&["base.field", "base.shares"], stages::PLACES),
+        (&["base.field", "base.shares", "base.places"], stages::MARK),
+    ] {
         let mut job = trained.job.clone();
         (job.id, job.spec.seed) = (format!("job-00000{}", 7 + there.len()), 9);
         job.stages.clear();
@@ -426,10 +429,12 @@ fn a_scene_that_grows_keeps_its_field_and_its_marks() {
     let job = end_of(&engine, &engine.train(more.clone()).unwrap().id);
     let after = engine.newest_model("town").unwrap().unwrap();
     assert_eq!((&after.job, after.base_field), (&job.id, before.base_field), "the field was trained again");
+    assert_eq!((after.share_table, after.places), (before.share_table, before.places), "made again");
     assert!(job.stages.iter().all(|s| s.stage == stages::MARK), "{:?}", job.stages);
     assert_eq!(after.identities.len(), 3);
     let models = trained.path("models");
     let [old, new] = [before, after].map(|info| model::Model::load(&models, info).unwrap());
+    assert_eq!(old.places().unwrap(), new.places().unwrap());
     let (old_mark, new_mark) = (old.mark().unwrap(), new.mark().unwrap());
     for (number, label) in (1..).zip(labels(&old.info)) {
         let now = 1 + labels(&new.info).iter().position(|l| *l == label).expect("a label that was there") as u32;
@@ -448,6 +453,18 @@ fn a_scene_that_grows_keeps_its_field_and_its_marks() {
     says(more.clone(), "all 3 identities are marked");
     import(trained.dir.path(), "mill", 4);
     says(TrainingRequest { scene: "mill".into(), ..more }, "no marks yet");
+}
+
+#[test]
+fn a_search_for_a_camera_is_given_up_when_nobody_waits_for_it() {
+    let trained = Trained::new();
+    let engine = open(trained.dir.path());
+    let photograph = engine.scene("town").unwrap().photograph(0).unwrap();
+    let bytes = cairn_scene::encode_png(&photograph);
+    let locate = |wanted: bool| engine.locate("town", &bytes, false, &|| wanted).unwrap().unwrap_err();
+    assert_eq!(locate(false), cairn_register::NotLocated::GivenUp);
+    // So short a training knows no place again.
+    assert!(matches!(locate(true), cairn_register::NotLocated::NoAgreement { .. }), "{}", locate(true));
 }
 
 #[test]
