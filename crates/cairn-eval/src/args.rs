@@ -35,7 +35,7 @@ pub struct Args {
     /// Leave out times and rates: the machine has other work
     #[arg(long)]
     pub no_times: bool,
-    /// Measure this capture only; may be given several times (suites `field`, `mark`, `ablation`, `baseline`, `contribution`)
+    /// Measure this capture only; may be given several times (suites `field`, `mark`, `ablation`, `baseline`, `contribution`, `registration`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     pub cases: Vec<Name>,
     /// Train this row only; may be given several times (suite `ablation`)
@@ -87,6 +87,8 @@ pub enum Suite {
     Scenes,
     /// Shares against retraining without some of the contributors
     Contribution,
+    /// Finding the cameras of pictures of four captures: placed, how near, wrong ones, other scenes' pictures, seconds
+    Registration,
     /// What is left of a picture hidden in photographs once a field was trained on them
     Baseline,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
@@ -108,6 +110,7 @@ impl Suite {
             Self::Ablation => "ablation",
             Self::Scenes => "scenes",
             Self::Contribution => "contribution",
+            Self::Registration => "registration",
             Self::Baseline => "baseline",
             Self::Conv => "conv",
             Self::Registry => "registry",

@@ -6,6 +6,7 @@
 
 pub mod args;
 pub mod baseline;
+pub mod bootstrap;
 mod captures;
 mod chart;
 pub mod children;
@@ -19,6 +20,7 @@ mod origin;
 pub mod page;
 pub mod parts;
 mod progress;
+mod registration;
 pub mod results;
 mod rows;
 pub mod run;

@@ -2,7 +2,7 @@
 
 use crate::children::{Part, Work};
 use crate::suite::{baseline, registry, scenes, tradeoff};
-use crate::{marked, marks, trained};
+use crate::{marked, marks, registration, trained};
 
 /// Reads one part from standard input, does it, and prints its answer.
 ///
@@ -28,6 +28,7 @@ pub fn run() -> anyhow::Result<()> {
         marked::ServeMarks,
         marks::judge::Judge,
         scenes::Join,
+        registration::work::Register,
         registry::load::Load,
         registry::grown::Grow,
         registry::grown::ServeLog,

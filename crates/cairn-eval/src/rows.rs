@@ -97,6 +97,12 @@ impl Rows {
         self.rows.push(Row { case, metric, value, unit, target, met, ..self.blank.clone() });
     }
 
+    /// The rows that are there, in tests.
+    #[cfg(test)]
+    pub fn take(self) -> Vec<Row> {
+        self.rows
+    }
+
     /// Adds a share of right answers; nothing where none was asked for.
     pub fn share(&mut self, case: &str, metric: &str, right: Right, at_least: Option<f64>) {
         if right.asked > 0 {

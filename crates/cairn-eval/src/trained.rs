@@ -13,7 +13,7 @@ use cairn_service::query::report::PERFECT_DB;
 use serde::{Deserialize, Serialize};
 
 use crate::baseline::stego::Stego;
-use crate::children::Work;
+use crate::children::{Children, Work};
 use crate::file::{open, read, write};
 use crate::measures::psnr_db_masked;
 use crate::memory::peak_mib;
@@ -47,6 +47,22 @@ pub struct Train {
     pub field: PathBuf,
     /// What is shown while it runs.
     pub label: String,
+}
+
+impl Train {
+    /// Trains unless the field is there. It gets its own name only once it is whole, so that a run that was stopped goes on
+    /// there.
+    ///
+    /// # Errors
+    /// Those of the training, and of a file that cannot be renamed.
+    pub fn unless_kept(self, children: &Children) -> anyhow::Result<()> {
+        if self.field.is_file() {
+            return Ok(());
+        }
+        let (field, filling) = (self.field.clone(), self.field.with_extension("part"));
+        children.run(&Self { field: filling.clone(), ..self })?;
+        std::fs::rename(&filling, &field).with_context(|| format!("cannot rename {}", filling.display()))
+    }
 }
 
 /// How a training went.

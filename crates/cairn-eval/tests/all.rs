@@ -5,4 +5,5 @@ mod common;
 mod deepstega;
 mod field;
 mod mark;
+mod registration;
 mod results;

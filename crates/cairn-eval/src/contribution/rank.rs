@@ -1,14 +1,10 @@
 //! How well two tables agree on an order: Spearman's rank correlation, over all of their numbers, within rows and within
 //! columns, with intervals over rows.
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use crate::bootstrap::{LIMITS, draws, quantile};
 
 /// Numbers by view (row) and group of contributors (column).
 pub type Table = Vec<Vec<f64>>;
-
-/// Draws of an interval.
-const DRAWS: usize = 1000;
 
 /// Spearman's rank correlation, -1 to 1; equal numbers share their ranks' mean. `None` where one side has one value only.
 pub fn spearman(a: &[f64], b: &[f64]) -> Option<f64> {
@@ -74,8 +70,7 @@ pub fn datamodeling(a: &Table, subsets: &[Vec<usize>], truth: &Table) -> Vec<f64
     a.iter().zip(truth).map(|(row, truth)| spearman(&foreseen(row), truth).unwrap_or_default()).collect()
 }
 
-/// A figure over all views, and the limits between which 95 % of draws of as many views lie, each view as often as it is
-/// drawn (Efron's bootstrap).
+/// A figure over all views, and its limits by the bootstrap over views.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
     /// Over all views.
@@ -88,21 +83,15 @@ pub struct Spread {
 
 impl Spread {
     fn of(views: usize, seed: u64, figure: impl Fn(&[usize]) -> Agreement) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut drawn = || (0..views).map(|_| rng.random_range(0..views)).collect::<Vec<_>>();
-        let draws: Vec<Agreement> = (0..DRAWS).map(|_| figure(&drawn())).collect();
-        let at = |of: fn(&Agreement) -> f64, share: f64| {
-            let mut sorted: Vec<f64> = draws.iter().map(of).collect();
-            sorted.sort_by(f64::total_cmp);
-            sorted[((DRAWS - 1) as f64 * share).round() as usize]
-        };
+        let draws: Vec<Agreement> = draws(views, seed).map(|rows| figure(&rows)).collect();
+        let at = |of: fn(&Agreement) -> f64, share: f64| quantile(draws.iter().map(of).collect(), share);
         let of = |share: f64| Agreement {
             all: at(|v| v.all, share),
             within_views: at(|v| v.within_views, share),
             within_groups: at(|v| v.within_groups, share),
             same_first: at(|v| v.same_first, share),
         };
-        Self { whole: figure(&(0..views).collect::<Vec<_>>()), low: of(0.025), high: of(0.975) }
+        Self { whole: figure(&(0..views).collect::<Vec<_>>()), low: of(LIMITS[0]), high: of(LIMITS[1]) }
     }
 }
 

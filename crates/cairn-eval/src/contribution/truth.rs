@@ -96,19 +96,16 @@ impl Trainings<'_> {
         let wanted = seeds.iter().flat_map(|seed| each().map(|without| (*seed, without))).chain(subsets);
         let missing: Vec<_> = wanted.filter(|(seed, without)| !self.field_file(*seed, *without).is_file()).collect();
         for (n, (seed, without)) in missing.iter().enumerate() {
-            let field = self.field_file(*seed, *without);
-            // Under its own name only once it is whole: a run that was stopped goes on there.
-            let filling = field.with_extension("part");
-            children.run(&Train {
+            let train = Train {
                 source: self.source.clone(),
                 config: self.config.clone(),
                 seed: *seed,
                 without: self.views(*without),
                 stego: None,
-                field: filling.clone(),
+                field: self.field_file(*seed, *without),
                 label: format!("training {} of {} ({}, seed {seed})", n + 1, missing.len(), without.in_words()),
-            })?;
-            std::fs::rename(&filling, &field)?;
+            };
+            train.unless_kept(children)?;
         }
         Ok(())
     }

@@ -7,7 +7,6 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use cairn_service::config::{Chosen, Quality};
-use sha2::{Digest as _, Sha256};
 
 use crate::args::Args;
 use crate::captures::Name;
@@ -91,10 +90,7 @@ fn found(children: &Children, case: &Case, folder: &Path, out: &Path, seed: u64,
     let subsets = subsets(seed);
     // Other trainers, settings, groups or subsets make other fields.
     let trainer = trees(Path::new("."), &["crates/cairn-field", "crates/cairn-scene"]);
-    let what = serde_json::to_vec(&(trainer, &source, &settings.field, &groups, &subsets))?;
-    let digest = Sha256::digest(what);
-    let out = out.join(digest[..4].iter().map(|byte| format!("{byte:02x}")).collect::<String>());
-    std::fs::create_dir_all(&out).with_context(|| format!("cannot make the folder {}", out.display()))?;
+    let out = file::folder_of(out, &(trainer, &source, &settings.field, &groups, &subsets))?;
     let trainings =
         Trainings { source: &source, config: &settings.field, groups: &groups, subsets: &subsets, out: &out };
     let seeds: Vec<u64> = (seed..seed + SEEDS).collect();

@@ -8,6 +8,7 @@ pub mod demo;
 pub mod field;
 pub mod liberty;
 pub mod mark;
+pub mod registration;
 pub mod registry;
 pub mod scenes;
 pub mod tradeoff;
