@@ -168,7 +168,8 @@ fn min_photographs_placed(name: Name) -> Option<f64> {
     }
 }
 
-/// Adds the rows: each condition, groups of them, what is wrong, and the seconds.
+/// Adds the rows: each condition, groups of them (`renders` are sharp ones to which one thing was done), what is wrong, and
+/// the seconds.
 fn add(rows: &mut Rows, name: &str, case: &Case, found: &Found, seed: u64) {
     let mut figures = Figures { rows: &mut *rows, name, found, seed };
     let fixed = |trial: &Trial, is: &dyn Fn(&Fix) -> bool| trial.fix().is_some_and(is);
@@ -195,6 +196,11 @@ fn add(rows: &mut Rows, name: &str, case: &Case, found: &Found, seed: u64) {
     figures.share("renders: placed", sharp, Some(0.99));
     let near = |trial: &Trial| (sharp(trial) == Some(true)).then(|| fixed(trial, &|fix| fix.is_at(40.0)));
     figures.share("renders: at 40 dB, of those placed", near, Some(0.98));
+    let placed = found.trials.iter().filter(|trial| sharp(trial) == Some(true));
+    let psnr: Vec<f64> = placed.filter_map(|trial| Some(trial.fix()?.psnr_db)).collect();
+    if let Some(psnr) = median(&psnr) {
+        figures.rows.add(name, "renders: PSNR of those placed, median", psnr, "dB", None);
+    }
     let photographs = |trial: &Trial| group(trial) == Group::Photographs;
     let placed = |trial: &Trial| photographs(trial).then(|| fixed(trial, &Fix::is_placed));
     figures.share("photographs: placed", placed, min_photographs_placed(case.name));
@@ -314,6 +320,7 @@ mod tests {
             ("all together: at 35 dB", 0.9),
             ("renders: placed", 129.0 / 130.0),
             ("renders: at 40 dB, of those placed", 1.0),
+            ("renders: PSNR of those placed, median", 50.0),
             ("photographs: placed", 19.0 / 20.0),
             // Blurred ones state none; of the 139 others that are found one is elsewhere.
             ("renders: within 3 uncertainties", 138.0 / 139.0),
