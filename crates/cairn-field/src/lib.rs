@@ -37,7 +37,7 @@ pub use field::basis::CarrierBasis;
 pub use field::coverage::{CHANNELS, Mixed, OfPixel, Pixel, RowWeights, VisibleField};
 pub use field::linear::{LinearView, MarkableField};
 pub use field::marched::MarchedView;
-pub use field::model::{CHANGE, FIELD_FORMAT, Field, Rendering, Sampled};
+pub use field::model::{CHANGE, FIELD_FORMAT, Field, Rendering};
 pub use field::survey::only_what_shows;
 pub use grid::real::Real;
 pub use io::tensors::{Part, TensorFile, packed, read_header};

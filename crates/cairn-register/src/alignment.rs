@@ -1,29 +1,27 @@
 //! From about where a picture was taken to exactly where: Levenberg and Marquardt's steps on the difference of
-//! colours. A step is one render of the parts that are compared: it brings what they show, their slopes and their depth.
-//! What fits nowhere (a black corner, something laid over the picture) loses its say by
+//! colours. Slopes are differences of renders: nothing is assumed of depths, and every pixel is what the
+//! renderer makes of it. What fits nowhere (a black corner, something laid over the picture) loses its say by
 //! Tukey's weights.
 
 pub(super) use super::matrix::{NUMBERS, Normal};
-use super::windows::{Level, Pixel};
-use cairn_field::{Appearance, appearance::code::FEATURES};
+use super::windows::Level;
+use cairn_field::Field;
 use cairn_field::appearance::prior::Prior;
-use cairn_field::{Field, Sampled, distance};
 use cairn_field::rays::lens::{Eye, Lens};
 use cairn_field::stats::median;
+use cairn_field::{Appearance, appearance::code::FEATURES};
 use cairn_scene::Camera;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 /// Where Tukey's weights end, in robust standard deviations.
 const TUKEY: f64 = 4.685;
-/// A number's unit moves pixels by about so much, pixels of the level.
+/// A number goes so far for a slope that pixels move by about that, pixels of the level.
 const UNIT_PX: f64 = 0.4;
-/// How far a number goes for a slope, units.
-const PROBE: f64 = 0.1;
+/// A step whose square is smaller teaches rounding alone, units squared.
+const MIN_LEARNT: f64 = 1e-8;
 /// Steps that are tried from a place, each shorter than the one before.
 const TRIES: usize = 4;
-/// How far off the sky is, in distances of what is seen.
-const FAR: f64 = 1e6;
 /// A step that moves pixels by less ends a level, pixels of the level.
 const SETTLED_PX: f64 = 0.01;
 
@@ -39,10 +37,8 @@ pub(super) struct Against<'a> {
 /// How a level is gone through.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pass {
-    /// How often slopes are worked out, at most.
+    /// Steps, at most.
     pub(super) steps: usize,
-    /// So many of the nine numbers, the first ones, are moved.
-    pub(super) free: usize,
     /// The smallest spread of differences by which outliers are told, colours in [0, 1].
     pub(super) min_spread: f64,
 }
@@ -62,9 +58,14 @@ pub(super) struct Refined {
 struct Looked {
     camera: Camera,
     appearance: Appearance,
-    /// Each window's pixels with the margin around them.
-    shown: Vec<Sampled>,
     residuals: Vec<[f32; 3]>,
+}
+
+/// A step that was taken.
+struct Moved {
+    next: Looked,
+    /// The numbers' units that it went.
+    step: [f64; NUMBERS],
 }
 
 /// Takes steps from `camera`, as `pass` says. `None` where there is nothing to
@@ -76,29 +77,40 @@ pub(super) fn refine(
     pass: Pass,
     wanted: &dyn Fn() -> bool,
 ) -> Option<Refined> {
-    let Pass { steps, free, min_spread } = pass;
+    let Pass { steps, min_spread } = pass;
     if level.windows.is_empty() {
         return None;
     }
     let mut now = look(against, level, &camera, None)?;
     // Little: with much, steps along the valley of longer lenses further off were too short to go on.
     let mut damping = 1e-5;
+    let (mut known, mut fresh) = (None::<Slopes>, true);
     // Weights change as it goes, so that a cost that falls proves no end.
     for _ in 0..steps {
         if !wanted() {
             return None;
         }
+        let mut slopes = known.take().unwrap_or_else(|| Slopes::at(against, level, &now));
         let weights = Weights::of(&now.residuals, &level.tells, min_spread);
-        let slopes = Slopes::at(against, level, &now, free);
-        let Some((next, by_px)) = slopes.follow(against, level, &now, &weights, &mut damping) else { break };
-        now = next;
-        if by_px < SETTLED_PX {
-            break;
+        match slopes.follow(against, level, &now, &weights, &mut damping) {
+            Some(Moved { next, step }) => {
+                slopes.learn(&step, &now.residuals, &next.residuals);
+                (now, known, fresh) = (next, Some(slopes), false);
+                if step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX < SETTLED_PX {
+                    break;
+                }
+            }
+            None if fresh => {
+                known = Some(slopes);
+                break;
+            }
+            // What was learnt on the way does not lead on.
+            None => fresh = true,
         }
     }
     let weights = Weights::of(&now.residuals, &level.tells, min_spread);
     let explained = weights.explained(&now.residuals, level);
-    let covariance = Covariance::of(level, &now.residuals, &weights, &Slopes::at(against, level, &now, NUMBERS));
+    let covariance = known.and_then(|slopes| Covariance::of(level, &now.residuals, &weights, &slopes));
     Some(Refined { camera: now.camera, appearance: now.appearance, explained, covariance })
 }
 
@@ -128,21 +140,20 @@ pub(super) fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMB
     changed
 }
 
-/// What the level's windows show from `camera`, with their margins.
-fn sampled(field: &Field, level: &Level, camera: &Camera) -> Vec<Sampled> {
+/// What the level's pixels gather from `camera`.
+fn gathered(field: &Field, level: &Level, camera: &Camera) -> Vec<[f32; FEATURES]> {
     let parts: Vec<Camera> = level.windows.iter().map(|w| level.camera(camera, w)).collect();
-    field.sampled(Eye { camera: &parts[0], lens: &Lens::stacked(&parts) }, level.rays)
+    field.features_of(Eye { camera: &parts[0], lens: &Lens::stacked(&parts) }, level.rays)
 }
 
 fn look(against: &Against<'_>, level: &Level, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
-    let shown = sampled(against.field, level, camera);
-    let features: Vec<[f32; FEATURES]> = level.within().map(|at| shown[at].features).collect();
+    let features = gathered(against.field, level, camera);
     let counts = |at: &usize| weights.is_none_or(|w| w.each[*at] > 0.1);
     let some: Vec<usize> = (0..features.len()).filter(counts).collect();
     let (f, p): (Vec<_>, Vec<_>) = some.iter().map(|at| (features[*at], level.pixels[*at])).unzip();
     let appearance = against.prior.fit(&f, &p)?;
     let residuals = differences(&features, &appearance, &level.pixels);
-    Some(Looked { camera: *camera, appearance, shown, residuals })
+    Some(Looked { camera: *camera, appearance, residuals })
 }
 
 /// Each pixel less what the field shows there.
@@ -155,8 +166,10 @@ fn differences(features: &[[f32; FEATURES]], light: &Appearance, pixels: &[[f32;
     features.iter().zip(pixels).map(off).collect()
 }
 
-/// How what the field shows changes with each of a camera's numbers: by the render's own slopes and how far what a
-/// pixel shows moves, by its depth. Where a near edge hides something far that is not so; such pixels are few.
+/// How what the field shows changes with each of a camera's numbers: as a render with that one a little
+/// different differs. All of them so: a turn and a move to the side show nearly the same, and slopes of the picture (times
+/// how far a pixel's place moves, by its depth) are too rough to tell the difference between them: steps along it were a
+/// tenth of what they should be.
 struct Slopes {
     /// How far each number went.
     units: [f64; NUMBERS],
@@ -165,45 +178,41 @@ struct Slopes {
 }
 
 impl Slopes {
-    /// For the first `free` numbers of the present camera; the others' are 0.
-    fn at(against: &Against<'_>, level: &Level, now: &Looked, free: usize) -> Self {
+    /// Of the present camera: nine renders.
+    fn at(against: &Against<'_>, level: &Level, now: &Looked) -> Self {
         let units = units(&now.camera, against.reach, level.size.0.max(level.size.1) as f64);
-        let small = now.camera.resized(level.size.0, level.size.1);
-        let changed: [Camera; NUMBERS] = std::array::from_fn(|k| {
-            let step = std::array::from_fn(|n| if n == k { PROBE } else { 0.0 });
-            changed(&now.camera, &step, &units).resized(level.size.0, level.size.1)
-        });
-        let frame = against.field.frame();
-        let of = |(place, at): (Pixel, usize)| {
-            let slope = |a: usize, b: usize| -> [f32; 3] {
-                let (a, b) = (now.shown[a].features, now.shown[b].features);
-                let (a, b) = (now.appearance.shade(&a), now.appearance.shade(&b));
-                // Files hold no colours beyond these.
-                std::array::from_fn(|c| (b[c].clamp(0.0, 1.0) - a[c].clamp(0.0, 1.0)) / 2.0)
-            };
-            let (across, down) = (slope(at - 1, at + 1), slope(at - place.stride, at + place.stride));
-            let (origin, direction) = small.ray(place.x, place.y);
-            let seen = now.shown[at];
-            // What stops no light is infinitely far.
-            let away = if seen.accumulation > 0.5 {
-                distance(frame, origin, direction, f64::from(seen.along / seen.accumulation))
-            } else {
-                None
-            };
-            let point = origin + direction * away.unwrap_or(FAR * against.reach);
-            let moved = |k: usize| {
-                let there = (k < free).then(|| changed[k].project(point)).flatten();
-                there.map_or([0.0; 2], |at| [(at.x - place.x) / PROBE, (at.y - place.y) / PROBE])
-            };
-            let moved: [[f64; 2]; NUMBERS] = std::array::from_fn(moved);
-            // The render shows at a pixel what was where the pixel came from.
-            std::array::from_fn(|c| moved.map(|[x, y]| -(across[c] * x as f32 + down[c] * y as f32)))
+        let of = |k: usize| {
+            let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
+            let there = changed(&now.camera, &step, &units);
+            differences(&gathered(against.field, level, &there), &now.appearance, &level.pixels)
         };
-        let places: Vec<(Pixel, usize)> = level.places().zip(level.within()).collect();
-        Self { units, each: places.into_par_iter().map(of).collect() }
+        let probes: Vec<Vec<[f32; 3]>> = (0..NUMBERS).into_par_iter().map(of).collect();
+        // A residual falls by what the render rises.
+        let slope = |at: usize, c: usize, k: usize| now.residuals[at][c] - probes[k][at][c];
+        let each = |at: usize| std::array::from_fn(|c| std::array::from_fn(|k| slope(at, c, k)));
+        Self { units, each: (0..now.residuals.len()).map(each).collect() }
     }
 
-    /// The first step that comes to a lower cost, each tried damped more than the one before; and by how many pixels.
+    /// Takes what a `step` did to the residuals for the slopes along it (Broyden 1965): a step is one render, slopes are
+    /// nine.
+    fn learn(&mut self, step: &[f64; NUMBERS], before: &[[f32; 3]], after: &[[f32; 3]]) {
+        let square: f64 = step.iter().map(|s| s * s).sum();
+        if square < MIN_LEARNT {
+            return;
+        }
+        let share: [f32; NUMBERS] = std::array::from_fn(|k| (step[k] / square) as f32);
+        let step = step.map(|s| s as f32);
+        let each = self.each.par_iter_mut().zip(before).zip(after);
+        each.for_each(|((slopes, before), after)| {
+            for ((slopes, b), a) in slopes.iter_mut().zip(before).zip(after) {
+                let foreseen: f32 = slopes.iter().zip(&step).map(|(j, s)| j * s).sum();
+                let off = b - a - foreseen;
+                slopes.iter_mut().zip(&share).for_each(|(j, s)| *j += off * s);
+            }
+        });
+    }
+
+    /// The first step that comes to a lower cost, each tried damped more than the one before.
     fn follow(
         &self,
         against: &Against<'_>,
@@ -211,7 +220,7 @@ impl Slopes {
         now: &Looked,
         weights: &Weights,
         damping: &mut f64,
-    ) -> Option<(Looked, f64)> {
+    ) -> Option<Moved> {
         let normal = self.normal(&now.residuals, weights);
         let before = weights.cost(&now.residuals);
         for _ in 0..TRIES {
@@ -222,7 +231,7 @@ impl Slopes {
             let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(&next.residuals));
             if let Some(next) = next.filter(|_| cost < before) {
                 *damping = (*damping * 0.1).max(1e-8);
-                return Some((next, step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX));
+                return Some(Moved { next, step });
             }
             *damping *= 30.0;
         }
@@ -281,8 +290,20 @@ impl Covariance {
         matrix.iter().flatten().all(|v| v.is_finite()).then_some(Self { units: slopes.units, matrix })
     }
 
+    /// By the normal equations of numbers in those `units`, and the variance of what they are equations of.
+    pub(super) fn by(units: [f64; NUMBERS], normal: &Normal, variance: f64) -> Option<Self> {
+        Some(Self { units, matrix: normal.inverse()?.map(|row| row.map(|v| v * variance)) })
+    }
+
+    /// Standard deviation of where `camera` has `places`, the median over those that it sees, px; infinite where it sees
+    /// none.
+    pub(super) fn median_px(&self, camera: &Camera, places: &[DVec3]) -> f64 {
+        let off: Vec<f64> = places.iter().filter_map(|place| self.off_px(camera, *place)).collect();
+        if off.is_empty() { f64::INFINITY } else { median(off) }
+    }
+
     /// Standard deviation of where `camera` has `place`, px; `None` where it does not see it.
-    pub(super) fn off_px(&self, camera: &Camera, place: DVec3) -> Option<f64> {
+    fn off_px(&self, camera: &Camera, place: DVec3) -> Option<f64> {
         let here = camera.project(place)?;
         let mut slopes = [[0.0; NUMBERS]; 2];
         for k in 0..NUMBERS {
@@ -291,7 +312,10 @@ impl Covariance {
             (slopes[0][k], slopes[1][k]) = ((there.x - here.x) * 1e2, (there.y - here.y) * 1e2);
         }
         let variance = |s: &[f64; NUMBERS]| -> f64 {
-            (0..NUMBERS).flat_map(|i| (0..NUMBERS).map(move |j| (i, j))).map(|(i, j)| s[i] * self.matrix[i][j] * s[j]).sum()
+            (0..NUMBERS)
+                .flat_map(|i| (0..NUMBERS).map(move |j| (i, j)))
+                .map(|(i, j)| s[i] * self.matrix[i][j] * s[j])
+                .sum()
         };
         Some(slopes.iter().map(variance).sum::<f64>().max(0.0).sqrt())
     }

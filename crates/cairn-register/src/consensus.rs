@@ -11,7 +11,7 @@
 //! number of fours and of agreements so good that one expects is
 //! `(n - 4) C(n, k) C(k, 4) a^(k - 4)`. Its logarithm says how sure a camera is, and chooses the radius by itself.
 
-use crate::alignment::{NUMBERS, Normal, changed, units};
+use crate::alignment::{Covariance, NUMBERS, Normal, changed, units};
 use crate::index::Index;
 use crate::matching::Match;
 use cairn_scene::Camera;
@@ -42,6 +42,8 @@ const AGREES: f64 = 0.02;
 const MIN_OFF_PX: f64 = 0.5;
 /// How far a focal length is expected from what a rough camera has, standard deviation of its logarithm.
 const FOCAL: f64 = 0.3;
+/// How far a number goes for a slope, units.
+const PROBE: f64 = 1e-2;
 /// How far a principal point is expected from the middle, shares of the longer side: pictures are cut.
 const PRINCIPAL: f64 = 0.15;
 
@@ -59,12 +61,12 @@ pub(crate) struct Agreed {
 
 /// The camera that most surprisingly many of `matches` agree on, of a picture of `size` px; `None` where there are too
 /// few.
-pub(crate) fn agreed(index: &Index, matches: &[Match], size: (usize, usize)) -> Option<Agreed> {
+pub(crate) fn agreed(index: &Index, matches: &[Match], size: [usize; 2]) -> Option<Agreed> {
     let matches = &matches[..matches.len().min(MATCHES)];
     if matches.len() <= FOUR {
         return None;
     }
-    let diagonal = (size.0 as f64).hypot(size.1 as f64);
+    let diagonal = (size[0] as f64).hypot(size[1] as f64);
     let rough = |m: &Match| {
         let camera = rough(index, m, size);
         let with: Vec<usize> = (0..matches.len()).filter(|k| roughly(&camera, m, &matches[*k], diagonal)).collect();
@@ -75,7 +77,8 @@ pub(crate) fn agreed(index: &Index, matches: &[Match], size: (usize, usize)) -> 
     cameras.sort_by_key(|(_, with)| std::cmp::Reverse(with.len()));
     cameras.truncate(FOLLOWED);
     let chance = Chance::of_picture(size);
-    let of = |(k, (camera, with)): (usize, &(Camera, Vec<usize>))| {
+    let of = |k: usize| {
+        let (camera, with) = &cameras[k];
         let mut rng = ChaCha8Rng::seed_from_u64(k as u64);
         let mut best: Option<Agreed> = None;
         for _ in 0..DRAWN {
@@ -88,7 +91,7 @@ pub(crate) fn agreed(index: &Index, matches: &[Match], size: (usize, usize)) -> 
         }
         best
     };
-    let best = cameras.par_iter().enumerate().filter_map(of);
+    let best = (0..cameras.len()).into_par_iter().filter_map(of);
     best.reduce_with(|a, b| if b.surprise > a.surprise { b } else { a })
 }
 
@@ -123,7 +126,7 @@ pub(crate) fn refined(mut found: Agreed, matches: &[Match], reach: f64, chance: 
 }
 
 /// The view's camera, turned, with the focal length and in the direction by which it shows the place where the picture does.
-fn rough(index: &Index, m: &Match, (width, height): (usize, usize)) -> Camera {
+fn rough(index: &Index, m: &Match, [width, height]: [usize; 2]) -> Camera {
     let view = &index.cameras[m.view as usize];
     let mut camera = *view;
     let i = &mut camera.intrinsics;
@@ -164,55 +167,81 @@ impl Solve {
     const FOUR: Self = Self { numbers: 7, steps: 8, spread_px: 1e3 };
 }
 
-/// The camera at which `matches` lie best: Levenberg and Marquardt's steps from `camera`, with Cauchy's weights, and what
-/// is expected of focal lengths and principal points. `None` where a number of it is not finite.
-pub(crate) fn solved(camera: &Camera, matches: &[Match], reach: f64, how: &Solve) -> Option<Camera> {
-    let longest = camera.intrinsics.width.max(camera.intrinsics.height) as f64;
-    let middle = DVec2::new(camera.intrinsics.width as f64, camera.intrinsics.height as f64) / 2.0;
-    let focal = camera.intrinsics.fx;
-    let cost = |camera: &Camera| -> f64 {
+/// What matches say of a camera near `now`, with what is expected of focal lengths and principal points.
+struct Equations<'a> {
+    matches: &'a [Match],
+    reach: f64,
+    how: &'a Solve,
+    /// Longer side, px.
+    longest: f64,
+    /// Where principal points are expected, px.
+    middle: DVec2,
+    /// What focal lengths are expected, px.
+    focal: f64,
+}
+
+impl Equations<'_> {
+    /// Half of the robust cost (Cauchy's), px squared.
+    fn cost(&self, camera: &Camera) -> f64 {
+        let spread = self.how.spread_px.powi(2);
         let off = |m: &Match| camera.project(m.place).map_or(1e6, |at| (at - m.at).length_squared());
-        let each = |m: &Match| (1.0 + off(m) / how.spread_px.powi(2)).ln() * how.spread_px.powi(2);
         let i = &camera.intrinsics;
-        let aside = (DVec2::new(i.cx, i.cy) - middle) / (PRINCIPAL * longest);
-        matches.iter().map(each).sum::<f64>() + ((i.fx / focal).ln() / FOCAL).powi(2) + aside.length_squared()
-    };
-    let (mut now, mut damping) = (*camera, 1e-4);
-    let mut before = cost(&now);
-    for _ in 0..how.steps {
-        let units = units(&now, reach, longest);
+        let aside = (DVec2::new(i.cx, i.cy) - self.middle) / (PRINCIPAL * self.longest);
+        let focal = (i.fx / self.focal).ln() / FOCAL;
+        let each = |m: &Match| (1.0 + off(m) / spread).ln() * spread;
+        self.matches.iter().map(each).sum::<f64>() + focal.powi(2) + aside.length_squared()
+    }
+
+    fn normal(&self, now: &Camera, units: &[f64; NUMBERS]) -> Normal {
         let mut normal = Normal::default();
-        for m in matches {
+        for m in self.matches {
             let Some(at) = now.project(m.place) else { continue };
             let mut slopes = [[0.0; NUMBERS]; 2];
-            for k in 0..how.numbers {
-                let step: [f64; NUMBERS] = std::array::from_fn(|n| if n == k { 1e-2 } else { 0.0 });
-                let Some(there) = changed(&now, &step, &units).project(m.place) else { continue };
-                (slopes[0][k], slopes[1][k]) = ((there.x - at.x) * 1e2, (there.y - at.y) * 1e2);
+            for k in 0..self.how.numbers {
+                let step: [f64; NUMBERS] = std::array::from_fn(|n| if n == k { PROBE } else { 0.0 });
+                let Some(there) = changed(now, &step, units).project(m.place) else { continue };
+                (slopes[0][k], slopes[1][k]) = ((there.x - at.x) / PROBE, (there.y - at.y) / PROBE);
             }
             let off = m.at - at;
-            let weight = 1.0 / (1.0 + off.length_squared() / how.spread_px.powi(2));
+            let weight = 1.0 / (1.0 + off.length_squared() / self.how.spread_px.powi(2));
             normal.add(&slopes[0], off.x, weight);
             normal.add(&slopes[1], off.y, weight);
         }
         let i = &now.intrinsics;
-        // Unit of the focal length: its logarithm's; of the principal point: pixels.
-        let expected = |k: usize, unit: f64, off: f64| {
-            let mut slopes = [0.0; NUMBERS];
-            slopes[k] = unit;
-            (slopes, off)
-        };
-        let all = [
-            expected(6, units[6] / FOCAL, -(i.fx / focal).ln() / FOCAL),
-            expected(7, units[7] / (PRINCIPAL * longest), (middle.x - i.cx) / (PRINCIPAL * longest)),
-            expected(8, units[8] / (PRINCIPAL * longest), (middle.y - i.cy) / (PRINCIPAL * longest)),
+        let aside = PRINCIPAL * self.longest;
+        let expected = [
+            (6, units[6] / FOCAL, -(i.fx / self.focal).ln() / FOCAL),
+            (7, units[7] / aside, (self.middle.x - i.cx) / aside),
+            (8, units[8] / aside, (self.middle.y - i.cy) / aside),
         ];
-        all.iter().filter(|(slopes, _)| slopes[..how.numbers].iter().any(|s| *s != 0.0)).for_each(|(s, o)| normal.add(s, *o, 1.0));
+        for (k, unit, off) in expected.into_iter().filter(|(k, ..)| *k < self.how.numbers) {
+            let slopes = std::array::from_fn(|n| if n == k { unit } else { 0.0 });
+            normal.add(&slopes, off, 1.0);
+        }
+        normal
+    }
+}
+
+fn equations<'a>(camera: &Camera, matches: &'a [Match], reach: f64, how: &'a Solve) -> Equations<'a> {
+    let i = &camera.intrinsics;
+    let middle = DVec2::new(i.width as f64, i.height as f64) / 2.0;
+    Equations { matches, reach, how, longest: i.width.max(i.height) as f64, middle, focal: i.fx }
+}
+
+/// The camera at which `matches` lie best: Levenberg and Marquardt's steps from `camera`, with Cauchy's weights, and what
+/// is expected of focal lengths and principal points. `None` where a number of it is not finite.
+pub(crate) fn solved(camera: &Camera, matches: &[Match], reach: f64, how: &Solve) -> Option<Camera> {
+    let equations = equations(camera, matches, reach, how);
+    let (mut now, mut damping) = (*camera, 1e-4);
+    let mut before = equations.cost(&now);
+    for _ in 0..how.steps {
+        let units = units(&now, equations.reach, equations.longest);
+        let normal = equations.normal(&now, &units);
         let mut moved = None;
         for _ in 0..4 {
             let step = normal.step(damping)?;
             let next = changed(&now, &step, &units);
-            let after = cost(&next);
+            let after = equations.cost(&next);
             if after < before {
                 damping = (damping * 0.1).max(1e-9);
                 moved = Some((next, after));
@@ -228,8 +257,22 @@ pub(crate) fn solved(camera: &Camera, matches: &[Match], reach: f64, how: &Solve
         before = after;
     }
     let i = &now.intrinsics;
-    let finite = now.pose.position.is_finite() && now.pose.rotation.is_finite() && (i.fx * i.fy * i.cx * i.cy).is_finite();
+    let finite =
+        now.pose.position.is_finite() && now.pose.rotation.is_finite() && (i.fx * i.fy * i.cx * i.cy).is_finite();
     (finite && i.fx > 0.0).then_some(now)
+}
+
+/// How far off the camera may be on which `matches` agree.
+pub(crate) fn certainty(camera: &Camera, matches: &[Match], reach: f64) -> Option<Covariance> {
+    let off = |m: &Match| camera.project(m.place).map(|at| (at - m.at).length());
+    let off: Vec<f64> = matches.iter().filter_map(off).collect();
+    // Two numbers a match, and what is left of them once nine are fitted.
+    let free = (2 * off.len()).checked_sub(NUMBERS).filter(|free| *free > 0)?;
+    let variance = off.iter().map(|d| d * d).sum::<f64>() / free as f64;
+    let how = Solve { numbers: NUMBERS, steps: 0, spread_px: 1e3 };
+    let equations = equations(camera, matches, reach, &how);
+    let units = units(camera, reach, equations.longest);
+    Covariance::by(units, &equations.normal(camera, &units), variance)
 }
 
 /// How likely an agreement is by chance.
@@ -242,7 +285,7 @@ pub(crate) struct Chance {
 
 impl Chance {
     /// Matches that could be anywhere in a picture of that size, px.
-    pub(crate) fn of_picture((width, height): (usize, usize)) -> Self {
+    pub(crate) fn of_picture([width, height]: [usize; 2]) -> Self {
         let (w, h) = (width as f64, height as f64);
         Self { pixel: (std::f64::consts::PI / (w * h)).ln(), max_px: (AGREES * w.hypot(h)).max(4.0 * MIN_OFF_PX) }
     }
@@ -255,7 +298,8 @@ impl Chance {
     /// The matches that agree on `camera`: as many as are least expected.
     pub(crate) fn of(&self, camera: &Camera, matches: &[Match]) -> Agreed {
         let off = |k: usize| camera.project(matches[k].place).map(|at| ((at - matches[k].at).length(), k));
-        let mut off: Vec<(f64, usize)> = (0..matches.len()).filter_map(off).filter(|(d, _)| *d <= self.max_px).collect();
+        let mut off: Vec<(f64, usize)> =
+            (0..matches.len()).filter_map(off).filter(|(d, _)| *d <= self.max_px).collect();
         off.sort_by(|a, b| a.0.total_cmp(&b.0));
         let n = matches.len();
         let (mut log_n_k, mut log_k_4) = (0.0, 0.0);

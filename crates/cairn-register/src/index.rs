@@ -11,6 +11,7 @@ use cairn_field::stats::median;
 use cairn_field::{Field, FieldError, Part, Rendering, TensorFile, distance, packed};
 use cairn_scene::{Camera, Picture};
 use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
 use safetensors::Dtype;
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +24,7 @@ const RENDERED_PX: usize = 300;
 /// Longest side of the photographs, px.
 const PHOTOGRAPHED_PX: usize = 400;
 /// Keypoints of a picture that are kept, at most.
-const KEPT: usize = 400;
+const KEPT: usize = 600;
 /// Where less than this share of the light is stopped, there is no place.
 const MIN_ACCUMULATION: f32 = 0.7;
 /// Where depths around a keypoint differ by a larger share, it shows an edge, and no one place.
@@ -95,36 +96,26 @@ impl Index {
     ) -> Option<Self> {
         let count = references.len().min(MAX_VIEWS);
         let origin = references.first()?.camera.pose.position;
-        let mut index =
-            Self { cameras: Vec::new(), names: Vec::new(), reach: 0.0, points: Vec::new(), descriptors: Vec::new() };
-        let mut reaches = Vec::new();
-        for k in 0..count {
-            if !went(k, count) {
+        let chosen: Vec<&Reference<'_>> = (0..count).map(|k| &references[k * references.len() / count]).collect();
+        let (mut views, mut done) = (Vec::with_capacity(count), 0);
+        // Some at a time, so that it can be given up, and few photographs are in memory.
+        for some in chosen.chunks(2 * rayon::current_num_threads()) {
+            if !went(done, count) {
                 return None;
             }
-            let reference = &references[k * references.len() / count];
-            let seen = Seen::of(field, reference);
-            reaches.extend(seen.reach());
-            let view = index.cameras.len() as u32;
-            let photograph = (reference.photograph)().map(|p| smaller(&p, PHOTOGRAPHED_PX));
-            for picture in std::iter::once(&seen.maps.picture).chain(&photograph) {
-                let ratio = seen.camera.intrinsics.width as f64 / picture.width() as f64;
-                for keypoint in keypoints(picture, KEPT) {
-                    let Some((place, away)) = seen.place(keypoint.at * ratio) else { continue };
-                    index.points.push(Point {
-                        place: (place - origin).as_vec3(),
-                        span: (away / seen.camera.intrinsics.fx) as f32,
-                        scale: keypoint.scale * ratio as f32,
-                        angle: keypoint.angle,
-                        view,
-                    });
-                    index.descriptors.push(keypoint.descriptor);
-                }
-            }
-            index.cameras.push(seen.camera);
+            views.par_extend(some.par_iter().map(|reference| ViewPoints::of(field, reference, origin)));
+            done += some.len();
+        }
+        let mut index =
+            Self { cameras: Vec::new(), names: Vec::new(), reach: 0.0, points: Vec::new(), descriptors: Vec::new() };
+        for (view, (reference, of)) in chosen.iter().zip::<Vec<ViewPoints>>(views).enumerate() {
+            index.points.extend(of.points.into_iter().map(|point| Point { view: view as u32, ..point }));
+            index.descriptors.extend(of.descriptors);
+            index.cameras.push(of.camera);
             index.names.push(reference.name.to_owned());
         }
-        index.reach = median(reaches);
+        let away = |k: usize| (index.place(k) - index.cameras[index.points[k].view as usize].pose.position).length();
+        index.reach = median((0..index.points.len()).map(away).collect());
         Some(index)
     }
 
@@ -200,6 +191,39 @@ impl Index {
     }
 }
 
+/// A view's keypoints with places.
+struct ViewPoints {
+    /// Of the size of its render.
+    camera: Camera,
+    points: Vec<Point>,
+    descriptors: Vec<[u8; DESCRIPTOR]>,
+}
+
+impl ViewPoints {
+    fn of(field: &Field, reference: &Reference<'_>, origin: DVec3) -> Self {
+        let i = &reference.camera.intrinsics;
+        let camera = shrunk(&reference.camera, i.width.max(i.height).min(RENDERED_PX));
+        let seen = Seen::at(field, &camera, field.appearance_of(reference.name));
+        let photograph = (reference.photograph)().map(|p| smaller(&p, PHOTOGRAPHED_PX));
+        let (mut points, mut descriptors) = (Vec::new(), Vec::new());
+        for picture in std::iter::once(&seen.maps.picture).chain(&photograph) {
+            let ratio = camera.intrinsics.width as f64 / picture.width() as f64;
+            for keypoint in keypoints(picture, KEPT) {
+                let Some((place, depth)) = seen.place(keypoint.at * ratio) else { continue };
+                points.push(Point {
+                    place: (place - origin).as_vec3(),
+                    span: (depth / camera.intrinsics.fx) as f32,
+                    scale: keypoint.scale * ratio as f32,
+                    angle: keypoint.angle,
+                    view: 0,
+                });
+                descriptors.push(keypoint.descriptor);
+            }
+        }
+        Self { camera, points, descriptors }
+    }
+}
+
 /// What a field shows at a camera, with places.
 pub(crate) struct Seen<'a> {
     field: &'a Field,
@@ -208,12 +232,6 @@ pub(crate) struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    fn of(field: &'a Field, reference: &Reference<'_>) -> Self {
-        let i = &reference.camera.intrinsics;
-        let longest = i.width.max(i.height).min(RENDERED_PX);
-        Self::at(field, &shrunk(&reference.camera, longest), field.appearance_of(reference.name))
-    }
-
     pub(crate) fn at(field: &'a Field, camera: &Camera, light: &cairn_field::Appearance) -> Self {
         let mut maps = field.render_maps(camera, light);
         maps.picture.rgb_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
@@ -225,7 +243,13 @@ impl<'a> Seen<'a> {
     pub(crate) fn place(&self, at: DVec2) -> Option<(DVec3, f64)> {
         let (w, h) = (self.camera.intrinsics.width, self.camera.intrinsics.height);
         let (x, y) = ((at.x as usize).min(w - 1), (at.y as usize).min(h - 1));
-        let around = [(x, y), (x.saturating_sub(1), y), ((x + 1).min(w - 1), y), (x, y.saturating_sub(1)), (x, (y + 1).min(h - 1))];
+        let around = [
+            (x, y),
+            (x.saturating_sub(1), y),
+            ((x + 1).min(w - 1), y),
+            (x, y.saturating_sub(1)),
+            (x, (y + 1).min(h - 1)),
+        ];
         let depths = around.map(|(x, y)| f64::from(self.maps.depth[y * w + x]));
         if around.iter().any(|(x, y)| self.maps.accumulation[y * w + x] < MIN_ACCUMULATION) {
             return None;
@@ -239,15 +263,6 @@ impl<'a> Seen<'a> {
         }
         let place = origin + direction * here;
         (place.is_finite() && here > 0.0).then(|| (place, here * direction.dot(self.camera.pose.forward()).abs()))
-    }
-
-    /// Middling distance to what is seen, of every eighth pixel.
-    fn reach(&self) -> Option<f64> {
-        let (w, h) = (self.camera.intrinsics.width, self.camera.intrinsics.height);
-        let pixels = (0..h).step_by(8).flat_map(|y| (0..w).step_by(8).map(move |x| (x, y)));
-        let all: Vec<f64> =
-            pixels.filter_map(|(x, y)| self.place(DVec2::new(x as f64 + 0.5, y as f64 + 0.5))).map(|(_, a)| a).collect();
-        (!all.is_empty()).then(|| median(all))
     }
 }
 

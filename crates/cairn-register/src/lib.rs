@@ -1,14 +1,15 @@
-//! Finding where a picture was taken: the camera (and the light) from which a field looks
-//! most like it. Whoever knows that can compare the picture with what the field shows
-//! there, pixel by pixel, and need not guess from the picture alone.
+//! Registration: the camera and the light with which a field looks most like a picture. With them the picture can be
+//! compared with what the field shows there, pixel by pixel.
 //!
-//! A picture may have been turned, cut and made smaller on its way. All of that is a change of
-//! camera (roll, principal point, focal length), so that nine numbers say it: six of the pose,
-//! three of the lens. First it is laid over small renders of the training views, turned and cut in
-//! many ways (`search`); the best places are then refined by Levenberg and Marquardt's steps on the
-//! photometric error (direct alignment, Lucas and Kanade 1981; on radiance fields iNeRF,
-//! Yen-Chen et al. 2021), from coarse to the picture's own pixels (`refine`). The light is a
-//! linear regression at every step (`prior`).
+//! A picture may have been turned, cut and made smaller on its way. All of that is a change of camera (roll, principal
+//! point, focal length), so that nine numbers say it: six of the pose, three of the lens. They are found in steps:
+//!
+//! 1. [`Index`]: keypoints of renders and photographs with places in space, made once a field (`keypoints`).
+//! 2. The picture's keypoints are matched with them (`matching`), and the camera is found that most surprisingly many
+//!    agree on (`consensus`).
+//! 3. Twice, keypoints of a render from there are matched again nearby.
+//! 4. Direct alignment: Levenberg and Marquardt's steps on the difference of colours (Lucas and Kanade 1981; on radiance
+//!    fields iNeRF, Yen-Chen et al. 2021), with the light a linear regression at every step (`alignment`).
 
 mod alignment;
 mod consensus;
@@ -20,7 +21,6 @@ mod windows;
 
 use alignment::{Against, NUMBERS, Pass, Refined};
 use cairn_field::appearance::prior::Prior;
-use cairn_field::stats::median;
 use cairn_field::{Appearance, Field};
 use cairn_scene::{Camera, Picture};
 use consensus::{Agreed, Chance, Solve};
@@ -52,14 +52,12 @@ pub const LONGEST_PX: usize = 800;
 const COARSE_PX: usize = 160;
 /// What eight bits leave of a number, about.
 const MIN_SPREAD: f64 = 0.5 / 255.0;
-/// The numbers of a pose.
-const POSE: usize = 6;
-/// How the levels are gone through: what stands a pixel aside is no outlier before it can have been moved.
-const PASSES: [Pass; 3] = [
-    Pass { steps: 12, free: NUMBERS, min_spread: 0.03 },
-    Pass { steps: 12, free: NUMBERS, min_spread: 0.03 },
-    Pass { steps: 20, free: NUMBERS, min_spread: MIN_SPREAD },
-];
+/// Pixels are compared from a place that is off by less than that: slopes of a picture reach about so far.
+const SURE_PX: f64 = 0.7;
+/// How a small copy is gone through where a place is not so sure,
+const COARSELY: Pass = Pass { steps: 12, min_spread: 0.03 };
+/// and the picture: what stands a pixel aside is no outlier before it can have been moved.
+const FINELY: [Pass; 2] = [Pass { steps: 12, min_spread: 0.03 }, Pass { steps: 20, min_spread: MIN_SPREAD }];
 
 /// Registers pictures to one field; see the module's text.
 #[derive(Debug)]
@@ -89,25 +87,13 @@ pub struct Located {
     /// The picture and its camera.
     pub registered: Registered,
     /// Standard deviation of where the camera has what the picture shows, the median over places, px of
-    /// [`Registered::picture`].
+    /// [`Registered::picture`]: by its keypoints or by its pixels, whichever is larger. A longer lens farther off shows
+    /// nearly the same, so that the camera's own place is less sure than that.
     pub uncertainty_px: f64,
     /// Keypoints that agree on the camera.
     pub agreeing: usize,
     /// Negative decimal logarithm of how many agreements as good one expects by chance.
     pub surprise: f64,
-    /// What was found on the way, for measurements.
-    pub trace: Trace,
-}
-
-/// What was found on the way to a camera.
-#[derive(Clone, Debug, Default)]
-pub struct Trace {
-    /// Cameras by keypoints: of the index, and of each rematch; and with how many and how surprising agreements.
-    pub cameras: Vec<(Camera, usize, f64)>,
-    /// Share that the last of them explains.
-    pub explained_before: f64,
-    /// Seconds: keypoints, matches, agreement, rematches, alignment.
-    pub seconds: Vec<f64>,
 }
 
 /// Why no camera was found.
@@ -140,8 +126,8 @@ pub enum NotLocated {
     GivenUp,
 }
 
-/// An agreement that one expects less often than once in a million by chance is taken.
-pub const MIN_SURPRISE: f64 = 6.0;
+/// A camera is believed where one expects an agreement as good less often than once in a million pictures by chance.
+const MIN_SURPRISE: f64 = 6.0;
 
 impl Registrar {
     /// Prepares registration to `field`: with an index of places pictures are looked for, without one those whose camera is
@@ -165,8 +151,9 @@ impl Registrar {
         let picture = bounded(picture)?;
         let camera = camera.resized(picture.width(), picture.height());
         let level = Level::of_parts(&picture, LONGEST_PX);
-        let pass = Pass { steps: 0, free: POSE, min_spread: MIN_SPREAD };
-        let found = alignment::refine(&self.against(1.0), &level, camera, pass, &|| true).filter(|f| f.explained > 0.0)?;
+        let pass = Pass { steps: 0, ..FINELY[1] };
+        let found =
+            alignment::refine(&self.against(1.0), &level, camera, pass, &|| true).filter(|f| f.explained > 0.0)?;
         Some(Registered { camera, appearance: found.appearance, picture, explained: found.explained })
     }
 
@@ -180,57 +167,48 @@ impl Registrar {
         let picture = bounded(picture).ok_or(NotLocated::TooSmall { width, height })?;
         let index = self.index.as_deref().ok_or(NotLocated::NoIndex)?;
         let go_on = || if wanted() { Ok(()) } else { Err(NotLocated::GivenUp) };
-        let size = (picture.width(), picture.height());
-        let mut trace = Trace::default();
-        let mut clock = std::time::Instant::now();
-        let mut lap = |trace: &mut Trace| {
-            trace.seconds.push(clock.elapsed().as_secs_f64());
-            clock = std::time::Instant::now();
-        };
+        let size = [picture.width(), picture.height()];
         let found = found_in(&picture);
-        lap(&mut trace);
         go_on()?;
         let matches = matching::matches(index, &found);
-        lap(&mut trace);
         go_on()?;
-        let chance = Chance::of_picture(size);
         let agreed = consensus::agreed(index, &matches, size);
-        lap(&mut trace);
         let agreeing = agreed.as_ref().map_or(0, |a| a.matches.len());
         let none = NotLocated::NoAgreement { matches: matches.len(), agreeing };
-        let mut agreed = agreed.filter(|a| a.surprise > MIN_SURPRISE).ok_or(none)?;
-        let _ = &chance;
-        trace.cameras.push((agreed.camera, agreed.matches.len(), agreed.surprise));
-        let mut places: Vec<DVec3> = agreed.matches.iter().map(|k| matches[*k].place).collect();
+        let agreed = agreed.filter(|a| a.surprise > MIN_SURPRISE).ok_or(none)?;
         let light = self.light_near(index, &agreed, &matches);
+        let surprise = agreed.surprise;
+        let mut by = ByKeypoints::of(&agreed, &matches, index.reach);
         for share in REMATCHED {
             go_on()?;
-            if let Some((next, all)) = self.rematched(&found, &agreed.camera, &light, share, index.reach) {
-                places = next.matches.iter().map(|k| all[*k].place).collect();
-                agreed = Agreed { surprise: agreed.surprise.max(next.surprise), ..next };
-                trace.cameras.push((agreed.camera, agreed.matches.len(), agreed.surprise));
+            if let Some(next) = self.rematched(&found, &by.camera, &light, share, index.reach) {
+                by = next;
             }
         }
-        lap(&mut trace);
         let against = self.against(index.reach);
-        let levels = [Level::of_parts(&picture, COARSE_PX), Level::of_parts(&picture, LONGEST_PX)];
-        let mut place: Option<Refined> = None;
-        let still = Pass { steps: 0, ..PASSES[2] };
-        trace.explained_before =
-            alignment::refine(&against, &levels[1], agreed.camera, still, wanted).map_or(0.0, |f| f.explained);
-        for (level, pass) in [&levels[0], &levels[1], &levels[1]].into_iter().zip(PASSES) {
-            let camera = place.as_ref().map_or(agreed.camera, |place| place.camera);
-            let next = alignment::refine(&against, level, camera, pass, wanted);
+        let fine = Level::of_parts(&picture, LONGEST_PX);
+        let mut camera = by.camera;
+        if by.off_px > SURE_PX {
+            let coarse = Level::of_parts(&picture, COARSE_PX);
+            let next = alignment::refine(&against, &coarse, camera, COARSELY, wanted);
             go_on()?;
-            place = Some(next.ok_or(NotLocated::NotExplained)?);
+            camera = next.ok_or(NotLocated::NotExplained)?.camera;
+        }
+        let mut place: Option<Refined> = None;
+        for pass in FINELY {
+            let from = place.as_ref().map_or(camera, |place| place.camera);
+            place = alignment::refine(&against, &fine, from, pass, wanted);
+            go_on()?;
+            if place.is_none() {
+                return Err(NotLocated::NotExplained);
+            }
         }
         let Refined { camera, appearance, explained, covariance } = place.ok_or(NotLocated::NotExplained)?;
-        let off = |p: &DVec3| covariance.as_ref().and_then(|c| c.off_px(&camera, *p));
-        let off: Vec<f64> = places.iter().filter_map(off).collect();
-        lap(&mut trace);
-        let uncertainty_px = if off.is_empty() { f64::INFINITY } else { median(off) };
+        // Where pixels settle beside the best place they do not say so; keypoints are a second witness.
+        let aligned_px = covariance.map_or(f64::INFINITY, |c| c.median_px(&camera, &by.places));
+        let uncertainty_px = aligned_px.max(by.off_px);
         let registered = Registered { camera, appearance, picture, explained };
-        Ok(Located { registered, uncertainty_px, agreeing: agreed.matches.len(), surprise: agreed.surprise, trace })
+        Ok(Located { registered, uncertainty_px, agreeing: by.places.len(), surprise })
     }
 
     fn against(&self, reach: f64) -> Against<'_> {
@@ -245,8 +223,7 @@ impl Registrar {
         best.map_or(self.field.canonical_appearance(), |k| self.field.appearance_of(&index.names[k])).clone()
     }
 
-    /// The camera by keypoints of a render from `camera`, which lie within `share` of the picture of where they were;
-    /// with the matches that it is by.
+    /// The camera by keypoints of a render from `camera`, which lie within `share` of the picture of where they were.
     fn rematched(
         &self,
         found: &[Keypoint],
@@ -254,7 +231,7 @@ impl Registrar {
         light: &Appearance,
         share: f64,
         reach: f64,
-    ) -> Option<(Agreed, Vec<Match>)> {
+    ) -> Option<ByKeypoints> {
         let longest = camera.intrinsics.width.max(camera.intrinsics.height);
         let small = shrunk(camera, longest.min(REMATCHED_PX));
         let ratio = camera.intrinsics.width as f64 / small.intrinsics.width as f64;
@@ -267,7 +244,7 @@ impl Registrar {
             let near = |k: &usize| (shown[*k].0.at * ratio - keypoint.at).length() < radius;
             let mut all: Vec<(i32, usize)> =
                 (0..shown.len()).filter(near).map(|k| (keypoints::likeness(&own, &wide[k]), k)).collect();
-            all.sort_by(|a, b| b.0.cmp(&a.0));
+            all.sort_by_key(|(like, _)| std::cmp::Reverse(*like));
             let (like, best) = *all.first()?;
             let aside = |k: usize| (shown[k].0.at - shown[best].0.at).length() > 2.0;
             let next = all.iter().find(|(_, k)| aside(*k)).map(|(like, _)| keypoints::distance2(*like));
@@ -291,7 +268,26 @@ impl Registrar {
         let how = Solve { numbers: NUMBERS, steps: 20, spread_px: (radius / 8.0).max(0.7) };
         let next = consensus::solved(camera, &matches, reach, &how)?;
         let agreed = consensus::refined(chance.of(&next, &matches), &matches, reach, &chance)?;
-        (agreed.surprise > MIN_SURPRISE).then_some((agreed, matches))
+        (agreed.surprise > MIN_SURPRISE).then(|| ByKeypoints::of(&agreed, &matches, reach))
+    }
+}
+
+/// A camera by keypoints.
+struct ByKeypoints {
+    camera: Camera,
+    /// What agrees on it, capture units.
+    places: Vec<DVec3>,
+    /// Standard deviation of where it has them, px.
+    off_px: f64,
+}
+
+impl ByKeypoints {
+    fn of(agreed: &Agreed, matches: &[Match], reach: f64) -> Self {
+        let with: Vec<Match> = agreed.matches.iter().map(|k| matches[*k]).collect();
+        let places: Vec<DVec3> = with.iter().map(|m| m.place).collect();
+        let certainty = consensus::certainty(&agreed.camera, &with, reach);
+        let off_px = certainty.map_or(f64::INFINITY, |c| c.median_px(&agreed.camera, &places));
+        Self { camera: agreed.camera, places, off_px }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Which keypoint of the index each of a picture's is like.
 
 use crate::index::Index;
-use crate::keypoints::{DESCRIPTOR, Keypoint, distance2, likeness, widened};
+use crate::keypoints::{DESCRIPTOR, Keypoint, distance2};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -32,19 +32,17 @@ pub(crate) struct Match {
 
 /// Matches of `picture`'s keypoints, the surest first, one for a spot of the picture.
 pub(crate) fn matches(index: &Index, picture: &[Keypoint]) -> Vec<Match> {
-    let wide: Vec<[i16; DESCRIPTOR]> = picture.iter().map(|k| widened(&k.descriptor)).collect();
-    // Blocks of the index stay in the cache while all keypoints go by.
-    const BLOCK: usize = 256;
+    let asked: Vec<[f32; DESCRIPTOR]> = picture.iter().map(|k| k.descriptor.map(f32::from)).collect();
     let of = |(k, chunk): (usize, &[[u8; DESCRIPTOR]])| {
-        let block: Vec<[i16; DESCRIPTOR]> = chunk.iter().map(widened).collect();
-        let near = |q: &[i16; DESCRIPTOR]| {
+        let block = Block::of(chunk);
+        let near = |q: &[f32; DESCRIPTOR]| {
             let mut near = Nearest::default();
-            for (n, d) in block.iter().enumerate() {
-                near.add(likeness(q, d), (k * BLOCK + n) as u32);
+            for (n, like) in block.likeness(q)[..chunk.len()].iter().enumerate() {
+                near.add(*like as i32, (k * BLOCK + n) as u32);
             }
             near
         };
-        wide.iter().map(near).collect::<Vec<_>>()
+        asked.iter().map(near).collect::<Vec<_>>()
     };
     let merged = |mut a: Vec<Nearest>, b: Vec<Nearest>| {
         for (a, b) in a.iter_mut().zip(b) {
@@ -58,6 +56,35 @@ pub(crate) fn matches(index: &Index, picture: &[Keypoint]) -> Vec<Match> {
         picture.iter().zip(&nearest).filter_map(|(keypoint, near)| near.matched(index, keypoint)).collect();
     found.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
     one_a_spot(found)
+}
+
+/// Descriptors that are compared together: as many as registers hold sums of.
+const BLOCK: usize = 64;
+
+/// Some descriptors, number by number.
+struct Block([[f32; BLOCK]; DESCRIPTOR]);
+
+impl Block {
+    fn of(descriptors: &[[u8; DESCRIPTOR]]) -> Box<Self> {
+        let mut block = Box::new(Self([[0.0; BLOCK]; DESCRIPTOR]));
+        for (n, descriptor) in descriptors.iter().enumerate() {
+            for (row, v) in block.0.iter_mut().zip(descriptor) {
+                row[n] = f32::from(*v);
+            }
+        }
+        block
+    }
+
+    /// Scalar products with each; whole numbers below 2^24, and so exact.
+    fn likeness(&self, q: &[f32; DESCRIPTOR]) -> [f32; BLOCK] {
+        let mut sums = [0.0f32; BLOCK];
+        for (row, q) in self.0.iter().zip(q) {
+            for (sum, v) in sums.iter_mut().zip(row) {
+                *sum = q.mul_add(*v, *sum);
+            }
+        }
+        sums
+    }
 }
 
 /// The first of those within a pixel of one another.

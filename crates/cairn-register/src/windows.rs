@@ -33,8 +33,6 @@ pub(super) struct Level {
     pub(super) tells: Vec<bool>,
 }
 
-/// Pixels around a window that are rendered as well: slopes are differences of neighbours.
-pub(super) const MARGIN: usize = 1;
 /// Side of a part, px.
 const PART: usize = 8;
 /// Parts across the longer side.
@@ -74,49 +72,15 @@ impl Level {
         Self { size, rays, tells: places.iter().map(tells).collect(), windows, pixels }
     }
 
-    /// The pixels that are compared, in their order.
-    pub(super) fn places(&self) -> impl Iterator<Item = Pixel> {
-        let pixel = |w: &Window, (x, y): (usize, usize)| Pixel {
-            x: x as f64 + 0.5,
-            y: y as f64 + 0.5,
-            stride: w.width + 2 * MARGIN,
-        };
-        self.windows.iter().flat_map(move |w| w.places().map(move |at| pixel(w, at)))
-    }
-
-    /// Where they are among the windows' pixels with their margins, one window after another.
-    pub(super) fn within(&self) -> impl Iterator<Item = usize> {
-        let before = self.windows.iter().scan(0, |sum, w| {
-            let own = *sum;
-            *sum += (w.width + 2 * MARGIN) * (w.height + 2 * MARGIN);
-            Some((own, *w))
-        });
-        before.flat_map(|(first, w)| {
-            w.places().map(move |(x, y)| first + (y - w.y + MARGIN) * (w.width + 2 * MARGIN) + x - w.x + MARGIN)
-        })
-    }
-
-    /// The camera of window `w` of the copy and [`MARGIN`] pixels around it, where `camera` took the whole picture; its
-    /// pixels are the window's rays.
+    /// The camera of window `w` of the copy, where `camera` took the whole picture; its pixels are the window's rays.
     pub(super) fn camera(&self, camera: &Camera, w: &Window) -> Camera {
         let mut part = camera.resized(self.size.0 * self.rays, self.size.1 * self.rays);
         let i = &mut part.intrinsics;
-        i.cx += MARGIN as f64 * self.rays as f64 - (w.x * self.rays) as f64;
-        i.cy += MARGIN as f64 * self.rays as f64 - (w.y * self.rays) as f64;
-        (i.width, i.height) = ((w.width + 2 * MARGIN) * self.rays, (w.height + 2 * MARGIN) * self.rays);
+        i.cx -= (w.x * self.rays) as f64;
+        i.cy -= (w.y * self.rays) as f64;
+        (i.width, i.height) = (w.width * self.rays, w.height * self.rays);
         part
     }
-}
-
-/// A pixel that is compared.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Pixel {
-    /// Its middle, pixels of the copy.
-    pub(super) x: f64,
-    /// Its middle, pixels of the copy.
-    pub(super) y: f64,
-    /// Pixels from a row of its window with its margin to the next.
-    pub(super) stride: usize,
 }
 
 /// Rays across a pixel of a copy `width` px wide: as many as it is smaller than the picture, within [`MAX_RAYS`].

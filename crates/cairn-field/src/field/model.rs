@@ -47,17 +47,6 @@ pub struct Rendering {
     pub depth: Vec<f32>,
 }
 
-/// What a pixel shows of a field, before any light.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Sampled {
-    /// What an [`Appearance`] makes a colour of.
-    pub features: [f32; FEATURES],
-    /// Share of light stopped by the field, [0, 1].
-    pub accumulation: f32,
-    /// That times the mean distance travelled, unit-cube lengths.
-    pub along: f32,
-}
-
 #[derive(Serialize, Deserialize)]
 struct Header {
     format: String,
@@ -170,15 +159,13 @@ impl Field {
         self.each_pixel(camera, limits, |seen| (seen.gathered, seen.harmonics))
     }
 
-    /// What every pixel shows, row-major, `rays x rays` of the eye's pixels to each: the means of theirs.
-    pub fn sampled(&self, eye: Eye<'_>, rays: usize) -> Vec<Sampled> {
+    /// What every pixel gathers, row-major, `rays x rays` of the eye's pixels to each: the mean of their features.
+    pub fn features_of(&self, eye: Eye<'_>, rays: usize) -> Vec<[f32; FEATURES]> {
         let tiling = Tiling::of(&self.grid, &self.frame, eye, Thresholds::SHOWN, rays);
         let share = 1.0 / (rays * rays) as f32;
-        let add = |sum: &mut Sampled, seen: &Seen<'_>| {
+        let add = |sum: &mut [f32; FEATURES], seen: &Seen<'_>| {
             let f = features(&seen.gathered, &seen.harmonics);
-            sum.features.iter_mut().zip(f).for_each(|(s, v)| *s += share * v);
-            sum.accumulation += share * (1.0 - seen.gathered.end);
-            sum.along += share * seen.gathered.along;
+            sum.iter_mut().zip(f).for_each(|(s, v)| *s += share * v);
         };
         tiling.gather(add, |_| {})
     }
