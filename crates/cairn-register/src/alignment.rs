@@ -1,11 +1,13 @@
 //! From about where a picture was taken to exactly where: Levenberg and Marquardt's steps on the difference of
 //! colours. Slopes are differences of renders: nothing is assumed of depths, and every pixel is what the
-//! renderer makes of it. What fits nowhere (a black corner, something laid over the picture) loses its say by
-//! Tukey's weights.
+//! renderer makes of it. What fits nowhere (a black corner, something stuck over the picture) loses its say by
+//! Tukey's weights. The light is a linear regression by the same weights at every place, so that a step is judged in the
+//! light that it was worked out in: where it was not, steps led nowhere, and pictures settled beside their places.
 
 pub(super) use super::matrix::{NUMBERS, Normal};
 use super::windows::Level;
 use cairn_field::Field;
+use cairn_field::appearance::cholesky::{factor, solve};
 use cairn_field::appearance::prior::Prior;
 use cairn_field::rays::lens::{Eye, Lens};
 use cairn_field::stats::median;
@@ -21,9 +23,11 @@ const UNIT_PX: f64 = 0.4;
 /// A step whose square is smaller teaches rounding alone, units squared.
 const MIN_LEARNT: f64 = 1e-8;
 /// Steps that are tried from a place, each shorter than the one before.
-const TRIES: usize = 4;
-/// A step that moves pixels by less ends a level, pixels of the level.
-const SETTLED_PX: f64 = 0.01;
+const TRIES: usize = 5;
+/// Damping that is felt: a step that leads nowhere is damped by that at least.
+const DAMPED: f64 = 1e-4;
+/// Steps that slopes are learnt from before they are worked out anew.
+const LEARNT: usize = 4;
 
 /// What a picture is compared with.
 pub(super) struct Against<'a> {
@@ -39,6 +43,8 @@ pub(super) struct Against<'a> {
 pub(super) struct Pass {
     /// Steps, at most.
     pub(super) steps: usize,
+    /// A step that moves pixels by less ends it, pixels of the level.
+    pub(super) settled_px: f64,
     /// The smallest spread of differences by which outliers are told, colours in [0, 1].
     pub(super) min_spread: f64,
 }
@@ -58,6 +64,8 @@ pub(super) struct Refined {
 struct Looked {
     camera: Camera,
     appearance: Appearance,
+    /// What each pixel gathers, before any light.
+    features: Vec<[f32; FEATURES]>,
     residuals: Vec<[f32; 3]>,
 }
 
@@ -77,35 +85,40 @@ pub(super) fn refine(
     pass: Pass,
     wanted: &dyn Fn() -> bool,
 ) -> Option<Refined> {
-    let Pass { steps, min_spread } = pass;
+    let Pass { steps, settled_px, min_spread } = pass;
     if level.windows.is_empty() {
         return None;
     }
     let mut now = look(against, level, &camera, None)?;
     // Little: with much, steps along the valley of longer lenses further off were too short to go on.
     let mut damping = 1e-5;
-    let (mut known, mut fresh) = (None::<Slopes>, true);
+    let (mut known, mut learnt) = (None::<Slopes>, 0);
     // Weights change as it goes, so that a cost that falls proves no end.
     for _ in 0..steps {
         if !wanted() {
             return None;
         }
-        let mut slopes = known.take().unwrap_or_else(|| Slopes::at(against, level, &now));
         let weights = Weights::of(&now.residuals, &level.tells, min_spread);
+        // In the light that a step will be judged in.
+        now = lit(against, level, &now.camera, now.features, Some(&weights))?;
+        let mut slopes = known.take().filter(|_| learnt < LEARNT).unwrap_or_else(|| {
+            learnt = 0;
+            Slopes::at(against, level, &now, &weights)
+        });
         match slopes.follow(against, level, &now, &weights, &mut damping) {
             Some(Moved { next, step }) => {
                 slopes.learn(&step, &now.residuals, &next.residuals);
-                (now, known, fresh) = (next, Some(slopes), false);
-                if step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX < SETTLED_PX {
+                (now, known, learnt) = (next, Some(slopes), learnt + 1);
+                if step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX < settled_px {
                     break;
                 }
             }
-            None if fresh => {
+            None if learnt == 0 => {
                 known = Some(slopes);
                 break;
             }
             // What was learnt on the way does not lead on.
-            None => fresh = true,
+            None => {}
         }
     }
     let weights = Weights::of(&now.residuals, &level.tells, min_spread);
@@ -147,13 +160,27 @@ fn gathered(field: &Field, level: &Level, camera: &Camera) -> Vec<[f32; FEATURES
 }
 
 fn look(against: &Against<'_>, level: &Level, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
-    let features = gathered(against.field, level, camera);
-    let counts = |at: &usize| weights.is_none_or(|w| w.each[*at] > 0.1);
-    let some: Vec<usize> = (0..features.len()).filter(counts).collect();
-    let (f, p): (Vec<_>, Vec<_>) = some.iter().map(|at| (features[*at], level.pixels[*at])).unzip();
+    lit(against, level, camera, gathered(against.field, level, camera), weights)
+}
+
+/// What pixels with those `features` show in the light that fits best, each counting as its weight says.
+fn lit(
+    against: &Against<'_>,
+    level: &Level,
+    camera: &Camera,
+    features: Vec<[f32; FEATURES]>,
+    weights: Option<&Weights>,
+) -> Option<Looked> {
+    let weight = |at: usize| weights.map_or(1.0, |w| w.each[at].sqrt() as f32);
+    let some: Vec<usize> = (0..features.len()).filter(|at| weight(*at) > 0.0).collect();
+    let weighed = |at: &usize| {
+        let w = weight(*at);
+        (features[*at].map(|v| v * w), level.pixels[*at].map(|v| v * w))
+    };
+    let (f, p): (Vec<_>, Vec<_>) = some.iter().map(weighed).unzip();
     let appearance = against.prior.fit(&f, &p)?;
     let residuals = differences(&features, &appearance, &level.pixels);
-    Some(Looked { camera: *camera, appearance, residuals })
+    Some(Looked { camera: *camera, appearance, features, residuals })
 }
 
 /// Each pixel less what the field shows there.
@@ -178,8 +205,9 @@ struct Slopes {
 }
 
 impl Slopes {
-    /// Of the present camera: nine renders.
-    fn at(against: &Against<'_>, level: &Level, now: &Looked) -> Self {
+    /// Of the present camera: nine renders. Of what they show counts what no change of light would (Golub and Pereyra
+    /// 1973, as Kaufman 1975 simplifies it): the light is fitted again at every place.
+    fn at(against: &Against<'_>, level: &Level, now: &Looked, weights: &Weights) -> Self {
         let units = units(&now.camera, against.reach, level.size.0.max(level.size.1) as f64);
         let of = |k: usize| {
             let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
@@ -190,7 +218,38 @@ impl Slopes {
         // A residual falls by what the render rises.
         let slope = |at: usize, c: usize, k: usize| now.residuals[at][c] - probes[k][at][c];
         let each = |at: usize| std::array::from_fn(|c| std::array::from_fn(|k| slope(at, c, k)));
-        Self { units, each: (0..now.residuals.len()).map(each).collect() }
+        let mut slopes = Self { units, each: (0..now.residuals.len()).map(each).collect() };
+        for channel in 0..3 {
+            slopes.clear_of_light(against.prior, now, weights, channel);
+        }
+        slopes
+    }
+
+    /// Takes off what another light makes as well of one colour channel, as far as lights are so.
+    fn clear_of_light(&mut self, prior: &Prior, now: &Looked, weights: &Weights, channel: usize) {
+        let counts: f64 = weights.each.iter().sum();
+        let mut gram = prior.of_channel(channel).map(|row| row.map(|v| v * counts));
+        let mut right = [[0.0; FEATURES]; NUMBERS];
+        for ((features, slopes), w) in now.features.iter().zip(&self.each).zip(&weights.each) {
+            let f = features.map(f64::from);
+            for (a, row) in gram.iter_mut().enumerate() {
+                row.iter_mut().zip(&f).for_each(|(g, b)| *g += w * f[a] * b);
+            }
+            for (right, slope) in right.iter_mut().zip(&slopes[channel]) {
+                right.iter_mut().zip(&f).for_each(|(r, f)| *r += w * f * f64::from(*slope));
+            }
+        }
+        let gram = gram.as_flattened_mut();
+        if factor(gram, FEATURES).is_none() {
+            return;
+        }
+        right.iter_mut().for_each(|x| solve(gram, x));
+        for (features, slopes) in now.features.iter().zip(&mut self.each) {
+            for (slope, x) in slopes[channel].iter_mut().zip(&right) {
+                let lit: f64 = features.iter().zip(x).map(|(f, x)| f64::from(*f) * x).sum();
+                *slope -= lit as f32;
+            }
+        }
     }
 
     /// Takes what a `step` did to the residuals for the slopes along it (Broyden 1965): a step is one render, slopes are
@@ -233,7 +292,7 @@ impl Slopes {
                 *damping = (*damping * 0.1).max(1e-8);
                 return Some(Moved { next, step });
             }
-            *damping *= 30.0;
+            *damping = (*damping * 30.0).max(DAMPED);
         }
         None
     }

@@ -327,3 +327,113 @@ impl Chance {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::index::Point;
+    use cairn_scene::{Distortion, Intrinsics, Pose};
+
+    const SIZE_PX: [usize; 2] = [300, 200];
+
+    fn view(position: DVec3) -> Camera {
+        let [width, height] = SIZE_PX;
+        let intrinsics =
+            Intrinsics { width, height, fx: 280.0, fy: 280.0, cx: 150.0, cy: 100.0, distortion: Distortion::default() };
+        Camera { intrinsics, pose: Pose::look_at(position, DVec3::ZERO, DVec3::Z).unwrap() }
+    }
+
+    /// An index of one view, and so many places.
+    fn index(places: &[DVec3]) -> Index {
+        let camera = view(DVec3::new(4.0, 0.0, 1.0));
+        let point = |place: &DVec3| Point {
+            place: (*place - camera.pose.position).as_vec3(),
+            span: 0.01,
+            scale: 2.0,
+            angle: 0.0,
+            view: 0,
+        };
+        Index {
+            cameras: vec![camera],
+            names: vec!["view".into()],
+            reach: 4.0,
+            points: places.iter().map(point).collect(),
+            descriptors: vec![[0; crate::keypoints::DESCRIPTOR]; places.len()],
+        }
+    }
+
+    fn places(count: usize, rng: &mut ChaCha8Rng) -> Vec<DVec3> {
+        let mut number = || rng.random_range(-1.0..1.0);
+        (0..count).map(|_| DVec3::new(number(), number(), number())).collect()
+    }
+
+    /// The camera of a picture: elsewhere, turned, with another lens, cut.
+    fn truth() -> Camera {
+        let mut camera = view(DVec3::new(3.6, 1.1, 0.7));
+        camera.pose.rotation *= DMat3::from_rotation_z(0.5);
+        let i = &mut camera.intrinsics;
+        (i.fx, i.fy, i.cx, i.cy) = (230.0, 230.0, 140.0, 115.0);
+        camera
+    }
+
+    /// A match of each place with where `camera` has it to `noise_px`, or with anywhere.
+    fn matched(camera: &Camera, places: &[DVec3], right: usize, noise_px: f64, rng: &mut ChaCha8Rng) -> Vec<Match> {
+        let mut all = Vec::new();
+        for (k, place) in places.iter().enumerate() {
+            let mut off = || rng.random_range(-1.0..1.0);
+            let at = if k < right {
+                camera.project(*place).unwrap() + noise_px * DVec2::new(off(), off())
+            } else {
+                DVec2::new(150.0 * (1.0 + off()), 100.0 * (1.0 + off()))
+            };
+            let turned = if k < right { 0.5 + 0.1 * off() } else { 3.0 * off() };
+            let larger = if k < right { 0.82 + 0.1 * off() } else { 1.0 + 0.5 * off() };
+            all.push(Match { at, place: *place, view: 0, larger, turned: -turned, ratio: 0.5 });
+        }
+        all
+    }
+
+    fn off_px(a: &Camera, b: &Camera, places: &[DVec3]) -> f64 {
+        places.iter().map(|p| (a.project(*p).unwrap() - b.project(*p).unwrap()).length()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_camera_is_found_among_four_wrong_matches_for_a_right_one() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let places = places(200, &mut rng);
+        let matches = matched(&truth(), &places, 40, 0.5, &mut rng);
+        let found = agreed(&index(&places), &matches, SIZE_PX).expect("a camera");
+        let off = off_px(&found.camera, &truth(), &places[..40]);
+        assert!(off < 1.0, "{off} px, {} agree", found.matches.len());
+        assert!(found.surprise > 40.0 && found.matches.iter().filter(|k| **k < 40).count() > 35, "{}", found.surprise);
+        // Of what is known so well it is said how well.
+        let with: Vec<Match> = found.matches.iter().map(|k| matches[*k]).collect();
+        let certain = certainty(&found.camera, &with, 4.0).unwrap().median_px(&found.camera, &places[..40]);
+        assert!((0.03..0.5).contains(&certain), "{certain} px");
+    }
+
+    #[test]
+    fn matches_with_anywhere_surprise_less_often_than_is_said() {
+        let mut largest = f64::NEG_INFINITY;
+        for seed in 0..20 {
+            let mut rng = ChaCha8Rng::seed_from_u64(100 + seed);
+            let places = places(150, &mut rng);
+            let matches = matched(&truth(), &places, 0, 0.0, &mut rng);
+            if let Some(found) = agreed(&index(&places), &matches, SIZE_PX) {
+                largest = largest.max(found.surprise);
+            }
+        }
+        // One in ten is as good as one in ten; nothing near one in a million.
+        assert!(largest < 3.0, "{largest}");
+    }
+
+    #[test]
+    fn four_matches_agree_with_any_camera_and_say_nothing() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let places = places(5, &mut rng);
+        assert!(agreed(&index(&places), &matched(&truth(), &places[..4], 4, 0.0, &mut rng), SIZE_PX).is_none());
+        let five = agreed(&index(&places), &matched(&truth(), &places, 5, 0.0, &mut rng), SIZE_PX);
+        assert!(five.is_none_or(|found| found.surprise < 6.0));
+        assert!(certainty(&truth(), &matched(&truth(), &places[..4], 4, 0.0, &mut rng), 4.0).is_none());
+    }
+}

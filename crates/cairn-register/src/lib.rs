@@ -55,9 +55,12 @@ const MIN_SPREAD: f64 = 0.5 / 255.0;
 /// Pixels are compared from a place that is off by less than that: slopes of a picture reach about so far.
 const SURE_PX: f64 = 0.7;
 /// How a small copy is gone through where a place is not so sure,
-const COARSELY: Pass = Pass { steps: 12, min_spread: 0.03 };
+const COARSELY: Pass = Pass { steps: 12, settled_px: 0.1, min_spread: 0.03 };
 /// and the picture: what stands a pixel aside is no outlier before it can have been moved.
-const FINELY: [Pass; 2] = [Pass { steps: 12, min_spread: 0.03 }, Pass { steps: 20, min_spread: MIN_SPREAD }];
+const FINELY: [Pass; 2] = [
+    Pass { steps: 24, settled_px: 0.1, min_spread: 0.03 },
+    Pass { steps: 24, settled_px: 0.01, min_spread: MIN_SPREAD },
+];
 
 /// Registers pictures to one field; see the module's text.
 #[derive(Debug)]

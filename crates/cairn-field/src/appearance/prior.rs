@@ -65,6 +65,13 @@ impl Prior {
         Some(Self { mean, precision })
     }
 
+    /// How firmly the numbers of colour `channel` are held: their own block of the precision, row-major, by the mean over
+    /// pixels that [`Prior::fit`] makes small.
+    pub fn of_channel(&self, channel: usize) -> [[f64; FEATURES]; FEATURES] {
+        let at = |k: usize| channel * FEATURES + k;
+        std::array::from_fn(|a| std::array::from_fn(|b| self.precision[at(a) * CODE + at(b)]))
+    }
+
     /// The likeliest code given `features` (n) and the RGB `pixels` (n, in [0, 1]) that show
     /// them: minimises the mean of `|code . f - pixel|^2` plus
     /// `(code - mean)^T precision (code - mean)`, exactly; the mean where n is 0.
