@@ -1,8 +1,10 @@
 //! From about where a picture was taken to exactly where: Levenberg and Marquardt's steps on the difference of
 //! colours. Slopes are differences of renders: nothing is assumed of depths, and every pixel is what the
 //! renderer makes of it. What fits nowhere (a black corner, something stuck over the picture) loses its say by
-//! Tukey's weights. The light is a linear regression by the same weights at every place, so that a step is judged in the
-//! light that it was worked out in: where it was not, steps led nowhere, and pictures settled beside their places.
+//! Tukey's weights.
+//!
+//! The light is a linear regression by the same weights at every place. So a step is judged in the light that it was worked
+//! out in. Where it was not, steps led nowhere, and pictures settled beside their places.
 
 pub(super) use super::matrix::{NUMBERS, Normal};
 use super::windows::Level;
@@ -47,6 +49,8 @@ pub(super) struct Pass {
     pub(super) settled_px: f64,
     /// The smallest spread of differences by which outliers are told, colours in [0, 1].
     pub(super) min_spread: f64,
+    /// Whether it is asked how far off the camera may be: nine renders more.
+    pub(super) is_last: bool,
 }
 
 /// A place, refined on one level.
@@ -56,7 +60,7 @@ pub(super) struct Refined {
     pub(super) appearance: Appearance,
     /// Share of the pixels' variance that is explained, by the weights that they ended with.
     pub(super) explained: f64,
-    /// How far off the camera may be; `None` where the windows do not determine one.
+    /// How far off the camera may be, after a last pass; `None` where the windows do not determine one.
     pub(super) covariance: Option<Covariance>,
 }
 
@@ -85,7 +89,7 @@ pub(super) fn refine(
     pass: Pass,
     wanted: &dyn Fn() -> bool,
 ) -> Option<Refined> {
-    let Pass { steps, settled_px, min_spread } = pass;
+    let Pass { steps, settled_px, min_spread, is_last } = pass;
     if level.windows.is_empty() {
         return None;
     }
@@ -105,25 +109,24 @@ pub(super) fn refine(
             learnt = 0;
             Slopes::at(against, level, &now, &weights)
         });
-        match slopes.follow(against, level, &now, &weights, &mut damping) {
+        // Slopes that were learnt and do not lead on are worked out anew, and say nothing of the next step's damping.
+        let (mut damped, tries) = (damping, if learnt == 0 { TRIES } else { 1 });
+        match slopes.follow(against, level, &now, &weights, &mut damped, tries) {
             Some(Moved { next, step }) => {
                 slopes.learn(&step, &now.residuals, &next.residuals);
-                (now, known, learnt) = (next, Some(slopes), learnt + 1);
+                (now, known, learnt, damping) = (next, Some(slopes), learnt + 1, damped);
                 if step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX < settled_px {
                     break;
                 }
             }
-            None if learnt == 0 => {
-                known = Some(slopes);
-                break;
-            }
-            // What was learnt on the way does not lead on.
-            None => {}
+            None if learnt == 0 => break,
+            None => learnt = LEARNT,
         }
     }
     let weights = Weights::of(&now.residuals, &level.tells, min_spread);
     let explained = weights.explained(&now.residuals, level);
-    let covariance = known.and_then(|slopes| Covariance::of(level, &now.residuals, &weights, &slopes));
+    let certain = || Covariance::of(level, &now.residuals, &weights, &Slopes::at(against, level, &now, &weights));
+    let covariance = if is_last { certain() } else { None };
     Some(Refined { camera: now.camera, appearance: now.appearance, explained, covariance })
 }
 
@@ -227,7 +230,7 @@ impl Slopes {
 
     /// Takes off what another light makes as well of one colour channel, as far as lights are so.
     fn clear_of_light(&mut self, prior: &Prior, now: &Looked, weights: &Weights, channel: usize) {
-        let counts: f64 = weights.each.iter().sum();
+        let counts = weights.each.iter().filter(|w| **w > 0.0).count() as f64;
         let mut gram = prior.of_channel(channel).map(|row| row.map(|v| v * counts));
         let mut right = [[0.0; FEATURES]; NUMBERS];
         for ((features, slopes), w) in now.features.iter().zip(&self.each).zip(&weights.each) {
@@ -279,10 +282,11 @@ impl Slopes {
         now: &Looked,
         weights: &Weights,
         damping: &mut f64,
+        tries: usize,
     ) -> Option<Moved> {
         let normal = self.normal(&now.residuals, weights);
         let before = weights.cost(&now.residuals);
-        for _ in 0..TRIES {
+        for _ in 0..tries {
             let step = normal.step(*damping)?;
             let there = changed(&now.camera, &step, &self.units);
             // Light is fitted to what counted: an outlier has no say in it either.

@@ -1,15 +1,15 @@
 //! A camera that many matches agree on.
 //!
 //! A match says more than a point and a place: how much larger the picture shows it than a known view does, and how far
-//! it is turned. So one match alone is a rough camera, the view's turned and with a longer lens (Lowe 2004, section
-//! 7.3, has each vote for such a pose). Among the matches that agree roughly, fours are drawn and solved for pose and
-//! focal length by Newton's steps from there (RANSAC, Fischler and Bolles 1981; a solver in closed form would need the
-//! focal length), and the best camera is refined on all that agree.
+//! it is turned. So one match alone is a rough camera: the view's, turned and with a longer lens. Lowe (2004, section 7.3)
+//! has each match vote for such a pose. Among the matches that agree roughly, fours are drawn (RANSAC, Fischler and Bolles
+//! 1981). Each is solved for pose and focal length by Newton's steps from the rough camera; a solver in closed form would
+//! need the focal length. The best camera is refined on all that agree.
 //!
-//! What agrees by chance is counted *a contrario* (Moisan and Stival 2004; for cameras Moulon, Monasse and Marlet 2012):
-//! of n matches k lie within a share `a` of the picture from where the camera has them; were they anywhere, the
-//! number of fours and of agreements so good that one expects is
-//! `(n - 4) C(n, k) C(k, 4) a^(k - 4)`. Its logarithm says how sure a camera is, and chooses the radius by itself.
+//! What agrees by chance is counted *a contrario* (Moisan and Stival 2004; for cameras Moulon, Monasse and Marlet 2012).
+//! Of n matches k lie within a share `a` of the picture from where the camera has them. Were they anywhere, one expects
+//! `(n - 4) C(n, k) C(k, 4) a^(k - 4)` fours with agreements so good. The logarithm of that says how sure a camera is, and
+//! the radius is the one at which it is least. It assumes that wrong matches are independent of one another.
 
 use crate::alignment::{Covariance, NUMBERS, Normal, changed, units};
 use crate::index::Index;
@@ -86,7 +86,7 @@ pub(crate) fn agreed(index: &Index, matches: &[Match], size: [usize; 2]) -> Opti
             let Some(camera) = solved(camera, &four, index.reach, &Solve::FOUR) else { continue };
             let found = chance.of(&camera, matches);
             if best.as_ref().is_none_or(|b| found.surprise > b.surprise) {
-                best = refined(found, matches, index.reach, &chance);
+                best = Some(refined(found, matches, index.reach, &chance));
             }
         }
         best
@@ -110,11 +110,11 @@ fn drawn(n: usize, rng: &mut ChaCha8Rng) -> [usize; FOUR] {
 }
 
 /// `found`, refined on the matches that agree for as long as that surprises more.
-pub(crate) fn refined(mut found: Agreed, matches: &[Match], reach: f64, chance: &Chance) -> Option<Agreed> {
+pub(crate) fn refined(mut found: Agreed, matches: &[Match], reach: f64, chance: &Chance) -> Agreed {
     for _ in 0..4 {
         let with: Vec<Match> = found.matches.iter().map(|k| matches[*k]).collect();
         let numbers = if with.len() >= 8 { NUMBERS } else { 7 };
-        let how = Solve { numbers, steps: 10, spread_px: (found.within_px / 3.0).max(MIN_OFF_PX) };
+        let how = Solve { numbers, steps: 10, spread_px: (found.within_px / 3.0).max(MIN_OFF_PX), expected: 1.0 };
         let Some(camera) = solved(&found.camera, &with, reach, &how) else { break };
         let next = chance.of(&camera, matches);
         if next.surprise <= found.surprise {
@@ -122,7 +122,7 @@ pub(crate) fn refined(mut found: Agreed, matches: &[Match], reach: f64, chance: 
         }
         found = next;
     }
-    Some(found)
+    found
 }
 
 /// The view's camera, turned, with the focal length and in the direction by which it shows the place where the picture does.
@@ -160,11 +160,13 @@ pub(crate) struct Solve {
     pub(crate) steps: usize,
     /// Spread of the matches' distances, px.
     pub(crate) spread_px: f64,
+    /// How much an expectation of a whole standard deviation counts, px squared.
+    pub(crate) expected: f64,
 }
 
 impl Solve {
     /// From four matches, exactly: no match is an outlier.
-    const FOUR: Self = Self { numbers: 7, steps: 8, spread_px: 1e3 };
+    const FOUR: Self = Self { numbers: 7, steps: 8, spread_px: 1e3, expected: 1.0 };
 }
 
 /// What matches say of a camera near `now`, with what is expected of focal lengths and principal points.
@@ -181,7 +183,7 @@ struct Equations<'a> {
 }
 
 impl Equations<'_> {
-    /// Half of the robust cost (Cauchy's), px squared.
+    /// The robust cost (Cauchy's), px squared.
     fn cost(&self, camera: &Camera) -> f64 {
         let spread = self.how.spread_px.powi(2);
         let off = |m: &Match| camera.project(m.place).map_or(1e6, |at| (at - m.at).length_squared());
@@ -189,7 +191,7 @@ impl Equations<'_> {
         let aside = (DVec2::new(i.cx, i.cy) - self.middle) / (PRINCIPAL * self.longest);
         let focal = (i.fx / self.focal).ln() / FOCAL;
         let each = |m: &Match| (1.0 + off(m) / spread).ln() * spread;
-        self.matches.iter().map(each).sum::<f64>() + focal.powi(2) + aside.length_squared()
+        self.matches.iter().map(each).sum::<f64>() + self.how.expected * (focal.powi(2) + aside.length_squared())
     }
 
     fn normal(&self, now: &Camera, units: &[f64; NUMBERS]) -> Normal {
@@ -216,7 +218,7 @@ impl Equations<'_> {
         ];
         for (k, unit, off) in expected.into_iter().filter(|(k, ..)| *k < self.how.numbers) {
             let slopes = std::array::from_fn(|n| if n == k { unit } else { 0.0 });
-            normal.add(&slopes, off, 1.0);
+            normal.add(&slopes, off, self.how.expected);
         }
         normal
     }
@@ -269,7 +271,7 @@ pub(crate) fn certainty(camera: &Camera, matches: &[Match], reach: f64) -> Optio
     // Two numbers a match, and what is left of them once nine are fitted.
     let free = (2 * off.len()).checked_sub(NUMBERS).filter(|free| *free > 0)?;
     let variance = off.iter().map(|d| d * d).sum::<f64>() / free as f64;
-    let how = Solve { numbers: NUMBERS, steps: 0, spread_px: 1e3 };
+    let how = Solve { numbers: NUMBERS, steps: 0, spread_px: 1e3, expected: variance };
     let equations = equations(camera, matches, reach, &how);
     let units = units(camera, reach, equations.longest);
     Covariance::by(units, &equations.normal(camera, &units), variance)

@@ -7,6 +7,7 @@
 use std::io::{Read, Seek};
 
 use crate::keypoints::{DESCRIPTOR, Keypoint, keypoints};
+use crate::sizes::{ratio, shrunk, smaller};
 use cairn_field::stats::median;
 use cairn_field::{Field, FieldError, Part, Rendering, TensorFile, distance, packed};
 use cairn_scene::{Camera, Picture};
@@ -87,7 +88,7 @@ struct Header {
 }
 
 impl Index {
-    /// Of `field`, as `references` show it: evenly thinned to [`MAX_VIEWS`]. `went` is told how many of how many are done,
+    /// Of `field`, as `references` show it: evenly thinned to [`MAX_VIEWS`]. `went` gets how many of how many are done,
     /// and says whether it is still wanted; `None` once it is not, or without references.
     pub fn build(
         field: &Field,
@@ -172,6 +173,7 @@ impl Index {
             return Err(damaged("its parts do not fit together"));
         }
         let bad = places.as_flattened().iter().any(|v| !v.is_finite())
+            || places.iter().any(|p| p[3] <= 0.0 || p[4] <= 0.0)
             || views.iter().any(|view| *view as usize >= cameras.len())
             // Of a field in which nothing has a place there is no distance.
             || !((reach > 0.0 || places.is_empty()) && reach.is_finite())
@@ -201,19 +203,19 @@ struct ViewPoints {
 
 impl ViewPoints {
     fn of(field: &Field, reference: &Reference<'_>, origin: DVec3) -> Self {
-        let i = &reference.camera.intrinsics;
-        let camera = shrunk(&reference.camera, i.width.max(i.height).min(RENDERED_PX));
+        let camera = shrunk(&reference.camera, RENDERED_PX);
         let seen = Seen::at(field, &camera, field.appearance_of(reference.name));
         let photograph = (reference.photograph)().map(|p| smaller(&p, PHOTOGRAPHED_PX));
         let (mut points, mut descriptors) = (Vec::new(), Vec::new());
         for picture in std::iter::once(&seen.maps.picture).chain(&photograph) {
-            let ratio = camera.intrinsics.width as f64 / picture.width() as f64;
+            let size = [camera.intrinsics.width, camera.intrinsics.height];
+            let ratio = ratio(size, [picture.width(), picture.height()]);
             for keypoint in keypoints(picture, KEPT) {
                 let Some((place, depth)) = seen.place(keypoint.at * ratio) else { continue };
                 points.push(Point {
                     place: (place - origin).as_vec3(),
                     span: (depth / camera.intrinsics.fx) as f32,
-                    scale: keypoint.scale * ratio as f32,
+                    scale: keypoint.scale * ratio.x as f32,
                     angle: keypoint.angle,
                     view: 0,
                 });
@@ -264,23 +266,6 @@ impl<'a> Seen<'a> {
         let place = origin + direction * here;
         (place.is_finite() && here > 0.0).then(|| (place, here * direction.dot(self.camera.pose.forward()).abs()))
     }
-}
-
-/// `camera`, `longest` px long.
-pub(crate) fn shrunk(camera: &Camera, longest: usize) -> Camera {
-    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-    let side = |s: usize| ((s * longest + w.max(h) / 2) / w.max(h)).max(1);
-    camera.resized(side(w), side(h))
-}
-
-/// `picture`, at most `longest` px long.
-pub(crate) fn smaller(picture: &Picture, longest: usize) -> Picture {
-    let (w, h) = (picture.width(), picture.height());
-    if w.max(h) <= longest {
-        return picture.clone();
-    }
-    let side = |s: usize| ((s * longest + w.max(h) / 2) / w.max(h)).max(1);
-    picture.resized(side(w), side(h))
 }
 
 /// The keypoints of a render that have places.

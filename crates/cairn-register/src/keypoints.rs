@@ -72,9 +72,11 @@ pub(crate) fn likeness(a: &[i16; DESCRIPTOR], b: &[i16; DESCRIPTOR]) -> i32 {
     a.iter().zip(b).map(|(a, b)| i32::from(*a) * i32::from(*b)).sum()
 }
 
-/// The square of the distance of two descriptors that are so alike.
-pub(crate) fn distance2(likeness: i32) -> f64 {
-    (2.0 * (f64::from(LENGTH).powi(2) - f64::from(likeness))).max(0.0)
+/// Distance of descriptors that are so alike, by that of others. The rounding of bytes is all that separates descriptors
+/// that are the same: two such are as far as one another.
+pub(crate) fn distance_ratio(like: i32, next: i32) -> f64 {
+    let square = |likeness: i32| (2.0 * (f64::from(LENGTH).powi(2) - f64::from(likeness))).max(1.0);
+    (square(like) / square(next)).sqrt()
 }
 
 /// A descriptor in the numbers that processors multiply eight at a time.

@@ -17,17 +17,20 @@ mod index;
 mod keypoints;
 mod matching;
 mod matrix;
+mod sizes;
 mod windows;
 
 use alignment::{Against, NUMBERS, Pass, Refined};
 use cairn_field::appearance::prior::Prior;
+use cairn_field::stats::median;
 use cairn_field::{Appearance, Field};
 use cairn_scene::{Camera, Picture};
 use consensus::{Agreed, Chance, Solve};
 use glam::DVec3;
-use index::{Seen, placed, shrunk, smaller};
+use index::{Seen, placed};
 use keypoints::{Keypoint, keypoints};
 use matching::{Match, one_a_spot};
+use sizes::{ratio, shrunk, smaller};
 use std::sync::Arc;
 use thiserror::Error;
 use windows::Level;
@@ -55,11 +58,11 @@ const MIN_SPREAD: f64 = 0.5 / 255.0;
 /// Pixels are compared from a place that is off by less than that: slopes of a picture reach about so far.
 const SURE_PX: f64 = 0.7;
 /// How a small copy is gone through where a place is not so sure,
-const COARSELY: Pass = Pass { steps: 12, settled_px: 0.1, min_spread: 0.03 };
+const COARSELY: Pass = Pass { steps: 12, settled_px: 0.1, min_spread: 0.03, is_last: false };
 /// and the picture: what stands a pixel aside is no outlier before it can have been moved.
 const FINELY: [Pass; 2] = [
-    Pass { steps: 24, settled_px: 0.1, min_spread: 0.03 },
-    Pass { steps: 24, settled_px: 0.01, min_spread: MIN_SPREAD },
+    Pass { steps: 24, settled_px: 0.1, min_spread: 0.03, is_last: false },
+    Pass { steps: 24, settled_px: 0.01, min_spread: MIN_SPREAD, is_last: true },
 ];
 
 /// Registers pictures to one field; see the module's text.
@@ -90,7 +93,8 @@ pub struct Located {
     /// The picture and its camera.
     pub registered: Registered,
     /// Standard deviation of where the camera has what the picture shows, the median over places, px of
-    /// [`Registered::picture`]: by its keypoints or by its pixels, whichever is larger. A longer lens farther off shows
+    /// [`Registered::picture`]: by its keypoints, by its pixels, or by how far these are apart, whichever is the
+    /// largest. A longer lens farther off shows
     /// nearly the same, so that the camera's own place is less sure than that.
     pub uncertainty_px: f64,
     /// Keypoints that agree on the camera.
@@ -154,14 +158,15 @@ impl Registrar {
         let picture = bounded(picture)?;
         let camera = camera.resized(picture.width(), picture.height());
         let level = Level::of_parts(&picture, LONGEST_PX);
-        let pass = Pass { steps: 0, ..FINELY[1] };
+        let pass = Pass { steps: 0, is_last: false, ..FINELY[1] };
         let found =
             alignment::refine(&self.against(1.0), &level, camera, pass, &|| true).filter(|f| f.explained > 0.0)?;
         Some(Registered { camera, appearance: found.appearance, picture, explained: found.explained })
     }
 
     /// The camera and light from which the field looks most like `picture` (any size; a number that is not finite
-    /// counts as 0), for as long as it is `wanted`: that is asked before every step, of which there are some tens.
+    /// counts as 0). It goes on for as long as it is `wanted`: that is asked between keypoints, matches, agreement and
+    /// rematches, and before every step of the alignment.
     ///
     /// # Errors
     /// [`NotLocated`], with the reason.
@@ -200,16 +205,17 @@ impl Registrar {
         let mut place: Option<Refined> = None;
         for pass in FINELY {
             let from = place.as_ref().map_or(camera, |place| place.camera);
-            place = alignment::refine(&against, &fine, from, pass, wanted);
+            let next = alignment::refine(&against, &fine, from, pass, wanted);
             go_on()?;
-            if place.is_none() {
-                return Err(NotLocated::NotExplained);
-            }
+            place = Some(next.ok_or(NotLocated::NotExplained)?);
         }
-        let Refined { camera, appearance, explained, covariance } = place.ok_or(NotLocated::NotExplained)?;
-        // Where pixels settle beside the best place they do not say so; keypoints are a second witness.
+        let place = place.filter(|place| place.explained > 0.0).ok_or(NotLocated::NotExplained)?;
+        let Refined { camera, appearance, explained, covariance } = place;
         let aligned_px = covariance.map_or(f64::INFINITY, |c| c.median_px(&camera, &by.places));
-        let uncertainty_px = aligned_px.max(by.off_px);
+        // Pixels that settled beside the best place do not say so; how far they went from the keypoints does.
+        let apart = |p: &DVec3| Some((camera.project(*p)? - by.camera.project(*p)?).length());
+        let apart_px = median(by.places.iter().filter_map(apart).collect());
+        let uncertainty_px = aligned_px.max(by.off_px).max(apart_px);
         let registered = Registered { camera, appearance, picture, explained };
         Ok(Located { registered, uncertainty_px, agreeing: by.places.len(), surprise })
     }
@@ -235,9 +241,10 @@ impl Registrar {
         share: f64,
         reach: f64,
     ) -> Option<ByKeypoints> {
+        let size = |camera: &Camera| [camera.intrinsics.width, camera.intrinsics.height];
         let longest = camera.intrinsics.width.max(camera.intrinsics.height);
-        let small = shrunk(camera, longest.min(REMATCHED_PX));
-        let ratio = camera.intrinsics.width as f64 / small.intrinsics.width as f64;
+        let small = shrunk(camera, REMATCHED_PX);
+        let ratio = ratio(size(camera), size(&small));
         let seen = Seen::at(&self.field, &small, light);
         let shown = placed(&seen, KEYPOINTS);
         let radius = (share * longest as f64).max(3.0);
@@ -250,11 +257,11 @@ impl Registrar {
             all.sort_by_key(|(like, _)| std::cmp::Reverse(*like));
             let (like, best) = *all.first()?;
             let aside = |k: usize| (shown[k].0.at - shown[best].0.at).length() > 2.0;
-            let next = all.iter().find(|(_, k)| aside(*k)).map(|(like, _)| keypoints::distance2(*like));
-            let test = next.map_or(0.0, |next| (keypoints::distance2(like) / next.max(1e-9)).sqrt());
+            let next = all.iter().find(|(_, k)| aside(*k));
+            let test = next.map_or(0.0, |(next, _)| keypoints::distance_ratio(like, *next));
             let (known, place) = &shown[best];
             let turned = f64::from(keypoint.angle - known.angle);
-            let larger = f64::from(keypoint.scale) / (f64::from(known.scale) * ratio);
+            let larger = f64::from(keypoint.scale) / (f64::from(known.scale) * ratio.x);
             (test < REMATCH_RATIO).then_some(Match {
                 at: keypoint.at,
                 place: *place,
@@ -268,9 +275,9 @@ impl Registrar {
         matches.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
         let matches = one_a_spot(matches);
         let chance = Chance::within(radius);
-        let how = Solve { numbers: NUMBERS, steps: 20, spread_px: (radius / 8.0).max(0.7) };
+        let how = Solve { numbers: NUMBERS, steps: 20, spread_px: (radius / 8.0).max(0.7), expected: 1.0 };
         let next = consensus::solved(camera, &matches, reach, &how)?;
-        let agreed = consensus::refined(chance.of(&next, &matches), &matches, reach, &chance)?;
+        let agreed = consensus::refined(chance.of(&next, &matches), &matches, reach, &chance);
         (agreed.surprise > MIN_SURPRISE).then(|| ByKeypoints::of(&agreed, &matches, reach))
     }
 }
@@ -297,21 +304,21 @@ impl ByKeypoints {
 /// The picture's keypoints, px of the picture.
 fn found_in(picture: &Picture) -> Vec<Keypoint> {
     let small = smaller(picture, LOOKED_AT_PX);
-    let ratio = picture.width() as f64 / small.width() as f64;
+    let ratio = ratio([picture.width(), picture.height()], [small.width(), small.height()]);
     let mut found = keypoints(&small, KEYPOINTS);
     for keypoint in &mut found {
         keypoint.at *= ratio;
-        keypoint.scale *= ratio as f32;
+        keypoint.scale *= ratio.x as f32;
     }
     found
 }
 
 /// The picture at the size that it is compared at, in [0, 1]; `None` where it is smaller than [`MIN_SIDE`].
 fn bounded(picture: &Picture) -> Option<Picture> {
+    let mut picture = smaller(picture, LONGEST_PX);
     if picture.width().min(picture.height()) < MIN_SIDE {
         return None;
     }
-    let mut picture = smaller(picture, LONGEST_PX);
     picture.rgb_mut().iter_mut().for_each(|v| *v = if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 });
     Some(picture)
 }

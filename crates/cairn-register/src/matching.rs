@@ -1,7 +1,7 @@
 //! Which keypoint of the index each of a picture's is like.
 
 use crate::index::Index;
-use crate::keypoints::{DESCRIPTOR, Keypoint, distance2};
+use crate::keypoints::{DESCRIPTOR, Keypoint, distance_ratio};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -124,7 +124,7 @@ impl Nearest {
         });
         // Where all that are alike show one place, the next that might not is at least as far as the last of them.
         let (next, _) = *elsewhere.or(self.all.last())?;
-        let ratio = (distance2(like) / distance2(next).max(1e-9)).sqrt();
+        let ratio = distance_ratio(like, next);
         (ratio < RATIO).then(|| Match {
             at: keypoint.at,
             place: index.place(best as usize),

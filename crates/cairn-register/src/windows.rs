@@ -1,6 +1,7 @@
 //! The pixels of a picture that are compared at one size: all of a small copy, or small parts
 //! with much to see, spread over a larger one.
 
+use crate::sizes::smaller;
 use cairn_scene::{Camera, Picture};
 
 /// A part of a copy, pixels of the copy.
@@ -47,7 +48,7 @@ const FLAT: f32 = 0.01;
 impl Level {
     /// Parts of a copy: of each cell of a lattice the one where most is to be seen.
     pub(super) fn of_parts(picture: &Picture, longest: usize) -> Self {
-        let copy = copy(picture, longest);
+        let copy = smaller(picture, longest);
         let (w, h) = (copy.width(), copy.height());
         let cell = (w.max(h) / PARTS).max(PART);
         let (mut windows, detail) = (Vec::new(), detail(&copy));
@@ -86,16 +87,6 @@ impl Level {
 /// Rays across a pixel of a copy `width` px wide: as many as it is smaller than the picture, within [`MAX_RAYS`].
 fn rays_for(picture: &Picture, width: usize) -> usize {
     (picture.width() / width).clamp(1, if width <= COARSE_PX { MAX_RAYS.0 } else { MAX_RAYS.1 })
-}
-
-/// The picture, at most `longest` px long.
-fn copy(picture: &Picture, longest: usize) -> Picture {
-    let (w, h) = (picture.width(), picture.height());
-    if w.max(h) <= longest {
-        return picture.clone();
-    }
-    let side = |s: usize| ((s * longest + w.max(h) / 2) / w.max(h)).max(1);
-    picture.resized(side(w), side(h))
 }
 
 /// Differences to the right and lower neighbours, root of the sum of squares, a pixel each.

@@ -109,7 +109,12 @@ fn a_render_from_between_the_photographs_is_located_to_a_part_of_a_pixel() {
         let found = located(&shot(&truth));
         let off = off_px(&found, &truth);
         assert!(off < 1.0, "view {k}: {off} px, {}", said(&found));
-        assert!(found.registered.explained > 0.8 && found.uncertainty_px < 2.0, "view {k}: {}", said(&found));
+        // A weak field: what is stated is no less than the truth.
+        assert!(
+            found.registered.explained > 0.8 && off < 3.0 * found.uncertainty_px,
+            "view {k}: {off} px, {}",
+            said(&found)
+        );
         assert!(found.surprise > 20.0 && found.agreeing > 20, "view {k}: {}", said(&found));
     }
 }

@@ -29,7 +29,7 @@ use crate::store::hidden::{self, Parts};
 const MAX_FIELD_BYTES: u64 = 64 << 30;
 /// Largest share table that is read, bytes.
 const MAX_SHARES_BYTES: u64 = 16 << 30;
-/// Largest index of places that is read, bytes: one of the most views has a twentieth of that.
+/// Largest index of places that is read, bytes: one of the most views has a fortieth of that.
 const MAX_PLACES_BYTES: u64 = 1 << 30;
 /// Largest file of settings that is read, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
