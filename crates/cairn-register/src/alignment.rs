@@ -47,7 +47,7 @@ pub(super) struct Pass {
     pub(super) steps: usize,
     /// A step that moves pixels by less ends it, pixels of the level.
     pub(super) settled_px: f64,
-    /// The smallest spread of differences by which outliers are told, colours in [0, 1].
+    /// The smallest spread of differences: what is off by more times it is an outlier, colours in [0, 1].
     pub(super) min_spread: f64,
     /// Whether it is asked how far off the camera may be: nine renders more.
     pub(super) is_last: bool,

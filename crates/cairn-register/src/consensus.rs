@@ -38,7 +38,7 @@ const SIZE: f64 = 0.5;
 const TURN: f64 = 0.5;
 /// Largest distance at which a match can agree, shares of the picture's diagonal.
 const AGREES: f64 = 0.02;
-/// Smallest distance that is told from none, px: keypoints are found as well as that.
+/// Matches that are off by less agree alike, px: keypoints are found as well as that.
 const MIN_OFF_PX: f64 = 0.5;
 /// How far a focal length is expected from what a rough camera has, standard deviation of its logarithm.
 const FOCAL: f64 = 0.3;

@@ -14,8 +14,8 @@ const LENGTH: f32 = 512.0;
 const SPREAD: f32 = 0.2;
 /// by this factor at most: what is flat shows noise alone.
 const MAX_GAIN: f32 = 4.0;
-/// The faintest response that counts, of lightness in [0, 1]. Lowe's 0.03 is for photographs of millions of pixels; at
-/// 0.006 small renders have half as many again that agree, and at 0.003 no more.
+/// The faintest response that counts, of lightness in [0, 1]. Lowe's 0.03 is for photographs of millions of pixels. Of
+/// small renders (liberty, 200 x 300) half as many keypoints again agree at 0.006 as at 0.013, and at 0.003 hardly more.
 const MIN_RESPONSE: f32 = 0.006;
 
 /// A place in a picture that is known again in another.

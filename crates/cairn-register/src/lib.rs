@@ -94,8 +94,7 @@ pub struct Located {
     pub registered: Registered,
     /// Standard deviation of where the camera has what the picture shows, the median over places, px of
     /// [`Registered::picture`]: by its keypoints, by its pixels, or by how far these are apart, whichever is the
-    /// largest. A longer lens farther off shows
-    /// nearly the same, so that the camera's own place is less sure than that.
+    /// largest. A longer lens farther off shows nearly the same, so that the camera's own place is less sure than that.
     pub uncertainty_px: f64,
     /// Keypoints that agree on the camera.
     pub agreeing: usize,

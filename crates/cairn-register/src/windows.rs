@@ -1,5 +1,4 @@
-//! The pixels of a picture that are compared at one size: all of a small copy, or small parts
-//! with much to see, spread over a larger one.
+//! The pixels of a picture that are compared at one size: small parts with much to see, spread over a copy.
 
 use crate::sizes::smaller;
 use cairn_scene::{Camera, Picture};
@@ -38,10 +37,8 @@ pub(super) struct Level {
 const PART: usize = 8;
 /// Parts across the longer side.
 const PARTS: usize = 12;
-/// Largest number of rays across a pixel of a copy [`COARSE_PX`] long, and of longer ones: with two on the
-/// coarsest, what single rays met by chance led places astray.
-const MAX_RAYS: (usize, usize) = (4, 2);
-const COARSE_PX: usize = 40;
+/// Largest number of rays across a pixel of a copy.
+const MAX_RAYS: usize = 2;
 /// Where neighbours differ by less (root of the sum of squares over channels, right and below), nothing is to be seen.
 const FLAT: f32 = 0.01;
 
@@ -86,7 +83,7 @@ impl Level {
 
 /// Rays across a pixel of a copy `width` px wide: as many as it is smaller than the picture, within [`MAX_RAYS`].
 fn rays_for(picture: &Picture, width: usize) -> usize {
-    (picture.width() / width).clamp(1, if width <= COARSE_PX { MAX_RAYS.0 } else { MAX_RAYS.1 })
+    (picture.width() / width).clamp(1, MAX_RAYS)
 }
 
 /// Differences to the right and lower neighbours, root of the sum of squares, a pixel each.
@@ -128,7 +125,7 @@ mod tests {
     fn a_level_has_each_windows_pixels_in_their_order() {
         let picture = ramp(120, 90);
         let small = Level::of_parts(&picture, 30);
-        assert_eq!((small.size, small.rays), ((30, 23), 4));
+        assert_eq!((small.size, small.rays), ((30, 23), 2));
         let parts = Level::of_parts(&picture, 800);
         assert_eq!((parts.size, parts.rays), ((120, 90), 1));
         assert_eq!(parts.pixels.len(), parts.windows.len() * PART * PART);
