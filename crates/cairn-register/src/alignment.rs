@@ -6,10 +6,10 @@
 //! The light is a linear regression by the same weights at every place. So a step is judged in the light that it was worked
 //! out in. Where it was not, steps led nowhere, and pictures settled beside their places.
 
-pub(super) use super::matrix::{NUMBERS, Normal};
-use super::windows::Level;
+use super::blur::{Blur, MAX_BLUR_PX, least};
+pub(super) use super::matrix::{NUMBERS, Normal, SHAPE};
+use super::windows::{Parts, Window};
 use cairn_field::Field;
-use cairn_field::appearance::cholesky::{factor, solve};
 use cairn_field::appearance::prior::Prior;
 use cairn_field::rays::lens::{Eye, Lens};
 use cairn_field::stats::median;
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 /// Where Tukey's weights end, in robust standard deviations.
 const TUKEY: f64 = 4.685;
-/// A number goes so far for a slope that pixels move by about that, pixels of the level.
+/// A number goes so far for a slope that pixels move by about that, px.
 const UNIT_PX: f64 = 0.4;
 /// A step whose square is smaller teaches rounding alone, units squared.
 const MIN_LEARNT: f64 = 1e-8;
@@ -28,6 +28,14 @@ const MIN_LEARNT: f64 = 1e-8;
 const TRIES: usize = 5;
 /// Damping that is felt: a step that leads nowhere is damped by that at least.
 const DAMPED: f64 = 1e-4;
+/// Nearer than a tenth of a standard deviation in each number it ends: noise moves the best place farther. Squared.
+const SETTLED: f64 = 0.01 * NUMBERS as f64;
+/// A blur that is tried first, px: a picture that is better without it is sharp.
+const SLIGHT_PX: f64 = 0.6;
+/// A blur is found to that, px.
+const BLUR_WITHIN_PX: f64 = 0.02;
+/// What eight bits leave of a number, about.
+pub(super) const MIN_SPREAD: f64 = 0.5 / 255.0;
 /// Steps that slopes are learnt from before they are worked out anew.
 const LEARNT: usize = 4;
 
@@ -40,20 +48,22 @@ pub(super) struct Against<'a> {
     pub(super) reach: f64,
 }
 
-/// How a level is gone through.
+/// How pictures are compared.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pass {
+    /// So many of the camera's numbers, the first ones, are moved.
+    pub(super) numbers: usize,
     /// Steps, at most.
     pub(super) steps: usize,
-    /// A step that moves pixels by less ends it, pixels of the level.
+    /// A step that moves pixels by less ends it, px.
     pub(super) settled_px: f64,
     /// The smallest spread of differences: what is off by more times it is an outlier, colours in [0, 1].
     pub(super) min_spread: f64,
-    /// Whether it is asked how far off the camera may be: nine renders more.
+    /// Whether it is asked how far off the camera may be: eleven renders more.
     pub(super) is_last: bool,
 }
 
-/// A place, refined on one level.
+/// A place, refined.
 #[derive(Clone, Debug)]
 pub(super) struct Refined {
     pub(super) camera: Camera,
@@ -71,6 +81,8 @@ struct Looked {
     /// What each pixel gathers, before any light.
     features: Vec<[f32; FEATURES]>,
     residuals: Vec<[f32; 3]>,
+    /// How unlikely the light is, weighed as the sum of the pixels' squares is.
+    penalty: f64,
 }
 
 /// A step that was taken.
@@ -78,22 +90,24 @@ struct Moved {
     next: Looked,
     /// The numbers' units that it went.
     step: [f64; NUMBERS],
+    /// The square of how far it was to the best place, in standard deviations.
+    deviations: f64,
 }
 
 /// Takes steps from `camera`, as `pass` says. `None` where there is nothing to
 /// compare, no light explains it, or it is no longer `wanted`.
 pub(super) fn refine(
     against: &Against<'_>,
-    level: &Level,
+    parts: &Parts,
     camera: Camera,
     pass: Pass,
     wanted: &dyn Fn() -> bool,
 ) -> Option<Refined> {
-    let Pass { steps, settled_px, min_spread, is_last } = pass;
-    if level.windows.is_empty() {
+    let Pass { numbers, steps, settled_px, min_spread, is_last } = pass;
+    if parts.windows.is_empty() {
         return None;
     }
-    let mut now = look(against, level, &camera, None)?;
+    let mut now = look(against, parts, &camera, None)?;
     // Little: with much, steps along the valley of longer lenses further off were too short to go on.
     let mut damping = 1e-5;
     let (mut known, mut learnt) = (None::<Slopes>, 0);
@@ -102,32 +116,58 @@ pub(super) fn refine(
         if !wanted() {
             return None;
         }
-        let weights = Weights::of(&now.residuals, &level.tells, min_spread);
+        let weights = Weights::of(&now.residuals, &parts.tells, min_spread);
         // In the light that a step will be judged in.
-        now = lit(against, level, &now.camera, now.features, Some(&weights))?;
+        now = lit(against, parts, &now.camera, now.features, Some(&weights))?;
         let mut slopes = known.take().filter(|_| learnt < LEARNT).unwrap_or_else(|| {
             learnt = 0;
-            Slopes::at(against, level, &now, &weights)
+            Slopes::at(against, parts, &now, numbers)
         });
         // Slopes that were learnt and do not lead on are worked out anew, and say nothing of the next step's damping.
         let (mut damped, tries) = (damping, if learnt == 0 { TRIES } else { 1 });
-        match slopes.follow(against, level, &now, &weights, &mut damped, tries) {
-            Some(Moved { next, step }) => {
+        match slopes.follow(against, parts, &now, &weights, &mut damped, tries) {
+            Some(Moved { next, step, deviations }) => {
                 slopes.learn(&step, &now.residuals, &next.residuals);
-                (now, known, learnt, damping) = (next, Some(slopes), learnt + 1, damped);
-                if step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX < settled_px {
+                let moved_px = step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX;
+                let settled = moved_px < settled_px || deviations < SETTLED;
+                if settled && learnt == 0 {
+                    now = next;
                     break;
                 }
+                // Slopes that were learnt may miss what is left.
+                learnt = if settled { LEARNT } else { learnt + 1 };
+                (now, known, damping) = (next, Some(slopes), damped);
             }
             None if learnt == 0 => break,
             None => learnt = LEARNT,
         }
     }
-    let weights = Weights::of(&now.residuals, &level.tells, min_spread);
-    let explained = weights.explained(&now.residuals, level);
-    let certain = || Covariance::of(level, &now.residuals, &weights, &Slopes::at(against, level, &now, &weights));
+    let weights = Weights::of(&now.residuals, &parts.tells, min_spread);
+    let explained = weights.explained(&now.residuals, parts);
+    let certain = || Covariance::of(parts, &now.residuals, &weights, &Slopes::at(against, parts, &now, numbers));
     let covariance = if is_last { certain() } else { None };
     Some(Refined { camera: now.camera, appearance: now.appearance, explained, covariance })
+}
+
+/// How blurred the picture is at `camera`: the blur with which what the field shows there differs by the least spread.
+/// Without one where a slight one does no better.
+pub(super) fn blur_at(against: &Against<'_>, parts: &Parts, camera: &Camera) -> Option<Blur> {
+    let spread_with = |sharp: &[[f32; FEATURES]], margin: usize, sigma_px: f64| {
+        let features = Blur::of(sigma_px).of_parts(sharp, parts, margin);
+        let looked = lit(against, parts, camera, features, None)?;
+        let weights = Weights::of(&looked.residuals, &parts.tells, MIN_SPREAD);
+        let looked = lit(against, parts, camera, looked.features, Some(&weights))?;
+        Some(Weights::of(&looked.residuals, &parts.tells, 0.0).spread)
+    };
+    let margin = Blur::of(SLIGHT_PX).margin();
+    let sharp = about(against.field, parts, parts.windows.iter(), camera, margin);
+    if spread_with(&sharp, margin, SLIGHT_PX)? >= spread_with(&sharp, margin, 0.0)? {
+        return Some(Blur::NONE);
+    }
+    let margin = Blur::of(MAX_BLUR_PX).margin();
+    let sharp = about(against.field, parts, parts.windows.iter(), camera, margin);
+    let of = |sigma_px: f64| spread_with(&sharp, margin, sigma_px).unwrap_or(f64::INFINITY);
+    Some(Blur::of(least(MAX_BLUR_PX, BLUR_WITHIN_PX, of)))
 }
 
 /// How far each number goes so that pixels move by about [`UNIT_PX`] of a copy `longest` px long.
@@ -138,11 +178,14 @@ pub(super) fn units(camera: &Camera, reach: f64, longest: f64) -> [f64; NUMBERS]
     let (angle, half) = (pixel / i.fx, i.width.max(i.height) as f64 / 2.0);
     let aside = angle * reach;
     let larger = pixel / half;
-    [angle, angle, larger, aside, aside, larger * reach, larger, pixel, pixel]
+    // At the end of the longer side k1 moves things by its square in focal lengths.
+    let bent = larger / (half / i.fx).powi(2);
+    [angle, angle, larger, aside, aside, larger * reach, larger, pixel, pixel, bent, larger]
 }
 
-/// `camera` with its nine numbers changed by `step`, each in its unit: turned about its own axes, moved along them, its
-/// focal length multiplied, its principal point moved.
+/// `camera` with its eleven numbers changed by `step`, each in its unit: turned about its own axes, moved along them, its
+/// focal length multiplied, its principal point moved, its first radial coefficient raised, its
+/// picture stretched downwards.
 pub(super) fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMBERS]) -> Camera {
     let by: [f64; NUMBERS] = std::array::from_fn(|k| step[k] * units[k]);
     let mut changed = *camera;
@@ -153,23 +196,51 @@ pub(super) fn changed(camera: &Camera, step: &[f64; NUMBERS], units: &[f64; NUMB
     let larger = by[6].clamp(-1.0, 1.0).exp();
     (i.fx, i.fy) = (i.fx * larger, i.fy * larger);
     (i.cx, i.cy) = (i.cx + by[7], i.cy + by[8]);
+    i.fy *= by[10].clamp(-1.0, 1.0).exp();
+    if by[9] != 0.0 {
+        i.distortion = i.distortion.with_first_radial(i.distortion.first_radial() + by[9]);
+    }
     changed
 }
 
-/// What the level's pixels gather from `camera`.
-fn gathered(field: &Field, level: &Level, camera: &Camera) -> Vec<[f32; FEATURES]> {
-    let parts: Vec<Camera> = level.windows.iter().map(|w| level.camera(camera, w)).collect();
-    field.features_of(Eye { camera: &parts[0], lens: &Lens::stacked(&parts) }, level.rays)
+/// What the pixels of some `windows` with `margin` px about each gather from `camera`, one window after another.
+fn about<'w>(
+    field: &Field,
+    parts: &Parts,
+    windows: impl Iterator<Item = &'w Window>,
+    camera: &Camera,
+    margin: usize,
+) -> Vec<[f32; FEATURES]> {
+    let cameras: Vec<Camera> = windows.map(|w| parts.camera(camera, w, margin)).collect();
+    let Some(first) = cameras.first() else { return Vec::new() };
+    field.features_of(Eye { camera: first, lens: &Lens::stacked(&cameras) })
 }
 
-fn look(against: &Against<'_>, level: &Level, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
-    lit(against, level, camera, gathered(against.field, level, camera), weights)
+/// What the pixels of `parts` gather from `camera`, blurred as they are.
+fn gathered(field: &Field, parts: &Parts, camera: &Camera) -> Vec<[f32; FEATURES]> {
+    let margin = parts.blur.margin();
+    parts.blur.of_parts(&about(field, parts, parts.windows.iter(), camera, margin), parts, margin)
+}
+
+/// What every second window's pixels gather from the first camera, and those between them from the second.
+fn gathered_by_turns(field: &Field, parts: &Parts, cameras: [&Camera; 2]) -> Vec<[f32; FEATURES]> {
+    let margin = parts.blur.margin();
+    let [even, odd] = [0, 1].map(|k| about(field, parts, parts.windows.iter().skip(k).step_by(2), cameras[k], margin));
+    let a_window = parts.windows.first().map_or(1, |w| (w.width + 2 * margin) * (w.height + 2 * margin));
+    let (mut even, mut odd) = (even.chunks_exact(a_window), odd.chunks_exact(a_window));
+    let all: Vec<&[[f32; FEATURES]]> =
+        std::iter::from_fn(|| Some([even.next()?, odd.next().unwrap_or(&[])])).flatten().collect();
+    parts.blur.of_parts(&all.concat(), parts, margin)
+}
+
+fn look(against: &Against<'_>, parts: &Parts, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
+    lit(against, parts, camera, gathered(against.field, parts, camera), weights)
 }
 
 /// What pixels with those `features` show in the light that fits best, each counting as its weight says.
 fn lit(
     against: &Against<'_>,
-    level: &Level,
+    parts: &Parts,
     camera: &Camera,
     features: Vec<[f32; FEATURES]>,
     weights: Option<&Weights>,
@@ -178,12 +249,13 @@ fn lit(
     let some: Vec<usize> = (0..features.len()).filter(|at| weight(*at) > 0.0).collect();
     let weighed = |at: &usize| {
         let w = weight(*at);
-        (features[*at].map(|v| v * w), level.pixels[*at].map(|v| v * w))
+        (features[*at].map(|v| v * w), parts.pixels[*at].map(|v| v * w))
     };
     let (f, p): (Vec<_>, Vec<_>) = some.iter().map(weighed).unzip();
     let appearance = against.prior.fit(&f, &p)?;
-    let residuals = differences(&features, &appearance, &level.pixels);
-    Some(Looked { camera: *camera, appearance, features, residuals })
+    let residuals = differences(&features, &appearance, &parts.pixels);
+    let penalty = some.len() as f64 * against.prior.penalty(&appearance);
+    Some(Looked { camera: *camera, appearance, features, residuals, penalty })
 }
 
 /// Each pixel less what the field shows there.
@@ -208,55 +280,32 @@ struct Slopes {
 }
 
 impl Slopes {
-    /// Of the present camera: nine renders. Of what they show counts what no change of light would (Golub and Pereyra
-    /// 1973, as Kaufman 1975 simplifies it): the light is fitted again at every place.
-    fn at(against: &Against<'_>, level: &Level, now: &Looked, weights: &Weights) -> Self {
-        let units = units(&now.camera, against.reach, level.size.0.max(level.size.1) as f64);
+    /// Of the present camera and light: a render for each of its first `numbers`. The others have none.
+    ///
+    /// Of every second window the number rises, of the others it falls. A one-sided difference is off by a multiple of the
+    /// second derivative, and where the picture is a little more or less blurred than the field shows, residuals are such a
+    /// multiple too: together they led where nothing was gained. By turns these errors cancel.
+    fn at(against: &Against<'_>, parts: &Parts, now: &Looked, numbers: usize) -> Self {
+        let units = units(&now.camera, against.reach, parts.size.0.max(parts.size.1) as f64);
         let of = |k: usize| {
-            let step = std::array::from_fn(|n| if n == k { 1.0 } else { 0.0 });
-            let there = changed(&now.camera, &step, &units);
-            differences(&gathered(against.field, level, &there), &now.appearance, &level.pixels)
+            let by =
+                |size: f64| changed(&now.camera, &std::array::from_fn(|n| if n == k { size } else { 0.0 }), &units);
+            let features = gathered_by_turns(against.field, parts, [&by(1.0), &by(-1.0)]);
+            differences(&features, &now.appearance, &parts.pixels)
         };
-        let probes: Vec<Vec<[f32; 3]>> = (0..NUMBERS).into_par_iter().map(of).collect();
+        let probes: Vec<Vec<[f32; 3]>> = (0..numbers).into_par_iter().map(of).collect();
+        let a_window = parts.windows[0].width * parts.windows[0].height;
         // A residual falls by what the render rises.
-        let slope = |at: usize, c: usize, k: usize| now.residuals[at][c] - probes[k][at][c];
+        let sign = |at: usize| if (at / a_window).is_multiple_of(2) { 1.0 } else { -1.0 };
+        let slope = |at: usize, c: usize, k: usize| {
+            probes.get(k).map_or(0.0, |probe| sign(at) * (now.residuals[at][c] - probe[at][c]))
+        };
         let each = |at: usize| std::array::from_fn(|c| std::array::from_fn(|k| slope(at, c, k)));
-        let mut slopes = Self { units, each: (0..now.residuals.len()).map(each).collect() };
-        for channel in 0..3 {
-            slopes.clear_of_light(against.prior, now, weights, channel);
-        }
-        slopes
-    }
-
-    /// Takes off what another light makes as well of one colour channel, as far as lights are so.
-    fn clear_of_light(&mut self, prior: &Prior, now: &Looked, weights: &Weights, channel: usize) {
-        let counts = weights.each.iter().filter(|w| **w > 0.0).count() as f64;
-        let mut gram = prior.of_channel(channel).map(|row| row.map(|v| v * counts));
-        let mut right = [[0.0; FEATURES]; NUMBERS];
-        for ((features, slopes), w) in now.features.iter().zip(&self.each).zip(&weights.each) {
-            let f = features.map(f64::from);
-            for (a, row) in gram.iter_mut().enumerate() {
-                row.iter_mut().zip(&f).for_each(|(g, b)| *g += w * f[a] * b);
-            }
-            for (right, slope) in right.iter_mut().zip(&slopes[channel]) {
-                right.iter_mut().zip(&f).for_each(|(r, f)| *r += w * f * f64::from(*slope));
-            }
-        }
-        let gram = gram.as_flattened_mut();
-        if factor(gram, FEATURES).is_none() {
-            return;
-        }
-        right.iter_mut().for_each(|x| solve(gram, x));
-        for (features, slopes) in now.features.iter().zip(&mut self.each) {
-            for (slope, x) in slopes[channel].iter_mut().zip(&right) {
-                let lit: f64 = features.iter().zip(x).map(|(f, x)| f64::from(*f) * x).sum();
-                *slope -= lit as f32;
-            }
-        }
+        Self { units, each: (0..now.residuals.len()).map(each).collect() }
     }
 
     /// Takes what a `step` did to the residuals for the slopes along it (Broyden 1965): a step is one render, slopes are
-    /// nine.
+    /// eleven.
     fn learn(&mut self, step: &[f64; NUMBERS], before: &[[f32; 3]], after: &[[f32; 3]]) {
         let square: f64 = step.iter().map(|s| s * s).sum();
         if square < MIN_LEARNT {
@@ -278,37 +327,77 @@ impl Slopes {
     fn follow(
         &self,
         against: &Against<'_>,
-        level: &Level,
+        parts: &Parts,
         now: &Looked,
         weights: &Weights,
         damping: &mut f64,
         tries: usize,
     ) -> Option<Moved> {
-        let normal = self.normal(&now.residuals, weights);
-        let before = weights.cost(&now.residuals);
+        let sums = self.sums(parts, &now.residuals, weights);
+        let before = weights.cost(now);
         for _ in 0..tries {
-            let step = normal.step(*damping)?;
+            let step = sums.normal.step(*damping)?;
             let there = changed(&now.camera, &step, &self.units);
             // Light is fitted to what counted: an outlier has no say in it either.
-            let next = look(against, level, &there, Some(weights));
-            let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(&next.residuals));
+            let next = look(against, parts, &there, Some(weights));
+            let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(next));
             if let Some(next) = next.filter(|_| cost < before) {
                 *damping = (*damping * 0.1).max(1e-8);
-                return Some(Moved { next, step });
+                return Some(Moved { next, step, deviations: sums.deviations() });
             }
             *damping = (*damping * 30.0).max(DAMPED);
         }
         None
     }
 
-    fn normal(&self, residuals: &[[f32; 3]], weights: &Weights) -> Normal {
-        let mut normal = Normal::default();
-        for ((slopes, r), w) in self.each.iter().zip(residuals).zip(&weights.each).filter(|(_, w)| **w != 0.0) {
-            for (slopes, r) in slopes.iter().zip(r) {
-                normal.add(&slopes.map(f64::from), f64::from(*r), *w);
+    fn sums(&self, parts: &Parts, residuals: &[[f32; 3]], weights: &Weights) -> Sums {
+        let mut sums = Sums { normal: Normal::default(), middle: [[0.0; NUMBERS]; NUMBERS], told: 0 };
+        let mut first = 0;
+        for window in &parts.windows {
+            let own = first..first + window.width * window.height;
+            first = own.end;
+            let mut right = [0.0; NUMBERS];
+            for at in own.filter(|at| weights.each[*at] != 0.0) {
+                for (slopes, r) in self.each[at].iter().zip(&residuals[at]) {
+                    let (slopes, r) = (slopes.map(f64::from), f64::from(*r));
+                    sums.normal.add(&slopes, r, weights.each[at]);
+                    right.iter_mut().zip(slopes).for_each(|(sum, s)| *sum += weights.each[at] * s * r);
+                }
+            }
+            sums.told += usize::from(right.iter().any(|v| *v != 0.0));
+            for (row, a) in sums.middle.iter_mut().zip(right) {
+                row.iter_mut().zip(right).for_each(|(m, b)| *m += a * b);
             }
         }
-        normal
+        sums
+    }
+}
+
+/// What windows say together, and how far they agree.
+struct Sums {
+    normal: Normal,
+    /// The sum over windows of their own right sides, each times itself.
+    middle: [[f64; NUMBERS]; NUMBERS],
+    /// Windows that say anything.
+    told: usize,
+}
+
+impl Sums {
+    /// The covariance of the right side by what windows say one by one, with what fitting the numbers takes from it
+    /// (clustered, Liang and Zeger 1986): neighbouring pixels err together, windows do not. `None` where there are no more
+    /// windows than numbers.
+    fn spread(&self) -> Option<[[f64; NUMBERS]; NUMBERS]> {
+        let free = self.told.checked_sub(NUMBERS).filter(|free| *free > 0)?;
+        let share = self.told as f64 / free as f64;
+        Some(self.middle.map(|row| row.map(|v| v * share)))
+    }
+
+    /// The square of how far the best place is from here, in standard deviations (Rao's score test 1948): without end where
+    /// nothing says how large these are.
+    fn deviations(&self) -> f64 {
+        let right = self.normal.right;
+        let along = self.spread().and_then(|matrix| Normal { matrix, right }.step(0.0));
+        along.map_or(f64::INFINITY, |along| along.iter().zip(right).map(|(a, r)| a * r).sum())
     }
 }
 
@@ -321,35 +410,15 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// By what the level's windows say one by one: neighbouring pixels err together, windows do not. The normal
-    /// equations' inverse on either side of the windows' own sums (White 1980; clustered, Liang and Zeger 1986). `None`
-    /// where the windows do not determine a camera.
-    fn of(level: &Level, residuals: &[[f32; 3]], weights: &Weights, slopes: &Slopes) -> Option<Self> {
-        let whole = slopes.normal(residuals, weights);
-        let inverse = whole.inverse()?;
-        let mut middle = [[0.0; NUMBERS]; NUMBERS];
-        let (mut first, mut told) = (0, 0);
-        for window in &level.windows {
-            let own = first..first + window.width * window.height;
-            first = own.end;
-            let mut part = Normal::default();
-            for at in own.filter(|at| weights.each[*at] != 0.0) {
-                for (slopes, r) in slopes.each[at].iter().zip(&residuals[at]) {
-                    part.add(&slopes.map(f64::from), f64::from(*r), weights.each[at]);
-                }
-            }
-            told += usize::from(part.right.iter().any(|v| *v != 0.0));
-            for (row, a) in middle.iter_mut().zip(part.right) {
-                row.iter_mut().zip(part.right).for_each(|(m, b)| *m += a * b);
-            }
-        }
-        // As many windows as numbers leave nothing to tell errors by.
-        let free = told.checked_sub(NUMBERS).filter(|free| *free > 0)?;
-        let share = told as f64 / free as f64;
+    /// The normal equations' inverse on either side of what windows say one by one (White 1980). `None` where the windows do
+    /// not determine a camera.
+    fn of(parts: &Parts, residuals: &[[f32; 3]], weights: &Weights, slopes: &Slopes) -> Option<Self> {
+        let sums = slopes.sums(parts, residuals, weights);
+        let (inverse, middle) = (sums.normal.inverse()?, sums.spread()?);
         let times = |a: &[[f64; NUMBERS]; NUMBERS], b: &[[f64; NUMBERS]; NUMBERS]| -> [[f64; NUMBERS]; NUMBERS] {
             std::array::from_fn(|i| std::array::from_fn(|j| (0..NUMBERS).map(|k| a[i][k] * b[k][j]).sum()))
         };
-        let matrix = times(&times(&inverse, &middle), &inverse).map(|row| row.map(|v| v * share));
+        let matrix = times(&times(&inverse, &middle), &inverse);
         matrix.iter().flatten().all(|v| v.is_finite()).then_some(Self { units: slopes.units, matrix })
     }
 
@@ -403,25 +472,23 @@ impl Weights {
         Self { each: sizes.iter().map(weight).collect(), spread }
     }
 
-    /// Tukey's loss, with the spread that these weights were made with.
-    fn cost(&self, residuals: &[[f32; 3]]) -> f64 {
-        let end = TUKEY * self.spread * 3f64.sqrt();
-        let loss = |r: &[f32; 3]| 1.0 - (1.0 - (size(r) / end).powi(2)).max(0.0).powi(3);
-        residuals.iter().map(loss).sum()
+    /// The weighted sum of squares, and how unlikely the light is: what the light of a place makes least, and a step less.
+    fn cost(&self, looked: &Looked) -> f64 {
+        looked.residuals.iter().zip(&self.each).map(|(r, w)| w * size(r).powi(2)).sum::<f64>() + looked.penalty
     }
 
     /// Share of the pixels that tell something of which the field explains anything, times the share of their
     /// variance that it explains, 1 at most.
-    fn explained(&self, residuals: &[[f32; 3]], level: &Level) -> f64 {
-        let telling = level.tells.iter().filter(|tells| **tells).count();
-        let some: Vec<usize> = (0..residuals.len()).filter(|at| level.tells[*at] && self.each[*at] > 0.1).collect();
+    fn explained(&self, residuals: &[[f32; 3]], parts: &Parts) -> f64 {
+        let telling = parts.tells.iter().filter(|tells| **tells).count();
+        let some: Vec<usize> = (0..residuals.len()).filter(|at| parts.tells[*at] && self.each[*at] > 0.1).collect();
         let n = some.len() as f64;
         let mean: [f64; 3] =
-            std::array::from_fn(|c| some.iter().map(|at| f64::from(level.pixels[*at][c])).sum::<f64>() / n);
+            std::array::from_fn(|c| some.iter().map(|at| f64::from(parts.pixels[*at][c])).sum::<f64>() / n);
         let (mut left, mut variance) = (0.0, 0.0);
         for at in &some {
             left += size(&residuals[*at]).powi(2);
-            variance += (0..3).map(|c| (f64::from(level.pixels[*at][c]) - mean[c]).powi(2)).sum::<f64>();
+            variance += (0..3).map(|c| (f64::from(parts.pixels[*at][c]) - mean[c]).powi(2)).sum::<f64>();
         }
         if variance > 0.0 { n / telling as f64 * (1.0 - left / variance) } else { 0.0 }
     }

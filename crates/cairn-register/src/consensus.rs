@@ -14,7 +14,7 @@
 use crate::alignment::{Covariance, NUMBERS, Normal, changed, units};
 use crate::index::Index;
 use crate::matching::Match;
-use cairn_scene::Camera;
+use cairn_scene::{Camera, Intrinsics};
 use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -46,11 +46,18 @@ const FOCAL: f64 = 0.3;
 const PROBE: f64 = 1e-2;
 /// How far a principal point is expected from the middle, shares of the longer side: pictures are cut.
 const PRINCIPAL: f64 = 0.15;
+/// How far a first radial coefficient is expected from what a rough camera has.
+const BENT: f64 = 0.1;
+/// How much a picture is expected to be stretched downwards, standard deviation of its logarithm: sides of small pictures
+/// are rounded to pixels.
+const STRETCHED: f64 = 0.005;
 
 /// A camera with the matches that agree on it.
 #[derive(Clone, Debug)]
 pub(crate) struct Agreed {
     pub(crate) camera: Camera,
+    /// What was expected of its lens.
+    pub(crate) lens: Intrinsics,
     /// Numbers of the matches that agree.
     pub(crate) matches: Vec<usize>,
     /// Negative decimal logarithm of how many agreements as good one expects by chance.
@@ -83,8 +90,9 @@ pub(crate) fn agreed(index: &Index, matches: &[Match], size: [usize; 2]) -> Opti
         let mut best: Option<Agreed> = None;
         for _ in 0..DRAWN {
             let four = drawn(with.len(), &mut rng).map(|k| matches[with[k]]);
-            let Some(camera) = solved(camera, &four, index.reach, &Solve::FOUR) else { continue };
-            let found = chance.of(&camera, matches);
+            let lens = &camera.intrinsics;
+            let Some(camera) = solved(camera, &four, index.reach, &Solve::four(lens)) else { continue };
+            let found = chance.of(&camera, lens, matches);
             if best.as_ref().is_none_or(|b| found.surprise > b.surprise) {
                 best = Some(refined(found, matches, index.reach, &chance));
             }
@@ -114,9 +122,10 @@ pub(crate) fn refined(mut found: Agreed, matches: &[Match], reach: f64, chance: 
     for _ in 0..4 {
         let with: Vec<Match> = found.matches.iter().map(|k| matches[*k]).collect();
         let numbers = if with.len() >= 8 { NUMBERS } else { 7 };
-        let how = Solve { numbers, steps: 10, spread_px: (found.within_px / 3.0).max(MIN_OFF_PX), expected: 1.0 };
+        let spread_px = (found.within_px / 3.0).max(MIN_OFF_PX);
+        let how = Solve { lens: &found.lens, numbers, steps: 10, spread_px, expected: 1.0 };
         let Some(camera) = solved(&found.camera, &with, reach, &how) else { break };
-        let next = chance.of(&camera, matches);
+        let next = chance.of(&camera, &found.lens, matches);
         if next.surprise <= found.surprise {
             break;
         }
@@ -153,7 +162,10 @@ fn roughly(camera: &Camera, m: &Match, other: &Match, diagonal: f64) -> bool {
 }
 
 /// How a camera is solved for.
-pub(crate) struct Solve {
+pub(crate) struct Solve<'a> {
+    /// What is expected of the lens: what the view has of which a keypoint is known. The principal point is expected in the
+    /// middle.
+    pub(crate) lens: &'a Intrinsics,
     /// So many of its numbers, the first ones, are moved.
     pub(crate) numbers: usize,
     /// Steps, at most.
@@ -164,22 +176,28 @@ pub(crate) struct Solve {
     pub(crate) expected: f64,
 }
 
-impl Solve {
+impl<'a> Solve<'a> {
     /// From four matches, exactly: no match is an outlier.
-    const FOUR: Self = Self { numbers: 7, steps: 8, spread_px: 1e3, expected: 1.0 };
+    fn four(lens: &'a Intrinsics) -> Self {
+        Self { lens, numbers: 7, steps: 8, spread_px: 1e3, expected: 1.0 }
+    }
 }
 
-/// What matches say of a camera near `now`, with what is expected of focal lengths and principal points.
+/// What matches say of a camera near `now`, with what is expected of focal lengths, principal points and distortion.
 struct Equations<'a> {
     matches: &'a [Match],
     reach: f64,
-    how: &'a Solve,
+    how: &'a Solve<'a>,
     /// Longer side, px.
     longest: f64,
     /// Where principal points are expected, px.
     middle: DVec2,
     /// What focal lengths are expected, px.
     focal: f64,
+    /// What first radial coefficients are expected.
+    bent: f64,
+    /// What ratios of focal lengths, down to across, are expected.
+    stretched: f64,
 }
 
 impl Equations<'_> {
@@ -190,8 +208,11 @@ impl Equations<'_> {
         let i = &camera.intrinsics;
         let aside = (DVec2::new(i.cx, i.cy) - self.middle) / (PRINCIPAL * self.longest);
         let focal = (i.fx / self.focal).ln() / FOCAL;
+        let bent = (i.distortion.first_radial() - self.bent) / BENT;
+        let stretched = (i.fy / i.fx / self.stretched).ln() / STRETCHED;
+        let expected = focal.powi(2) + aside.length_squared() + bent.powi(2) + stretched.powi(2);
         let each = |m: &Match| (1.0 + off(m) / spread).ln() * spread;
-        self.matches.iter().map(each).sum::<f64>() + self.how.expected * (focal.powi(2) + aside.length_squared())
+        self.matches.iter().map(each).sum::<f64>() + self.how.expected * expected
     }
 
     fn normal(&self, now: &Camera, units: &[f64; NUMBERS]) -> Normal {
@@ -215,6 +236,8 @@ impl Equations<'_> {
             (6, units[6] / FOCAL, -(i.fx / self.focal).ln() / FOCAL),
             (7, units[7] / aside, (self.middle.x - i.cx) / aside),
             (8, units[8] / aside, (self.middle.y - i.cy) / aside),
+            (9, units[9] / BENT, (self.bent - i.distortion.first_radial()) / BENT),
+            (10, units[10] / STRETCHED, -(i.fy / i.fx / self.stretched).ln() / STRETCHED),
         ];
         for (k, unit, off) in expected.into_iter().filter(|(k, ..)| *k < self.how.numbers) {
             let slopes = std::array::from_fn(|n| if n == k { unit } else { 0.0 });
@@ -224,16 +247,17 @@ impl Equations<'_> {
     }
 }
 
-fn equations<'a>(camera: &Camera, matches: &'a [Match], reach: f64, how: &'a Solve) -> Equations<'a> {
-    let i = &camera.intrinsics;
+fn equations<'a>(matches: &'a [Match], reach: f64, how: &'a Solve<'a>) -> Equations<'a> {
+    let i = how.lens;
     let middle = DVec2::new(i.width as f64, i.height as f64) / 2.0;
-    Equations { matches, reach, how, longest: i.width.max(i.height) as f64, middle, focal: i.fx }
+    let (longest, bent) = (i.width.max(i.height) as f64, i.distortion.first_radial());
+    Equations { matches, reach, how, longest, middle, focal: i.fx, bent, stretched: i.fy / i.fx }
 }
 
 /// The camera at which `matches` lie best: Levenberg and Marquardt's steps from `camera`, with Cauchy's weights, and what
-/// is expected of focal lengths and principal points. `None` where a number of it is not finite.
-pub(crate) fn solved(camera: &Camera, matches: &[Match], reach: f64, how: &Solve) -> Option<Camera> {
-    let equations = equations(camera, matches, reach, how);
+/// is expected of the lens. `None` where a number of it is not finite.
+pub(crate) fn solved(camera: &Camera, matches: &[Match], reach: f64, how: &Solve<'_>) -> Option<Camera> {
+    let equations = equations(matches, reach, how);
     let (mut now, mut damping) = (*camera, 1e-4);
     let mut before = equations.cost(&now);
     for _ in 0..how.steps {
@@ -265,14 +289,14 @@ pub(crate) fn solved(camera: &Camera, matches: &[Match], reach: f64, how: &Solve
 }
 
 /// How far off the camera may be on which `matches` agree.
-pub(crate) fn certainty(camera: &Camera, matches: &[Match], reach: f64) -> Option<Covariance> {
+pub(crate) fn certainty(camera: &Camera, lens: &Intrinsics, matches: &[Match], reach: f64) -> Option<Covariance> {
     let off = |m: &Match| camera.project(m.place).map(|at| (at - m.at).length());
     let off: Vec<f64> = matches.iter().filter_map(off).collect();
-    // Two numbers a match, and what is left of them once nine are fitted.
+    // Two numbers a match, and what is left of them once eleven are fitted.
     let free = (2 * off.len()).checked_sub(NUMBERS).filter(|free| *free > 0)?;
     let variance = off.iter().map(|d| d * d).sum::<f64>() / free as f64;
-    let how = Solve { numbers: NUMBERS, steps: 0, spread_px: 1e3, expected: variance };
-    let equations = equations(camera, matches, reach, &how);
+    let how = Solve { lens, numbers: NUMBERS, steps: 0, spread_px: 1e3, expected: variance };
+    let equations = equations(matches, reach, &how);
     let units = units(camera, reach, equations.longest);
     Covariance::by(units, &equations.normal(camera, &units), variance)
 }
@@ -298,7 +322,7 @@ impl Chance {
     }
 
     /// The matches that agree on `camera`: as many as are least expected.
-    pub(crate) fn of(&self, camera: &Camera, matches: &[Match]) -> Agreed {
+    pub(crate) fn of(&self, camera: &Camera, lens: &Intrinsics, matches: &[Match]) -> Agreed {
         let off = |k: usize| camera.project(matches[k].place).map(|at| ((at - matches[k].at).length(), k));
         let mut off: Vec<(f64, usize)> =
             (0..matches.len()).filter_map(off).filter(|(d, _)| *d <= self.max_px).collect();
@@ -323,6 +347,7 @@ impl Chance {
         }
         Agreed {
             camera: *camera,
+            lens: *lens,
             within_px: if kept == 0 { 0.0 } else { off[kept - 1].0.max(MIN_OFF_PX) },
             matches: off[..kept].iter().map(|(_, k)| *k).collect(),
             surprise: if kept == 0 { f64::NEG_INFINITY } else { -best / std::f64::consts::LN_10 },
@@ -334,7 +359,7 @@ impl Chance {
 mod tests {
     use super::*;
     use crate::index::Point;
-    use cairn_scene::{Distortion, Intrinsics, Pose};
+    use cairn_scene::{Distortion, Pose};
 
     const SIZE_PX: [usize; 2] = [300, 200];
 
@@ -410,7 +435,8 @@ mod tests {
         assert!(found.surprise > 40.0 && found.matches.iter().filter(|k| **k < 40).count() > 35, "{}", found.surprise);
         // Of what is known so well it is said how well.
         let with: Vec<Match> = found.matches.iter().map(|k| matches[*k]).collect();
-        let certain = certainty(&found.camera, &with, 4.0).unwrap().median_px(&found.camera, &places[..40]);
+        let certain =
+            certainty(&found.camera, &found.lens, &with, 4.0).unwrap().median_px(&found.camera, &places[..40]);
         assert!((0.03..0.5).contains(&certain), "{certain} px");
     }
 
@@ -436,6 +462,8 @@ mod tests {
         assert!(agreed(&index(&places), &matched(&truth(), &places[..4], 4, 0.0, &mut rng), SIZE_PX).is_none());
         let five = agreed(&index(&places), &matched(&truth(), &places, 5, 0.0, &mut rng), SIZE_PX);
         assert!(five.is_none_or(|found| found.surprise < 6.0));
-        assert!(certainty(&truth(), &matched(&truth(), &places[..4], 4, 0.0, &mut rng), 4.0).is_none());
+        assert!(
+            certainty(&truth(), &truth().intrinsics, &matched(&truth(), &places[..4], 4, 0.0, &mut rng), 4.0).is_none()
+        );
     }
 }

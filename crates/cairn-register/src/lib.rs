@@ -2,7 +2,7 @@
 //! compared with what the field shows there, pixel by pixel.
 //!
 //! A picture may have been turned, cut and made smaller on its way. All of that is a change of camera (roll, principal
-//! point, focal length), so that nine numbers say it: six of the pose, three of the lens. They are found in steps:
+//! point, focal length), so that eleven numbers say it: six of the pose, five of the lens. They are found in steps:
 //!
 //! 1. [`Index`]: keypoints of renders and photographs with places in space, made once a field (`keypoints`).
 //! 2. The picture's keypoints are matched with them (`matching`), and the camera is found that most surprisingly many
@@ -12,6 +12,7 @@
 //!    fields iNeRF, Yen-Chen et al. 2021), with the light a linear regression at every step (`alignment`).
 
 mod alignment;
+mod blur;
 mod consensus;
 mod index;
 mod keypoints;
@@ -20,11 +21,12 @@ mod matrix;
 mod sizes;
 mod windows;
 
-use alignment::{Against, NUMBERS, Pass, Refined};
+use alignment::{Against, MIN_SPREAD, NUMBERS, Pass, Refined, SHAPE};
+use blur::Blur;
 use cairn_field::appearance::prior::Prior;
 use cairn_field::stats::median;
 use cairn_field::{Appearance, Field};
-use cairn_scene::{Camera, Picture};
+use cairn_scene::{Camera, Intrinsics, Picture};
 use consensus::{Agreed, Chance, Solve};
 use glam::DVec3;
 use index::{Seen, placed};
@@ -33,7 +35,7 @@ use matching::{Match, one_a_spot};
 use sizes::{ratio, shrunk, smaller};
 use std::sync::Arc;
 use thiserror::Error;
-use windows::Level;
+use windows::Parts;
 
 pub use index::{INDEX_FORMAT, Index, MAX_VIEWS, Reference};
 
@@ -51,19 +53,11 @@ const REMATCH_RATIO: f64 = 0.9;
 const MIN_SIDE: usize = 20;
 /// Pictures are compared at most this large, longest side, px: a larger one is made smaller.
 pub const LONGEST_PX: usize = 800;
-/// Longest side of the level before a picture's own size, px.
-const COARSE_PX: usize = 160;
-/// What eight bits leave of a number, about.
-const MIN_SPREAD: f64 = 0.5 / 255.0;
-/// Pixels are compared from a place that is off by less than that: slopes of a picture reach about so far.
-const SURE_PX: f64 = 0.7;
-/// How a small copy is gone through where a place is not so sure,
-const COARSELY: Pass = Pass { steps: 12, settled_px: 0.1, min_spread: 0.03, is_last: false };
-/// and the picture: what stands a pixel aside is no outlier before it can have been moved.
-const FINELY: [Pass; 2] = [
-    Pass { steps: 24, settled_px: 0.1, min_spread: 0.03, is_last: false },
-    Pass { steps: 24, settled_px: 0.01, min_spread: MIN_SPREAD, is_last: true },
-];
+/// Steps from keypoints: what stands a pixel aside is no outlier before it can have been moved. The lens's shape, which moves
+/// things least, waits for the next: from far off it led astray.
+const ROUGHLY: Pass = Pass { numbers: NUMBERS - SHAPE, steps: 24, settled_px: 0.1, min_spread: 0.03, is_last: false };
+/// Steps from there.
+const FINELY: Pass = Pass { numbers: NUMBERS, steps: 24, settled_px: 0.01, min_spread: MIN_SPREAD, is_last: true };
 
 /// Registers pictures to one field; see the module's text.
 #[derive(Debug)]
@@ -156,10 +150,9 @@ impl Registrar {
     pub fn register_at(&self, picture: &Picture, camera: &Camera) -> Option<Registered> {
         let picture = bounded(picture)?;
         let camera = camera.resized(picture.width(), picture.height());
-        let level = Level::of_parts(&picture, LONGEST_PX);
-        let pass = Pass { steps: 0, is_last: false, ..FINELY[1] };
-        let found =
-            alignment::refine(&self.against(1.0), &level, camera, pass, &|| true).filter(|f| f.explained > 0.0)?;
+        let pass = Pass { steps: 0, is_last: false, ..FINELY };
+        let found = alignment::refine(&self.against(1.0), &Parts::of(&picture), camera, pass, &|| true);
+        let found = found.filter(|found| found.explained > 0.0)?;
         Some(Registered { camera, appearance: found.appearance, picture, explained: found.explained })
     }
 
@@ -188,28 +181,35 @@ impl Registrar {
         let mut by = ByKeypoints::of(&agreed, &matches, index.reach);
         for share in REMATCHED {
             go_on()?;
-            if let Some(next) = self.rematched(&found, &by.camera, &light, share, index.reach) {
+            if let Some(next) = self.rematched(&found, &by, &light, share, index.reach) {
                 by = next;
             }
         }
         let against = self.against(index.reach);
-        let fine = Level::of_parts(&picture, LONGEST_PX);
-        let mut camera = by.camera;
-        if by.off_px > SURE_PX {
-            let coarse = Level::of_parts(&picture, COARSE_PX);
-            let next = alignment::refine(&against, &coarse, camera, COARSELY, wanted);
+        let refined = |parts: &Parts, from: &Camera, pass: Pass| {
+            let next = alignment::refine(&against, parts, *from, pass, wanted);
             go_on()?;
-            camera = next.ok_or(NotLocated::NotExplained)?.camera;
+            next.ok_or(NotLocated::NotExplained)
+        };
+        let blur_at = |parts: &Parts, place: &Refined| {
+            alignment::blur_at(&against, parts, &place.camera).ok_or(NotLocated::NotExplained)
+        };
+        let mut parts = Parts::of(&picture);
+        let mut rough = refined(&parts, &by.camera, ROUGHLY)?;
+        parts.blur = blur_at(&parts, &rough)?;
+        if parts.blur != Blur::NONE {
+            if let Some(blur) = parts.blur.halved() {
+                let half = picture.resized(picture.width().div_ceil(2), picture.height().div_ceil(2));
+                parts = Parts { blur, ..Parts::of(&half) };
+            }
+            // Compared sharp it settled beside its place, and from there it looked more blurred than it is.
+            rough = refined(&parts, &rough.camera, ROUGHLY)?;
+            parts.blur = blur_at(&parts, &rough)?;
         }
-        let mut place: Option<Refined> = None;
-        for pass in FINELY {
-            let from = place.as_ref().map_or(camera, |place| place.camera);
-            let next = alignment::refine(&against, &fine, from, pass, wanted);
-            go_on()?;
-            place = Some(next.ok_or(NotLocated::NotExplained)?);
+        let Refined { camera, appearance, explained, covariance } = refined(&parts, &rough.camera, FINELY)?;
+        if explained <= 0.0 {
+            return Err(NotLocated::NotExplained);
         }
-        let place = place.filter(|place| place.explained > 0.0).ok_or(NotLocated::NotExplained)?;
-        let Refined { camera, appearance, explained, covariance } = place;
         let aligned_px = covariance.map_or(f64::INFINITY, |c| c.median_px(&camera, &by.places));
         // Pixels that settled beside the best place do not say so; how far they went from the keypoints does.
         let apart = |p: &DVec3| Some((camera.project(*p)? - by.camera.project(*p)?).length());
@@ -231,11 +231,11 @@ impl Registrar {
         best.map_or(self.field.canonical_appearance(), |k| self.field.appearance_of(&index.names[k])).clone()
     }
 
-    /// The camera by keypoints of a render from `camera`, which lie within `share` of the picture of where they were.
+    /// The camera by keypoints of a render from where they said, which lie within `share` of the picture of where they were.
     fn rematched(
         &self,
         found: &[Keypoint],
-        camera: &Camera,
+        ByKeypoints { camera, lens, .. }: &ByKeypoints,
         light: &Appearance,
         share: f64,
         reach: f64,
@@ -274,9 +274,9 @@ impl Registrar {
         matches.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
         let matches = one_a_spot(matches);
         let chance = Chance::within(radius);
-        let how = Solve { numbers: NUMBERS, steps: 20, spread_px: (radius / 8.0).max(0.7), expected: 1.0 };
+        let how = Solve { lens, numbers: NUMBERS, steps: 20, spread_px: (radius / 8.0).max(0.7), expected: 1.0 };
         let next = consensus::solved(camera, &matches, reach, &how)?;
-        let agreed = consensus::refined(chance.of(&next, &matches), &matches, reach, &chance);
+        let agreed = consensus::refined(chance.of(&next, lens, &matches), &matches, reach, &chance);
         (agreed.surprise > MIN_SURPRISE).then(|| ByKeypoints::of(&agreed, &matches, reach))
     }
 }
@@ -284,6 +284,8 @@ impl Registrar {
 /// A camera by keypoints.
 struct ByKeypoints {
     camera: Camera,
+    /// What was expected of its lens.
+    lens: Intrinsics,
     /// What agrees on it, capture units.
     places: Vec<DVec3>,
     /// Standard deviation of where it has them, px.
@@ -294,9 +296,9 @@ impl ByKeypoints {
     fn of(agreed: &Agreed, matches: &[Match], reach: f64) -> Self {
         let with: Vec<Match> = agreed.matches.iter().map(|k| matches[*k]).collect();
         let places: Vec<DVec3> = with.iter().map(|m| m.place).collect();
-        let certainty = consensus::certainty(&agreed.camera, &with, reach);
+        let certainty = consensus::certainty(&agreed.camera, &agreed.lens, &with, reach);
         let off_px = certainty.map_or(f64::INFINITY, |c| c.median_px(&agreed.camera, &places));
-        Self { camera: agreed.camera, places, off_px }
+        Self { camera: agreed.camera, lens: agreed.lens, places, off_px }
     }
 }
 

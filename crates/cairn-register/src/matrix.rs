@@ -1,9 +1,13 @@
-//! The small linear system of a step: nine numbers.
+//! The small linear system of a step: eleven numbers.
 
 use cairn_field::appearance::cholesky::{factor, solve};
 
-/// Numbers that say where a picture was taken: rotation, translation, focal length, principal point.
-pub(super) const NUMBERS: usize = 9;
+/// Numbers that say where a picture was taken: rotation, translation, focal length, principal point, radial
+/// distortion, and how high pixels are for their width.
+pub(super) const NUMBERS: usize = 11;
+
+/// The last of them say the lens's shape: radial distortion, and how high pixels are.
+pub(super) const SHAPE: usize = 2;
 
 /// `J^T W J` and `J^T W r`.
 #[derive(Clone, Copy, Debug, Default)]

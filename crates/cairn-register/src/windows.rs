@@ -1,9 +1,9 @@
-//! The pixels of a picture that are compared at one size: small parts with much to see, spread over a copy.
+//! The pixels of a picture that are compared: small parts with much to see, spread over it.
 
-use crate::sizes::smaller;
+use crate::blur::Blur;
 use cairn_scene::{Camera, Picture};
 
-/// A part of a copy, pixels of the copy.
+/// A part of a picture, px.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Window {
     pub(super) x: usize,
@@ -19,36 +19,33 @@ impl Window {
     }
 }
 
-/// What is compared at one size.
+/// What is compared.
 #[derive(Debug)]
-pub(super) struct Level {
-    /// The copy's size, px.
+pub(super) struct Parts {
+    /// The picture's size, px.
     pub(super) size: (usize, usize),
-    /// Rays across and down a pixel: a small copy's pixels are means over many of the picture's.
-    pub(super) rays: usize,
     pub(super) windows: Vec<Window>,
     /// The windows' pixels, one after another, row-major.
     pub(super) pixels: Vec<[f32; 3]>,
     /// Whether there is something to be seen at each of them: a picture's flat background fits everywhere.
     pub(super) tells: Vec<bool>,
+    /// How blurred what the field shows is before it is compared.
+    pub(super) blur: Blur,
 }
 
 /// Side of a part, px.
 const PART: usize = 8;
 /// Parts across the longer side.
 const PARTS: usize = 12;
-/// Largest number of rays across a pixel of a copy.
-const MAX_RAYS: usize = 2;
 /// Where neighbours differ by less (root of the sum of squares over channels, right and below), nothing is to be seen.
 const FLAT: f32 = 0.01;
 
-impl Level {
-    /// Parts of a copy: of each cell of a lattice the one where most is to be seen.
-    pub(super) fn of_parts(picture: &Picture, longest: usize) -> Self {
-        let copy = smaller(picture, longest);
-        let (w, h) = (copy.width(), copy.height());
+impl Parts {
+    /// Of each cell of a lattice the part where most is to be seen.
+    pub(super) fn of(picture: &Picture) -> Self {
+        let (w, h) = (picture.width(), picture.height());
         let cell = (w.max(h) / PARTS).max(PART);
-        let (mut windows, detail) = (Vec::new(), detail(&copy));
+        let (mut windows, detail) = (Vec::new(), detail(picture));
         let seen = |window: &Window| window.places().any(|(x, y)| detail[y * w + x] > FLAT);
         for top in (0..h).step_by(cell) {
             for left in (0..w).step_by(cell) {
@@ -56,34 +53,23 @@ impl Level {
                 windows.extend(most_detailed(&detail, w, cell).filter(seen));
             }
         }
-        Self::of(copy, windows, rays_for(picture, w))
-    }
-
-    fn of(copy: Picture, windows: Vec<Window>, rays: usize) -> Self {
-        let size = (copy.width(), copy.height());
         let places: Vec<(usize, usize)> = windows.iter().flat_map(|w| w.places()).collect();
-        let pixels = places.iter().map(|(x, y)| copy.pixel(*x, *y)).collect();
-        let detail = detail(&copy);
+        let pixels = places.iter().map(|(x, y)| picture.pixel(*x, *y)).collect();
         // An edge tells on both of its sides.
         let near = |x: usize, y: usize| [(x, y), (x.saturating_sub(1), y), (x, y.saturating_sub(1))];
-        let tells = |(x, y): &(usize, usize)| near(*x, *y).iter().any(|(x, y)| detail[y * size.0 + x] > FLAT);
-        Self { size, rays, tells: places.iter().map(tells).collect(), windows, pixels }
+        let tells = |(x, y): &(usize, usize)| near(*x, *y).iter().any(|(x, y)| detail[y * w + x] > FLAT);
+        Self { size: (w, h), tells: places.iter().map(tells).collect(), windows, pixels, blur: Blur::NONE }
     }
 
-    /// The camera of window `w` of the copy, where `camera` took the whole picture; its pixels are the window's rays.
-    pub(super) fn camera(&self, camera: &Camera, w: &Window) -> Camera {
-        let mut part = camera.resized(self.size.0 * self.rays, self.size.1 * self.rays);
+    /// The camera of window `w` with `margin` px about it, where `camera` took the whole picture.
+    pub(super) fn camera(&self, camera: &Camera, w: &Window, margin: usize) -> Camera {
+        let mut part = camera.resized(self.size.0, self.size.1);
         let i = &mut part.intrinsics;
-        i.cx -= (w.x * self.rays) as f64;
-        i.cy -= (w.y * self.rays) as f64;
-        (i.width, i.height) = (w.width * self.rays, w.height * self.rays);
+        i.cx += margin as f64 - w.x as f64;
+        i.cy += margin as f64 - w.y as f64;
+        (i.width, i.height) = (w.width + 2 * margin, w.height + 2 * margin);
         part
     }
-}
-
-/// Rays across a pixel of a copy `width` px wide: as many as it is smaller than the picture, within [`MAX_RAYS`].
-fn rays_for(picture: &Picture, width: usize) -> usize {
-    (picture.width() / width).clamp(1, MAX_RAYS)
 }
 
 /// Differences to the right and lower neighbours, root of the sum of squares, a pixel each.
@@ -122,18 +108,16 @@ mod tests {
     }
 
     #[test]
-    fn a_level_has_each_windows_pixels_in_their_order() {
-        let picture = ramp(120, 90);
-        let small = Level::of_parts(&picture, 30);
-        assert_eq!((small.size, small.rays), ((30, 23), 2));
-        let parts = Level::of_parts(&picture, 800);
-        assert_eq!((parts.size, parts.rays), ((120, 90), 1));
+    fn each_windows_pixels_are_in_their_order() {
+        let picture = ramp(230, 180);
+        let parts = Parts::of(&picture);
+        assert_eq!(parts.size, (230, 180));
         assert_eq!(parts.pixels.len(), parts.windows.len() * PART * PART);
         let w = parts.windows[5];
         assert_eq!(parts.pixels[5 * PART * PART + PART + 2], picture.pixel(w.x + 2, w.y + 1));
-        // Cells of 15 px: where half of one is chequered, the part lies in that half.
-        let mixed = parts.windows.iter().find(|w| (45..75).contains(&w.x)).unwrap();
-        assert!(mixed.x + PART <= 60 || mixed.x >= 60);
+        // Cells of 19 px: of the one that is chequered from 116 on, the part lies in that half.
+        let mixed = parts.windows.iter().find(|w| (114..133).contains(&w.x)).unwrap();
+        assert!(mixed.x >= 116, "{mixed:?}");
     }
 
     #[test]
@@ -149,12 +133,12 @@ mod tests {
         };
         let pose = cairn_scene::Pose::look_at(glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z).unwrap();
         let camera = Camera { intrinsics, pose };
-        let level = Level::of_parts(&ramp(120, 90), 60);
-        let w = level.windows[3];
-        let part = level.camera(&camera, &w);
-        // Two rays a pixel of a copy half as large: one for each pixel of the picture.
+        let parts = Parts::of(&ramp(120, 90));
+        let w = parts.windows[3];
+        let part = parts.camera(&camera, &w, 2);
+        assert_eq!((part.intrinsics.width, part.intrinsics.height), (PART + 4, PART + 4));
         let (x, y) = (3.5, 5.5);
-        let whole = camera.direction(2.0 * w.x as f64 + x, 2.0 * w.y as f64 + y);
-        assert!((part.direction(x, y) - whole).length() < 1e-9);
+        let whole = camera.direction(w.x as f64 + x, w.y as f64 + y);
+        assert!((part.direction(x + 2.0, y + 2.0) - whole).length() < 1e-9);
     }
 }

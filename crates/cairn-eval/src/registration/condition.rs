@@ -9,6 +9,8 @@ pub enum Shown {
     Render,
     /// A render in the light of another photograph; there is none where the field knows one light only.
     AnotherLight,
+    /// A render by another lens, whose k1 is less by [`BENT`].
+    AnotherLens,
     /// The photograph.
     Photograph,
 }
@@ -41,6 +43,9 @@ pub struct Condition {
     pub on_sheet: bool,
 }
 
+/// By how much k1 of another lens is less: a barrel, as wide lenses of telephones have.
+pub const BENT: f64 = 0.1;
+
 /// 60 % of the area.
 const CROP: Distortion = Crop { kept: 0.774_6, across: 0.2, down: 0.7 };
 
@@ -57,13 +62,14 @@ const fn photograph(name: &'static str, chain: &'static [Distortion]) -> Conditi
 }
 
 /// The conditions, in the order of the rows.
-pub const CONDITIONS: [Condition; 17] = [
+pub const CONDITIONS: [Condition; 18] = [
     single("clean", &[EightBits]),
     on_sheet(single("JPEG 50", &[Jpeg { quality: 50 }])),
     on_sheet(single("noise 0.05", &[Noise { sigma: 0.05 }, EightBits])),
     single("brightness + 20 %", &[Light { brightness: 1.2, contrast: 1.0 }, EightBits]),
     single("brightness - 20 %", &[Light { brightness: 0.8, contrast: 1.0 }, EightBits]),
     Condition { shown: Shown::AnotherLight, ..single("another view's light", &[EightBits]) },
+    Condition { shown: Shown::AnotherLens, ..single("another lens", &[EightBits]) },
     on_sheet(single("crop 60 %", &[CROP, EightBits])),
     single("turn 5 deg", &[Rotate { degrees: 5.0 }, EightBits]),
     single("turn 15 deg", &[Rotate { degrees: -15.0 }, EightBits]),

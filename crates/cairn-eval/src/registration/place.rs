@@ -6,7 +6,7 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::condition::{Condition, Shown};
+use super::condition::{BENT, Condition, Shown};
 use super::follow::follow;
 use crate::source::SizedView;
 
@@ -62,11 +62,15 @@ impl Place {
     /// Its picture under `condition`, whose noise is drawn from `seed`; `None` where there is no other light.
     pub fn case(&self, field: &Field, condition: &Condition, seed: u64) -> Option<Case<'_>> {
         let light = if condition.shown == Shown::AnotherLight { self.other.as_ref()? } else { &self.own };
+        let mut truth = self.view.camera;
+        if condition.shown == Shown::AnotherLens {
+            let lens = &mut truth.intrinsics.distortion;
+            *lens = lens.with_first_radial(lens.first_radial() - BENT);
+        }
         let mut picture = match condition.shown {
             Shown::Photograph => self.view.picture.clone(),
-            Shown::Render | Shown::AnotherLight => field.render(&self.view.camera, light).clamped(),
+            Shown::Render | Shown::AnotherLight | Shown::AnotherLens => field.render(&truth, light).clamped(),
         };
-        let mut truth = self.view.camera;
         for distortion in condition.chain {
             picture = distortion.apply(&picture, seed);
             truth = follow(distortion, &truth);

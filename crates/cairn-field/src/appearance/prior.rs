@@ -65,11 +65,12 @@ impl Prior {
         Some(Self { mean, precision })
     }
 
-    /// How firmly the numbers of colour `channel` are held: their own block of the precision, row-major, by the mean over
-    /// pixels that [`Prior::fit`] makes small.
-    pub fn of_channel(&self, channel: usize) -> [[f64; FEATURES]; FEATURES] {
-        let at = |k: usize| channel * FEATURES + k;
-        std::array::from_fn(|a| std::array::from_fn(|b| self.precision[at(a) * CODE + at(b)]))
+    /// How unlikely `light` is before any pixel was seen: the second of the two parts that [`Prior::fit`] makes small.
+    pub fn penalty(&self, light: &Appearance) -> f64 {
+        let off: Vec<f64> =
+            light.code().iter().zip(self.mean.code()).map(|(a, b)| f64::from(*a) - f64::from(*b)).collect();
+        let row = |row: &[f64]| -> f64 { row.iter().zip(&off).map(|(p, b)| p * b).sum() };
+        self.precision.chunks_exact(CODE).zip(&off).map(|(p, a)| a * row(p)).sum()
     }
 
     /// The likeliest code given `features` (n) and the RGB `pixels` (n, in [0, 1]) that show
@@ -149,6 +150,10 @@ mod tests {
             told + NOISE / VARIANCE * f64::from(found.code()[k] - mean.code()[k])
         };
         assert!((0..CODE).all(|k| slope(k).abs() < 1e-6));
+        let (prior, neutral) = (Prior::around(Appearance::neutral([0.0; 3])), Appearance::neutral([0.0; 3]));
+        let expected: f64 = truth.code().iter().zip(neutral.code()).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+        assert!((prior.penalty(&truth) / (NOISE / VARIANCE * expected) - 1.0).abs() < 1e-5);
+        assert_eq!(prior.penalty(&neutral), 0.0);
     }
 
     #[test]

@@ -159,15 +159,10 @@ impl Field {
         self.each_pixel(camera, limits, |seen| (seen.gathered, seen.harmonics))
     }
 
-    /// What every pixel gathers, row-major, `rays x rays` of the eye's pixels to each: the mean of their features.
-    pub fn features_of(&self, eye: Eye<'_>, rays: usize) -> Vec<[f32; FEATURES]> {
-        let tiling = Tiling::of(&self.grid, &self.frame, eye, Thresholds::SHOWN, rays);
-        let share = 1.0 / (rays * rays) as f32;
-        let add = |sum: &mut [f32; FEATURES], seen: &Seen<'_>| {
-            let f = features(&seen.gathered, &seen.harmonics);
-            sum.iter_mut().zip(f).for_each(|(s, v)| *s += share * v);
-        };
-        tiling.gather(add, |_| {})
+    /// The features of every pixel of the eye, row-major.
+    pub fn features_of(&self, eye: Eye<'_>) -> Vec<[f32; FEATURES]> {
+        let tiling = Tiling::of(&self.grid, &self.frame, eye, Thresholds::SHOWN, 1);
+        tiling.gather(|out, seen| *out = features(&seen.gathered, &seen.harmonics), |_| {})
     }
 
     /// What `pixel` makes of every pixel of `camera`, row-major.

@@ -180,6 +180,25 @@ impl Distortion {
         *self == Self::default()
     }
 
+    /// The first radial coefficient, k1, dimensionless.
+    pub fn first_radial(&self) -> f64 {
+        match self {
+            Self::Pinhole(bent) => bent.k1,
+            Self::Fisheye(fisheye) => fisheye.k()[0],
+        }
+    }
+
+    /// The lens with another first radial coefficient, k1.
+    pub fn with_first_radial(self, k1: f64) -> Self {
+        match self {
+            Self::Pinhole(bent) => Self::Pinhole(BrownConrady { k1, ..bent }),
+            Self::Fisheye(fisheye) => {
+                let [_, k2, k3, k4] = fisheye.k();
+                Self::Fisheye(Fisheye::new([k1, k2, k3, k4]))
+            }
+        }
+    }
+
     /// Every coefficient.
     pub(crate) fn coefficients(&self) -> Vec<f64> {
         match self {
