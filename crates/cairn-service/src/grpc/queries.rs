@@ -36,11 +36,13 @@ impl QueryService for Shared {
         let _waiting = Waiting(given_up.clone());
         let searching = self.searches.clone().acquire_owned().await.ok();
         let v1::LocateRequest { scene, picture, compared } = request.into_inner();
+        // Pictures are encoded there, too: that is work.
         let found = self.compute(move |engine| {
             let _searching = searching;
-            engine.locate(&scene, &picture, compared, &|| !given_up.load(Ordering::Relaxed))
+            let wanted = || !given_up.load(Ordering::Relaxed);
+            Ok(to_proto::located(engine.locate(&scene, &picture, compared, &wanted)?))
         });
-        Ok(Response::new(to_proto::located(found.await?)))
+        found.await.map(Response::new)
     }
 
     async fn contributors(&self, request: Request<v1::ContributorsRequest>) -> Answer<v1::ContributorsResponse> {
@@ -55,9 +57,11 @@ impl QueryService for Shared {
                 asked.may_see_base = true;
             }
         }
-        let found = self.compute(move |engine| engine.contributors(&scene, &asked));
-        let (mark, found) = found.await?;
-        Ok(Response::new(to_proto::contributors(mark, found)))
+        let found = self.compute(move |engine| {
+            let (mark, found) = engine.contributors(&scene, &asked)?;
+            Ok(to_proto::contributors(mark, found))
+        });
+        found.await.map(Response::new)
     }
 
     type NecessityStream = ReceiverStream<Result<v1::NecessityResponse, Status>>;
