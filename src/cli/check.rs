@@ -20,6 +20,9 @@ pub struct CheckArgs {
     /// Also draw the most suspicious photographs beside their renders
     #[arg(long, value_name = "PNG")]
     picture: Option<PathBuf>,
+    /// Also look for the eight most suspicious among the places that the other photographs tell: seconds each
+    #[arg(long)]
+    places: bool,
     #[command(flatten)]
     json: Json,
 }
@@ -51,7 +54,8 @@ pub struct IncludeArgs {
 
 /// Answers `cairn scene check`: a table of the views, the most suspicious first.
 pub async fn check(line: &Connection, args: CheckArgs) -> anyhow::Result<()> {
-    let request = v1::CheckSceneRequest { scene: args.name.clone(), anew: args.anew, picture: args.picture.is_some() };
+    let (scene, anew, places) = (args.name.clone(), args.anew, args.places);
+    let request = v1::CheckSceneRequest { scene, anew, picture: args.picture.is_some(), places };
     let mut answer = line.about(&args.name).scenes().check(request).await?.into_inner();
     if args.json.json {
         let png = std::mem::take(&mut answer.picture_png);
@@ -108,6 +112,7 @@ fn row(view: &v1::CheckedView) -> [String; 7] {
         state.push("outlier".to_owned());
     }
     state.extend(Some(view.against.clone()).filter(|against| !against.is_empty()));
+    state.extend(view.found.as_ref().and_then(found));
     [
         view.view_name.clone(),
         view.contributor.clone(),
@@ -117,6 +122,23 @@ fn row(view: &v1::CheckedView) -> [String; 7] {
         number(support.filter(|s| s.points > 0).map(|s| s.reprojection_error_px)),
         state.join(", "),
     ]
+}
+
+/// Where the others' places have a photograph, in words.
+fn found(found: &v1::Whereabouts) -> Option<String> {
+    use v1::whereabouts::Answer;
+    Some(match found.answer.as_ref()? {
+        Answer::Off(v1::OffCamera { off_px, .. }) if off_px.is_infinite() => {
+            "found, but its camera looks away".to_owned()
+        }
+        Answer::Off(v1::OffCamera { off_px, uncertainty_px }) if uncertainty_px.is_infinite() => {
+            format!("found {off_px:.1} px off its camera, not known how surely")
+        }
+        Answer::Off(v1::OffCamera { off_px, uncertainty_px }) => {
+            format!("found {off_px:.1} px off its camera, give or take {uncertainty_px:.1} px")
+        }
+        Answer::NotFound(why) => format!("not found: {why}"),
+    })
 }
 
 /// What was decided about a view, in words.
@@ -170,5 +192,16 @@ mod tests {
         let lines = table(&[view(None), view(None)]);
         assert_eq!(lines.len(), 4, "{lines:?}");
         assert!(!lines[0].contains("points") && lines[3].contains("which photographs saw its points"), "{lines:?}");
+    }
+
+    #[test]
+    fn where_a_photograph_is_found_is_said_in_words() {
+        use v1::whereabouts::Answer;
+        let off = |off_px, uncertainty_px| Answer::Off(v1::OffCamera { off_px, uncertainty_px });
+        let said = |answer| found(&v1::Whereabouts { answer: Some(answer) }).unwrap();
+        assert_eq!(said(off(212.04, 1.5)), "found 212.0 px off its camera, give or take 1.5 px");
+        assert_eq!(said(off(0.4, f64::INFINITY)), "found 0.4 px off its camera, not known how surely");
+        assert_eq!(said(off(f64::INFINITY, 1.5)), "found, but its camera looks away");
+        assert_eq!(said(Answer::NotFound("too small".into())), "not found: too small");
     }
 }

@@ -120,6 +120,14 @@ impl Index {
         Some(index)
     }
 
+    /// The index without what `view` told: a photograph that is looked for in it is not found by its own keypoints.
+    #[must_use]
+    pub fn without(&self, view: &str) -> Self {
+        let others = |(point, _): &(&Point, &[u8; DESCRIPTOR])| self.names[point.view as usize] != view;
+        let (points, descriptors) = self.points.iter().zip(&self.descriptors).filter(others).unzip();
+        Self { cameras: self.cameras.clone(), names: self.names.clone(), reach: self.reach, points, descriptors }
+    }
+
     /// How many keypoints it has.
     pub fn points(&self) -> usize {
         self.points.len()

@@ -90,10 +90,24 @@ pub struct Located {
     /// [`Registered::picture`]: by its keypoints, by its pixels, or by how far these are apart, whichever is the
     /// largest. A longer lens farther off shows nearly the same, so that the camera's own place is less sure than that.
     pub uncertainty_px: f64,
-    /// Keypoints that agree on the camera.
-    pub agreeing: usize,
+    /// The places of the keypoints that agree on the camera, capture units.
+    pub places: Vec<DVec3>,
     /// Negative decimal logarithm of how many agreements as good one expects by chance.
     pub surprise: f64,
+}
+
+impl Located {
+    /// How far from where `camera` has it lies what the picture shows: the median over the places that agree, px of
+    /// [`Registered::picture`]. Infinite where most of them lie behind `camera`.
+    pub fn off_px(&self, camera: &Camera) -> f64 {
+        let Registered { camera: found, picture, .. } = &self.registered;
+        let camera = camera.resized(picture.width(), picture.height());
+        let apart = |place: &DVec3| match (found.project(*place), camera.project(*place)) {
+            (Some(here), Some(there)) => here.distance(there),
+            _ => f64::INFINITY,
+        };
+        median(self.places.iter().map(apart).collect())
+    }
 }
 
 /// Why no camera was found.
@@ -216,7 +230,7 @@ impl Registrar {
         let apart_px = median(by.places.iter().filter_map(apart).collect());
         let uncertainty_px = aligned_px.max(by.off_px).max(apart_px);
         let registered = Registered { camera, appearance, picture, explained };
-        Ok(Located { registered, uncertainty_px, agreeing: by.places.len(), surprise })
+        Ok(Located { registered, uncertainty_px, places: by.places, surprise })
     }
 
     fn against(&self, reach: f64) -> Against<'_> {

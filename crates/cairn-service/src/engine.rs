@@ -20,7 +20,7 @@ use crate::config::{Config, Limits, TrainingOptions};
 use crate::error::EngineError;
 use crate::export::poses::{self, PoseSheet};
 use crate::export::tour::{self, PathRequest, Tour};
-use crate::query::check::{self, Checked};
+use crate::query::check::{self, Checked, Looks};
 use crate::query::coverage::{self, Asked, Contributors};
 use crate::query::evaluate;
 use crate::query::light::{Light, appearance};
@@ -332,20 +332,21 @@ impl Engine {
     }
 
     /// How far each view of a scene is to be trusted. Reads what was measured last; measures where there is nothing, and
-    /// where `anew` asks for it, which takes minutes and is given up once it is no longer `wanted`. With a picture where
-    /// that is asked for.
+    /// where `anew` asks for it, which takes minutes. With a picture, and with where the most suspicious photographs
+    /// are found among the others' places, where these are asked for. It is given up once it is no longer `wanted`.
     ///
     /// # Errors
-    /// As [`Engine::scene`]; with a picture [`EngineError::NotTrained`].
+    /// As [`Engine::scene`]; with a picture or places [`EngineError::NotTrained`].
     pub fn check(
         &self,
         scene: &str,
         anew: bool,
-        picture: bool,
+        looks: Looks,
         wanted: &dyn Fn() -> bool,
     ) -> Result<Checked, EngineError> {
         let folder = self.scene(scene)?;
-        let model = if picture { Some(self.model(scene)?) } else { None };
+        let Looks { picture, places } = looks;
+        let model = if picture || places { Some(self.model(scene)?) } else { None };
         let mut entries = self.exclusions.of(scene)?;
         if anew || entries.measured.is_none() {
             let kept = leaving_out(folder.clone(), &entries.excluded());
@@ -356,7 +357,11 @@ impl Engine {
                 entries = self.exclusions.of(scene)?;
             }
         }
-        let views = check::views(&folder, &entries);
+        let mut views = check::views(&folder, &entries);
+        if let Some(model) = model.as_ref().filter(|_| places) {
+            check::look_for(&folder, model, &mut views, wanted)?;
+        }
+        let model = model.filter(|_| picture);
         let picture = model.map(|model| check::picture(&folder, &model, &views)).transpose()?;
         Ok(Checked { views, measured: entries.measured, picture })
     }

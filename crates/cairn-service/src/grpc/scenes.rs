@@ -12,6 +12,7 @@ use super::{Answer, Shared, from_proto, to_proto};
 use crate::engine::Engine;
 use crate::error::EngineError;
 use crate::export::poses::PoseSheet;
+use crate::query::check::Looks;
 use crate::store::exclusions::{Decision, State};
 use crate::store::import::Imported;
 
@@ -96,12 +97,13 @@ impl SceneService for Shared {
 
     async fn check(&self, request: Request<v1::CheckSceneRequest>) -> Answer<v1::CheckSceneResponse> {
         self.authorise(request.extensions(), About::Scene(&request.get_ref().scene))?;
-        let v1::CheckSceneRequest { scene, anew, picture } = request.into_inner();
+        let v1::CheckSceneRequest { scene, anew, picture, places } = request.into_inner();
+        let looks = Looks { picture, places };
         let waiting = Waiting::default();
         let given_up = waiting.0.clone();
         let answer = self
             .compute(move |engine| {
-                let checked = engine.check(&scene, anew, picture, &|| !given_up.load(Ordering::Relaxed))?;
+                let checked = engine.check(&scene, anew, looks, &|| !given_up.load(Ordering::Relaxed))?;
                 Ok(to_proto::checked(&engine.scene(&scene)?, checked))
             })
             .await?;

@@ -7,7 +7,7 @@ use cairn_scene::{BrownConrady, Camera, Distortion, SceneFolder, SceneKind, Unus
 use tonic::codegen::Bytes;
 
 use crate::auth::{Account, Limits, Role, Standing as AccountStanding};
-use crate::query::check::{Checked, CheckedView};
+use crate::query::check::{Checked, CheckedView, Whereabouts};
 use crate::query::coverage::{ContributorShare, Contributors};
 use crate::query::locate::{Compared, FoundCamera};
 use crate::query::look::{Identified, Who};
@@ -131,6 +131,16 @@ fn decision(entry: &Entry) -> v1::ViewDecision {
     }
 }
 
+/// Where a photograph is found among the others' places.
+fn whereabouts(found: Whereabouts) -> v1::Whereabouts {
+    use v1::whereabouts::Answer;
+    let answer = match found {
+        Whereabouts::Found { off_px, uncertainty_px } => Answer::Off(v1::OffCamera { off_px, uncertainty_px }),
+        Whereabouts::NotFound(why) => Answer::NotFound(why.to_string()),
+    };
+    v1::Whereabouts { answer: Some(answer) }
+}
+
 /// What is known of a scene's views.
 pub fn checked(scene: &SceneFolder, checked: Checked) -> v1::CheckSceneResponse {
     let view = |view: CheckedView| {
@@ -145,6 +155,7 @@ pub fn checked(scene: &SceneFolder, checked: Checked) -> v1::CheckSceneResponse 
                 .map(|s| v1::Support { points: s.points, reprojection_error_px: s.reprojection_error_px }),
             against: view.against.unwrap_or_default(),
             decision: view.decision.as_ref().map(decision),
+            found: view.found.map(whereabouts),
         }
     };
     let (median_fit_db, limit_fit_db, doubt) =

@@ -1,6 +1,9 @@
 //! How far each view of a scene is to be trusted: what the other views say of it, what structure from motion says,
 //! and what was decided.
 
+use std::sync::Arc;
+
+use cairn_register::{Located, NotLocated, Registrar};
 use cairn_scene::{Picture, SceneFolder, Support};
 
 use crate::error::EngineError;
@@ -10,10 +13,19 @@ use crate::store::exclusions::{Entries, Entry, Measured, Score};
 use crate::store::model::Model;
 use crate::store::support::{supports, unsupported};
 
-/// Most rows of a picture.
-const PICTURE_ROWS: usize = 8;
+/// So many of the most suspicious photographs are looked at, at most: drawn, and looked for.
+const LOOKED_AT: usize = 8;
 /// Largest side of a tile, px.
 const TILE_PX: usize = 256;
+
+/// What is looked at beside what was measured; both ask for a model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Looks {
+    /// The most suspicious photographs beside their renders, as a picture.
+    pub picture: bool,
+    /// Where they are found among the other photographs' places: seconds a photograph.
+    pub places: bool,
+}
 
 /// What is known of a scene's views.
 pub struct Checked {
@@ -37,6 +49,22 @@ pub struct CheckedView {
     pub against: Option<String>,
     /// What was decided about it.
     pub decision: Option<Entry>,
+    /// Where the other photographs' places have it, where that was asked for.
+    pub found: Option<Whereabouts>,
+}
+
+/// Where a photograph was taken by the places that the others tell.
+pub enum Whereabouts {
+    /// A camera was found.
+    Found {
+        /// How far off the view's own camera has what the photograph shows, the median over places, px of the photograph;
+        /// infinite where most of it lies behind that camera.
+        off_px: f64,
+        /// The found camera's standard deviation, as far; infinite where nothing tells.
+        uncertainty_px: f64,
+    },
+    /// None was, and why.
+    NotFound(NotLocated),
 }
 
 /// The views of `scene`, the most suspicious first.
@@ -52,6 +80,7 @@ pub fn views(scene: &SceneFolder, entries: &Entries) -> Vec<CheckedView> {
             score: scores.clone().find(|s| s.view == *name).cloned(),
             against: unsupported[index].clone(),
             decision: entries.views.iter().find(|e| e.view == *name).cloned(),
+            found: None,
         }
     };
     let mut views: Vec<CheckedView> = (0..supports.len()).map(of).collect();
@@ -61,13 +90,42 @@ pub fn views(scene: &SceneFolder, entries: &Entries) -> Vec<CheckedView> {
     views
 }
 
+/// Looks for the first photographs of `views` that were judged among the places that the others tell. A photograph with
+/// a wrong camera is found elsewhere, unless others that are as wrong show the same.
+///
+/// # Errors
+/// As [`Model::places`], and cairn-scene's for a photograph that was altered.
+pub fn look_for(
+    scene: &SceneFolder,
+    model: &Model,
+    views: &mut [CheckedView],
+    wanted: &dyn Fn() -> bool,
+) -> Result<(), EngineError> {
+    let index = model.places()?;
+    for view in views.iter_mut().filter(|v| v.score.is_some()).take(LOOKED_AT) {
+        let known = &scene.capture().views[view.index];
+        let photograph = scene.photograph(view.index)?;
+        let registrar = Registrar::new(model.base.clone(), Some(Arc::new(index.without(&known.name))));
+        view.found = Some(match registrar.locate(&photograph, wanted) {
+            Ok(found) => {
+                let larger = photograph.width() as f64 / found.registered.picture.width() as f64;
+                let Located { uncertainty_px, .. } = found;
+                let off_px = larger * found.off_px(&known.camera);
+                Whereabouts::Found { off_px, uncertainty_px: larger * uncertainty_px }
+            }
+            Err(why) => Whereabouts::NotFound(why),
+        });
+    }
+    Ok(())
+}
+
 /// The first photographs of `views` that were taken for training beside the field's renders from the same cameras.
 ///
 /// # Errors
 /// cairn-scene's, for a photograph that was altered.
 pub fn picture(scene: &SceneFolder, model: &Model, views: &[CheckedView]) -> Result<Picture, EngineError> {
     let mut rows = Vec::new();
-    for view in views.iter().filter(|v| v.score.is_some()).take(PICTURE_ROWS) {
+    for view in views.iter().filter(|v| v.score.is_some()).take(LOOKED_AT) {
         let known = &scene.capture().views[view.index];
         let photograph = scene.photograph(view.index)?;
         let appearance = model.base.appearance_of(&known.name);

@@ -55,7 +55,7 @@ pub fn locate(
 ) -> Result<Result<FoundCamera, NotLocated>, EngineError> {
     let registrar = Registrar::new(model.base.clone(), Some(model.places()?));
     Ok(registrar.locate(picture, wanted).map(|found| {
-        let Located { registered, uncertainty_px, agreeing, .. } = found;
+        let Located { registered, uncertainty_px, places, .. } = found;
         let (small, explained) = (registered.camera, registered.explained);
         let larger = picture.width() as f64 / small.intrinsics.width as f64;
         let render = || model.base.render(&small, &registered.appearance).clamped();
@@ -64,7 +64,7 @@ pub fn locate(
             turned_deg: crowd::up(&snapshot.poses()).and_then(|up| turned_deg(&small.pose, up)),
             uncertainty_px: uncertainty_px * larger,
             explained,
-            agreeing,
+            agreeing: places.len(),
             compared: compared.then(|| Compared { render: render(), picture: registered.picture }),
         }
     }))

@@ -8,6 +8,7 @@ use cairn_scene::{Capture, Picture, ReadOptions, Support};
 use super::*;
 use crate::config::{Chosen, Config, Preset, Quality, TrainingSettings, preset};
 use crate::engine::{Engine, Opening};
+use crate::query::check::{CheckedView, Looks, Whereabouts};
 use crate::query::coverage::Asked;
 use crate::query::viewpoint::Viewpoint;
 use crate::records::owners::{About, AskedView};
@@ -150,11 +151,15 @@ fn a_residual_alone_excludes_nobody_and_a_person_does() {
     let outliers = measured.scores.iter().filter(|s| s.is_outlier).map(|s| s.view.as_str());
     assert_eq!(outliers.collect::<Vec<_>>(), BAD);
     assert_eq!(measured.job, job.id);
-    let checked = world.engine.check("town", false, true, &|| true).unwrap();
+    let checked = world.engine.check("town", false, Looks { picture: true, places: true }, &|| true).unwrap();
     let scene = world.engine.scene("town").unwrap();
     let worst = checked.views[..2].iter().map(|v| scene.capture().views[v.index].name.as_str());
     assert!(worst.eq(BAD) || checked.views[..2].iter().rev().map(|v| &scene.capture().views[v.index].name).eq(BAD));
     assert!(checked.picture.is_some());
+    let found = |view: &CheckedView| matches!(view.found, Some(Whereabouts::Found { .. }));
+    assert!(!checked.views[..2].iter().any(found) && checked.views[..8].iter().all(|v| v.found.is_some()));
+    let held_out = |v: &&CheckedView| scene.capture().views[v.index].held_out;
+    assert!(checked.views.iter().filter(held_out).all(|v| v.found.is_none()), "what was not judged is not looked for");
     assert!(job.notes.iter().any(|n| n.contains("scene check town")), "{:?}", job.notes);
     assert!(names(&whole, "ada").contains(&BAD[0].to_owned()));
 
