@@ -8,7 +8,7 @@
 
 use super::blur::{Blur, MAX_BLUR_PX, least};
 pub(super) use super::matrix::{NUMBERS, Normal, SHAPE};
-use super::windows::{Parts, Window};
+use super::windows::{PART, Parts, Window};
 use cairn_field::Field;
 use cairn_field::appearance::prior::Prior;
 use cairn_field::rays::lens::{Eye, Lens};
@@ -153,7 +153,7 @@ pub(super) fn refine(
 /// Without one where a slight one does no better.
 pub(super) fn blur_at(against: &Against<'_>, parts: &Parts, camera: &Camera) -> Option<Blur> {
     let spread_with = |sharp: &[[f32; FEATURES]], margin: usize, sigma_px: f64| {
-        let features = Blur::of(sigma_px).of_parts(sharp, parts, margin);
+        let features = Blur::of(sigma_px).of_windows(sharp, PART, margin);
         let looked = lit(against, parts, camera, features, None)?;
         let weights = Weights::of(&looked.residuals, &parts.tells, MIN_SPREAD);
         let looked = lit(against, parts, camera, looked.features, Some(&weights))?;
@@ -219,18 +219,18 @@ fn about<'w>(
 /// What the pixels of `parts` gather from `camera`, blurred as they are.
 fn gathered(field: &Field, parts: &Parts, camera: &Camera) -> Vec<[f32; FEATURES]> {
     let margin = parts.blur.margin();
-    parts.blur.of_parts(&about(field, parts, parts.windows.iter(), camera, margin), parts, margin)
+    parts.blur.of_windows(&about(field, parts, parts.windows.iter(), camera, margin), PART, margin)
 }
 
 /// What every second window's pixels gather from the first camera, and those between them from the second.
 fn gathered_by_turns(field: &Field, parts: &Parts, cameras: [&Camera; 2]) -> Vec<[f32; FEATURES]> {
     let margin = parts.blur.margin();
     let [even, odd] = [0, 1].map(|k| about(field, parts, parts.windows.iter().skip(k).step_by(2), cameras[k], margin));
-    let a_window = parts.windows.first().map_or(1, |w| (w.width + 2 * margin) * (w.height + 2 * margin));
+    let a_window = (PART + 2 * margin).pow(2);
     let (mut even, mut odd) = (even.chunks_exact(a_window), odd.chunks_exact(a_window));
     let all: Vec<&[[f32; FEATURES]]> =
         std::iter::from_fn(|| Some([even.next()?, odd.next().unwrap_or(&[])])).flatten().collect();
-    parts.blur.of_parts(&all.concat(), parts, margin)
+    parts.blur.of_windows(&all.concat(), PART, margin)
 }
 
 fn look(against: &Against<'_>, parts: &Parts, camera: &Camera, weights: Option<&Weights>) -> Option<Looked> {
@@ -294,7 +294,7 @@ impl Slopes {
             differences(&features, &now.appearance, &parts.pixels)
         };
         let probes: Vec<Vec<[f32; 3]>> = (0..numbers).into_par_iter().map(of).collect();
-        let a_window = parts.windows[0].width * parts.windows[0].height;
+        let a_window = PART * PART;
         // A residual falls by what the render rises.
         let sign = |at: usize| if (at / a_window).is_multiple_of(2) { 1.0 } else { -1.0 };
         let slope = |at: usize, c: usize, k: usize| {

@@ -2,7 +2,6 @@
 //! as a round Gaussian does. Compared sharp, edges of a blurred picture are outliers on either side, and pictures settle
 //! beside their places.
 
-use crate::windows::Parts;
 use cairn_field::appearance::code::FEATURES;
 
 /// The widest blur that is looked for, standard deviation, px.
@@ -51,22 +50,17 @@ impl Blur {
         self.kernel.len().saturating_sub(1)
     }
 
-    /// What the pixels of `parts` show, window by window, where `features` has those of each window with `margin` px about
+    /// What the pixels of square windows, `side` px each, show: `features` has those of each window with `margin` px about
     /// it, which is at least the blur's own.
-    pub(crate) fn of_parts(&self, features: &[[f32; FEATURES]], parts: &Parts, margin: usize) -> Vec<[f32; FEATURES]> {
-        let mut blurred = Vec::with_capacity(parts.pixels.len());
-        let mut first = 0;
-        for window in &parts.windows {
-            let (w, h) = (window.width, window.height);
-            let across = w + 2 * margin;
-            let window = &features[first..first + across * (h + 2 * margin)];
-            first += window.len();
+    pub(crate) fn of_windows(&self, features: &[[f32; FEATURES]], side: usize, margin: usize) -> Vec<[f32; FEATURES]> {
+        let across = side + 2 * margin;
+        let of = |window: &[[f32; FEATURES]]| {
             // Rows first: of each only what the window's columns need.
             let rows: Vec<[f32; FEATURES]> =
-                (0..(h + 2 * margin) * w).map(|at| self.at(window, at / w * across + margin + at % w, 1)).collect();
-            blurred.extend((0..h * w).map(|at| self.at(&rows, (margin + at / w) * w + at % w, w)));
-        }
-        blurred
+                (0..across * side).map(|at| self.at(window, at / side * across + margin + at % side, 1)).collect();
+            (0..side * side).map(|at| self.at(&rows, (margin + at / side) * side + at % side, side)).collect::<Vec<_>>()
+        };
+        features.chunks_exact(across * across).flat_map(of).collect()
     }
 
     /// The mean about `at` along a line of numbers that are `stride` apart.
@@ -105,7 +99,6 @@ pub(crate) fn least(end: f64, within: f64, mut cost: impl FnMut(f64) -> f64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cairn_scene::Picture;
 
     #[test]
     fn a_blur_keeps_sums_and_spreads_by_its_width() {
@@ -127,26 +120,21 @@ mod tests {
 
     #[test]
     fn windows_are_blurred_one_by_one_within_their_margins() {
-        // Chequered, so that there are windows.
-        let chequered = (0..40 * 30).flat_map(|i| [((i % 40 / 3 + i / 40 / 3) % 2) as f32; 3]).collect();
-        let parts = Parts::of(&Picture::new(40, 30, chequered).unwrap());
-        assert!(parts.windows.len() > 3);
-        let (blur, margin) = (Blur::of(0.8), 4);
-        let side = parts.windows[0].width + 2 * margin;
+        let (blur, margin, side, windows) = (Blur::of(0.8), 4, 8, 3);
+        let across = side + 2 * margin;
         // Rises along both sides, each window from another level: blurred it is what it was.
         let level = |n: usize, x: usize, y: usize| 10.0 * n as f32 + x as f32 + 2.0 * y as f32;
-        let features: Vec<[f32; FEATURES]> = (0..parts.windows.len() * side * side)
-            .map(|i| [level(i / (side * side), i % side, i % (side * side) / side); FEATURES])
+        let features: Vec<[f32; FEATURES]> = (0..windows * across * across)
+            .map(|i| [level(i / (across * across), i % across, i % (across * across) / across); FEATURES])
             .collect();
-        let blurred = blur.of_parts(&features, &parts, margin);
-        assert_eq!(blurred.len(), parts.pixels.len());
-        let w = parts.windows[0].width;
+        let blurred = blur.of_windows(&features, side, margin);
+        assert_eq!(blurred.len(), windows * side * side);
         for (i, pixel) in blurred.iter().enumerate() {
-            let (n, at) = (i / (w * w), i % (w * w));
-            let expected = level(n, margin + at % w, margin + at / w);
+            let (n, at) = (i / (side * side), i % (side * side));
+            let expected = level(n, margin + at % side, margin + at / side);
             assert!((pixel[0] - expected).abs() < 1e-3, "{i}: {} for {expected}", pixel[0]);
         }
-        assert_eq!(Blur::NONE.of_parts(&features, &parts, margin)[1][0], level(0, margin + 1, margin));
+        assert_eq!(Blur::NONE.of_windows(&features, side, margin)[1][0], level(0, margin + 1, margin));
     }
 
     #[test]

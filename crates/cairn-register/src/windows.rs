@@ -34,7 +34,7 @@ pub(super) struct Parts {
 }
 
 /// Side of a part, px.
-const PART: usize = 8;
+pub(super) const PART: usize = 8;
 /// Parts across the longer side.
 const PARTS: usize = 12;
 /// Where neighbours differ by less (root of the sum of squares over channels, right and below), nothing is to be seen.
