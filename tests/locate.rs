@@ -74,6 +74,12 @@ fn a_picture_is_located_compared_and_asked_about() {
     let cairn = |arguments: &[&str]| place.cairn_ok(&[arguments, &to].concat());
     let json = |arguments: &[&str]| place.cairn_json(&[arguments, &["--json"], &to].concat());
 
+    // By the others' places honest photographs are where their cameras say, in pixels of the photographs.
+    let checked = json(&["scene", "check", "town", "--places"]);
+    let off = |view: &serde_json::Value| view["found"]["off"]["off_px"].as_f64();
+    let off: Vec<f64> = checked["views"].as_array().unwrap().iter().filter_map(off).collect();
+    assert!(off.len() > 3 && off.iter().all(|px| *px < 10.0), "{off:?}");
+
     // Larger than the photographs, from where none of them taught anything.
     let render = place.text("render.png");
     let pose = pose_file(&place, &truth.resized(2 * SIDE, 2 * SIDE));

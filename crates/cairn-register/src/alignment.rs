@@ -8,7 +8,7 @@
 
 use super::blur::{Blur, MAX_BLUR_PX, least};
 pub(super) use super::matrix::{NUMBERS, Normal, SHAPE};
-use super::windows::{PART, Parts, Window};
+use super::windows::{PART, Parts, WINDOW, Window};
 use cairn_field::Field;
 use cairn_field::appearance::prior::Prior;
 use cairn_field::rays::lens::{Eye, Lens};
@@ -28,8 +28,6 @@ const MIN_LEARNT: f64 = 1e-8;
 const TRIES: usize = 5;
 /// Damping that is felt: a step that leads nowhere is damped by that at least.
 const DAMPED: f64 = 1e-4;
-/// Nearer than a tenth of a standard deviation in each number it ends: noise moves the best place farther. Squared.
-const SETTLED: f64 = 0.01 * NUMBERS as f64;
 /// A blur that is tried first, px: a picture that is better without it is sharp.
 const SLIGHT_PX: f64 = 0.6;
 /// A blur is found to that, px.
@@ -90,8 +88,6 @@ struct Moved {
     next: Looked,
     /// The numbers' units that it went.
     step: [f64; NUMBERS],
-    /// The square of how far it was to the best place, in standard deviations.
-    deviations: f64,
 }
 
 /// Takes steps from `camera`, as `pass` says. `None` where there is nothing to
@@ -126,10 +122,10 @@ pub(super) fn refine(
         // Slopes that were learnt and do not lead on are worked out anew, and say nothing of the next step's damping.
         let (mut damped, tries) = (damping, if learnt == 0 { TRIES } else { 1 });
         match slopes.follow(against, parts, &now, &weights, &mut damped, tries) {
-            Some(Moved { next, step, deviations }) => {
+            Some(Moved { next, step }) => {
                 slopes.learn(&step, &now.residuals, &next.residuals);
                 let moved_px = step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX;
-                let settled = moved_px < settled_px || deviations < SETTLED;
+                let settled = moved_px < settled_px;
                 if settled && learnt == 0 {
                     now = next;
                     break;
@@ -144,7 +140,7 @@ pub(super) fn refine(
     }
     let weights = Weights::of(&now.residuals, &parts.tells, min_spread);
     let explained = weights.explained(&now.residuals, parts);
-    let certain = || Covariance::of(parts, &now.residuals, &weights, &Slopes::at(against, parts, &now, numbers));
+    let certain = || Covariance::of(&now.residuals, &weights, &Slopes::at(against, parts, &now, numbers));
     let covariance = if is_last { certain() } else { None };
     Some(Refined { camera: now.camera, appearance: now.appearance, explained, covariance })
 }
@@ -294,9 +290,8 @@ impl Slopes {
             differences(&features, &now.appearance, &parts.pixels)
         };
         let probes: Vec<Vec<[f32; 3]>> = (0..numbers).into_par_iter().map(of).collect();
-        let a_window = PART * PART;
         // A residual falls by what the render rises.
-        let sign = |at: usize| if (at / a_window).is_multiple_of(2) { 1.0 } else { -1.0 };
+        let sign = |at: usize| if (at / WINDOW).is_multiple_of(2) { 1.0 } else { -1.0 };
         let slope = |at: usize, c: usize, k: usize| {
             probes.get(k).map_or(0.0, |probe| sign(at) * (now.residuals[at][c] - probe[at][c]))
         };
@@ -333,71 +328,31 @@ impl Slopes {
         damping: &mut f64,
         tries: usize,
     ) -> Option<Moved> {
-        let sums = self.sums(parts, &now.residuals, weights);
+        let normal = self.normal(&now.residuals, weights);
         let before = weights.cost(now);
         for _ in 0..tries {
-            let step = sums.normal.step(*damping)?;
+            let step = normal.step(*damping)?;
             let there = changed(&now.camera, &step, &self.units);
             // Light is fitted to what counted: an outlier has no say in it either.
             let next = look(against, parts, &there, Some(weights));
             let cost = next.as_ref().map_or(f64::INFINITY, |next| weights.cost(next));
             if let Some(next) = next.filter(|_| cost < before) {
                 *damping = (*damping * 0.1).max(1e-8);
-                return Some(Moved { next, step, deviations: sums.deviations() });
+                return Some(Moved { next, step });
             }
             *damping = (*damping * 30.0).max(DAMPED);
         }
         None
     }
 
-    fn sums(&self, parts: &Parts, residuals: &[[f32; 3]], weights: &Weights) -> Sums {
-        let mut sums = Sums { normal: Normal::default(), middle: [[0.0; NUMBERS]; NUMBERS], told: 0 };
-        let mut first = 0;
-        for window in &parts.windows {
-            let own = first..first + window.width * window.height;
-            first = own.end;
-            let mut right = [0.0; NUMBERS];
-            for at in own.filter(|at| weights.each[*at] != 0.0) {
-                for (slopes, r) in self.each[at].iter().zip(&residuals[at]) {
-                    let (slopes, r) = (slopes.map(f64::from), f64::from(*r));
-                    sums.normal.add(&slopes, r, weights.each[at]);
-                    right.iter_mut().zip(slopes).for_each(|(sum, s)| *sum += weights.each[at] * s * r);
-                }
-            }
-            sums.told += usize::from(right.iter().any(|v| *v != 0.0));
-            for (row, a) in sums.middle.iter_mut().zip(right) {
-                row.iter_mut().zip(right).for_each(|(m, b)| *m += a * b);
+    fn normal(&self, residuals: &[[f32; 3]], weights: &Weights) -> Normal {
+        let mut normal = Normal::default();
+        for ((slopes, r), w) in self.each.iter().zip(residuals).zip(&weights.each).filter(|(_, w)| **w != 0.0) {
+            for (slopes, r) in slopes.iter().zip(r) {
+                normal.add(&slopes.map(f64::from), f64::from(*r), *w);
             }
         }
-        sums
-    }
-}
-
-/// What windows say together, and how far they agree.
-struct Sums {
-    normal: Normal,
-    /// The sum over windows of their own right sides, each times itself.
-    middle: [[f64; NUMBERS]; NUMBERS],
-    /// Windows that say anything.
-    told: usize,
-}
-
-impl Sums {
-    /// The covariance of the right side by what windows say one by one, with what fitting the numbers takes from it
-    /// (clustered, Liang and Zeger 1986): neighbouring pixels err together, windows do not. `None` where there are no more
-    /// windows than numbers.
-    fn spread(&self) -> Option<[[f64; NUMBERS]; NUMBERS]> {
-        let free = self.told.checked_sub(NUMBERS).filter(|free| *free > 0)?;
-        let share = self.told as f64 / free as f64;
-        Some(self.middle.map(|row| row.map(|v| v * share)))
-    }
-
-    /// The square of how far the best place is from here, in standard deviations (Rao's score test 1948): without end where
-    /// nothing says how large these are.
-    fn deviations(&self) -> f64 {
-        let right = self.normal.right;
-        let along = self.spread().and_then(|matrix| Normal { matrix, right }.step(0.0));
-        along.map_or(f64::INFINITY, |along| along.iter().zip(right).map(|(a, r)| a * r).sum())
+        normal
     }
 }
 
@@ -410,15 +365,33 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// The normal equations' inverse on either side of what windows say one by one (White 1980). `None` where the windows do
-    /// not determine a camera.
-    fn of(parts: &Parts, residuals: &[[f32; 3]], weights: &Weights, slopes: &Slopes) -> Option<Self> {
-        let sums = slopes.sums(parts, residuals, weights);
-        let (inverse, middle) = (sums.normal.inverse()?, sums.spread()?);
+    /// By what the picture's windows say one by one: neighbouring pixels err together, windows do not. The normal
+    /// equations' inverse on either side of the windows' own sums (White 1980; clustered, Liang and Zeger 1986). `None`
+    /// where the windows do not determine a camera.
+    fn of(residuals: &[[f32; 3]], weights: &Weights, slopes: &Slopes) -> Option<Self> {
+        let inverse = slopes.normal(residuals, weights).inverse()?;
+        let mut middle = [[0.0; NUMBERS]; NUMBERS];
+        let mut told = 0;
+        let windows = slopes.each.chunks_exact(WINDOW).zip(residuals.chunks_exact(WINDOW));
+        for ((slopes, residuals), weights) in windows.zip(weights.each.chunks_exact(WINDOW)) {
+            let mut right = [0.0; NUMBERS];
+            for ((slopes, r), w) in slopes.iter().zip(residuals).zip(weights) {
+                for (slopes, r) in slopes.iter().zip(r) {
+                    right.iter_mut().zip(slopes).for_each(|(sum, s)| *sum += w * f64::from(*s) * f64::from(*r));
+                }
+            }
+            told += usize::from(right.iter().any(|v| *v != 0.0));
+            for (row, a) in middle.iter_mut().zip(right) {
+                row.iter_mut().zip(right).for_each(|(m, b)| *m += a * b);
+            }
+        }
+        // As many windows as numbers leave nothing to tell errors by.
+        let free = told.checked_sub(NUMBERS).filter(|free| *free > 0)?;
+        let share = told as f64 / free as f64;
         let times = |a: &[[f64; NUMBERS]; NUMBERS], b: &[[f64; NUMBERS]; NUMBERS]| -> [[f64; NUMBERS]; NUMBERS] {
             std::array::from_fn(|i| std::array::from_fn(|j| (0..NUMBERS).map(|k| a[i][k] * b[k][j]).sum()))
         };
-        let matrix = times(&times(&inverse, &middle), &inverse);
+        let matrix = times(&times(&inverse, &middle), &inverse).map(|row| row.map(|v| v * share));
         matrix.iter().flatten().all(|v| v.is_finite()).then_some(Self { units: slopes.units, matrix })
     }
 

@@ -134,6 +134,13 @@ mod tests {
             let expected = level(n, margin + at % side, margin + at / side);
             assert!((pixel[0] - expected).abs() < 1e-3, "{i}: {} for {expected}", pixel[0]);
         }
+        // One bright pixel among dark ones spreads as the kernel says.
+        let mut bright = vec![[0.0; FEATURES]; across * across];
+        bright[(margin + 3) * across + margin + 2] = [1.0; FEATURES];
+        let spread = blur.of_windows(&bright, side, margin);
+        for (x, y, k) in [(2, 3, [0, 0]), (4, 3, [2, 0]), (1, 2, [1, 1])] {
+            assert!((spread[y * side + x][0] - blur.kernel[k[0]] * blur.kernel[k[1]]).abs() < 1e-6);
+        }
         assert_eq!(Blur::NONE.of_windows(&features, side, margin)[1][0], level(0, margin + 1, margin));
     }
 

@@ -46,10 +46,10 @@ const FOCAL: f64 = 0.3;
 const PROBE: f64 = 1e-2;
 /// How far a principal point is expected from the middle, shares of the longer side: pictures are cut.
 const PRINCIPAL: f64 = 0.15;
-/// How far a first radial coefficient is expected from what a rough camera has.
+/// How far a first radial coefficient is expected from what a rough camera has; assumed.
 const BENT: f64 = 0.1;
-/// How much a picture is expected to be stretched downwards, standard deviation of its logarithm: sides of small pictures
-/// are rounded to pixels.
+/// How much a picture is expected to be stretched downwards, standard deviation of its logarithm: both sides of a picture
+/// of 80 px are rounded to pixels (0.29 px each).
 const STRETCHED: f64 = 0.005;
 
 /// A camera with the matches that agree on it.

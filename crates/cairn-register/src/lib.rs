@@ -1,15 +1,16 @@
 //! Registration: the camera and the light with which a field looks most like a picture. With them the picture can be
 //! compared with what the field shows there, pixel by pixel.
 //!
-//! A picture may have been turned, cut and made smaller on its way. All of that is a change of camera (roll, principal
-//! point, focal length), so that eleven numbers say it: six of the pose, five of the lens. They are found in steps:
+//! A picture may have been turned, cut and made smaller on its way, and another lens may have taken it. All of that is a
+//! change of camera (roll, principal point, focal length, distortion), so that eleven numbers say it: six of the pose, five of the lens. They are found in steps:
 //!
 //! 1. [`Index`]: keypoints of renders and photographs with places in space, made once a field (`keypoints`).
 //! 2. The picture's keypoints are matched with them (`matching`), and the camera is found that most surprisingly many
 //!    agree on (`consensus`).
 //! 3. Twice, keypoints of a render from there are matched again nearby.
 //! 4. Direct alignment: Levenberg and Marquardt's steps on the difference of colours (Lucas and Kanade 1981; on radiance
-//!    fields iNeRF, Yen-Chen et al. 2021), with the light a linear regression at every step (`alignment`).
+//!    fields iNeRF, Yen-Chen et al. 2021), with the light a linear regression at every step (`alignment`), and renders
+//!    as blurred as the picture (`blur`).
 
 mod alignment;
 mod blur;

@@ -1,21 +1,21 @@
 //! The pixels of a picture that are compared: small parts with much to see, spread over it.
 
+use std::ops::Range;
+
 use crate::blur::Blur;
 use cairn_scene::{Camera, Picture};
 
-/// A part of a picture, px.
+/// Where a part of a picture begins, px; each is [`PART`] wide and high.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Window {
     pub(super) x: usize,
     pub(super) y: usize,
-    pub(super) width: usize,
-    pub(super) height: usize,
 }
 
 impl Window {
     /// Its pixels, row-major.
     fn places(self) -> impl Iterator<Item = (usize, usize)> {
-        (self.y..self.y + self.height).flat_map(move |y| (self.x..self.x + self.width).map(move |x| (x, y)))
+        (self.y..self.y + PART).flat_map(move |y| (self.x..self.x + PART).map(move |x| (x, y)))
     }
 }
 
@@ -35,6 +35,8 @@ pub(super) struct Parts {
 
 /// Side of a part, px.
 pub(super) const PART: usize = 8;
+/// Its pixels.
+pub(super) const WINDOW: usize = PART * PART;
 /// Parts across the longer side.
 const PARTS: usize = 12;
 /// Where neighbours differ by less (root of the sum of squares over channels, right and below), nothing is to be seen.
@@ -49,8 +51,8 @@ impl Parts {
         let seen = |window: &Window| window.places().any(|(x, y)| detail[y * w + x] > FLAT);
         for top in (0..h).step_by(cell) {
             for left in (0..w).step_by(cell) {
-                let cell = Window { x: left, y: top, width: cell.min(w - left), height: cell.min(h - top) };
-                windows.extend(most_detailed(&detail, w, cell).filter(seen));
+                let [right, bottom] = [(left + cell).min(w), (top + cell).min(h)];
+                windows.extend(most_detailed(&detail, w, left..right, top..bottom).filter(seen));
             }
         }
         let places: Vec<(usize, usize)> = windows.iter().flat_map(|w| w.places()).collect();
@@ -67,7 +69,7 @@ impl Parts {
         let i = &mut part.intrinsics;
         i.cx += margin as f64 - w.x as f64;
         i.cy += margin as f64 - w.y as f64;
-        (i.width, i.height) = (w.width + 2 * margin, w.height + 2 * margin);
+        (i.width, i.height) = (PART + 2 * margin, PART + 2 * margin);
         part
     }
 }
@@ -84,15 +86,14 @@ fn detail(picture: &Picture) -> Vec<f32> {
 }
 
 /// Of the parts in a cell the one with the largest sum; `None` where no part fits.
-fn most_detailed(detail: &[f32], w: usize, cell: Window) -> Option<Window> {
+fn most_detailed(detail: &[f32], w: usize, across: Range<usize>, down: Range<usize>) -> Option<Window> {
     let sum = |x: usize, y: usize| -> f32 {
         (y..y + PART).map(|y| detail[y * w + x..y * w + x + PART].iter().sum::<f32>()).sum()
     };
-    let (right, bottom) = ((cell.x + cell.width).checked_sub(PART)?, (cell.y + cell.height).checked_sub(PART)?);
-    let places =
-        (cell.y..=bottom).step_by(PART / 2).flat_map(|y| (cell.x..=right).step_by(PART / 2).map(move |x| (x, y)));
-    let best = places.max_by(|a, b| sum(a.0, a.1).total_cmp(&sum(b.0, b.1)))?;
-    Some(Window { x: best.0, y: best.1, width: PART, height: PART })
+    let (right, bottom) = (across.end.checked_sub(PART)?, down.end.checked_sub(PART)?);
+    let at = |y: usize| (across.start..=right).step_by(PART / 2).map(move |x| Window { x, y });
+    let windows = (down.start..=bottom).step_by(PART / 2).flat_map(at);
+    windows.max_by(|a, b| sum(a.x, a.y).total_cmp(&sum(b.x, b.y)))
 }
 
 #[cfg(test)]

@@ -101,8 +101,10 @@ impl SceneService for Shared {
         let looks = Looks { picture, places };
         let waiting = Waiting::default();
         let given_up = waiting.0.clone();
+        let searching = if places { self.searches.clone().acquire_owned().await.ok() } else { None };
         let answer = self
             .compute(move |engine| {
+                let _searching = searching;
                 let checked = engine.check(&scene, anew, looks, &|| !given_up.load(Ordering::Relaxed))?;
                 Ok(to_proto::checked(&engine.scene(&scene)?, checked))
             })

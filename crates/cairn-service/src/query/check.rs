@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use cairn_register::{Located, NotLocated, Registrar};
+use cairn_register::{NotLocated, Registrar};
 use cairn_scene::{Picture, SceneFolder, Support};
 
 use crate::error::EngineError;
@@ -103,15 +103,18 @@ pub fn look_for(
 ) -> Result<(), EngineError> {
     let index = model.places()?;
     for view in views.iter_mut().filter(|v| v.score.is_some()).take(LOOKED_AT) {
+        if !wanted() {
+            break;
+        }
         let known = &scene.capture().views[view.index];
         let photograph = scene.photograph(view.index)?;
         let registrar = Registrar::new(model.base.clone(), Some(Arc::new(index.without(&known.name))));
         view.found = Some(match registrar.locate(&photograph, wanted) {
             Ok(found) => {
                 let larger = photograph.width() as f64 / found.registered.picture.width() as f64;
-                let Located { uncertainty_px, .. } = found;
-                let off_px = larger * found.off_px(&known.camera);
-                Whereabouts::Found { off_px, uncertainty_px: larger * uncertainty_px }
+                let [off_px, uncertainty_px] =
+                    [found.off_px(&known.camera), found.uncertainty_px].map(|px| larger * px);
+                Whereabouts::Found { off_px, uncertainty_px }
             }
             Err(why) => Whereabouts::NotFound(why),
         });
