@@ -17,6 +17,7 @@ use cairn_field::{Appearance, appearance::code::FEATURES};
 use cairn_scene::Camera;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Where Tukey's weights end, in robust standard deviations.
 const TUKEY: f64 = 4.685;
@@ -107,6 +108,7 @@ pub(super) fn refine(
     // Little: with much, steps along the valley of longer lenses further off were too short to go on.
     let mut damping = 1e-5;
     let (mut known, mut learnt) = (None::<Slopes>, 0);
+    let mut settled_by = None;
     // Weights change as it goes, so that a cost that falls proves no end.
     for _ in 0..steps {
         if !wanted() {
@@ -123,25 +125,29 @@ pub(super) fn refine(
         let (mut damped, tries) = (damping, if learnt == 0 { TRIES } else { 1 });
         match slopes.follow(against, parts, &now, &weights, &mut damped, tries) {
             Some(Moved { next, step }) => {
-                slopes.learn(&step, &now.residuals, &next.residuals);
                 let moved_px = step.iter().map(|s| s * s).sum::<f64>().sqrt() * UNIT_PX;
                 let settled = moved_px < settled_px;
                 if settled && learnt == 0 {
-                    now = next;
+                    (now, settled_by) = (next, Some(slopes));
                     break;
                 }
+                slopes.learn(&step, &now.residuals, &next.residuals);
                 // Slopes that were learnt may miss what is left.
                 learnt = if settled { LEARNT } else { learnt + 1 };
                 (now, known, damping) = (next, Some(slopes), damped);
             }
-            None if learnt == 0 => break,
+            None if learnt == 0 => {
+                settled_by = Some(slopes);
+                break;
+            }
             None => learnt = LEARNT,
         }
     }
     let weights = Weights::of(&now.residuals, &parts.tells, min_spread);
     let explained = weights.explained(&now.residuals, parts);
-    let certain = || Covariance::of(&now.residuals, &weights, &Slopes::at(against, parts, &now, numbers));
-    let covariance = if is_last { certain() } else { None };
+    // Where it settled by slopes that were worked out there, they hold still.
+    let slopes = || settled_by.unwrap_or_else(|| Slopes::at(against, parts, &now, numbers));
+    let covariance = if is_last { Covariance::of(&now.residuals, &weights, &slopes()) } else { None };
     Some(Refined { camera: now.camera, appearance: now.appearance, explained, covariance })
 }
 
@@ -155,15 +161,23 @@ pub(super) fn blur_at(against: &Against<'_>, parts: &Parts, camera: &Camera) -> 
         let looked = lit(against, parts, camera, looked.features, Some(&weights))?;
         Some(Weights::of(&looked.residuals, &parts.tells, 0.0).spread)
     };
-    let margin = Blur::of(SLIGHT_PX).margin();
-    let sharp = about(against.field, parts, parts.windows.iter(), camera, margin);
-    if spread_with(&sharp, margin, SLIGHT_PX)? >= spread_with(&sharp, margin, 0.0)? {
+    let seen = |margin| about(against.field, parts, parts.windows.iter(), camera, margin);
+    let search = |range: Range<f64>, sharp: &[[f32; FEATURES]], margin| {
+        let of = |sigma_px: f64| spread_with(sharp, margin, sigma_px).unwrap_or(f64::INFINITY);
+        Blur::of(least(range, BLUR_WITHIN_PX, of))
+    };
+    // A wide blur mixes pixels from far about each window: nine renders of the windows for the widest.
+    let margin = Blur::of(2.0 * SLIGHT_PX).margin();
+    let sharp = seen(margin);
+    let slight = spread_with(&sharp, margin, SLIGHT_PX)?;
+    if slight >= spread_with(&sharp, margin, 0.0)? {
         return Some(Blur::NONE);
     }
+    if spread_with(&sharp, margin, 2.0 * SLIGHT_PX)? >= slight {
+        return Some(search(0.0..2.0 * SLIGHT_PX, &sharp, margin));
+    }
     let margin = Blur::of(MAX_BLUR_PX).margin();
-    let sharp = about(against.field, parts, parts.windows.iter(), camera, margin);
-    let of = |sigma_px: f64| spread_with(&sharp, margin, sigma_px).unwrap_or(f64::INFINITY);
-    Some(Blur::of(least(MAX_BLUR_PX, BLUR_WITHIN_PX, of)))
+    Some(search(SLIGHT_PX..MAX_BLUR_PX, &seen(margin), margin))
 }
 
 /// How far each number goes so that pixels move by about [`UNIT_PX`] of a copy `longest` px long.

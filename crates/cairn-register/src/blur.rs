@@ -3,6 +3,7 @@
 //! beside their places.
 
 use cairn_field::appearance::code::FEATURES;
+use std::ops::Range;
 
 /// The widest blur that is looked for, standard deviation, px.
 pub(crate) const MAX_BLUR_PX: f64 = 3.0;
@@ -75,11 +76,11 @@ impl Blur {
     }
 }
 
-/// The place in `[0, end]` where `cost` is least, to `within`, by the golden section (Kiefer 1953): right where the cost
+/// The place in `range` where `cost` is least, to `within`, by the golden section (Kiefer 1953): right where the cost
 /// falls up to one place and rises from there.
-pub(crate) fn least(end: f64, within: f64, mut cost: impl FnMut(f64) -> f64) -> f64 {
+pub(crate) fn least(range: Range<f64>, within: f64, mut cost: impl FnMut(f64) -> f64) -> f64 {
     let share = (5f64.sqrt() - 1.0) / 2.0;
-    let (mut low, mut high) = (0.0, end);
+    let (mut low, mut high) = (range.start, range.end);
     let (mut a, mut b) = (high - share * (high - low), low + share * (high - low));
     let (mut of_a, mut of_b) = (cost(a), cost(b));
     while high - low > within {
@@ -147,7 +148,7 @@ mod tests {
     #[test]
     fn the_least_cost_is_found() {
         for truth in [0.0, 0.4, 1.7, 3.0] {
-            let found = least(3.0, 0.02, |at| (at - truth).abs().sqrt());
+            let found = least(0.0..3.0, 0.02, |at| (at - truth).abs().sqrt());
             assert!((found - truth).abs() < 0.02, "{found} for {truth}");
         }
     }

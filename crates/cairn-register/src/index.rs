@@ -20,10 +20,11 @@ use serde::{Deserialize, Serialize};
 pub const INDEX_FORMAT: &str = "cairn.places/1";
 /// Views that an index is made of, at most: a larger scene's are thinned evenly.
 pub const MAX_VIEWS: usize = 128;
-/// Longest side of the renders, px.
-const RENDERED_PX: usize = 300;
-/// Longest side of the photographs, px.
-const PHOTOGRAPHED_PX: usize = 400;
+/// Longest side of the renders that keypoints are looked for in, px.
+pub(crate) const RENDERED_PX: usize = 300;
+/// Longest side of the pictures that keypoints are looked for in, px: of photographs, and of what is asked about. What is
+/// finer in one has no counterpart in the other.
+pub(crate) const PHOTOGRAPHED_PX: usize = 400;
 /// Keypoints of a picture that are kept, at most.
 const KEPT: usize = 600;
 /// Where less than this share of the light is stopped, there is no place.

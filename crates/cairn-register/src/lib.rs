@@ -7,7 +7,7 @@
 //! 1. [`Index`]: keypoints of renders and photographs with places in space, made once a field (`keypoints`).
 //! 2. The picture's keypoints are matched with them (`matching`), and the camera is found that most surprisingly many
 //!    agree on (`consensus`).
-//! 3. Twice, keypoints of a render from there are matched again nearby.
+//! 3. Keypoints of a render from there are matched again nearby.
 //! 4. Direct alignment: Levenberg and Marquardt's steps on the difference of colours (Lucas and Kanade 1981; on radiance
 //!    fields iNeRF, Yen-Chen et al. 2021), with the light a linear regression at every step (`alignment`), and renders
 //!    as blurred as the picture (`blur`).
@@ -30,7 +30,7 @@ use cairn_field::{Appearance, Field};
 use cairn_scene::{Camera, Intrinsics, Picture};
 use consensus::{Agreed, Chance, Solve};
 use glam::DVec3;
-use index::{Seen, placed};
+use index::{PHOTOGRAPHED_PX, RENDERED_PX, Seen, placed};
 use keypoints::{Keypoint, keypoints};
 use matching::{Match, one_a_spot};
 use sizes::{ratio, shrunk, smaller};
@@ -42,12 +42,8 @@ pub use index::{INDEX_FORMAT, Index, MAX_VIEWS, Reference};
 
 /// Keypoints of a picture that are looked at, at most.
 const KEYPOINTS: usize = 1500;
-/// Longest side of a picture that keypoints are looked for in, px.
-const LOOKED_AT_PX: usize = 640;
-/// Longest side of the renders that a picture is matched with again, px.
-const REMATCHED_PX: usize = 400;
-/// How far off a keypoint of such a render may be, shares of the picture's longer side: first, and then.
-const REMATCHED: [f64; 2] = [0.04, 0.012];
+/// How far off a keypoint of a render from there may be, shares of the picture's longer side.
+const REMATCHED: f64 = 0.04;
 /// In such a small neighbourhood the second nearest must be farther by this.
 const REMATCH_RATIO: f64 = 0.9;
 /// Shortest side of a picture whose camera is looked for, px.
@@ -57,8 +53,8 @@ pub const LONGEST_PX: usize = 800;
 /// Steps from keypoints: what stands a pixel aside is no outlier before it can have been moved. The lens's shape, which moves
 /// things least, waits for the next: from far off it led astray.
 const ROUGHLY: Pass = Pass { numbers: NUMBERS - SHAPE, steps: 24, settled_px: 0.1, min_spread: 0.03, is_last: false };
-/// Steps from there.
-const FINELY: Pass = Pass { numbers: NUMBERS, steps: 24, settled_px: 0.01, min_spread: MIN_SPREAD, is_last: true };
+/// Steps from there, until they are a third of the tenth of a pixel that is wanted.
+const FINELY: Pass = Pass { numbers: NUMBERS, steps: 24, settled_px: 0.03, min_spread: MIN_SPREAD, is_last: true };
 
 /// Registers pictures to one field; see the module's text.
 #[derive(Debug)]
@@ -173,7 +169,7 @@ impl Registrar {
 
     /// The camera and light from which the field looks most like `picture` (any size; a number that is not finite
     /// counts as 0). It goes on for as long as it is `wanted`: that is asked between keypoints, matches, agreement and
-    /// rematches, and before every step of the alignment.
+    /// rematching, and before every step of the alignment.
     ///
     /// # Errors
     /// [`NotLocated`], with the reason.
@@ -193,13 +189,9 @@ impl Registrar {
         let agreed = agreed.filter(|a| a.surprise > MIN_SURPRISE).ok_or(none)?;
         let light = self.light_near(index, &agreed, &matches);
         let surprise = agreed.surprise;
-        let mut by = ByKeypoints::of(&agreed, &matches, index.reach);
-        for share in REMATCHED {
-            go_on()?;
-            if let Some(next) = self.rematched(&found, &by, &light, share, index.reach) {
-                by = next;
-            }
-        }
+        let by = ByKeypoints::of(&agreed, &matches, index.reach);
+        go_on()?;
+        let by = self.rematched(&found, &by, &light, index.reach).unwrap_or(by);
         let against = self.against(index.reach);
         let refined = |parts: &Parts, from: &Camera, pass: Pass| {
             let next = alignment::refine(&against, parts, *from, pass, wanted);
@@ -246,22 +238,21 @@ impl Registrar {
         best.map_or(self.field.canonical_appearance(), |k| self.field.appearance_of(&index.names[k])).clone()
     }
 
-    /// The camera by keypoints of a render from where they said, which lie within `share` of the picture of where they were.
+    /// The camera by keypoints of a render from where they said, which lie near where they were.
     fn rematched(
         &self,
         found: &[Keypoint],
         ByKeypoints { camera, lens, .. }: &ByKeypoints,
         light: &Appearance,
-        share: f64,
         reach: f64,
     ) -> Option<ByKeypoints> {
         let size = |camera: &Camera| [camera.intrinsics.width, camera.intrinsics.height];
         let longest = camera.intrinsics.width.max(camera.intrinsics.height);
-        let small = shrunk(camera, REMATCHED_PX);
+        let small = shrunk(camera, RENDERED_PX);
         let ratio = ratio(size(camera), size(&small));
         let seen = Seen::at(&self.field, &small, light);
         let shown = placed(&seen, KEYPOINTS);
-        let radius = (share * longest as f64).max(3.0);
+        let radius = (REMATCHED * longest as f64).max(3.0);
         let wide: Vec<_> = shown.iter().map(|(k, _)| keypoints::widened(&k.descriptor)).collect();
         let of = |keypoint: &Keypoint| {
             let own = keypoints::widened(&keypoint.descriptor);
@@ -319,7 +310,7 @@ impl ByKeypoints {
 
 /// The picture's keypoints, px of the picture.
 fn found_in(picture: &Picture) -> Vec<Keypoint> {
-    let small = smaller(picture, LOOKED_AT_PX);
+    let small = smaller(picture, PHOTOGRAPHED_PX);
     let ratio = ratio([picture.width(), picture.height()], [small.width(), small.height()]);
     let mut found = keypoints(&small, KEYPOINTS);
     for keypoint in &mut found {

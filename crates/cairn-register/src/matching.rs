@@ -32,30 +32,29 @@ pub(crate) struct Match {
 
 /// Matches of `picture`'s keypoints, the surest first, one for a spot of the picture.
 pub(crate) fn matches(index: &Index, picture: &[Keypoint]) -> Vec<Match> {
-    let asked: Vec<[f32; DESCRIPTOR]> = picture.iter().map(|k| k.descriptor.map(f32::from)).collect();
-    let of = |(k, chunk): (usize, &[[u8; DESCRIPTOR]])| {
-        let block = Block::of(chunk);
-        let near = |q: &[f32; DESCRIPTOR]| {
-            let mut near = Nearest::default();
-            for (n, like) in block.likeness(q)[..chunk.len()].iter().enumerate() {
-                near.add(*like as i32, (k * BLOCK + n) as u32);
-            }
-            near
-        };
-        asked.iter().map(near).collect::<Vec<_>>()
-    };
-    let merged = |mut a: Vec<Nearest>, b: Vec<Nearest>| {
-        for (a, b) in a.iter_mut().zip(b) {
-            b.all.iter().for_each(|(like, k)| a.add(*like, *k));
-        }
-        a
-    };
-    let none = || vec![Nearest::default(); picture.len()];
-    let nearest = index.descriptors.par_chunks(BLOCK).enumerate().map(of).reduce(none, merged);
+    // Of each thread's keypoints every block of descriptors is unpacked once.
+    let share = picture.len().div_ceil(rayon::current_num_threads()).max(1);
+    let nearest: Vec<Nearest> =
+        picture.par_chunks(share).flat_map_iter(|keypoints| nearest(&index.descriptors, keypoints)).collect();
     let mut found: Vec<Match> =
         picture.iter().zip(&nearest).filter_map(|(keypoint, near)| near.matched(index, keypoint)).collect();
     found.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
     one_a_spot(found)
+}
+
+/// The `descriptors` most like each of some keypoints'.
+fn nearest(descriptors: &[[u8; DESCRIPTOR]], keypoints: &[Keypoint]) -> Vec<Nearest> {
+    let asked: Vec<[f32; DESCRIPTOR]> = keypoints.iter().map(|k| k.descriptor.map(f32::from)).collect();
+    let mut nearest = vec![Nearest::default(); asked.len()];
+    for (k, chunk) in descriptors.chunks(BLOCK).enumerate() {
+        let block = Block::of(chunk);
+        for (near, q) in nearest.iter_mut().zip(&asked) {
+            for (n, like) in block.likeness(q)[..chunk.len()].iter().enumerate() {
+                near.add(*like as i32, (k * BLOCK + n) as u32);
+            }
+        }
+    }
+    nearest
 }
 
 /// Descriptors that are compared together: as many as registers hold sums of.
