@@ -21,7 +21,7 @@ const ARROWS: [(&str, &[&str]); 13] = [
     ("cairn-field", &["cairn-durable", "cairn-scene"]),
     ("cairn-register", &["cairn-field", "cairn-scene"]),
     ("cairn-share", &["cairn-field", "cairn-scene"]),
-    ("cairn-mark", &["cairn-durable", "cairn-field", "cairn-nn", "cairn-register", "cairn-scene"]),
+    ("cairn-mark", &["cairn-durable", "cairn-field", "cairn-nn", "cairn-register", "cairn-scene", "cairn-share"]),
     ("cairn-log", &["cairn-durable"]),
     ("cairn-verify", &["cairn-log"]),
     (

@@ -35,7 +35,7 @@ pub struct Args {
     /// Leave out times and rates: the machine has other work
     #[arg(long)]
     pub no_times: bool,
-    /// Measure this capture only; may be given several times (suites `field`, `mark`, `ablation`, `baseline`, `contribution`, `registration`)
+    /// Measure this capture only; may be given several times (suites `field`, `mark`, `ablation`, `baseline`, `contribution`, `registration`, `woven`)
     #[arg(long = "case", value_name = "NAME", value_enum)]
     pub cases: Vec<Name>,
     /// Train this row only; may be given several times (suite `ablation`)
@@ -89,6 +89,8 @@ pub enum Suite {
     Contribution,
     /// Finding the cameras of pictures of four captures: placed, how near, wrong ones, other scenes' pictures, seconds
     Registration,
+    /// Keyed marks woven into four captures' fields: found by share and distortion, controls, what is seen, seconds
+    Woven,
     /// What is left of a picture hidden in photographs once a field was trained on them
     Baseline,
     /// The networks' convolutions: each pass in milliseconds, and beside PyTorch's with --torch
@@ -111,6 +113,7 @@ impl Suite {
             Self::Scenes => "scenes",
             Self::Contribution => "contribution",
             Self::Registration => "registration",
+            Self::Woven => "woven",
             Self::Baseline => "baseline",
             Self::Conv => "conv",
             Self::Registry => "registry",

@@ -29,3 +29,4 @@ mod source;
 mod suite;
 mod timing;
 mod trained;
+mod woven;

@@ -2,7 +2,7 @@
 
 use crate::children::{Part, Work};
 use crate::suite::{baseline, registry, scenes, tradeoff};
-use crate::{marked, marks, registration, trained};
+use crate::{marked, marks, registration, trained, woven};
 
 /// Reads one part from standard input, does it, and prints its answer.
 ///
@@ -29,6 +29,7 @@ pub fn run() -> anyhow::Result<()> {
         marks::judge::Judge,
         scenes::Join,
         registration::work::Register,
+        woven::work::ReadBack,
         registry::load::Load,
         registry::grown::Grow,
         registry::grown::ServeLog,

@@ -4,7 +4,7 @@ use crate::args::{Args, Suite};
 use crate::results::Results;
 use crate::rows::{self, Rows};
 use crate::suite::{
-    ablation, baseline, contribution, conv, demo, field, liberty, mark, registration, registry, scenes,
+    ablation, baseline, contribution, conv, demo, field, liberty, mark, registration, registry, scenes, woven,
 };
 
 /// Measures what was asked for, into the results and the page.
@@ -35,6 +35,7 @@ pub async fn run(args: &Args) -> anyhow::Result<()> {
         Suite::Scenes => scenes::measure(args, &mut rows).await?,
         Suite::Contribution => contribution::measure(args, &mut rows).await?,
         Suite::Registration => registration::measure(args, &mut rows).await?,
+        Suite::Woven => woven::measure(args, &mut rows).await?,
         Suite::Baseline => baseline::measure(args, &mut rows).await?,
         Suite::Conv => tokio::task::block_in_place(|| conv::measure(args, &mut rows))?,
         Suite::Registry => tokio::task::block_in_place(|| registry::measure(args, &mut rows))?,

@@ -15,10 +15,12 @@ mod payload;
 mod progress;
 pub mod stega;
 mod tensors;
+pub mod weave;
 
 pub use attack::{Distortion, RobustConfig};
 pub use detect::blind::detector::{DETECTOR_FORMAT, Detection, Detector};
 pub use detect::informed::{BELIEVED, NotRegistered, RegisteredReader, RegisteredReading};
+pub use detect::keyed::{Evidence, WAYS, chance, threshold};
 pub use emblem::emblem;
 pub use error::MarkError;
 pub use marked::{MARKED_FORMAT, MarkedField};

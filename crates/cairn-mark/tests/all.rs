@@ -12,3 +12,4 @@ mod robust;
 mod scenes;
 mod switches;
 mod training;
+mod woven;

@@ -119,9 +119,14 @@ fn code(weight: f32) -> Option<u8> {
     (code >= 0.0).then_some(code.min(255.0) as u8)
 }
 
+/// What a code stands for, pixels.
+fn weight(code: u8) -> f32 {
+    (f32::from(code) / CODES_AN_OCTAVE + LOWEST).exp2()
+}
+
 /// What every code stands for, pixels.
 pub(crate) fn weights() -> [f32; 256] {
-    std::array::from_fn(|code| (code as f32 / CODES_AN_OCTAVE + LOWEST).exp2())
+    std::array::from_fn(|code| weight(code as u8))
 }
 
 impl ShareTable {
@@ -146,6 +151,15 @@ impl ShareTable {
     pub(crate) fn of_row(&self, row: usize) -> (&[u16], &[u8]) {
         let range = self.starts[row] as usize..self.starts[row + 1] as usize;
         (&self.of[range.clone()], &self.codes[range])
+    }
+
+    /// The photographs that show `row` by their numbers, which rise, and what each shows of it, pixels, as it was rounded.
+    ///
+    /// # Panics
+    /// When there is no such row.
+    pub fn shown_of(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let (of, codes) = self.of_row(row);
+        of.iter().zip(codes).map(|(of, code)| (usize::from(*of), weight(*code)))
     }
 
     /// The rows that photograph `number` shows, rising, and what it shows of each, pixels, as it was rounded.

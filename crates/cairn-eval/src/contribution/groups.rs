@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use rand::SeedableRng as _;
 use rand::seq::SliceRandom as _;
 use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 
 use crate::source::Opened;
 
@@ -27,7 +28,7 @@ pub fn subsets(seed: u64) -> Vec<Vec<usize>> {
 }
 
 /// Whose photographs a capture's are.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub enum Deal {
     /// Made-up contributors, of so many views that stand together each.
     Neighbours(usize),
@@ -38,15 +39,19 @@ pub enum Deal {
 /// The views of each of [`GROUPS`] groups, by their indices in the capture. Contributors are dealt to groups one after
 /// another, so that no group is one corner of the scene.
 pub fn groups(opened: &Opened, deal: Deal) -> Vec<Vec<usize>> {
-    let contributors = match deal {
-        Deal::Neighbours(views) => neighbours(opened, views),
-        Deal::Table => table(opened),
-    };
     let mut groups = vec![Vec::new(); GROUPS];
-    for (n, views) in contributors.into_iter().enumerate() {
+    for (n, views) in contributors(opened, deal).into_iter().enumerate() {
         groups[n % GROUPS].extend(views);
     }
     groups
+}
+
+/// The views of each contributor, by their indices in the capture.
+pub fn contributors(opened: &Opened, deal: Deal) -> Vec<Vec<usize>> {
+    match deal {
+        Deal::Neighbours(views) => neighbours(opened, views),
+        Deal::Table => table(opened),
+    }
 }
 
 /// Each view that is left with those of the others that stand nearest to it.

@@ -12,3 +12,4 @@ pub mod registration;
 pub mod registry;
 pub mod scenes;
 pub mod tradeoff;
+pub mod woven;

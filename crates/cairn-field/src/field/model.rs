@@ -12,6 +12,7 @@ use crate::rays::march::empty_density;
 use crate::render::composite::{Gathered, Thresholds};
 use crate::render::picture::{Seen, Tiling};
 use cairn_scene::{Camera, Picture};
+use glam::DVec3;
 use half::f16;
 use rayon::prelude::*;
 use safetensors::tensor::Dtype;
@@ -90,6 +91,46 @@ impl Field {
         change(&mut field.grid.colour[ROW..]);
         assert!(field.grid.colour.iter().all(|v| v.is_finite()), "colours are finite");
         field
+    }
+
+    /// The field with each row's colour changed by `colours` (`rows x 3`, RGB as stored), the same from everywhere.
+    ///
+    /// # Panics
+    /// When `colours` is of another size, or a colour is not finite afterwards.
+    #[must_use]
+    pub fn with_colours_added(&self, colours: &[f32]) -> Self {
+        assert_eq!(colours.len(), self.grid.rows() * 3, "a colour for each row");
+        let mut field = self.clone();
+        let rows = field.grid.colour.par_chunks_exact_mut(ROW).zip(colours.par_chunks_exact(3)).skip(1);
+        rows.for_each(|(row, change)| {
+            row[..3].iter_mut().zip(change).for_each(|(v, change)| *v += change / SH_DC as f32);
+            assert!(row[..3].iter().all(|v| v.is_finite()), "colours are finite");
+        });
+        field
+    }
+
+    /// How far apart the image of `camera` has the vertex of `row` and the next on the lattice, px: the median of the three
+    /// axes. `None` where the camera stands in it, or it lies at infinity.
+    pub fn spacing_px(&self, row: usize, camera: &Camera) -> Option<f64> {
+        let [nx, ny, nz] = self.grid.dims;
+        let v = self.grid.vertex[row] as usize;
+        let at = [v % nx, v / nx % ny, v / (nx * ny)];
+        let place = |at: [usize; 3]| {
+            let unit = DVec3::from_array([0, 1, 2].map(|k| at[k] as f64 / ([nx, ny, nz][k] - 1) as f64));
+            self.frame.place(unit)
+        };
+        let eye = self.frame.place_of(camera.pose.position);
+        let way = |[x, y, z, w]: [f64; 4]| (DVec3::new(x, y, z) - DVec3::new(eye[0], eye[1], eye[2]) * w).normalize();
+        let here = way(place(at));
+        let angle = |k: usize| {
+            let mut next = at;
+            next[k] = if at[k] + 1 < [nx, ny, nz][k] { at[k] + 1 } else { at[k] - 1 };
+            here.angle_between(way(place(next)))
+        };
+        let mut angles = [angle(0), angle(1), angle(2)];
+        angles.sort_by(f64::total_cmp);
+        let px = angles[1] * camera.intrinsics.fx;
+        px.is_finite().then_some(px)
     }
 
     /// The field with its raw densities rounded to half precision too, as its colours are already: what

@@ -12,6 +12,7 @@
 //! approximation (de la Pena, Lai and Shao 2009). So one limit holds for every scene and picture, and
 //! nothing is learnt.
 
+use super::opponent::{opponent, size_of};
 use crate::attack::Blur;
 use crate::marked::MarkedField;
 use crate::stega::recipe::{CarrierKind, DensityKind};
@@ -206,16 +207,6 @@ fn remains(base: &Picture) -> Vec<Vec<f32>> {
 /// The numbers of one colour; the others' are 0.
 fn of_colour(all: &[f32], c: usize) -> Vec<f32> {
     all.iter().enumerate().map(|(i, v)| if i % 3 == c { *v } else { 0.0 }).collect()
-}
-
-/// Lightness, red-green and yellow-blue, orthonormal.
-fn opponent(rgb: &[f32]) -> [f32; 3] {
-    let (two, three, six) = (0.5f32.sqrt(), (1.0f32 / 3.0).sqrt(), (1.0f32 / 6.0).sqrt());
-    [three * (rgb[0] + rgb[1] + rgb[2]), two * (rgb[0] - rgb[1]), six * (rgb[0] + rgb[1] - 2.0 * rgb[2])]
-}
-
-fn size_of(picture: &Picture) -> [usize; 2] {
-    [picture.width(), picture.height()]
 }
 
 /// `a - b` in opponent colours.

@@ -2,3 +2,5 @@
 
 pub(crate) mod blind;
 pub(crate) mod informed;
+pub(crate) mod keyed;
+mod opponent;
