@@ -29,7 +29,8 @@ fn woven() -> Woven {
         .collect();
     let owner_of: Vec<u16> = (0..12).map(|view| u16::from(view >= 6)).collect();
     let names = vec!["ann".to_owned(), "ben".to_owned()];
-    weave(&base, &builder.finish().unwrap(), names, &owner_of, &secret(), &looked, 42.0)
+    weave(&base, &builder.finish().unwrap(), names, &owner_of, &secret(), &looked, 48.0)
+        .expect("the views see what they taught")
 }
 
 fn secret() -> WeavingSecret {
@@ -58,7 +59,8 @@ fn a_picture_names_whose_photographs_taught_what_it_shows_and_nobody_else() {
         let render = |field: &cairn_field::Field| field.render(&camera, field.canonical_appearance()).clamped();
         let (plain, marked) = (render(&base), render(&woven.field));
         let psnr = psnr_db(&plain, &marked).unwrap();
-        assert!(psnr > 40.0, "{psnr} dB");
+        let largest = plain.rgb().iter().zip(marked.rgb()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(psnr > 45.0 && largest < 8.0 / 255.0, "{psnr} dB, a colour changes by {largest}");
         for distortion in [Distortion::EightBits, Distortion::Jpeg { quality: 75 }] {
             let z = read(&woven, &distortion.apply(&marked, 1), &camera, &secret());
             assert!(z[who] > from && z[who] > z[1 - who], "{distortion:?} of view {view}: {z:?}");
@@ -75,7 +77,8 @@ fn weaving_moves_colours_alone_and_is_the_same_twice() {
     let (base, one, other) = (field(), woven(), woven());
     assert_eq!(one.field.to_bytes().unwrap(), other.field.to_bytes().unwrap());
     assert_eq!(one.weave, other.weave);
-    assert!((one.psnr_db - 42.0).abs() < 1.0, "{} dB", one.psnr_db);
+    // What is expected over all signs is 48; of so few cells one draw lies a little beside it.
+    assert!((one.psnr_db - 48.0).abs() < 1.0, "{} dB", one.psnr_db);
     let camera = large(&cameras()[1]);
     let depth = |field: &cairn_field::Field| field.render_maps(&camera, field.canonical_appearance()).depth;
     assert_eq!(depth(&base), depth(&one.field));

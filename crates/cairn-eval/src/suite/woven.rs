@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use cairn_mark::{WAYS, chance, threshold};
+use cairn_mark::{WAYS, threshold};
 use cairn_service::config::{Chosen, Quality};
 use cairn_service::query::report::Right;
 
@@ -24,10 +24,8 @@ use crate::settings::QUICK_SIDE_PX;
 use crate::source::Source;
 use crate::timing::median;
 use crate::trained::Train;
-use crate::woven::work::{CONDITIONS, ReadBack, Scored, WasRead};
+use crate::woven::work::{CONDITIONS, ReadBack, Scored, WRONG, WasRead};
 
-/// The probability of any wrong name that a picture is read with.
-const WRONG: f64 = 1e-6;
 /// Held-out views at most.
 const MAX_VIEWS: usize = 12;
 /// Views to train on at most, and to read, of a quick run.
@@ -192,8 +190,7 @@ fn add(rows: &mut Rows, name: &str, was_read: &WasRead, seed: u64) {
     rows.add(name, "unmarked pictures that name a contributor", named as f64, "", none);
     rows.add(name, "unmarked pictures: n", was_read.unmarked.len() as f64, "", None);
     let null = &was_read.under_others;
-    let wrong = null.max > 0.0 && chance(null.max) * (null.count as f64) < WRONG;
-    rows.add(name, "keys that have woven nothing: a score above their threshold", f64::from(u8::from(wrong)), "", none);
+    rows.add(name, "keys that have woven nothing: scores above the threshold", null.above as f64, "", none);
     rows.add(name, "keys that have woven nothing: scores", null.count as f64, "", None);
     rows.add(name, "keys that have woven nothing: largest z", null.max, "", None);
     for (what, target) in [("at least", Target::at_least(0.98)), ("at most", Target::at_most(1.02))] {
@@ -241,7 +238,7 @@ mod tests {
             views: 2,
             scores,
             unmarked: vec![3.0, 6.5],
-            under_others: Null { count: 100, sum: 3.0, squares: 101.0, max: 3.1 },
+            under_others: Null { count: 100, sum: 3.0, squares: 101.0, max: 3.1, above: 0 },
             together: vec![scored(0, 0.2, 6.0), scored(0, 0.2, 2.0)],
             psnr_db: vec![45.0, 46.0],
             ..WasRead::default()
@@ -254,7 +251,7 @@ mod tests {
         assert_eq!(value("clean, >= 1 %: found, n"), 4.0);
         assert_eq!(value("all together, 2 pictures added up, >= 10 %: found"), 0.5);
         assert_eq!(value("unmarked pictures that name a contributor"), 1.0);
-        assert_eq!(value("keys that have woven nothing: a score above their threshold"), 0.0);
+        assert_eq!(value("keys that have woven nothing: scores above the threshold"), 0.0);
         assert_eq!(value("PSNR of woven renders, mean"), 45.5);
     }
 }

@@ -8,7 +8,7 @@ use cairn_field::{Field, NamedView, OfPixel, VisibleField};
 use cairn_mark::Distortion::{self, Blur, Crop, EightBits, Jpeg, Light, Noise, Rotate, Scale};
 use cairn_mark::weave::keys::WeavingSecret;
 use cairn_mark::weave::woven::{Looked, Weave, weave};
-use cairn_mark::{Evidence, WAYS};
+use cairn_mark::{Evidence, WAYS, threshold};
 use cairn_register::Registrar;
 use cairn_scene::metrics::psnr_db;
 use cairn_scene::{Camera, Picture, encode_png};
@@ -27,9 +27,11 @@ use crate::registration::follow::follow;
 use crate::source::{Opened, Source};
 
 /// Training views that a weaving is judged by.
-const LOOKED_AT: usize = 6;
+const LOOKED_AT: usize = 48;
 /// Secrets that have woven nothing, under which every picture is read too.
 const OTHERS: u64 = 20;
+/// The probability of any wrong name that a picture is read with.
+pub const WRONG: f64 = 1e-6;
 /// How faint marks are, dB.
 const PSNR_DB: f64 = 45.0;
 /// How many times differences are shown on the sheet.
@@ -151,10 +153,12 @@ pub struct Null {
     pub squares: f64,
     /// The largest.
     pub max: f64,
+    /// How many are above the threshold of a picture.
+    pub above: u64,
 }
 
 impl Null {
-    fn add(&mut self, z: f64) {
+    fn add(&mut self, z: f64, from: f64) {
         // No cell of theirs is seen.
         if z == 0.0 {
             return;
@@ -163,6 +167,7 @@ impl Null {
         self.sum += z;
         self.squares += z * z;
         self.max = self.max.max(z);
+        self.above += u64::from(z > from);
     }
 
     /// The variance about 0.
@@ -191,6 +196,7 @@ impl Work for ReadBack {
         let secret = secret(self.seed);
         let begun = Instant::now();
         let woven = weave(&base, &table, owners.names.clone(), &owners.of_photographs, &secret, &looked, PSNR_DB);
+        let woven = woven.context("its views see nothing that a contributor's photographs taught")?;
         let mut was_read = WasRead {
             contributors: owners.names.len(),
             views: held_out.len(),
@@ -358,9 +364,10 @@ impl Reader<'_> {
 
     /// Adds the scores under secrets that have woven nothing.
     fn add_others(&self, evidence: &Evidence, null: &mut Null) {
+        let from = threshold(self.weave.contributors.len() * WAYS, WRONG);
         for k in 1..=OTHERS {
             let scores = evidence.scores(self.weave, &secret(self.seed ^ (k << 32)));
-            scores.as_flattened().iter().for_each(|z| null.add(*z));
+            scores.as_flattened().iter().for_each(|z| null.add(*z, from));
         }
     }
 }

@@ -123,6 +123,31 @@ impl LinearView {
         picture
     }
 
+    /// By how much each pixel changes where each row's colour changes by its strength, in a direction that is drawn at random
+    /// for each cell of rows: root mean square over draws and channels, seen with `appearance`. `cell_of` has each row's cell.
+    ///
+    /// # Panics
+    /// When there is not a strength and a cell for each row that is seen.
+    pub fn spreads(&self, strengths: &[f32], cell_of: &[u32], appearance: &Appearance) -> Vec<f32> {
+        let gains = lit(appearance).map(|tint| tint.as_flattened().iter().map(|v| v * v).sum::<f32>() / 3.0);
+        let square = |entries: &[(u32, f32)]| {
+            let of = |(row, weight): &(u32, f32)| {
+                let row = (row & !FAR) as usize;
+                (cell_of[row], weight * strengths[row])
+            };
+            let mut cells: Vec<(u32, f32)> = entries.iter().map(of).collect();
+            // Rows of one cell change together.
+            cells.sort_unstable_by_key(|(cell, _)| *cell);
+            let sums = cells.chunk_by(|a, b| a.0 == b.0).map(|cell| cell.iter().map(|(_, v)| v).sum::<f32>());
+            sums.map(|sum| sum * sum).sum::<f32>()
+        };
+        let of = |pixel: usize| {
+            let [near, far] = self.seen_by(pixel).map(square);
+            (gains[0] * near + gains[1] * far).sqrt()
+        };
+        (0..self.width * self.height).into_par_iter().map(of).collect()
+    }
+
     /// Adds to `picture` (`height x width x 3`) what `carrier` (`rows x width`
     /// of `basis`) changes, seen with `appearance`.
     ///

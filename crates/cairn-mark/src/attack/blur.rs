@@ -1,5 +1,7 @@
 //! Gaussian blur with the border repeated, and its transpose.
 
+use rayon::prelude::*;
+
 /// A Gaussian kernel, cut off at three standard deviations.
 pub(crate) struct Blur {
     /// From the middle outwards; both sides together sum to one.
@@ -19,21 +21,21 @@ impl Blur {
     /// Of `height x width x 3` numbers, size = [width, height].
     pub(crate) fn apply(&self, rgb: &[f32], [w, h]: [usize; 2]) -> Vec<f32> {
         let mut across = vec![0.0; rgb.len()];
-        for (out, row) in across.chunks_exact_mut(w * 3).zip(rgb.chunks_exact(w * 3)) {
+        across.par_chunks_exact_mut(w * 3).zip(rgb.par_chunks_exact(w * 3)).for_each(|(out, row)| {
             self.taps(|offset, weight| {
                 for (x, pixel) in out.chunks_exact_mut(3).enumerate() {
                     let from = &row[near(x, offset, w) * 3..][..3];
                     pixel.iter_mut().zip(from).for_each(|(o, v)| *o += weight * v);
                 }
             });
-        }
+        });
         let mut out = vec![0.0; rgb.len()];
-        for (y, row) in out.chunks_exact_mut(w * 3).enumerate() {
+        out.par_chunks_exact_mut(w * 3).enumerate().for_each(|(y, row)| {
             self.taps(|offset, weight| {
                 let from = &across[near(y, offset, h) * w * 3..][..w * 3];
                 row.iter_mut().zip(from).for_each(|(o, v)| *o += weight * v);
             });
-        }
+        });
         out
     }
 

@@ -8,8 +8,8 @@ use cairn_scene::Picture;
 const PLAIN: f32 = 2.0 / 255.0;
 /// How thresholds rise with contrast.
 const EXPONENT: f32 = 0.6;
-/// How far around a pixel contrast is looked at, standard deviation, px.
-const AROUND_PX: f32 = 3.0;
+/// How far around a pixel contrast is looked at, standard deviation, px: of pictures that were made small.
+const AROUND_PX: f32 = 1.0;
 
 /// How strong a change of each pixel of `picture` may be, as a multiple of what a plain surface bears; 1 at least.
 pub fn allowed(picture: &Picture) -> Vec<f32> {

@@ -18,23 +18,18 @@ const SALT: &[u8] = b"cairn weaving 1";
 type Mac = Hmac<Sha256>;
 
 /// What all mark keys of one weaving follow from. It is drawn afresh for each.
-#[derive(Clone)]
 pub struct WeavingSecret(Zeroizing<[u8; 32]>);
 
 /// A contributor's mark key.
-#[derive(Clone)]
 pub struct MarkKey(Zeroizing<[u8; 32]>);
 
 /// The sub-key of one part of a contributor's cells.
-#[derive(Clone)]
 pub struct PartKey(Zeroizing<[u8; 32]>);
 
 /// Gives the signs of cells.
-#[derive(Clone)]
 pub struct Signs(Mac);
 
 /// Draws the owner and the part of cells.
-#[derive(Clone)]
 pub struct Lottery(Mac);
 
 /// A cell's lot.
@@ -72,12 +67,6 @@ impl MarkKey {
         assert!(part < PARTS, "one of {PARTS} parts");
         PartKey(derived(&self.0, &[b"part", &[part as u8]]))
     }
-
-    /// What is published of the key before anything is woven with it: SHA-256 of it, with its purpose before. The key is 256
-    /// random bits, so that the digest tells nothing of it.
-    pub fn commitment(&self) -> [u8; 32] {
-        Sha256::new().chain_update(b"cairn mark key 1\0").chain_update(self.0.as_ref()).finalize().into()
-    }
 }
 
 impl PartKey {
@@ -89,6 +78,15 @@ impl PartKey {
     /// What is revealed in a dispute. The part is spent then.
     pub fn to_bytes(&self) -> [u8; 32] {
         *self.0
+    }
+
+    /// What is published of it before anything is woven: SHA-256 of it, behind its purpose, the contributor and the part. It
+    /// is 256 random bits, so that the digest tells nothing of it; and each part's is a commitment of its own, so that one
+    /// can be shown without the others.
+    pub fn commitment(&self, contributor: &str, part: usize) -> [u8; 32] {
+        let name = Sha256::digest(contributor.as_bytes());
+        let head = Sha256::new().chain_update(b"cairn mark key 1\0").chain_update(name).chain_update([part as u8]);
+        head.chain_update(self.0.as_ref()).finalize().into()
     }
 
     /// What gives its cells' signs.
@@ -160,8 +158,10 @@ mod tests {
     fn keys_differ_by_contributor_and_part_and_say_nothing_of_themselves() {
         let secret = WeavingSecret::new([7; 32]);
         let (a, b) = (secret.mark_key("ann"), secret.mark_key("ben"));
-        assert_ne!(a.commitment(), b.commitment());
-        assert_ne!(a.commitment(), WeavingSecret::new([8; 32]).mark_key("ann").commitment());
+        let of = |key: &MarkKey, who: &str, part: usize| key.part(part).commitment(who, part);
+        let other = WeavingSecret::new([8; 32]).mark_key("ann");
+        let all = [of(&a, "ann", 0), of(&a, "ann", 1), of(&a, "ben", 0), of(&b, "ben", 0), of(&other, "ann", 0)];
+        assert!((0..all.len()).all(|k| !all[..k].contains(&all[k])));
         assert_ne!(a.part(0).to_bytes(), a.part(1).to_bytes());
         assert_eq!(PartKey::of_bytes(a.part(3).to_bytes()).signs().of(99), a.part(3).signs().of(99));
         assert_eq!(format!("{secret:?} {a:?} {:?}", a.part(0)), "WeavingSecret(..) MarkKey(..) PartKey(..)");

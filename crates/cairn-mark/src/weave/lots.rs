@@ -13,7 +13,7 @@ pub const NOBODY: u16 = u16::MAX;
 const ROWS_A_TASK: usize = 4096;
 
 /// The cells of a field and whose they are.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(PartialEq)]
 pub struct Lots {
     /// Vertices on a side of a cell.
     pub side: u32,

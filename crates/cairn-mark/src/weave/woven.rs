@@ -6,12 +6,12 @@
 use super::eye::allowed;
 use super::keys::{PARTS, Signs, WeavingSecret};
 use super::lots::{Lots, NOBODY};
-use crate::attack::Blur;
 use cairn_field::stats::median;
 use cairn_field::{Appearance, CarrierBasis, Field, LinearView, MarkableField, OfPixel, VisibleField};
 use cairn_scene::{Camera, Picture};
 use cairn_share::ShareTable;
 use rayon::prelude::*;
+use std::fmt;
 
 /// Opponent colours: lightness, red-green, yellow-blue, a row each, orthonormal.
 pub const OPPONENT: [[f32; 3]; 3] = [
@@ -27,17 +27,17 @@ const CELL_PX: f64 = 2.0;
 const SAMPLED_ROWS: usize = 2000;
 /// An entry of a view that weighs less does not count.
 const CUTOFF: f32 = 1e-3;
-/// The largest change of a colour, levels of 255: of a pixel of the views that are looked at, and of a row that they do not
-/// see, where it is seen alone.
+/// Views that a weaving is judged by are made so small, longest side, px. A pixel is one ray at any size, so that the rays of
+/// many small views tell more of a field's rows than those of a few large ones.
+const SMALL_PX: usize = 100;
+/// Of what the pixels that see a row change by, the mean of that power counts: nearly the largest.
+const POWER: i32 = 8;
+/// The largest change of a colour, levels of 255,
 const MAX_LEVELS: f32 = 8.0;
-/// Times that the strength is corrected by what the views show.
-const CORRECTIONS: usize = 4;
-/// A row's strength changes by this factor at most each time.
-const MAX_CORRECTION: f32 = 2.0;
-/// How far around a pixel its change is looked at, standard deviation, px.
-const AROUND_PX: f32 = 3.0;
-/// Mean squared change below which a pixel shows no mark, colours in [0, 1].
-const NO_MARK: f32 = 1e-10;
+/// which lies so many standard deviations of the pixel's change out: of a normal number one in 150,000 lies beyond.
+const DEVIATIONS: f32 = 4.5;
+/// Times that the strength is brought nearer to the budget.
+const CORRECTIONS: usize = 6;
 
 /// A view that a weaving is judged by.
 pub struct Looked {
@@ -48,7 +48,7 @@ pub struct Looked {
 }
 
 /// What reading takes besides the base field and the weaving secret. It is sealed with them.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(PartialEq)]
 pub struct Weave {
     /// Whose each cell is.
     pub lots: Lots,
@@ -59,7 +59,7 @@ pub struct Weave {
 }
 
 /// A weaving's outcome.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Woven {
     /// The field that is published, rounded as files hold it.
     pub field: Field,
@@ -69,7 +69,15 @@ pub struct Woven {
     pub psnr_db: f64,
 }
 
-/// Weaves the contributors' marks into `base`. `owner_of` has the contributor's number of each photograph of `table`.
+impl fmt::Debug for Weave {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Weave(..)")
+    }
+}
+
+/// Weaves the contributors' marks into `base`, as strong as `psnr_db` (renders of the woven field against the base's, over the
+/// `views`) and the eye allow. `owner_of` has the contributor's number of each photograph of `table`. `None` where the views
+/// see nothing that a contributor's photographs taught.
 ///
 /// # Panics
 /// When the table is of another field, there is no view, or `owner_of` has not a contributor's number for each photograph.
@@ -81,26 +89,16 @@ pub fn weave(
     secret: &WeavingSecret,
     views: &[Looked],
     psnr_db: f64,
-) -> Woven {
+) -> Option<Woven> {
     assert!(!views.is_empty(), "a weaving is judged by a view");
     assert!(owner_of.iter().all(|owner| usize::from(*owner) < contributors.len()), "an owner is a contributor");
     let lots = Lots::draw(base, table, owner_of, &secret.lottery(), side(base, views));
-    let colours = Colours::of(base, views);
-    let signs = signs(&lots, secret, &contributors);
-    let wanted = 10f64.powf(-psnr_db / 10.0);
-    let is_somebodys = |cell: &u32| lots.owners[*cell as usize] != NOBODY;
-    let mut amplitudes: Vec<f32> = lots.of_row.iter().map(|cell| f32::from(u8::from(is_somebodys(cell)))).collect();
-    amplitudes[0] = 0.0;
-    for _ in 0..CORRECTIONS {
-        colours.even_out(&colours.changed(&residual(&lots, &signs, &amplitudes)), &mut amplitudes);
-        let change = mean_square(&colours.changed(&residual(&lots, &signs, &amplitudes)));
-        let gain = if change > 0.0 { (wanted / change).sqrt() } else { 0.0 };
-        amplitudes.iter_mut().for_each(|a| *a *= gain as f32);
-        colours.cap(&colours.changed(&residual(&lots, &signs, &amplitudes)), &mut amplitudes);
-    }
-    let change = mean_square(&colours.changed(&residual(&lots, &signs, &amplitudes)));
-    let field = base.with_colours_added(&residual(&lots, &signs, &amplitudes)).with_stored_colours();
-    Woven { field, weave: Weave { lots, amplitudes, contributors }, psnr_db: -10.0 * change.log10() }
+    let views = Views::of(base, views);
+    let amplitudes = views.amplitudes(&lots, psnr_db)?;
+    let residual = residual(&lots, &signs(&lots, secret, &contributors), &amplitudes);
+    let change = views.mean_square(&residual);
+    let field = base.with_colours_added(&residual).with_stored_colours();
+    Some(Woven { field, weave: Weave { lots, amplitudes, contributors }, psnr_db: -10.0 * change.log10() })
 }
 
 /// What each row's colour changes by (`rows x 3`, RGB).
@@ -145,87 +143,85 @@ fn side(base: &Field, views: &[Looked]) -> u32 {
     ((CELL_PX / typical).round() as u32).max(1)
 }
 
-/// The views as linear maps.
-struct Colours<'a> {
+/// The views that a weaving is judged by, as linear maps.
+struct Views<'a> {
     views: Vec<(LinearView, &'a Appearance)>,
-    /// What the eye lets pass in each.
-    allowed: Vec<Vec<f32>>,
     rows: usize,
 }
 
-impl<'a> Colours<'a> {
+impl<'a> Views<'a> {
     fn of(base: &Field, views: &'a [Looked]) -> Self {
-        let linear: Vec<_> = views.iter().map(|view| (base.view(&view.camera, CUTOFF, 1), &view.light)).collect();
-        let allowed = linear.iter().map(|(view, light)| {
+        let of = |view: &'a Looked| {
+            let i = &view.camera.intrinsics;
+            let longest = i.width.max(i.height).max(1);
+            let side = |side: usize| if longest > SMALL_PX { (side * SMALL_PX / longest).max(1) } else { side };
+            (base.view(&view.camera.resized(side(i.width), side(i.height)), CUTOFF, 1), &view.light)
+        };
+        Self { views: views.iter().map(of).collect(), rows: base.grid().rows() }
+    }
+
+    /// How strong the mark of each row is; nothing of nobody's, and `None` where that is all. **It does not look at signs**: the
+    /// bound of what readers say holds for strengths that signs are independent of.
+    ///
+    /// What lies deep shows less of its mark than what is seen alone. So a row's strength is the inverse of what the pixels
+    /// that see it would change by if all rows were alike, times what the eye lets pass there.
+    fn amplitudes(&self, lots: &Lots, psnr_db: f64) -> Option<Vec<f32>> {
+        let is_somebodys = |row: usize| row != 0 && lots.owners[lots.of_row[row] as usize] != NOBODY;
+        let alike: Vec<f32> = (0..self.rows).map(|row| f32::from(u8::from(is_somebodys(row)))).collect();
+        let (mut sums, mut touched) = (vec![0.0; 3 * self.rows], vec![false; self.rows]);
+        for (view, light) in &self.views {
             let picture = Picture::new(view.width(), view.height(), view.base(light)).expect("a colour a pixel");
-            allowed(&picture.clamped())
-        });
-        Self { allowed: allowed.collect(), views: linear, rows: base.grid().rows() }
-    }
-
-    /// Brings each row's strength nearer to what the pixels that see it bear: `shown` is what they show now. What lies deep
-    /// or beside others shows less of its mark, and what stands alone more. A row that no view sees keeps its strength.
-    fn even_out(&self, shown: &[Vec<f32>], amplitudes: &mut [f32]) {
-        let mut sums = vec![0.0; 3 * self.rows];
-        let mut touched = vec![false; self.rows];
-        for (((view, light), allowed), shown) in self.views.iter().zip(&self.allowed).zip(shown) {
-            let squares: Vec<f32> = shown.iter().map(|v| v * v).collect();
-            let around = Blur::new(AROUND_PX).apply(&squares, [view.width(), view.height()]);
-            let slope = |(allowed, around): (&f32, &[f32])| {
-                let square = around.iter().sum::<f32>();
-                if square > NO_MARK { [allowed / square.sqrt(), 1.0, 0.0] } else { [0.0; 3] }
-            };
-            let slope: Vec<f32> = allowed.iter().zip(around.chunks_exact(3)).flat_map(slope).collect();
+            let spreads = view.spreads(&alike, &lots.of_row, light);
+            let of = |(spread, allowed): (&f32, f32)| [spread.powi(POWER), allowed, 1.0];
+            let slope: Vec<f32> = spreads.iter().zip(allowed(&picture.clamped())).flat_map(of).collect();
             view.push_back(&slope, CarrierBasis::Constant, light, &mut sums, &mut touched);
         }
-        let factors: Vec<f32> =
-            sums.chunks_exact(3).map(|sum| if sum[1] > 0.0 { sum[0] / sum[1] } else { 0.0 }).collect();
-        let seen: Vec<f64> = factors.iter().filter(|f| **f > 0.0).map(|f| f64::from(*f)).collect();
-        let typical = median(seen) as f32;
-        for (amplitude, factor) in amplitudes.iter_mut().zip(factors).filter(|(_, factor)| *factor > 0.0) {
-            *amplitude *= (factor / typical).clamp(1.0 / MAX_CORRECTION, MAX_CORRECTION);
-        }
-    }
-
-    /// Makes rows fainter that pixels see which change too much, by `shown`; and rows that no view sees, if need be.
-    fn cap(&self, shown: &[Vec<f32>], amplitudes: &mut [f32]) {
-        let max = MAX_LEVELS / 255.0;
-        let mut sums = vec![0.0; 3 * self.rows];
-        let mut touched = vec![false; self.rows];
-        for ((view, light), shown) in self.views.iter().zip(shown) {
-            let slope = |change: &[f32]| {
-                let largest = change.iter().fold(0.0, |m: f32, v| m.max(v.abs()));
-                if largest > max { [largest - max, largest, 0.0] } else { [0.0; 3] }
-            };
-            let slope: Vec<f32> = shown.chunks_exact(3).flat_map(slope).collect();
-            view.push_back(&slope, CarrierBasis::Constant, light, &mut sums, &mut touched);
-        }
-        // A mark of strength 1 changes a channel by that at most.
-        let channel = |c: usize| (0..3).map(|k| (WEIGHTS[k] * OPPONENT[k][c]).abs()).sum::<f32>();
-        let alone = max / (0..3).map(channel).fold(0.0, f32::max);
-        for ((amplitude, sum), touched) in amplitudes.iter_mut().zip(sums.chunks_exact(3)).zip(touched) {
-            match (touched, sum) {
-                (false, _) => *amplitude = amplitude.min(alone),
-                (true, [too_much, of, _]) if *of > 0.0 => *amplitude *= 1.0 - too_much / of,
-                _ => {}
+        // Of a row that no view sees it is taken that a pixel shows it alone, on a plain surface.
+        let of = |sum: &[f32]| match sum {
+            [spread, allowed, seen] if *spread > 0.0 => ((seen / spread).powf(1.0 / POWER as f32), allowed / seen),
+            _ => (1.0, 1.0),
+        };
+        let bearable: Vec<(f32, f32)> = sums.chunks_exact(3).map(of).collect();
+        // A strength of 1 changes a channel by that, root mean square over channels.
+        let channel = (WEIGHTS.iter().map(|w| w * w).sum::<f32>() / 3.0).sqrt();
+        let max = MAX_LEVELS / 255.0 / DEVIATIONS / channel;
+        let strong = |gain: f32| -> Vec<f32> {
+            let of = |(alike, (even, allowed)): (&f32, &(f32, f32))| alike * even * (gain * allowed).min(max);
+            alike.iter().zip(&bearable).map(of).collect()
+        };
+        let wanted = 10f64.powf(-psnr_db / 10.0);
+        let (mut gain, mut found) = (max, strong(max));
+        for _ in 0..CORRECTIONS {
+            let change = f64::from(channel).powi(2) * self.expected_square(lots, &found);
+            if !(change.is_finite() && change > 0.0) {
+                return None;
             }
+            // Where all rows are as strong as they may be, more gain changes nothing.
+            gain *= (wanted / change).sqrt().min(4.0) as f32;
+            found = strong(gain);
         }
+        Some(found)
     }
 
-    /// What the views' colours change by where rows change by `residual`.
-    fn changed(&self, residual: &[f32]) -> Vec<Vec<f32>> {
+    /// The mean square over the views' pixels of what they change by where each row is so strong, by [`LinearView::spreads`].
+    fn expected_square(&self, lots: &Lots, strengths: &[f32]) -> f64 {
+        let of = |(view, light): &(LinearView, &Appearance)| view.spreads(strengths, &lots.of_row, light);
+        mean_square(&self.views.iter().map(of).collect::<Vec<_>>())
+    }
+
+    /// The mean squared change of the views' colours where rows change by `residual`.
+    fn mean_square(&self, residual: &[f32]) -> f64 {
         let of = |(view, light): &(LinearView, &Appearance)| {
             let mut picture = vec![0.0; 3 * view.width() * view.height()];
             view.apply_lit(residual, light, &mut picture);
             picture
         };
-        self.views.iter().map(of).collect()
+        mean_square(&self.views.iter().map(of).collect::<Vec<_>>())
     }
 }
 
-/// The mean square of pictures' numbers.
-fn mean_square(pictures: &[Vec<f32>]) -> f64 {
-    let count: usize = pictures.iter().map(Vec::len).sum();
-    let squares = pictures.iter().flatten().map(|v| f64::from(*v).powi(2));
-    squares.sum::<f64>() / count.max(1) as f64
+/// The mean square of all numbers.
+fn mean_square(all: &[Vec<f32>]) -> f64 {
+    let count: usize = all.iter().map(Vec::len).sum();
+    all.iter().flatten().map(|v| f64::from(*v).powi(2)).sum::<f64>() / count.max(1) as f64
 }
