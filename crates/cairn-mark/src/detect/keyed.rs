@@ -15,7 +15,7 @@
 use super::opponent::Planes;
 use crate::attack::Blur;
 use crate::weave::keys::WeavingSecret;
-use crate::weave::lots::NOBODY;
+use crate::weave::lots::UNOWNED;
 use crate::weave::woven::{OPPONENT, WEIGHTS, Weave, all_signs};
 use cairn_field::{Field, MarkableField};
 use cairn_register::Registered;
@@ -87,23 +87,23 @@ impl Evidence {
         Self { of_cells }
     }
 
-    /// The scores of the contributors of `weave`, each by every way, under the keys of `secret`; 0 where nothing is told.
+    /// The scores of the contributors of `weave`, each by every way, under the keys of `secret`; 0 where there is no evidence.
     pub fn scores(&self, weave: &Weave, secret: &WeavingSecret) -> Vec<[f64; WAYS]> {
         let signs = all_signs(secret, &weave.contributors);
         let lots = &weave.lots;
         let of_task = |(task, cells): (usize, &[[[f32; 3]; WAYS]])| {
             let mut sums = vec![[[0.0f64; 2]; WAYS]; weave.contributors.len()];
-            for (k, told) in cells.iter().enumerate() {
+            for (k, evidence) in cells.iter().enumerate() {
                 let cell = task * CELLS_A_TASK + k;
-                if lots.owners[cell] == NOBODY || told.as_flattened().iter().all(|v| *v == 0.0) {
+                if lots.owners[cell] == UNOWNED || evidence.as_flattened().iter().all(|v| *v == 0.0) {
                     continue;
                 }
                 let owner = usize::from(lots.owners[cell]);
                 let own = signs[owner][usize::from(lots.parts[cell])].of(lots.numbers[cell]);
-                for (sum, told) in sums[owner].iter_mut().zip(told) {
-                    for (sign, told) in own.iter().zip(told) {
-                        sum[0] += f64::from(sign * told);
-                        sum[1] += f64::from(*told).powi(2);
+                for (sum, evidence) in sums[owner].iter_mut().zip(evidence) {
+                    for (sign, value) in own.iter().zip(evidence) {
+                        sum[0] += f64::from(sign * value);
+                        sum[1] += f64::from(*value).powi(2);
                     }
                 }
             }
@@ -365,7 +365,7 @@ mod tests {
             side: 1,
             of_row: (0..6000).collect(),
             numbers: (0..6000).map(|k| k * 7 + 3).collect(),
-            owners: (0..6000).map(|k| if k % 10 == 9 { NOBODY } else { (k % 2) as u16 }).collect(),
+            owners: (0..6000).map(|k| if k % 10 == 9 { UNOWNED } else { (k % 2) as u16 }).collect(),
             parts: (0..6000).map(|k| (k % 3) as u8).collect(),
         };
         Weave { lots, amplitudes: vec![0.01; 6000], contributors: vec!["ann".into(), "ben".into()] }
@@ -375,7 +375,7 @@ mod tests {
     fn a_score_is_the_agreement_with_the_owners_signs() {
         let (weave, secret) = (weave(), WeavingSecret::new([5; 32]));
         let signs = all_signs(&secret, &weave.contributors);
-        // Of ann's cells all agree, of ben's a half; of nobody's it does not matter.
+        // Of ann's cells all agree, of ben's a half; unowned ones do not matter.
         let told = |cell: usize| {
             let own = match weave.lots.owners[cell] {
                 0 => signs[0][usize::from(weave.lots.parts[cell])].of(weave.lots.numbers[cell]),
@@ -391,7 +391,7 @@ mod tests {
         };
         let mut evidence = Evidence { of_cells: (0..6000).map(told).collect() };
         let scores = evidence.scores(&weave, &secret);
-        // 3,000 cells, none of nobody's among the even ones.
+        // 3,000 cells, no unowned one among the even ones.
         assert!(
             (scores[0][0] - 9000f64.sqrt()).abs() < 1e-6 && (scores[0][2] - 3000f64.sqrt()).abs() < 1e-6,
             "{scores:?}"

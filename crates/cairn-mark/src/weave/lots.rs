@@ -7,8 +7,8 @@ use cairn_field::MarkableField;
 use cairn_share::ShareTable;
 use rayon::prelude::*;
 
-/// Nobody: of a cell that no photograph shows.
-pub const NOBODY: u16 = u16::MAX;
+/// The owner of a cell that no photograph shows.
+pub const UNOWNED: u16 = u16::MAX;
 /// Rows that a task goes through.
 const ROWS_A_TASK: usize = 4096;
 
@@ -21,7 +21,7 @@ pub struct Lots {
     pub of_row: Vec<u32>,
     /// Each cell's number: where it lies on the lattice of cells, x fastest.
     pub numbers: Vec<u64>,
-    /// Each cell's owner, by their number; [`NOBODY`] where no photograph shows it.
+    /// Each cell's owner, by their number; [`UNOWNED`] where no photograph shows it.
     pub owners: Vec<u16>,
     /// Which part of its owner's cells each is.
     pub parts: Vec<u8>,
@@ -32,13 +32,13 @@ impl Lots {
     /// each photograph of the table.
     ///
     /// # Panics
-    /// When `side` is 0, the table is of another field, or `owner_of` has not a number below [`NOBODY`] for each photograph.
+    /// When `side` is 0, the table is of another field, or `owner_of` has not a number below [`UNOWNED`] for each photograph.
     pub fn draw(field: &dyn MarkableField, table: &ShareTable, owner_of: &[u16], lottery: &Lottery, side: u32) -> Self {
         assert!(side > 0, "a cell has a vertex");
         assert_eq!(table.rows(), field.rows(), "a table of this field");
         assert_eq!(table.photographs().len(), owner_of.len(), "an owner for each photograph");
         let owners = owner_of.iter().max().map_or(0, |last| usize::from(*last) + 1);
-        assert!(owners <= usize::from(NOBODY), "fewer owners than {NOBODY}");
+        assert!(owners <= usize::from(UNOWNED), "fewer owners than {UNOWNED}");
         let lattice = field.lattice();
         let max = lattice.iter().fold([0; 3], |max, at| [0, 1, 2].map(|k| at[k].max(max[k])));
         let across = max.map(|v| u64::from(v / side) + 1);
@@ -85,7 +85,7 @@ fn drawn(shares: &[f64], lot: f64) -> u16 {
         sum += share;
         sum > lot * all
     };
-    shares.iter().position(passed).map_or(NOBODY, |owner| owner as u16)
+    shares.iter().position(passed).map_or(UNOWNED, |owner| owner as u16)
 }
 
 #[cfg(test)]
@@ -145,7 +145,7 @@ mod tests {
         };
         // Three quarters of 800 with a deviation of 12; the others are all the first one's.
         assert!(count(1..801, 1).abs_diff(600) < 60, "{}", count(1..801, 1));
-        assert_eq!([count(801..1600, 0), count(801..1600, 1), count(1600..1601, NOBODY)], [799, 0, 1]);
+        assert_eq!([count(801..1600, 0), count(801..1600, 1), count(1600..1601, UNOWNED)], [799, 0, 1]);
 
         let lots = Lots::draw(&Sheet, &table(), &[0, 0, 1], &lottery, 4);
         assert_eq!(lots.numbers.len(), 100);
@@ -158,6 +158,6 @@ mod tests {
     fn a_lot_falls_by_its_share() {
         let shares = [1.0, 0.0, 3.0];
         assert_eq!([0.0, 0.24, 0.26, 0.999].map(|lot| drawn(&shares, lot)), [0, 0, 2, 2]);
-        assert_eq!(drawn(&[0.0, 0.0], 0.3), NOBODY);
+        assert_eq!(drawn(&[0.0, 0.0], 0.3), UNOWNED);
     }
 }

@@ -5,7 +5,7 @@
 
 use super::eye::allowed;
 use super::keys::{PARTS, Signs, WeavingSecret};
-use super::lots::{Lots, NOBODY};
+use super::lots::{Lots, UNOWNED};
 use cairn_field::stats::median;
 use cairn_field::{Appearance, CarrierBasis, Field, LinearView, MarkableField, OfPixel, VisibleField};
 use cairn_scene::{Camera, Picture};
@@ -52,7 +52,7 @@ pub struct Looked {
 pub struct Weave {
     /// Whose each cell is.
     pub lots: Lots,
-    /// How strong the mark is in each row, colours in [0, 1]; 0 where it is nobody's.
+    /// How strong the mark is in each row, colours in [0, 1]; 0 where it is unowned.
     pub amplitudes: Vec<f32>,
     /// The contributors, by their numbers.
     pub contributors: Vec<String>,
@@ -112,11 +112,11 @@ fn residual(lots: &Lots, signs: &[[f32; 3]], amplitudes: &[f32]) -> Vec<f32> {
     each.into_flattened()
 }
 
-/// Each cell's signs; zeros of nobody's.
+/// Each cell's signs; zeros of unowned ones.
 fn signs(lots: &Lots, secret: &WeavingSecret, contributors: &[String]) -> Vec<[f32; 3]> {
     let of_parts = all_signs(secret, contributors);
     let of = |cell: usize| match lots.owners[cell] {
-        NOBODY => [0.0; 3],
+        UNOWNED => [0.0; 3],
         owner => of_parts[usize::from(owner)][usize::from(lots.parts[cell])].of(lots.numbers[cell]),
     };
     (0..lots.numbers.len()).into_par_iter().map(of).collect()
@@ -160,14 +160,14 @@ impl<'a> Views<'a> {
         Self { views: views.iter().map(of).collect(), rows: base.grid().rows() }
     }
 
-    /// How strong the mark of each row is; nothing of nobody's, and `None` where that is all. **It does not look at signs**: the
+    /// How strong the mark of each row is; none of unowned ones, and `None` where that is all. **It does not look at signs**: the
     /// bound of what readers say holds for strengths that signs are independent of.
     ///
     /// What lies deep shows less of its mark than what is seen alone. So a row's strength is the inverse of what the pixels
     /// that see it would change by if all rows were alike, times what the eye lets pass there.
     fn amplitudes(&self, lots: &Lots, psnr_db: f64) -> Option<Vec<f32>> {
-        let is_somebodys = |row: usize| row != 0 && lots.owners[lots.of_row[row] as usize] != NOBODY;
-        let alike: Vec<f32> = (0..self.rows).map(|row| f32::from(u8::from(is_somebodys(row)))).collect();
+        let is_owned = |row: usize| row != 0 && lots.owners[lots.of_row[row] as usize] != UNOWNED;
+        let alike: Vec<f32> = (0..self.rows).map(|row| f32::from(u8::from(is_owned(row)))).collect();
         let (mut sums, mut touched) = (vec![0.0; 3 * self.rows], vec![false; self.rows]);
         for (view, light) in &self.views {
             let picture = Picture::new(view.width(), view.height(), view.base(light)).expect("a colour a pixel");
